@@ -1,0 +1,57 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The package for colcon (ament_python) and for pip; both end with a working `ros2 run`."""
+from glob import glob
+from pathlib import Path
+
+from setuptools import find_packages
+from setuptools import setup
+
+NAME = 'mecarover_serial'
+TOOLS = {
+    'vel2d_bridge': 'vel2d_bridge.main',
+    'dxl_monitor': 'dxl_monitor.main',
+    'fake_mcu': 'vel2d_bridge.fake_mcu',
+    'fake_bus': 'dxl_monitor.fake_bus',
+    'dxl_dump': 'dxl_monitor.dump.main',
+    'dxl_replay': 'dxl_monitor.replay',
+    'dxl_dashboard': 'dxl_monitor.dashboard.main',
+}
+DASHBOARD = ['aiohttp>=3.9']
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='ROS 2 nodes that drive a rover over a UART and listen to a Dynamixel bus',
+    # Resolved: colcon --symlink-install runs a link to this file in its build folder.
+    long_description=Path(__file__).resolve().with_name('README.md').read_text('utf-8'),
+    long_description_content_type='text/markdown',
+    maintainer='The mecarover_serial authors',
+    maintainer_email='authors@mecarover.invalid',
+    license='Apache-2.0',
+    python_requires='>=3.10',
+    packages=find_packages(include=[
+        'msg_defs', NAME, 'vel2d_bridge*', 'dxl_monitor*', 'mecarover_demo']),
+    package_data={'dxl_monitor': ['models/*.yaml', 'dashboard/static/*']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + NAME]),
+        ('share/' + NAME, ['package.xml']),
+        ('share/' + NAME + '/launch', glob('launch/*.launch.py')),
+        ('share/' + NAME + '/config', glob('config/*')),
+        # A wheel ignores setup.cfg's install_scripts: these files are what `ros2 run` finds
+        # after `pip install`. colcon puts its own entry points of the same names there.
+        ('lib/' + NAME, sorted(glob('resource/executables/*'))),
+    ],
+    install_requires=['setuptools', 'pyserial>=3.5', 'PyYAML', 'crcmod-plus'],
+    extras_require={
+        'ros': ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6'],
+        'dashboard': DASHBOARD,
+        'test': ['pytest>=7.4', 'pytest-xdist', 'hypothesis', 'dynamixel-sdk==4.1.0', 'ruff',
+                 'mypy', 'types-PyYAML', 'playwright', 'axe-playwright-python', *DASHBOARD],
+        'docs': ['sphinx>=7'],
+        'fuzz': ['atheris>=2.3'],           # python -m fuzz; the tests do without
+    },
+    entry_points={'console_scripts': [
+        f'{tool} = {module}:main' for tool, module in TOOLS.items()]},
+    zip_safe=False,
+)
