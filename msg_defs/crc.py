@@ -1,0 +1,51 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The checksums on our wires, from crcmod: CRC-32/MPEG-2 (rover), CRC-16/0x8005 (Dynamixel).
+
+Both are unreflected and without final xor. Check values over b'123456789': 0x0376E6E7 and 0xFEE8.
+crcmod has a C part; without it everything works, ten to twenty times slower (CRC_IS_FAST).
+"""
+from collections.abc import Callable
+
+import crcmod
+import crcmod.crcmod
+
+CRC_IS_FAST: bool = crcmod.crcmod._usingExtension
+SLOW_CRC_WARNING = (
+    'crcmod: its C part is missing, checksums are ten times slower; '
+    'install python3-crcmod (apt) or crcmod-plus (pip)')
+
+crc32_mpeg2: Callable[[bytes], int] = crcmod.mkCrcFun(
+    0x104C11DB7, initCrc=0xFFFFFFFF, rev=False, xorOut=0)
+
+# crc16(data, crc) continues from crc: the blocks of a fast reply are checked that way.
+crc16: Callable[..., int] = crcmod.mkCrcFun(0x18005, initCrc=0, rev=False, xorOut=0)
+
+
+def crc16_behind(head: bytes) -> Callable[[bytes], int]:
+    """Return the CRC-16 of head and what follows it, as a function of what follows."""
+    behind: Callable[[bytes], int] = crcmod.mkCrcFun(
+        0x18005, initCrc=crc16(head), rev=False, xorOut=0)
+    return behind
+
+
+def crc32_mpeg2_words(data: bytes) -> int:
+    """
+    CRC-32/MPEG-2 as an STM32 CRC unit gives it when fed little-endian 32-bit words.
+
+    The unit shifts the most significant byte of each word in first, so it sees the bytes of
+    every word reversed. The length must be a multiple of four.
+    """
+    if len(data) % 4:
+        raise ValueError(f'{len(data)} bytes are not whole 32-bit words')
+    swapped = bytearray(len(data))
+    for byte in range(4):
+        swapped[byte::4] = data[3 - byte::4]
+    return crc32_mpeg2(bytes(swapped))
+
+
+CRC_INPUTS: dict[str, Callable[[bytes], int]] = {
+    'bytes': crc32_mpeg2,
+    'words': crc32_mpeg2_words,
+}
