@@ -1,0 +1,221 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Dynamixel Protocol 2.0 packets: bytes on the wire to packets and back (e-Manual, Protocol 2.0).
+
+A frame is decided by its Length and CRC alone. Inside a frame that passes, anything that looks
+like a header is data: fast replies are never stuffed, and the official Python SDK does not stuff
+what it sends. Only a failed CRC, or flush() on an idle line, searches on from the header + 1.
+Nothing on the wire raises; every byte ends as a packet byte or as a noise byte.
+"""
+
+from typing import NamedTuple
+
+from msg_defs.crc import crc16
+from msg_defs.crc import crc16_behind
+
+HEADER = b'\xff\xff\xfd\x00'
+BROADCAST = 0xFE
+STATUS = 0x55
+MAX_LENGTH = 1024                  # of the Length field: the buffer of most devices, and the SDK's
+MAX_FRAME = MAX_LENGTH + 7
+
+_TAIL = HEADER[1:]                 # what a header has left when the line turned round too late
+body_crc = crc16_behind(HEADER)    # of a frame from its ID on: the header is taken as good
+_RUN = b'\xff\xff\xfd'
+NOISE_KEPT = 256
+
+
+class Packet(NamedTuple):
+    """One packet. stamp and offset: the chunk that decided it, its first byte in the stream."""
+
+    stamp: int
+    offset: int
+    id: int
+    instruction: int
+    error: int | None              # of a status, alert bit included
+    params: bytes                  # unstuffed
+    repaired: bool                 # the first header byte was missing or wrong
+
+
+class Flaw(NamedTuple):
+    """What was not as it should be around a frame."""
+
+    reason: str                    # '' for a good frame; 'crc', 'cut' (ends early) or 'length'
+    repaired: bool
+    noise_length: int              # bytes of noise in front of it
+
+
+# (end, body, flaw): end is the stream offset behind the frame; body runs from the ID to the last
+# parameter, still stuffed: id, length (2), instruction, [error], parameters. flaw is None for a
+# good frame directly behind the last one. A plain tuple, because there is one for each packet.
+Frame = tuple[int, bytes, Flaw | None]
+
+
+def stuff(data: bytes) -> bytes:
+    """Insert FD behind every FF FF FD."""
+    return data.replace(_RUN, b'\xff\xff\xfd\xfd') if _RUN in data else data
+
+
+def unstuff(data: bytes) -> bytes:
+    """Undo stuff(); an unstuffed FF FF FD followed by anything but FD stays as it is."""
+    return data.replace(b'\xff\xff\xfd\xfd', _RUN) if _RUN in data else data
+
+
+def encode(
+    id: int,
+    instruction: int,
+    params: bytes = b'',
+    error: int | None = None,
+    stuffed: bool = True,
+) -> bytes:
+    """Return the packet as it stands on the wire; error is given for a status only."""
+    content = bytes([instruction]) + (b'' if error is None else bytes([error])) + params
+    if stuffed:
+        content = stuff(content)
+    frame = HEADER + bytes([id]) + (len(content) + 2).to_bytes(2, 'little') + content
+    return frame + crc16(frame).to_bytes(2, 'little')
+
+
+def packet_of(frame: Frame, stamp: int) -> Packet:
+    """Return the readable form of a good frame."""
+    end, body, flaw = frame
+    is_status = body[3] == STATUS
+    params = body[5:] if is_status else body[4:]
+    if not (is_status and body[0] == BROADCAST):      # a fast reply is never stuffed
+        params = unstuff(params)
+    return Packet(stamp, end - len(body) - 6, body[0], body[3], body[4] if is_status else None,
+                  params, flaw is not None and flaw.repaired)
+
+
+class Framer:
+    """Finds the frames in a stream that comes in chunks of any size."""
+
+    __slots__ = ('_buffer', '_noise_length', '_wanted', 'bad_length', 'bytes',
+                 'crc_errors', 'noise', 'noise_bytes', 'packets', 'repaired', 'truncated')
+
+    def __init__(self) -> None:
+        self.bytes = 0
+        self.packets = 0
+        self.repaired = 0          # of them: with a damaged first header byte
+        self.crc_errors = 0
+        self.truncated = 0         # another header, or silence, before the declared end
+        self.bad_length = 0
+        self.noise_bytes = 0
+        self.noise = b''           # the last of these
+        self._buffer = b''         # not decided yet, at most MAX_FRAME
+        self._wanted = 0           # bytes in the buffer before it is worth looking again
+        self._noise_length = 0     # of the run in front of the next frame
+
+    @property
+    def pending(self) -> int:
+        """Bytes received and not decided yet."""
+        return len(self._buffer)
+
+    @property
+    def packet_bytes(self) -> int:
+        """Bytes that belong to a packet."""
+        return self.bytes - self.noise_bytes - len(self._buffer)
+
+    def feed(self, chunk: bytes, stamp: int) -> list[Packet]:
+        """Return the packets that this chunk completes."""
+        frames = self.frames(chunk)
+        return [packet_of(f, stamp) for f in frames if f[2] is None or not f[2].reason]
+
+    def flush(self, stamp: int = 0) -> list[Packet]:
+        """Decide what is left, because the line is idle."""
+        frames = self.flush_frames()
+        return [packet_of(f, stamp) for f in frames if f[2] is None or not f[2].reason]
+
+    def frames(self, chunk: bytes) -> list[Frame]:
+        """As feed(), in the form for the hot path; damaged frames are among them, with a flaw."""
+        self.bytes += len(chunk)
+        if self._buffer:
+            chunk = self._buffer + chunk
+            if len(chunk) < self._wanted:
+                self._buffer = chunk
+                return []
+        return self._scan(chunk, False)
+
+    def flush_frames(self) -> list[Frame]:
+        """As flush(), in the form of frames()."""
+        return self._scan(self._buffer, True)
+
+    def _scan(self, data: bytes, final: bool) -> list[Frame]:
+        find = data.find
+        size = len(data)
+        base = self.bytes - size
+        found: list[Frame] = []
+        damaged = 0
+        noisy = self._noise_length
+        done = 0                   # everything in front of it is decided
+        wanted = 0                 # as many bytes are needed to go on
+        mark = find(_TAIL)         # where the second FF of a header is
+        judged = size - 5 if final else size - 6       # with its instruction, if that may come
+        while 0 <= mark < judged:
+            length = data[mark + 4] | data[mark + 5] << 8
+            end = mark + 6 + length
+            if end > size and length <= MAX_LENGTH and not final:
+                wanted = end
+                break
+            body = data[mark + 3:end - 2]
+            if (2 < length <= MAX_LENGTH and end <= size
+                    and body_crc(body) == data[end - 2] | data[end - 1] << 8
+                    and (length > 3 or body[3] != STATUS)):
+                if mark == done + 1 and data[done] == 0xFF and not noisy:
+                    found.append((base + end, body, None))
+                else:
+                    found.append((base + end, body, self._flaw(data, done, mark)))
+                    noisy = 0
+                done = end
+                mark = find(_TAIL, end)
+            else:
+                if mark > done and data[mark - 1] == 0xFF:
+                    found.append(self._damaged(data, base, mark, length))
+                    damaged += 1
+                mark = find(_TAIL, mark + 1)
+        self.packets += len(found) - damaged
+        self._keep(data, done, size if final else _undecided(done, mark, size))
+        self._wanted = wanted - (size - len(self._buffer))
+        return found
+
+    def _flaw(self, data: bytes, done: int, mark: int) -> Flaw:
+        """Return what is unusual about a good frame: noise in front of it, a damaged header."""
+        repaired = mark == done or data[mark - 1] != 0xFF
+        self.repaired += repaired
+        self._give_up(data[done:max(done, mark - 1)])
+        flaw = Flaw('', repaired, self._noise_length)
+        self._noise_length = 0
+        return flaw
+
+    def _damaged(self, data: bytes, base: int, mark: int, length: int) -> Frame:
+        """Count a frame that has a header and fails; its bytes are noise, and searched again."""
+        end = mark + 6 + length
+        body = data[mark + 3:end]
+        if not 2 < length <= MAX_LENGTH or (length == 3 and body[3:4] == b'\x55'):
+            self.bad_length += 1
+            reason = 'length'
+            body = body[:4]
+        elif end > len(data) or HEADER in body or body.endswith((_RUN, _RUN[:2])):
+            self.truncated += 1
+            reason = 'cut'
+        else:
+            self.crc_errors += 1
+            reason = 'crc'
+        return base + mark + 3 + len(body), body, Flaw(reason, False, 0)
+
+    def _keep(self, data: bytes, done: int, undecided: int) -> None:
+        self._give_up(data[done:undecided])
+        self._buffer = data[undecided:]
+
+    def _give_up(self, noise: bytes) -> None:
+        if noise:
+            self.noise_bytes += len(noise)
+            self._noise_length += len(noise)
+            self.noise = (self.noise + noise)[-NOISE_KEPT:]
+
+
+def _undecided(done: int, mark: int, size: int) -> int:
+    """Return where the bytes begin that may still become a frame."""
+    start = mark - 1 if mark >= 0 else size - len(_TAIL)
+    return max(done, start)

@@ -1,0 +1,386 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Packets on the wire: published vectors both ways, every kind of damage, every kind of split."""
+
+from itertools import product
+import json
+from pathlib import Path
+import random
+from typing import Any
+
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+import pytest
+
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import HEADER
+from msg_defs.dxl_packet import MAX_FRAME
+from msg_defs.dxl_packet import Packet
+from msg_defs.dxl_packet import STATUS
+from msg_defs.dxl_packet import stuff
+from msg_defs.dxl_packet import unstuff
+
+DATA = Path(__file__).parents[2] / 'shared' / 'data'
+VECTORS = DATA / 'dxl_vectors.json'
+TRACE = DATA / 'bus_trace_head.bin'
+NO_VECTORS = 'skipped: the published vectors are not here'
+NO_TRACE = 'skipped: the robot trace is not here'
+
+PING = encode(1, 0x01)
+READ = encode(1, 0x02, b'\x84\x00\x04\x00')
+REPLY = encode(1, STATUS, b'\xa6\x00\x00\x00', error=0)
+GARBAGE = [b'', b'\x00', b'\xff', b'\xff\xff', b'\xff\xff\xfd', b'\xff\xff\xff\xfd', HEADER,
+           HEADER + b'\x01', bytes(range(250)), b'\xff' * 40]
+
+pieces = st.one_of(
+    st.binary(max_size=20),
+    st.lists(st.sampled_from([0x00, 0x01, 0x03, 0x55, 0xFD, 0xFE, 0xFF]), max_size=20).map(bytes),
+    st.sampled_from([PING, READ, REPLY, HEADER, HEADER[1:], READ[:9], REPLY[1:], PING[5:]]),
+    st.builds(encode, st.integers(0, 255), st.integers(0, 255), st.binary(max_size=30)),
+)
+streams = st.lists(pieces, max_size=12).map(b''.join)
+
+
+def vectors() -> list[dict[str, Any]]:
+    if not VECTORS.is_file():
+        pytest.skip(NO_VECTORS)
+    found: list[dict[str, Any]] = json.loads(VECTORS.read_text())['vectors']
+    return found
+
+
+def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet], Framer]:
+    """Feed in chunks of these sizes, the rest at once; then flush. Checks the byte accounting."""
+    framer = Framer()
+    found: list[Packet] = []
+    at = 0
+    for size in [*(sizes or []), len(data)]:
+        found += framer.feed(data[at:at + size], 0)
+        at += size
+        assert framer.bytes == framer.packet_bytes + framer.noise_bytes + framer.pending
+        assert framer.pending < MAX_FRAME
+    found += framer.flush()
+    assert framer.pending == 0
+    assert framer.bytes == framer.packet_bytes + framer.noise_bytes == len(data)
+    assert framer.packets == len(found)
+    return found, framer
+
+
+def summary(framer: Framer) -> tuple[int, ...]:
+    return (framer.packets, framer.repaired, framer.crc_errors, framer.truncated,
+            framer.bad_length, framer.noise_bytes)
+
+
+def test_vectors_decode_and_the_invalid_ones_do_not() -> None:
+    for vector in vectors():
+        found, framer = feed(bytes.fromhex(vector['hex']))
+        assert len(found) == vector['valid'], vector
+        if not vector['valid']:
+            continue
+        packet = found[0]
+        wire_params = bytes.fromhex(vector['wire_params_hex'])
+        combined = packet.id == BROADCAST and packet.instruction == STATUS
+        assert packet.id == vector['id']
+        assert packet.instruction == int(vector['instruction'].split('0x')[1][:2], 16)
+        assert packet.error == vector.get('error_byte')
+        assert packet.params == (wire_params if combined else unstuff(wire_params))
+        assert framer.noise_bytes == 0
+
+
+def test_vectors_encode_to_the_same_bytes() -> None:
+    checked = 0
+    for vector in vectors():
+        wire = bytes.fromhex(vector['hex'])
+        found, _ = feed(wire)
+        for packet in found:
+            rule = stuff(packet.params) == bytes.fromhex(vector['wire_params_hex'])
+            assert encode(packet.id, packet.instruction, packet.params, packet.error,
+                          stuffed=rule and packet.id != BROADCAST) == wire, vector
+            checked += 1
+    assert checked == sum(vector['valid'] for vector in vectors())
+
+
+def test_vectors_in_any_split_with_garbage_around() -> None:
+    rng = random.Random(1)
+    for vector in vectors():
+        if not vector['valid']:
+            continue
+        wire = bytes.fromhex(vector['hex'])
+        alone, _ = feed(wire)
+        for garbage in GARBAGE:
+            data = garbage + wire + garbage
+            whole, counts = feed(data)
+            assert alone[0][2:] in [packet[2:] for packet in whole], (vector, garbage)
+            for sizes in ([1] * len(data), [rng.randint(1, 9) for _ in range(len(data))]):
+                found, counted = feed(data, sizes)
+                assert found == whole
+                assert summary(counted) == summary(counts)
+
+
+def test_stuffing_is_undone_for_all_payloads() -> None:
+    checked = 0
+    for length in range(4, 8):
+        for values in product(b'\xff\xfd\x00\x01', repeat=length):
+            data = bytes(values)
+            assert unstuff(stuff(data)) == data
+            checked += 1
+    assert checked == 21_760
+
+
+@pytest.mark.parametrize(('plain', 'stuffed'), [
+    ('ff ff fd', 'ff ff fd fd'),
+    ('ff ff ff fd', 'ff ff ff fd fd'),
+    ('ff ff fd fd', 'ff ff fd fd fd'),
+    ('ff ff fd ff ff fd', 'ff ff fd fd ff ff fd fd'),
+    ('ff fd fd', 'ff fd fd'),
+])
+def test_stuffing_is_a_sliding_match(plain: str, stuffed: str) -> None:
+    assert stuff(bytes.fromhex(plain)) == bytes.fromhex(stuffed)
+
+
+def test_a_header_inside_a_frame_that_passes_is_data() -> None:
+    inner = HEADER + b'\x01\x03\x00\x01'
+    found, framer = feed(encode(7, 0x03, b'\x74\x00' + inner, stuffed=False) + PING)
+    assert [packet.id for packet in found] == [7, 1]
+    assert found[0].params == b'\x74\x00' + inner
+    assert summary(framer)[1:] == (0, 0, 0, 0, 0)
+
+
+def test_a_whole_frame_inside_a_frame_that_passes_is_data() -> None:
+    found, _ = feed(encode(7, 0x03, b'\x00\x00' + PING, stuffed=False))
+    assert len(found) == 1
+
+
+def test_after_a_failed_crc_the_frames_inside_are_found() -> None:
+    cut = READ[:-3]
+    found, framer = feed(cut + PING + REPLY)
+    assert [packet.instruction for packet in found] == [0x01, STATUS]
+    assert framer.truncated == 1
+    assert framer.noise_bytes == len(cut)
+
+
+def test_a_frame_that_never_ends_is_given_up_on_an_idle_line() -> None:
+    framer = Framer()
+    assert framer.feed(encode(1, STATUS, bytes(900), error=0)[:-20] + PING, 0) == []
+    assert [packet.instruction for packet in framer.flush()] == [0x01]
+    assert framer.truncated == 1
+
+
+def test_a_frame_cut_at_every_byte_is_given_up_on_an_idle_line() -> None:
+    for wire in (PING, READ, REPLY):
+        for size in range(len(wire)):
+            found, framer = feed(wire[:size])
+            assert found == []
+            assert framer.truncated == (size > 6)
+
+
+def test_every_single_bit_flip_is_rejected() -> None:
+    for wire in (PING, READ, REPLY):
+        for bit in range(8 * len(wire)):
+            damaged = bytearray(wire)
+            damaged[bit // 8] ^= 1 << bit % 8
+            found, framer = feed(bytes(damaged))
+            if bit < 8:                            # the first header byte, which is made good
+                assert framer.repaired == len(found) == 1
+            else:
+                assert found == []
+
+
+@pytest.mark.parametrize('first', [b'', b'\x00', b'\xfe', b'\x7f', b'\xfd'])
+def test_a_damaged_first_header_byte_is_repaired(first: bytes) -> None:
+    found, framer = feed(PING + first + REPLY[1:] + PING)
+    assert [packet.repaired for packet in found] == [False, True, False]
+    assert found[1].params == b'\xa6\x00\x00\x00'
+    assert summary(framer) == (3, 1, 0, 0, 0, 0)
+
+
+def test_a_damaged_first_byte_does_not_excuse_a_wrong_crc() -> None:
+    found, framer = feed(b'\x00' + REPLY[1:-1] + b'\x00' + PING)
+    assert [packet.instruction for packet in found] == [0x01]
+    assert framer.repaired == 0
+
+
+@pytest.mark.parametrize('length', [0, 1, 2, 3, 1025, 65535])
+def test_impossible_lengths_do_not_stall(length: int) -> None:
+    instruction = STATUS if length == 3 else 0x01
+    head = HEADER + b'\x01' + length.to_bytes(2, 'little') + bytes([instruction])
+    framer = Framer()
+    found = framer.feed(head + b'\x00\x00' + PING, 0)
+    assert [packet.instruction for packet in found] == [0x01]
+    assert framer.bad_length == 1
+
+
+@pytest.mark.parametrize('number', [252, 253, 254, 255])
+def test_any_id_is_framed(number: int) -> None:
+    found, _ = feed(encode(number, 0x01))
+    assert found[0].id == number
+
+
+def test_the_longest_frame() -> None:
+    wire = encode(1, 0x03, bytes(1021))
+    assert len(wire) == MAX_FRAME
+    found, framer = feed(wire, [1] * len(wire))
+    assert len(found) == 1
+    assert framer.noise_bytes == 0
+
+
+def test_a_chunk_is_any_number_of_packets() -> None:
+    found, _ = feed((READ + REPLY) * 100)
+    assert len(found) == 200
+    assert found[3].offset == len(READ + REPLY + READ)
+
+
+def test_the_noise_kept_is_bounded() -> None:
+    framer = Framer()
+    for _ in range(100):
+        framer.feed(b'\x00\x80' * 500, 0)
+    assert len(framer.noise) <= 256
+    assert framer.noise_bytes + framer.pending == 100_000
+
+
+@settings(max_examples=300, deadline=None)
+@given(streams, st.lists(st.integers(1, 40), max_size=40))
+def test_any_split_gives_the_same_packets(data: bytes, sizes: list[int]) -> None:
+    whole, counts = feed(data)
+    split, counted = feed(data, sizes)
+    assert split == whole
+    assert summary(counted) == summary(counts)
+
+
+@settings(max_examples=300, deadline=None)
+@given(streams)
+def test_every_byte_is_in_exactly_one_place(data: bytes) -> None:
+    framer = Framer()
+    frames = framer.frames(data) + framer.flush_frames()
+    covered = 0
+    behind = 0
+    for end, body, flaw in frames:
+        if flaw is not None and flaw.reason:
+            continue
+        start = max(behind, end - len(body) - 6)
+        assert end <= len(data)
+        covered += end - start
+        behind = end
+    assert covered == framer.packet_bytes
+    assert len(data) - covered == framer.noise_bytes
+
+
+@settings(max_examples=300, deadline=None)
+@given(streams)
+def test_the_good_packet_after_garbage_is_found(data: bytes) -> None:
+    framer = Framer()
+    framer.feed(data, 0)
+    framer.flush()
+    assert framer.feed(REPLY, 0)[-1].params == b'\xa6\x00\x00\x00'
+
+
+def test_no_false_packets_in_random_bytes() -> None:
+    data = random.Random(3).randbytes(1_000_000)
+    found, framer = feed(data, [4096] * 244)
+    assert found == []
+    assert framer.noise_bytes == len(data)
+
+
+def test_the_robot_trace() -> None:
+    if not TRACE.is_file():
+        pytest.skip(NO_TRACE)
+    data = TRACE.read_bytes()
+    found, framer = feed(data)
+    assert summary(framer) == (8969, 57, 311, 26, 45, 53_020)
+    pings = [packet for packet in found if packet.instruction == 0x01]
+    assert [packet.id for packet in pings] == list(range(1, 21))
+    for size in (1, 7, 64, 4096):
+        split, counted = feed(data, [size] * (len(data) // size))
+        assert split == found
+        assert summary(counted) == summary(framer)
+
+
+# --- exactly what is said of a frame, without any published data ---
+
+RUN = b'\xff\xff\xfd'
+BAD_REPLY = REPLY[:-1] + bytes([REPLY[-1] ^ 1])
+
+
+def test_stuffing_is_on_the_wire_and_not_in_the_packet() -> None:
+    wire = encode(1, 0x03, RUN)
+    assert wire[8:-2] == RUN + b'\xfd'
+    assert feed(wire)[0][0].params == RUN
+    assert encode(1, 0x03, RUN, stuffed=False)[8:-2] == RUN
+    assert feed(encode(1, STATUS, RUN + b'\x07', error=0))[0][0].params == RUN + b'\x07'
+
+
+def test_a_fast_reply_is_never_unstuffed() -> None:
+    data = RUN + b'\xfd\xfd'
+    combined, single = encode(BROADCAST, STATUS, data, 0, False), encode(1, STATUS, data, 0, False)
+    assert [packet.params for packet in feed(combined + single)[0]] == [data, RUN + b'\xfd']
+
+
+def test_stamps_are_those_of_the_deciding_chunk() -> None:
+    framer = Framer()
+    assert framer.feed(READ, 5)[0].stamp == 5
+    begun = encode(1, 0x03, bytes(100))[:9]
+    framer.feed(begun + PING, 6)
+    assert [packet.stamp for packet in framer.flush(7)] == [7]
+    framer.feed(begun + PING, 8)
+    assert [packet.stamp for packet in framer.flush()] == [0]
+
+
+@pytest.mark.parametrize(('wire', 'reason', 'counts'), [
+    (BAD_REPLY, 'crc', (1, 0, 0)),
+    (REPLY[:-1], 'cut', (0, 1, 0)),
+    (REPLY[:9] + PING, 'cut', (0, 1, 0)),
+    (encode(1, STATUS, b'1234567', 0)[:-3] + RUN, 'cut', (0, 1, 0)),
+    (encode(1, STATUS, b'1234567', 0)[:-2] + b'\xff\xff', 'cut', (0, 1, 0)),
+    (HEADER + b'\x01\x01\x04\x03' + bytes(20), 'length', (0, 0, 1)),
+    (HEADER + b'\x01\x02\x00\x03' + bytes(20), 'length', (0, 0, 1)),
+], ids=['crc', 'cut by silence', 'cut by a header', 'ends in FF FF FD', 'ends in FF FF', 'long',
+        'short'])
+def test_what_is_wrong_is_said_exactly(
+        wire: bytes, reason: str, counts: tuple[int, int, int]) -> None:
+    framer = Framer()
+    framer.frames(PING)
+    damaged = [one for one in framer.frames(wire) + framer.flush_frames()
+               if one[2] is not None and one[2].reason]
+    [(end, body, flaw)] = damaged
+    assert flaw is not None
+    assert (flaw.reason, flaw.repaired, flaw.noise_length) == (reason, False, 0)
+    assert body == wire[4:4 + len(body)]
+    assert end == len(PING) + 4 + len(body)
+    assert (framer.crc_errors, framer.truncated, framer.bad_length) == counts
+
+
+def test_the_longest_length_is_waited_for_and_judged_by_its_crc() -> None:
+    framer = Framer()
+    wire = HEADER + b'\x01\x00\x04\x03' + bytes(1021)
+    assert framer.feed(wire, 0) == []
+    assert (framer.pending, framer.bad_length) == (len(wire), 0)
+    framer.feed(bytes(2), 0)
+    assert (framer.crc_errors, framer.bad_length) == (1, 0)
+
+
+def test_an_impossible_length_is_judged_with_its_instruction() -> None:
+    framer = Framer()
+    framer.frames(HEADER + b'\x01\xff\xff')
+    assert framer.bad_length == 0
+    [(_, body, _)] = framer.frames(b'\x55')
+    assert body == b'\x01\xff\xff\x55'
+
+
+def test_a_status_without_an_error_byte_is_no_packet_whatever_its_crc() -> None:
+    assert feed(encode(1, STATUS))[0] == []
+    assert feed(encode(1, 0x01))[0] != []
+
+
+def test_a_header_that_may_be_none_is_not_counted_as_damaged() -> None:
+    _, framer = feed(b'\x00' + BAD_REPLY[1:] + PING)
+    assert summary(framer) == (1, 0, 0, 0, 0, len(REPLY))
+    _, framer = feed(PING + BAD_REPLY[1:] + PING)
+    assert summary(framer) == (2, 0, 0, 0, 0, len(REPLY) - 1)
+
+
+def test_a_packet_behind_noise_is_not_held_back() -> None:
+    framer = Framer()
+    framer.feed(bytes(50) + READ[:8], 0)
+    assert len(framer.feed(READ[8:], 0)) == 1
