@@ -1,0 +1,222 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Reports to ROS messages: the only place that knows both.
+
+Message objects are kept and only what changed is set anew: a message is good until the next call.
+Text from a wire may hold anything; what ROS cannot carry (NUL, lone surrogates) becomes U+FFFD.
+"""
+
+from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Sequence
+from itertools import chain
+from math import nan
+import re
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import KeyValue
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from msg_defs.reports import headline
+from msg_defs.reports import Joint
+from msg_defs.reports import Level
+from msg_defs.reports import Metric
+from msg_defs.reports import metric_status
+from msg_defs.reports import Status
+from msg_defs.reports import topic_names
+from msg_defs.reports import unit_name
+
+try:
+    import statistics_msgs.msg as statistics_msgs
+except ImportError:             # part of every Jazzy install, but there is no wheel of it
+    statistics_msgs = None
+
+STATUSES_PER_MESSAGE = 20
+BYTES_PER_MESSAGE = 60_000      # one UDP datagram takes less than 64 KiB
+QUEUE_DEPTH = 10                # publishers: reliable, keep last
+
+_LEVELS = {level: bytes([level]) for level in Level}    # DiagnosticStatus.level is a byte string
+_UNSAFE = re.compile('[\0\ud800-\udfff]')
+
+
+def safe_text(text: str) -> str:
+    if text.isascii() and '\0' not in text:
+        return text
+    return _UNSAFE.sub('\ufffd', text)
+
+
+def to_time(nanoseconds: int) -> Time:
+    sec, nanosec = divmod(max(0, nanoseconds), 1_000_000_000)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def to_ros_time(stamp: int, now: int, now_ros: int) -> Time:
+    """Convert a monotonic stamp, given one moment on both clocks (all ns)."""
+    return to_time(now_ros - (now - stamp))
+
+
+class DiagnosticArrays:
+    """
+    Builds DiagnosticArrays for one topic from lists of statuses.
+
+    A status keeps its message as long as this object lives, so its name and hardware_id must not
+    occur twice in a list.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[str, str], tuple[DiagnosticStatus, list[tuple[str, str]]]] = {}
+
+    def build(self, statuses: Iterable[Status], stamp: Time) -> Iterator[DiagnosticArray]:
+        """Yield messages of at most 20 statuses and 60 kB (a larger status comes alone)."""
+        array = _empty_array(stamp)
+        size = 0
+        for status in statuses:
+            more = _size(status)
+            full = len(array.status) >= STATUSES_PER_MESSAGE or size + more > BYTES_PER_MESSAGE
+            if array.status and full:
+                yield array
+                array = _empty_array(stamp)
+                size = 0
+            array.status.append(self._message(status))
+            size += more
+        if array.status:
+            yield array
+
+    def _message(self, status: Status) -> DiagnosticStatus:
+        key = (status.name, status.hardware_id)
+        message, before = self._kept.get(key, (None, []))
+        if message is None:
+            message = DiagnosticStatus(
+                name=safe_text(status.name), hardware_id=safe_text(status.hardware_id), values=[])
+        message.level = _LEVELS[status.level]
+        message.message = safe_text(status.message)
+        _set_values(message.values, before, status.values)
+        self._kept[key] = (message, list(status.values))
+        return message
+
+
+def _empty_array(stamp: Time) -> DiagnosticArray:
+    array = DiagnosticArray(status=[])
+    array.header.stamp = stamp
+    return array
+
+
+def _size(status: Status) -> int:
+    """Return an upper bound of the bytes a status takes in a message."""
+    text = ''.join(chain(status[:1], status[2:4], *status.values))
+    return len(text.encode(errors='surrogatepass')) + 16 * (2 + len(status.values))
+
+
+def _set_values(
+        messages: list[KeyValue], before: list[tuple[str, str]],
+        after: Sequence[tuple[str, str]]) -> None:
+    del messages[len(after):]
+    for message, old, new in zip(messages, before, after, strict=False):
+        if new != old:
+            message.key = safe_text(new[0])
+            message.value = safe_text(new[1])
+    messages += [KeyValue(key=safe_text(key), value=safe_text(value))
+                 for key, value in after[len(messages):]]
+
+
+def joint_state(joints: Sequence[Joint], stamp: Time) -> JointState:
+    """Build a JointState: NaN where one joint has no value, an empty list where none has."""
+    message = JointState(name=[safe_text(joint.name) for joint in joints])
+    message.header.stamp = stamp
+    message.position = _column([joint.position for joint in joints])
+    message.velocity = _column([joint.velocity for joint in joints])
+    message.effort = _column([joint.effort for joint in joints])
+    return message
+
+
+def _column(values: list[float | None]) -> list[float]:
+    if all(value is None for value in values):
+        return []
+    return [nan if value is None else float(value) for value in values]
+
+
+def metrics_message(metric: Metric, source: str, start: Time, stop: Time) -> Any:
+    """
+    Build a statistics_msgs/MetricsMessage; its figures follow rclcpp's order, NaN = no data.
+
+    Its source is '<node>/<metric>', because rclcpp's own habit, the node alone, leaves several
+    metrics of one node indistinguishable.
+    """
+    types = statistics_msgs.StatisticDataType
+    kinds = (types.STATISTICS_DATA_TYPE_AVERAGE, types.STATISTICS_DATA_TYPE_MAXIMUM,
+             types.STATISTICS_DATA_TYPE_MINIMUM, types.STATISTICS_DATA_TYPE_SAMPLE_COUNT,
+             types.STATISTICS_DATA_TYPE_STDDEV)
+    points = [statistics_msgs.StatisticDataPoint(data_type=kind, data=float(figure))
+              for kind, figure in zip(kinds, _statistics(metric), strict=True)]
+    return statistics_msgs.MetricsMessage(
+        measurement_source_name=source, metrics_source=metric.name, unit=metric.unit,
+        window_start=start, window_stop=stop, statistics=points)
+
+
+def _statistics(metric: Metric) -> tuple[float, ...]:
+    """Return average, maximum, minimum, count, deviation."""
+    window = metric.window
+    if window is not None:
+        return window.mean, window.maximum, window.minimum, window.count, window.deviation
+    value = headline(metric)
+    return (nan, nan, nan, 0, nan) if value is None else (value, nan, nan, 1, nan)
+
+
+class TimingPublisher:
+    """
+    The timing topics of a node below `prefix`; publishers are made when there is something to say.
+
+    `<prefix>/timing` (DiagnosticArray, every metric), `<prefix>/timing/[<bus>/]<metric>_<unit>`
+    (Float64, the headline) and, where statistics_msgs is installed,
+    `<prefix>/statistics/[<bus>/]<metric>`; metrics of single devices on the first one only.
+    """
+
+    def __init__(self, node: Any, prefix: str, buses: Sequence[str] = (),
+                 window_s: float = 10.0) -> None:
+        self._node = node
+        self._prefix = prefix
+        self._buses = topic_names(buses)
+        self._window_ns = int(window_s * 1e9)
+        self._arrays = DiagnosticArrays()
+        self._publishers: dict[str, Any] = {}
+
+    def publish(self, metrics: Sequence[Metric], now_ros: int) -> None:
+        name = self._node.get_name()
+        stamp = to_time(now_ros)
+        statuses = [metric_status(name, metric) for metric in metrics]
+        for array in self._arrays.build(statuses, stamp):
+            self._publisher(DiagnosticArray, 'timing').publish(array)
+        start = to_time(now_ros - self._window_ns)
+        for metric in metrics:
+            if not metric.device:
+                self._publish_headline(metric)
+                self._publish_metrics_message(metric, start, stamp)
+
+    def _publish_headline(self, metric: Metric) -> None:
+        figure = headline(metric)
+        if figure is not None:
+            topic = self._topic('timing', metric, f'{metric.name}_{unit_name(metric.unit)}')
+            self._publisher(Float64, topic).publish(Float64(data=float(figure)))
+
+    def _publish_metrics_message(self, metric: Metric, start: Time, stop: Time) -> None:
+        if statistics_msgs is not None:
+            source = '/'.join(filter(None, (self._node.get_name(), metric.bus, metric.name)))
+            publisher = self._publisher(
+                statistics_msgs.MetricsMessage, self._topic('statistics', metric, metric.name))
+            publisher.publish(metrics_message(metric, source, start, stop))
+
+    def _topic(self, kind: str, metric: Metric, name: str) -> str:
+        bus = self._buses[metric.bus] if metric.bus else ''
+        return '/'.join(filter(None, (kind, bus, name)))
+
+    def _publisher(self, kind: type, topic: str) -> Any:
+        publisher = self._publishers.get(topic)
+        if publisher is None:
+            publisher = self._node.create_publisher(kind, f'{self._prefix}/{topic}', QUEUE_DEPTH)
+            self._publishers[topic] = publisher
+        return publisher

@@ -1,0 +1,117 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""How reports are named and spelt."""
+
+from math import inf
+from math import nan
+
+import pytest
+
+from msg_defs.reports import headline
+from msg_defs.reports import Level
+from msg_defs.reports import Metric
+from msg_defs.reports import metric_status
+from msg_defs.reports import number
+from msg_defs.reports import numbers
+from msg_defs.reports import status_name
+from msg_defs.reports import topic_names
+from msg_defs.reports import unit_name
+from msg_defs.reports import worst
+from msg_defs.timing import Series
+
+SPELLINGS = [
+    (0, '0'), (7, '7'), (-12, '-12'), (True, '1'), (123456789012, '123456789012'),
+    (0.0, '0'), (-0.0, '0'), (1.0, '1'), (12.1, '12.1'), (-0.5, '-0.5'), (1 / 3, '0.333333'),
+    (1.5707963, '1.5708'), (0.10000000149011612, '0.1'),
+    (2000000.0, '2000000'), (1234567.8, '1234568'), (202123.456, '202123'), (1e14, '1' + '0' * 14),
+    (0.00001, '0.00001'), (0.0000123456789, '0.0000123457'), (-0.00002, '-0.00002'),
+    (9.9999996e-05, '0.0001'), (1e-12, '1e-12'), (1e20, '1e+20'),
+]
+
+
+@pytest.mark.parametrize(('value', 'text'), SPELLINGS)
+def test_numbers_are_bare_and_short(value, text):
+    assert number(value) == text
+
+
+def test_what_is_no_number_is_left_out():
+    pairs = [('a', 1.5), ('b', nan), ('c', None), ('d', inf), ('e', -inf), ('f', 0)]
+    assert numbers(pairs) == [('a', '1.5'), ('f', '0')]
+
+
+def test_worst_level_ranks_silence_between_warning_and_error():
+    assert worst([]) is Level.OK
+    assert worst([Level.OK, Level.WARN, Level.OK]) is Level.WARN
+    assert worst([Level.WARN, Level.STALE]) is Level.STALE
+    assert worst([Level.ERROR, Level.STALE, Level.OK]) is Level.ERROR
+
+
+def test_status_names_leave_out_the_bus_of_a_single_bus():
+    assert status_name('dxl_monitor', '', '011') == 'dxl_monitor: 011'
+    assert status_name('dxl_monitor', 'arm', '011') == 'dxl_monitor: arm/011'
+
+
+def test_topic_names_are_legal_and_kept_apart():
+    names = ['ttyUSB0', 'left arm', 'left-arm', 'left_arm', '1', 'ß', '__x', '/dev/ttyAMA0', '']
+    parts = topic_names(names)
+    assert parts['ttyUSB0'] == 'ttyUSB0'
+    assert parts['left_arm'] == 'left_arm'          # a name that is legal stays as it is
+    assert parts['left arm'] == 'left_arm_2'
+    assert parts['left-arm'] == 'left_arm_3'
+    assert parts['1'] == 'bus_1'
+    assert parts['ß'] == 'bus'
+    assert parts['__x'] == 'x'
+    assert len(set(parts.values())) == len(names)
+
+
+@pytest.mark.parametrize(('unit', 'name'), [
+    ('ms', 'ms'), ('Hz', 'hz'), ('%', 'percent'), ('B', 'bytes'), ('MB', 'mb'),
+    ('B/s', 'bytes_per_second')])
+def test_units_in_topic_names(unit, name):
+    assert unit_name(unit) == name
+
+
+def series_of(values):
+    series = Series()
+    for value in values:
+        series.add(value, 0)
+    return series
+
+
+def test_status_of_a_series():
+    series = series_of([1.0, 2.0, 3.0, 4.0])
+    metric = Metric('write', 'ms', series.summary(0), series.total())
+    status = metric_status('vel2d_bridge', metric)
+    assert status.name == 'vel2d_bridge: timing/write'
+    assert status.level is Level.OK
+    assert status.message == 'p95 4 ms'
+    values = dict(status.values)
+    assert values['mean (ms)'] == '2.5'
+    assert values['max (ms)'] == '4'
+    assert values['count'] == '4'
+    assert values['since start count'] == '4'
+    assert list(values)[:8] == ['mean (ms)', 'deviation (ms)', 'min (ms)', 'max (ms)', 'p50 (ms)',
+                                'p95 (ms)', 'p99 (ms)', 'count']
+
+
+def test_status_of_a_value_of_a_device_with_notes():
+    metric = Metric('reply_latency', 'ms', value=0.25, bus='arm', device='011',
+                    notes=(('resolved (%)', '40'),))
+    status = metric_status('dxl_monitor', metric)
+    assert status.name == 'dxl_monitor: timing/arm/011/reply_latency'
+    assert status.message == '0.25 ms'
+    assert status.values == [('value (ms)', '0.25'), ('resolved (%)', '40')]
+
+
+@pytest.mark.parametrize('value', [None, nan, inf])
+def test_status_without_data_keeps_its_name(value):
+    status = metric_status('vel2d_bridge', Metric('stamp_age', 'ms', value=value))
+    assert status.name == 'vel2d_bridge: timing/stamp_age'
+    assert status.message == 'no data'
+    assert status.values == []
+
+
+def test_headline_is_the_value_or_the_p95_of_the_window():
+    assert headline(Metric('frame_rate', 'Hz', value=20.0)) == 20.0
+    assert headline(Metric('write', 'ms', series_of([2.0]).summary(0))) == 2.0
+    assert headline(Metric('write', 'ms', None, series_of([2.0]).total())) is None
