@@ -1,0 +1,83 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+How every console tool of this package ends: one line per mistake, no traceback, three exit codes.
+
+0 done or stopped by a signal, 1 could not run, 2 wrong usage (argparse's own code).
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Sequence
+import os
+import signal
+import sys
+import textwrap
+from types import FrameType
+
+from mecarover_serial.parameters import Parameter
+from mecarover_serial.parameters import ParameterError
+from mecarover_serial.port import PortError
+
+DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+
+
+class UsageError(Exception):
+    """A command line that cannot be meant: 'thing: reason; remedy'."""
+
+
+def run_tool(tool: str, main: Callable[[list[str]], int | None]) -> int:
+    """Run `main(arguments)`, return the exit code; Ctrl-C, SIGTERM and a closed pipe are fine."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        code = main(sys.argv[1:]) or DONE
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        code = DONE
+    except BrokenPipeError:
+        # The reader of our output (head, less) has left; the interpreter must not flush again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = DONE
+    except (UsageError, ParameterError) as error:
+        code = _complain(tool, error, WRONG_USAGE)
+    except (PortError, OSError) as error:
+        code = _complain(tool, error, COULD_NOT_RUN)
+    return code
+
+
+def _complain(tool: str, error: Exception, code: int) -> int:
+    """Print one line about an error under the name of the tool, and return `code`."""
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror:
+        text = f'{error.filename}: {error.strerror}' if error.filename else error.strerror
+    print(f'{tool}: {text}', file=sys.stderr)
+    return code
+
+
+def hold_signals() -> None:
+    """Let ending signals wait while a node imports ROS; its `run` takes them."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def node_help(name: str, about: str, parameters: Sequence[Parameter]) -> str:
+    """Return what `NAME --help` prints for a node: how it is run and its parameters."""
+    lines = [f'usage: ros2 run mecarover_serial {name} --ros-args -p NAME:=VALUE ...', '', about,
+             '', 'parameters:']
+    for one in parameters:
+        limits = ', '.join(text for text in (one.type_name, one.unit, one.range_text) if text)
+        lines += [f'  {one.name}  (default {one.default!r}; {limits})',
+                  textwrap.fill(one.description, 95, initial_indent='      ',
+                                subsequent_indent='      ')]
+    return '\n'.join(lines)
+
+
+def no_ros(name: str, error: ImportError) -> int:
+    """Say that ROS 2 is not there; return the exit code."""
+    print(f'{name}: ROS 2 is not here ({error}); source /opt/ros/jazzy/setup.bash, '
+          'or run scripts/setup and use .venv/bin', file=sys.stderr)
+    return COULD_NOT_RUN

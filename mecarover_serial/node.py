@@ -1,0 +1,233 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Start, signals and end of a node: the one place that knows how rclpy has to be handled.
+
+rclpy's own signal handlers invalidate the context at once, die on SIGHUP and SIGQUIT and freeze
+on SIGTSTP; without them the main thread sits in rcl_wait. So signals arrive on a wake-up pipe,
+a thread reads it, stops the machine first, and only then ends the spinning.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Sequence
+from functools import partial
+import gc
+import os
+import signal
+import sys
+import threading
+from typing import Any
+from typing import Protocol
+
+from rcl_interfaces.msg import FloatingPointRange
+from rcl_interfaces.msg import IntegerRange
+from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import SetParametersResult
+import rclpy
+from rclpy.clock import Clock
+from rclpy.clock import ClockType
+from rclpy.exceptions import ParameterException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from mecarover_serial.cli import COULD_NOT_RUN
+from mecarover_serial.cli import DONE
+from mecarover_serial.cli import ENDING
+from mecarover_serial.cli import WRONG_USAGE
+from mecarover_serial.parameters import convert
+from mecarover_serial.parameters import Parameter
+from mecarover_serial.parameters import ParameterError
+from mecarover_serial.parameters import unknown
+from mecarover_serial.port import PortError
+from mecarover_serial.systemd import Systemd
+
+_LARGEST = 1e9                  # stands for "no upper limit" in a range, which needs both ends
+
+
+class Stoppable(Protocol):
+    """What `run` starts and ends; called from any thread, `stop` more than once."""
+
+    node: Node
+
+    def stop(self) -> None:
+        """Bring the machine to a safe state and release the ports; the context is still valid."""
+
+    def suspend(self) -> None:
+        """Bring the machine to a safe state because the process is about to be suspended."""
+
+    def resume(self) -> None:
+        """Go on after a suspension, as if everything heard before it were forgotten."""
+
+
+def run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None = None) -> int:
+    """Run a node until a signal ends it; return the exit code (0 signal, 1 failed, 2 usage)."""
+    with _Signals() as signals:
+        try:
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        except Exception as error:      # RCLError is private; its cause is what the user typed
+            return _complain(name, f'{first_line(error)}; see ros2 run --help', WRONG_USAGE)
+        try:
+            _spin(start(), signals)
+            return DONE
+        except ParameterError as error:
+            return _complain(name, str(error), WRONG_USAGE)
+        except ParameterException as error:     # rclpy's own parameters: use_sim_time, QoS
+            return _complain(name, f'{first_line(error)}; see ros2 param --help', WRONG_USAGE)
+        except PortError as error:
+            return _complain(name, str(error), COULD_NOT_RUN)
+        except OSError as error:
+            return _complain(name, f'{error}; see docs/troubleshooting.md', COULD_NOT_RUN)
+        finally:
+            rclpy.try_shutdown()
+
+
+def _spin(app: Stoppable, signals: _Signals) -> None:
+    """Spin until a signal has come; then the machine is stopped before anything else ends."""
+    executor = SingleThreadedExecutor()
+    ended = threading.Event()
+    systemd = Systemd()
+    try:
+        signals.watch(app, partial(_end, executor, ended))
+        executor.add_node(app.node)
+        if systemd.watchdog_s is not None:
+            app.node.create_timer(systemd.watchdog_s / 3, systemd.alive,
+                                  clock=Clock(clock_type=ClockType.STEADY_TIME))
+        systemd.ready()
+        gc.freeze()             # imports and set-up stay: no garbage is to be looked for there
+        # Not spin_until_future_complete: it keeps a callback for each message that ever came.
+        while not ended.is_set() and rclpy.ok():
+            executor.spin_once()
+    finally:
+        systemd.stopping()
+        app.stop()
+        executor.shutdown(timeout_sec=1.0)
+        app.node.destroy_node()
+
+
+def _end(executor: SingleThreadedExecutor, ended: threading.Event) -> None:
+    """Have the spinning left; from any thread. A task is what spin_once returns after."""
+    ended.set()
+    executor.create_task(lambda: None)
+
+
+def given(node: Node) -> dict[str, Any]:
+    """Return the raw values that the user gave, on the command line or in a file."""
+    return {name: one.value for name, one in node._parameter_overrides.items()}
+
+
+def declare(node: Node, parameters: Sequence[Parameter],
+            apply: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
+    """
+    Declare parameters and return their checked values; raise ParameterError for a bad one.
+
+    `apply(changes)` is called with converted values when run-time parameters change; it raises
+    ParameterError to refuse what only makes sense together with others.
+    """
+    known = {parameter.name: parameter for parameter in parameters}
+    values = {}
+    wanted = given(node)
+    for parameter in parameters:
+        if parameter.name in wanted:    # before rclpy does: its words name no remedy
+            convert(parameter, wanted[parameter.name])
+        declared = node.declare_parameter(
+            parameter.name, _default(parameter), _descriptor(parameter))
+        values[parameter.name] = convert(parameter, declared.value)
+    for line in unknown(parameters, list(wanted)):
+        node.get_logger().warning(line)
+
+    def on_set(changed: list[Any]) -> SetParametersResult:
+        try:
+            changes = {one.name: convert(known[one.name], one.value)
+                       for one in changed if one.name in known}
+            if changes:
+                apply(changes)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(on_set)
+    return values
+
+
+class _Signals:
+    """
+    Ending signals stop the app, SIGTSTP suspends it, each from a thread of its own.
+
+    They are caught from entering on; what comes before `watch` waits in the pipe.
+    """
+
+    def __enter__(self) -> _Signals:
+        self._read_fd, self._write_fd = os.pipe()
+        os.set_blocking(self._write_fd, False)
+        self._thread: threading.Thread | None = None
+        signal.set_wakeup_fd(self._write_fd, warn_on_full_buffer=False)
+        for number in (*ENDING, signal.SIGTSTP):
+            signal.signal(number, lambda *_: None)      # the pipe has the news
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)      # see hold_signals
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number in (*ENDING, signal.SIGTSTP):
+            signal.signal(number, signal.SIG_IGN)       # the end is not interrupted
+        signal.set_wakeup_fd(-1)
+        os.close(self._write_fd)
+        if self._thread is not None:
+            self._thread.join()
+        os.close(self._read_fd)
+
+    def watch(self, app: Stoppable, end: Callable[[], None]) -> None:
+        """Act on signals from now on; `end` is called when the app has been stopped."""
+        self._thread = threading.Thread(target=self._act, args=(app, end), name='signals')
+        self._thread.start()
+
+    def _act(self, app: Stoppable, end: Callable[[], None]) -> None:
+        ending = False
+        while numbers := os.read(self._read_fd, 64):
+            if not ending and any(number in ENDING for number in numbers):
+                ending = True
+                app.stop()              # before the executor: it may be busy for seconds
+                end()
+            elif not ending and signal.SIGTSTP in numbers:
+                app.suspend()
+                signal.raise_signal(signal.SIGSTOP)     # this thread: it goes no step further
+                app.resume()
+
+
+def _default(parameter: Parameter) -> Any:
+    """Return a default that rclpy can type: it takes an empty list for bytes."""
+    return parameter.default if parameter.default != [] else ['']
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    limits = ', '.join(text for text in (parameter.unit, parameter.range_text) if text)
+    descriptor = ParameterDescriptor(
+        name=parameter.name, dynamic_typing=True, read_only=not parameter.run_time,
+        description=parameter.description + (f' [{limits}]' if limits else ''),
+        additional_constraints=parameter.range_text)
+    if parameter.minimum is None and parameter.maximum is None:
+        return descriptor
+    low = 0.0 if parameter.or_zero else parameter.minimum
+    ends = {'from_value': -_LARGEST if low is None else low,
+            'to_value': _LARGEST if parameter.maximum is None else parameter.maximum}
+    if isinstance(parameter.default, float):
+        descriptor.type = ParameterType.PARAMETER_DOUBLE
+        descriptor.floating_point_range = [FloatingPointRange(
+            **{end: float(value) for end, value in ends.items()})]
+    elif isinstance(parameter.default, int):
+        descriptor.type = ParameterType.PARAMETER_INTEGER
+        descriptor.integer_range = [IntegerRange(
+            **{end: int(value) for end, value in ends.items()}, step=1)]
+    return descriptor
+
+
+def first_line(error: Exception) -> str:
+    """Return what an error of rclpy says to a user: its text without the place in rcl."""
+    return str(error).partition('\n')[0].partition(', at ')[0] or type(error).__name__
+
+
+def _complain(name: str, text: str, code: int) -> int:
+    print(f'{name}: {text}', file=sys.stderr)
+    return code

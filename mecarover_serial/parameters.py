@@ -1,0 +1,129 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Parameters as data: what each is, what it takes, and what to say when it is given something else.
+
+rclpy's own typing kills a node for `-p cmd_vel_timeout:=1` (an int for a double) and accepts
+anything once it is told not to; so values are converted and checked here, without ROS.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+import difflib
+import math
+from typing import Any
+from typing import NamedTuple
+
+from msg_defs.reports import number
+
+
+class ParameterError(Exception):
+    """A value that a parameter cannot have: 'name: reason; remedy'."""
+
+
+class Parameter(NamedTuple):
+    """
+    One parameter. Its type is that of `default`: bool, int, float, str, or a list by `element`.
+
+    `minimum` and `maximum` are inclusive; `or_zero` lets 0 through below the minimum.
+    """
+
+    name: str
+    default: Any
+    description: str
+    unit: str = ''
+    minimum: float | None = None
+    maximum: float | None = None
+    or_zero: bool = False
+    choices: tuple[str, ...] = ()
+    element: type | None = None         # a list of these
+    run_time: bool = False              # may change while the node runs
+
+    @property
+    def type_name(self) -> str:
+        """The type as a user of ROS parameters knows it."""
+        if self.element is not None:
+            return {str: 'string', int: 'integer', float: 'double'}[self.element] + ' list'
+        return {bool: 'bool', int: 'integer', float: 'double', str: 'string'}[type(self.default)]
+
+    @property
+    def range_text(self) -> str:
+        """The values it takes, in words; '' when any."""
+        if self.choices:
+            return ', '.join(self.choices)
+        limits = []
+        if self.minimum is not None:
+            limits.append(f'>= {number(self.minimum)}')
+        if self.maximum is not None:
+            limits.append(f'<= {number(self.maximum)}')
+        return ', '.join(limits) + (' or 0' if self.or_zero and limits else '')
+
+
+def convert(parameter: Parameter, raw: Any) -> Any:
+    """Return `raw` as the parameter's type; raise ParameterError when it cannot be that."""
+    if parameter.element is None:
+        value = _scalar(parameter, type(parameter.default), raw)
+        _check_range(parameter, value)
+        return value
+    if isinstance(raw, str | bytes) or not hasattr(raw, '__iter__'):
+        raw = [] if raw is None else [raw]      # a scalar is a list of one
+    # An empty string in a list is how ROS spells an empty list.
+    values = [_scalar(parameter, parameter.element, item) for item in raw if item != '']
+    for value in values:
+        _check_range(parameter, value)
+    return values
+
+
+def unknown(parameters: Sequence[Parameter], given: Sequence[str]) -> list[str]:
+    """Return a line for each given name that is no parameter, with the one probably meant."""
+    names = [parameter.name for parameter in parameters]
+    lines = []
+    for name in given:
+        if name in names or name.startswith('qos_overrides.') or name == 'use_sim_time':
+            continue
+        near = difflib.get_close_matches(name, names, 1)
+        remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
+        lines.append(f'{name}: no such parameter, ignored; {remedy}')
+    return lines
+
+
+def _scalar(parameter: Parameter, wanted: type, raw: Any) -> Any:
+    is_number = isinstance(raw, int | float) and not isinstance(raw, bool)
+    if wanted is bool and isinstance(raw, bool):
+        return raw
+    if wanted is float and is_number and math.isfinite(raw):
+        return float(raw)
+    if wanted is int and is_number and math.isfinite(raw) and raw == int(raw):
+        return int(raw)
+    if wanted is str and isinstance(raw, str):
+        return raw
+    if wanted is str and is_number and parameter.element is not None:
+        return f'{raw:g}' if isinstance(raw, float) else str(raw)   # devices:=[30] means '30'
+    raise ParameterError(_line(parameter, raw))
+
+
+def _check_range(parameter: Parameter, value: Any) -> None:
+    if parameter.choices and value not in parameter.choices:
+        raise ParameterError(_line(parameter, value))
+    if isinstance(value, str | bool) or (parameter.or_zero and value == 0):
+        return
+    if (parameter.minimum is not None and value < parameter.minimum) \
+            or (parameter.maximum is not None and value > parameter.maximum):
+        raise ParameterError(_line(parameter, value))
+
+
+def _line(parameter: Parameter, raw: Any) -> str:
+    shown = repr(raw) if len(repr(raw)) < 60 else repr(raw)[:57] + '...'
+    takes = f'a {parameter.type_name}' if parameter.type_name[0] != 'i' \
+        else f'an {parameter.type_name}'
+    limits = f' ({parameter.range_text})' if parameter.range_text else ''
+    unit = f' in {parameter.unit}' if parameter.unit else ''
+    return (f'{parameter.name}: {shown} is not possible; '
+            f'set {takes}{unit}{limits}, e.g. {_example(parameter)}')
+
+
+def _example(parameter: Parameter) -> str:
+    default = parameter.default
+    if isinstance(default, bool):
+        return str(default).lower()
+    return repr(default)

@@ -1,0 +1,237 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Open a serial port the way a robot needs it, by path or pyserial URL, and say why when it fails.
+
+Exclusive (flock against other pyserial users, TIOCEXCL against everybody but root), DTR and RTS
+low, HUPCL cleared so that closing resets no board, descriptor non-blocking. pyserial sets rate
+and options; reading and writing then goes to the descriptor.
+"""
+from __future__ import annotations
+
+import array
+from contextlib import suppress
+import errno
+import fcntl
+import math
+import os
+import select
+import struct
+import termios
+import time
+from typing import Any
+
+import serial
+
+from mecarover_serial.preflight import Reason
+from mecarover_serial.preflight import why_not
+
+_READ_SIZE = 65536
+_POLL_S = 0.005                 # ports without a descriptor (rfc2217://, loop://) are polled
+_URL_WRITE_TIMEOUT_S = 0.05     # they may block; a descriptor never does
+_BAUD_TOLERANCE = 0.03          # a UART still understands its peer 3 % off
+_TCGETS2 = 0x802C542A
+_TERMIOS2_OSPEED = 10           # index of c_ospeed in struct termios2, in 32-bit words
+
+
+class PortError(Exception):
+    """A port that cannot be used: `str()` is one line, 'thing: reason; remedy'."""
+
+    def __init__(self, thing: str, reason: Reason) -> None:
+        super().__init__(f'{thing}: {reason.reason}; {reason.remedy}')
+        self.thing = thing
+        self.kind = reason.kind
+        self.reason = reason.reason
+        self.remedy = reason.remedy
+
+
+class Port:
+    """An open port. Every method raises PortError (kind 'lost') when the port has gone."""
+
+    def __init__(self, name: str, device: Any) -> None:
+        self.name = name
+        self._device = device
+        try:
+            self.fd: int | None = device.fileno()
+        except OSError:         # io.UnsupportedOperation: a URL without a descriptor
+            self.fd = None
+        self.is_tty = self.fd is not None and os.isatty(self.fd)
+
+    def wait(self, timeout_s: float, wake_fd: int | None = None) -> bool:
+        """Wait until there is something to read (True), `wake_fd` is readable, or the time-out."""
+        wake = [] if wake_fd is None else [wake_fd]
+        if self.fd is not None:
+            return self.fd in _ready([self.fd, *wake], timeout_s)
+        deadline = time.monotonic() + timeout_s
+        while not self._device.in_waiting:
+            left = deadline - time.monotonic()
+            if left <= 0 or _ready(wake, min(left, _POLL_S)):
+                return False
+        return True
+
+    def read(self) -> bytes:
+        """Return what is there, b'' when nothing is."""
+        try:
+            if self.fd is None:
+                return bytes(self._device.read(self._device.in_waiting))
+            chunk = os.read(self.fd, _READ_SIZE)
+        except BlockingIOError:
+            return b''
+        except (OSError, serial.SerialException) as error:
+            raise self.lost(error) from error
+        if not chunk:
+            raise self.lost(OSError(errno.ENODEV, 'end of file'))
+        return chunk
+
+    def write(self, data: bytes) -> int:
+        """Write what the port takes at once and return how many bytes that were."""
+        try:
+            if self.fd is None:
+                return int(self._device.write(data) or 0)
+            return os.write(self.fd, data)
+        except (BlockingIOError, serial.SerialTimeoutException):
+            return 0
+        except (OSError, serial.SerialException) as error:
+            raise self.lost(error) from error
+
+    def pending(self) -> int:
+        """Return how many written bytes have not left yet; 0 where the port cannot tell."""
+        if not self.is_tty:
+            return 0
+        count = array.array('i', [0])
+        try:
+            fcntl.ioctl(self.fd or 0, termios.TIOCOUTQ, count)
+        except OSError as error:
+            raise self.lost(error) from error
+        return count[0]
+
+    def drop_output(self) -> None:
+        """Throw away what was written and has not left yet."""
+        if self.is_tty:
+            try:
+                termios.tcflush(self.fd or 0, termios.TCOFLUSH)
+            except termios.error as error:
+                raise self.lost(OSError(*error.args)) from error
+
+    def close(self) -> None:
+        """Close the port; never raises, also when the device has gone."""
+        if self.is_tty:         # else it stays exclusive while a fake holds the other end
+            with suppress(OSError):
+                fcntl.ioctl(self.fd or 0, termios.TIOCNXCL)
+        self.is_tty = False
+        with suppress(OSError, serial.SerialException, termios.error):
+            self._device.close()
+
+    def lost(self, error: Exception) -> PortError:
+        """Return what to raise when reading or writing has failed with `error`."""
+        number = getattr(error, 'errno', None)
+        text = os.strerror(number) if number else str(error)
+        return PortError(self.name, Reason(
+            'lost', f'lost ({text})', 'check plug and power; it is opened again when it is back'))
+
+
+def open_port(path_or_url: str, baud: int, *, read_only: bool = False) -> Port:
+    """
+    Open a port exclusively at `baud` (bit/s), non-blocking; raise PortError when that fails.
+
+    `read_only`: the descriptor itself is O_RDONLY, so that the kernel refuses every write.
+    """
+    device = _configured(path_or_url, baud)
+    try:
+        port = Port(path_or_url, device)
+        if port.is_tty and port.fd is not None:
+            _check_rate(path_or_url, port.fd, baud)
+            _settle(port.fd, read_only)
+    except (OSError, termios.error) as error:
+        device.close()
+        raise PortError(path_or_url, why_not(path_or_url, OSError(*error.args[:2]))) from error
+    except PortError:
+        device.close()
+        raise
+    return port
+
+
+def _configured(path_or_url: str, baud: int) -> Any:
+    """Return the open pyserial object of a path or URL."""
+    try:
+        if baud <= 0:           # 0 would hang up
+            raise ValueError('a baud rate is positive')
+        device = serial.serial_for_url(path_or_url, do_not_open=True)
+        device.baudrate = baud
+        device.timeout = 0
+        device.write_timeout = _URL_WRITE_TIMEOUT_S
+        device.dtr = False
+        device.rts = False
+        if type(device) is serial.Serial:
+            device.exclusive = True
+        device.open()
+    except (ValueError, OverflowError) as error:        # pyserial: the rate, or the URL
+        raise PortError(path_or_url, _bad_setting(path_or_url, baud, error)) from error
+    except (OSError, serial.SerialException, termios.error) as error:
+        raise PortError(path_or_url, why_not(path_or_url, error)) from error
+    return device
+
+
+def _bad_setting(path_or_url: str, baud: int, error: Exception) -> Reason:
+    if '://' in path_or_url and 'baud' not in str(error).lower():
+        return Reason('url', f'not a URL that pyserial knows ({error})',
+                      'use a path such as /dev/ttyUSB0 or socket://HOST:PORT')
+    return Reason('baud', f'cannot run at {baud} baud ({error})', 'set a rate the adapter takes')
+
+
+def _check_rate(name: str, fd: int, baud: int) -> None:
+    """Raise PortError when the driver silently chose another rate, as some adapters do."""
+    raw = bytearray(44)
+    try:
+        fcntl.ioctl(fd, _TCGETS2, raw)
+    except OSError:
+        return
+    actual = struct.unpack_from('11I', raw)[_TERMIOS2_OSPEED]
+    if actual and abs(actual - baud) > _BAUD_TOLERANCE * baud:
+        raise PortError(name, Reason(
+            'baud', f'asked for {baud} baud, the driver gives {actual}',
+            f'set a rate the adapter takes; its ceiling seems to be {actual}'
+            if actual < baud else 'set a rate the adapter takes'))
+
+
+def _settle(fd: int, read_only: bool) -> None:
+    """Keep others out, keep the board from resetting at close, and drop the right to write."""
+    attributes = termios.tcgetattr(fd)
+    attributes[2] &= ~termios.HUPCL
+    # pyserial's VMIN = 0 makes "nothing there" and "gone" look the same: both read as b''.
+    attributes[6][termios.VMIN] = 1
+    termios.tcsetattr(fd, termios.TCSANOW, attributes)
+    if read_only:
+        # The same device again through its descriptor: no path is looked up a second time.
+        reader = os.open(f'/proc/self/fd/{fd}', os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+        os.dup2(reader, fd, inheritable=False)
+        os.close(reader)
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    fcntl.ioctl(fd, termios.TIOCEXCL)
+
+
+def _ready(fds: list[int], timeout_s: float) -> list[int]:
+    """Return which of `fds` can be read or have hung up (select cannot take those above 1023)."""
+    poll = select.poll()
+    for fd in fds:
+        poll.register(fd, select.POLLIN)
+    return [fd for fd, _ in poll.poll(max(0, math.ceil(timeout_s * 1000)))]
+
+
+class Backoff:
+    """Waiting times between attempts: doubling from `first_s` to `last_s`."""
+
+    def __init__(self, first_s: float = 0.2, last_s: float = 2.0) -> None:
+        self._first_s = first_s
+        self._last_s = last_s
+        self._next_s = first_s
+
+    def next(self) -> float:
+        """Return how long to wait (s) before the next attempt."""
+        wait_s = self._next_s
+        self._next_s = min(2 * wait_s, self._last_s)
+        return wait_s
+
+    def reset(self) -> None:
+        """Begin again with the shortest time, after a success."""
+        self._next_s = self._first_s

@@ -1,0 +1,70 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A raw pty with a stable name: the cable between a fake device and the node under test.
+
+The fake holds the master; whoever opens `path` (or `link`) is the host. A pty takes about 17 KiB
+and then blocks its writer, has no modem lines, and runs at any rate that is set.
+"""
+from __future__ import annotations
+
+from contextlib import suppress
+import os
+from pathlib import Path
+import select
+import tty
+from types import TracebackType
+
+
+class Pty:
+    """A pty pair; `master` is a non-blocking descriptor, `path` the name of the other end."""
+
+    def __init__(self, link: str | None = None) -> None:
+        self.link = link
+        self.master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self.master, False)
+        self.path = os.ttyname(self._slave)
+        if link is not None:
+            self._place_link(Path(link))
+
+    def _place_link(self, link: Path) -> None:
+        """Point `link` at the pty; a symlink left over is replaced, a real file never."""
+        if link.is_symlink():
+            link.unlink()
+        try:
+            link.symlink_to(self.path)
+        except OSError as error:
+            self.link = None
+            self.close()
+            raise OSError(error.errno, f'{link}: cannot be made a symlink to the pty '
+                          f'({error.strerror}); give another --link') from error
+
+    def let_go(self) -> None:
+        """Hold the other end open no longer, so that is_open tells whether somebody else does."""
+        os.close(self._slave)
+        self._slave = -1
+
+    @property
+    def is_open(self) -> bool:
+        """Whether somebody has the other end open."""
+        poll = select.poll()
+        poll.register(self.master, 0)
+        return not poll.poll(0)
+
+    def close(self) -> None:
+        """Hang up, as an adapter that is unplugged: the other end reads EIO, the link goes."""
+        if self.link is not None and os.path.islink(self.link) \
+                and os.readlink(self.link) == self.path:
+            os.unlink(self.link)
+        for fd in (self.master, self._slave):
+            with suppress(OSError):
+                os.close(fd)
+        self.master = self._slave = -1
+
+    def __enter__(self) -> Pty:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()

@@ -1,0 +1,63 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameter values: what is converted, and the one line for what cannot be."""
+from array import array
+import math
+import re
+
+import pytest
+
+from mecarover_serial.parameters import convert
+from mecarover_serial.parameters import Parameter
+from mecarover_serial.parameters import ParameterError
+from mecarover_serial.parameters import unknown
+
+TIMEOUT = Parameter('cmd_vel_timeout', 0.5, 'time-out', 's', 0.05, 10.0, or_zero=True)
+BAUD = Parameter('baud', 115200, 'rate', 'bit/s', 1200)
+PORT = Parameter('port', '/dev/ttyAMA0', 'port')
+DEADMAN = Parameter('deadman', True, 'child process')
+FEED = Parameter('crc_input', 'bytes', 'feed', choices=('bytes', 'words'))
+PORTS = Parameter('ports', ['/dev/ttyUSB0'], 'ports', element=str)
+BAUDS = Parameter('bauds', [2_000_000], 'rates', 'bit/s', 9600, 4_500_000, element=int)
+
+
+@pytest.mark.parametrize(('parameter', 'raw', 'value'), [
+    (TIMEOUT, 1, 1.0), (TIMEOUT, 0, 0.0), (TIMEOUT, 0.05, 0.05), (BAUD, 9600.0, 9600),
+    (PORT, '', ''), (DEADMAN, False, False), (FEED, 'words', 'words'),
+    (PORTS, 'one', ['one']), (PORTS, [], []), (PORTS, [''], []), (PORTS, None, []),
+    (PORTS, [30, 31.0], ['30', '31']), (PORTS, 30, ['30']),
+    (BAUDS, 9600, [9600]), (BAUDS, array('q', [9600, 57600]), [9600, 57600]),
+])
+def test_converted(parameter, raw, value):
+    converted = convert(parameter, raw)
+    assert converted == value
+    assert type(converted) is type(value)
+
+
+@pytest.mark.parametrize(('parameter', 'raw'), [
+    (TIMEOUT, '1'), (TIMEOUT, True), (TIMEOUT, math.nan), (TIMEOUT, math.inf), (TIMEOUT, [1.0]),
+    (TIMEOUT, 0.04), (TIMEOUT, 10.1), (TIMEOUT, -1), (TIMEOUT, None),
+    (BAUD, 9600.5), (BAUD, 0), (BAUD, True), (BAUD, '9600'), (PORT, 5), (PORT, ['x']),
+    (DEADMAN, 1), (DEADMAN, 'true'), (FEED, 'byte'), (PORTS, [True]),
+    (BAUDS, [9600, 5_000_000]), (BAUDS, 'fast'), (BAUDS, ['x' * 1000]),
+])
+def test_refused_in_one_line(parameter, raw):
+    with pytest.raises(ParameterError) as caught:
+        convert(parameter, raw)
+    assert re.fullmatch(rf'{parameter.name}: .+ is not possible; set an? .+, e\.g\. .+',
+                        str(caught.value))
+    assert len(str(caught.value)) < 200
+
+
+def test_unknown_names():
+    assert unknown([PORT, BAUD], ['port', 'use_sim_time', 'qos_overrides./x.depth']) == []
+    assert unknown([PORT, BAUD], ['prot']) == [
+        'prot: no such parameter, ignored; did you mean port?']
+    assert unknown([PORT, BAUD], ['zzz']) == [
+        'zzz: no such parameter, ignored; there are: port, baud']
+
+
+def test_words_for_people():
+    assert TIMEOUT.range_text == '>= 0.05, <= 10 or 0'
+    assert [p.type_name for p in (TIMEOUT, BAUD, PORT, DEADMAN, PORTS, BAUDS)] == [
+        'double', 'integer', 'string', 'bool', 'string list', 'integer list']

@@ -1,0 +1,227 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Ports: how they are opened, how they are lost, and one line for each mistake of a user."""
+import errno
+import grp
+import os
+import pathlib
+import re
+import subprocess
+import sys
+import termios
+
+import pytest
+import serial
+
+from mecarover_serial import preflight
+from mecarover_serial.port import Backoff
+from mecarover_serial.port import open_port
+from mecarover_serial.port import PortError
+from mecarover_serial.pty import Pty
+
+LINE = re.compile(r'[^\n]+: [^\n]+; [^\n]+')
+
+
+def refusal(path, baud=115200):
+    with pytest.raises(PortError) as caught:
+        open_port(str(path), baud)
+    assert LINE.fullmatch(str(caught.value))
+    return caught.value
+
+
+def test_bytes_both_ways(tmp_path):
+    with Pty(str(tmp_path / 'mcu')) as pty:
+        port = open_port(str(tmp_path / 'mcu'), 115200)
+        assert port.write(b'to the mcu') == 10
+        assert os.read(pty.master, 99) == b'to the mcu'
+        assert port.read() == b''
+        os.write(pty.master, b'back')
+        assert port.wait(10)
+        assert port.read() == b'back'
+        port.close()
+        port.close()
+    assert not os.path.lexists(tmp_path / 'mcu')
+
+
+def test_hupcl_is_cleared():
+    with Pty() as pty:
+        port = open_port(pty.path, 2_000_000)
+        assert not termios.tcgetattr(port.fd)[2] & termios.HUPCL
+        port.close()
+
+
+def test_read_only_descriptor_cannot_write():
+    with Pty() as pty:
+        port = open_port(pty.path, 2_000_000, read_only=True)
+        flags = re.search(r'flags:\s+(\d+)', pathlib.Path(
+            f'/proc/self/fdinfo/{port.fd}').read_text())[1]
+        assert int(flags, 8) & os.O_ACCMODE == os.O_RDONLY
+        with pytest.raises(OSError, match='Bad file descriptor'):
+            os.write(port.fd, b'x')
+        os.write(pty.master, b'heard')
+        assert port.wait(10)
+        assert port.read() == b'heard'
+        port.close()
+
+
+@pytest.mark.parametrize('use', [lambda port: port.read(), lambda port: port.write(b'x')])
+def test_unplugged(use):
+    pty = Pty()
+    port = open_port(pty.path, 115200)
+    pty.close()
+    assert port.wait(10)
+    with pytest.raises(PortError, match='lost'):
+        use(port)
+    port.close()
+
+
+def test_a_full_pty_takes_no_more():
+    with Pty() as pty:
+        port = open_port(pty.path, 115200)
+        while port.write(bytes(4096)):
+            pass
+        assert port.write(b'x') == 0
+        port.drop_output()
+        port.close()
+
+
+def test_busy_names_the_holder():
+    with Pty() as pty:
+        code = (f'import fcntl, sys; f = open({pty.path!r}); fcntl.flock(f, 2); print(flush=True);'
+                ' sys.stdin.read()')
+        with subprocess.Popen([sys.executable, '-c', code], stdin=subprocess.PIPE,
+                              stdout=subprocess.PIPE) as holder:
+            holder.stdout.readline()
+            error = refusal(pty.path)
+            holder.stdin.close()
+        assert error.kind == 'busy'
+        assert f'(pid {holder.pid})' in error.reason
+
+
+@pytest.mark.parametrize(('path', 'kind'), [
+    ('nothing', 'absent'), ('file', 'not_a_port'), ('.', 'not_a_port'), ('dangling', 'absent')])
+def test_not_a_port(tmp_path, path, kind):
+    (tmp_path / 'file').touch()
+    (tmp_path / 'dangling').symlink_to(tmp_path / 'gone')
+    assert refusal(tmp_path / path).kind == kind
+
+
+@pytest.mark.parametrize(('url', 'kind'), [
+    ('nonsense://x', 'url'), ('socket://127.0.0.1:1', 'absent')])
+def test_urls(url, kind):
+    assert refusal(url).kind == kind
+
+
+@pytest.mark.parametrize('baud', [0, -9600, 10**10])
+def test_unusable_baud(baud):
+    with Pty() as pty:
+        error = refusal(pty.path, baud)
+    assert error.kind == 'baud'
+    assert str(baud) in error.reason
+
+
+def test_loop_url_without_a_descriptor():
+    port = open_port('loop://', 9600)
+    assert port.fd is None
+    assert port.write(b'echo') == 4
+    assert port.wait(10)
+    assert port.read() == b'echo'
+    assert not port.wait(0.01)
+    assert port.pending() == 0
+    port.close()
+
+
+def test_permission_names_user_groups_and_command(tmp_path):
+    port = tmp_path / 'ttyUSB0'
+    port.touch()
+    os.chown(port, -1, 20) if os.geteuid() == 0 else None
+    reason = preflight.why_not(str(port), PermissionError(errno.EACCES, 'denied'))
+    assert reason.kind == 'permission'
+    assert 'groups' in reason.reason
+    assert 'sudo ' in reason.remedy
+
+
+def fake_system(root, model, consoles='', cmdline=''):
+    for path, text in {'proc/device-tree/model': model, 'proc/consoles': consoles,
+                       'proc/cmdline': cmdline}.items():
+        (root / path).parent.mkdir(parents=True, exist_ok=True)
+        (root / path).write_text(text)
+    (root / 'dev').mkdir()
+    (root / 'dev/ttyAMA10').touch()
+    (root / 'dev/serial0').symlink_to('ttyAMA10')
+    return root
+
+
+def test_pi5_debug_header(tmp_path):
+    root = fake_system(tmp_path, 'Raspberry Pi 5 Model B Rev 1.0\0')
+    [reason] = preflight.warnings(str(root / 'dev/serial0'), root)
+    assert 'debug connector' in reason.reason
+    assert '/dev/ttyAMA0' in reason.remedy
+
+
+def test_console_on_the_port(tmp_path):
+    root = fake_system(tmp_path, 'Raspberry Pi 4', cmdline='root=/dev/sda console=serial0,115200')
+    [reason] = preflight.warnings(str(root / 'dev/ttyAMA10'), root)
+    assert reason.kind == 'console'
+    assert preflight.warnings(str(root / 'dev/ttyUSB0'), root) == []
+
+
+def test_login_on_the_port(tmp_path):
+    with Pty() as pty:
+        root = fake_system(tmp_path, 'laptop')
+        (root / 'proc/77777/fd').mkdir(parents=True)
+        (root / 'proc/77777/comm').write_text('agetty\n')
+        (root / 'proc/77777/fd/0').symlink_to(pty.path)
+        [reason] = preflight.warnings(pty.path, root)
+    assert 'agetty (pid 77777)' in reason.reason
+    assert 'serial-getty' in reason.remedy
+
+
+def test_login_of_root_as_a_user_sees_it(tmp_path):
+    """Its descriptors are secret then, its command line is not."""
+    root = fake_system(tmp_path, 'Raspberry Pi 4')
+    (root / 'proc/812').mkdir()
+    (root / 'proc/812/comm').write_text('agetty\n')
+    (root / 'proc/812/cmdline').write_text('/sbin/agetty\0--keep-baud\0ttyAMA0\0vt220\0')
+    [reason] = preflight.warnings('/dev/ttyAMA0', root)
+    assert 'agetty (pid 812) offers a login here' in reason.reason
+    assert preflight.warnings('/dev/ttyAMA1', root) == []
+
+
+def test_joined_the_group_after_the_session_began(tmp_path, monkeypatch):
+    port = tmp_path / 'ttyUSB0'
+    port.touch()
+    monkeypatch.setattr(preflight, '_user_name', lambda: 'robot')
+    monkeypatch.setattr(preflight.grp, 'getgrgid', lambda number: grp.struct_group(
+        ('dialout', 'x', 20, ['robot']) if number == port.stat().st_gid else
+        ('users', 'x', number, [])))
+    monkeypatch.setattr(preflight.os, 'getgroups', lambda: [100])
+    reason = preflight.why_not(str(port), PermissionError(errno.EACCES, 'denied'))
+    assert 'user robot (groups users) may not open it: it belongs to group dialout' \
+        in reason.reason
+    assert reason.remedy == 'robot joined dialout after this session began: log in again'
+
+
+def test_dtr_and_rts_are_low_from_the_first_moment(monkeypatch):
+    """The kernel raises them in open(2) itself; what pyserial adds is that they stay so."""
+    states = []
+    for line in ('dtr', 'rts'):
+        monkeypatch.setattr(serial.Serial, f'_update_{line}_state', lambda self: states.extend(
+            [self._dtr_state, self._rts_state]))
+    with Pty() as pty:
+        open_port(pty.path, 115200).close()
+    assert set(states) == {False}
+
+
+def test_link_never_replaces_a_file(tmp_path):
+    (tmp_path / 'precious').write_text('data')
+    with pytest.raises(OSError, match='another --link'):
+        Pty(str(tmp_path / 'precious'))
+    assert (tmp_path / 'precious').read_text() == 'data'
+
+
+def test_backoff():
+    backoff = Backoff()
+    assert [backoff.next() for _ in range(6)] == [0.2, 0.4, 0.8, 1.6, 2.0, 2.0]
+    backoff.reset()
+    assert backoff.next() == 0.2
