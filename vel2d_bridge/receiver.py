@@ -1,0 +1,186 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Receiver: the rover's MCU as its firmware behaves, on simulated time, and a cable with faults.
+
+"Receive to idle" into 28 bytes: the callback comes when the buffer is full or the line was idle
+for one character, and only a count of 28 with a good CRC becomes a set-point. These queue first
+in, first out, 10 deep, the newest dropped when full; one is taken per 30 ms; the last is held for
+ever. Source: the mecarover thesis. Any bytes are accepted, nothing raises; times are ns.
+"""
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+import random
+from typing import NamedTuple
+
+from msg_defs.crc import crc32_mpeg2
+from msg_defs.vel2d import decode
+from msg_defs.vel2d import FRAME_SIZE
+from msg_defs.vel2d import Vel2d
+
+LOOP = 30_000_000                  # the pose loop takes one set-point in this time
+QUEUE_DEPTH = 10
+_CHARACTER_BITS = 10
+_SECOND = 1_000_000_000
+_KEPT_ARRIVALS = 20_000
+
+
+class SetPoint(NamedTuple):
+    """What the wheels follow: taken at `stamp`, x and y in mm/s, omega in rad/s."""
+
+    stamp: int
+    x: float
+    y: float
+    omega: float
+
+    @property
+    def is_stop(self) -> bool:
+        return not (self.x or self.y or self.omega)
+
+
+class Arrival(NamedTuple):
+    """One callback: when, how many bytes, and the velocity if size and CRC were right."""
+
+    stamp: int
+    size: int
+    velocity: Vel2d | None
+
+
+class Totals:
+    """What the receiver counted since start."""
+
+    __slots__ = ('crc_err', 'frames', 'insufficient', 'overruns', 'queue_full', 'received',
+                 'taken', 'unheard')
+
+    def __init__(self) -> None:
+        self.received = 0          # bytes
+        self.frames = 0            # good ones
+        self.insufficient = 0      # callbacks with another count than 28
+        self.crc_err = 0
+        self.queue_full = 0
+        self.taken = 0             # set-points
+        self.overruns = 0
+        self.unheard = 0           # bytes after an overrun
+
+    def as_dict(self) -> dict[str, int]:
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+class Receiver:
+    """Bytes in, set-points out."""
+
+    def __init__(self, start: int = 0, *, baud: int = 115200,
+                 crc: Callable[[bytes], int] = crc32_mpeg2) -> None:
+        """Begin with an idle line and an empty queue; the pose loop runs from `start` on."""
+        self.totals = Totals()
+        self.wheels = SetPoint(start, 0.0, 0.0, 0.0)
+        self.arrivals: deque[Arrival] = deque(maxlen=_KEPT_ARRIVALS)
+        self.character = -(-_CHARACTER_BITS * _SECOND // baud)
+        self.line_free = start     # when the last byte has ended
+        self._crc = crc
+        self._buffer = b''
+        self._deaf = False
+        self._good: deque[Arrival] = deque()         # on the line, not yet in the queue
+        self._queue: deque[Vel2d] = deque()
+        self._next_loop = start + LOOP
+
+    @property
+    def queued(self) -> int:
+        """How many set-points wait in the queue."""
+        return len(self._queue)
+
+    def feed(self, chunk: bytes, now: int) -> None:
+        """Send bytes from `now` on, or behind those still on the line, without a gap inside."""
+        self.totals.received += len(chunk)
+        if self._deaf:
+            self.totals.unheard += len(chunk)
+            return
+        self._notice_idle(now)
+        self.line_free = max(self.line_free, now)
+        while chunk:
+            taken = chunk[:FRAME_SIZE - len(self._buffer)]
+            chunk = chunk[len(taken):]
+            self._buffer += taken
+            self.line_free += len(taken) * self.character
+            if len(self._buffer) == FRAME_SIZE:
+                self._call_back(self.line_free)
+
+    def advance(self, now: int) -> list[SetPoint]:
+        """Let time pass and return the set-points taken up to `now`."""
+        self._notice_idle(now)
+        taken = []
+        while self._next_loop <= now:
+            self._enqueue(self._next_loop)
+            if self._queue:
+                x, y, omega = self._queue.popleft()
+                self.wheels = SetPoint(self._next_loop, x * 1000.0, y * 1000.0, omega)
+                self.totals.taken += 1
+                taken.append(self.wheels)
+            self._next_loop += LOOP
+        self._enqueue(now)
+        return taken
+
+    def overrun(self) -> None:
+        """Go deaf: reception is re-armed in the callback only, which no longer comes."""
+        self.totals.overruns += 1
+        self._deaf = True
+        self._buffer = b''
+
+    def _notice_idle(self, now: int) -> None:
+        if self._buffer and now - self.line_free >= self.character:
+            self._call_back(self.line_free + self.character)
+
+    def _call_back(self, stamp: int) -> None:
+        frame, self._buffer = self._buffer, b''
+        velocity = decode(frame, self._crc)
+        arrival = Arrival(stamp, len(frame), velocity)
+        self.arrivals.append(arrival)
+        if len(frame) != FRAME_SIZE:
+            self.totals.insufficient += 1
+        elif velocity is None:
+            self.totals.crc_err += 1
+        else:
+            self.totals.frames += 1
+            self._good.append(arrival)
+
+    def _enqueue(self, now: int) -> None:
+        while self._good and self._good[0].stamp <= now:
+            velocity = self._good.popleft().velocity
+            if len(self._queue) >= QUEUE_DEPTH or velocity is None:
+                self.totals.queue_full += 1
+            else:
+                self._queue.append(velocity)
+
+
+class Cable:
+    """Damages frames on request, seeded: 0 = never, N = each Nth frame (or after N frames)."""
+
+    def __init__(self, *, drop: int = 0, flip: int = 0, deaf_after: int = 0,
+                 seed: int = 0) -> None:
+        self.frames = 0
+        self.damaged = 0
+        self._drop = drop
+        self._flip = flip
+        self._deaf_after = deaf_after
+        self._random = random.Random(seed)
+
+    def carry(self, frame: bytes) -> bytes:
+        """Return what arrives of a frame."""
+        self.frames += 1
+        before = frame
+        if frame and self._drop and self.frames % self._drop == 0:
+            at = self._random.randrange(len(frame))
+            frame = frame[:at] + frame[at + 1:]
+        if frame and self._flip and self.frames % self._flip == 0:
+            bit = self._random.randrange(8 * len(frame))
+            damaged = bytearray(frame)
+            damaged[bit // 8] ^= 1 << bit % 8
+            frame = bytes(damaged)
+        self.damaged += frame != before
+        return frame
+
+    def overruns(self) -> bool:
+        """Whether the receiver is overrun by the frame carried last."""
+        return self.frames == self._deaf_after > 0
