@@ -1,0 +1,428 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Gate: what is refused, limited, replaced, resent and stopped, on simulated time."""
+from itertools import pairwise
+import math
+import random
+
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+import pytest
+
+from msg_defs.vel2d import STOP
+from msg_defs.vel2d import Vel2d
+from vel2d_bridge.gate import BURST_FRAMES
+from vel2d_bridge.gate import Gate
+from vel2d_bridge.gate import Kind
+from vel2d_bridge.gate import MILLISECOND as MS
+from vel2d_bridge.gate import NEVER
+from vel2d_bridge.gate import SECOND
+from vel2d_bridge.gate import Settings
+from vel2d_bridge.gate import Stop
+from vel2d_bridge.gate import Verdict
+from vel2d_bridge.limit import limit
+from vel2d_bridge.settings import PARAMETERS
+from vel2d_bridge.wall_clock import WallClock
+
+DRIVE = Vel2d(0.5, -0.25, 1.0)
+OTHER = Vel2d(-0.5, 0.0, 0.0)
+START = 5 * SECOND
+
+
+def play(gate, begin, end, offers=()):
+    """Run the gate as its owner does; `offers` are (stamp, velocity); return (stamp, frame)s."""
+    offers = list(offers)
+    sent = []
+    now = begin
+    while now <= end:
+        while offers and offers[0][0] <= now:
+            gate.offer(offers.pop(0)[1], now)
+        frame = gate.next_frame(now)
+        if frame is not None:
+            gate.sent(now)
+            sent.append((now, frame))
+        wake = gate.next_deadline(now)
+        assert wake > now
+        now = min(wake, offers[0][0] if offers else NEVER)
+    return sent
+
+
+def opened(**changes):
+    """Return a gate after its opening burst, and the time."""
+    gate = Gate(Settings(**changes))
+    gate.opened(START)
+    play(gate, START, START + SECOND)
+    return gate, START + SECOND
+
+
+def stops_of(sent):
+    return [stamp for stamp, frame in sent if frame.kind is Kind.STOP]
+
+
+def assert_burst(stamps):
+    assert len(stamps) >= 5
+    assert stamps[-1] - stamps[0] >= 200 * MS
+    assert all(after - before >= 30 * MS for before, after in pairwise(stamps))
+
+
+def test_opening_begins_with_a_burst_and_goes_on_with_zeros():
+    gate = Gate()
+    gate.opened(START)
+    sent = play(gate, START, START + 2 * SECOND)
+    assert_burst(stops_of(sent))
+    assert sent[0][0] - START < 3 * MS
+    assert all(frame.velocity == STOP for _, frame in sent)
+    assert sent[-1][0] > START + 1900 * MS
+
+
+def test_nothing_is_written_while_the_port_is_closed():
+    gate = Gate()
+    assert gate.offer(DRIVE, 0) is Verdict.NO_PORT
+    assert gate.next_frame(0) is None
+    assert gate.next_deadline(0) == NEVER
+    gate.stop(0, Stop.DISABLED)
+    assert not gate.stopping
+
+
+def test_command_goes_out_at_once_and_is_resent():
+    gate, now = opened()
+    gate.offer(DRIVE, now)
+    frame = gate.next_frame(now)
+    assert frame == (DRIVE, Kind.COMMAND, now)
+    gate.sent(now)
+    sent = play(gate, now, now + 400 * MS)
+    assert {frame for _, frame in sent} == {(DRIVE, Kind.RESEND, None)}
+    assert [stamp - now for stamp, _ in sent] == [at * MS for at in range(75, 400, 50)]
+
+
+def test_silence_stops_at_the_time_out_with_a_burst():
+    gate, now = opened()
+    sent = play(gate, now, now + 2 * SECOND, [(now, DRIVE)])
+    stops = stops_of(sent)
+    assert_burst(stops)
+    assert 500 * MS <= stops[0] - now <= 530 * MS
+    assert gate.counters.time_outs == 1
+    assert not gate.driving
+
+
+def test_time_out_zero_holds_for_ever():
+    gate, now = opened(cmd_vel_timeout=0.0)
+    sent = play(gate, now, now + 60 * SECOND, [(now, DRIVE)])
+    assert sent[-1][1].velocity == DRIVE
+    assert gate.counters.time_outs == 0
+
+
+def test_without_resending_the_burst_is_still_sent():
+    gate, now = opened(resend_rate=0.0)
+    sent = play(gate, now, now + 5 * SECOND, [(now, DRIVE)])
+    assert [frame.kind for _, frame in sent] == [Kind.COMMAND] + [Kind.STOP] * BURST_FRAMES
+    assert_burst(stops_of(sent))
+    assert gate.next_deadline(now + 5 * SECOND) == NEVER
+
+
+@pytest.mark.parametrize(('velocity', 'arguments', 'verdict'), [
+    (Vel2d(math.nan, 0.0, 0.0), {}, Verdict.NOT_FINITE),
+    (Vel2d(0.0, math.inf, 0.0), {}, Verdict.NOT_FINITE),
+    (Vel2d(0.0, 0.0, -math.inf), {}, Verdict.NOT_FINITE),
+    (DRIVE, {'waited': 501 * MS}, Verdict.WAITED),
+    (DRIVE, {'stamp_age': 1001 * MS}, Verdict.STAMP_OLD),
+    (DRIVE, {'stamp_age': -1001 * MS}, Verdict.STAMP_AHEAD),
+])
+def test_a_refused_command_leaves_the_deadline_alone(velocity, arguments, verdict):
+    gate, now = opened(max_stamp_age=1.0)
+    gate.offer(DRIVE, now)
+    deadline = now + 500 * MS
+    for later in range(now + MS, deadline, 100 * MS):
+        assert gate.offer(velocity, later, **arguments) is verdict
+    assert gate.velocity == DRIVE
+    assert gate.next_frame(deadline - 1).velocity == DRIVE
+    gate.next_frame(deadline)
+    assert gate.counters.time_outs == 1
+    assert gate.counters.refused[verdict] == 5
+    assert gate.counters.received == gate.counters.accepted + 5
+
+
+@pytest.mark.parametrize('arguments', [
+    {'waited': 500 * MS}, {'stamp_age': 1000 * MS}, {'stamp_age': -1000 * MS}, {'stamp_age': 0}])
+def test_at_the_limit_is_accepted(arguments):
+    gate, now = opened(max_stamp_age=1.0)
+    assert gate.offer(DRIVE, now, **arguments) is Verdict.ACCEPTED
+
+
+def test_a_stamp_or_a_wait_is_no_matter_where_its_check_is_off():
+    gate, now = opened(cmd_vel_timeout=0.0)
+    verdict = gate.offer(DRIVE, now, waited=3600 * SECOND, stamp_age=3600 * SECOND)
+    assert verdict is Verdict.ACCEPTED
+
+
+def busiest_second(stamps):
+    return max(sum(begin <= stamp < begin + SECOND for stamp in stamps) for begin in stamps)
+
+
+def test_a_resend_makes_way_for_a_command_and_the_rate_still_holds():
+    chance = random.Random(2)
+    gate, now = opened()
+    stamps, waits = [], []
+    for _ in range(300):
+        wait = 50 * MS + chance.randrange(-5 * MS, 5 * MS)     # teleop, as often as a resend
+        sent = play(gate, now, now + wait - 1, [(now, DRIVE)])
+        stamps += [stamp for stamp, _ in sent]
+        waits += [stamp - now for stamp, frame in sent if frame.kind is Kind.COMMAND]
+        now += wait
+    assert len(waits) == 300
+    assert max(waits) < 3 * MS
+    assert busiest_second(stamps) <= 30
+
+
+@pytest.mark.parametrize('rate', [30.0, 100.0])
+def test_newest_replaces_older_and_the_rate_holds(rate):
+    gate, now = opened(max_rate=rate)
+    commands = [Vel2d(0.1, index / 1000, 0.0) for index in range(1, 1001)]
+    offers = [(now + index * 5 * MS, command) for index, command in enumerate(commands)]
+    sent = play(gate, now, offers[-1][0] + 3 * SECOND, offers)
+    stamps = [stamp for stamp, _ in sent]
+    assert busiest_second(stamps) <= rate
+    regular = [stamp for stamp, frame in sent if frame.kind is Kind.COMMAND]
+    assert min(after - before for before, after in pairwise(regular)) >= SECOND / rate
+    driven = [frame for _, frame in sent if frame.kind is not Kind.STOP and frame.velocity != STOP]
+    assert driven[-1].velocity == commands[-1]
+    fresh = [frame.velocity.y for frame in driven if frame.kind is Kind.COMMAND]
+    assert fresh == sorted(set(fresh))
+    assert gate.counters.replaced == 1000 - len(fresh)
+
+
+def test_rate_never_exceeds_what_the_baud_carries_with_a_gap():
+    gate = Gate(Settings(max_rate=400.0), baud=9600)
+    assert gate.frame_rate == pytest.approx(960 / 30, rel=1e-6)
+    assert Gate(Settings(max_rate=400.0), baud=115200).frame_rate == pytest.approx(384, rel=1e-4)
+    gate.opened(START)
+    offers = [(START + index * MS, Vel2d(1.0, index, 0.0)) for index in range(500)]
+    stamps = [stamp for stamp, _ in play(gate, START, START + SECOND, offers)]
+    assert min(after - before for before, after in pairwise(stamps)) >= 31_250_000
+
+
+def test_a_command_ends_a_burst_but_never_skips_the_stop():
+    gate, now = opened()
+    gate.stop(now, Stop.TYPE_SWITCH)
+    gate.offer(STOP, now)                            # a zero command changes nothing
+    gate.offer(DRIVE, now)
+    sent = play(gate, now, now + 100 * MS)
+    assert [frame.kind for _, frame in sent][:2] == [Kind.STOP, Kind.COMMAND]
+    assert sent[0][1] == (STOP, Kind.STOP, None)
+    assert sent[1][1] == (DRIVE, Kind.COMMAND, now)
+
+
+def test_a_zero_command_while_driving_is_a_burst():
+    gate, now = opened(resend_rate=0.0)
+    offers = [(now, DRIVE), (now + 100 * MS, STOP)]
+    sent = play(gate, now, now + SECOND, offers)
+    assert_burst(stops_of(sent))
+    assert sent[1][1].offered == now + 100 * MS
+    assert gate.counters.stops[Stop.COMMAND] == 1
+    assert gate.counters.time_outs == 0
+
+
+def test_disabled_means_zeros_and_refusals():
+    gate, now = opened()
+    gate.offer(DRIVE, now)
+    gate.enable(False, now)
+    assert gate.offer(DRIVE, now + MS) is Verdict.DISABLED
+    sent = play(gate, now, now + SECOND)
+    assert_burst(stops_of(sent))
+    assert all(frame.velocity == STOP for _, frame in sent)
+    gate.enable(True, now + SECOND)
+    assert not gate.driving
+    assert gate.offer(DRIVE, now + SECOND) is Verdict.ACCEPTED
+
+
+def test_shutdown_refuses_from_then_on():
+    gate, now = opened()
+    gate.stop(now, Stop.SHUTDOWN)
+    assert gate.offer(DRIVE, now) is Verdict.SHUTDOWN
+    assert_burst(stops_of(play(gate, now, now + SECOND)))
+
+
+def test_after_a_freeze_what_waited_is_refused():
+    gate, now = opened()
+    gate.offer(DRIVE, now)
+    gate.stop(now, Stop.FROZEN)
+    assert gate.offer(DRIVE, now + 199 * MS) is Verdict.FROZEN
+    assert gate.offer(DRIVE, now + 200 * MS) is Verdict.ACCEPTED
+
+
+def test_reopening_forgets_the_command():
+    gate, now = opened()
+    gate.offer(DRIVE, now)
+    gate.closed()
+    gate.opened(now + MS)
+    sent = play(gate, now + MS, now + SECOND)
+    assert all(frame.velocity == STOP for _, frame in sent)
+
+
+def test_settings_change_while_driving():
+    gate, now = opened()
+    gate.offer(DRIVE, now)
+    gate.settings = gate.settings._replace(cmd_vel_timeout=0.1)
+    gate.next_frame(now + 100 * MS)
+    assert gate.counters.time_outs == 1
+    gate.settings = gate.settings._replace(max_linear_x=0.25)
+    gate.offer(DRIVE, now + 200 * MS)
+    assert gate.velocity == Vel2d(0.25, -0.125, 0.5)
+    assert gate.counters.limited == 1
+
+
+def test_hold_keeps_everything_back():
+    gate, now = opened()
+    gate.stop(now, Stop.WRITE)
+    gate.hold(now + 77 * MS)
+    assert gate.next_frame(now + 76 * MS) is None
+    assert gate.next_frame(now + 77 * MS) == (STOP, Kind.STOP, None)
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+velocities = st.builds(Vel2d, finite, finite, finite)
+bounds = st.one_of(st.just(0.0), st.floats(1e-6, 1e6))
+
+
+@settings(max_examples=500, deadline=None)
+@given(velocities, st.builds(Vel2d, bounds, bounds, bounds))
+def test_limit_keeps_the_direction(velocity, limits):
+    limited = limit(velocity, limits)
+    assert all(map(math.isfinite, limited))
+    for part, before, bound in zip(limited, velocity, limits, strict=True):
+        assert not bound or abs(part) <= bound
+        assert abs(part) <= abs(before)
+        assert part == 0.0 or math.copysign(1.0, part) == math.copysign(1.0, before)
+    biggest = max(map(abs, velocity))
+    longest = max(map(abs, limited))
+    for part, before in zip(limited, velocity, strict=True):
+        if biggest and longest > 1e-300:
+            assert part / longest == pytest.approx(before / biggest, rel=1e-9, abs=1e-12)
+
+
+def test_limit_leaves_what_is_inside_exactly():
+    assert limit(DRIVE, STOP) == DRIVE
+    assert limit(DRIVE, Vel2d(0.5, 0.25, 1.0)) == DRIVE
+    assert limit(STOP, Vel2d(0.1, 0.1, 0.1)) == STOP
+
+
+def test_replaced_received_and_refused_add_up():
+    chance = random.Random(7)
+    gate, now = opened()
+    for _ in range(2000):
+        now += chance.randrange(60 * MS)
+        velocity = Vel2d(chance.choice([0.1, math.nan]), 0.0, chance.random())
+        gate.offer(velocity, now, waited=chance.choice([0, SECOND]))
+        play(gate, now, now)
+    counters = gate.counters
+    assert counters.received == 2000
+    assert counters.received == counters.accepted + sum(counters.refused.values())
+    assert 0 < counters.replaced < counters.accepted
+
+
+def test_wall_clock_tells_waiting_and_survives_steps():
+    clock = WallClock()
+    assert clock.waited(1000 * SECOND, 1000 * SECOND + 3 * MS, SECOND) == 3 * MS
+    assert clock.waited(0, 1000 * SECOND, SECOND) == 0
+    stepped = 5000 * SECOND
+    assert clock.waited(1001 * SECOND, stepped, 2 * SECOND) == 0      # received before the step
+    assert clock.steps == 1
+    late = clock.waited(stepped + 3 * SECOND, stepped + 4 * SECOND, 6 * SECOND)
+    assert late == SECOND
+    assert clock.waited(stepped + 5 * SECOND, 900 * SECOND, 7 * SECOND) == 0
+    assert clock.steps == 2
+
+
+# --- figures and counters, exactly ---
+
+def test_a_burst_is_six_zeros_50_ms_apart_30_ms_behind_the_last_frame():
+    gate, now = opened()
+    gate.offer(DRIVE, now)
+    [(begin, _)] = play(gate, now, now)
+    gate.stop(now + MS, Stop.DISABLED)
+    stops = stops_of(play(gate, now + MS, now + 290 * MS))
+    assert [stamp - begin for stamp in stops] == [(30 + 50 * n) * MS for n in range(6)]
+
+
+def test_without_limits_any_speed_goes_through():
+    gate, now = opened()
+    fast = Vel2d(50.0, -40.0, 30.0)
+    gate.offer(fast, now)
+    assert gate.next_frame(now).velocity == fast
+    assert gate.counters.limited == 0
+
+
+def test_what_was_limited_is_counted():
+    gate, now = opened(max_linear_x=0.25)
+    gate.offer(DRIVE, now)
+    gate.offer(Vel2d(0.1, 0.0, 0.0), now)
+    assert gate.counters.limited == 1
+
+
+def test_a_command_behind_the_time_out_finds_it_noticed():
+    """Nobody looked in between: the stop comes first all the same."""
+    gate, now = opened()
+    gate.offer(DRIVE, now)
+    play(gate, now, now + MS)
+    late = now + 500 * MS
+    gate.offer(OTHER, late)
+    assert gate.counters.time_outs == gate.counters.stops[Stop.TIME_OUT] == 1
+    assert gate.next_frame(late).velocity == STOP
+
+
+def test_a_command_that_a_stop_overtakes_is_replaced():
+    gate, now = opened()
+    gate.offer(DRIVE, now)
+    gate.stop(now, Stop.TYPE_SWITCH)
+    assert gate.counters.replaced == 1
+    gate.stop(now, Stop.TYPE_SWITCH)
+    assert gate.counters.replaced == 1
+
+
+def test_after_a_freeze_the_line_has_its_gap_first():
+    gate, now = opened()
+    now += 40 * MS
+    gate.stop(now, Stop.FROZEN)
+    assert gate.next_frame(now) is None
+    assert gate.next_frame(now + 3 * MS).velocity == STOP
+
+
+def test_enabling_and_disabling_again_is_no_news():
+    gate, now = opened()
+    gate.enable(True, now)
+    gate.enable(False, now)
+    gate.enable(False, now)
+    assert gate.counters.stops[Stop.DISABLED] == 1
+    gate.enable(True, now)
+    assert gate.counters.stops[Stop.DISABLED] == 1
+
+
+def test_closed_again_it_writes_and_takes_nothing():
+    gate, now = opened()
+    gate.offer(DRIVE, now)
+    gate.closed()
+    assert not gate.is_open
+    assert gate.next_frame(now + SECOND) is None
+    assert gate.next_deadline(now) == NEVER
+    assert gate.offer(DRIVE, now) is Verdict.NO_PORT
+
+
+@pytest.mark.parametrize(('age_s', 'limit_s', 'verdict'), [
+    (-5, 0, Verdict.ACCEPTED), (5, 0, Verdict.ACCEPTED), (-5, 5, Verdict.ACCEPTED),
+    (5, 5, Verdict.ACCEPTED), (-5, 4.999, Verdict.STAMP_AHEAD), (5, 4.999, Verdict.STAMP_OLD)])
+def test_stamps_are_judged_on_both_sides(age_s, limit_s, verdict):
+    gate, now = opened(max_stamp_age=float(limit_s))
+    assert gate.offer(DRIVE, now, stamp_age=age_s * SECOND) is verdict
+
+
+def test_before_a_suspension_no_command_is_taken():
+    gate, now = opened()
+    gate.stop(now, Stop.SUSPEND)
+    assert gate.offer(DRIVE, now + 999 * MS) is Verdict.FROZEN
+    assert gate.offer(DRIVE, now + SECOND) is Verdict.ACCEPTED
+
+
+def test_what_nobody_sets_is_as_the_parameters_say():
+    defaults = {parameter.name: parameter.default for parameter in PARAMETERS}
+    assert Settings()._asdict() == {name: defaults[name] for name in Settings._fields}

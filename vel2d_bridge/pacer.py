@@ -1,0 +1,179 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Pacer: how the gate's frames get onto the line.
+
+One write per frame, never before the previous frame has left; a partial write is never
+completed. When the line takes nothing for the write time-out, what is pending is thrown away,
+and a stop follows once the UART's FIFO must be empty (a flush in mid-frame and a stop without a
+gap after it would both be lost at the MCU). After a freeze of the bridge: a stop, and only new
+commands. Never blocks; time and line are arguments, so that all of it runs in simulated time.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+from typing import Protocol
+
+from msg_defs.crc import crc32_mpeg2
+from msg_defs.vel2d import encode
+from msg_defs.vel2d import FRAME_SIZE
+from msg_defs.vel2d import Vel2d
+from vel2d_bridge.deadman import SILENCE
+from vel2d_bridge.gate import characters_ns
+from vel2d_bridge.gate import Frame
+from vel2d_bridge.gate import GAP_CHARACTERS
+from vel2d_bridge.gate import Gate
+from vel2d_bridge.gate import Kind
+from vel2d_bridge.gate import MILLISECOND
+from vel2d_bridge.gate import NEVER
+from vel2d_bridge.gate import Stop
+from vel2d_bridge.gate import Verdict
+
+RETRY = 2 * MILLISECOND
+FIFO_CHARACTERS = 128              # the longest transmit FIFO of common UARTs and adapters
+
+
+class Line(Protocol):
+    """What a pacer needs of a port; all non-blocking, any may raise when the port has gone."""
+
+    def write(self, data: bytes) -> int:
+        """Write and return how many bytes were taken, 0 when none."""
+
+    def pending(self) -> int:
+        """Return how many bytes have not left yet."""
+
+    def drop_output(self) -> None:
+        """Throw away what has not left yet."""
+
+
+class Sent(NamedTuple):
+    """A frame that was written: when the write ended, what, why, and the two timings (ns)."""
+
+    stamp: int
+    velocity: Vel2d
+    kind: Kind
+    write: int                     # duration of the write
+    latency: int | None            # from the callback to the end of the write, for a command
+
+
+class Pacer:
+    """Gate -> line. The owner serialises the calls and passes the clock (monotonic ns)."""
+
+    def __init__(
+            self, gate: Gate, clock: Callable[[], int], *, baud: int = 115200,
+            crc: Callable[[bytes], int] = crc32_mpeg2, write_timeout_s: float = 0.05,
+            on_sent: Callable[[Sent], None] = lambda sent: None) -> None:
+        self.gate = gate
+        self.write_timeout_s = write_timeout_s
+        self.frames = 0
+        self.time_outs = 0
+        self.time_outs_in_row = 0
+        self.partial_writes = 0
+        self.freezes = 0
+        self.last: Sent | None = None
+        self._clock = clock
+        self._crc = crc
+        self._on_sent = on_sent
+        self._spacing = characters_ns(FRAME_SIZE + GAP_CHARACTERS, baud)
+        self._gap = characters_ns(GAP_CHARACTERS, baud)
+        self._drain = characters_ns(FIFO_CHARACTERS + GAP_CHARACTERS, baud)
+        self._line: Line | None = None
+        self._written = 0                            # when the line last took a frame
+        self._is_slow = False                        # and had it still when it should have left
+        self._refused: int | None = None             # since when it takes none
+        self._beaten = 0                             # the last turn of the owner's thread
+        self._frozen = -1                            # the last turn before a counted freeze
+
+    def attach(self, line: Line, now: int) -> None:
+        """Begin on a newly opened line, with a stop."""
+        self._line = line
+        self._beaten = self._written = now
+        self._refused = None
+        self._is_slow = False
+        self.time_outs_in_row = 0
+        self.gate.opened(now)
+
+    def detach(self) -> None:
+        self._line = None
+        self.gate.closed()
+
+    def is_idle(self) -> bool:
+        """Whether no stop is under way and everything written has left."""
+        return self._line is None or not (self.gate.stopping or self._line.pending())
+
+    def turn(self, now: int, acted: bool = False) -> int:
+        """Be called by the owner's thread, at least every BEAT; `acted`: the deadman did."""
+        self._notice_freeze(now, acted)
+        self._beaten = now
+        return self.step(now)
+
+    def offer(
+            self, velocity: Vel2d, now: int, *, waited: int = 0, stamp_age: int | None = None,
+            acted: bool = False) -> Verdict:
+        """Judge a command; a `step` after it writes it at once, if the rate allows."""
+        self._notice_freeze(now, acted)
+        return self.gate.offer(velocity, now, waited=waited, stamp_age=stamp_age)
+
+    def _notice_freeze(self, now: int, acted: bool) -> None:
+        """Begin anew when the thread was silent for so long that the deadman acts, or it did."""
+        if self._line is None or not (acted or now - self._beaten >= SILENCE):
+            return
+        if self._frozen != self._beaten:             # counted once, whoever notices first
+            self._frozen = self._beaten
+            self.freezes += 1
+        self.gate.stop(now, Stop.FROZEN)
+
+    def step(self, now: int) -> int:
+        """Write the frame that is due, if the line is free; return when to be called again."""
+        if self._line is None:
+            return NEVER
+        pending = self._line.pending()
+        busy_since = self._written if pending else self._refused
+        if busy_since is not None and (
+                pending > FRAME_SIZE or now - busy_since >= self.write_timeout_s * 1e9):
+            self.time_outs += 1
+            self.time_outs_in_row += 1
+            self._clear(self._line, now)
+        elif not pending:
+            if self._is_slow:                        # it may have left only now
+                self._is_slow = False
+                self.gate.hold(now + self._gap)
+            frame = self.gate.next_frame(now)
+            if frame is not None:
+                self._write(self._line, frame)
+        elif now - self._written >= self._spacing:
+            self._is_slow = True
+        wake = self.gate.next_deadline(now)
+        return max(wake, now + RETRY) if pending or self._refused is not None else wake
+
+    def _write(self, line: Line, frame: Frame) -> None:
+        data = encode(frame.velocity, self._crc)
+        begin = self._clock()
+        taken = line.write(data)
+        end = self._clock()
+        if not taken:
+            self._refused = begin if self._refused is None else self._refused
+        elif taken < len(data):
+            self.partial_writes += 1
+            self._clear(line, end)
+        else:
+            self._refused = None
+            self._written = end
+            self._took(frame, begin, end)
+
+    def _took(self, frame: Frame, begin: int, end: int) -> None:
+        self.gate.sent(end)
+        self.frames += 1
+        self.time_outs_in_row = 0
+        latency = None if frame.offered is None else end - frame.offered
+        self.last = Sent(end, frame.velocity, frame.kind, end - begin, latency)
+        self._on_sent(self.last)
+
+    def _clear(self, line: Line, now: int) -> None:
+        """Throw away what is pending, and stop when the rest has left the FIFO."""
+        line.drop_output()
+        self._refused = None
+        self._written = now
+        self.gate.stop(now, Stop.WRITE)
+        self.gate.hold(now + self._drain)
