@@ -1,0 +1,289 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Link on real ptys: time-outs, loss and return, a stuck port, rates, shutdown."""
+import array
+from contextlib import contextmanager
+import fcntl
+import os
+import time
+
+import pytest
+
+from mecarover_serial.port import open_port
+from mecarover_serial.port import Port
+from msg_defs.vel2d import FRAME_SIZE
+from msg_defs.vel2d import STOP
+from msg_defs.vel2d import Vel2d
+from vel2d_bridge.fake_mcu import FakeMcu
+from vel2d_bridge.gate import Gate
+from vel2d_bridge.gate import Kind
+from vel2d_bridge.gate import Settings
+from vel2d_bridge.gate import Stop
+from vel2d_bridge.gate import Verdict
+from vel2d_bridge.link import Link
+
+PATIENCE_S = 20
+TIOCGEXCL = 0x80045440
+DRIVE = Vel2d(0.5, -0.25, 1.0)
+
+
+def wait(condition):
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+@contextmanager
+def linked(path, settings=None, **options):
+    """Run a link; leaving closes it."""
+    link = Link(path, 115200, Gate(settings), **options)
+    link.start()
+    try:
+        yield link
+    finally:
+        link.close()
+
+
+@pytest.fixture
+def mcu(tmp_path):
+    with FakeMcu(str(tmp_path / 'mcu')).running() as mcu:
+        yield mcu
+
+
+def velocities(mcu):
+    return [arrival.velocity for arrival in list(mcu.receiver.arrivals)]
+
+
+def drive(link, mcu, velocity=DRIVE):
+    """Command until the MCU follows."""
+    def follows():
+        link.offer(velocity)
+        return mcu.receiver.wheels.x == velocity.x * 1000
+
+    wait(follows)
+
+
+def test_commands_arrive_and_silence_stops(mcu):
+    sent = []
+    with linked(mcu.path, on_sent=sent.append) as link:
+        wait(lambda: link.state().is_open)
+        drive(link, mcu)
+        wait(lambda: mcu.receiver.wheels.is_stop)
+        frames = mcu.totals()['frames']
+        wait(lambda: mcu.totals()['frames'] >= frames + 10)    # zeros go on
+        assert mcu.receiver.wheels.is_stop
+        assert link.gate.counters.time_outs == 1
+        assert link.state().frames == len(sent)
+    assert sent[0].velocity == STOP
+    commands = [one for one in sent if one.kind is Kind.COMMAND]
+    assert all(one.latency >= one.write >= 0 for one in commands)
+    assert len({one.stamp for one in sent}) == len(sent)
+
+
+def test_closing_ends_with_a_burst(mcu):
+    with linked(mcu.path, Settings(resend_rate=0.0)) as link:
+        drive(link, mcu)
+    wait(lambda: mcu.receiver.wheels.is_stop)
+    assert velocities(mcu)[-5:] == [STOP] * 5
+    assert link.offer(DRIVE) is Verdict.SHUTDOWN
+    assert not link.state().is_open
+    link.close()
+
+
+def is_exclusive(path):
+    """Ask the kernel; only who is not root would notice at open()."""
+    fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    answer = array.array('i', [-1])
+    fcntl.ioctl(fd, TIOCGEXCL, answer)
+    os.close(fd)
+    return bool(answer[0])
+
+
+def test_closing_gives_the_port_back_to_everybody(mcu):
+    with linked(mcu.path) as link:
+        wait(lambda: link.state().is_open)
+        assert is_exclusive(mcu.path)
+    assert not is_exclusive(mcu.path)
+
+
+@pytest.mark.parametrize('rate', [30.0, 100.0])
+def test_a_thousand_commands_at_200_hz(mcu, rate):
+    commands = [Vel2d(0.5, index / 1000, 0.0) for index in range(1, 1001)]
+    with linked(mcu.path, Settings(max_rate=rate)) as link:
+        wait(lambda: mcu.totals()['frames'] >= 6)
+        before = mcu.totals()['frames']
+        begin = time.monotonic()
+        for index, command in enumerate(commands):
+            time.sleep(max(0.0, begin + index * 0.005 - time.monotonic()))
+            assert link.offer(command) is Verdict.ACCEPTED
+        elapsed = time.monotonic() - begin
+        frames = mcu.totals()['frames'] - before
+        wait(lambda: mcu.receiver.wheels.is_stop)
+        assert link.gate.counters.time_outs == 1
+    assert frames <= rate * elapsed + 2
+    totals = mcu.totals()
+    assert totals['crc_err'] == totals['insufficient'] == 0
+    assert totals['queue_full'] == 0 or rate > 33
+    assert [velocity for velocity in velocities(mcu) if velocity != STOP][-1] == commands[-1]
+
+
+def test_unplugged_and_back_ten_times(mcu):
+    changes = []
+    with linked(mcu.path, on_change=changes.append) as link:
+        for _ in range(10):
+            drive(link, mcu)
+            mcu.vanish()
+            wait(lambda: not link.state().is_open)
+            assert link.offer(DRIVE) is Verdict.NO_PORT
+            mcu.receiver.arrivals.clear()
+            mcu.come_back()
+            wait(lambda: len(mcu.receiver.arrivals) >= 5)
+            assert set(velocities(mcu)) == {STOP}
+        state = link.state()
+    assert (state.openings, state.losses, state.problem) == (11, 10, None)
+    assert 'lost' in state.last_error or 'absent' in state.last_error
+    assert sum(change is None for change in changes) == 11
+
+
+def test_a_port_that_is_absent_is_opened_when_it_comes(tmp_path):
+    path = str(tmp_path / 'late')
+    with linked(path) as link:
+        wait(lambda: link.state().problem is not None)
+        problem = link.state().problem
+        assert problem.kind == 'absent'
+        assert problem.reason
+        assert problem.remedy
+        with FakeMcu(path).running() as mcu:
+            drive(link, mcu)
+            assert link.state().problem is None
+
+
+def test_closing_without_a_port_does_not_wait(tmp_path):
+    link = Link(str(tmp_path / 'none'), 115200, Gate())
+    link.start()
+    wait(lambda: link.state().problem is not None)
+    link.close()
+    assert not link._thread.is_alive()
+
+
+def push(fd):
+    try:
+        return os.write(fd, bytes(64))
+    except BlockingIOError:
+        time.sleep(0.01)                             # the kernel may just be moving its buffers
+        return 0
+
+
+def stuff(path):
+    """Fill the pty until it takes nothing more."""
+    fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    while any(push(fd) for _ in range(5)):
+        pass
+    os.close(fd)
+
+
+def test_a_stuck_reader_costs_a_write_time_out_and_leads_to_a_stop(tmp_path):
+    mcu = FakeMcu(str(tmp_path / 'mcu'))             # nobody pumps it yet
+    opened = []
+
+    def opener(path, baud):
+        stuff(path)
+        opened.append(open_port(path, baud))
+        return opened[-1]
+
+    with linked(mcu.path, opener=opener) as link:
+        wait(lambda: link.state().time_outs >= 1)
+        assert link.gate.counters.stops[Stop.WRITE] >= 1
+        with mcu.running():
+            wait(lambda: mcu.totals()['frames'] >= 3)          # the flush let it go on
+            assert set(velocities(mcu)[-3:]) == {STOP}
+            drive(link, mcu)
+            link.close()
+
+
+class Sullen(Port):
+    """A port that takes nothing, not even after a flush."""
+
+    def write(self, data):
+        return 0
+
+
+class Stingy(Port):
+    """A port that takes 11 bytes of every seventh frame."""
+
+    writes = 0
+
+    def write(self, data):
+        self.writes += 1
+        return super().write(data if self.writes % 7 else data[:11])
+
+
+def of_kind(kind):
+    """Return an opener for ports of that kind."""
+    def opener(path, baud):
+        port = open_port(path, baud)
+        port.__class__ = kind
+        return port
+    return opener
+
+
+def test_a_port_that_stays_stuck_is_reopened_and_closing_is_bounded(mcu):
+    with linked(mcu.path, opener=of_kind(Sullen), write_timeout_s=0.005) as link:
+        wait(lambda: link.state().losses >= 1)
+        assert 'takes no data' in link.state().last_error
+        wait(lambda: link.state().openings >= 2)
+    assert not link._thread.is_alive()
+
+
+def test_a_partial_write_is_never_completed(mcu):
+    with linked(mcu.path, opener=of_kind(Stingy)) as link:
+        wait(lambda: link.state().partial_writes >= 3)
+        wait(lambda: mcu.totals()['frames'] >= 20)
+    assert {arrival.size for arrival in mcu.receiver.arrivals} <= {11, FRAME_SIZE}
+    assert mcu.totals()['crc_err'] == 0
+
+
+def test_what_the_mcu_says_is_handed_on(mcu):
+    heard = []
+    with linked(mcu.path, on_received=lambda chunk, stamp: heard.append(chunk)) as link:
+        wait(lambda: link.state().is_open)
+        mcu.say(b'battery low\n')
+        wait(lambda: b''.join(heard) == b'battery low\n')
+        assert link.state().bytes_received == 12
+
+
+def test_a_callback_that_fails_does_not_end_the_stops(mcu):
+    def fail(chunk, stamp):
+        raise ValueError('a mistake')
+
+    with linked(mcu.path, on_received=fail) as link:
+        drive(link, mcu)
+        mcu.say(b'x')
+        wait(lambda: link.state().losses == 1)
+        assert 'ValueError: a mistake' in link.state().last_error
+        wait(lambda: mcu.receiver.wheels.is_stop)
+        drive(link, mcu)
+
+
+def test_disable_stop_and_settings_take_effect(mcu):
+    with linked(mcu.path) as link:
+        drive(link, mcu)
+        link.enable(False)
+        wait(lambda: mcu.receiver.wheels.is_stop)
+        assert link.offer(DRIVE) is Verdict.DISABLED
+        link.enable(True)
+        link.apply(Settings(max_linear_x=0.25), write_timeout_s=0.02)
+        link.offer(DRIVE)
+        assert link.gate.velocity == Vel2d(0.25, -0.125, 0.5)
+        link.suspend()
+        assert link.gate.counters.stops[Stop.SUSPEND] == 1
+        wait(lambda: mcu.receiver.wheels.is_stop)
+        assert not link.gate.driving
+
+
+def test_a_url_without_a_descriptor_works():
+    heard = []
+    with linked('loop://', on_received=lambda chunk, stamp: heard.append(chunk)) as link:
+        wait(lambda: sum(map(len, heard)) >= 3 * FRAME_SIZE)
+        assert link.state().is_open

@@ -1,0 +1,296 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Link: the port and its one thread.
+
+The thread opens and reopens the port, wakes at the gate's deadlines, beats the deadman's heart
+and reads what the MCU sends. A command is written by the callback that brings it, when the rate
+allows, for latency. Nothing here waits for the executor, and no lock is held while blocking.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+import threading
+import time
+from typing import NamedTuple
+
+from mecarover_serial.port import Backoff
+from mecarover_serial.port import open_port
+from mecarover_serial.port import Port
+from mecarover_serial.port import PortError
+from mecarover_serial.preflight import Reason
+from msg_defs.crc import crc32_mpeg2
+from msg_defs.vel2d import encode
+from msg_defs.vel2d import STOP
+from msg_defs.vel2d import Vel2d
+from vel2d_bridge.deadman import BEAT
+from vel2d_bridge.deadman import Deadman
+from vel2d_bridge.gate import Gate
+from vel2d_bridge.gate import SECOND
+from vel2d_bridge.gate import Settings
+from vel2d_bridge.gate import Stop
+from vel2d_bridge.gate import Verdict
+from vel2d_bridge.pacer import Pacer
+from vel2d_bridge.pacer import Sent
+from vel2d_bridge.wake import Wake
+
+_STUCK_TIME_OUTS = 10              # in a row: reopening may help an adapter that hangs
+_CLOSE_NS = SECOND                 # for the last burst; the port may be stuck
+_JOIN_S = 1.5
+_POLL_S = 0.005
+
+
+class LinkState(NamedTuple):
+    """A snapshot for diagnostics; stamps are monotonic ns, `problem` is why it is not open."""
+
+    is_open: bool
+    since: int                     # of is_open
+    problem: PortError | None
+    last_error: str                # stays after recovery
+    openings: int
+    losses: int
+    frames: int
+    time_outs: int                 # of writes
+    partial_writes: int
+    freezes: int                   # the bridge was frozen, or the deadman acted
+    bytes_received: int
+    last: Sent | None
+    driving: bool
+    enabled: bool
+    deadman: str                   # 'off', 'ready', 'lost'
+
+
+def _ignore(*_: object) -> None:
+    """Be a callback that nobody wants."""
+
+
+class Link:
+    """Owns the port, serialises the gate. All methods may be called from any thread."""
+
+    def __init__(
+            self, name: str, baud: int, gate: Gate, *,
+            crc: Callable[[bytes], int] = crc32_mpeg2, write_timeout_s: float = 0.05,
+            deadman: Deadman | None = None,
+            on_sent: Callable[[Sent], None] = _ignore,
+            on_received: Callable[[bytes, int], None] = _ignore,
+            on_change: Callable[[PortError | None], None] = _ignore,
+            opener: Callable[[str, int], Port] = open_port,
+            clock: Callable[[], int] = time.monotonic_ns) -> None:
+        """
+        Take a gate made for the same baud; nothing happens before `start`.
+
+        The callbacks must be quick. on_sent: per frame, under the lock, so it must not call
+        back. on_received(chunk, stamp): what the MCU says. on_change(problem): at each opening
+        (None) and whenever the reason for not being open changes.
+        """
+        self.gate = gate
+        self._name = name
+        self._baud = baud
+        self._stop_frame = encode(STOP, crc)
+        self._deadman = deadman
+        self._on_received = on_received
+        self._on_change = on_change
+        self._opener = opener
+        self._clock = clock
+        self._pacer = Pacer(gate, clock, baud=baud, crc=crc, write_timeout_s=write_timeout_s,
+                            on_sent=on_sent)
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._run, name='port', daemon=True)
+        self._wake = Wake()
+        self._backoff = Backoff()
+        self._port: Port | None = None
+        self._failure: PortError | None = None       # of a write in a callback's thread
+        self._wake_at = 0                            # until when the thread sleeps
+        self._close_by: int | None = None            # set when shutting down
+        self._since = clock()
+        self._problem: PortError | None = None
+        self._last_error = ''
+        self._openings = self._losses = self._bytes_received = 0
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def offer(self, velocity: Vel2d, *, waited: int = 0, stamp_age: int | None = None) -> Verdict:
+        """Judge a command and write it at once when the rate allows (times in ns)."""
+        with self._lock:
+            now = self._clock()
+            verdict = self._pacer.offer(
+                velocity, now, waited=waited, stamp_age=stamp_age, acted=self._acted())
+            self._step(now)
+        return verdict
+
+    def stop(self, why: Stop) -> None:
+        """Forget the command and send a stop burst; driving again takes a new command."""
+        with self._lock:
+            now = self._clock()
+            self.gate.stop(now, why)
+            self._step(now)
+
+    def suspend(self, timeout_s: float = 1.0) -> None:
+        """Stop because the process is about to be suspended; return when the burst is out."""
+        self.stop(Stop.SUSPEND)
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline and not self._is_idle():
+            time.sleep(_POLL_S)
+
+    def enable(self, on: bool) -> None:
+        with self._lock:
+            now = self._clock()
+            self.gate.enable(on, now)
+            self._step(now)
+
+    def apply(self, settings: Settings, write_timeout_s: float | None = None) -> None:
+        """Change settings while running; they take effect at once."""
+        with self._lock:
+            self.gate.settings = settings
+            if write_timeout_s is not None:
+                self._pacer.write_timeout_s = write_timeout_s
+            self._step(self._clock())
+
+    def close(self) -> None:
+        """Send the last burst and release everything; takes at most 2 s, never raises."""
+        with self._lock:
+            if self._close_by is not None:
+                return
+            now = self._clock()
+            self._close_by = now + _CLOSE_NS
+            self.gate.stop(now, Stop.SHUTDOWN)
+            self._step(now)
+        self._wake.rouse()
+        if self._thread.is_alive():
+            self._thread.join(_JOIN_S)
+        if not self._thread.is_alive():              # else stuck in opening, it needs them
+            self._wake.close()
+        if self._deadman is not None:
+            self._deadman.leave()
+
+    def state(self) -> LinkState:
+        with self._lock:
+            pacer, gate = self._pacer, self.gate
+            return LinkState(
+                self._port is not None, self._since, self._problem, self._last_error,
+                self._openings, self._losses, pacer.frames, pacer.time_outs,
+                pacer.partial_writes, pacer.freezes, self._bytes_received, pacer.last,
+                gate.driving, gate.enabled, self._deadman_state())
+
+    def _deadman_state(self) -> str:
+        if self._deadman is None:
+            return 'off'
+        return 'ready' if self._deadman.is_alive(self._clock()) else 'lost'
+
+    def _is_idle(self) -> bool:
+        with self._lock, suppress(PortError):
+            return self._pacer.is_idle()
+        return True
+
+    def _acted(self) -> bool:
+        return self._deadman is not None and self._deadman.acted()
+
+    def _step(self, now: int) -> None:
+        """Write what is due, and have the thread up in time for what is next."""
+        try:
+            wake = self._pacer.step(now)
+        except PortError as error:
+            self._failure = error
+            wake = now
+        if wake < self._wake_at:
+            self._wake_at = wake
+            self._wake.rouse()
+
+    def _run(self) -> None:
+        """Be the thread."""
+        while self._close_by is None:
+            try:
+                port = self._opener(self._name, self._baud)
+            except PortError as error:
+                self._report(error)
+                self._doze(self._backoff.next())
+                continue
+            try:
+                self._begin(port)
+                while not self._is_finished(port):
+                    self._turn(port)
+            except Exception as error:     # also a callback's mistake: the stops must go on
+                self._losses += 1
+                self._end(port, self._as_problem(error))
+                self._doze(self._backoff.next())
+            else:
+                self._end(port, None)
+
+    def _as_problem(self, error: Exception) -> PortError:
+        if isinstance(error, PortError):
+            return error
+        return PortError(self._name, Reason(
+            'other', f'{type(error).__name__}: {error}', 'a bug in the bridge, please report it'))
+
+    def _begin(self, port: Port) -> None:
+        if self._deadman is not None and port.fd is not None:
+            self._deadman.hold(port.fd, self._stop_frame, self._baud)
+        with self._lock:
+            now = self._clock()
+            self._port = port
+            self._failure = self._problem = None
+            self._since = now
+            self._openings += 1
+            self._pacer.attach(port, now)
+        self._backoff.reset()
+        self._on_change(None)
+
+    def _is_finished(self, port: Port) -> bool:
+        with self._lock:
+            return self._close_by is not None and (
+                self._pacer.is_idle() or self._clock() >= self._close_by)
+
+    def _turn(self, port: Port) -> None:
+        """Do what is due, then sleep until the next deadline, a byte or a wake-up."""
+        with self._lock:
+            now = self._clock()
+            acted = self._acted()
+            if self._deadman is not None:
+                self._deadman.beat(now)
+            if self._failure is not None:
+                raise self._failure
+            self._wake_at = min(self._pacer.turn(now, acted), now + BEAT)
+            if self._pacer.time_outs_in_row >= _STUCK_TIME_OUTS:
+                raise PortError(self._name, Reason(
+                    'lost', 'takes no data', 'check flow control, cable and adapter'))
+            sleep = self._wake_at - self._clock()
+        if port.wait(max(sleep, 0) / SECOND, self._wake.fd):
+            self._receive(port)
+        self._wake.swallow()
+
+    def _receive(self, port: Port) -> None:
+        chunk = port.read()
+        if chunk:
+            self._bytes_received += len(chunk)
+            self._on_received(chunk, self._clock())
+
+    def _end(self, port: Port, error: PortError | None) -> None:
+        """Close the port, every copy of it, before anybody looks for it again."""
+        with self._lock:
+            self._port = None
+            self._since = self._clock()
+            self._pacer.detach()
+        if self._deadman is not None:
+            self._deadman.release()
+        with suppress(PortError):
+            if port.pending():     # the kernel waits up to 30 s for it
+                port.drop_output()
+        port.close()
+        if error is not None:
+            self._report(error)
+
+    def _report(self, error: PortError) -> None:
+        with self._lock:
+            is_new = self._problem is None or str(error) != str(self._problem)
+            self._problem = error
+            self._last_error = str(error)
+        if is_new:
+            self._on_change(error)
+
+    def _doze(self, seconds: float) -> None:
+        """Sleep between attempts; shutting down ends it."""
+        deadline = time.monotonic() + seconds
+        while self._close_by is None and (left := deadline - time.monotonic()) > 0:
+            self._wake.sleep(left)
