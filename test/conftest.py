@@ -1,0 +1,141 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A ROS graph of its own for each test process, and the fixtures that the ROS tests share."""
+from collections import defaultdict
+from contextlib import contextmanager
+import importlib
+from itertools import cycle
+from itertools import islice
+import os
+from pathlib import Path
+import shutil
+import socket
+from statistics import median
+import struct
+import subprocess
+import tempfile
+
+import pytest
+
+DOMAINS = range(1, 61)          # up to 101 keep clear of the ephemeral ports; benchmarks: 61...
+
+
+def pytest_addoption(parser):
+    parser.addoption('--times', type=int, default=2, metavar='N',
+                     help='how often signals, kills and the like are repeated (default 2)')
+    parser.addoption('--fault-times', type=int, default=1, metavar='N',
+                     help='how often each fault is tried (default 1; figures are from 10)')
+
+
+def pytest_configure(config):
+    """Isolate this process and its children: before anything imports rclpy."""
+    config.domain = Domain()
+    config.log_dir = tempfile.TemporaryDirectory(prefix='ros_log_', ignore_cleanup_errors=True)
+    os.environ.update({
+        'ROS_DOMAIN_ID': str(config.domain.number),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        'ROS_LOG_DIR': config.log_dir.name,
+        'ROS_PYTHON_CHECK_FIELDS': '1',
+        'RCUTILS_COLORIZED_OUTPUT': '0',
+        'FASTRTPS_DEFAULT_PROFILES_FILE': str(Path(__file__).with_name('fast_discovery.xml')),
+    })
+    os.environ.pop('ROS_LOCALHOST_ONLY', None)
+
+
+def pytest_unconfigure(config):
+    config.log_dir.cleanup()
+    config.domain.release()
+
+
+class Domain:
+    """A ROS domain that no other test process on this machine has."""
+
+    def __init__(self):
+        # The name of an abstract socket is a lock that the kernel takes back in any case.
+        self._lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        for number in islice(cycle(DOMAINS), os.getpid() % len(DOMAINS), len(DOMAINS) * 2):
+            try:
+                self._lock.bind(f'\0ros_domain_of_a_test_{number}')
+            except OSError:
+                continue
+            self.number = number
+            return
+        raise RuntimeError('all ROS domains are taken; end some test processes')
+
+    def release(self):
+        self._lock.close()
+
+
+def pytest_generate_tests(metafunc):
+    """Repeat what must never fail once: every test that asks for `again`."""
+    if 'again' in metafunc.fixturenames:
+        metafunc.parametrize('again', range(metafunc.config.getoption('--times')))
+    if 'recovery' in metafunc.fixturenames:
+        metafunc.parametrize('recovery', range(metafunc.config.getoption('--fault-times')),
+                             indirect=True)
+
+
+RECOVERIES = defaultdict(list)
+
+
+@pytest.fixture
+def recovery(request):
+    """Return what notes, for a fault, how many s it took until all was well again."""
+    node = request.path.stem.removeprefix('test_faults_')
+    return lambda fault, seconds: RECOVERIES[f'{node}: {fault}'].append(seconds)
+
+
+def pytest_terminal_summary(terminalreporter):
+    if RECOVERIES:
+        terminalreporter.section('recovery times: median (min to max) of n, in s')
+    for fault, seconds in RECOVERIES.items():
+        terminalreporter.write_line(f'{fault:58} {median(seconds):6.3f}  ({min(seconds):.3f} to '
+                                    f'{max(seconds):.3f}) of {len(seconds)}')
+
+
+class SteppedClock:
+    """A system clock that only the processes see that are started while it is faked."""
+
+    def __init__(self, folder):
+        self._library = folder / 'clock_step.so'
+        self._file = folder / 'clock_step'
+        source = Path(__file__).with_name('clock_step.c')
+        subprocess.run(['cc', '-shared', '-fPIC', '-O2', '-o', self._library, source, '-ldl'],
+                       check=True)
+
+    def step(self, seconds):
+        """Set it so many seconds off."""
+        with open(self._file, 'r+b') as file:
+            file.write(struct.pack('=q', seconds))
+
+    @contextmanager
+    def faked(self):
+        self._file.write_bytes(bytes(8))
+        environment = {'LD_PRELOAD': str(self._library), 'CLOCK_STEP': str(self._file)}
+        os.environ.update(environment)
+        try:
+            yield
+        finally:
+            for name in environment:
+                del os.environ[name]
+
+
+@pytest.fixture
+def clock(tmp_path):
+    if shutil.which('cc') is None:
+        pytest.skip('skipped: no C compiler for clock_step.c')
+    return SteppedClock(tmp_path)
+
+
+@pytest.fixture(scope='session')
+def ros():
+    """Return the module ros_side; without ROS the test is skipped."""
+    pytest.importorskip('rclpy', reason='skipped: no ROS 2 here')
+    return importlib.import_module('ros_side')
+
+
+@pytest.fixture(scope='session')
+def graph(ros):
+    """Return an operator in the ROS graph, for the whole session."""
+    with ros.Graph('operator') as graph:
+        yield graph

@@ -1,0 +1,142 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Real processes for tests: start one, read what it says, end it; and an MCU that remembers."""
+from contextlib import suppress
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+from vel2d_bridge.fake_mcu import FakeMcu
+
+ROOT = Path(__file__).parents[1]
+DEADLINE_S = 20.0               # for what takes a moment: generous, the machine may be busy
+POLL_S = 0.005
+
+
+def wait(condition, deadline_s=DEADLINE_S):
+    """Wait until `condition()` is true and return what it returned; fail after the deadline."""
+    deadline = time.monotonic() + deadline_s
+    while not (met := condition()):
+        assert time.monotonic() < deadline, f'not within {deadline_s} s'
+        time.sleep(POLL_S)
+    return met
+
+
+class Program:
+    """
+    A Python program in a process of its own; its output is kept in `lines`.
+
+    `script` is code to run instead of a module: to patch something before it starts. `prefix`
+    is a command that starts it.
+    """
+
+    def __init__(self, module, *arguments, script=None, prefix=()):
+        start = ['-m', module] if script is None else ['-c', script]
+        self._process = subprocess.Popen(
+            [*prefix, sys.executable, *start, *arguments], stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors='replace',
+            cwd=ROOT, env={**os.environ, 'PYTHONUNBUFFERED': '1'})
+        self.pid = self._process.pid
+        self.lines = []
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self):
+        for line in self._process.stdout:
+            self.lines.append(line.rstrip('\n'))
+
+    @property
+    def text(self):
+        return '\n'.join(self.lines)
+
+    def said(self, *parts):
+        """Return the lines that hold all of `parts`."""
+        return [line for line in self.lines if all(part in line for part in parts)]
+
+    def wait_for(self, *parts):
+        """Wait for a line that holds all of `parts`, and return it."""
+        deadline = time.monotonic() + DEADLINE_S
+        while not (found := self.said(*parts)):
+            assert time.monotonic() < deadline, f'nothing said of {parts}:\n{self.text}'
+            time.sleep(POLL_S)
+        return found[0]
+
+    def signal(self, number):
+        self._process.send_signal(number)
+
+    def state(self):
+        """Return the state of the process as ps shows it: R, S, T (stopped) ..."""
+        return Path(f'/proc/{self.pid}/stat').read_text().rpartition(')')[2].split()[0]
+
+    def children(self):
+        return [int(pid) for task in Path(f'/proc/{self.pid}/task').iterdir()
+                for pid in (task / 'children').read_text().split()]
+
+    def exit_code(self, deadline_s=DEADLINE_S):
+        """Wait for its end and return its exit code."""
+        code = self._process.wait(deadline_s)
+        self._reader.join(DEADLINE_S)
+        return code
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        """End it: politely, then not."""
+        for number in (signal.SIGCONT, signal.SIGTERM, signal.SIGKILL):
+            self._process.send_signal(number)
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(5.0 if number is signal.SIGTERM else 0.0)
+        self._process.wait()
+        self._reader.join(DEADLINE_S)
+        self._process.stdout.close()
+
+
+def bridge(mcu, *ros_arguments, script=None, prefix=(), **parameters):
+    """Start vel2d_bridge on a fake MCU, or on the path of a port."""
+    given = {'port': getattr(mcu, 'path', mcu), **parameters}
+    options = [part for name, value in given.items() for part in ('-p', f'{name}:={value}')]
+    return Program('vel2d_bridge.main', '--ros-args', *options, *ros_arguments,
+                   script=script, prefix=prefix)
+
+
+class Mcu(FakeMcu):
+    """A fake MCU that keeps every set-point it takes; frames are in `arrivals`."""
+
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        self.set_points = []
+
+    def pump(self, timeout_s):
+        taken = super().pump(timeout_s)
+        self.set_points += taken
+        return taken
+
+    @property
+    def arrivals(self):
+        return list(self.receiver.arrivals)
+
+    @property
+    def velocity(self):
+        """The velocity of the newest frame, None before the first."""
+        arrivals = self.receiver.arrivals
+        return arrivals[-1].velocity if arrivals else None
+
+    def since(self, stamp, count=0):
+        """Wait for `count` frames that come at `stamp` or later; return these."""
+        def found():
+            return [arrival for arrival in self.arrivals if arrival.stamp >= stamp]
+        wait(lambda: len(found()) >= count)
+        return found()
+
+    def stopped_at(self, stamp):
+        """Wait until the wheels hold zero; return when they began to, ns after `stamp`."""
+        wait(lambda: self.receiver.wheels.stamp > stamp and self.receiver.wheels.is_stop)
+        moving = [point.stamp for point in self.set_points
+                  if point.stamp > stamp and not point.is_stop]
+        return next(point.stamp for point in self.set_points
+                    if point.stamp > max(moving, default=stamp)) - stamp

@@ -1,0 +1,69 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whose cmd_vel is followed, and what a person is told about the others. No ROS here."""
+import pytest
+
+from vel2d_bridge.graph import Choice
+from vel2d_bridge.graph import choose
+from vel2d_bridge.graph import complaints
+from vel2d_bridge.graph import node_name
+from vel2d_bridge.graph import Publisher
+from vel2d_bridge.settings import AUTO
+from vel2d_bridge.settings import TWIST
+from vel2d_bridge.settings import TWIST_STAMPED
+
+PLAIN = Publisher('/teleop', 'geometry_msgs/msg/Twist', reliable=True)
+LOSSY = PLAIN._replace(node='/joystick', reliable=False)
+STAMPED = Publisher('/planner', 'geometry_msgs/msg/TwistStamped', reliable=True)
+CHATTER = Publisher('/talker', 'std_msgs/msg/String', reliable=True)
+MISFIT = PLAIN._replace(node='/misfit', conflict='Best effort publisher, reliable subscription')
+TOPIC = '/cmd_vel'
+
+
+@pytest.mark.parametrize(('setting', 'current', 'publishers', 'choice'), [
+    (AUTO, (TWIST, True), [], (TWIST, True)),                       # nobody: what runs stays
+    (AUTO, (TWIST_STAMPED, False), [], (TWIST_STAMPED, False)),
+    (AUTO, (TWIST, True), [STAMPED], (TWIST_STAMPED, True)),
+    (AUTO, (TWIST_STAMPED, True), [PLAIN], (TWIST, True)),
+    (AUTO, (TWIST, True), [STAMPED, PLAIN], (TWIST, True)),         # two types: what runs stays
+    (AUTO, (TWIST_STAMPED, True), [STAMPED, PLAIN], (TWIST_STAMPED, True)),
+    (AUTO, (TWIST, True), [STAMPED, CHATTER], (TWIST_STAMPED, True)),
+    (AUTO, (TWIST, True), [CHATTER], (TWIST, True)),                # which is no command
+    (TWIST, (TWIST, True), [STAMPED], (TWIST, True)),               # as set
+    (TWIST_STAMPED, (TWIST, True), [], (TWIST_STAMPED, True)),
+    (AUTO, (TWIST, True), [LOSSY], (TWIST, False)),
+    (AUTO, (TWIST, True), [LOSSY, PLAIN], (TWIST, False)),          # one is enough
+    (AUTO, (TWIST, False), [PLAIN, STAMPED], (TWIST, True)),        # only those that are heard
+])
+def test_choice(setting, current, publishers, choice):
+    assert choose(setting, Choice(*current), publishers) == Choice(*choice)
+    assert choose(setting, Choice(*current), publishers[::-1]) == Choice(*choice)
+
+
+@pytest.mark.parametrize(('publishers', 'parts'), [
+    ([], [['nobody publishes', 'teleop_twist_keyboard']]),
+    ([PLAIN], []),
+    ([PLAIN, STAMPED], [['/planner is not heard', 'TwistStamped', 'subscribed is twist',
+                         'set message_type']]),
+    ([CHATTER], [['/talker is not heard', 'std_msgs/msg/String']]),
+    ([MISFIT], [['/misfit is not heard', MISFIT.conflict, 'qos_overrides']]),
+    ([PLAIN, LOSSY], [['2 publishers overrule each other (/joystick, /teleop)', 'twist_mux']]),
+    ([PLAIN, MISFIT], [['/misfit is not heard']]),          # who is not heard fights nobody
+    ([PLAIN, LOSSY, STAMPED], [['/planner'], ['2 publishers']]),
+])
+def test_complaints(publishers, parts):
+    lines = complaints(Choice(TWIST, True), publishers, TOPIC)
+    assert len(lines) == len(parts)
+    for line, expected in zip(lines, parts, strict=True):
+        assert line.startswith(f'{TOPIC}: ')                        # thing: reason; remedy
+        assert '; ' in line
+        assert all(part in line for part in expected)
+
+
+@pytest.mark.parametrize(('namespace', 'name', 'full'), [
+    ('/', 'teleop', '/teleop'),
+    ('/rover', 'teleop', '/rover/teleop'),
+    ('_NODE_NAMESPACE_UNKNOWN_', '_NODE_NAME_UNKNOWN_', 'a node without a name'),
+])
+def test_node_name(namespace, name, full):
+    assert node_name(namespace, name) == full

@@ -1,0 +1,253 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of the bridge: what a user reads, changes while driving, and gets wrong."""
+from contextlib import ExitStack
+import fcntl
+from itertools import pairwise
+import os
+from pathlib import Path
+import random
+
+from harness import bridge
+from harness import Mcu
+from harness import Program
+from harness import ROOT
+from harness import wait
+import pytest
+import yaml
+
+from mecarover_serial.pty import Pty
+from vel2d_bridge.settings import PARAMETERS
+
+pytestmark = pytest.mark.ros
+NODE = '/vel2d_bridge'
+LINK = 'vel2d_bridge: link'
+CONFIG = ROOT / 'config' / 'bridge.yaml'
+# Root may open any file; without this capability it has to obey as everybody else.
+OBEDIENT = ('setpriv', '--bounding-set=-dac_override') if os.geteuid() == 0 else ()
+REFUSED = (                     # parameter, value, part of the reason
+    ('max_rate', 1000.0, 'range'),
+    ('max_rate', 0.5, 'range'),
+    ('max_rate', 'fast', 'set a double in Hz (>= 2, <= 400), e.g. 30.0'),
+    ('max_rate', [30.0, 31.0], 'set a double in Hz'),
+    ('max_rate', True, 'set a double in Hz'),
+    ('max_rate', float('nan'), 'range'),
+    ('resend_rate', 1.0, 'is not possible; set a double in Hz'),
+    ('cmd_vel_timeout', 0.01, 'set a double in s (>= 0.05, <= 10 or 0), e.g. 0.5'),
+    ('max_linear_x', -1.0, 'range'),
+)
+
+
+@pytest.fixture(scope='module')
+def mcu(tmp_path_factory):
+    with Mcu(str(tmp_path_factory.mktemp('dev') / 'mcu')).running() as mcu:
+        yield mcu
+
+
+@pytest.fixture(scope='module')
+def running(mcu):
+    """Run a bridge with the file of defaults; an argument wins over it."""
+    with Program('vel2d_bridge.main', '--ros-args', '--params-file', str(CONFIG),
+                 '-p', f'port:={mcu.path}', '-p', 'cmd_vel_timeout:=1') as running:
+        running.wait_for('open at 115200 baud')
+        yield running
+        assert 'Traceback' not in running.text
+
+
+def test_the_file_of_defaults_is_complete_and_explained():
+    values = yaml.safe_load(CONFIG.read_text())['/**']['ros__parameters']
+    assert values == {parameter.name: parameter.default for parameter in PARAMETERS}
+    text = CONFIG.read_text().split('ros__parameters:')[1]
+    for block in text.strip().split('\n\n'):
+        assert block.strip().startswith('#'), f'no comment: {block}'
+
+
+def test_every_parameter_describes_itself(graph, running):
+    descriptors = graph.describe(NODE, [parameter.name for parameter in PARAMETERS])
+    for parameter in PARAMETERS:
+        one = descriptors[parameter.name]
+        assert one.read_only != parameter.run_time
+        assert parameter.description in one.description
+        for text in (parameter.unit, parameter.range_text):
+            assert text in one.description
+        ranges = [*one.floating_point_range, *one.integer_range]
+        assert len(ranges) == (parameter.maximum is not None)
+        assert not ranges or ranges[0].to_value == parameter.maximum
+    assert not running.said('no such parameter')
+    assert {parameter.name for parameter in PARAMETERS} <= set(graph.parameters(NODE))
+
+
+def test_an_integer_passes_for_a_number_of_seconds(graph, running):
+    assert running.said('Traceback') == []
+    assert graph.set(NODE, max_rate=20) == ['']
+    assert graph.set(NODE, max_rate=30.0) == ['']
+
+
+@pytest.mark.parametrize(('name', 'value', 'reason'), REFUSED)
+def test_refused_with_a_reason(graph, running, name, value, reason):
+    [said] = graph.set(NODE, **{name: value})
+    assert name in said
+    assert reason in said
+
+
+def test_read_only_is_refused(graph, running):
+    for parameter in PARAMETERS:
+        if not parameter.run_time:
+            [said] = graph.set(NODE, **{parameter.name: parameter.default})
+            assert 'read-only' in said
+
+
+def test_what_is_risky_is_said_once(graph, running):
+    for _ in range(2):
+        assert graph.set(NODE, cmd_vel_timeout=0.0) == ['']
+    running.wait_for('WARN', 'cmd_vel_timeout: 0 holds the last command for ever')
+    graph.wait_status('vel2d_bridge: commands', 'cmd_vel_timeout: 0 holds', level=1)
+    assert graph.set(NODE, cmd_vel_timeout=1.0) == ['']
+    assert len(running.said('cmd_vel_timeout: 0 holds')) == 1
+
+
+def random_change(rng):
+    """Return one valid change, of those that leave commands at 100 Hz as they are."""
+    name, low, high = rng.choice([
+        ('max_rate', 200, 400), ('cmd_vel_timeout', 1, 10), ('max_linear_x', 50, 100),
+        ('max_linear_y', 0, 100), ('max_angular_z', 0, 100), ('max_stamp_age', 0, 3600),
+        ('write_timeout', 0.5, 1)])             # a busy machine holds up the fake MCU
+    return {name: rng.uniform(low, high)}
+
+
+def test_200_changes_while_driving_at_100_hz(ros, graph, tmp_path):
+    """
+    Every command becomes one frame, in order.
+
+    But for those that came in a bunch, because the machine was busy: only their last one does,
+    which is counted. Without resends, as these are frames that repeat a command on purpose.
+    """
+    rng = random.Random(6)
+    node, commands = '/tuned/tuned', 'tuned: commands'
+    count = iter(range(1, 100_000))
+    with Mcu(str(tmp_path / 'mcu')).running() as mcu, bridge(
+            mcu, '-r', '__ns:=/tuned', '-r', '__node:=tuned',
+            '-p', 'qos_overrides./tuned/cmd_vel.subscription.depth:=100',
+            max_rate=400, resend_rate=0, write_timeout=1) as running:
+        running.wait_for('open at')
+        publisher = graph.publisher('/tuned/cmd_vel', profile=ros.qos(100))
+        with ros.Teleop(publisher, lambda: ros.twist(next(count) / 1000), rate=100) as teleop:
+            mcu.since(0, 10)
+            for _ in range(200):
+                change = random_change(rng)
+                assert graph.set(node, **change) == [''], change
+            for name, value, _ in REFUSED:
+                assert graph.set(node, **{name: value}) != [''], name
+        wait(lambda: mcu.velocity.x == teleop.sent / 1000)
+        graph.wait_status(commands, f'Commands received={teleop.sent}')
+        values = graph.values(commands)
+        frames = [frame.velocity.x for frame in mcu.arrivals if frame.velocity.x]
+        assert running.said('ERROR') == []
+    assert all(before < after for before, after in pairwise(frames))
+    # A machine that stands still for 0.2 s has the bridge frozen: it refuses what comes then.
+    missing = int(values['Commands replaced']) + int(values['Refused: bridge was frozen'])
+    assert len(frames) + missing == teleop.sent, values
+    assert values['Commands limited'] == '0'
+
+
+def blocked_port(path):
+    """Open a port as another program that locks it does."""
+    fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    fcntl.flock(fd, fcntl.LOCK_EX)
+    return fd
+
+
+def test_ports_that_cannot_be_used_yet(ros, graph, tmp_path):
+    """Absent, forbidden, busy: one clear line, it keeps running, and recovers by itself."""
+    link = tmp_path / 'mcu'
+    tmp_path.chmod(0o755)
+    with Pty() as forbidden, Pty() as busy, ExitStack() as stack:
+        os.chmod(forbidden.path, 0)
+        lock = blocked_port(busy.path)
+        missing = stack.enter_context(bridge(str(link), '-r', '__ns:=/missing'))
+        denied = stack.enter_context(
+            bridge(forbidden.path, '-r', '__ns:=/denied', prefix=OBEDIENT))
+        locked = stack.enter_context(bridge(busy.path, '-r', '__ns:=/locked'))
+        line = missing.wait_for('ERROR', f'{link}: is not there')
+        assert 'plug it in or set another port; ' in line
+        line = denied.wait_for('ERROR', f'{forbidden.path}: user ')
+        assert 'may not open it: it belongs to group' in line
+        assert '; sudo ' in line
+        line = locked.wait_for('ERROR', f'{busy.path}: in use by ')
+        assert f'(pid {os.getpid()}); stop that program' in line
+        link.symlink_to('nowhere')
+        missing.wait_for('ERROR', f'{link}: points at nowhere, which is not there')
+        # Recovery: what was wrong is mended, nobody starts anything again.
+        link.unlink()
+        with Mcu(str(link)).running() as mcu:
+            os.chmod(forbidden.path, 0o666)
+            os.close(lock)
+            for running in (missing, denied, locked):
+                running.wait_for('INFO', 'open at 115200 baud')
+            mcu.since(0, 5)
+        assert len(missing.said('is not there')) <= 3           # a change is said, not each try
+
+
+@pytest.mark.parametrize(('options', 'code', 'line'), [
+    ({'port': '/tmp'}, 1, '/tmp: a directory; give the port itself; '),
+    ({'port': '/dev/null'}, 1, '/dev/null: not a serial port; give the port itself; '),
+    ({'port': 'nonsense://x'}, 1, 'nonsense://x: not a URL that pyserial knows'),
+    ({'baud': 3}, 2, 'baud: 3 is not possible; set an integer in bit/s'),
+    ({'baud': 'fast'}, 2, "baud: 'fast' is not possible; set an integer in bit/s"),
+    ({'max_rate': 1000.0}, 2, 'max_rate: 1000.0 is not possible; set a double in Hz'),
+    ({'max_rate': '[30.0, 31.0]'}, 2, 'max_rate: [30.0, 31.0] is not possible; set a double'),
+    ({'message_type': 'joy'}, 2, "message_type: 'joy' is not possible; set a string (auto, "),
+    ({'use_sim_time': 1}, 2, "Trying to set parameter 'use_sim_time' to '1'"),
+    ({'qos_overrides./cmd_vel.subscription.reliability': 'some'}, 2,
+     'qos_overrides./cmd_vel.subscription: '),
+    ({'qos_overrides./cmd_vel.subscription.depth': '-1'}, 2,
+     'qos_overrides./cmd_vel.subscription: '),
+])
+def test_mistakes_that_end_it(mcu, options, code, line):
+    with bridge(mcu, **options) as running:
+        assert running.exit_code() == code
+    [said] = running.said('vel2d_bridge: ' + line)
+    assert '; ' in said
+    assert 'Traceback' not in running.text
+
+
+def test_a_baud_that_the_port_refuses(ros):
+    """As an adapter does that has a ceiling; a pty takes every rate, so the driver is patched."""
+    script = ('import sys; from mecarover_serial import port; from vel2d_bridge import main\n'
+              'port._BAUD_TOLERANCE = -1\nsys.exit(main.main())')
+    with Pty() as pty, bridge(pty, script=script, baud=4_000_000) as running:
+        assert running.exit_code() == 1
+    assert running.said(f'{pty.path}: asked for 4000000 baud, the driver gives')
+
+
+def test_mistyped_names_are_said(mcu):
+    with bridge(mcu, bauds=9600) as running:
+        running.wait_for('WARN', 'bauds: no such parameter, ignored; did you mean baud?')
+
+
+def test_a_console_on_the_port_is_said(ros, graph, tmp_path):
+    """Preflight runs off the executor, and what it finds is on /diagnostics while driving."""
+    script = ('import sys; from mecarover_serial import preflight; from vel2d_bridge import main\n'
+              f'preflight.warnings.__defaults__ = (__import__("pathlib").Path({str(tmp_path)!r}),'
+              ' ())\nsys.exit(main.main())')
+    with Mcu(str(tmp_path / 'mcu')).running() as mcu:
+        console = Path(os.path.realpath(mcu.path)).name
+        (tmp_path / 'proc').mkdir()
+        (tmp_path / 'proc/consoles').write_text(f'{console}  -W- (EC p a)  4:64\n')
+        with bridge(mcu, '-r', '__node:=on_console', script=script) as running:
+            running.wait_for('WARN', f'{mcu.path}: the kernel writes its console here; remove')
+            graph.wait_status('on_console: link', 'the kernel writes its console here', level=1)
+
+
+def test_help_and_no_ros():
+    with Program('vel2d_bridge.main', '--help') as helping:
+        assert helping.exit_code() == 0
+    for parameter in PARAMETERS:
+        assert helping.said(f'  {parameter.name}  (default {parameter.default!r}; ')
+    script = ('import sys; sys.modules["rclpy"] = None; from vel2d_bridge import main\n'
+              'sys.exit(main.main())')
+    with Program('', script=script) as running:
+        assert running.exit_code() == 1
+    [line] = running.lines
+    assert line.startswith('vel2d_bridge: ROS 2 is not here (')
+    assert 'source /opt/ros/jazzy/setup.bash' in line

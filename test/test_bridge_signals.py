@@ -1,0 +1,183 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+How the bridge ends, is suspended, is killed and is frozen: the rover stops every time.
+
+--times N repeats each (the figures in docs/reliability.md are from 25). The bridge promises 2 s
+for its end and 0.3 s for the deadman; LATE is what a busy machine may add to the latter.
+"""
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import signal
+import time
+
+from harness import bridge
+from harness import Mcu
+from harness import wait
+import pytest
+
+from msg_defs.vel2d import STOP
+from msg_defs.vel2d import Vel2d
+
+pytestmark = pytest.mark.ros
+LATE = 0.25
+ENDINGS = {
+    'SIGINT': [signal.SIGINT],
+    'SIGTERM': [signal.SIGTERM],
+    'SIGHUP': [signal.SIGHUP],
+    'SIGQUIT': [signal.SIGQUIT],
+    'SIGINT twice': [signal.SIGINT, signal.SIGINT],
+    'SIGINT, SIGTERM': [signal.SIGINT, signal.SIGTERM],
+}
+
+
+@pytest.fixture(scope='module')
+def mcu(tmp_path_factory):
+    with Mcu(str(tmp_path_factory.mktemp('dev') / 'mcu')).running() as mcu:
+        yield mcu
+
+
+@pytest.fixture(scope='module')
+def cmd_vel(graph):
+    return graph.publisher(heard=False)
+
+
+@contextmanager
+def driving(ros, mcu, cmd_vel, rate=200):
+    """Start a bridge, publish at `rate` (Hz), wait until the rover moves; yield both."""
+    with bridge(mcu) as running, \
+            ros.Teleop(cmd_vel, lambda: ros.twist(0.3, 0.1, 0.5), rate) as teleop:
+        running.wait_for('open at')
+        begin = time.monotonic_ns()
+        mcu.since(begin, 1)
+        wait(lambda: mcu.velocity == Vel2d(0.3, 0.1, 0.5))
+        wait(lambda: not mcu.receiver.wheels.is_stop)
+        yield running, teleop
+
+
+def is_gone(pid):
+    """Tell whether a process has ended; one that nobody reaps yet has."""
+    try:
+        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] == 'Z'
+    except OSError:
+        return True
+
+
+def stops_only(frames):
+    return {frame.velocity for frame in frames} == {STOP}
+
+
+@pytest.mark.usefixtures('again')
+@pytest.mark.parametrize('signals', ENDINGS.values(), ids=ENDINGS)
+def test_ending_signals(ros, mcu, cmd_vel, signals):
+    with driving(ros, mcu, cmd_vel) as (running, _):
+        begin = time.monotonic_ns()
+        for number in signals:
+            running.signal(number)
+            time.sleep(0.05 if len(signals) > 1 else 0)         # as `ros2 launch` does
+        assert running.exit_code() == 0, running.text
+        assert (time.monotonic_ns() - begin) / 1e9 < 2.0
+    wait(lambda: mcu.receiver.wheels.is_stop)
+    assert stops_only(mcu.since(begin)[-5:])
+    assert 'Traceback' not in running.text
+    assert not running.said('Error'), running.text
+
+
+@pytest.mark.parametrize('delay_s', [0.05, 0.1, 0.2, 0.3])
+def test_signal_while_it_starts(mcu, delay_s):
+    """It comes while ROS is imported, or the node made: the start is finished, then ended."""
+    with bridge(mcu) as running:
+        wait(running.children)                      # the deadman: main() has begun
+        time.sleep(delay_s)
+        running.signal(signal.SIGINT)
+        assert running.exit_code() == 0, running.text
+    assert 'Traceback' not in running.text
+
+
+@pytest.mark.usefixtures('again')
+def test_suspended_and_continued(ros, graph, mcu, cmd_vel):
+    with driving(ros, mcu, cmd_vel) as (running, teleop):
+        begin = time.monotonic_ns()
+        running.signal(signal.SIGTSTP)
+        wait(lambda: running.state() == 'T')
+        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE
+        assert stops_only(mcu.since(time.monotonic_ns(), 10))
+        teleop.stop()
+        # What waits in the sockets is from before: it must not drive the rover.
+        continued = time.monotonic_ns()
+        running.signal(signal.SIGCONT)
+        assert stops_only(mcu.since(continued, 10))
+        # It stopped by itself, not only by its deadman.
+        graph.wait_status('vel2d_bridge: commands', 'Stops: suspended=1')
+        with ros.Teleop(cmd_vel, lambda: ros.twist(0.2), rate=50):
+            wait(lambda: mcu.velocity == Vel2d(0.2, 0.0, 0.0))
+        running.signal(signal.SIGINT)
+        assert running.exit_code() == 0
+
+
+@pytest.mark.usefixtures('again')
+def test_killed(ros, mcu, cmd_vel):
+    """The rover stops, nothing is left, and the next start, of the next test, finds the port."""
+    with driving(ros, mcu, cmd_vel) as (running, _):
+        [deadman] = running.children()
+        begin = time.monotonic_ns()
+        running.signal(signal.SIGKILL)
+        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE
+        assert running.exit_code() == -signal.SIGKILL
+        wait(lambda: is_gone(deadman))
+
+
+@pytest.mark.usefixtures('again')
+def test_frozen(ros, mcu, cmd_vel):
+    with driving(ros, mcu, cmd_vel) as (running, _):
+        [deadman] = running.children()
+        begin = time.monotonic_ns()
+        running.signal(signal.SIGSTOP)
+        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE
+        assert stops_only(mcu.since(time.monotonic_ns(), 10))
+        running.signal(signal.SIGCONT)
+        # Commands go on coming: it drives again, after a stop of its own.
+        wait(lambda: mcu.velocity == Vel2d(0.3, 0.1, 0.5))
+        running.signal(signal.SIGSTOP)
+        running.signal(signal.SIGKILL)
+        wait(lambda: mcu.receiver.wheels.is_stop)
+        wait(lambda: is_gone(deadman))
+
+
+@pytest.mark.parametrize('number', [signal.SIGSTOP, signal.SIGTSTP], ids=['SIGSTOP', 'SIGTSTP'])
+def test_what_was_published_before_a_thaw_is_not_heard(ros, graph, mcu, number):
+    """A reliable publisher sends again what a frozen reader missed, up to 3 s later."""
+    publisher = graph.publisher(profile=ros.qos(10), heard=False)
+    with driving(ros, mcu, publisher, rate=800) as (running, teleop):
+        running.signal(number)
+        frozen = teleop.sent
+        wait(lambda: teleop.sent > frozen + 600)    # more than its sockets take
+        assert mcu.receiver.wheels.is_stop
+        teleop.stop()
+        continued = time.monotonic_ns()
+        running.signal(signal.SIGCONT)
+        time.sleep(3.5)                             # Fast DDS's heartbeat period, and some
+        assert stops_only(mcu.since(continued, 10))
+        with ros.Teleop(publisher, lambda: ros.twist(0.2), rate=50):
+            wait(lambda: mcu.velocity == Vel2d(0.2, 0.0, 0.0))
+    graph.node.destroy_publisher(publisher)
+
+
+def test_killed_deadman_is_reported(ros, graph, mcu, cmd_vel):
+    with driving(ros, mcu, cmd_vel) as (running, _):
+        [deadman] = running.children()
+        os.kill(deadman, signal.SIGKILL)
+        graph.wait_status('vel2d_bridge: link', 'deadman: its process has gone', level=2)
+        running.signal(signal.SIGINT)
+        assert running.exit_code() == 0, running.text
+
+
+def test_without_a_deadman(ros, mcu, cmd_vel):
+    with bridge(mcu, deadman='false') as running:
+        running.wait_for('deadman: off, the rover drives on when this process is killed')
+        assert running.children() == []
+        with ros.Teleop(cmd_vel, lambda: ros.twist(0.3), rate=50):
+            wait(lambda: mcu.velocity == Vel2d(0.3, 0.0, 0.0))
+        running.signal(signal.SIGINT)
+        assert running.exit_code() == 0, running.text

@@ -1,0 +1,151 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What /diagnostics and the log say of the bridge: levels, messages, keys. No ROS here."""
+import math
+
+import pytest
+
+from mecarover_serial.port import PortError
+from mecarover_serial.preflight import Reason
+from msg_defs.reports import Level
+from msg_defs.timing import Series
+from msg_defs.vel2d import Vel2d
+from vel2d_bridge.gate import Counters
+from vel2d_bridge.gate import SECOND
+from vel2d_bridge.gate import Verdict
+from vel2d_bridge.graph import Choice
+from vel2d_bridge.link import LinkState
+from vel2d_bridge.mcu_log import McuLog
+from vel2d_bridge.status import Commands
+from vel2d_bridge.status import commands_status
+from vel2d_bridge.status import link_status
+from vel2d_bridge.status import refusal
+
+PORT = '/dev/ttyAMA0'
+OPEN = LinkState(
+    is_open=True, since=0, problem=None, last_error='', openings=1, losses=0, frames=7,
+    time_outs=0, partial_writes=0, freezes=0, bytes_received=0, last=None, driving=True,
+    enabled=True, deadman='ready')
+HEARD = Commands('/cmd_vel', Choice('twist', True), 0.5, [], None, 0, None)
+ABSENT = PortError(PORT, Reason('absent', 'is not there', 'plug it in'))
+FIGHT = '/cmd_vel: 2 publishers overrule each other; use twist_mux'
+CONSOLE = f'{PORT}: the kernel writes its console here; remove it'
+
+
+def link(state=OPEN, warnings=(), mcu=None, now=5 * SECOND):
+    return link_status('vel2d_bridge', PORT, state, warnings, mcu or McuLog(), now)
+
+
+def commands(state=OPEN, heard=HEARD, counters=None):
+    return commands_status('vel2d_bridge', PORT, state, counters or Counters(), heard)
+
+
+def periods(*seconds):
+    series = Series()
+    for period in seconds:
+        series.add(1000 * period, 5 * SECOND)
+    return series.summary(5 * SECOND)
+
+
+@pytest.mark.parametrize(('state', 'warnings', 'level', 'message'), [
+    (OPEN, [], Level.OK, 'open'),
+    (OPEN._replace(is_open=False), [], Level.WARN, 'opening the port'),
+    (OPEN._replace(is_open=False, problem=ABSENT), [], Level.ERROR,
+     f'{PORT}: is not there; plug it in'),
+    (OPEN._replace(deadman='lost'), [], Level.ERROR, 'deadman: its process has gone'),
+    (OPEN._replace(deadman='off'), [], Level.OK, 'open'),
+    (OPEN, [CONSOLE], Level.WARN, CONSOLE),
+    (OPEN, [CONSOLE, 'x: y; z'], Level.WARN, f'{CONSOLE} (and 1 more)'),
+    (OPEN._replace(is_open=False, problem=ABSENT), [CONSOLE], Level.ERROR, str(ABSENT)),
+])
+def test_link(state, warnings, level, message):
+    status = link(state, warnings)
+    assert (status.name, status.hardware_id) == ('vel2d_bridge: link', PORT)
+    assert status.level is level
+    assert status.message.startswith(message)
+
+
+@pytest.mark.parametrize(('state', 'heard', 'level', 'message'), [
+    (OPEN, HEARD, Level.OK, 'driving'),
+    (OPEN._replace(driving=False), HEARD, Level.OK, 'stopped'),
+    (OPEN._replace(enabled=False), HEARD, Level.WARN, '/cmd_vel: disabled; call ~/enable'),
+    (OPEN, HEARD._replace(complaints=[FIGHT]), Level.WARN, FIGHT),
+    (OPEN, HEARD._replace(refused=Verdict.NOT_FINITE), Level.WARN,
+     '/cmd_vel: commands are refused: not finite; mend its publisher'),
+    (OPEN, HEARD._replace(timeout_s=0.0), Level.WARN, 'cmd_vel_timeout: 0 holds'),
+    (OPEN, HEARD._replace(timeout_s=0.0, choice=Choice('twist', False)), Level.WARN,
+     'cmd_vel_timeout: 0 holds the last command for ever, and a best-effort publisher may lose'),
+    (OPEN, HEARD._replace(period=periods(0.1, 0.1, 0.1)), Level.OK, 'driving'),
+    (OPEN, HEARD._replace(period=periods(0.8, 0.8, 0.8)), Level.WARN,
+     '/cmd_vel: a command every 0.8 s, slower than cmd_vel_timeout (0.5 s), the rover stutters; '),
+    (OPEN, HEARD._replace(period=periods(0.8)), Level.OK, 'driving'),           # no stream yet
+    (OPEN, HEARD._replace(period=periods(8, 9, 7)), Level.OK, 'driving'),       # taps on a key
+    (OPEN, HEARD._replace(period=periods(8, 8, 8), timeout_s=0.0), Level.WARN, 'cmd_vel_timeout'),
+])
+def test_commands(state, heard, level, message):
+    status = commands(state, heard)
+    assert status.level is level
+    assert status.message.startswith(message)
+
+
+def test_all_complaints_are_there():
+    status = commands(OPEN._replace(enabled=False), HEARD._replace(
+        complaints=[FIGHT], period=periods(0.8, 0.8, 0.8)))
+    values = dict(status.values)
+    assert status.message.endswith('(and 2 more)')
+    assert values['Complaint 1'].startswith('/cmd_vel: disabled')
+    assert values['Complaint 2'] == FIGHT
+    assert 'stutters' in values['Complaint 3']
+
+
+def test_keys_are_there_from_the_beginning():
+    """A plot that is set up before the first fault must find its keys."""
+    keys = [key for key, _ in [*link().values, *commands().values]]
+    assert len(keys) == len(set(keys)) + 1                          # State, of both
+    for key in ('Frames sent', 'Reopenings', 'Write time-outs', 'Last error', 'Deadman',
+                'Commands received', 'Commands replaced', 'Time-outs', 'Refused: not finite',
+                'Refused: waited too long', 'Stops: port opened', 'Stops: time-out'):
+        assert key in keys
+
+
+@pytest.mark.parametrize('verdict', [one for one in Verdict if one is not Verdict.ACCEPTED])
+def test_every_refusal_has_a_remedy(verdict):
+    line = refusal('/cmd_vel', Vel2d(math.nan, -0.0, math.inf), verdict)
+    assert line.startswith(f'/cmd_vel: command (nan, -0, inf) refused: {verdict.value}; ')
+    assert commands(OPEN, HEARD._replace(refused=verdict)).level is Level.WARN
+
+
+# What the MCU says
+
+def test_lines_of_the_mcu():
+    mcu = McuLog()
+    mcu.feed(b'pose \x1b[1;31mloop\x1b[0m\r\n\r\nbat')
+    assert mcu.take(SECOND) == ['pose loop']
+    mcu.feed(b'tery\t12 V\n')
+    assert mcu.take(SECOND + 1) == []                               # throttled
+    assert mcu.take(2 * SECOND) == ['battery 12 V']
+    assert (mcu.lines, mcu.bytes, mcu.garbage_bytes) == (2, 37, 0)
+
+
+def test_a_babbling_mcu():
+    mcu = McuLog()
+    for _ in range(100):
+        mcu.feed(b'the same again\n' * 10)
+    lines = mcu.take(SECOND)
+    assert lines[-1] == f'... and {1000 - len(lines) + 1} lines more'
+    assert len(lines) < 10
+    assert mcu.take(2 * SECOND) == []
+    mcu.feed(b'x' * 100_000)                                        # no end of line at all
+    assert all(len(line) <= 200 for line in mcu.take(3 * SECOND))
+
+
+def test_garbage_is_counted_and_not_printed():
+    mcu = McuLog()
+    mcu.feed(bytes(range(128, 256)) + b'\n' + b'\x00\x07bell\n' + b'good\n')
+    assert mcu.take(SECOND) == ['good']
+    assert mcu.garbage_bytes == 134
+    assert '134 bytes that are no text; check baud' in mcu.garbage(SECOND)
+    assert mcu.garbage(2 * SECOND) == ''                            # nothing new
+    mcu.feed(b'\xff\n')
+    assert mcu.garbage(3 * SECOND) == ''                            # said just now
+    assert '1 bytes' in mcu.garbage(12 * SECOND)

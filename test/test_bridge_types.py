@@ -1,0 +1,170 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Whose commands the bridge hears: types, QoS, several publishers, stamps; and what it says of them.
+
+Operators of their own, because one participant cannot have two types on one topic either.
+"""
+from contextlib import contextmanager
+from functools import partial
+import time
+
+from harness import bridge
+from harness import Mcu
+from harness import wait
+import pytest
+
+from msg_defs.vel2d import STOP
+from msg_defs.vel2d import Vel2d
+
+pytestmark = pytest.mark.ros
+COMMANDS = 'vel2d_bridge: commands'
+LATE = 0.25                     # s that a shared machine may hold a thread or delay discovery
+
+
+@pytest.fixture(scope='module')
+def mcu(tmp_path_factory):
+    with Mcu(str(tmp_path_factory.mktemp('dev') / 'mcu')).running() as mcu:
+        yield mcu
+
+
+@pytest.fixture(scope='module')
+def running(graph, mcu):
+    """Run a bridge with message_type auto, in a namespace and with a remapped topic."""
+    with bridge(mcu, '-r', '__ns:=/rover', '-r', 'cmd_vel:=/teleop/cmd_vel') as running:
+        yield running
+        assert 'Traceback' not in running.text
+
+
+@pytest.fixture
+def operator(ros, graph, running):
+    """
+    Return a context: an operator that publishes, and no other; its publisher and its Graph.
+
+    `name` becomes the node's name; what it publishes is a Twist or a TwistStamped.
+    """
+    @contextmanager
+    def operator(name, kind, profile=1):
+        with ros.Graph(name) as operator:
+            yield operator.publisher('/teleop/cmd_vel', kind, profile, heard=False)
+
+    graph.wait_status(COMMANDS, '/teleop/cmd_vel: nobody publishes it', level=1)
+    return operator
+
+
+def drives(ros, mcu, publisher, message, velocity=None):
+    """Publish at 50 Hz until the MCU has got it; return how long that took (s)."""
+    velocity = velocity or Vel2d(0.3, 0.0, 0.0)
+    begin = time.monotonic_ns()
+    with ros.Teleop(publisher, message, rate=50):
+        wait(lambda: mcu.velocity == velocity)
+        return (time.monotonic_ns() - begin) / 1e9
+
+
+@pytest.mark.usefixtures('again')
+def test_auto_follows_a_teleop_that_changes_its_type(ros, graph, mcu, running, operator):
+    """Both ways, within 1 s of the new publisher, the old command stopped first."""
+    for kind, message, velocity in ((ros.TwistStamped, ros.stamped, Vel2d(0.1, 0.0, 0.0)),
+                                    (ros.Twist, ros.twist, Vel2d(0.2, 0.0, 0.0))):
+        mcu.receiver.arrivals.clear()
+        with operator('teleop', kind) as publisher:
+            taken_s = drives(ros, mcu, publisher, partial(message, *velocity), velocity)
+            assert taken_s < 1.0 + LATE
+        frames = [frame.velocity for frame in mcu.arrivals]
+        assert frames[frames.index(velocity) - 1] == STOP
+    assert running.said('/teleop/cmd_vel carries twist_stamped now, following')
+
+
+def test_two_types_at_once(ros, graph, mcu, running, operator):
+    with operator('teleop_old', ros.Twist) as old, \
+            ros.Teleop(old, lambda: ros.twist(0.3), rate=50):
+        wait(lambda: mcu.velocity == Vel2d(0.3, 0.0, 0.0))
+        with operator('teleop_new', ros.TwistStamped) as new, \
+                ros.Teleop(new, lambda: ros.stamped(0.9), rate=50):
+            graph.wait_status(
+                COMMANDS, '/teleop_new is not heard, it publishes geometry_msgs/msg/TwistStamped',
+                'subscribed is twist; make all publishers agree', 'Complaint 1', level=1)
+            running.wait_for('WARN', '/teleop_new is not heard')
+            assert mcu.velocity == Vel2d(0.3, 0.0, 0.0)         # it stays with the old one
+        graph.wait_status(COMMANDS, level=0)
+    assert Vel2d(0.9, 0.0, 0.0) not in {frame.velocity for frame in mcu.arrivals}
+
+
+def test_a_type_that_is_no_command(ros, graph, running, operator):
+    with operator('chatterbox', ros.String):
+        graph.wait_status(COMMANDS, '/chatterbox is not heard, it publishes std_msgs/msg/String',
+                          level=1)
+
+
+def test_several_publishers(ros, graph, running, operator):
+    with operator('planner', ros.Twist), operator('joystick', ros.Twist):
+        graph.wait_status(COMMANDS, '2 publishers overrule each other (/joystick, /planner)',
+                          'use twist_mux', level=1)
+        running.wait_for('WARN', '2 publishers overrule each other')
+
+
+def is_subscribed(graph, reliability):
+    found = graph.node.get_subscriptions_info_by_topic('/teleop/cmd_vel')
+    return [one.qos_profile.reliability.name for one in found] == [reliability]
+
+
+def test_reliability_follows(ros, graph, mcu, operator):
+    for reliable, name in ((False, 'BEST_EFFORT'), (True, 'RELIABLE')):
+        with operator('teleop', ros.Twist, ros.qos(1, reliable)) as publisher:
+            wait(partial(is_subscribed, graph, name))
+            drives(ros, mcu, publisher, lambda: ros.twist(0.3))
+
+
+def test_stream_that_is_too_slow(ros, graph, operator):
+    with operator('slow', ros.Twist) as publisher, \
+            ros.Teleop(publisher, lambda: ros.twist(0.3), rate=1 / 0.6):
+        graph.wait_status(COMMANDS, 'a command every 0.6', 'slower than cmd_vel_timeout (0.5 s)',
+                          'the rover stutters', level=1)
+
+
+def test_limits_keep_the_direction(ros, graph, mcu, operator):
+    assert graph.set('/rover/vel2d_bridge', max_linear_x=0.5, max_angular_z=1.0) == ['', '']
+    with operator('teleop', ros.Twist) as publisher:
+        drives(ros, mcu, publisher, lambda: ros.twist(1.0, 0.5, 1.0), Vel2d(0.5, 0.25, 0.5))
+        drives(ros, mcu, publisher, lambda: ros.twist(0.1, 0.5, 2.0), Vel2d(0.05, 0.25, 1.0))
+        drives(ros, mcu, publisher, lambda: ros.twist(-0.5, 0.5, 1.0), Vel2d(-0.5, 0.5, 1.0))
+    wait(lambda: int(graph.values(COMMANDS)['Commands limited']) > 0)
+    assert graph.set('/rover/vel2d_bridge', max_linear_x=0.0, max_angular_z=0.0) == ['', '']
+
+
+def test_stamps(ros, graph, mcu, running, operator):
+    assert graph.set('/rover/vel2d_bridge', max_stamp_age=0.3) == ['']
+    with operator('teleop', ros.TwistStamped) as publisher:
+        drives(ros, mcu, publisher, lambda: ros.stamped(0.3))
+        for late_s, reason in ((5.0, 'stamp too old'), (-5.0, 'stamp in the future')):
+            with ros.Teleop(publisher, partial(ros.stamped, 0.9, late_s=late_s), rate=50):
+                graph.wait_status(COMMANDS, f'commands are refused: {reason}',
+                                  'set the clocks of both machines right', level=1)
+            running.wait_for('WARN', f'refused: {reason}')
+        before = int(graph.values(COMMANDS)['Zero stamps'])
+        drives(ros, mcu, publisher, lambda: ros.stamped(0.3, late_s=None))
+        wait(lambda: int(graph.values(COMMANDS)['Zero stamps']) > before)
+    assert Vel2d(0.9, 0.0, 0.0) not in {frame.velocity for frame in mcu.arrivals}
+    assert graph.set('/rover/vel2d_bridge', max_stamp_age=0.0) == ['']
+
+
+def test_overridden_qos_and_a_fixed_type(ros, graph, tmp_path):
+    """The reliability is ours then, the type too: who does not fit is named. Without a /clock."""
+    with Mcu(str(tmp_path / 'mcu')).running() as mcu, bridge(
+            mcu, '-p', 'qos_overrides./fixed/cmd_vel.subscription.reliability:=reliable',
+            '-r', '__ns:=/fixed', '-r', '__node:=base', '--log-level', 'fixed.base:=debug',
+            message_type='twist', use_sim_time='true') as running:
+        commands = 'base: commands'
+        with ros.Graph('lossy') as lossy, ros.Graph('stamping') as stamping:
+            best_effort = lossy.publisher('/fixed/cmd_vel', ros.Twist, ros.qos(1, False), False)
+            stamping.publisher('/fixed/cmd_vel', ros.TwistStamped, heard=False)
+            status = graph.wait_status(commands, '/lossy is not heard, its QoS does not fit',
+                                       'Best effort publisher and reliable subscription',
+                                       '/stamping is not heard', 'Complaint 2', level=1)
+            assert status.message.endswith('(and 1 more)')
+            best_effort.publish(ros.twist(0.9))
+        publisher = graph.publisher('/fixed/cmd_vel')
+        drives(ros, mcu, publisher, lambda: ros.twist(0.5, -0.25, 1.0), Vel2d(0.5, -0.25, 1.0))
+        running.wait_for('sending [0.5, -0.25, 1.0], crc: 3455344474')
+        running.wait_for('sending [0.0, 0.0, 0.0], crc: ')
+        assert Vel2d(0.9, 0.0, 0.0) not in {frame.velocity for frame in mcu.arrivals}

@@ -1,0 +1,82 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Who publishes cmd_vel, what that means for our subscription, and what a person should know.
+
+Pure: the node hands in what the ROS graph says. The reasons robots stand still unexplained are
+here: a publisher of the other type, incompatible QoS, two publishers fighting.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from vel2d_bridge.settings import AUTO
+from vel2d_bridge.settings import TWIST
+from vel2d_bridge.settings import TWIST_STAMPED
+
+TYPE_NAMES = {
+    'geometry_msgs/msg/Twist': TWIST,
+    'geometry_msgs/msg/TwistStamped': TWIST_STAMPED,
+}
+
+
+class Publisher(NamedTuple):
+    """One publisher of cmd_vel; `conflict` says why its QoS does not fit ours ('' if it does)."""
+
+    node: str
+    type: str                   # as ROS spells it
+    reliable: bool
+    conflict: str = ''
+
+
+class Choice(NamedTuple):
+    """What to subscribe."""
+
+    message_type: str
+    reliable: bool
+
+
+def node_name(namespace: str, name: str) -> str:
+    """Return the full name of a node; discovery may not know it yet, or it is none of ROS."""
+    if 'UNKNOWN' in name:
+        return 'a node without a name'
+    return f'{namespace.rstrip("/")}/{name}'
+
+
+def choose(setting: str, current: Choice, publishers: Sequence[Publisher]) -> Choice:
+    """
+    Follow the publishers: their type when they agree, reliable only if all of them are.
+
+    With nobody there, or with two types at once, what runs stays.
+    """
+    types = {TYPE_NAMES[one.type] for one in publishers if one.type in TYPE_NAMES}
+    message_type = current.message_type
+    if setting != AUTO:
+        message_type = setting
+    elif len(types) == 1:
+        message_type = types.pop()
+    ours = [one for one in publishers if TYPE_NAMES.get(one.type) == message_type]
+    reliable = all(one.reliable for one in ours) if ours else current.reliable
+    return Choice(message_type, reliable)
+
+
+def complaints(choice: Choice, publishers: Sequence[Publisher], topic: str) -> list[str]:
+    """Say in a line each what keeps commands from arriving or makes them fight."""
+    lines = []
+    if not publishers:
+        lines.append(f'{topic}: nobody publishes it; start teleop_twist_keyboard or your planner')
+    for one in publishers:
+        if TYPE_NAMES.get(one.type) != choice.message_type:
+            lines.append(
+                f'{topic}: {one.node} is not heard, it publishes {one.type}, subscribed is '
+                f'{choice.message_type}; make all publishers agree, or set message_type')
+        elif one.conflict:
+            lines.append(f'{topic}: {one.node} is not heard, its QoS does not fit '
+                         f'({one.conflict}); change its QoS or our qos_overrides')
+    heard = [one.node for one in publishers
+             if TYPE_NAMES.get(one.type) == choice.message_type and not one.conflict]
+    if len(heard) > 1:
+        lines.append(f'{topic}: {len(heard)} publishers overrule each other '
+                     f'({", ".join(sorted(heard))}); stop all but one, or use twist_mux')
+    return lines

@@ -1,0 +1,43 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The process of the bridge: its deadman is forked first, while there is one thread and no ROS.
+
+What the child inherits is then small and clean, and it is ready before the port is opened.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+import sys
+
+from mecarover_serial.cli import hold_signals
+from mecarover_serial.cli import no_ros
+from mecarover_serial.cli import node_help
+from vel2d_bridge.deadman import Deadman
+from vel2d_bridge.settings import PARAMETERS
+
+NAME = 'vel2d_bridge'
+ABOUT = 'Subscribes cmd_vel and writes checked set-points to the MCU of a rover over a UART.'
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; return the exit code."""
+    arguments = sys.argv[1:] if args is None else args
+    if '--help' in arguments or '-h' in arguments:
+        print(node_help(NAME, ABOUT, PARAMETERS))
+        return 0
+    hold_signals()
+    deadman = Deadman()
+    try:
+        from mecarover_serial.node import run
+        from vel2d_bridge.node import Bridge
+    except ImportError as error:
+        return no_ros(NAME, error)
+    else:
+        return run(NAME, lambda: Bridge(deadman), args)
+    finally:
+        deadman.leave()
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,76 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the MCU says on the line back, as lines fit for a log.
+
+Text is cut into lines; what is no text is counted, never printed. Bounded: a babbling MCU costs
+no memory and a few lines per second. Pure; `now` is monotonic ns.
+"""
+from __future__ import annotations
+
+from collections import deque
+import re
+
+_LONGEST = 200                  # bytes of a line
+_KEPT = 5                       # lines between two that are taken
+_SECOND = 1_000_000_000
+_GARBAGE_PERIOD = 10 * _SECOND  # between complaints
+_COLOUR = re.compile(rb'\x1b\[[0-9;]*[A-Za-z]')
+
+
+class McuLog:
+    """Fed by the port's thread, emptied by the node's."""
+
+    def __init__(self) -> None:
+        self.bytes = 0
+        self.lines = 0
+        self.garbage_bytes = 0
+        self._partial = b''
+        self._kept: deque[str] = deque()
+        self._skipped = 0
+        self._taken = -_SECOND
+        self._complained = -_GARBAGE_PERIOD
+        self._known_garbage = 0
+
+    def feed(self, chunk: bytes) -> None:
+        """Take what came in."""
+        self.bytes += len(chunk)
+        *lines, self._partial = (self._partial + chunk).replace(b'\r', b'\n').split(b'\n')
+        while len(self._partial) > _LONGEST:
+            lines.append(self._partial[:_LONGEST])
+            self._partial = self._partial[_LONGEST:]
+        for line in filter(None, lines):
+            self._keep(line)
+
+    def _keep(self, line: bytes) -> None:
+        text = _COLOUR.sub(b'', line).replace(b'\t', b' ').decode(errors='replace')
+        if '\ufffd' in text or not text.isprintable():
+            self.garbage_bytes += len(line)
+            return
+        self.lines += 1
+        if len(self._kept) < _KEPT:
+            self._kept.append(text[:_LONGEST])
+        else:
+            self._skipped += 1
+
+    def take(self, now: int) -> list[str]:
+        """Return the lines since the last call, at most a few per second."""
+        if now - self._taken < _SECOND:
+            return []
+        self._taken = now
+        lines = []
+        while self._kept:
+            lines.append(self._kept.popleft())
+        if self._skipped:
+            lines.append(f'... and {self._skipped} lines more')
+            self._skipped = 0
+        return lines
+
+    def garbage(self, now: int) -> str:
+        """Return a complaint about new garbage, '' when there is none or it was just said."""
+        new = self.garbage_bytes - self._known_garbage
+        if not new or now - self._complained < _GARBAGE_PERIOD:
+            return ''
+        self._known_garbage = self.garbage_bytes
+        self._complained = now
+        return f'the MCU sent {new} bytes that are no text; check baud, ground and its firmware'

@@ -1,0 +1,63 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of vel2d_bridge: names, defaults, limits and what a person reads about them."""
+from __future__ import annotations
+
+from typing import Any
+
+from mecarover_serial.parameters import Parameter
+from msg_defs.crc import CRC_INPUTS
+from vel2d_bridge.gate import Settings
+
+AUTO, TWIST, TWIST_STAMPED = 'auto', 'twist', 'twist_stamped'
+
+PARAMETERS = (
+    Parameter('port', '/dev/ttyAMA0', 'UART to the MCU: a path, best a stable one from '
+              '/dev/serial/by-id, or a pyserial URL'),
+    Parameter('baud', 115200, 'rate of the UART, 8N1', 'bit/s', 1200, 4_500_000),
+    Parameter('message_type', AUTO, 'what cmd_vel carries; auto follows its publishers',
+              choices=(AUTO, TWIST, TWIST_STAMPED)),
+    Parameter('cmd_vel_timeout', 0.5, 'no accepted command for so long: stop; 0 holds the last '
+              'command for ever, which is dangerous', 's', 0.05, 10.0, or_zero=True,
+              run_time=True),
+    Parameter('resend_rate', 20.0, 'the set-point, a stop included, is sent again at this rate so '
+              'that one lost frame does no harm; 0 = never', 'Hz', 2.0, 33.0, or_zero=True,
+              run_time=True),
+    Parameter('max_rate', 30.0, 'frames per second at most; more than 33 fills the queue of the '
+              'MCU and the rover lags behind', 'Hz', 2.0, 400.0, run_time=True),
+    Parameter('max_linear_x', 0.0, 'largest |linear.x|; 0 = no limit. A velocity beyond a limit '
+              'is scaled as a whole: its direction stays', 'm/s', 0.0, 100.0, run_time=True),
+    Parameter('max_linear_y', 0.0, 'largest |linear.y|; 0 = no limit', 'm/s', 0.0, 100.0,
+              run_time=True),
+    Parameter('max_angular_z', 0.0, 'largest |angular.z|; 0 = no limit', 'rad/s', 0.0, 100.0,
+              run_time=True),
+    Parameter('max_stamp_age', 0.0, 'refuse a TwistStamped that is older, or further in the '
+              'future; 0 = no check', 's', 0.0, 3600.0, run_time=True),
+    Parameter('write_timeout', 0.05, 'a frame that has not left by then is thrown away, and a '
+              'stop follows', 's', 0.005, 1.0, run_time=True),
+    Parameter('crc_input', 'bytes', 'how the MCU feeds its CRC unit', choices=tuple(CRC_INPUTS)),
+    Parameter('deadman', True, 'a child process stops the rover when this one is killed or '
+              'frozen'),
+)
+
+
+def gate_settings(values: dict[str, Any]) -> Settings:
+    """Pick what the gate needs; its names are the parameters'."""
+    return Settings(**{name: values[name] for name in Settings._fields})
+
+
+def doubts(values: dict[str, Any]) -> list[str]:
+    """Say what is possible and probably not meant, a line each."""
+    lines = []
+    timeout = values['cmd_vel_timeout']
+    if timeout == 0:
+        lines.append('cmd_vel_timeout: 0 holds the last command for ever when its publisher '
+                     'dies; set 0.5')
+    if values['resend_rate'] == 0:
+        lines.append('resend_rate: 0 sends each set-point once, a lost frame stays lost; set 20')
+    if values['max_rate'] > 33:
+        lines.append(f'max_rate: {values["max_rate"]:g} Hz is more than the MCU takes (one '
+                     'set-point per 30 ms), the rover will lag; set 30')
+    if not values['deadman']:
+        lines.append('deadman: off, the rover drives on when this process is killed; set true')
+    return lines

@@ -1,0 +1,163 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The two statuses of the bridge on /diagnostics: what its link does and what its commands are.
+
+Pure: snapshots in, statuses out. A message is what a person acts on; all complaints, the one in
+the message too, are values `Complaint N`. The other keys never change.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from msg_defs.reports import Level
+from msg_defs.reports import number
+from msg_defs.reports import Status
+from msg_defs.reports import status_name
+from msg_defs.timing import Summary
+from msg_defs.vel2d import STOP
+from msg_defs.vel2d import Vel2d
+from vel2d_bridge.gate import Counters
+from vel2d_bridge.gate import Verdict
+from vel2d_bridge.graph import Choice
+from vel2d_bridge.link import LinkState
+from vel2d_bridge.mcu_log import McuLog
+
+_STUTTER_SAMPLES = 3            # periods of commands that tell a rate
+_STREAM_S = 5.0                 # what is slower is a person who taps a key
+_REMEDIES = {
+    Verdict.NOT_FINITE: 'mend its publisher',
+    Verdict.DISABLED: 'call ~/enable with data: true',
+    Verdict.NO_PORT: 'see the status of the link',
+    Verdict.FROZEN: 'commands that come now are taken again',
+    Verdict.WAITED: 'the network or this machine is too slow for cmd_vel_timeout',
+    Verdict.STAMP_OLD: 'set the clocks of both machines right, or raise max_stamp_age',
+    Verdict.STAMP_AHEAD: 'set the clocks of both machines right, or raise max_stamp_age',
+    Verdict.SHUTDOWN: 'start the bridge again',
+}
+
+
+class Commands(NamedTuple):
+    """What the node knows about commands, beside the gate's counters."""
+
+    topic: str
+    choice: Choice
+    timeout_s: float
+    complaints: Sequence[str]   # of graph.py
+    period: Summary | None      # ms between commands, over the window
+    zero_stamps: int
+    refused: Verdict | None     # why the newest command was refused, if that is not long ago
+
+
+def refusal(topic: str, velocity: Vel2d, verdict: Verdict) -> str:
+    """Say why a command was not taken, and what helps."""
+    x, y, omega = velocity
+    return (f'{topic}: command ({x:g}, {y:g}, {omega:g}) refused: {verdict.value}; '
+            f'{_REMEDIES[verdict]}')
+
+
+def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str], mcu: McuLog,
+                now: int) -> Status:
+    """Is the port open, does it take frames, what disturbs it."""
+    complaints = list(warnings) if state.is_open else []
+    level, message = Level.OK, 'open'
+    if state.problem is not None:
+        level, message = Level.ERROR, str(state.problem)
+    elif not state.is_open:
+        level, message = Level.WARN, 'opening the port'
+    elif state.deadman == 'lost':
+        level, message = Level.ERROR, ('deadman: its process has gone, nothing stops the rover if '
+                                       'this one dies; restart the bridge')
+    elif complaints:
+        level, message = Level.WARN, _first(complaints)
+    velocity = state.last.velocity if state.last else STOP
+    return Status(status_name(node, 'link'), level, message, port, [
+        ('Port', port),
+        ('State', 'open' if state.is_open else 'closed'),
+        ('In this state for (s)', number(round((now - state.since) / 1e9, 1))),
+        ('Frames sent', str(state.frames)),
+        ('Last x (m/s)', number(velocity.x)),
+        ('Last y (m/s)', number(velocity.y)),
+        ('Last omega (rad/s)', number(velocity.omega)),
+        ('Openings', str(state.openings)),
+        ('Reopenings', str(max(0, state.openings - 1))),
+        ('Losses', str(state.losses)),
+        ('Write time-outs', str(state.time_outs)),
+        ('Partial writes', str(state.partial_writes)),
+        ('Freezes', str(state.freezes)),
+        ('Deadman', state.deadman),
+        ('Bytes from MCU', str(mcu.bytes)),
+        ('Lines from MCU', str(mcu.lines)),
+        ('Garbage from MCU (B)', str(mcu.garbage_bytes)),
+        ('Last error', state.last_error or 'none'),
+        *_numbered(complaints),
+    ])
+
+
+def commands_status(node: str, port: str, state: LinkState, counters: Counters,
+                    commands: Commands) -> Status:
+    """Are commands heard, taken, and frequent enough."""
+    complaints = _complaints(state, commands)
+    level = Level.WARN if complaints else Level.OK
+    message = _first(complaints) if complaints else _state_word(state)
+    return Status(status_name(node, 'commands'), level, message, port, [
+        ('Topic', commands.topic),
+        ('Message type', commands.choice.message_type),
+        ('Reliability', 'reliable' if commands.choice.reliable else 'best effort'),
+        ('State', _state_word(state)),
+        ('Enabled', str(state.enabled).lower()),
+        ('Commands received', str(counters.received)),
+        ('Commands accepted', str(counters.accepted)),
+        ('Commands limited', str(counters.limited)),
+        ('Commands replaced', str(counters.replaced)),
+        ('Zero stamps', str(commands.zero_stamps)),
+        *((f'Refused: {verdict.value}', str(counters.refused[verdict]))
+          for verdict in Verdict if verdict is not Verdict.ACCEPTED),
+        ('Time-outs', str(counters.time_outs)),
+        *((f'Stops: {why.value}', str(count)) for why, count in counters.stops.items()),
+        *_numbered(complaints),
+    ])
+
+
+def _complaints(state: LinkState, commands: Commands) -> list[str]:
+    """Return what keeps the rover from doing as it is told, the most telling first."""
+    lines = []
+    if not state.enabled:
+        lines.append(f'{commands.topic}: disabled; {_REMEDIES[Verdict.DISABLED]}')
+    elif commands.refused is not None:
+        lines.append(f'{commands.topic}: commands are refused: {commands.refused.value}; '
+                     f'{_REMEDIES[commands.refused]}')
+    lines += commands.complaints
+    period = commands.period
+    if period is not None and _stutters(period, commands.timeout_s):
+        lines.append(
+            f'{commands.topic}: a command every {number(round(period.p50 / 1000, 2))} s, slower '
+            f'than cmd_vel_timeout ({number(commands.timeout_s)} s), the rover stutters; '
+            'publish faster or raise the time-out')
+    if commands.timeout_s == 0:
+        lines.append('cmd_vel_timeout: 0 holds the last command for ever'
+                     + ('' if commands.choice.reliable else
+                        ', and a best-effort publisher may lose the one that stops')
+                     + '; set 0.5')
+    return lines
+
+
+def _stutters(period: Summary, timeout_s: float) -> bool:
+    """Tell whether commands are a stream that is too slow; single taps are no stream."""
+    return period.count >= _STUTTER_SAMPLES and 0 < timeout_s < period.p50 / 1000 < _STREAM_S
+
+
+def _state_word(state: LinkState) -> str:
+    if not state.enabled:
+        return 'disabled'
+    return 'driving' if state.driving else 'stopped'
+
+
+def _first(complaints: Sequence[str]) -> str:
+    more = len(complaints) - 1
+    return complaints[0] + (f' (and {more} more)' if more else '')
+
+
+def _numbered(complaints: Sequence[str]) -> list[tuple[str, str]]:
+    return [(f'Complaint {number}', line) for number, line in enumerate(complaints, start=1)]

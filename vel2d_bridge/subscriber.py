@@ -1,0 +1,133 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The subscription of cmd_vel: it follows the type and the reliability of its publishers.
+
+One process cannot subscribe two types on one name, so the subscription is destroyed and made
+anew. What the graph means is decided in graph.py; what becomes of a command, by the owner.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+import time
+from typing import Any
+
+from geometry_msgs.msg import Twist
+from geometry_msgs.msg import TwistStamped
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import qos_check_compatible
+from rclpy.qos import QoSCompatibility
+from rclpy.qos import QoSPolicyKind
+from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from mecarover_serial.node import first_line
+from mecarover_serial.node import given
+from mecarover_serial.parameters import ParameterError
+from vel2d_bridge.graph import Choice
+from vel2d_bridge.graph import choose
+from vel2d_bridge.graph import complaints
+from vel2d_bridge.graph import node_name
+from vel2d_bridge.graph import Publisher
+from vel2d_bridge.settings import TWIST
+from vel2d_bridge.settings import TWIST_STAMPED
+from vel2d_bridge.wall_clock import WallClock
+
+TYPES = {TWIST: Twist, TWIST_STAMPED: TwistStamped}
+
+
+class Subscriber:
+    """
+    Hears cmd_vel.
+
+    `on_command(twist, waited, stamp_age)`: ns in the middleware, ns since the stamp (None: the
+    type has none, or it is zero). `on_type(message_type)` comes before a switch.
+    """
+
+    def __init__(self, node: Node, setting: str,
+                 on_command: Callable[[Any, int, int | None], object],
+                 on_type: Callable[[str], object]) -> None:
+        self.topic = node.resolve_topic_name('cmd_vel')
+        self.choice = choose(setting, Choice(TWIST, True), [])
+        self.complaints: list[str] = []
+        self.zero_stamps = 0
+        self._node = node
+        self._setting = setting
+        self._on_command = on_command
+        self._on_type = on_type
+        self._wall = WallClock()
+        self._overrides = _overridden(node, self.topic)
+        self._subscription = self._subscribe()
+
+    def look(self) -> None:
+        """Look at the graph and follow it; to be called several times a second."""
+        self._wall.observe(time.time_ns(), time.monotonic_ns())
+        ours = self._subscription.qos_profile
+        publishers = [
+            Publisher(node_name(one.node_namespace, one.node_name), one.topic_type,
+                      one.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT,
+                      _conflict(one.qos_profile, ours))
+            for one in self._node.get_publishers_info_by_topic(self.topic)]
+        choice = choose(self._setting, self.choice, publishers)
+        if choice == self.choice:
+            self.complaints = complaints(choice, publishers, self.topic)
+        else:                           # who conflicts with the new one, the next look tells
+            self._follow(choice)
+
+    def renew(self) -> None:
+        """
+        Subscribe anew: what was published until now is no longer heard.
+
+        After a freeze it waits in the sockets, or is sent again by a reliable publisher, up to
+        seconds later, and nothing tells it from a new command.
+        """
+        self._node.destroy_subscription(self._subscription)
+        self._subscription = self._subscribe()
+
+    def _follow(self, choice: Choice) -> None:
+        if choice.message_type != self.choice.message_type:
+            self._on_type(choice.message_type)
+        self.choice = choice
+        self.renew()
+
+    def _subscribe(self) -> Any:
+        reliability = ReliabilityPolicy.RELIABLE if self.choice.reliable \
+            else ReliabilityPolicy.BEST_EFFORT
+        callback = {TWIST: self._on_twist, TWIST_STAMPED: self._on_twist_stamped}
+        try:
+            return self._node.create_subscription(
+                TYPES[self.choice.message_type], 'cmd_vel', callback[self.choice.message_type],
+                QoSProfile(depth=1, reliability=reliability),
+                # Our complaints name who does not fit; rclpy's own words do not.
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+                qos_overriding_options=QoSOverridingOptions(self._overrides))
+        except RuntimeError as error:   # rclpy's, and its private RCLError
+            raise ParameterError(
+                f'qos_overrides.{self.topic}.subscription: {first_line(error)}; '
+                'set e.g. reliability to best_effort, depth to 1') from error
+
+    def _on_twist(self, message: Any, info: Any) -> None:
+        self._on_command(message, self._waited(info), None)
+
+    def _on_twist_stamped(self, message: Any, info: Any) -> None:
+        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        age = self._node.get_clock().now().nanoseconds - stamp if stamp else None
+        self.zero_stamps += not stamp
+        self._on_command(message.twist, self._waited(info), age)
+
+    def _waited(self, info: Any) -> int:
+        return self._wall.waited(info['received_timestamp'], time.time_ns(), time.monotonic_ns())
+
+
+def _overridden(node: Node, topic: str) -> list[QoSPolicyKind]:
+    """Return only the policies that are given: a declared default could follow nobody."""
+    names = {name.lower() for name in given(node)}
+    return [policy for policy in QoSPolicyKind
+            if f'qos_overrides.{topic}.subscription.{policy.name.lower()}' in names]
+
+
+def _conflict(theirs: Any, ours: Any) -> str:
+    verdict, reason = qos_check_compatible(theirs, ours)
+    return reason.rstrip('; ') if verdict == QoSCompatibility.ERROR else ''
