@@ -1,0 +1,404 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""All model files, one after the other; families against each other; the loader and its errors."""
+
+from itertools import pairwise
+from pathlib import Path
+import re
+import shutil
+import statistics
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+from dxl_monitor.control_table import Model
+from dxl_monitor.model_file import FIELD_KEYS
+from dxl_monitor.model_layers import FILE_KEYS
+from dxl_monitor.model_yaml import ModelError
+from dxl_monitor.model_yaml import read_yaml
+from dxl_monitor.models import BUILT_IN
+from dxl_monitor.models import check_models
+from dxl_monitor.models import Models
+from dxl_monitor.table import READ
+from dxl_monitor.table import Table
+
+SOURCE = Path(__file__).parents[2] / 'shared' / 'data' / 'dxl_models'
+DOCS = Path(__file__).parents[1] / 'docs' / 'models.md'
+MODELS = Models()
+X330 = (1190, 1200, 1210, 1220, 1230, 1240)
+TABLES = [(number, None) for number in MODELS.names()] + [(number, 52) for number in X330]
+PARTS = {231, *range(620, 626), *range(6001, 6026)}     # ranges of another device's table
+NAME = re.compile(r'[A-Z0-9][\w.\-/]*( ([A-Z0-9][\w.\-]*|\([A-Z]\w*\)))*')
+UNITS = {'', 'rad', 'rad/s', 'rad/s^2', 'A', 'V', 'V/s', '°C', '%', 's', 'Hz', 'bit/s'}
+
+
+def load(number: int, firmware: int | None = None) -> Model:
+    model = MODELS.get(number, firmware)
+    assert model is not None, MODELS.problems
+    return model
+
+
+def test_the_built_in_files_have_no_mistake() -> None:
+    assert check_models(BUILT_IN) == []
+
+
+@pytest.mark.parametrize(('number', 'firmware'), TABLES)
+def test_a_table_is_sound(number: int, firmware: int | None) -> None:
+    model = load(number, firmware)
+    assert model.number == number
+    assert model.source
+    for first, second in pairwise(model.fields):
+        assert first.end <= second.at, (first, second)
+    for field in model.fields:
+        assert field.end <= 0x10000
+        assert NAME.fullmatch(field.name), field.name
+        assert field.unit in UNITS, field
+        assert not (field.access == 'r' and field.name.startswith('Goal')), field
+    assert len({field.name for field in model.fields}) == len(model.fields)
+    assert all(model.by_name[alias] is model.by_name[name]
+               for alias, name in model.aliases.items())
+
+
+@pytest.mark.parametrize('number', sorted(MODELS.names().keys() - PARTS))
+def test_common_registers_are_where_they_belong(number: int) -> None:
+    model = load(number)
+    assert model.by_name['Model Number'].at == 0
+    small = number in (350, 0xABBA, 0xAFFE, 0xBAFF)
+    firmware = {'Firmware Version', 'Firmware Version Minor'} & model.by_name.keys()
+    assert [model.by_name[name].at for name in firmware] == [2 if small else 6]
+    if not small:
+        assert model.by_name['ID'].at == 7
+    if 'Torque Enable' in model.by_name and not small:
+        assert {'Hardware Error Status', 'Error Code'} & model.by_name.keys()
+        assert model.by_name['Present Position'].unit == 'rad'
+        assert model.by_name['Present Position'].type == 'i32'
+
+
+def shared(first: Model, second: Model) -> list[str]:
+    return [field.name for field in first.fields if field.name in second.by_name]
+
+
+@pytest.mark.parametrize(('one', 'other', 'apart'), [
+    ('XM430-W350', 'MX-106', {'Current Limit', 'Goal Current', 'Present Current'}),
+    ('XM430-W350', 'XL430-W250', set()),
+    ('XM430-W350', 'XW540-T260', set()),
+    ('XM430-W350', 'XH430-V350', {'Current Limit', 'Goal Current', 'Present Current'}),
+    ('XM430-W350', 'XM540-W270', set()),
+    ('PH54-200-S500', 'H54-200-S500-R(A)', set()),
+    ('PH54-200-S500', 'PM42-010-S260', {
+        'Homing Offset', 'Max Position Limit', 'Min Position Limit', 'Goal Position',
+        'Present Position', 'Position Trajectory'}),
+    ('YM070-210-M001', 'YM080-230-A099', set()),
+])
+def test_families_agree(one: str, other: str, apart: set[str]) -> None:
+    first, second = MODELS.by_name(one), MODELS.by_name(other)
+    assert first and second
+    names = shared(first, second)
+    assert len(names) > 50
+    different = {name for name in names if _meaning(first, name) != _meaning(second, name)}
+    assert different == apart
+
+
+def _meaning(model: Model, name: str) -> tuple[object, ...]:
+    field = model.by_name[name]
+    return (field.at, field.type, field.access, field.memory, field.unit, field.scale,
+            field.offset, field.enum, field.flags)
+
+
+def test_signs_are_as_the_quantities_are() -> None:
+    for number in MODELS.names():
+        for field in load(number).fields:
+            quantity = re.sub(r'^(Motor\d|Swerve DXL\d) ', '', field.name)
+            if re.fullmatch('(Present|Goal) (PWM|Current|Velocity|Position)|Homing Offset|'
+                            '(Position|Velocity) Trajectory', quantity) and number != 350:
+                assert field.type[0] == 'i', (number, field)
+            elif re.search('Limit$|Temperature|Voltage|Gain$', quantity) \
+                    and 'Position' not in quantity:
+                assert field.type[0] == 'u', (number, field)
+
+
+# ---- against the makers' tables -----------------------------------------------------------------
+
+SPELLING = (('_', ' '), ('Saveve', 'Save'), ('Freqency', 'Frequency'), ('Bandwith.', 'Bandwidth'),
+            ('Depth.', 'Depth'))
+# Rows that contradict their own file. XC335: its indirect data two bytes apart, but 'Indirect Data
+# Read' (230) belongs to 'Indirect Address Read' (180), the seventh. RCU: one name, three motors.
+MISTAKEN = {('xc335_t332.model', 224 + 2 * n) for n in range(1, 28)} | {
+    ('ffw_g10_rcu.model', 101), ('ffw_g10_rcu.model', 102)}
+
+
+def source_rows(file: str) -> list[tuple[int, int, str]]:
+    table = (SOURCE / file).read_text(encoding='utf-8-sig').split('[control table]')[1]
+    rows = [line.split('\t') for line in table.splitlines() if line[:1].isdigit()]
+    return [(int(at), int(size), name) for at, size, name in rows]
+
+
+def spelled(name: str) -> str:
+    for wrong, right in SPELLING:
+        name = name.replace(wrong, right)
+    return name.casefold()
+
+
+def test_every_register_of_the_makers_tables_is_in_ours() -> None:
+    if not SOURCE.is_dir():
+        pytest.skip(f"skipped: no makers' tables at {SOURCE}")
+    index = (SOURCE / 'INDEX.tsv').read_text().splitlines()
+    files = [line.split('\t')[:2] for line in index if not line.startswith('#')]
+    assert len(files) > 100
+    missing = []
+    for number, file in files:
+        model = load(1280 if number == '-' else int(number), 52 if 'fw52' in file else None)
+        ours = {(field.at, field.size, spelled(name)) for name, field in model.by_name.items()}
+        ours |= {(block.at, block.size, spelled(block.name)) for block in model.blocks}
+        missing += [(file, at, size, name) for at, size, name in source_rows(file)
+                    if (at, size, spelled(name)) not in ours and (file, at) not in MISTAKEN]
+    assert missing == []
+
+
+# ---- the loader ---------------------------------------------------------------------------------
+
+GOOD = """model_numbers: {4660: Gripper}
+fields:
+  - {at: 0, name: Model Number, type: u16}
+  - {at: 2, name: Mode, type: u8, enum: {0: off, 1: on}}
+"""
+
+
+def write(folder: Path, text: str, name: str = 'device.yaml') -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / name).write_text(text, encoding='utf-8')
+    return folder
+
+
+def test_a_folder_of_the_users_wins_number_by_number(tmp_path: Path) -> None:
+    first = write(tmp_path / 'a', GOOD.replace('4660: Gripper', '321: Mine'))
+    second = write(tmp_path / 'b', GOOD.replace('4660: Gripper', '321: Other, 9: Nine'))
+    models = Models([first, second])
+    assert [models.names()[number] for number in (9, 311, 321)] == ['Nine', 'MX-64', 'Mine']
+    assert models.by_name('MX-106') is None
+    assert models.by_name('mine') is models.get(321)
+
+
+def test_names_are_found_as_people_write_them() -> None:
+    for name in ('XM430-W350', 'xm430_w350', 'xm430w350'):
+        model = MODELS.by_name(name)
+        assert model is not None
+        assert model.number == 1020
+    assert MODELS.by_name('XM431-W350') is None
+    assert MODELS.closest('XM431-W350') == 'XM430-W350'
+    assert MODELS.closest('teapot') is None
+
+
+@pytest.mark.parametrize(('firmware', 'count', 'data'), [
+    (None, 28, 224), (53, 28, 224), (52, 20, 208), (46, 20, 208), (0, 20, 208)])
+def test_the_firmware_picks_the_table(firmware: int | None, count: int, data: int) -> None:
+    model = load(1200, firmware)
+    assert [(i.data, i.size) for i in model.indirect] == [(data, count)]
+    assert model.by_name['Indirect Data 1'].at == data
+
+
+def test_unquoted_on_and_off_are_words(tmp_path: Path) -> None:
+    model = Models([write(tmp_path, GOOD)]).get(4660)
+    assert model is not None
+    assert model.by_name['Mode'].decode(b'\0').text == 'off'
+
+
+def test_a_file_that_goes_wrong_later_counts_as_unknown(tmp_path: Path) -> None:
+    models = Models([write(tmp_path, GOOD)])
+    write(tmp_path, 'model_numbers: {4660: Gripper}\nfields: 3\n')
+    assert models.get(4660) is None
+    assert models.get(4660) is None
+    assert len(models.problems) == 1
+    assert 'fields is 3' in models.problems[0]
+
+
+@pytest.mark.parametrize(('old', 'new', 'words'), [
+    ('type: u16', 'type: u12', "device.yaml: Model Number: type is 'u12'"),
+    ('type: u16', 'typ: u16', "device.yaml: Model Number: unknown key 'typ'"),
+    ('at: 0', 'at: zero', "device.yaml: Model Number: at is 'zero'"),
+    ('at: 0', 'at: 010', "device.yaml: Model Number: at is '010'"),
+    ('at: 0', 'at: 65535', 'device.yaml: Model Number: at is 65535'),
+    ('at: 0', 'at: 1', 'device.yaml: Mode: at 2 it overlaps Model Number'),
+    ('at: 0, ', '', 'device.yaml: Model Number: no at'),
+    ('name: Model Number', 'name: Mode', 'device.yaml: Mode: name given twice, at 0 and 2'),
+    ('name: Model Number, ', '', 'device.yaml: field at 0: no name'),
+    ('{0: off, 1: on}', '{0: off, 0: on}', "device.yaml: line 4: not YAML: key '0' twice"),
+    ('{0: off, 1: on}', '{0: true}', 'device.yaml: Mode: word of 0 is True; put it in quotes'),
+    ('{0: off, 1: on}', 'onoff', "device.yaml: Mode: no words called 'onoff'"),
+    ('{0: off, 1: on}', '{a-b: x}', "device.yaml: Mode: code 'a-b'"),
+    ('enum: {0: off, 1: on}', 'flags: {9: hot}', 'device.yaml: Mode: bit is 9'),
+    ('enum: {0: off, 1: on}', 'flags: {1: [a, b, c]}', 'device.yaml: Mode: 3 words for bit 1'),
+    ('enum: {0: off, 1: on}', "flags: {1: a, '0-2': [b]}", 'device.yaml: Mode: bit 0-2 twice'),
+    ('enum: {0: off, 1: on}', 'scale: 0', 'device.yaml: Mode: scale is 0'),
+    ('enum: {0: off, 1: on}', 'scale: fast', "device.yaml: Mode: scale is 'fast'"),
+    ('enum: {0: off, 1: on}', 'access: x', "device.yaml: Mode: access is 'x'"),
+    ('enum: {0: off, 1: on}', 'repeat: 3', 'device.yaml: Mode: repeat without {n}'),
+    ('enum: {0: off, 1: on}', 'sign_bit: 8', 'device.yaml: Mode: sign_bit is 8'),
+    ('enum: {0: off, 1: on}', 'by: Gear, cases: {0: {unit: s}}', "Mode: by 'Gear': no such field"),
+    ('fields:', 'include: nothing\nfields:', 'device.yaml: include: no file nothing.yaml'),
+    ('fields:', 'include: device\nfields:', 'device.yaml: include: includes itself'),
+    ('fields:', 'without: [Torque]\nfields:', 'device.yaml: Torque: without it, but no file'),
+    ('fields:', 'aliases: {Old: New}\nfields:', "device.yaml: Old: alias of 'New': no such"),
+    ('fields:', 'torque_constants: {1: 2.0}\nfields:', 'torque_constants: 1 is not in model_num'),
+    ('fields:', 'indirect: [{address: 9}]\nfields:', 'device.yaml: indirect: count is missing'),
+    ('fields:', 'firmware: [{fields: []}]\nfields:', 'device.yaml: firmware: up_to is missing'),
+    ('fields:', 'speed: 3\nfields:', "device.yaml: unknown key 'speed'"),
+    ('fields:', 'fields: [\n', 'device.yaml: line 4: not YAML'),
+    ('4660: Gripper', '70000: Gripper', 'device.yaml: number in model_numbers is 70000'),
+    ('model_numbers: {4660: Gripper}\n', '', 'device.yaml: no model_numbers'),
+])
+def test_a_mistake_is_named_with_file_field_and_reason(tmp_path: Path, old: str, new: str,
+                                                       words: str) -> None:
+    assert old in GOOD
+    folder = write(tmp_path, GOOD.replace(old, new, 1))
+    problems = check_models(folder)
+    assert words in problems[0]
+    assert '; ' in problems[0]
+    assert '\n' not in problems[0]
+    with pytest.raises(ModelError) as caught:
+        Models([folder])
+    assert str(caught.value) == problems[0]
+
+
+FULL = """model_numbers: {4660: Gripper}
+include: [_x]
+without: [LED]
+words: {modes: {0: a}}
+aliases: {Old: Mode}
+torque_constants: {4660: 1.0}
+blocks: [{at: 900, size: 9, name: Block}]
+indirect: [{address: 700, data: 800, count: 2}]
+firmware: [{up_to: 5, fields: []}]
+each: {4660: {fields: []}}
+fields:
+  - {at: 1000, name: Mode, type: u8, enum: modes, access: r, memory: ram}
+  - {at: 1001, name: Flags, type: u8, flags: {0: a, '1-2': [b, c]}}
+  - {at: 1002, name: 'A {n}', type: u16, unit: V, scale: 0.1, offset: 1, sign_bit: 9, repeat: 2}
+  - {at: 1010, name: Speed, type: u16, by: Mode, mask: 1, cases: {0: {unit: s}}}
+  - {repeat: 2, step: 9, prefix: 'B {n}', shift: 1, fields: [{at: 1020, name: C, type: f32}]}
+"""
+
+
+def test_whatever_stands_in_a_file_is_a_mistake_or_a_model(tmp_path: Path) -> None:
+    value = re.compile(r'(?:: |\[|, )([^ ,:\[\]{}\n]+|\[[^\n]*?\]|\{[^\n]*?\})')
+    places = [match.span(1) for match in value.finditer(FULL)]
+    assert len(places) > 60
+    for start, end in places:
+        for junk in ('', '~', '-1', '3', '1.5', 'x', "''", 'true', '[]', '{}', '[1]', '{1: 2}',
+                     '[[x]]', '{x: {y: z}}', '99999999999', "'{n}'"):
+            write(tmp_path, FULL[:start] + junk + FULL[end:])
+            for problem in check_models(tmp_path):
+                assert 'device.yaml: ' in problem
+                assert '\n' not in problem
+    write(tmp_path, FULL)
+    assert check_models(tmp_path) == []
+
+
+def test_files_that_include_each_other_are_told(tmp_path: Path) -> None:
+    for one, other in ('ab', 'ba'):
+        write(tmp_path, GOOD.replace('4660', str(ord(one))) + f'  - {{include: {other}}}\n',
+              f'{one}.yaml')
+    assert 'includes itself; break the circle' in check_models(tmp_path)[0]
+
+
+def test_all_mistakes_of_a_folder_are_told(tmp_path: Path) -> None:
+    write(tmp_path, GOOD.replace('u16', 'u17').replace('u8', 'u9'), 'a.yaml')
+    write(tmp_path, GOOD, 'b.yaml')
+    write(tmp_path, '- just a list\n', 'c.yaml')
+    (tmp_path / 'd.yaml').write_bytes(b'\xff\xfe\xfd')
+    problems = '\n'.join(check_models(tmp_path))
+    for words in ("a.yaml: Model Number: type is 'u17'", "a.yaml: Mode: type is 'u9'",
+                  'b.yaml: model_numbers: 4660 is in a.yaml too', 'c.yaml: expected a mapping',
+                  'd.yaml: '):
+        assert words in problems
+
+
+def test_a_folder_that_is_none_is_told(tmp_path: Path) -> None:
+    assert 'No such file' in check_models(tmp_path / 'none')[0]
+    assert 'no model files' in check_models(tmp_path)[0]
+    with pytest.raises(ModelError, match='no model files'):
+        Models([tmp_path])
+
+
+def test_a_model_of_the_users_may_include_a_built_in_one(tmp_path: Path) -> None:
+    write(tmp_path, 'model_numbers: {5000: Mine}\ninclude: [_x, _x_load]\nwithout: [LED]\n')
+    model = Models([tmp_path]).get(5000)
+    assert model is not None
+    assert 'LED' not in model.by_name
+    assert model.by_name['Present Load'].unit == '%'
+
+
+COST = """
+import time
+start = time.process_time()
+from dxl_monitor.models import Models
+models = Models()
+print(time.process_time() - start)
+"""
+
+
+@pytest.mark.parametrize('copies', [0, 20])
+def test_loading_reads_no_file_before_it_is_asked_for(copies: int, tmp_path: Path,
+                                                      monkeypatch: pytest.MonkeyPatch) -> None:
+    for n in range(copies):
+        write(tmp_path, GOOD.replace('4660', str(30_000 + n)), f'device_{n}.yaml')
+    parsed: list[Path] = []
+
+    def read(path: Path) -> Any:
+        parsed.append(path)
+        return read_yaml(path)
+
+    monkeypatch.setattr('dxl_monitor.model_layers.read_yaml', read)
+    models = Models([tmp_path] if copies else [])
+    assert not [path for path in parsed if path.parent == BUILT_IN]
+    assert models.get(1020) is not None
+    assert {path.name for path in parsed if path.parent == BUILT_IN} == {
+        'x430.yaml', '_x.yaml', '_words.yaml', '_x_current.yaml', '_x_backup.yaml'}
+
+
+def test_loading_is_cheap_however_many_models_there_are(tmp_path: Path) -> None:
+    """Ratio, not seconds: ten times the built-in models must not cost twice as much."""
+    folder = tmp_path / 'dxl_monitor'
+    shutil.copytree(BUILT_IN.parent, folder, ignore=shutil.ignore_patterns('__pycache__'))
+    few = cost(tmp_path)
+    text = (folder / 'models' / 'xl_320.yaml').read_text(encoding='utf-8')
+    for n in range(1000):
+        write(folder / 'models', text.replace('350: XL-320', f'{20_000 + n}: Copy {n}'),
+              f'copy_{n}.yaml')
+    assert cost(tmp_path) < 8 * few
+
+
+def cost(folder: Path) -> float:
+    return statistics.median(float(subprocess.run(
+        [sys.executable, '-c', COST], cwd=folder, check=True, capture_output=True,
+        text=True).stdout) for _ in range(3))
+
+
+# ---- docs/models.md -----------------------------------------------------------------------------
+
+def block(title: str) -> str:
+    found = re.search(rf'{title}\n\n```\w*\n(.*?)```', DOCS.read_text(encoding='utf-8'), re.DOTALL)
+    assert found
+    return found[1]
+
+
+def test_the_worked_example_works(tmp_path: Path) -> None:
+    write(tmp_path, block('Save this as `my_models/gripper.yaml`:'))
+    assert check_models(tmp_path) == []
+    model = Models([tmp_path]).get(0x1234)
+    assert model is not None
+    table = Table()
+    table.store(20, bytes.fromhex('02 09'), 1, READ)
+    table.store(24, bytes.fromhex('72 10 a2 fe 00 00 48 41 00 00 00 00'), 1, READ)
+    shown = [f'{seen.field.key} = {seen.value.text}' for seen in table.observed(model, 2)]
+    assert shown == block('the monitor shows:').splitlines()
+
+
+def test_the_docs_name_every_file_and_every_key() -> None:
+    text = DOCS.read_text(encoding='utf-8')
+    for path in BUILT_IN.glob('[!_]*.yaml'):
+        assert f'`{path.stem}`' in text
+    for key in (FIELD_KEYS | FILE_KEYS) - {'fields', 'show'}:
+        assert f'`{key}`' in text, key
