@@ -1,0 +1,44 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Duty: who really had to answer, so that only a loss counts as one.
+
+Status Return Level decides (e-Manual): 0 answers Pings, 1 reads too, 2 acknowledges writes as
+well. It is known where the register was seen; else a device that acknowledged once is taken to do
+so always, until it stops while it goes on answering reads.
+"""
+
+from dxl_monitor import evidence as ev
+from dxl_monitor.evidence import Evidence
+from dxl_monitor.plan import Due
+from dxl_monitor.plan import Slot
+
+ACKS_LEARNED = 3                   # writes without an answer, from a device that answers reads
+
+
+class Duty:
+    """write_acks: 'auto', 'always' or 'never', as the parameter."""
+
+    __slots__ = ('_evidence', '_write_acks')
+
+    def __init__(self, write_acks: str, evidence: Evidence) -> None:
+        self._write_acks = write_acks
+        self._evidence = evidence
+
+    def is_due(self, slot: Slot) -> bool:
+        """Return whether this status, which did not come, had to come."""
+        device = slot.device
+        if slot.due is Due.READ:
+            return device.return_level != 0
+        if slot.due is Due.ALWAYS or self._write_acks == 'always':
+            return True
+        if self._write_acks == 'never' or device.acks is False:
+            return False
+        device.acks_missing += 1
+        if device.acks is None:
+            return False
+        if device.acks_missing >= ACKS_LEARNED and device.missed_in_a_row < ACKS_LEARNED - 1:
+            device.acks = False                # it answers reads, so it is there
+            self._evidence.note(device.asked_stamp, ev.ACKS_STOPPED, device.number,
+                                device.acks_missing)
+        return bool(device.acks)

@@ -1,0 +1,226 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Roster: the devices of a bus, and what happens to them when an instruction is carried out.
+
+It does not ask whether an answer belongs to an instruction: that is the tracker's. At most 253
+devices; an ID is a key here and may change, a Device is the thing that answers to it.
+"""
+
+from collections.abc import Callable
+from collections.abc import Iterable
+
+from dxl_monitor import evidence as ev
+from dxl_monitor.control_table import UNKNOWN
+from dxl_monitor.device import Device
+from dxl_monitor.device import EVERYWHERE
+from dxl_monitor.device import RETURN_LEVEL
+from dxl_monitor.devices import Device as Expected
+from dxl_monitor.evidence import Evidence
+from dxl_monitor.models import Models
+from dxl_monitor.table import IDENTITY
+from dxl_monitor.table import READ
+from dxl_monitor.table import WRITTEN
+from msg_defs.dxl_instruction import ERROR
+from msg_defs.dxl_instruction import MULTI_TURN
+from msg_defs.dxl_instruction import RESTORE
+
+MAX_ID = 252
+ABSENCE_MS = 50                    # missed for so long: it was away, which is worth a note
+FACTORY_ID = 1
+FACTORY_BAUD = 57_600
+_RESET_KEEPS: dict[str, tuple[str, ...]] = {
+    'all': (), 'all except ID': ('ID',), 'all except ID and Baud Rate': ('ID', 'Baud Rate'),
+    '': ('ID', 'Baud Rate'),
+}
+_CLEARS = {MULTI_TURN: 'Present Position', ERROR: 'Hardware Error Status'}
+
+
+class Roster:
+    """The devices, by the ID they answer to. baud: of this bus; renumbered: called at a change."""
+
+    __slots__ = ('_baud', '_evidence', '_followers', '_models', 'devices', 'renumbered')
+
+    def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
+                 evidence: Evidence) -> None:
+        self._models = models
+        self._baud = baud
+        self._evidence = evidence
+        self.devices: dict[int, Device] = {}
+        self.renumbered: Callable[[], None] = lambda: None
+        self._followers = {'ID': self._follow_id, 'Baud Rate': self._follow_baud,
+                           RETURN_LEVEL: self._follow_return_level}
+        for entry in expected:
+            device = self.devices[entry.id] = Device(entry.id, entry.joint, expected=True)
+            model = models.by_name(entry.model) if entry.model else None
+            if model is not None:
+                device.model_number = model.number
+                device.identity = (model.number or 0).to_bytes(2, 'little')
+                device.become(model)
+
+    def device(self, number: int) -> Device:
+        """Return the device with this ID, new at first sight; what is no ID is nobody's."""
+        device = self.devices.get(number)
+        if device is None:
+            device = Device(number)
+            if number <= MAX_ID:
+                self.devices[number] = device
+        return device
+
+    def heard(self, device: Device, error: int, stamp: int) -> None:
+        """Take any status as a sign of life; error is its error byte, alert bit included."""
+        silence_ms = (stamp - device.heard) // 1_000_000
+        if device.missed_in_a_row and device.heard and silence_ms >= ABSENCE_MS:
+            self._evidence.note(stamp, ev.RETURNED, device.number, silence_ms,
+                                self._torque(device))
+        alert = error >= 0x80
+        if alert and not device.alert:
+            self._evidence.note(stamp, ev.ALERT, device.number)
+        device.alerts += alert
+        device.alert = alert
+        device.heard = stamp
+        device.missed_in_a_row = 0
+        device.waiting_behind = None
+        device.moved = None
+        device.odd = alert
+
+    def read_special(self, device: Device, address: int, data: bytes, stamp: int,
+                     source: int) -> None:
+        """Keep what a device said of itself, where that may change what it is or does."""
+        if address == 0 and len(data) >= 2:
+            self._read_identity(device, data, stamp)
+        device.table.store(address, data, stamp, source)
+        self.resolve(device)
+        for name, value in device.special_values(address, data):
+            if name == RETURN_LEVEL:
+                device.set_return_level(value)
+
+    def pinged(self, device: Device, address: int, data: bytes, stamp: int,
+               source: int) -> None:
+        """Keep the answer to a Ping: model number, firmware version. resolve() makes use of it."""
+        if data == device.identity:
+            return
+        if data[:2] != device.identity[:2]:
+            self._changed(device, stamp)
+        device.identity = data
+        device.identity_stamp = stamp
+        device.eeprom_end = EVERYWHERE
+
+    def resolve(self, device: Device) -> None:
+        """Give a device the model that it said it is, before anything depends on that."""
+        if not device.unresolved:
+            return
+        number = device.identity[0] | device.identity[1] << 8
+        firmware = device.identity[2] if len(device.identity) > 2 else None
+        stamp = device.identity_stamp
+        if device.model_number not in (None, number):
+            self._evidence.note(stamp, ev.MODEL, device.number, device.model_number or 0, number)
+        device.model_number = number
+        device.firmware = firmware
+        device.become(self._models.get(number, firmware) or UNKNOWN)
+        device.table.store(0, device.identity[:2], stamp, READ)
+        field = device.model.by_name.get('Firmware Version')
+        if firmware is not None and field is not None and field.size == 1:
+            device.table.store(field.at, device.identity[2:], stamp, READ)
+
+    def _changed(self, device: Device, stamp: int) -> None:
+        """Another model number than before: what was seen belongs to another device."""
+        if device.identity:
+            device.model_changes += 1
+            device.table.clear()
+
+    def _read_identity(self, device: Device, data: bytes, stamp: int) -> None:
+        if data[:2] == device.identity[:2]:
+            return
+        model = self._models.get(data[0] | data[1] << 8) or UNKNOWN
+        field = model.by_name.get('Firmware Version')
+        firmware = data[field.at:field.end] if field is not None and field.size == 1 else b''
+        self.pinged(device, 0, data[:2] + firmware, stamp, READ)
+
+    def write(self, device: Device, address: int, data: bytes, stamp: int) -> None:
+        """Keep what the master wrote, and follow what it changes about the device."""
+        device.writes += 1
+        device.table.store(address, data, stamp, WRITTEN)
+        if address < device.eeprom_end or address <= device.level_at < address + len(data):
+            self.follow(device, address, data, stamp)
+
+    def register(self, device: Device, address: int, data: bytes, stamp: int) -> None:
+        """Keep a Reg Write until its Action."""
+        device.registered = address, data
+
+    def act(self, device: Device, stamp: int) -> None:
+        """Carry out the registered write, at an Action."""
+        if device.registered is not None:
+            self.write(device, *device.registered, stamp)
+            device.registered = None
+
+    def reboot(self, device: Device, stamp: int) -> None:
+        """Forget what a device loses when it starts anew."""
+        self._evidence.note(stamp, ev.REBOOTED, device.number)
+        self.resolve(device)
+        device.table.forget('ram', device.model)
+        device.registered = None
+
+    def factory_reset(self, device: Device, option: str, stamp: int) -> None:
+        """Forget what a Factory Reset changes; with 'all' the ID becomes 1."""
+        self.reboot(device, stamp)
+        device.table.forget('all', device.model, (*IDENTITY, *_RESET_KEEPS[option]))
+        if 'Baud Rate' not in _RESET_KEEPS[option]:
+            self._moved(device, FACTORY_BAUD)
+        if 'ID' not in _RESET_KEEPS[option]:
+            self._renumber(device, FACTORY_ID, stamp)
+
+    def clear(self, device: Device, option: str, stamp: int) -> None:
+        """Forget the one register that a Clear changes."""
+        gone = _CLEARS.get(option)
+        self.resolve(device)
+        device.table.forget('all', device.model, [
+            field.name for field in device.model.fields if field.name != gone])
+
+    def restore(self, device: Device, option: str, stamp: int) -> None:
+        """Forget everything when a Control Table Backup is restored; a stored one is no change."""
+        if option == RESTORE:
+            self.reboot(device, stamp)
+            device.table.forget('all', device.model, (*IDENTITY, 'ID', 'Baud Rate'))
+
+    def follow(self, device: Device, address: int, data: bytes, stamp: int) -> None:
+        """Note what a write to EEPROM or to Status Return Level changes about the device."""
+        self.resolve(device)
+        field = device.model.by_address.get(address)
+        device.eeprom_writes += field is not None and field.memory == 'eeprom'
+        for name, value in device.special_values(address, data):
+            self._followers[name](device, value, stamp)
+
+    def _follow_id(self, device: Device, value: int, stamp: int) -> None:
+        self._evidence.note(stamp, ev.ID_WRITTEN, device.number, value)
+        self._renumber(device, value, stamp)
+
+    def _follow_baud(self, device: Device, value: int, stamp: int) -> None:
+        self._evidence.note(stamp, ev.BAUD_WRITTEN, device.number, value)
+        field = device.model.by_name['Baud Rate']
+        baud = field.decode(value.to_bytes(field.size, 'little')).number
+        self._moved(device, int(baud) if baud else 0)
+
+    def _follow_return_level(self, device: Device, value: int, stamp: int) -> None:
+        device.set_return_level(value)
+
+    def _moved(self, device: Device, baud: int) -> None:
+        if baud != self._baud:
+            device.moved = baud
+            device.odd = True
+
+    def _renumber(self, device: Device, number: int, stamp: int) -> None:
+        if number > MAX_ID or number == device.number:
+            return
+        if self.devices.get(device.number) is device:
+            del self.devices[device.number]
+        device.number = number
+        self.devices[number] = device
+        self.renumbered()
+
+    def _torque(self, device: Device) -> int:
+        """Return the last known Torque Enable, -1 if there is none."""
+        self.resolve(device)
+        field = device.model.by_name.get('Torque Enable')
+        torque = device.table.byte(field.at) if field is not None else None
+        return -1 if torque is None else torque

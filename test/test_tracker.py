@@ -1,0 +1,843 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Each rule of pairing on its own: what an answer means, who is missed, what a table takes in."""
+
+from pathlib import Path
+import struct
+
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+import pytest
+
+from dxl_monitor import evidence as ev
+from dxl_monitor.device import Device
+from dxl_monitor.devices import Device as Expected
+from dxl_monitor.evidence import Evidence
+from dxl_monitor.models import Models
+from dxl_monitor.roster import Roster
+from dxl_monitor.tracker import Tracker
+from msg_defs.crc import crc16
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import HEADER
+from msg_defs.dxl_packet import STATUS
+
+TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
+MODELS = Models()
+MX_64, MX_106 = 311, 321
+BYTE_NS = 5_000                    # at 2 MBd
+POSITION = 132
+GOAL = 116
+
+
+def words(*numbers: int) -> bytes:
+    return struct.pack(f'<{len(numbers)}H', *numbers)
+
+
+def damaged(packet: bytes) -> bytes:
+    return packet[:-1] + bytes([packet[-1] ^ 1])
+
+
+class Bus:
+    """A bus as a tracker hears it: a chunk for each packet, 1 ms after the last."""
+
+    def __init__(self, *expected: Expected, write_acks: str = 'auto') -> None:
+        self.evidence = Evidence()
+        self.roster = Roster(MODELS, expected, 2_000_000, self.evidence)
+        self.tracker = Tracker(self.roster, self.evidence, BYTE_NS, 4, write_acks)
+        self.framer = Framer()
+        self.now = 1_000_000_000
+
+    def hear(self, *packets: bytes, gap_ns: int = 1_000_000) -> None:
+        for packet in packets:
+            self.now += gap_ns
+            frames = self.framer.frames(packet)
+            self.tracker.track(frames, self.now, self.framer.bytes)
+
+    def idle(self) -> None:
+        self.tracker.track(self.framer.flush_frames(), self.now, self.framer.bytes)
+
+    def device(self, number: int) -> Device:
+        device = self.roster.devices[number]
+        self.roster.resolve(device)
+        return device
+
+    def known(self, number: int, address: int, size: int = 4) -> bytes | None:
+        return self.roster.devices[number].table.bytes(address, size)
+
+    def kinds(self) -> list[str]:
+        return [incident.kind for incident in self.evidence.incidents()]
+
+
+def ping(number: int) -> bytes:
+    return encode(number, I.PING)
+
+
+def pong(number: int, model: int = MX_64, firmware: int = 41) -> bytes:
+    return encode(number, STATUS, words(model) + bytes([firmware]), error=0)
+
+
+def read(number: int, address: int = POSITION, length: int = 4) -> bytes:
+    return encode(number, I.READ, words(address, length))
+
+
+def reply(number: int, data: bytes = b'', error: int = 0) -> bytes:
+    return encode(number, STATUS, data, error=error)
+
+
+def write(number: int, address: int, data: bytes) -> bytes:
+    return encode(number, I.WRITE, words(address) + data)
+
+
+def sync_read(*numbers: int, address: int = POSITION, length: int = 4) -> bytes:
+    return encode(BROADCAST, I.SYNC_READ, words(address, length) + bytes(numbers))
+
+
+def fast_read(*numbers: int, length: int = 4) -> bytes:
+    return encode(BROADCAST, I.FAST_SYNC_READ, words(POSITION, length) + bytes(numbers))
+
+
+def fast_reply(blocks: dict[int, bytes], errors: dict[int, int] | None = None) -> bytes:
+    frame = HEADER + bytes([BROADCAST])
+    frame += words(1 + sum(len(data) + 4 for data in blocks.values())) + bytes([STATUS])
+    for number, data in blocks.items():
+        frame += bytes([(errors or {}).get(number, 0), number]) + data
+        frame += words(crc16(frame))
+    return frame
+
+
+# --- answers ---
+
+
+def test_the_answer_to_a_read_goes_into_the_table() -> None:
+    bus = Bus()
+    bus.hear(read(1), reply(1, b'\x01\x02\x03\x04'))
+    assert bus.known(1, POSITION) == b'\x01\x02\x03\x04'
+    assert bus.device(1).answers == 1
+
+
+def test_every_packet_of_one_chunk_counts_in_its_order() -> None:
+    bus = Bus()
+    bus.hear(read(1) + reply(1, b'aaaa') + write(1, POSITION, b'bbbb') + reply(1) + ping(2))
+    assert bus.known(1, POSITION) == b'bbbb'
+
+
+def test_a_stuffed_answer_is_unstuffed() -> None:
+    bus = Bus()
+    bus.hear(read(1), reply(1, b'\xff\xff\xfd\x00'))
+    assert bus.known(1, POSITION) == b'\xff\xff\xfd\x00'
+
+
+def test_an_answer_that_should_be_stuffed_and_is_not() -> None:
+    bus = Bus()
+    bus.hear(read(1), encode(1, STATUS, b'\xff\xff\xfd\x00', error=0, stuffed=False))
+    assert bus.known(1, POSITION) == b'\xff\xff\xfd\x00'
+
+
+def test_an_alert_is_noted_and_its_data_are_taken() -> None:
+    bus = Bus()
+    bus.hear(read(1), reply(1, b'\x01\x02\x03\x04', error=0x80))
+    assert bus.known(1, POSITION) == b'\x01\x02\x03\x04'
+    assert bus.device(1).alert
+    bus.hear(read(1), reply(1, b'\x05\x02\x03\x04'))
+    assert not bus.device(1).alert
+    assert bus.known(1, POSITION) == b'\x05\x02\x03\x04'
+
+
+def test_an_error_number_is_counted_by_address_and_its_data_are_not_taken() -> None:
+    bus = Bus()
+    bus.hear(read(1), reply(1, b'aaaa', error=0x87))
+    assert bus.known(1, POSITION) is None
+    assert bus.device(1).errors == {(I.READ, POSITION, 7): 1}
+
+
+@pytest.mark.parametrize('data', [b'', b'\x01', b'\x01\x02\x03', bytes(5), bytes(900)])
+def test_an_answer_of_another_size_is_life_only(data: bytes) -> None:
+    bus = Bus()
+    bus.hear(read(1), reply(1, data), ping(2))
+    assert bus.known(1, POSITION) is None
+    assert bus.device(1).answers == 1
+    assert bus.device(1).missed == 0
+
+
+def test_an_answer_that_nobody_asked_for_is_life_only() -> None:
+    bus = Bus()
+    bus.hear(read(1), reply(2, b'aaaa'), reply(1, b'bbbb'), reply(1, b'cccc'))
+    assert bus.device(2).heard
+    assert bus.device(2).answers == 0
+    assert bus.roster.devices[2].table.known() == []
+    assert bus.known(1, POSITION) == b'bbbb'
+    assert bus.kinds() == [ev.UNASKED, ev.SECOND_ANSWER]
+
+
+def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
+    bus = Bus()
+    bus.hear(read(1), ping(2), reply(1, b'aaaa'))
+    assert bus.known(1, POSITION) is None
+    assert bus.device(1).missed == 1
+    assert bus.device(1).missed_in_a_row == 0
+    assert ev.LATE in bus.kinds()
+
+
+@pytest.mark.parametrize('number', [253, 254, 255])
+def test_a_status_of_no_device_is_nobody(number: int) -> None:
+    bus = Bus()
+    bus.hear(read(1), reply(number, b'aaaa'), reply(1, b'bbbb'))
+    assert list(bus.roster.devices) == [1]
+    assert bus.known(1, POSITION) == b'bbbb'
+
+
+# --- after damage ---
+
+
+@pytest.mark.parametrize('lost', [
+    damaged(read(1, 144)), read(1, 144)[:-4], read(1, 144)[4:], b'\x01' * 9,
+])
+def test_after_damage_an_answer_is_life_only(lost: bytes) -> None:
+    bus = Bus()
+    bus.hear(read(1, POSITION), lost + reply(1, b'aaaa'), ping(2))
+    bus.idle()
+    assert bus.known(1, POSITION) is None
+    assert bus.device(1).answers == 1
+    assert bus.device(1).missed == 0
+
+
+def test_the_next_instruction_ends_the_doubt() -> None:
+    bus = Bus()
+    bus.hear(read(1), damaged(read(1)), read(1), reply(1, b'aaaa'))
+    assert bus.known(1, POSITION) == b'aaaa'
+
+
+@pytest.mark.parametrize('glitch', [b'\x00', b'\xff', b'\x00\xff', b'\xfe\x00'])
+def test_a_glitch_cannot_hide_an_instruction(glitch: bytes) -> None:
+    bus = Bus()
+    bus.hear(read(1), glitch + reply(1, b'aaaa'))
+    assert bus.known(1, POSITION) == b'aaaa'
+
+
+def test_a_repaired_answer_is_an_answer() -> None:
+    bus = Bus()
+    bus.hear(read(1), b'\x00' + reply(1, b'aaaa')[1:])
+    assert bus.known(1, POSITION) == b'aaaa'
+    assert bus.device(1).repaired == 1
+
+
+def test_a_status_before_any_instruction_is_life_only() -> None:
+    bus = Bus()
+    bus.hear(reply(1, b'aaaa'))
+    assert bus.device(1).heard
+    assert bus.roster.devices[1].table.known() == []
+
+
+# --- missed and not served ---
+
+
+def test_who_does_not_answer_before_the_next_instruction_is_missed() -> None:
+    bus = Bus()
+    bus.hear(read(1), read(2), reply(2, b'aaaa'), read(1), reply(1, b'aaaa'))
+    assert (bus.device(1).missed, bus.device(1).missed_in_a_row) == (1, 0)
+    assert bus.device(2).missed == 0
+
+
+def test_an_idle_line_ends_the_waiting_too() -> None:
+    bus = Bus()
+    bus.hear(read(1))
+    bus.tracker.settle(bus.now + 10**9)
+    bus.tracker.settle(bus.now + 2 * 10**9)
+    assert bus.device(1).missed == 1
+
+
+def test_a_broadcast_read_disconnects_nobody() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1))
+    for _ in range(10):
+        bus.hear(read(BROADCAST))
+    assert bus.device(1).missed == 0
+    assert list(bus.roster.devices) == [1]
+
+
+def test_a_silent_first_device_of_a_sync_read_keeps_the_others_waiting() -> None:
+    bus = Bus()
+    for _ in range(6):
+        bus.hear(sync_read(1, 2, 3))
+    bus.hear(ping(9), pong(9))
+    assert [bus.device(n).missed for n in (1, 2, 3)] == [6, 0, 0]
+    assert [bus.device(n).not_served for n in (1, 2, 3)] == [0, 6, 6]
+    assert [bus.device(n).waiting_behind for n in (1, 2, 3)] == [None, 1, 1]
+
+
+def test_a_silent_device_in_the_middle_is_missed_alone() -> None:
+    bus = Bus()
+    bus.hear(sync_read(1, 2, 3), reply(1, b'aaaa'), reply(3, b'cccc'), ping(9))
+    assert [bus.device(n).missed for n in (1, 2, 3)] == [0, 1, 0]
+    assert [bus.device(n).not_served for n in (1, 2, 3)] == [0, 0, 0]
+
+
+def test_the_order_of_the_list_counts_not_that_of_the_ids() -> None:
+    bus = Bus()
+    bus.hear(sync_read(3, 1, 2), reply(3, b'aaaa'), ping(9))
+    assert [bus.device(n).missed for n in (1, 2, 3)] == [1, 0, 0]
+    assert bus.device(2).waiting_behind == 1
+
+
+def test_a_bulk_read_waits_behind_as_well() -> None:
+    bus = Bus()
+    entries = b''.join(bytes([n]) + words(POSITION, n) for n in (1, 2, 3))
+    bus.hear(encode(BROADCAST, I.BULK_READ, entries), reply(1, b'a'), ping(9))
+    assert bus.known(1, POSITION, 1) == b'a'
+    assert (bus.device(2).missed, bus.device(3).not_served) == (1, 1)
+
+
+def test_who_spoke_but_was_damaged_is_missed_and_not_waiting() -> None:
+    bus = Bus()
+    bus.hear(sync_read(1, 2), reply(1, b'aaaa'), damaged(reply(2, b'bbbb')), ping(9))
+    assert (bus.device(2).missed, bus.device(2).not_served, bus.device(2).damaged) == (1, 0, 1)
+
+
+def test_disconnected_after_more_than_the_limit_and_back_at_once() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1))
+    for _ in range(6):
+        bus.hear(read(1), gap_ns=100_000_000)
+    assert bus.device(1).missed_in_a_row == 5
+    assert ev.DISCONNECTED in bus.kinds()
+    bus.hear(reply(1, b'aaaa'))
+    assert bus.device(1).missed_in_a_row == 0
+    assert ev.RETURNED in bus.kinds()
+
+
+# --- write acknowledgements ---
+
+
+def test_a_missing_acknowledgement_is_no_loss_before_one_was_seen() -> None:
+    bus = Bus()
+    bus.hear(write(1, GOAL, b'aaaa'), write(1, GOAL, b'bbbb'), ping(2))
+    assert bus.device(1).missed == 0
+    assert bus.known(1, GOAL) == b'bbbb'
+
+
+def test_a_missing_acknowledgement_is_a_loss_once_one_was_seen() -> None:
+    bus = Bus()
+    bus.hear(write(1, GOAL, b'aaaa'), reply(1), write(1, GOAL, b'bbbb'), ping(2))
+    assert bus.device(1).missed == 1
+    assert bus.known(1, GOAL) == b'aaaa'
+
+
+@pytest.mark.parametrize(('write_acks', 'missed'), [('always', 1), ('never', 0)])
+def test_write_acks_as_the_user_says(write_acks: str, missed: int) -> None:
+    bus = Bus(write_acks=write_acks)
+    bus.hear(write(1, GOAL, b'aaaa'), ping(2))
+    assert bus.device(1).missed == missed
+
+
+def test_the_return_level_is_learned_from_the_register() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1), read(1, 68, 1), reply(1, b'\x02'), write(1, GOAL, b'aaaa'), ping(2))
+    assert bus.device(1).missed == 1
+    bus.hear(write(1, 68, b'\x01'), reply(1), write(1, GOAL, b'aaaa'), ping(2))
+    assert bus.device(1).return_level == 1
+    assert bus.device(1).missed == 1
+
+
+def test_at_return_level_0_reads_are_not_answered() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1), write(1, 68, b'\x00'), read(1), ping(2))
+    assert bus.device(1).missed == 0
+
+
+def test_a_device_that_stops_to_acknowledge_but_answers_reads_is_there() -> None:
+    bus = Bus()
+    bus.hear(write(1, GOAL, b'aaaa'), reply(1))
+    for _ in range(10):
+        bus.hear(write(1, GOAL, b'bbbb'), read(1), reply(1, b'cccc'))
+    assert bus.device(1).missed < 3
+    assert bus.device(1).acks is False
+    assert ev.ACKS_STOPPED in bus.kinds()
+    assert bus.known(1, GOAL) == b'bbbb'
+
+
+# --- what instructions do ---
+
+
+def test_a_refused_write_never_was() -> None:
+    bus = Bus()
+    bus.hear(write(1, GOAL, b'aaaa'), reply(1), write(1, GOAL, b'bbbb'), reply(1, error=4))
+    assert bus.known(1, GOAL) == b'aaaa'
+    assert bus.device(1).errors == {(I.WRITE, GOAL, 4): 1}
+    bus.hear(ping(2))
+    assert bus.known(1, GOAL) == b'aaaa'
+
+
+def test_a_write_with_an_alert_is_accepted() -> None:
+    bus = Bus()
+    bus.hear(write(1, GOAL, b'aaaa'), reply(1, error=0x80))
+    assert bus.known(1, GOAL) == b'aaaa'
+
+
+def test_sync_and_bulk_writes_take_effect_at_once() -> None:
+    bus = Bus()
+    bus.hear(encode(BROADCAST, I.SYNC_WRITE, words(GOAL, 4) + b'\x01aaaa\x02bbbb'))
+    assert (bus.known(1, GOAL), bus.known(2, GOAL)) == (b'aaaa', b'bbbb')
+    bus.hear(encode(BROADCAST, I.SYNC_WRITE, words(GOAL, 4) + b'\x01cccc\x02\xff\xff\xfd\x00'))
+    assert (bus.known(1, GOAL), bus.known(2, GOAL)) == (b'cccc', b'\xff\xff\xfd\x00')
+    bus.hear(encode(BROADCAST, I.BULK_WRITE, b'\x01' + words(GOAL, 4) + b'dddd'))
+    assert bus.known(1, GOAL) == b'dddd'
+
+
+def test_a_broadcast_write_is_for_everybody_known() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1), ping(2), pong(2), write(BROADCAST, 64, b'\x01'))
+    assert (bus.known(1, 64, 1), bus.known(2, 64, 1)) == (b'\x01', b'\x01')
+
+
+def test_a_reg_write_counts_at_the_action() -> None:
+    bus = Bus()
+    bus.hear(encode(1, I.REG_WRITE, words(GOAL) + b'aaaa'), reply(1))
+    assert bus.known(1, GOAL) is None
+    bus.hear(encode(BROADCAST, I.ACTION))
+    assert bus.known(1, GOAL) == b'aaaa'
+
+
+def test_a_refused_reg_write_is_not_carried_out() -> None:
+    bus = Bus()
+    bus.hear(encode(1, I.REG_WRITE, words(GOAL) + b'aaaa'), reply(1, error=7),
+             encode(1, I.ACTION), reply(1))
+    assert bus.known(1, GOAL) is None
+
+
+def filled(bus: Bus) -> Bus:
+    """Let device 1, an MX-64, tell its goal and position, its ID and its Drive Mode."""
+    bus.hear(ping(1), pong(1), read(1), reply(1, b'pppp'), write(1, GOAL, b'gggg'), reply(1),
+             read(1, 7, 4), reply(1, b'\x01\x03\xfa\x00'))
+    return bus
+
+
+def test_a_reboot_forgets_ram() -> None:
+    bus = filled(Bus())
+    bus.hear(encode(1, I.REBOOT), reply(1))
+    assert bus.known(1, GOAL) is None
+    assert bus.known(1, 7) == b'\x01\x03\xfa\x00'
+    assert bus.device(1).model.name == 'MX-64'
+
+
+def test_a_refused_reboot_forgets_nothing() -> None:
+    bus = filled(Bus())
+    bus.hear(encode(1, I.REBOOT), reply(1, error=1), ping(2))
+    assert bus.known(1, GOAL) == b'gggg'
+
+
+def test_a_factory_reset_keeps_what_it_says() -> None:
+    bus = filled(Bus())
+    bus.hear(encode(1, I.FACTORY_RESET, b'\x02'), reply(1))
+    assert bus.known(1, GOAL) is None
+    assert bus.known(1, 7, 2) == b'\x01\x03'
+    assert bus.known(1, 9, 1) is None
+    assert bus.device(1).moved is None
+
+
+def test_a_factory_reset_of_all_makes_it_device_1_at_57600() -> None:
+    bus = Bus()
+    bus.hear(ping(5), pong(5), encode(5, I.FACTORY_RESET, b'\xff'), reply(5))
+    assert list(bus.roster.devices) == [1]
+    assert bus.device(1).moved == 57_600
+
+
+def test_clear_forgets_the_position_alone() -> None:
+    bus = filled(Bus())
+    bus.hear(encode(1, I.CLEAR, b'\x01DXL"'), reply(1))
+    assert bus.known(1, POSITION) is None
+    assert bus.known(1, GOAL) == b'gggg'
+
+
+def test_a_restored_backup_forgets_everything_a_stored_one_nothing() -> None:
+    bus = filled(Bus())
+    bus.hear(encode(1, I.CONTROL_TABLE_BACKUP, b'\x01CTRL'), reply(1))
+    assert bus.known(1, GOAL) == b'gggg'
+    bus.hear(encode(1, I.CONTROL_TABLE_BACKUP, b'\x02CTRL'), reply(1))
+    assert bus.known(1, GOAL) is None
+    assert bus.known(1, 9, 1) is None
+
+
+def test_a_written_id_is_followed() -> None:
+    bus = filled(Bus())
+    bus.hear(write(1, 7, b'\x09'), reply(1), read(9), reply(9, b'qqqq'))
+    assert list(bus.roster.devices) == [9]
+    assert bus.known(9, POSITION) == b'qqqq'
+    assert bus.known(9, GOAL) == b'gggg'
+    assert bus.device(9).model.name == 'MX-64'
+
+
+def test_a_refused_id_is_not_followed() -> None:
+    bus = filled(Bus())
+    bus.hear(write(1, 7, b'\x09'), reply(1, error=7), ping(1), pong(1))
+    assert list(bus.roster.devices) == [1]
+
+
+def test_a_written_baud_rate_is_followed() -> None:
+    bus = filled(Bus())
+    bus.hear(write(1, 8, b'\x01'), reply(1))
+    assert bus.device(1).moved == 57_600
+    bus.hear(read(1), reply(1, b'aaaa'))
+    assert bus.device(1).moved is None
+
+
+def test_the_baud_rate_of_this_bus_is_no_move() -> None:
+    bus = filled(Bus())
+    bus.hear(write(1, 8, b'\x04'), reply(1))
+    assert bus.device(1).moved is None
+
+
+# --- models ---
+
+
+def test_an_unknown_device_is_upgraded_by_ping_and_keeps_what_was_seen() -> None:
+    bus = Bus()
+    bus.hear(read(1), reply(1, b'pppp'))
+    assert bus.device(1).model.name == 'unknown'
+    bus.hear(ping(1), pong(1, MX_106))
+    assert bus.device(1).model.name == 'MX-106'
+    assert bus.known(1, POSITION) == b'pppp'
+    assert bus.known(1, 6, 1) == b'\x29'
+
+
+def test_a_broadcast_ping_names_everybody() -> None:
+    bus = Bus()
+    bus.hear(ping(BROADCAST), pong(1), pong(2, MX_106))
+    assert [bus.device(n).model.name for n in (1, 2)] == ['MX-64', 'MX-106']
+
+
+@pytest.mark.parametrize(('length', 'data'), [
+    (2, words(MX_106)), (8, words(MX_106) + b'\0\0\0\0\x29\x01')])
+def test_a_read_of_the_model_number_names_the_model(length: int, data: bytes) -> None:
+    bus = Bus()
+    bus.hear(read(1), reply(1, b'pppp'), read(1, 0, length), reply(1, data))
+    assert bus.device(1).model.name == 'MX-106'
+    assert bus.device(1).firmware == (0x29 if length == 8 else None)
+    assert bus.known(1, POSITION) == b'pppp'
+
+
+def test_the_devices_parameter_names_the_model() -> None:
+    bus = Bus(Expected(1, 'MX-64', 'left_knee'))
+    bus.hear(read(1), reply(1, b'pppp'), ping(1), pong(1))
+    assert bus.device(1).model.name == 'MX-64'
+    assert bus.known(1, POSITION) == b'pppp'
+    assert bus.device(1).model_changes == 0
+
+
+def test_another_model_is_another_device() -> None:
+    bus = filled(Bus())
+    bus.hear(ping(1), pong(1, MX_106))
+    assert bus.device(1).model.name == 'MX-106'
+    assert bus.known(1, POSITION) is None
+    assert bus.known(1, 0, 2) == words(MX_106)
+    assert bus.device(1).model_changes == 1
+    assert ev.MODEL in bus.kinds()
+
+
+def test_a_model_without_a_file_stays_raw() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1, 4242), read(1), reply(1, b'pppp'))
+    assert bus.device(1).model.name == 'unknown'
+    assert bus.device(1).model_number == 4242
+    assert bus.known(1, POSITION) == b'pppp'
+
+
+# --- fast reads ---
+
+
+def test_a_fast_read_fills_every_table() -> None:
+    bus = Bus()
+    bus.hear(fast_read(1, 2), fast_reply({1: b'aaaa', 2: HEADER}, {2: 0x80}), ping(9))
+    assert (bus.known(1, POSITION), bus.known(2, POSITION)) == (b'aaaa', HEADER)
+    assert bus.device(2).alert
+    assert [bus.device(n).missed for n in (1, 2)] == [0, 0]
+
+
+def test_a_cut_fast_reply_keeps_the_whole_blocks_and_names_the_first_missing() -> None:
+    wire = fast_reply({1: b'aaaa', 2: b'bbbb', 3: b'cccc'})
+    for size in range(8, len(wire)):
+        bus = Bus()
+        bus.hear(fast_read(1, 2, 3), wire[:size])
+        bus.idle()
+        bus.hear(ping(9))
+        whole = (size - 8) // 8
+        assert [bus.known(n, POSITION) is not None for n in (1, 2, 3)] == [
+            n <= whole for n in (1, 2, 3)]
+        assert [bus.device(n).missed for n in (1, 2, 3)] == [n == whole + 1 for n in (1, 2, 3)]
+        assert [bus.device(n).not_served for n in (1, 2, 3)] == [n > whole + 1 for n in (1, 2, 3)]
+
+
+def test_a_fast_reply_cut_by_the_next_instruction_is_kept_too() -> None:
+    bus = Bus()
+    wire = fast_reply({1: b'aaaa', 2: b'bbbb', 3: b'cccc'})
+    bus.hear(fast_read(1, 2, 3), wire[:18] + read(2) + reply(2, b'dddd'))
+    assert bus.known(1, POSITION) == b'aaaa'
+    assert bus.known(2, POSITION) == b'dddd'
+    assert bus.device(2).missed == 1
+
+
+def test_a_device_may_refuse_a_fast_read_on_its_own() -> None:
+    bus = Bus()
+    bus.hear(fast_read(1), reply(1, error=2), ping(9))
+    assert bus.device(1).errors == {(I.FAST_SYNC_READ, POSITION, 2): 1}
+    assert bus.device(1).missed == 0
+
+
+# --- latency ---
+
+
+def test_latency_is_that_of_the_wire() -> None:
+    bus = Bus()
+    bus.hear(read(1))
+    bus.hear(reply(1, b'aaaa'), gap_ns=500_000 + 15 * BYTE_NS)
+    total = bus.device(1).latency.total()
+    assert total is not None
+    assert total.mean == pytest.approx(0.5)
+    assert (bus.device(1).asked_first, bus.device(1).latency_resolved) == (1, 1)
+
+
+def test_within_one_chunk_there_is_no_latency() -> None:
+    bus = Bus()
+    bus.hear(read(1) + reply(1, b'aaaa'))
+    assert bus.device(1).latency.total() is None
+    assert (bus.device(1).asked_first, bus.device(1).latency_resolved) == (1, 0)
+
+
+def test_a_status_that_began_in_the_chunk_of_the_instruction_tells_no_latency() -> None:
+    bus = Bus()
+    answer = reply(1, b'aaaa')
+    bus.hear(read(1) + answer[:5], answer[5:])
+    assert bus.known(1, POSITION) == b'aaaa'
+    assert bus.device(1).latency.total() is None
+
+
+# --- whatever comes ---
+
+
+@pytest.mark.parametrize('packet', [
+    encode(1, 0x8B, b'\x01\x02'), encode(253, I.READ, words(0, 2)), encode(255, I.PING),
+    encode(1, I.READ, b''), encode(1, I.WRITE, b'\x01'), encode(BROADCAST, I.SYNC_READ, b''),
+    encode(BROADCAST, I.SYNC_WRITE, words(1, 0) + b'\x01'), encode(1, I.CLEAR),
+    encode(1, I.STATUS + 1),
+    encode(BROADCAST, I.FAST_BULK_READ, b'\xff' + words(0, 4)),
+    encode(BROADCAST, I.FACTORY_RESET, b'\xff'), encode(BROADCAST, I.BULK_WRITE, b'\x01\x02'),
+])
+def test_odd_instructions_are_counted_and_nothing_else(packet: bytes) -> None:
+    bus = filled(Bus())
+    bus.hear(packet, reply(1, b'zzzz'), read(1), reply(1, b'qqqq'))
+    assert bus.known(1, POSITION) == b'qqqq'
+    assert set(bus.roster.devices) == {1}
+
+
+hostile = st.lists(st.builds(
+    encode, st.sampled_from([0, 1, 2, 252, 253, 254, 255]),
+    st.one_of(st.sampled_from([*I]), st.integers(0, 255)),
+    st.one_of(st.binary(max_size=24), st.sampled_from([words(0, 8), words(7) + b'\x02', b'\xff'])),
+    st.sampled_from([None, 0, 0x80, 7]), st.booleans()), max_size=30)
+
+
+@settings(max_examples=300, deadline=None)
+@given(hostile, st.binary(max_size=30))
+def test_nothing_raises_and_nothing_grows(packets: list[bytes], noise: bytes) -> None:
+    bus = Bus(Expected(1, 'MX-64'))
+    bus.hear(*packets, noise)
+    bus.idle()
+    bus.tracker.settle(bus.now + 10**9)
+    assert max(bus.roster.devices) <= 252
+    for number, device in bus.roster.devices.items():
+        assert device.number == number
+        bus.roster.resolve(device)
+
+
+def test_memory_is_bounded_whatever_is_asked() -> None:
+    bus = Bus()
+    for n in range(3_000):
+        bus.hear(encode(BROADCAST, I.SYNC_READ, words(n, 4) + bytes(range(60))),
+                 encode(BROADCAST, I.SYNC_WRITE, words(n, 1) + bytes([n % 253, 0])))
+    assert len(bus.tracker.plans()) <= 8192
+    assert sum(len(plan.slots) for plan in bus.tracker.plans()) <= 8192
+    assert len(bus.evidence.incidents()) <= 1000
+    assert bus.tracker.instructions() == 6_000
+
+
+def test_the_robot_trace_in_any_chunks() -> None:
+    if not TRACE.is_file():
+        pytest.skip('skipped: the robot trace is not here')
+    data = TRACE.read_bytes()
+    results = []
+    for size in (len(data), 4096, 64):
+        bus = Bus()
+        bus.hear(*(data[at:at + size] for at in range(0, len(data), size)))
+        results.append({n: (bus.device(n).model.name, bus.device(n).answers, bus.device(n).missed,
+                            bus.device(n).not_served, bus.device(n).damaged)
+                        for n in sorted(bus.roster.devices)})
+    assert results[0] == results[1] == results[2]
+    found = results[0]
+    assert set(found) == {*range(1, 21), 101}
+    names = [found[n][0] for n in range(1, 21)]
+    assert (names.count('MX-64'), names.count('MX-106'), names.count('unknown')) == (8, 9, 3)
+    assert found[1] == ('MX-64', 399, 10, 0, 4)
+    assert found[20] == ('MX-64', 310, 20, 78, 12)
+    assert found[101] == ('unknown', 0, 335, 0, 0)
+    assert sum(row[1] for row in found.values()) == 7524
+    assert sum(row[2] for row in found.values()) == 722
+
+
+# --- exactly what is noted ---
+
+def notes(bus: Bus) -> list[tuple[int, str, int, tuple[int, ...]]]:
+    return [(one.stamp, one.kind, one.device, one.detail) for one in bus.evidence.incidents()]
+
+
+def test_a_miss_is_stamped_with_the_next_instruction_on_the_wire() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1), read(1), ping(1))
+    began = bus.now - len(ping(1)) * BYTE_NS
+    assert notes(bus)[-1] == (began, ev.MISSED, 1, (I.READ, POSITION))
+    assert bus.evidence.waits()[-1] == (began, (began - (bus.now - 1_000_000)) // 1000, 1)
+
+
+def test_a_miss_in_silence_is_stamped_with_its_end() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1), read(1))
+    bus.tracker.settle(bus.now + 1_234_567)
+    assert notes(bus)[-1][:3] == (bus.now + 1_234_567, ev.MISSED, 1)
+    assert bus.evidence.waits()[-1] == (bus.now + 1_234_567, 1234, 1)
+
+
+def test_a_repetition_is_noted_with_its_distance() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1), read(1), read(1))
+    distance = (1_000_000 - len(read(1)) * BYTE_NS) // 1000
+    assert notes(bus)[-1][1:] == (ev.REPEATED, 1, (I.READ, distance))
+
+
+def test_what_an_answer_is_worth_is_noted_exactly() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1), read(1), reply(1, b'12'))
+    assert notes(bus)[-1][1:] == (ev.WRONG_SIZE, 1, (2, 4))
+    bus.hear(read(1), reply(1, b'1234'), reply(1, b'1234'))
+    assert notes(bus)[-1][1:] == (ev.SECOND_ANSWER, 1, (I.READ,))
+    bus.hear(reply(7, b'1234', error=3))
+    assert notes(bus)[-1][1:] == (ev.UNASKED, 7, (I.READ, 3))
+    bus.hear(read(1), ping(2), reply(1, b'1234'))
+    assert [kind for _, kind, _, _ in notes(bus)][-2:] == [ev.MISSED, ev.LATE]
+
+
+def test_damage_is_noted_exactly() -> None:
+    bus = Bus()
+    bus.hear(read(1), damaged(reply(1, b'1234')))
+    assert notes(bus)[-1][1:] == (ev.DAMAGED_STATUS, 1, (STATUS, 8))
+    bus.hear(damaged(encode(1, I.WRITE, bytes(300))))
+    assert notes(bus)[-1][1:] == (ev.DAMAGED_INSTRUCTION, 1, (I.WRITE, 303))
+    bus.hear(HEADER + b'\x01\x34\x12\x03' + bytes(8))
+    assert notes(bus)[-1][1:] == (ev.BAD_LENGTH, ev.NOBODY, (0x1234,))
+    bus.hear(read(1)[:-3])
+    bus.idle()
+    assert notes(bus)[-1][1:] == (ev.CUT, ev.NOBODY, (I.READ, 7))
+
+
+def test_the_last_id_is_a_device_and_the_next_is_none() -> None:
+    bus = Bus()
+    bus.hear(reply(252), reply(253))
+    assert set(bus.roster.devices) == {252}
+    assert notes(bus)[-1][1:] == (ev.BAD_ID, ev.NOBODY, (253,))
+
+
+def test_only_what_has_the_size_of_a_pong_answers_a_broadcast_ping() -> None:
+    bus = Bus()
+    bus.hear(ping(BROADCAST), pong(3), reply(4, b'1234'), read(3), reply(3, b'1234'), pong(5))
+    assert [bus.device(number).answers for number in (3, 4, 5)] == [2, 0, 0]
+    assert bus.device(3).model.name == 'MX-64'
+    assert bus.device(5).model.name == 'unknown'
+
+
+def test_glitches_and_the_first_to_answer_are_counted() -> None:
+    bus = Bus()
+    bus.hear(sync_read(1, 2), b'\x00' + reply(1, b'1234'), reply(2, b'1234'))
+    assert (bus.device(1).glitches, bus.device(2).glitches) == (1, 0)
+    assert (bus.device(1).asked_first, bus.device(2).asked_first) == (1, 0)
+
+
+def test_what_nobody_contradicts_is_carried_out_at_the_next_instruction() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1), write(1, GOAL, b'1234'), reply(1, b'too long'))
+    assert bus.known(1, GOAL) is None
+    bus.hear(ping(1))
+    assert bus.known(1, GOAL) == b'1234'
+
+
+def test_the_pending_instruction_can_be_asked_for() -> None:
+    bus = Bus()
+    bus.hear(read(9))
+    assert bus.tracker.pending.request.accesses[0].id == 9
+    bus.tracker.settle(bus.now)
+    assert bus.tracker.pending.request.accesses == ()
+
+
+def test_before_the_first_instruction_nothing_is_wrong_about_an_answer() -> None:
+    bus = Bus()
+    bus.hear(reply(1, b'1234'))
+    assert bus.kinds() == []
+
+
+@pytest.mark.parametrize('lost', [read(2), reply(2, b'1234'), sync_read(2, 3)])
+def test_behind_a_damaged_packet_an_answer_is_not_taken(lost: bytes) -> None:
+    bus = Bus()
+    bus.hear(read(1), damaged(lost) + reply(1, b'1234'))
+    assert bus.known(1, POSITION) is None
+    assert bus.device(1).answers == 1
+
+
+def test_a_second_answer_behind_damage_is_noted_as_asked_anew() -> None:
+    bus = Bus()
+    bus.hear(read(1), reply(1, b'1234'), damaged(read(1)), reply(1, b'1234'))
+    assert notes(bus)[-1][1:] == (ev.ANEW, 1, (I.READ,))
+
+
+def test_who_spoke_damaged_is_forgotten_at_the_next_instruction() -> None:
+    bus = Bus()
+    bus.hear(read(2), damaged(reply(2, b'1234')), sync_read(1, 2), ping(9))
+    assert (bus.device(1).missed, bus.device(2).missed, bus.device(2).not_served) == (1, 1, 1)
+
+
+def test_a_refusal_acknowledges_too() -> None:
+    bus = Bus()
+    bus.hear(write(1, GOAL, b'1234'), reply(1, error=4))
+    assert bus.device(1).acks is True
+    assert bus.device(1).acks_missing == 0
+
+
+def test_a_cut_fast_reply_and_a_glitch_are_noted_exactly() -> None:
+    bus = Bus()
+    bus.hear(fast_read(1, 2, 3), fast_reply({1: b'1234', 2: b'5678', 3: b'9abc'})[:20])
+    bus.idle()
+    assert (ev.FAST_CUT, 2, (1, 3)) in [one[1:] for one in notes(bus)]
+    bus.hear(read(1), b'\x00' + reply(1, b'1234'))
+    assert bus.evidence.counts[ev.GLITCH] == 1
+
+
+@pytest.mark.parametrize(('size', 'taken'), [(3, b'1234'), (4, None)])
+def test_three_bytes_of_noise_hide_nothing_four_might(size: int, taken: bytes | None) -> None:
+    bus = Bus()
+    bus.hear(read(1), bytes(size) + reply(1, b'1234'))
+    assert bus.known(1, POSITION) == taken
+
+
+def test_misses_of_an_instruction_are_counted() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1), read(1), read(1), reply(1, b'1234'), read(1), ping(1))
+    [plan] = [plan for plan in bus.tracker.plans() if plan.request.instruction == I.READ]
+    assert (plan.asked, plan.missed) == (3, 2)
+
+
+def test_whose_turn_was_later_tells_no_latency() -> None:
+    """Nor does an answer of which it is not sure what it answers."""
+    bus = Bus()
+    bus.hear(sync_read(1, 2), reply(2, b'1234'), read(2), damaged(ping(1)), reply(2, b'1234'))
+    assert bus.device(2).latency_resolved == 0
+    bus.hear(read(2), reply(2, b'1234'))
+    assert bus.device(2).latency_resolved == 1
