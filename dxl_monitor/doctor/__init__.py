@@ -1,0 +1,116 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The bus doctor: reports in, named causes out. docs/doctor.md has every one of them.
+
+Rules are data and pure functions, one file per family. Here is what joins them: a claim stands
+some seconds longer than its evidence, so that nothing flickers, and what another claim accounts
+for is not said. Time comes with the report; no IO, no clock.
+"""
+
+from __future__ import annotations
+
+from dxl_monitor.doctor import configuration
+from dxl_monitor.doctor import damage
+from dxl_monitor.doctor import health
+from dxl_monitor.doctor import presence
+from dxl_monitor.doctor import timing
+from dxl_monitor.doctor.case import History
+from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Doubt
+from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.report import BusReport
+from dxl_monitor.report import DeviceReport
+from dxl_monitor.report import Finding
+from msg_defs.reports import Level
+from msg_defs.reports import worst
+
+S = 1_000_000_000
+HOLD_NS = 3 * S                    # a claim stands so much longer than its evidence
+
+# In the order in which they are told where levels are equal: the causes of others first.
+RULES: tuple[Rule, ...] = (
+    *damage.RULES, *presence.RULES, *health.RULES, *timing.RULES, *configuration.RULES)
+_RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
+
+_Key = tuple[str, int | None]
+
+
+class Doctor:
+    """The findings of one bus over time. Not thread-safe: one caller at a time."""
+
+    def __init__(self) -> None:
+        self._history = History()
+        self._standing: dict[_Key, tuple[Claim, int]] = {}
+        self._since: dict[_Key, int] = {}          # claimed without a break
+
+    def examine(self, report: BusReport) -> BusReport:
+        """Return the report with findings, and with the levels and messages they call for."""
+        case = self._history.take(report)
+        doubts: list[Finding] = []
+        since: dict[_Key, int] = {}
+        for rule in RULES:
+            for found in rule.check(case):
+                if isinstance(found, Claim):
+                    key = rule.name, found.device
+                    since[key] = self._since.get(key, case.now)
+                    if case.now - since[key] >= rule.onset_s * S:
+                        self._standing[key] = found, case.now
+                else:
+                    doubts.append(Finding(rule.name, Level.OK, found.device, found.reason))
+        self._since = since
+        self._standing = {key: (claim, stamp) for key, (claim, stamp) in self._standing.items()
+                          if 0 <= case.now - stamp <= _hold_ns(key[0])}
+        findings = self._told()
+        claimed = {(finding.rule, finding.device) for finding in findings}
+        doubts = [doubt for doubt in doubts if (doubt.rule, doubt.device) not in claimed]
+        return _with(report, findings, tuple(doubts))
+
+    def _told(self) -> tuple[Finding, ...]:
+        """Return the standing claims that no other accounts for, the worst first."""
+        claims = {key: claim for key, (claim, _) in self._standing.items()}
+        findings = [_finding(RULES[_RANK[name]], claim) for (name, _), claim in claims.items()
+                    if not any(_explains(other, by, name, claim)
+                               for (other, _), by in claims.items())]
+        return tuple(sorted(findings, key=lambda one: (-one.level, _RANK[one.rule])))
+
+
+def _hold_ns(name: str) -> int:
+    return HOLD_NS if RULES[_RANK[name]].holds else 0
+
+
+def _explains(rule: str, by: Claim, name: str, claim: Claim) -> bool:
+    """Tell whether one claim accounts for another."""
+    if name not in RULES[_RANK[rule]].explains or by is claim:
+        return False
+    return by.device is None or claim.device is None or claim.device == by.device \
+        or claim.device in by.covers
+
+
+def _finding(rule: Rule, claim: Claim) -> Finding:
+    level = rule.level if claim.level is None else claim.level
+    return Finding(rule.name, level, claim.device, claim.message, claim.figures)
+
+
+def _with(report: BusReport, findings: tuple[Finding, ...],
+          doubts: tuple[Finding, ...]) -> BusReport:
+    first: dict[int | None, Finding] = {}
+    for finding in findings:
+        first.setdefault(finding.device, finding)
+    devices = tuple(_worsened(device, first[device.id]) if device.id in first else device
+                    for device in report.devices)
+    bus = first.get(None)
+    if bus is not None and bus.level is not Level.OK:
+        report = report._replace(level=worst((report.level, bus.level)), message=bus.message)
+    return report._replace(devices=devices, findings=findings, doubts=doubts)
+
+
+def _worsened(device: DeviceReport, finding: Finding) -> DeviceReport:
+    """Return a device with its worst cause for a message, unless its state is worse still."""
+    level = worst((device.level, finding.level))
+    if level is not finding.level or level is Level.OK:
+        return device._replace(level=level)
+    return device._replace(level=level, message=finding.message)
+
+
+__all__ = ['RULES', 'Doctor', 'Doubt']

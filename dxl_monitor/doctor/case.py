@@ -1,0 +1,232 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Case: what the rules look at. One report, the incidents of the last 10 s, what changed since.
+
+History is what one report cannot say by itself; it is bounded, and it forgets: a case never
+rests on anything older than the window.
+"""
+
+from collections import defaultdict
+from collections import deque
+from functools import cached_property
+from typing import NamedTuple
+
+from dxl_monitor import evidence as ev
+from dxl_monitor import report as words
+from dxl_monitor.doctor.rhythm import Rhythm
+from dxl_monitor.doctor.rhythm import rhythms
+from dxl_monitor.report import BusReport
+from dxl_monitor.report import Cycle
+from dxl_monitor.report import DeviceReport
+from dxl_monitor.report import Incident
+from dxl_monitor.table import Observed
+
+S = 1_000_000_000
+WINDOW_NS = 10 * S
+KEPT = 1000                        # incidents of a kind; and as many marks of time
+RHYTHM_NS = S // 2 + S // 4        # between two looks at the rhythms: they cost most
+GONE_S = 1.5                       # unanswered for so long: gone, rather than starting again
+
+_DAMAGE = (ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH)
+_FOLLOWED = ('Goal Position', 'Present Position', 'Realtime Tick', 'Present Input Voltage')
+
+
+class Mark(NamedTuple):
+    """What was counted up to a moment."""
+
+    stamp: int
+    bytes: int
+    packet_bytes: int
+    packets: int
+    instructions: int
+    glitches: int
+    overruns: int
+    framing: int                   # errors that the driver counted
+
+
+class Sample(NamedTuple):
+    """The moving registers of a device at one moment: raw, None where unknown."""
+
+    stamp: int
+    goal: float | None
+    position: float | None
+    tick: float | None
+    voltage: float | None          # V
+
+
+class Case:
+    """One bus at one moment, with its last ten seconds."""
+
+    def __init__(self, report: BusReport, seen: dict[str, deque[Incident]], marks: deque[Mark],
+                 samples: dict[int, deque[Sample]], repeats: dict[int, int],
+                 rhythms: list[Rhythm]) -> None:
+        self.report = report
+        self.now = report.stamp
+        self.marks = marks
+        self.samples = samples
+        self.repeats = repeats         # stamp and instruction: asked again at once
+        self.rhythms = rhythms         # what the master repeats, most frequent first
+        self._seen = seen
+        self._by_device: dict[str, defaultdict[int, list[Incident]]] = {}
+
+    def incidents(self, kind: str, device: int | None = None) -> list[Incident]:
+        """Return the incidents of a kind in the window, those of one device or all."""
+        if device is None:
+            return list(self._seen.get(kind, ()))
+        return self._of(kind).get(device, [])
+
+    def count(self, kind: str, device: int | None = None) -> int:
+        """Return how many incidents of a kind there were in the window."""
+        if device is None:
+            return len(self._seen.get(kind, ()))
+        return len(self._of(kind).get(device, ())) if kind in self._seen else 0
+
+    def _of(self, kind: str) -> dict[int, list[Incident]]:
+        """Return the incidents of a kind by device; sorted once, and only where asked for."""
+        found = self._by_device.get(kind)
+        if found is None:
+            found = self._by_device[kind] = defaultdict(list)
+            for one in self._seen.get(kind, ()):
+                found[one.device].append(one)
+        return found
+
+    @cached_property
+    def damage(self) -> int:
+        """How many frames in the window were damaged."""
+        return sum(self.count(kind) for kind in _DAMAGE)
+
+    @cached_property
+    def spoilt(self) -> int:
+        """How many answers were missed where there was damage or noise."""
+        return sum(device.window.spoilt for device in self.report.devices)
+
+    @cached_property
+    def devices(self) -> dict[int, DeviceReport]:
+        return {device.id: device for device in self.report.devices}
+
+    @cached_property
+    def gone(self) -> list[int]:
+        """Devices that were asked again and again and say nothing any more."""
+        return [device.id for device in self.report.devices if is_gone(device)]
+
+    @cached_property
+    def values(self) -> dict[int, dict[str, Observed]]:
+        """The observed fields by device and name."""
+        return {device.id: {one.field.name: one for one in device.observed}
+                for device in self.report.devices}
+
+    def was_asked(self, begin: int, end: int, but: Cycle) -> bool:
+        """Tell whether anything else was asked between two stamps, or in the same chunks."""
+        return any(begin <= stamp <= end for cycle in self.report.cycles if cycle is not but
+                   for stamp in cycle.stamps)
+
+    def mark(self, seconds: float) -> Mark:
+        """Return the counts of so long ago, or the oldest there are."""
+        before = self.now - int(seconds * S)
+        found = self.marks[0]
+        for mark in self.marks:
+            if mark.stamp > before:
+                break
+            found = mark
+        return found
+
+    def waits(self, seconds: float) -> list[tuple[int, int, int]]:
+        """Return the vain waits of the master (stamp, us, device) since so long ago."""
+        before = self.now - int(seconds * S)
+        return [wait for wait in self.report.waits if wait[0] >= before]
+
+
+def is_gone(device: DeviceReport) -> bool:
+    """Tell whether a device is asked and gives no sign of life for longer than a start takes."""
+    silent = device.state == words.DISCONNECTED or (
+        device.state in (words.EXPECTED, words.ASKED) and device.missed_in_a_row > 4)
+    return silent and (device.last_heard_s is None or device.last_heard_s > GONE_S)
+
+
+def is_waiting(device: DeviceReport) -> bool:
+    """Tell whether a device never gets its turn, because one in front of it says nothing."""
+    return device.waiting_behind is not None and device.state != words.CONNECTED
+
+
+class History:
+    """What is remembered from report to report."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything: the counts begin anew."""
+        self._last: Incident | None = None
+        self._seen: dict[str, deque[Incident]] = {}
+        self._marks: deque[Mark] = deque(maxlen=KEPT)
+        self._samples: dict[int, deque[Sample]] = {}
+        self._repeats: dict[int, int] = {}
+        self._rhythms: tuple[int, list[Rhythm]] = (0, [])
+
+    def take(self, report: BusReport) -> Case:
+        """Remember a report; return it with what belongs to it."""
+        mark = _mark(report)
+        if self._marks and mark.bytes < self._marks[-1].bytes:
+            self.clear()
+        self._take_incidents(report.incidents)
+        before = report.stamp - WINDOW_NS
+        self._marks.append(mark)
+        while self._marks[0].stamp < before:
+            self._marks.popleft()
+        for kind in [kind for kind, many in self._seen.items() if _age(many, before)]:
+            del self._seen[kind]
+        fresh = report.stamp - self._rhythms[0] >= RHYTHM_NS
+        if fresh:
+            self._rhythms = (report.stamp, rhythms(report.cycles, report.stamp, report.baud))
+        case = Case(report, self._seen, self._marks, self._samples, self._repeats,
+                    self._rhythms[1])
+        self._sample(case, before)
+        for rhythm in case.rhythms if fresh else ():
+            self._repeats.update(
+                (again, rhythm.cycle.instruction) for before_that, again in rhythm.repeats
+                if not case.was_asked(before_that, again, rhythm.cycle))
+        for stamp in [stamp for stamp in self._repeats if stamp < before]:
+            del self._repeats[stamp]
+        return case
+
+    def _take_incidents(self, incidents: tuple[Incident, ...]) -> None:
+        new = []
+        for incident in reversed(incidents):
+            if incident is self._last:
+                break
+            new.append(incident)
+        seen = self._seen
+        for incident in reversed(new):
+            if incident.kind not in seen:
+                seen[incident.kind] = deque(maxlen=KEPT)
+            seen[incident.kind].append(incident)
+        self._last = incidents[-1] if incidents else None
+
+    def _sample(self, case: Case, before: int) -> None:
+        for device in case.report.devices:
+            values = case.values[device.id]
+            if 'Present Position' not in values and 'Present Input Voltage' not in values:
+                continue
+            goal, position, tick, voltage = (values.get(name) for name in _FOLLOWED)
+            samples = self._samples.setdefault(device.id, deque(maxlen=KEPT))
+            samples.append(Sample(case.now, goal and goal.value.raw,
+                                  position and position.value.raw,
+                                  tick and tick.value.number, voltage and voltage.value.number))
+            while samples[0].stamp < before:
+                samples.popleft()
+
+
+def _age(incidents: deque[Incident], before: int) -> bool:
+    """Drop what is too old; tell whether nothing is left."""
+    while incidents and incidents[0].stamp < before:
+        incidents.popleft()
+    return not incidents
+
+
+def _mark(report: BusReport) -> Mark:
+    counters, errors = report.counters, report.line_errors
+    return Mark(report.stamp, counters['Bytes'], counters['Packet Bytes'], counters['Packets'],
+                counters['Instructions'], report.kinds.get(ev.GLITCH, 0),
+                errors.overrun + errors.buf_overrun if errors else 0,
+                errors.frame + errors.breaks if errors else 0)

@@ -1,0 +1,223 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rules about bytes that are not what somebody sent, or that nobody should have sent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from dxl_monitor import evidence as ev
+from dxl_monitor import report as words
+from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.rate import likely_rate
+from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Doubt
+from dxl_monitor.doctor.rule import each
+from dxl_monitor.doctor.rule import each_with
+from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import listed
+from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.doctor.rule import share
+from dxl_monitor.report import DeviceReport
+from msg_defs.dxl_instruction import NAMES
+from msg_defs.reports import Level
+
+FEW = 3
+SOME = 5
+NOISY = 0.001                      # damaged of all packets
+GLITCHY = 0.001                    # packets behind a stray byte
+HEADERS = 0.01                     # answers with a damaged first byte
+BY_CHANCE = 1 / 8                  # of the damage: in the first byte, as in any other
+MOSTLY = 0.7
+BOTH_WAYS = 0.2                    # of the damage: in instructions
+GARBLED = 0.05                     # no more than this share of the bytes are packets
+BYTES_NEEDED = 300
+ECHO_US = 100
+
+_OF_THE_WIRE = ('noise', 'damaged_answers', 'turnaround', 'stray_bytes', 'missed_answers',
+                'duplicate_id', 'foreign_answers', 'dropout')
+_ALL_ELSE = (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'broken_cable', 'all_silent', 'echo',
+             'rebooted', 'brown_out', 'jitter', 'protocol_1', 'impatient_master', 'late_answers',
+             'latency_timer', 'two_masters', 'bus_too_slow', 'never_written', 'overrun',
+             'fast_read_unsupported', 'ping_only', 'no_acks', 'return_delay')
+
+
+def _wrong_baud(case: Case) -> Iterator[Found]:
+    report, before = case.report, case.mark(2.0)
+    got = report.counters['Bytes'] - before.bytes
+    good = report.counters['Packet Bytes'] - before.packet_bytes
+    if got < BYTES_NEEDED or good > GARBLED * got or case.count(ev.PROTOCOL_1):
+        return
+    rate = likely_rate(report.noise, report.baud)
+    remedy = f'what comes in looks like {rate} Bd: set `bauds` to it' if rate \
+        else "cannot tell the right one from it: set `bauds` to the bus's rate"
+    errors = case.mark(0).framing - before.framing
+    yield Claim(None, f'{got} bytes and no packets at {report.baud} Bd: {remedy}',
+                (('bytes', str(got)), ('framing errors', str(errors))))
+
+
+def _baud_moved(case: Case, device: DeviceReport) -> Found | None:
+    if device.state != words.MOVED:
+        return None
+    return Claim(device.id, f'{device.message}, the bus is at {case.report.baud} Bd: write it '
+                 'back at its new rate, or move the others and the master too')
+
+
+def _overrun(case: Case) -> Iterator[Found]:
+    lost = case.mark(0).overruns - case.mark(10).overruns
+    if lost > 0:
+        yield Claim(None, f'this computer lost bytes {lost} times: losses and damage are its own; '
+                    'give the monitor a higher priority or a better adapter',
+                    (('overruns', str(lost)),))
+
+
+def _noise(case: Case) -> Iterator[Found]:
+    packets = case.report.counters['Packets'] - case.mark(10).packets
+    if case.damage < SOME or case.damage < NOISY * packets:
+        return
+    hit = [device.id for device in case.report.devices if device.window.spoilt]
+    asked = _asked_damaged(case)
+    if asked < BOTH_WAYS * case.damage and _most_hit(case) is not None:
+        return
+    way = 'in both directions' if asked >= BOTH_WAYS * case.damage else 'in answers'
+    yield Claim(None, f'{case.damage} of {packets + case.damage} packets damaged, {way}, '
+                f'{len(hit)} devices: check termination, ground, shielding and motor cables',
+                (('share', share(case.damage, packets + case.damage)),
+                 ('damaged instructions', str(asked)), ('devices', listed(hit, 99))))
+
+
+def _asked_damaged(case: Case) -> int:
+    """Return how many instructions were damaged; a code that nobody knows was a status."""
+    return sum(one.detail[0] in NAMES for one in case.incidents(ev.DAMAGED_INSTRUCTION))
+
+
+def _most_hit(case: Case) -> DeviceReport | None:
+    """Return the device that has most of all spoilt answers, if there is one."""
+    worst = max(case.report.devices, key=lambda device: device.window.spoilt, default=None)
+    if worst is None or worst.window.spoilt < FEW \
+            or worst.window.spoilt < MOSTLY * case.spoilt:
+        return None
+    return worst
+
+
+def _damaged_answers(case: Case) -> Iterator[Found]:
+    worst = _most_hit(case)
+    if worst is None or _asked_damaged(case) >= \
+            BOTH_WAYS * max(case.damage, case.spoilt):
+        return
+    window = worst.window
+    yield Claim(worst.id, f'{window.spoilt} of {window.asked} answers damaged, others whole: '
+                'cannot tell a bad cable from a second device with its ID; unplug it and ping',
+                (('share', share(window.spoilt, window.asked)),))
+
+
+def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
+    twice = case.count(ev.SECOND_ANSWER, device.id)
+    window = device.window
+    models = window.model_changes >= 2 and window.spoilt >= FEW
+    if (twice < FEW or twice < 3 * case.count(ev.UNASKED, device.id)) and not models:
+        return None
+    also = ', by two models' if window.model_changes >= 2 else ''
+    return Claim(device.id, f'answered twice{also}: two devices have this ID; unplug one and give '
+                 'it another',
+                 (('second answers', str(twice)), ('damaged', str(window.spoilt)),
+                  ('model changes', str(window.model_changes))))
+
+
+def _turnaround(case: Case) -> Iterator[Found]:
+    touched = [device for device in case.report.devices if device.window.repaired]
+    hit = [device for device in touched if device.window.repaired > FEW
+           and device.window.repaired > HEADERS * device.window.answers
+           and device.window.repaired > BY_CHANCE * device.window.spoilt]
+    worst = max((one.window.repaired for one in touched), default=0)
+    total = sum(one.window.repaired for one in touched)
+    if total <= BY_CHANCE * case.damage:
+        return
+    if hit and len(touched) > 2 and worst < MOSTLY * total:
+        hit = touched
+        repaired = sum(device.window.repaired for device in hit)
+        stray = case.mark(0).glitches - case.mark(10).glitches
+        answers = sum(device.window.answers for device in hit)
+        yield Claim(None, f'first byte of {share(repaired, answers)} of the answers damaged, '
+                    f'{len(hit)} devices: the line turns round too late; raise Return Delay Time '
+                    'or mend the driver enable',
+                    (('answers', str(repaired)), ('packets with a stray byte', str(stray)),
+                     ('devices', listed([one.id for one in hit], 99))))
+        return
+    for device in hit:
+        window = device.window
+        yield Claim(device.id, f'first byte of {share(window.repaired, window.answers)} of its '
+                    'answers damaged: it talks before the line has turned; raise its Return '
+                    'Delay Time by a step or two', (('answers', str(window.repaired)),))
+
+
+def _stray_bytes(case: Case) -> Iterator[Found]:
+    stray = case.mark(0).glitches - case.mark(10).glitches
+    packets = case.report.counters['Packets'] - case.mark(10).packets
+    if stray >= SOME and stray > GLITCHY * packets:
+        yield Claim(None, f'a stray byte or two ahead of {share(stray, packets)} of the packets: '
+                    'driver enable switches late or the line floats; add bias resistors',
+                    (('packets', str(stray)),))
+
+
+def _echo(case: Case) -> Iterator[Found]:
+    again = [one for one in case.incidents(ev.REPEATED) if one.detail[1] < ECHO_US]
+    answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
+    if len(again) >= SOME and answered and len({one.detail[0] for one in again}) and \
+            len(again) > 0.5 * case.count(ev.REPEATED):
+        yield Claim(None, 'every instruction is heard twice: the adapter echoes what its master '
+                    'sends; switch the echo off, losses counted here are not real',
+                    (('echoes', str(len(again))),))
+
+
+def _foreign_answers(case: Case, device: DeviceReport) -> Found | None:
+    unasked = case.count(ev.UNASKED, device.id)
+    if unasked < FEW:
+        return None
+    return Claim(device.id, f'{unasked} answers that nobody here asked for: another master asks '
+                 'it where this port does not hear; find and stop that',
+                 (('answers', str(unasked)),))
+
+
+def _protocol_1(case: Case) -> Iterator[Found]:
+    ids = sorted({one.device for one in case.incidents(ev.PROTOCOL_1)})
+    if case.count(ev.PROTOCOL_1) > 1:
+        yield Claim(None, f'packets of Protocol 1.0, ID {listed(ids, 4)}: set these devices to '
+                    'Protocol 2.0 or give them a bus of their own',
+                    (('packets', str(case.count(ev.PROTOCOL_1))),))
+
+
+def _elsewhere(case: Case) -> Iterator[Found]:
+    """Say where frames are damaged too rarely for a claim."""
+    yield from _noise(case)
+    if 0 < case.damage < SOME:
+        yield Doubt(None, f'{case.damage} damaged packets in 10 s are too few to name a cause')
+
+
+RULES = (
+    Rule('wrong_baud', Level.ERROR, 'bytes, and hardly a packet among them', _wrong_baud,
+         _ALL_ELSE),
+    Rule('overrun', Level.WARN, "the serial driver's overrun counters", _overrun,
+         (*_OF_THE_WIRE, 'jitter')),
+    Rule('baud_moved', Level.WARN, 'a write to Baud Rate, and silence', each(_baud_moved),
+         ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter'),
+         holds=False),
+    Rule('protocol_1', Level.WARN, 'FF FF packets with the checksum of Protocol 1.0 in the noise',
+         _protocol_1, ('stray_bytes', 'wrong_baud')),
+    Rule('echo', Level.WARN, 'instructions that follow themselves at once', _echo,
+         (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'jitter', 'impatient_master')),
+    Rule('duplicate_id', Level.ERROR, 'second answers to one instruction, or damage together with '
+         'a model number that changes', each(_duplicate_id),
+         ('noise', 'damaged_answers', 'turnaround', 'missed_answers', 'dropout', 'stray_bytes',
+          'late_answers', 'jitter', 'rebooted')),
+    Rule('foreign_answers', Level.WARN, 'statuses that no instruction asked for',
+         each_with(ev.UNASKED, _foreign_answers), ('duplicate_id', 'missed_answers')),
+    Rule('turnaround', Level.WARN, 'statuses that are whole but for their first header byte',
+         _turnaround,
+         ('turnaround', 'stray_bytes', 'damaged_answers', 'missed_answers', 'dropout')),
+    Rule('noise', Level.WARN, 'damaged frames of many devices or in both directions', _elsewhere,
+         ('damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')),
+    Rule('damaged_answers', Level.WARN, "one device's answers damaged, and those of others not",
+         _damaged_answers, ('missed_answers', 'dropout', 'stray_bytes', 'jitter')),
+    Rule('stray_bytes', Level.OK, 'one to three bytes of noise ahead of packets', _stray_bytes),
+)

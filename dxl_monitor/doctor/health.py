@@ -1,0 +1,145 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rules about a device's own state, as its control table and its alert bit tell it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from dxl_monitor import evidence as ev
+from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Doubt
+from dxl_monitor.doctor.rule import each
+from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import listed
+from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.report import DeviceReport
+from dxl_monitor.table import Observed
+from msg_defs.reports import Level
+
+RECENT_S = 10.0                    # older values say nothing of now
+NEAR_DEGREES = 5.0
+NEAR_VOLTS = 0.3
+TRIPPED = (0xFF, -1)
+RANGE = 4
+FEW = 3
+_ERRORS = ('Hardware Error Status', 'Error Code')
+
+
+def _fresh(case: Case, device: DeviceReport, name: str) -> float | None:
+    """Return the value of a register that was read lately."""
+    seen = case.values[device.id].get(name)
+    return None if seen is None or seen.age_s > RECENT_S or seen.source != 'r' \
+        else seen.value.number
+
+
+def _known(case: Case, device: DeviceReport, name: str) -> float | None:
+    """Return the value of a register that does not change by itself."""
+    seen = case.values[device.id].get(name)
+    return None if seen is None else seen.value.number
+
+
+def _hardware_error(case: Case, device: DeviceReport) -> Found | None:
+    if not device.alert or not device.window.alerts:
+        return None
+    values = case.values[device.id]
+    seen = next((values[name] for name in _ERRORS
+                 if name in values and values[name].value.raw), None)
+    torque = ', torque is off' if _is_off(values.get('Torque Enable')) else ''
+    figures = (('answers with alert', str(device.window.alerts)),)
+    if seen is None:
+        return Claim(device.id, f'alert in its answers{torque}: an error is latched; read '
+                     'Hardware Error Status, then reboot it', figures, Level.WARN)
+    return Claim(device.id, f'{seen.value.text} error latched{torque}: remove the cause, then '
+                 'send Reboot; until then it does not move', figures)
+
+
+def _is_off(torque: Observed | None) -> bool:
+    return torque is not None and torque.source == 'r' and not torque.value.raw
+
+
+def _too_hot(case: Case) -> Iterator[Found]:
+    unknown = []
+    for device in case.report.devices:
+        temperature = _fresh(case, device, 'Present Temperature')
+        if temperature is None:
+            continue
+        limit = _known(case, device, 'Temperature Limit')
+        if limit is None:
+            unknown.append(device.id)
+        elif temperature >= limit - NEAR_DEGREES:
+            yield _hot_claim(device, temperature, limit)
+    if unknown:
+        yield Doubt(None, f'{listed(unknown, 3)}: Temperature Limit never read')
+
+
+def _hot_claim(device: DeviceReport, temperature: float, limit: float) -> Claim:
+    level = Level.ERROR if temperature >= limit else Level.WARN
+    what = 'it shuts down' if level is Level.ERROR else 'near shut-down'
+    return Claim(device.id, f'{temperature:.0f} degC, its limit is {limit:.0f}: {what}; reduce '
+                 'load or holding torque, let it cool',
+                 (('temperature (degC)', f'{temperature:.0f}'), ('limit (degC)', f'{limit:.0f}')),
+                 level)
+
+
+def _voltage(case: Case) -> Iterator[Found]:
+    unknown = []
+    for device in case.report.devices:
+        volts = _fresh(case, device, 'Present Input Voltage')
+        if volts is None:
+            continue
+        low = _known(case, device, 'Min Voltage Limit')
+        high = _known(case, device, 'Max Voltage Limit')
+        if low is None and high is None:
+            unknown.append(device.id)
+        if low is not None and volts < low + NEAR_VOLTS:
+            yield _low_claim(device, volts, low)
+        if high is not None and volts > high - NEAR_VOLTS:
+            yield _high_claim(device, volts, high)
+    if unknown:
+        yield Doubt(None, f'{listed(unknown, 3)}: voltage limits never read')
+
+
+def _low_claim(device: DeviceReport, volts: float, low: float) -> Claim:
+    return Claim(device.id, f'{volts:.1f} V, its lower limit is {low:.1f}: charge the battery, '
+                 'check cable gauge and the load on the chain', (('voltage (V)', f'{volts:.1f}'),),
+                 Level.ERROR if volts < low else Level.WARN)
+
+
+def _high_claim(device: DeviceReport, volts: float, high: float) -> Claim:
+    return Claim(device.id, f'{volts:.1f} V, its upper limit is {high:.1f}: lower the supply, or '
+                 'give braking current somewhere to go', (('voltage (V)', f'{volts:.1f}'),),
+                 Level.ERROR if volts > high else Level.WARN)
+
+
+def _watchdog(case: Case, device: DeviceReport) -> Found | None:
+    seen = case.values[device.id].get('Bus Watchdog')
+    if seen is None:
+        return None
+    refused = sum(one.detail[2] == RANGE and _is_goal(device, one.detail[1])
+                  for one in case.incidents(ev.REFUSED, device.id)) \
+        if case.count(ev.REFUSED, device.id) else 0
+    tripped = seen.source == 'r' and seen.value.raw in TRIPPED
+    if not tripped and not (refused >= FEW and seen.value.raw):
+        return None
+    return Claim(device.id, f'Bus Watchdog tripped, {refused} goals refused: the master was '
+                 'silent too long; write 0 to Bus Watchdog, then send goals without such gaps',
+                 (('goals refused', str(refused)), ('read', 'yes' if tripped else 'no')))
+
+
+def _is_goal(device: DeviceReport, address: int) -> bool:
+    field = device.model.by_address.get(address)
+    return field is not None and field.name.startswith('Goal')
+
+
+RULES = (
+    Rule('hardware_error', Level.ERROR, 'the alert bit in its answers; Hardware Error Status for '
+         'the name', each(_hardware_error), holds=False),
+    Rule('watchdog', Level.ERROR, 'Bus Watchdog reads -1, or is set and goals are answered with '
+         'Data Range', each(_watchdog), ('wrong_address',)),
+    Rule('too_hot', Level.ERROR, 'Present Temperature and Temperature Limit of the device',
+         _too_hot),
+    Rule('voltage', Level.ERROR, 'Present Input Voltage and the voltage limits of the device',
+         _voltage),
+)

@@ -1,0 +1,266 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rules about who is there: gone, cut off, started again, or heard to Pings only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from statistics import median
+
+from dxl_monitor import evidence as ev
+from dxl_monitor import report as words
+from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.case import GONE_S
+from dxl_monitor.doctor.case import is_waiting
+from dxl_monitor.doctor.case import Sample
+from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Doubt
+from dxl_monitor.doctor.rule import each
+from dxl_monitor.doctor.rule import each_with
+from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import listed
+from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.doctor.rule import share
+from dxl_monitor.report import DeviceReport
+from dxl_monitor.report import Incident
+from dxl_monitor.table import IDENTITY
+from msg_defs.reports import Level
+
+S = 1_000_000_000
+MS = 1_000_000
+AWAY_MS = 100                      # shorter than any start; longer than an answer or two lost
+DIP = 0.9                          # of the voltage now: the supply sagged
+MOVES, STANDS = 20, 2              # raw steps of a goal, of a position: it does not follow
+STOPPED_S = 1.0                    # of standing still, before that means anything
+SETTLED_S = 2.0                    # after a return: by then a restart has shown
+TICK_TURN_S = 32.768               # Realtime Tick begins anew (e-Manual)
+TICK_SLACK_S = 0.5
+FEW = 3
+LOSS = 0.01
+
+
+def _all_silent(case: Case) -> Iterator[Found]:
+    before = case.mark(GONE_S)
+    asked = case.report.counters['Instructions'] - before.instructions
+    heard = case.report.counters['Packets'] - before.packets - asked
+    missing = [device.id for device in case.report.devices
+               if device.missed_in_a_row or is_waiting(device)]
+    if len(missing) > 1 and asked >= 5 and heard <= 0 and case.gone:
+        yield Claim(None, f'the master asks and none of {len(missing)} devices answers: switch '
+                    'their power on, check the first cable, or listen on both directions',
+                    (('instructions', str(asked)),))
+
+
+def _gone(case: Case, blocking: bool) -> Iterator[Found]:
+    for number in case.gone:
+        behind = [device.id for device in case.report.devices
+                  if device.waiting_behind == number and is_waiting(device)]
+        if bool(behind) is blocking:
+            yield _claim_blocking(case, number, behind) if behind else _claim_gone(case, number)
+
+
+def _claim_gone(case: Case, number: int) -> Claim:
+    device = case.devices[number]
+    since = 'never heard' if device.last_heard_s is None \
+        else f'silent for {device.last_heard_s:.0f} s'
+    return Claim(number, f'{device.missed_in_a_row} questions unanswered, {since}, others answer: '
+                 'check its power, cable and ID', _waiting(case, number))
+
+
+def _claim_blocking(case: Case, number: int, behind: list[int]) -> Claim:
+    return Claim(number, f'silent, and the Sync Read ends there: {listed(behind, 2)} behind it '
+                 'get no turn; check its power and cable, or leave it out',
+                 (('not served', listed(behind, 99)), *_waiting(case, number)))
+
+
+def _waiting(case: Case, number: int) -> tuple[tuple[str, str], ...]:
+    """Return what each unanswered question costs the master."""
+    waits = [us for _, us, device in case.report.waits if device == number]
+    return (('wait per question (ms)', f'{median(waits) / 1000:.1f}'),) if waits else ()
+
+
+def _broken_cable(case: Case) -> Iterator[Found]:
+    chain = [number for number in case.report.chain if number in case.devices]
+    tail = 0
+    while tail < len(chain) and _cut_off(case, chain[-1 - tail]):
+        tail += 1
+    lost = chain[len(chain) - tail:]
+    if 0 < tail < len(chain) and sum(number in case.gone for number in lost) > 1:
+        yield Claim(lost[0], f'it and all behind it are silent: the cable between '
+                    f'{chain[-1 - tail]:03} and {lost[0]:03} is broken or unplugged',
+                    (('silent', listed(lost, 99)),), covers=tuple(lost))
+
+
+def _cut_off(case: Case, number: int) -> bool:
+    return number in case.gone or is_waiting(case.devices[number])
+
+
+# --- away and back -----------------------------------------------------------------------------
+
+def _absences(case: Case, device: int | None = None) -> list[Incident]:
+    """Return the returns after an absence that no Reboot or Factory Reset accounts for."""
+    if not case.count(ev.RETURNED):
+        return []
+    ordered = {one.device for one in case.incidents(ev.REBOOTED)}
+    return [one for one in case.incidents(ev.RETURNED, device)
+            if one.detail[0] >= AWAY_MS and one.device not in ordered]
+
+
+def _talks_since(case: Case, back: Incident) -> bool:
+    """Tell whether data came from it since; one that never gave any shall not be held up."""
+    ages = _data_ages(case.devices[back.device]) if back.device in case.devices else []
+    return not ages or min(ages) * S < case.now - back.stamp
+
+
+def _data_ages(device: DeviceReport) -> list[float]:
+    return [one.age_s for one in device.observed
+            if one.source == 'r' and one.field.name not in IDENTITY]
+
+
+def _dropout(case: Case, device: DeviceReport) -> Found | None:
+    if not case.count(ev.DISCONNECTED, device.id) or device.window.spoilt * 2 > \
+            device.window.missed:
+        return None
+    absences = [one for one in _absences(case, device.id)
+                if _talks_since(case, one) and case.now - one.stamp > SETTLED_S * S]
+    if not absences:
+        return None
+    away = max(one.detail[0] for one in absences)
+    return Claim(device.id, f'was away for {away} ms: cannot tell a loose plug from a restart; '
+                 'read Torque Enable or Realtime Tick to know',
+                 (('absences', str(len(absences))), ('longest (ms)', str(away))))
+
+
+def _rebooted(case: Case, device: DeviceReport) -> Found | None:
+    for one in _absences(case, device.id):
+        proof = _restart_proof(case, one)
+        if proof and _talks_since(case, one):
+            return Claim(device.id, f'restarted by itself, {one.detail[0]} ms away ({proof}): '
+                         'check its supply and plug, then set it up anew, torque too',
+                         (('away (ms)', str(one.detail[0])), ('seen by', proof)))
+    return None
+
+
+def _brown_out(case: Case) -> Iterator[Found]:
+    absences = _absences(case)
+    if len({one.device for one in absences}) < 2:
+        return
+    last = max(absences, key=lambda one: one.stamp)
+    begin = last.stamp - last.detail[0] * MS
+    together = [one for one in absences if one.stamp > begin]
+    ids = sorted({one.device for one in together})
+    proofs = [proof for one in together if (proof := _restart_proof(case, one) or
+                                            _dip(case, one.device))]
+    if len(ids) > 1 and proofs:
+        yield Claim(None, f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply broke '
+                    'down; check battery and cables, then set them up anew',
+                    (('devices', listed(ids, 99)), ('seen by', proofs[0])), covers=tuple(ids))
+
+
+def _restart_proof(case: Case, back: Incident) -> str:
+    """Return what says that a device started anew while it was away, '' if nothing does."""
+    torque = case.values[back.device].get('Torque Enable') if back.device in case.values else None
+    if torque is not None and torque.source == 'r' and not torque.value.raw \
+            and case.now - torque.age_s * S >= back.stamp and back.detail[1] > 0:
+        return 'Torque Enable fell to 0'
+    samples = case.samples.get(back.device, ())
+    before = [one for one in samples if one.stamp < back.stamp - back.detail[0] * MS]
+    after = [one for one in samples if one.stamp > back.stamp]
+    if before and after and _tick_jumped(before[-1], after[0]):
+        return 'Realtime Tick jumped back'
+    if _stands(after) and not _stands(before):
+        return 'follows its goal no more'
+    return ''
+
+
+def _tick_jumped(before: Sample, after: Sample) -> bool:
+    if before.tick is None or after.tick is None:
+        return False
+    expected = (before.tick + (after.stamp - before.stamp) / S) % TICK_TURN_S
+    off = abs(expected - after.tick)
+    return TICK_SLACK_S < off < TICK_TURN_S - TICK_SLACK_S and after.tick < expected
+
+
+def _stands(samples: list[Sample]) -> bool:
+    """Tell whether the goal moves and the position does not."""
+    samples = samples[1:]
+    if len(samples) < 2 or samples[-1].stamp - samples[0].stamp < STOPPED_S * S:
+        return False
+    goals = [one.goal for one in samples if one.goal is not None]
+    positions = [one.position for one in samples if one.position is not None]
+    return bool(goals and positions) and max(goals) - min(goals) >= MOVES \
+        and max(positions) - min(positions) <= STANDS
+
+
+def _dip(case: Case, number: int) -> str:
+    voltages = [one.voltage for one in case.samples.get(number, ()) if one.voltage]
+    if voltages and min(voltages) < DIP * voltages[-1]:
+        return f'{number:03} saw {min(voltages):.1f} V before, {voltages[-1]:.1f} V now'
+    return ''
+
+
+# --- partly there ------------------------------------------------------------------------------
+
+def _is_ping_only(case: Case, device: DeviceReport) -> bool:
+    """Tell whether it answers, but no data come from it any more."""
+    window = device.window
+    if case.count(ev.RETURNED, device.id) < 2 or window.missed < FEW or window.spoilt:
+        return False
+    youngest = min(_data_ages(device), default=GONE_S + 1)
+    return device.last_heard_s is not None and device.last_heard_s < GONE_S < youngest
+
+
+def _ping_only(case: Case, device: DeviceReport) -> Found | None:
+    if not _is_ping_only(case, device):
+        return None
+    return Claim(device.id, 'answers Pings, but no reads: set Status Return Level to 1 or 2 '
+                 f'({device.window.missed} of {device.window.asked} answers missed)')
+
+
+def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
+    window = device.window
+    lost = window.missed - window.spoilt
+    if lost < FEW or lost <= LOSS * window.asked or device.id in case.gone \
+            or device.missed_in_a_row > FEW or _absences(case, device.id) \
+            or case.count(ev.REBOOTED, device.id):
+        return None
+    return Claim(device.id, f'{lost} of {window.asked} answers missing without a trace: cannot '
+                 'tell a loose plug from a device that did not understand; check its plugs',
+                 (('loss', share(lost, window.asked)),))
+
+
+def _expected(case: Case, device: DeviceReport) -> Found | None:
+    if device.state == words.EXPECTED and not device.window.asked and device.last_heard_s is None:
+        return Doubt(device.id, 'in `devices`, but the master never asks it')
+    return None
+
+
+def _no_answer(case: Case) -> Iterator[Found]:
+    yield from _gone(case, False)
+    yield from each(_expected)(case)
+
+
+RULES = (
+    Rule('brown_out', Level.ERROR, 'absences of several devices at the same time, and a proof of '
+         'restart or a voltage dip of one of them', _brown_out,
+         ('rebooted', 'dropout', 'missed_answers', 'voltage', 'jitter')),
+    Rule('all_silent', Level.ERROR, 'instructions for several devices and no status at all',
+         _all_silent, ('no_answer', 'sync_read_stops', 'broken_cable', 'jitter'), holds=False),
+    Rule('broken_cable', Level.ERROR, '`devices` in chain order, and the last of them silent',
+         _broken_cable, ('no_answer', 'sync_read_stops', 'missed_answers', 'jitter'), holds=False),
+    Rule('sync_read_stops', Level.ERROR, 'a silent device, and others behind it that are not '
+         'served', lambda case: _gone(case, True), ('no_answer', 'missed_answers', 'jitter'),
+         holds=False),
+    Rule('no_answer', Level.ERROR, 'more answers missed in a row than missed_limit, and no sign '
+         f'of life for {GONE_S} s', _no_answer, ('missed_answers', 'jitter'), holds=False),
+    Rule('rebooted', Level.ERROR, 'an absence without an instruction to reboot, and a proof of '
+         'restart', each_with(ev.RETURNED, _rebooted), ('dropout', 'missed_answers', 'jitter')),
+    Rule('ping_only', Level.WARN, 'answers, but no data read from it any more',
+         each_with(ev.RETURNED, _ping_only),
+         ('dropout', 'rebooted', 'no_answer', 'sync_read_stops', 'missed_answers', 'no_acks',
+          'jitter')),
+    Rule('dropout', Level.WARN, 'disconnected, and back', each_with(ev.RETURNED, _dropout),
+         ('missed_answers', 'jitter')),
+    Rule('missed_answers', Level.WARN, 'answers missed without damage or noise in their place',
+         each(_missed_answers)),
+)

@@ -1,0 +1,141 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Rhythm: how regularly a master repeats an instruction, from the stamps of its last repetitions.
+
+Stamps are those of chunks: an adapter that gathers bytes blurs them by as much, which is why every
+judgement here is relative to the period and none is finer than a fifth of it.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from itertools import pairwise
+from operator import sub
+from typing import NamedTuple
+
+from dxl_monitor.report import Cycle
+from msg_defs.dxl_instruction import Instruction
+
+S = 1_000_000_000
+WRITES = (Instruction.WRITE, Instruction.REG_WRITE, Instruction.SYNC_WRITE,
+          Instruction.BULK_WRITE)
+ENOUGH = 12                        # repetitions
+MOST = 8                           # instructions looked at
+FRESH_NS = 2 * S
+SHORT = 0.35                       # of the period: asked again before its time
+AGREE = 0.15                       # of the period: the same
+MOSTLY = 0.8                       # of the periods
+RARELY = 0.3                       # more often, and it is part of the cycle
+AT_ONCE_NS = 1_500_000             # behind the answers; chunks of 2 ms blur it
+STATUS_SIZE = 11                   # bytes, without parameters
+BITS_PER_BYTE = 10
+INSIDE = 8                         # repetitions of one rhythm while the other went on
+BINS = 16
+UNEVEN = 0.05                      # from the next whole number
+
+
+class Rhythm(NamedTuple):
+    """An instruction and the times between its repetitions (ns)."""
+
+    cycle: Cycle
+    periods: tuple[int, ...]
+    period: float                  # median
+    spread: float                  # from the 10th to the 90th percentile, relative to the median
+    base: int                      # the shortest usual period; others may be multiples
+    answer_ns: float               # within so long the answers are on the wire, or just over
+
+    @property
+    def repeats(self) -> list[tuple[int, int]]:
+        """
+        When it was asked again at once, and when before, without the next one being late for it.
+
+        Only where it is regular otherwise: short + rest = period, and all others the period.
+        """
+        low, tolerance = min(SHORT * self.period, self.answer_ns), AGREE * self.period
+        if min(self.periods) >= low or self.cycle.instruction in WRITES:
+            return []                          # writes with other data or IDs count as one kind
+        found, whole = [], [abs(one - self.period) < tolerance for one in self.periods]
+        for at, (one, two) in enumerate(pairwise(self.periods)):
+            if one < low and abs(one + two - self.period) < tolerance and whole[max(0, at - 1)]:
+                found.append((self.cycle.stamps[at], self.cycle.stamps[at + 1]))
+        regular = 2 * len(found) + sum(whole) >= MOSTLY * len(whole)
+        return found if regular and len(found) <= RARELY * len(whole) else []
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether it keeps time, repetitions that were lost left aside."""
+        if self.spread < AGREE:
+            return True
+        turns = [period / max(1, self.base) for period in self.periods]
+        return sum(turn > 0.5 and abs(turn - round(turn)) < AGREE for turn in turns) \
+            >= MOSTLY * len(turns)
+
+    @property
+    def jitter(self) -> float:
+        """
+        Return its spread, 0 where that has an order: few different periods, a change of pace.
+
+        A program with several paces has few different periods; one that is held up has any.
+        """
+        if self.spread < AGREE:
+            return self.spread
+        low, high = min(self.periods), max(self.periods)
+        width = (high - low) / BINS or 1.0
+        if len({int((period - low) / width) for period in self.periods}) < BINS // 2:
+            return 0.0
+        half = len(self.periods) // 2
+        return min(spread_of(self.periods[:half]), spread_of(self.periods[half:]))
+
+
+def rhythms(cycles: tuple[Cycle, ...], now: int, baud: int) -> list[Rhythm]:
+    """Return the rhythms of the most frequent instructions that are still going on."""
+    going_on = [cycle for cycle in cycles
+                if len(cycle.stamps) > ENOUGH and now - cycle.stamps[-1] < FRESH_NS]
+    return [_rhythm(cycle, baud) for cycle in going_on[:MOST]]
+
+
+def answer_ns(cycle: Cycle, baud: int) -> float:
+    """Return how long the answers to an instruction take on the wire."""
+    if cycle.instruction in WRITES[2:]:
+        return 0.0
+    return len(cycle.ids) * (STATUS_SIZE + cycle.length) * BITS_PER_BYTE * S / baud
+
+
+def _rhythm(cycle: Cycle, baud: int) -> Rhythm:
+    periods = tuple(map(sub, cycle.stamps[1:], cycle.stamps))
+    ordered = sorted(periods)
+    return Rhythm(cycle, periods, ordered[len(ordered) // 2], spread_of(ordered),
+                  ordered[len(ordered) // 4], 1.2 * answer_ns(cycle, baud) + AT_ONCE_NS)
+
+
+def spread_of(periods: Sequence[int]) -> float:
+    """Return the distance from the 10th to the 90th percentile, relative to the median."""
+    ordered = sorted(periods)
+    middle = ordered[len(ordered) // 2]
+    edge = len(ordered) // 10
+    return (ordered[-1 - edge] - ordered[edge]) / middle if middle > 0 else 0.0
+
+
+def is_multiple(slow: Rhythm, fast: Rhythm) -> bool:
+    """Tell whether one period fits the other a whole number of times: one program's, as a rule."""
+    ratio = slow.base / max(1, fast.base)
+    return abs(ratio - round(ratio)) < UNEVEN * ratio
+
+
+def is_independent(one: Rhythm, other: Rhythm) -> bool:
+    """
+    Tell whether one rhythm knows nothing of another.
+
+    What one program asks stands in few places of its cycle; another's falls anywhere in it.
+    """
+    stamps = one.cycle.stamps
+    bins = set()
+    inside = 0
+    for stamp in other.cycle.stamps:
+        at = bisect_right(stamps, stamp) - 1
+        if 0 <= at < len(stamps) - 1:
+            inside += 1
+            bins.add(int(BINS * (stamp - stamps[at]) / (stamps[at + 1] - stamps[at] or 1)))
+    return inside >= INSIDE and len(bins) >= min(BINS // 2, inside // 2)

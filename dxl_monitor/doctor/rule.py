@@ -1,0 +1,93 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a rule of the doctor is: data and a pure function from a Case to claims.
+
+A claim names a cause; a doubt says that the evidence is there and does not decide. Neither knows
+of time before the case: how long a claim stands is the Doctor's.
+"""
+
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from dxl_monitor.doctor.case import Case
+from dxl_monitor.report import DeviceReport
+from msg_defs.reports import Level
+
+EVERYWHERE = -1
+
+
+class Claim(NamedTuple):
+    """A cause found; device None = the bus. covers: devices whose trouble it accounts for too."""
+
+    device: int | None
+    message: str
+    figures: tuple[tuple[str, str], ...] = ()
+    level: Level | None = None     # where it is not the rule's
+    covers: tuple[int, ...] = ()
+
+
+class Doubt(NamedTuple):
+    """Something is wrong or unknown, and the evidence does not say what."""
+
+    device: int | None
+    reason: str
+
+
+Found = Claim | Doubt
+Check = Callable[[Case], Iterable[Found]]
+
+
+class Rule(NamedTuple):
+    """
+    One cause. name: as in the key finding.<name> and in docs/doctor.md.
+
+    explains: rules whose claims are consequences of this one, on its device and those it covers,
+    and of the bus; a claim about the bus explains those of all devices.
+    """
+
+    name: str
+    level: Level
+    needs: str                     # evidence, in words
+    check: Check
+    explains: tuple[str, ...] = ()
+    onset_s: float = 0.0           # claimed without a break for so long, before it is told
+    holds: bool = True             # some seconds longer than its evidence; not: it is a state
+
+
+def each(check: Callable[[Case, DeviceReport], Found | None]) -> Check:
+    """Make a check of the whole case from one of a device."""
+    def check_all(case: Case) -> Iterator[Found]:
+        for device in case.report.devices:
+            found = check(case, device)
+            if found is not None:
+                yield found
+    return check_all
+
+
+def each_with(kind: str, check: Callable[[Case, DeviceReport], Found | None]) -> Check:
+    """Do as each(), for the devices that a kind of incident is noted of: mostly none."""
+    def check_some(case: Case) -> Iterator[Found]:
+        if not case.count(kind):
+            return
+        for number in sorted({one.device for one in case.incidents(kind)}):
+            device = case.devices.get(number)
+            found = None if device is None else check(case, device)
+            if found is not None:
+                yield found
+    return check_some
+
+
+def share(part: float, whole: float) -> str:
+    """Spell a share: '12 %'."""
+    percent = 100 * part / whole if whole else 0.0
+    return f'{percent:.0f} %' if percent >= 9.95 else f'{percent:.1f} %'
+
+
+def listed(numbers: Iterable[int], most: int = 6) -> str:
+    """Spell IDs: '003, 004 and 9 more'."""
+    ids = [f'{number:03}' for number in numbers]
+    more = f' and {len(ids) - most} more' if len(ids) > most else ''
+    return ', '.join(ids[:most]) + more

@@ -1,0 +1,233 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Rules about time: who is too early, too late, too slow, out of step.
+
+What is finer than the adapter resolves is not judged: latencies come with their share resolved,
+periods are judged in parts of themselves (rhythm.py).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from itertools import pairwise
+from operator import attrgetter
+
+from dxl_monitor import evidence as ev
+from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.rhythm import answer_ns
+from dxl_monitor.doctor.rhythm import is_independent
+from dxl_monitor.doctor.rhythm import is_multiple
+from dxl_monitor.doctor.rhythm import Rhythm
+from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Doubt
+from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import listed
+from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.report import DeviceReport
+from dxl_monitor.report import Incident
+from msg_defs.dxl_instruction import name_of
+from msg_defs.reports import Level
+
+S = 1_000_000_000
+MS = 1_000_000
+BITS_PER_BYTE = 10
+FEW = 3
+TOGETHER_NS = 3 * MS               # late answers closer than this belong to one
+LOADED = 80.0                      # % of the wire time
+LOAD_S = 3.0
+BLURRED = 3                        # times the resolution: what is narrower is no finding
+DELAY_MS = (0.4, 0.7)              # a Return Delay Time of 500 us, as measured
+BLUR_MS = 0.15
+SAMPLES = 5
+JITTERY = 0.5                      # spread of the cycle
+JITTER_ONSET_S = 3.0               # a computer that is busy for a moment is no finding
+LATENCY_MS = (15.0, 18.5)          # a latency timer of 16 ms, and what its host adds
+SLOW_PER_S = 80                    # instructions; with 16 ms each there cannot be more
+LATENT = 0.6                       # of the gaps
+WAITED_S = 3.0
+
+
+def _impatient(case: Case) -> Iterator[Found]:
+    again = Counter(case.repeats.values())
+    for one in _hidden_repeats(case):
+        again[one.detail[0]] += 1
+    if again.total() >= FEW:
+        worst = again.most_common(1)[0][0]
+        yield Claim(None, f'the master repeats {name_of(worst)} at once, {again.total()} times in '
+                    '10 s: its time-out is shorter than the answers take; raise it',
+                    (('repeated', str(again.total())),))
+
+
+def _hidden_repeats(case: Case) -> list[Incident]:
+    """
+    Return the first of those answers each that came anew behind damage in an answer.
+
+    Behind a damaged instruction they would be its own answers.
+    """
+    anew = case.incidents(ev.ANEW)
+    first = anew[:1] + [one for before, one in pairwise(anew)
+                        if one.stamp - before.stamp > TOGETHER_NS]
+    if len({one.device for one in anew}) < 2 \
+            or len(first) < 2 * case.count(ev.DAMAGED_INSTRUCTION):
+        return []
+    return first
+
+
+def _late_answers(case: Case) -> Iterator[Found]:
+    late = sorted(case.incidents(ev.LATE) + case.incidents(ev.WRONG_SIZE),
+                  key=lambda one: one.stamp)
+    first: Counter[int] = Counter()
+    before = 0
+    for one in late:
+        if one.stamp - before > TOGETHER_NS:
+            first[one.device] += 1
+        before = one.stamp
+    for number, count in first.most_common(1):
+        if count >= FEW:
+            yield Claim(number, 'answers when the master has given up, into the next question: '
+                        'lower its Return Delay Time or raise the time-out',
+                        (('late answers', str(count)), ('waits', _wait(case))),
+                        covers=tuple(case.devices))
+
+
+def _wait(case: Case) -> str:
+    waits = sorted(us for _, us, _ in case.report.waits)
+    return f'{waits[len(waits) // 2] / 1000:.1f} ms' if waits else 'unknown'
+
+
+def _latency_timer(case: Case) -> Iterator[Found]:
+    seconds = (case.now - case.mark(2.0).stamp) / S
+    asked = case.report.counters['Instructions'] - case.mark(2.0).instructions
+    if not asked or asked > SLOW_PER_S * seconds:
+        return
+    stamps = sorted((stamp, number) for number, cycle in enumerate(case.report.cycles)
+                    for stamp in cycle.stamps if stamp > case.now - 2 * S)
+    gaps = []
+    for (one, number), (two, _) in pairwise(stamps):
+        cycle = case.report.cycles[number]
+        gaps.append((number, (two - one - answer_ns(cycle, case.report.baud)) / MS))
+    slow = [number for number, gap in gaps if LATENCY_MS[0] <= gap <= LATENCY_MS[1]]
+    if len(slow) >= 10 and len(slow) >= LATENT * len(gaps) and len(set(slow)) > 1:
+        yield Claim(None, f'{len(slow)} of {len(gaps)} instructions come 16 ms after the answer '
+                    "before: the latency timer of the master's adapter; set it to 1 ms",
+                    (('instructions per second', f'{asked / seconds:.0f}'),))
+
+
+def _return_delay(case: Case) -> Iterator[Found]:
+    unknown = []
+    for device in case.report.devices:
+        register = case.values[device.id].get('Return Delay Time')
+        delay_ms = register.value.number * 1000 if register and register.value.number is not None \
+            else None
+        measured = _measured_ms(device)
+        if delay_ms is None and measured is None and device.window.answers:
+            unknown.append(device.id)
+        if (delay_ms or 0.0) >= DELAY_MS[0] or (delay_ms is None and measured is not None
+                                                and DELAY_MS[0] <= measured <= DELAY_MS[1]):
+            yield _delay_claim(case, device, delay_ms, measured)
+    if unknown:
+        yield Doubt(None, f'{listed(unknown, 3)}: reply latency not resolved by the adapter and '
+                    'Return Delay Time never read')
+
+
+def _measured_ms(device: DeviceReport) -> float | None:
+    summary = device.latency.window or device.latency.total
+    if summary is None or summary.count < SAMPLES or summary.p95 - summary.p50 > BLUR_MS:
+        return None
+    return summary.p50
+
+
+def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
+                 measured: float | None) -> Claim:
+    known = delay_ms if delay_ms is not None else measured or 0.0
+    how = 'Return Delay Time' if delay_ms is not None else 'reply latency'
+    seconds = (case.now - case.report.started) / S
+    rate = device.reads / seconds if seconds > 0 else 0.0
+    return Claim(device.id, f'waits {known:.1f} ms before each answer ({how}): write 0 to Return '
+                 f'Delay Time, that saves {known * rate:.0f} ms of bus time per second',
+                 (('delay (ms)', f'{known:.2f}'), ('read', 'yes' if delay_ms else 'measured')))
+
+
+def _bus_too_slow(case: Case) -> Iterator[Found]:
+    before = case.mark(LOAD_S)
+    seconds = (case.now - before.stamp) / S
+    got = case.report.counters['Bytes'] - before.bytes
+    if seconds < 1.0:
+        return
+    load = 100 * got * BITS_PER_BYTE / seconds / case.report.baud
+    if load > LOADED:
+        steady = next(iter(case.rhythms), None)
+        per_cycle = f', {got / seconds * steady.period / S:.0f} bytes per cycle' if steady else ''
+        yield Claim(None, f'bus load {load:.0f} %{per_cycle}: no room for a retry; raise the baud '
+                    'rate, read less, or read slow things less often',
+                    (('load (%)', f'{load:.0f}'), ('bytes per second', f'{got / seconds:.0f}')))
+
+
+def _two_masters(case: Case) -> Iterator[Found]:
+    one = min(case.rhythms, key=lambda rhythm: rhythm.base, default=None)
+    if one is not None and one.is_steady:
+        for other in case.rhythms:
+            if other is not one and not is_multiple(other, one) and other.is_steady \
+                    and is_independent(one, other) and is_independent(other, one):
+                yield Claim(None, f'{_words(one)} and {_words(other)} keep time apart: two '
+                            'programs are on this bus; stop one',
+                            (('damaged packets', str(case.damage)),))
+                return
+
+
+def _words(rhythm: Rhythm) -> str:
+    cycle = rhythm.cycle
+    whom = f'{cycle.ids[0]:03}' if len(cycle.ids) == 1 else f'{len(cycle.ids)} IDs'
+    at = f' at {cycle.address}' if cycle.address is not None else ''
+    return f'{name_of(cycle.instruction)} of {whom}{at} every {rhythm.base / MS:.0f} ms'
+
+
+def _jitter(case: Case) -> Iterator[Found]:
+    rhythms = case.rhythms
+    if not rhythms or case.waits(WAITED_S):
+        return
+    fastest = min(one.base for one in rhythms)
+    often = [one for one in rhythms if one.base <= 2 * fastest]
+    if min(one.spread for one in often) <= JITTERY:
+        return
+    best = min(often, key=attrgetter('jitter'))
+    ordered = sorted(best.periods)
+    edge = len(ordered) // 10
+    low, high = ordered[edge] / MS, ordered[-1 - edge] / MS
+    if best.jitter > JITTERY and high - low > BLURRED * _blur_ms(case):
+        yield Claim(None, f"the master's cycle takes {low:.1f} to {high:.1f} ms, "
+                    f'{best.period / MS:.1f} ms as a rule: give its loop a higher priority',
+                    (('spread', f'{best.spread:.2f}'),))
+
+
+def _blur_ms(case: Case) -> float:
+    """Return how finely the chunks tell time: the usual time between two of them."""
+    return next((one.window.p50 for one in case.report.metrics
+                 if one.name == 'time_between_buffers' and one.window is not None), 0.0)
+
+
+RULES = (
+    Rule('two_masters', Level.ERROR, 'two steady rhythms of instructions that fall anywhere in '
+         "each other's period", _two_masters,
+         ('noise', 'damaged_answers', 'missed_answers', 'impatient_master', 'late_answers',
+          'duplicate_id', 'foreign_answers', 'jitter', 'stray_bytes', 'dropout', 'turnaround'),
+         onset_s=1.0),
+    Rule('impatient_master', Level.WARN, 'an instruction repeated at once, and then not before '
+         'its period is over', _impatient,
+         ('noise', 'damaged_answers', 'missed_answers', 'late_answers', 'duplicate_id', 'jitter',
+          'stray_bytes', 'dropout')),
+    Rule('late_answers', Level.WARN, 'answers to an instruction that was given up, or of the size '
+         'of the one before', _late_answers,
+         ('duplicate_id', 'missed_answers', 'dropout', 'jitter', 'damaged_answers', 'noise',
+          'foreign_answers', 'turnaround', 'stray_bytes')),
+    Rule('latency_timer', Level.WARN, 'most instructions 16 ms behind the answer before, of '
+         'different kinds', _latency_timer, ('jitter',)),
+    Rule('bus_too_slow', Level.WARN, f'more than {LOADED:.0f} % of the time with bytes on the '
+         'wire', _bus_too_slow, ('jitter', 'two_masters', 'impatient_master')),
+    Rule('jitter', Level.WARN, 'no instruction that comes back regularly, and no answer missed',
+         _jitter, onset_s=JITTER_ONSET_S),
+    Rule('return_delay', Level.OK, 'Return Delay Time read or written, or the reply latency where '
+         'the chunks resolve it', _return_delay),
+)
