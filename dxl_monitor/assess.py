@@ -1,0 +1,150 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What to say of a device: its state, a level, a few words to act on.
+
+Levels come from the last 10 s, never from counts since start: a fault that is over is over.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from dxl_monitor import report as words
+from dxl_monitor.control_table import UNKNOWN
+from dxl_monitor.device import Device
+from dxl_monitor.device import WINDOW_S
+from dxl_monitor.report import DeviceReport
+from dxl_monitor.report import Window
+from dxl_monitor.table import Observed
+from dxl_monitor.table import Table
+from msg_defs.dxl_instruction import error_text
+from msg_defs.reports import Level
+from msg_defs.reports import number
+from msg_defs.reports import worst
+
+_CRC_ERRORS_PER_S = 1.0
+HARDWARE_ERROR = 'Hardware Error Status'
+
+
+class Limits(NamedTuple):
+    """The parameters that a judgement depends on (design: warn_loss in %, times in s)."""
+
+    missed_limit: int
+    warn_loss: float
+    silent_after: float
+
+
+class Verdict(NamedTuple):
+    state: str
+    level: Level
+    message: str
+
+
+class Snapshot(NamedTuple):
+    """A device as it was at one moment under the lock; the rest can be worked out without."""
+
+    report: DeviceReport           # without what is decoded from the table
+    table: Table
+
+
+def judge(device: Device, window: Window, now: int, limits: Limits) -> Verdict:
+    """Return the state of a device from what happened on the wire alone."""
+    if device.moved is not None:
+        return Verdict(words.MOVED, Level.WARN, f'moved to {device.moved} Bd by a write')
+    if device.missed_in_a_row > limits.missed_limit:
+        return Verdict(words.DISCONNECTED, Level.ERROR,
+                       f'disconnected: {device.missed_in_a_row} answers missed')
+    if not device.heard:
+        return _never_heard(device)
+    if device.waiting_behind is not None:
+        return Verdict(words.WAITING, Level.WARN,
+                       f'asked but not served: waiting behind {device.waiting_behind:03}')
+    quiet_s = (now - max(device.heard, device.asked_stamp)) / 1e9
+    if quiet_s > limits.silent_after:
+        return Verdict(words.SILENT, Level.STALE, f'silent: nobody asked it for {quiet_s:.0f} s')
+    return Verdict(words.CONNECTED, *_degraded(device, window, limits))
+
+
+def _never_heard(device: Device) -> Verdict:
+    if device.expected:
+        return Verdict(words.EXPECTED, Level.ERROR, 'expected, but never heard')
+    if device.missed_in_a_row or device.not_served:
+        return Verdict(words.ASKED, Level.WARN, 'asked, but never heard')
+    return Verdict(words.ASKED, Level.STALE, 'addressed, but never asked and never heard')
+
+
+def _degraded(device: Device, window: Window, limits: Limits) -> tuple[Level, str]:
+    if device.alert:
+        return Level.WARN, 'alert: read Hardware Error Status'
+    if window.loss * 100 > limits.warn_loss:
+        return Level.WARN, f'{window.missed} of {window.asked} answers missed'
+    if window.damaged > _CRC_ERRORS_PER_S * WINDOW_S:
+        return Level.WARN, f'{number(window.damaged / WINDOW_S)} damaged answers per second'
+    return Level.OK, 'connected'
+
+
+def snapshot(device: Device, now: int, limits: Limits) -> Snapshot:
+    """Return all of a device that the table has no part in, and a copy of the table."""
+    window = device.window()
+    verdict = judge(device, window, now, limits)
+    totals = device.totals()
+    report = DeviceReport(
+        id=device.number, name=_name(device), joint=device.joint, model=device.model,
+        model_number=device.model_number, model_name=_model_name(device),
+        firmware=device.firmware, state=verdict.state, level=verdict.level,
+        message=verdict.message, counters=_counters(device, totals), totals=totals,
+        window=window, missed_in_a_row=device.missed_in_a_row,
+        waiting_behind=device.waiting_behind,
+        last_heard_s=(now - device.heard) / 1e9 if device.heard else None, alert=device.alert,
+        last_error=error_text(device.last_error), status_return_level=device.return_level,
+        acks=device.acks, acks_missing=device.acks_missing, observed=(),
+        unobserved=len(device.model.fields),
+        latency=device.latency_report(now), errors=dict(device.errors), reads=device.reads,
+        writes=device.writes, eeprom_writes=device.eeprom_writes,
+        model_changes=device.model_changes, repaired=device.repaired, glitches=device.glitches)
+    return Snapshot(report, device.table.copy())
+
+
+def complete(shot: Snapshot, now: int) -> DeviceReport:
+    """Return the report with the decoded table, and with what that says about the device."""
+    report, table = shot
+    observed = table.observed(report.model, now)
+    level, message = report.level, report.message
+    fault = _hardware_error(observed)
+    if fault and report.state not in (words.DISCONNECTED, words.SILENT):
+        message = f'hardware error: {fault}' + (f'; {message}' if level is Level.ERROR else '')
+        level = worst((level, Level.ERROR))
+    return report._replace(level=level, message=message, observed=tuple(observed),
+                           unobserved=len(report.model.fields) - len(observed))
+
+
+def _hardware_error(observed: Sequence[Observed]) -> str:
+    """Return the bits of Hardware Error Status in words, '' if none is set or it was not read."""
+    for seen in observed:
+        if seen.field.name == HARDWARE_ERROR:
+            return seen.value.text if seen.value.raw else ''
+    return ''
+
+
+def _name(device: Device) -> str:
+    return f'{device.number:03} {device.joint}' if device.joint else f'{device.number:03}'
+
+
+def _model_name(device: Device) -> str:
+    if device.model is not UNKNOWN or device.model_number is None:
+        return device.model.name
+    return f'unknown ({device.model_number})'
+
+
+def _counters(device: Device, totals: Window) -> tuple[tuple[str, float], ...]:
+    return (
+        ('Answers', totals.answers),
+        ('Missed Answers', totals.missed),
+        ('Missed in a Row', device.missed_in_a_row),
+        ('Not Served', totals.not_served),
+        ('Damaged Answers', totals.damaged),
+        ('Repaired Answers', device.repaired),
+        ('Refused Instructions', sum(device.errors.values())),
+        ('Alert Answers', totals.alerts),
+        ('Writes', device.writes),
+    )

@@ -1,0 +1,371 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bus over time: states, levels and words, rates, idle lines; against the simulated truth."""
+
+from itertools import pairwise
+from pathlib import Path
+import struct
+
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+import pytest
+
+from dxl_monitor.devices import Device as Expected
+from dxl_monitor.fake.faults import parse
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.fake_bus import make_devices
+from dxl_monitor.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor import Settings
+from dxl_monitor.report import BusReport
+from dxl_monitor.report import DeviceReport
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import STATUS
+from msg_defs.reports import Level
+
+TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
+MODELS = Models()
+MS = 1_000_000
+SECOND = 1_000_000_000
+PING = encode(1, I.PING)
+PONG = encode(1, STATUS, b'\x37\x01\x29', error=0)
+READ = encode(1, I.READ, struct.pack('<HH', 132, 4))
+REPLY = encode(1, STATUS, bytes(4), error=0)
+POSITIONS = encode(BROADCAST, I.SYNC_READ, struct.pack('<HH', 132, 4) + b'\x01\x02\x03')
+
+
+def damaged(packet: bytes) -> bytes:
+    return packet[:-1] + bytes([packet[-1] ^ 1])
+
+
+class Bus:
+    """A monitor and its time; what is said goes by in chunks of their own."""
+
+    def __init__(self, *expected: Expected, baud: int = 2_000_000, **others: float) -> None:
+        limits = {'missed_limit': 4, 'warn_loss': 1.0, 'silent_after': 5.0, **others}
+        self.monitor = Monitor('arm', MODELS, Settings(
+            baud=baud, devices=expected, missed_limit=int(limits['missed_limit']),
+            warn_loss=limits['warn_loss'], silent_after=limits['silent_after']))
+        self.now = 100 * SECOND
+
+    def hear(self, *chunks: bytes, every_ms: float = 1.0) -> None:
+        for chunk in chunks:
+            self.now += int(every_ms * MS)
+            self.monitor.feed(chunk, self.now)
+
+    def wait(self, seconds: float) -> None:
+        self.now += int(seconds * SECOND)
+
+    def report(self) -> BusReport:
+        return self.monitor.report(self.now)
+
+    def device(self, number: int = 1) -> DeviceReport:
+        return {device.id: device for device in self.report().devices}[number]
+
+
+def verdict(device: DeviceReport) -> tuple[str, Level, str]:
+    return device.state, device.level, device.message
+
+
+def test_nothing_heard_yet() -> None:
+    report = Bus().report()
+    assert (report.level, report.message, report.devices) == (Level.STALE, 'nothing heard yet', ())
+    assert report.counters['Bytes'] == 0
+
+
+def test_connected() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, READ, REPLY)
+    device = bus.device()
+    assert verdict(device) == ('connected', Level.OK, 'connected')
+    assert (device.name, device.model_name, device.firmware) == ('001', 'MX-64', 41)
+    assert bus.report().message == '1 of 1 devices connected'
+
+
+def test_what_was_observed_and_what_was_not() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, READ, REPLY, encode(1, I.WRITE, b'\x74\x00' + bytes(4)), PING)
+    device = bus.device()
+    seen = {one.field.name: one.source for one in device.observed}
+    assert seen == {'Model Number': 'r', 'Firmware Version': 'r', 'Present Position': 'r',
+                    'Goal Position': 'w'}
+    assert device.unobserved == len(device.model.fields) - 4
+
+
+def test_disconnected_within_six_cycles_and_back_at_once() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG)
+    bus.hear(*[READ] * 6, every_ms=10)
+    assert verdict(bus.device()) == (
+        'disconnected', Level.ERROR, 'disconnected: 5 answers missed')
+    bus.hear(REPLY)
+    assert bus.device().state == 'connected'
+
+
+def test_the_last_miss_is_counted_on_an_idle_line_too() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, *[READ] * 5)
+    assert bus.device().missed_in_a_row == 4
+    bus.wait(2)
+    assert bus.device().state == 'disconnected'
+
+
+def test_expected_and_never_heard() -> None:
+    bus = Bus(Expected(7, 'MX-106', 'left_knee'))
+    bus.hear(READ, REPLY)
+    device = bus.device(7)
+    assert verdict(device) == ('expected', Level.ERROR, 'expected, but never heard')
+    assert (device.name, device.model_name) == ('007 left_knee', 'MX-106')
+
+
+def test_asked_and_never_heard() -> None:
+    bus = Bus()
+    bus.hear(READ, READ)
+    assert verdict(bus.device()) == ('asked', Level.WARN, 'asked, but never heard')
+
+
+def test_silent_is_stale_and_keeps_its_values() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, READ, REPLY)
+    bus.wait(8)
+    device = bus.device()
+    assert (device.state, device.level) == ('silent', Level.STALE)
+    assert device.last_heard_s == pytest.approx(8.0)
+    assert any(one.field.name == 'Present Position' for one in device.observed)
+
+
+def test_waiting_behind_a_silent_one() -> None:
+    bus = Bus()
+    for number in (1, 2, 3):
+        bus.hear(encode(number, I.PING), encode(number, STATUS, b'\x37\x01\x29', error=0))
+    bus.hear(*[POSITIONS] * 8)
+    assert bus.device(1).state == 'disconnected'
+    for number in (2, 3):
+        assert verdict(bus.device(number)) == (
+            'waiting', Level.WARN, 'asked but not served: waiting behind 001')
+    bus.hear(POSITIONS, *[encode(n, STATUS, bytes(4), error=0) for n in (1, 2, 3)])
+    assert [bus.device(n).state for n in (1, 2, 3)] == ['connected'] * 3
+
+
+def test_loss_is_that_of_the_last_ten_seconds() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG)
+    bus.hear(*[READ, REPLY] * 20, READ, READ, REPLY)
+    device = bus.device()
+    assert (device.level, device.message) == (Level.WARN, '1 of 23 answers missed')
+    bus.hear(*[READ, REPLY] * 60, every_ms=100)
+    assert bus.device().level is Level.OK
+    assert bus.device().totals.missed == 1
+
+
+def test_an_alert_and_the_error_behind_it() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, READ, encode(1, STATUS, bytes(4), error=0x80))
+    assert bus.device().level is Level.WARN
+    assert 'read Hardware Error Status' in bus.device().message
+    bus.hear(encode(1, I.READ, b'\x46\x00\x01\x00'), encode(1, STATUS, b'\x20', error=0x80))
+    assert bus.device().level is Level.ERROR
+    assert bus.device().message.startswith('overload error latched')
+    bus.hear(encode(1, I.READ, b'\x46\x00\x01\x00'), encode(1, STATUS, b'\x00', error=0))
+    assert bus.device().level is Level.OK
+
+
+def test_moved_to_another_baud_rate() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, encode(1, I.WRITE, b'\x08\x00\x01'), encode(1, STATUS, error=0))
+    assert verdict(bus.device())[:2] == ('moved', Level.WARN)
+    assert bus.device().message.startswith('moved to 57600 Bd by a write')
+
+
+def test_damage_is_told_by_device_and_by_bus() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG)
+    for _ in range(20):
+        bus.hear(READ, damaged(REPLY), READ, REPLY)
+    bus.wait(0.5)
+    report = bus.report()
+    assert report.devices[0].window.damaged == 20
+    assert report.level is Level.WARN
+    assert report.counters['CRC Errors'] == 20
+    assert report.errors[-1].text == '001: no answer to Read at 132'
+    assert '001: status with a wrong CRC' in {error.text for error in report.errors}
+
+
+def test_the_last_fifty_errors_are_kept_in_order() -> None:
+    bus = Bus()
+    for n in range(80):
+        bus.hear(encode(n, 0x8B))
+    errors = bus.report().errors
+    assert len(errors) == 50
+    assert errors[0].text == '030: unknown instruction 0x8B'
+    assert [error.stamp for error in errors] == sorted(error.stamp for error in errors)
+
+
+def test_bytes_without_packets_ask_for_the_baud_rate() -> None:
+    bus = Bus()
+    bus.hear(bytes(500))
+    assert bus.report().message == 'bytes, but no packets: wrong baud rate?'
+
+
+def test_packets_of_protocol_1_are_noticed() -> None:
+    bus = Bus()
+    packet = b'\xff\xff\x01\x04\x02\x24\x02\xd2'
+    bus.hear(*[packet] * 200, every_ms=20)
+    assert any(incident.kind == 'protocol 1.0' and incident.device == 1
+               for incident in bus.report().incidents)
+
+
+def test_an_idle_line_decides_what_is_pending() -> None:
+    bus = Bus()
+    bus.hear(READ[:9])
+    assert bus.report().counters['Pending Bytes'] == 9
+    bus.now += bus.monitor.idle_ns + 1
+    bus.monitor.flush_if_idle(bus.now)
+    counters = bus.report().counters
+    assert (counters['Pending Bytes'], counters['Noise Bytes']) == (0, 9)
+    assert counters['Truncated Packets'] == 1
+
+
+def test_a_pause_between_two_chunks_does_the_same_without_being_asked() -> None:
+    bus = Bus()
+    bus.hear(READ[:9])
+    bus.hear(READ, REPLY, every_ms=100)
+    assert bus.report().counters['Packets'] == 2
+
+
+def test_a_long_chunk_is_no_pause() -> None:
+    bus = Bus(baud=57_600)
+    wire = encode(1, I.WRITE, b'\x74\x00' + bytes(600))
+    bus.hear(wire[:300])
+    bus.hear(wire[300:], every_ms=(len(wire) - 300) * 10 / 57.6)
+    assert bus.report().counters['Packets'] == 1
+
+
+def test_the_idle_time_is_that_of_the_design() -> None:
+    assert Monitor('', MODELS, Settings(baud=2_000_000)).idle_ns == 20 * MS
+    assert Monitor('', MODELS, Settings(latency_timer_ms=16)).idle_ns == 32 * MS
+    assert Monitor('', MODELS, Settings(baud=9_600)).idle_ns == 20 * 10 * SECOND // 9_600
+
+
+def test_rates_and_load() -> None:
+    bus = Bus(baud=1_000_000)
+    chunk = READ + REPLY
+    for _ in range(3_000):
+        bus.hear(chunk)
+    report = bus.report()
+    values = {metric.name: metric for metric in report.metrics}
+    assert report.rates['bytes'] == pytest.approx(1000 * len(chunk), rel=0.01)
+    assert values['packet_rate'].value == pytest.approx(2000, rel=0.01)
+    assert values['bus_load'].value == pytest.approx(len(chunk), rel=0.01)
+    between = values['time_between_buffers'].window
+    assert between is not None
+    assert between.p50 == pytest.approx(1.0, rel=0.03)
+
+
+def test_cycles_tell_what_the_master_repeats() -> None:
+    bus = Bus()
+    bus.hear(*[READ, REPLY] * 10, PING, every_ms=5)
+    cycle = bus.report().cycles[0]
+    assert (cycle.instruction, cycle.ids, cycle.address, cycle.asked) == (I.READ, (1,), 132, 10)
+    assert {after - before for before, after in pairwise(cycle.stamps)} == {10 * MS}
+    assert bus.device().reads == 10
+
+
+def test_reset_statistics_keeps_what_is_known() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, *[READ, REPLY] * 5)
+    bus.monitor.reset_statistics(bus.now)
+    report = bus.report()
+    assert report.counters['Packets'] == 0
+    assert report.devices[0].totals.answers == 0
+    assert report.devices[0].model_name == 'MX-64'
+    assert report.devices[0].state == 'connected'
+    bus.hear(READ, REPLY)
+    assert bus.report().counters['Packets'] == 2
+
+
+def test_two_buses_know_nothing_of_each_other() -> None:
+    first, second = Bus(), Bus()
+    first.hear(PING, PONG)
+    assert second.report().devices == ()
+
+
+def test_a_report_is_not_touched_by_what_comes_later() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, READ, REPLY)
+    report = bus.report()
+    before = repr(report)
+    bus.hear(READ, encode(1, STATUS, b'\x01\x02\x03\x04', error=0), READ, READ)
+    assert repr(report) == before
+
+
+@pytest.mark.parametrize(('pattern', 'fault'), [
+    *((pattern, '') for pattern in ('moving', 'sync', 'bulk', 'fast', 'registered', 'read_write',
+                                    'broadcast', 'mixed')),
+    *(('moving', fault) for fault in ('silent:3:1:1', 'cable:3:1:1', 'header:3:1:1',
+                                      'glitch:3:1:1', 'flip:3:1:1', 'drop:3:1:1', 'reboot:3:1:1',
+                                      'brownout:3:1:1', 'wrong_map:3:1:1', 'eeprom:3:1:1')),
+])
+def test_what_a_perfect_listener_would_know(pattern: str, fault: str) -> None:
+    devices = make_devices(['1-3:MX-64', '4-5:MX-106', '6:XL430-W250'], MODELS, 1_000_000)
+    master = Master(Line(devices, 1_000_000), PATTERNS[pattern], rate=50,
+                    faults=[parse(fault)] if fault else [])
+    monitor = Monitor('', MODELS, Settings(baud=1_000_000))
+    now = 0
+    for burst in master.bursts(3 * SECOND):
+        now = SECOND + burst.end
+        monitor.feed(burst.data, now)
+    report = monitor.report(now + 2 * SECOND)
+    truth = master.truth
+    assert truth.exact
+    assert report.counters['Instructions'] == truth.instructions
+    assert {device.id for device in report.devices} == set(truth.known)
+    for device in report.devices:
+        known = truth.known[device.id]
+        assert (device.totals.answers, device.totals.missed, device.totals.not_served) == (
+            known.answered, known.missed, known.waiting)
+        assert (device.model_number, device.firmware) == (known.model_number, known.firmware)
+        for seen in device.observed:
+            field = seen.field
+            if all(at in known.bytes for at in range(field.at, field.end)):
+                raw = bytes(known.bytes[at] for at in range(field.at, field.end))
+                assert seen.value == field.decode(raw), (device.id, field)
+
+
+@hypothesis_settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(st.binary(max_size=50), st.integers(0, 3 * SECOND), st.booleans()),
+                max_size=20))
+def test_whatever_comes_whenever(chunks: list[tuple[bytes, int, bool]]) -> None:
+    bus = Bus(Expected(1, 'MX-64'))
+    total = 0
+    for chunk, gap, ask in chunks:
+        bus.now += gap
+        bus.monitor.feed(chunk, bus.now)
+        total += len(chunk)
+        if ask:
+            counters = bus.report().counters
+            assert counters['Bytes'] == total == (
+                counters['Packet Bytes'] + counters['Noise Bytes'] + counters['Pending Bytes'])
+
+
+def test_the_robot_trace() -> None:
+    if not TRACE.is_file():
+        pytest.skip('skipped: the robot trace is not here')
+    data = TRACE.read_bytes()
+    bus = Bus(*(Expected(n, 'MX-64' if n == 7 else 'MX-106') for n in (7, 10, 12)))
+    bus.hear(*(data[at:at + 4096] for at in range(0, len(data), 4096)), every_ms=20.48)
+    bus.wait(1)
+    report = bus.report()
+    assert [device.id for device in report.devices] == [*range(1, 21), 101]
+    assert all(device.model_name != 'unknown' for device in report.devices[:-1])
+    assert sum(device.state == 'connected' for device in report.devices) == 20
+    assert report.devices[-1].state == 'disconnected'
+    assert {name: report.counters[name] for name in (
+        'Packets', 'Repaired Packets', 'CRC Errors', 'Truncated Packets', 'Bad Lengths')} == {
+        'Packets': 8969, 'Repaired Packets': 57, 'CRC Errors': 311, 'Truncated Packets': 26,
+        'Bad Lengths': 45}
