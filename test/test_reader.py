@@ -1,0 +1,275 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The process that reads for a tap: complete, ended with the node, replaced, done without."""
+
+from collections.abc import Iterator
+import os
+from pathlib import Path
+import random
+import resource
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from test_tap import Listener
+from test_tap import wait_for
+
+from dxl_monitor import reader
+from dxl_monitor import reader_process
+from dxl_monitor.tap import Tap
+from mecarover_serial.pty import Pty
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def cable() -> Iterator[Pty]:
+    with Pty() as pty:
+        yield pty
+
+
+@pytest.fixture
+def listener(cable: Pty) -> Iterator[Listener]:
+    listener = Listener(cable.path)
+    wait_for(lambda: listener.tap.reader_pid, 'a reader')
+    yield listener
+    if listener.tap.state.kind != 'stopped':
+        listener.tap.stop()
+
+
+def send(cable: Pty, data: bytes) -> None:
+    """Write all of it; a pty takes 17 KiB at a time."""
+    while data:
+        select.select([], [cable.master], [])
+        data = data[os.write(cable.master, data):]
+
+
+def is_running(pid: int) -> bool:
+    try:
+        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] != 'Z'
+    except OSError:
+        return False
+
+
+def pid_of(listener: Listener) -> int:
+    wait_for(lambda: listener.tap.reader_pid, 'a reader')
+    assert listener.tap.reader_pid is not None
+    return listener.tap.reader_pid
+
+
+@pytest.mark.parametrize('in_thread', [False, True], ids=['process', 'thread'])
+def test_equal_bytes_in_equal_order(cable: Pty, in_thread: bool) -> None:
+    chunks: list[tuple[bytes, int]] = []
+    tap = Tap(cable.path, 2_000_000, lambda *chunk: chunks.append(chunk), in_thread=in_thread)
+    tap.start()
+    wait_for(lambda: tap.state.is_open, 'open')
+    sent = random.Random(4).randbytes(300_000)
+    send(cable, sent)
+    wait_for(lambda: tap.counters.bytes == len(sent), 'all bytes')
+    tap.stop()
+    assert b''.join(chunk for chunk, _ in chunks) == sent
+    stamps = [stamp for _, stamp in chunks]
+    assert stamps == sorted(stamps)
+    assert tap.counters.reads == len(chunks)
+
+
+def test_only_the_process_reads_and_nobody_can_write(cable: Pty, listener: Listener) -> None:
+    pid = pid_of(listener)
+    wait_for(lambda: 'dxl_reader' in Path(f'/proc/{pid}/comm').read_text(), 'its name')
+    flags = {}
+    for entry in Path(f'/proc/{pid}/fd').iterdir():
+        info = Path(f'/proc/{pid}/fdinfo/{entry.name}').read_text()
+        flags[int(entry.name)] = (os.readlink(entry), int(info.split('flags:')[1].split()[0], 8))
+    ports = [flag for path, flag in flags.values() if path == cable.path]
+    assert [flag & os.O_ACCMODE for flag in ports] == [os.O_RDONLY]
+    assert {path.partition(':')[0] for path, _ in flags.values()} == {
+        cable.path, 'pipe', os.devnull}, 'it holds what is none of its business'
+
+
+def test_ends_at_once_with_its_tap(cable: Pty, listener: Listener) -> None:
+    pid = pid_of(listener)
+    begin = time.monotonic()
+    listener.tap.stop()
+    assert time.monotonic() - begin < 1.0               # 0.2 s, and a busy machine
+    assert not is_running(pid)
+    assert not [one for one in threading.enumerate() if one.name.startswith('tap')]
+
+
+def test_ends_when_nobody_takes_what_it_says(cable: Pty) -> None:
+    """A reader that waits for room in its pipe must not outlive the tap, nor hold it up."""
+    entered, leave = threading.Event(), threading.Event()
+    tap = Tap(cable.path, 2_000_000, lambda *_: entered.set() or leave.wait(20.0))
+    tap.start()
+    wait_for(lambda: tap.reader_pid, 'a reader')
+    pid = tap.reader_pid or 0
+    send(cable, bytes(10))
+    assert entered.wait(20.0)
+    while select.select([], [cable.master], [], 0.5)[1]:        # until pipe and pty are full
+        os.write(cable.master, bytes(4096))
+    leave.set()
+    tap.stop()
+    assert not is_running(pid)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_leaves_endings_to_the_node(cable: Pty, listener: Listener, number: int) -> None:
+    pid = pid_of(listener)
+    send(cable, b'ready')
+    wait_for(lambda: listener.data, 'bytes')
+    os.kill(pid, number)
+    send(cable, b' still')
+    wait_for(lambda: listener.data == b'ready still', 'more bytes')
+    assert listener.tap.reader_pid == pid
+
+
+def test_a_killed_one_is_replaced_and_nothing_lost(cable: Pty, listener: Listener) -> None:
+    sent = b''
+    for round_ in range(3):
+        sent += bytes([round_]) * 500
+        send(cable, sent[-500:])
+        _wait_for_bytes(listener, len(sent))
+        _kill_reader(listener)
+        assert 'its reader ended with signal 9' in listener.tap.state.text
+        assert listener.tap.state.is_open
+    assert listener.data == sent
+    assert listener.tap.counters.openings == 1
+
+
+def _wait_for_bytes(listener: Listener, count: int) -> None:
+    wait_for(lambda: len(listener.data) == count, f'{count} bytes')
+
+
+def _kill_reader(listener: Listener) -> None:
+    pid = pid_of(listener)
+    os.kill(pid, signal.SIGKILL)
+    wait_for(lambda: listener.tap.reader_pid not in (pid, None), 'another')
+
+
+def test_none_is_left_when_the_node_is_killed(cable: Pty) -> None:
+    program = ('import sys, time; from dxl_monitor.tap import Tap\n'
+               f'tap = Tap({cable.path!r}, 2000000, lambda *_: None); tap.start()\n'
+               'while not tap.reader_pid: time.sleep(0.01)\n'
+               'print(tap.reader_pid, flush=True); time.sleep(100)')
+    with subprocess.Popen([sys.executable, '-c', program], text=True, stdout=subprocess.PIPE,
+                          cwd=Path(__file__).parents[1]) as node:
+        assert node.stdout is not None
+        pid = int(node.stdout.readline())
+        assert is_running(pid)
+        node.kill()
+    wait_for(lambda: not is_running(pid), 'the end of the reader')
+
+
+@pytest.mark.parametrize(('program', 'reason'), [
+    ('/does/not/exist', 'No such file or directory'), ('/bin/false', 'it ends at once')])
+def test_without_a_process_the_thread_reads_and_says_so(
+        cable: Pty, monkeypatch: pytest.MonkeyPatch, program: str, reason: str) -> None:
+    monkeypatch.setattr(reader_process.sys, 'executable', program)
+    listener = Listener(cable.path)
+    wait_for(lambda: 'without a process' in listener.tap.state.text, 'the reason')
+    assert reason in listener.tap.state.text
+    assert listener.tap.state.is_open
+    send(cable, b'heard')
+    wait_for(lambda: listener.data == b'heard', 'bytes')
+    assert listener.tap.reader_pid is None
+    listener.tap.stop()
+
+
+def test_few_descriptors_are_no_end_and_none_is_lost(cable: Pty) -> None:
+    """Whatever cannot be had for want of descriptors: it listens, or says why it does not."""
+    before = len(os.listdir('/proc/self/fd'))
+    found = {_state_with_descriptors(cable, spare) for spare in range(18)}
+    assert found == {'closed', 'thread', 'process'}
+    assert len(os.listdir('/proc/self/fd')) == before
+
+
+def _state_with_descriptors(cable: Pty, spare: int) -> str:
+    """Return how a tap gets on that can open so many more descriptors."""
+    tap = Tap(cable.path, 2_000_000, lambda chunk, stamp: None)
+
+    def state() -> str:
+        if tap.reader_pid:
+            return 'process'
+        if tap.state.is_open:
+            return 'thread' if 'without a process' in tap.state.text else ''
+        return '' if tap.state.kind == 'starting' else 'closed'
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    lowest = os.dup(0)
+    os.close(lowest)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest + spare, hard))
+    try:
+        tap.start()
+        wait_for(state, f'a state with {spare} descriptors')
+        return state()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        tap.stop()
+
+
+class Line:
+    """A line on a clock of its own: a script of (time to wait in ns, bytes)."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, script: list[tuple[int, bytes]]) -> None:
+        self.now = 0
+        self.due = 0
+        self.script = script
+        self.heard: list[tuple[bytes, int]] = []
+        self.idle: list[int] = []
+        monkeypatch.setattr(reader, 'time', self)
+        self.due = script[0][0]
+
+    def monotonic_ns(self) -> int:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += round(seconds * 1e9)
+
+    def wait(self, seconds: float) -> bool:
+        end = self.now + round(seconds * 1e9)
+        is_ready = bool(self.script) and self.due <= end
+        self.now = max(self.now, self.due) if is_ready else end
+        return is_ready
+
+    def read(self) -> bytes:
+        data = b''
+        while self.script and self.due <= self.now:
+            data += self.script.pop(0)[1]
+            self.due += self.script[0][0] if self.script else 0
+        return data
+
+    def run(self) -> reader.Loop:
+        loop = reader.Loop(self.wait, self.read, lambda *chunk: self.heard.append(chunk),
+                           self.idle.append, idle_s=0.02)
+        loop.run(lambda: not self.script and bool(self.idle))
+        return loop
+
+
+def test_a_busy_line_is_let_gather_and_a_pause_ends_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = Line(monkeypatch, [(50 * MS, b'a'), (5 * MS, b'b'), (MS, b'c'), (MS // 2, b'd')])
+    loop = line.run()
+    assert line.heard == [(b'a', 50 * MS), (b'b', 55 * MS), (b'cd', 57 * MS)]
+    assert line.idle == [77 * MS]
+    assert loop.largest_gap == 0                # it never came late
+
+
+def test_the_largest_gap_counts_only_while_bytes_waited(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = Line(monkeypatch, [(50 * MS, b'a'), (MS, b'b'), (MS, b'c')])
+    line.heard = Late(line)
+    assert line.run().largest_gap == 8 * MS
+
+
+class Late(list):
+    """A caller that takes 8 ms for its first chunk."""
+
+    def __init__(self, line: Line) -> None:
+        super().__init__()
+        self.line = line
+
+    def append(self, chunk: tuple[bytes, int]) -> None:
+        if not self:
+            self.line.now += 8 * MS
+        super().append(chunk)

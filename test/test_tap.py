@@ -1,0 +1,244 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The listening port thread on real ptys and sockets: complete, read-only, found again, quick."""
+
+from collections.abc import Callable
+from collections.abc import Iterator
+import os
+from pathlib import Path
+import socket
+import termios
+import threading
+import time
+from typing import Any
+
+import pytest
+
+from dxl_monitor.tap import Tap
+from dxl_monitor.tap_driver import latency_timer_ms
+from dxl_monitor.tap_driver import line_errors
+from dxl_monitor.tap_driver import LineErrors
+from dxl_monitor.tap_driver import set_low_latency
+from mecarover_serial.pty import Pty
+
+DEADLINE_S = 20.0
+
+
+def wait_for(condition: Callable[[], Any], what: str) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline, f'waited in vain for: {what}'
+        time.sleep(0.005)
+
+
+def _wait_longer(found: list[int], than: int) -> None:
+    wait_for(lambda: len(found) > than, 'one more')
+
+
+class Listener:
+    """A tap, and what it hands on."""
+
+    def __init__(self, port: str, baud: int = 2_000_000) -> None:
+        self.chunks: list[tuple[bytes, int]] = []
+        self.idle: list[int] = []
+        self.tap = Tap(port, baud, lambda chunk, stamp: self.chunks.append((chunk, stamp)),
+                       self.idle.append)
+        self.tap.start()
+
+    @property
+    def data(self) -> bytes:
+        return b''.join(chunk for chunk, _ in self.chunks)
+
+    def wait_open(self) -> None:
+        wait_for(lambda: self.tap.state.is_open, f'open, but {self.tap.state.text}')
+
+
+@pytest.fixture
+def cable(tmp_path: Path) -> Iterator[Pty]:
+    with Pty(str(tmp_path / 'bus')) as pty:
+        yield pty
+
+
+@pytest.fixture
+def listener(cable: Pty) -> Iterator[Listener]:
+    listener = Listener(str(cable.link))
+    listener.wait_open()
+    yield listener
+    listener.tap.stop()
+
+
+def test_hands_on_every_byte_in_order_with_growing_stamps(
+        cable: Pty, listener: Listener) -> None:
+    sent = b''
+    for part in range(100):
+        data = bytes([part]) * (1 + part % 7)
+        sent += data
+        os.write(cable.master, data)
+    wait_for(lambda: len(listener.data) == len(sent), 'all bytes')
+    assert listener.data == sent
+    stamps = [stamp for _, stamp in listener.chunks]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] <= time.monotonic_ns()
+    counters = listener.tap.counters
+    assert counters.bytes == len(sent)
+    assert counters.reads == len(listener.chunks)
+    assert counters.openings == 1
+
+
+def test_tells_once_that_the_line_is_idle(cable: Pty, listener: Listener) -> None:
+    while len(listener.idle) < 3:
+        told = len(listener.idle)
+        os.write(cable.master, b'x')
+        _wait_longer(listener.idle, told)
+    assert len(listener.data) == 3
+
+
+def test_idle_time_covers_latency_timer_and_slow_rates(tmp_path: Path) -> None:
+    def tap(baud: int, latency: int | None) -> Tap:
+        tap = Tap(str(tmp_path / 'absent'), baud, lambda chunk, stamp: None)
+        tap.latency_timer_ms = latency
+        return tap
+    assert tap(2_000_000, None).idle_s == 0.02
+    assert tap(2_000_000, 16).idle_s == 0.032
+    assert tap(1200, None).idle_s == pytest.approx(200 / 1200)
+
+
+def test_descriptor_is_read_only(cable: Pty, listener: Listener) -> None:
+    device = os.stat(cable.path).st_rdev
+    own = {cable.master, cable._slave}
+    flags = []
+    for entry in Path('/proc/self/fd').iterdir():
+        number = int(entry.name)
+        try:
+            same = os.stat(entry).st_rdev == device
+        except OSError:
+            continue
+        if same and number not in own:
+            flags += [line.split()[1] for line in
+                      Path(f'/proc/self/fdinfo/{number}').read_text().splitlines()
+                      if line.startswith('flags')]
+    assert flags
+    assert all(int(flag, 8) & os.O_ACCMODE == os.O_RDONLY for flag in flags)
+
+
+def test_sends_nothing(cable: Pty, listener: Listener) -> None:
+    os.write(cable.master, b'hello')
+    wait_for(lambda: listener.data, 'bytes')
+    listener.tap.stop()
+    with pytest.raises(BlockingIOError):
+        os.read(cable.master, 1)
+    listener.tap = Listener(str(cable.link)).tap
+
+
+@pytest.mark.parametrize('baud', [57_600, 1_000_000, 2_000_000, 4_500_000, 1_234_567])
+def test_takes_any_rate(cable: Pty, baud: int) -> None:
+    listener = Listener(str(cable.link), baud)
+    try:
+        listener.wait_open()
+        os.write(cable.master, b'x')
+        wait_for(lambda: listener.data == b'x', 'a byte')
+    finally:
+        listener.tap.stop()
+
+
+def test_is_lost_and_found_ten_times(tmp_path: Path) -> None:
+    link = str(tmp_path / 'bus')
+    before = len(os.listdir('/proc/self/fd'))
+    listener = Listener(link)
+    wait_for(lambda: listener.tap.state.kind == 'absent', 'absent')
+    assert 'is not there' in listener.tap.state.text
+    for round_ in range(10):
+        _plug_in_and_out(link, listener, bytes([round_]))
+    assert listener.data == bytes(range(10))
+    assert listener.tap.counters.openings == 10
+    listener.tap.stop()
+    assert listener.tap.state.kind == 'stopped'
+    assert len(os.listdir('/proc/self/fd')) == before
+
+
+def _plug_in_and_out(link: str, listener: Listener, byte: bytes) -> None:
+    with Pty(link) as cable:
+        listener.wait_open()
+        os.write(cable.master, byte)
+        wait_for(lambda: listener.data.endswith(byte), 'the byte of this round')
+    wait_for(lambda: not listener.tap.state.is_open, 'loss')
+
+
+def test_stops_at_once_whatever_it_is_doing(tmp_path: Path) -> None:
+    absent = Listener(str(tmp_path / 'absent'))
+    with Pty() as silent_cable:
+        silent = Listener(silent_cable.path)
+        silent.wait_open()
+        for listener in (absent, silent):
+            begin = time.monotonic()
+            listener.tap.stop()
+            assert time.monotonic() - begin < 1.0       # 0.2 s, and a busy machine
+    assert not [one for one in threading.enumerate() if one.name.startswith('tap')]
+
+
+def test_stop_may_come_before_the_start_is_through(tmp_path: Path) -> None:
+    for _ in range(20):
+        Listener(str(tmp_path / 'absent')).tap.stop()
+
+
+def test_hears_a_socket() -> None:
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        listener = Listener(f'socket://127.0.0.1:{server.getsockname()[1]}')
+        connection, _ = server.accept()
+        with connection:
+            listener.wait_open()             # pyserial drops what came before
+            connection.sendall(b'over the net')
+            wait_for(lambda: listener.data == b'over the net', 'bytes')
+            connection.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                connection.recv(1)
+        wait_for(lambda: not listener.tap.state.is_open, 'loss')
+    listener.tap.stop()
+
+
+def test_hears_a_port_without_descriptor() -> None:
+    listener = Listener('loop://')
+    listener.wait_open()
+    assert listener.tap.counters.line_errors is None
+    listener.tap.stop()
+
+
+def test_names_a_mistake_in_the_url() -> None:
+    listener = Listener('nonsense://somewhere')
+    wait_for(lambda: listener.tap.state.kind == 'url', 'the mistake')
+    assert 'nonsense' in listener.tap.state.text
+    listener.tap.stop()
+
+
+def test_a_pty_has_no_low_latency_and_counts_no_errors(cable: Pty, listener: Listener) -> None:
+    assert line_errors(cable.master) is None
+    assert not set_low_latency(cable.master)
+    assert not listener.tap.low_latency
+    assert listener.tap.latency_timer_ms is None
+    assert listener.tap.counters.line_errors is None
+
+
+def test_latency_timer_of_an_ftdi_adapter_is_lowered_where_allowed(tmp_path: Path) -> None:
+    folder = tmp_path / 'class/tty/ttyUSB7/device'
+    folder.mkdir(parents=True)
+    (folder / 'latency_timer').write_text('16\n')
+    assert latency_timer_ms('/dev/ttyUSB7', tmp_path) == 1
+    assert latency_timer_ms('/dev/ttyUSB8', tmp_path) is None
+
+
+def test_line_errors_count_from_the_opening_on() -> None:
+    begin = LineErrors(overrun=5, frame=2)
+    assert LineErrors(overrun=7, frame=2).since(begin) == LineErrors(overrun=2)
+    assert LineErrors().since(begin) == LineErrors()            # another adapter came
+    assert LineErrors(overrun=1) + LineErrors(overrun=2, breaks=1) == LineErrors(3, 0, 0, 0, 1)
+
+
+def test_lost_port_is_set_up_anew_at_its_rate(tmp_path: Path) -> None:
+    link = str(tmp_path / 'bus')
+    listener = Listener(link, 1_000_000)
+    for _ in range(2):
+        with Pty(link) as cable:
+            listener.wait_open()
+            assert termios.tcgetattr(cable._slave)[4] == termios.B1000000
+        wait_for(lambda: not listener.tap.state.is_open, 'loss')
+    listener.tap.stop()
