@@ -1,0 +1,136 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of the simulated bus that sit in the master's program or in its adapter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from dxl_monitor.fake.fault import Effect
+from dxl_monitor.fake.fault import Fault
+from dxl_monitor.fake.fault import MS
+from dxl_monitor.fake.fault import Scene
+from dxl_monitor.fake.line import Exchange
+from dxl_monitor.fake.line import wire_ns
+from dxl_monitor.fake.traffic import Ask
+from dxl_monitor.fake.traffic import read
+from dxl_monitor.fake.traffic import words
+from dxl_monitor.fake.traffic import write
+from msg_defs.dxl_instruction import Instruction
+
+LATENCY_NS = 16 * MS             # of an FTDI adapter as delivered
+RIVAL_PERIOD_NS = 37 * MS
+PRO_TORQUE_ENABLE = 562          # of the PRO series; an X device has nothing there
+HEADER_LIKE = b'\xff\xff\xfd\x00'
+
+
+class Impatient(Effect):
+    """The master gives up while the answer is on its way, and asks again."""
+
+    exact = False
+    share = 0.1
+
+    def again_at(self, exchange: Exchange) -> int | None:
+        answers = [answer for answer in exchange.answers if self.concerns(answer.id)]
+        if not answers or self.rng.random() > self.share:
+            return None
+        burst = answers[0].burst
+        return (burst.start + burst.end) // 2 if self.rng.random() < 0.5 \
+            else exchange.end + wire_ns(1, self.line.baud)
+
+
+class Latency(Effect):
+    """The adapter hands over received bytes only every 16 ms."""
+
+    def begin(self, now: int) -> None:
+        self.scene.pace.gap += LATENCY_NS
+
+    def end(self, now: int) -> None:
+        self.scene.pace.gap -= LATENCY_NS
+
+
+class TwoMasters(Effect):
+    """Another program asks on the same bus, in its own time."""
+
+    exact = False
+
+    def __init__(self, fault: Fault, scene: Scene) -> None:
+        super().__init__(fault, scene)
+        self._due = fault.begin + RIVAL_PERIOD_NS
+        self._over = 0                   # the last exchange
+
+    def rival(self, exchange: Exchange) -> Exchange | None:
+        over, self._over = self._over, exchange.end
+        if self._due > exchange.end:
+            return None
+        due = max(self._due, over + wire_ns(1, self.line.baud))
+        while self._due <= exchange.end:
+            self._due += RIVAL_PERIOD_NS
+        clash = any(burst.start < due + wire_ns(14, self.line.baud) and burst.end > due
+                    for burst in exchange.bursts)
+        return self.line.exchange(self.device.id, Instruction.READ, words(0, 6), due,
+                                  heard=not clash)
+
+
+class WrongMap(Effect):
+    """The master uses the addresses of another model series."""
+
+    def asks(self, cycle: int) -> Iterable[Ask]:
+        if cycle % 5 == 0:
+            yield write(self.device.id, PRO_TORQUE_ENABLE, b'\x01')
+            yield read(self.device.id, PRO_TORQUE_ENABLE, 1)
+
+
+class Eeprom(Effect):
+    """The master writes an EEPROM register while the torque is on."""
+
+    def asks(self, cycle: int) -> Iterable[Ask]:
+        field = self.device.field('Return Delay Time')
+        if cycle % 10 == 0 and field is not None:
+            yield write(self.device.id, field.at, b'\x00')
+
+
+class EepromWear(Effect):
+    """The master writes an EEPROM register again and again (torque off: it is accepted)."""
+
+    def begin(self, now: int) -> None:
+        self.device.set('Torque Enable', 0)
+
+    def asks(self, cycle: int) -> Iterable[Ask]:
+        field = self.device.field('Homing Offset')
+        if field is not None:
+            yield write(self.device.id, field.at, bytes(field.size))
+
+
+class Unstuffed(Effect):
+    """The master does not stuff what it sends, as the official Python SDK."""
+
+    def asks(self, cycle: int) -> Iterable[Ask]:
+        field = self.device.field('Goal PWM') or self.device.field('LED')
+        if cycle % 5 == 0 and field is not None:
+            yield write(self.device.id, field.at, HEADER_LIKE)
+
+    def swap(self, ask: Ask) -> Ask:
+        return ask._replace(stuffed=False)
+
+
+class Overload(Effect):
+    """The master wants more per cycle than the bus can carry."""
+
+    def asks(self, cycle: int) -> Iterable[Ask]:
+        room = self.scene.pace.period
+        while room > 0:
+            for device in self.line.chain:
+                length = min(146, len(device.image))
+                yield read(device.id, 0, length)
+                room -= wire_ns(14 + 11 + length, self.line.baud)
+
+
+class Jitter(Effect):
+    """The master's cycle time varies widely."""
+
+    def begin(self, now: int) -> None:
+        self.scene.pace.jitter = 0.8
+
+    def end(self, now: int) -> None:
+        self.scene.pace.jitter = 0.0

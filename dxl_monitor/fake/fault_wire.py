@@ -1,0 +1,153 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of the simulated bus that sit on the wire, in a transceiver or in the listener's ear."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from dxl_monitor.fake.fault import Effect
+from dxl_monitor.fake.fault import Fault
+from dxl_monitor.fake.fault import Scene
+from dxl_monitor.fake.line import Burst
+from dxl_monitor.fake.line import Exchange
+from dxl_monitor.fake.line import STRAY
+from dxl_monitor.fake.line import wire_ns
+from dxl_monitor.uart import heard_at
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import HEADER
+from msg_defs.dxl_packet import STATUS
+
+OFTEN, SOMETIMES, RARELY = 0.2, 0.05, 0.01       # shares of bursts or exchanges
+WRONG_BAUD = 2.0                 # what the listener is set to, as a multiple of the real rate
+
+
+class Flip(Effect):
+    """One bit of a byte arrives wrong."""
+
+    share = RARELY
+
+    def damage(self, burst: Burst) -> None:
+        if burst.data and self.concerns(burst.sender) and self.rng.random() < self.share:
+            data = bytearray(burst.data)
+            data[self.rng.randrange(len(data))] ^= 1 << self.rng.randrange(8)
+            burst.data = bytes(data)
+            # A lost first header byte is repaired by the framing.
+            burst.intact = burst.intact and data[1:4] == HEADER[1:] and data[0] != HEADER[0]
+
+
+class Drop(Effect):
+    """A byte does not arrive."""
+
+    def damage(self, burst: Burst) -> None:
+        if burst.data and self.concerns(burst.sender) and self.rng.random() < RARELY:
+            at = self.rng.randrange(len(burst.data))
+            rest = burst.data[:at] + burst.data[at + 1:]
+            # Either FF of a header may be the one that is lost: the framing repairs it.
+            burst.intact &= burst.data.startswith(HEADER) and rest == burst.data[1:]
+            burst.data = rest
+
+
+class Header(Effect):
+    """The first byte of a status is missing or wrong, the rest is good."""
+
+    longest = 1
+
+    def damage(self, burst: Burst) -> None:
+        if burst.sender < 0 or not self.concerns(burst.sender) \
+                or not burst.data.startswith(HEADER) or self.rng.random() > OFTEN:
+            return
+        count = self.rng.randint(1, self.longest)
+        garbage = bytes(self.rng.choice((0x00, 0x80, 0xF8, 0xFE)) for _ in range(count))
+        lost = self.rng.random() < 0.5
+        burst.data = (b'' if lost else garbage) + burst.data[count:]
+        burst.intact = burst.intact and count == 1
+
+
+class Turnaround(Header):
+    """The line turns round too late: one to three bytes of a status are missing or wrong."""
+
+    exact = False                # a damaged last answer looks like one that never came
+    longest = 3
+
+
+class Glitch(Effect):
+    """The driver enable leaves a byte on the line between packets."""
+
+    def stray(self, exchange: Exchange) -> Iterator[Burst]:
+        if self.rng.random() < SOMETIMES:
+            start = exchange.end + wire_ns(2, self.line.baud)
+            yield Burst(start, self.rng.choice((b'\x00', b'\xff')), STRAY, self.line.baud,
+                        intact=False)
+
+
+class Echo(Effect):
+    """The adapter repeats what its master sends."""
+
+    exact = False
+
+    def stray(self, exchange: Exchange) -> Iterator[Burst]:
+        asked = exchange.bursts[0]
+        length = asked.end - asked.start
+        for burst in exchange.bursts[1:]:
+            burst.start += length
+            burst.end += length
+        yield Burst(asked.end, asked.data, STRAY, self.line.baud)
+
+
+class Noise(Effect):
+    """Disturbance on the wire: wrong bits in every direction, garbage in between."""
+
+    exact = False
+
+    def __init__(self, fault: Fault, scene: Scene) -> None:
+        super().__init__(fault, scene)
+        self._flip = Flip(fault, scene)
+        self._flip.share = SOMETIMES
+
+    def damage(self, burst: Burst) -> None:
+        self._flip.damage(burst)
+
+    def stray(self, exchange: Exchange) -> Iterator[Burst]:
+        if self.fault.id is None and self.rng.random() < SOMETIMES:
+            garbage = bytes(self.rng.randrange(256) for _ in range(self.rng.randint(1, 6)))
+            yield Burst(exchange.end, garbage, STRAY, self.line.baud, intact=False)
+
+
+class WrongBaud(Effect):
+    """The listener runs at another rate than the bus."""
+
+    exact = False
+
+    def damage(self, burst: Burst) -> None:
+        burst.data = heard_at(burst.data, WRONG_BAUD)
+        burst.intact = False
+
+
+class Foreign(Effect):
+    """A status that nobody asked for."""
+
+    exact = False
+
+    def stray(self, exchange: Exchange) -> Iterator[Burst]:
+        if self.rng.random() < SOMETIMES:
+            status = encode(self.device.id, STATUS, bytes(4), 0)
+            yield Burst(exchange.end, status, self.device.id, self.line.baud)
+
+
+class Protocol1(Effect):
+    """A Protocol 1.0 device on the same bus, and its master."""
+
+    number = 200
+
+    def stray(self, exchange: Exchange) -> Iterator[Burst]:
+        if self.rng.random() < SOMETIMES:
+            asked = _protocol_1(self.number, b'\x02\x24\x08')
+            answer = _protocol_1(self.number, b'\x00' + bytes(range(0x20, 0x28)))
+            yield Burst(exchange.end, asked + answer, STRAY, self.line.baud, intact=False)
+
+
+def _protocol_1(number: int, content: bytes) -> bytes:
+    """Return a Protocol 1.0 packet: FF FF, id, length, content, inverted sum."""
+    body = bytes([number, len(content) + 1]) + content
+    return b'\xff\xff' + body + bytes([~sum(body) & 0xFF])

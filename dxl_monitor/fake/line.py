@@ -1,0 +1,293 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The simulated RS-485 line: an instruction goes in, bytes of master and devices come out, timed.
+
+Times are ns of an arbitrary clock that the caller owns. Who answers when: dynamixel.md 1.3 to
+1.6 of the e-Manual's protocol page; combined replies are sent piece by piece, one per device.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from dxl_monitor.fake.device import Device
+from dxl_monitor.fake.device import WATCHDOG_UNIT_NS
+from msg_defs.crc import crc16
+from msg_defs.dxl_instruction import Access
+from msg_defs.dxl_instruction import Answers
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import parse
+from msg_defs.dxl_instruction import Request
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import HEADER
+from msg_defs.dxl_packet import STATUS
+
+MASTER = -1
+STRAY = -2                       # bytes that nobody meant to send
+BITS_PER_BYTE = 10               # 8N1
+
+
+class Burst:
+    """Bytes that one sender puts on the line without a gap."""
+
+    __slots__ = ('data', 'end', 'intact', 'sender', 'start')
+
+    def __init__(self, start: int, data: bytes, sender: int, baud: int, *,
+                 intact: bool = True) -> None:
+        self.start = start
+        self.data = data
+        self.sender = sender
+        self.end = start + wire_ns(len(data), baud)
+        self.intact = intact
+
+    def __repr__(self) -> str:
+        return f'Burst({self.start}, {self.data.hex(" ")}, {self.sender})'
+
+
+class Answer(NamedTuple):
+    """What one device sent: error byte and data, and where they stand on the line."""
+
+    id: int
+    error: int
+    params: bytes
+    burst: Burst
+
+
+class Exchange(NamedTuple):
+    """An instruction with all that follows from it; `due` are the IDs that must answer."""
+
+    request: Request
+    params: bytes
+    bursts: list[Burst]          # the instruction first
+    due: tuple[int, ...]
+    answers: list[Answer]
+
+    @property
+    def end(self) -> int:
+        """When the line is quiet again."""
+        return max(burst.end for burst in self.bursts)
+
+    @property
+    def complete(self) -> bool:
+        """Whether everybody who must answer did."""
+        return {answer.id for answer in self.answers} >= set(self.due)
+
+
+def wire_ns(count: int, baud: int) -> int:
+    """Return the time that `count` bytes take on the line."""
+    return count * BITS_PER_BYTE * 1_000_000_000 // baud
+
+
+class Line:
+    """
+    A line at `baud` with devices in the order of the cable.
+
+    `waits_in_line`: a device in a Sync or Bulk Read answers only after the one before it did, so
+    that all behind a silent one stay silent too; else they answer after its slot.
+    """
+
+    def __init__(self, devices: Iterable[Device], baud: int, *,
+                 waits_in_line: bool = True) -> None:
+        self.chain = list(devices)
+        self.baud = baud
+        self.waits_in_line = waits_in_line
+        self._by_id: dict[int, list[Device]] = {}
+        self._heard_at = 0
+        self._index()
+
+    def add(self, device: Device) -> None:
+        """Connect one more device, also one whose ID is taken."""
+        self.chain.append(device)
+        self._index()
+
+    def remove(self, device: Device) -> None:
+        """Disconnect a device."""
+        self.chain.remove(device)
+        self._index()
+
+    def at(self, number: int) -> Device | None:
+        """Return the device with this ID."""
+        return next(iter(self._by_id.get(number, ())), None)
+
+    def exchange(self, number: int, instruction: int, params: bytes, start: int, *,
+                 stuffed: bool = True, heard: bool = True) -> Exchange:
+        """
+        Put an instruction on the line at `start` and let the devices do and answer it.
+
+        `heard` False: nobody understands it (it was damaged).
+        """
+        frame = encode(number, instruction, params, stuffed=stuffed)
+        asked = Burst(start, frame, MASTER, self.baud)
+        request = parse(instruction, number, params)
+        exchange = Exchange(request, params, [asked], self._due(request), [])
+        if heard:
+            self._watch(asked.end)
+            _ANSWERING[_way(request)](self, exchange, asked.end)
+        return exchange
+
+    def _index(self) -> None:
+        self._by_id.clear()
+        for device in self.chain:
+            self._by_id.setdefault(device.id, []).append(device)
+
+    def _watch(self, now: int) -> None:
+        if now - self._heard_at > WATCHDOG_UNIT_NS:
+            for device in self.chain:
+                device.watch(now - self._heard_at)
+        self._heard_at = now
+
+    def _hearing(self, number: int, now: int) -> list[Device]:
+        return [device for device in self._by_id.get(number, ())
+                if device.hears(self.baud, now)]
+
+    def _due(self, request: Request) -> tuple[int, ...]:
+        """Return who must answer, Status Return Level considered; a stranger must."""
+        if request.answers is Answers.EVERYBODY:
+            return ()            # nobody knows who is there before
+        if request.answers in (Answers.LISTED, Answers.COMBINED):
+            return tuple(access.id for access in request.accesses
+                         if self._answers(access.id, request.instruction))
+        if request.id == BROADCAST or not self._answers(request.id, request.instruction):
+            return ()
+        return (request.id,)
+
+    def _answers(self, number: int, instruction: int) -> bool:
+        device = self.at(number)
+        return device is None or device.acknowledges(instruction)
+
+    # --- ways to answer --------------------------------------------------------------------
+
+    def _single(self, exchange: Exchange, now: int) -> None:
+        request = exchange.request
+        for device in self._hearing(request.id, now):
+            # Read the policy first: the instruction may change it, or take the device away.
+            delay = device.return_delay_ns
+            acknowledges = device.acknowledges(request.instruction)
+            alert = device.error_byte(0)
+            reply = device.execute(request.instruction, exchange.params, now)
+            if acknowledges:
+                self._send(exchange, request.id, reply.error | alert, reply.params, now + delay)
+            self._follow(device, request.id)
+
+    def _follow(self, device: Device, number: int) -> None:
+        if device.id != number:
+            self._index()
+
+    def _send(self, exchange: Exchange, number: int, error: int, params: bytes,
+              start: int) -> int:
+        """Put a status on the line; return when it ends."""
+        burst = Burst(start, encode(number, STATUS, params, error), number, self.baud)
+        exchange.bursts.append(burst)
+        exchange.answers.append(Answer(number, error, params, burst))
+        return burst.end
+
+    def _everybody(self, exchange: Exchange, now: int) -> None:
+        for number in sorted(self._by_id):
+            end = now
+            for device in self._hearing(number, now):
+                reply = device.execute(Instruction.PING, b'', now)
+                end = max(end, self._send(exchange, number, device.error_byte(reply.error),
+                                          reply.params, now + device.return_delay_ns))
+            now = end
+
+    def _listed(self, exchange: Exchange, now: int) -> None:
+        for access in exchange.request.accesses:
+            devices = [device for device in self._hearing(access.id, now)
+                       if device.acknowledges(exchange.request.instruction)]
+            if not devices and self.waits_in_line:
+                return
+            end = now + (0 if devices else wire_ns(access.length + 11, self.baud))
+            for device in devices:
+                reply = device.read(access.address, access.length, now)
+                end = max(end, self._send(exchange, access.id, device.error_byte(reply.error),
+                                          reply.params, now + device.return_delay_ns))
+            now = end
+
+    def _combined(self, exchange: Exchange, now: int) -> None:
+        accesses = exchange.request.accesses
+        length = 1 + sum(access.length + 4 for access in accesses)
+        sent = HEADER + bytes([BROADCAST]) + length.to_bytes(2, 'little') + bytes([STATUS])
+        crc = crc16(sent)
+        for position, access in enumerate(accesses):
+            device = next(iter(self._hearing(access.id, now)), None)
+            if device is None or not device.has_fast_reads:
+                return
+            block = self._block(device, access, now)
+            crc = crc16(block, crc)
+            tail = crc.to_bytes(2, 'little')
+            crc = crc16(tail, crc)
+            start = now if position else now + device.return_delay_ns
+            piece = (b'' if position else sent) + block + tail
+            burst = Burst(start, piece, access.id, self.baud)
+            exchange.bursts.append(burst)
+            exchange.answers.append(Answer(access.id, block[0], block[2:], burst))
+            now = burst.end
+
+    def _block(self, device: Device, access: Access, now: int) -> bytes:
+        reply = device.read(access.address, access.length, now)
+        return bytes([device.error_byte(reply.error), access.id]) \
+            + (reply.params or bytes(access.length))
+
+    def _write_each(self, exchange: Exchange, now: int) -> None:
+        for access in exchange.request.accesses:
+            for device in self._hearing(access.id, now):
+                device.write(access.address, access.data or b'', now)
+                self._follow(device, access.id)
+
+    def _tell_all(self, exchange: Exchange, now: int) -> None:
+        request = exchange.request
+        if request.instruction == Instruction.FACTORY_RESET and exchange.params == b'\xff':
+            return               # ignored by firmware 42 and later
+        for device in self.chain:
+            if device.hears(self.baud, now):
+                device.execute(request.instruction, exchange.params, now)
+        self._index()
+
+
+_Way = Callable[[Line, Exchange, int], None]
+_ANSWERING: dict[str, _Way] = {
+    'single': Line._single, 'everybody': Line._everybody, 'listed': Line._listed,
+    'combined': Line._combined, 'write each': Line._write_each, 'tell all': Line._tell_all,
+}
+_WAYS = {Answers.EVERYBODY: 'everybody', Answers.LISTED: 'listed', Answers.COMBINED: 'combined'}
+_LISTED_WRITES = (Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
+
+
+def _way(request: Request) -> str:
+    if request.answers in _WAYS:
+        return _WAYS[request.answers]
+    if request.instruction in _LISTED_WRITES:
+        return 'write each'
+    return 'tell all' if request.id == BROADCAST else 'single'
+
+
+def mix(bursts: Iterable[Burst], baud: int) -> list[Burst]:
+    """
+    Return what stands on the line, in order of time.
+
+    Where two senders overlap neither is intact, and a bit is low as soon as one drives it low.
+    """
+    mixed: list[Burst] = []
+    half_a_byte = wire_ns(1, baud) // 2
+    for burst in sorted(bursts, key=lambda one: one.start):
+        if mixed and burst.start + half_a_byte < mixed[-1].end:
+            mixed[-1] = _clash(mixed[-1], burst, baud)
+        else:
+            mixed.append(burst)
+    return mixed
+
+
+def _clash(first: Burst, second: Burst, baud: int) -> Burst:
+    first.intact = second.intact = False
+    offset = round((second.start - first.start) / wire_ns(1, baud))
+    both = bytearray(max(len(first.data), offset + len(second.data)))
+    both[:len(first.data)] = first.data
+    for at, byte in enumerate(second.data, offset):
+        both[at] = both[at] & byte if at < len(first.data) else byte
+    return Burst(first.start, bytes(both), STRAY, baud, intact=False)
+
+

@@ -1,0 +1,189 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The simulated bus on ptys: bytes leave on schedule at the baud rate, whether or not anyone reads.
+
+A simulated master plays by itself; with the pattern `none` a real one at the other end drives the
+devices. When this process comes too late, it is the bus that stands still, not the reader's fault.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from collections.abc import Iterator
+import os
+import select
+import threading
+import time
+from typing import Any
+from typing import NamedTuple
+
+from dxl_monitor.fake.line import BITS_PER_BYTE
+from dxl_monitor.fake.line import Burst
+from dxl_monitor.fake.line import MASTER
+from dxl_monitor.fake.line import wire_ns
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.outlet import Outlet
+from dxl_monitor.fake.traffic import Ask
+from dxl_monitor.fake.traffic import none
+from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import stuff
+from msg_defs.dxl_packet import unstuff
+
+S = 1_000_000_000
+TICK_NS = 200_000                # shortest time between two writes, longest is
+PART_NS = 1_000_000              # for a part of a long packet
+IDLE_NS = 50_000_000
+DRAIN_NS = 200_000_000
+LATE_BYTES = 2048                # half of what a reader may leave
+
+
+class Away(NamedTuple):
+    """When the adapter is unplugged, and for how long (s)."""
+
+    after: float
+    duration: float
+
+
+class FakeBus:
+    """The bus of `master` on a pty, and a copy of it on a second one if `tap` is given."""
+
+    def __init__(self, master: Master, *, link: str | None = None, tap: str | bool = False,
+                 away: Away | None = None,
+                 clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self.master = master
+        self.outlet = Outlet(link)
+        self.tap = Outlet(tap if isinstance(tap, str) else None) if tap else None
+        self.stood_still_ns = 0
+        self._outlets = [self.outlet] if self.tap is None else [self.outlet, self.tap]
+        self._away = away
+        self._clock = clock
+        self._origin = 0
+        self._framer = Framer()
+        self._answers: deque[Burst] = deque()
+        self._is_stopping = False
+        self._wake_read, self._wake_write = os.pipe()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def path(self) -> str:
+        """The pty to open."""
+        return self.outlet.path
+
+    def start(self, seconds: float | None = None) -> None:
+        """Run in a thread until stop(), or for some seconds."""
+        self._thread = threading.Thread(target=self._run, args=(seconds,), name='fake_bus')
+        self._thread.start()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether start() is not over yet."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def join(self, timeout_s: float | None = None) -> None:
+        """Wait until a run of limited length is over."""
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+
+    def stop(self) -> None:
+        """End behind the exchange in progress and hang up."""
+        self._is_stopping = True
+        self.master.stop()
+        os.write(self._wake_write, b'x')
+        self.join()
+        for outlet in self._outlets:
+            outlet.close()
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+
+    def totals(self) -> dict[str, Any]:
+        """Return the counters of both ends."""
+        ends = {'bus': self.outlet} if self.tap is None else \
+            {'bus': self.outlet, 'tap': self.tap}
+        return {name: end.totals() for name, end in ends.items()} \
+            | {'stood_still_s': round(self.stood_still_ns / S, 3)}
+
+    def _run(self, seconds: float | None) -> None:
+        self._origin = self._clock()
+        until = None if seconds is None else round(seconds * S)
+        if self.master.pattern is none:
+            self._serve(until)
+        else:
+            self._play(self.master.bursts(until))
+        deadline = self._clock() + DRAIN_NS      # hanging up takes unread bytes away
+        while any(outlet.outstanding() for outlet in self._outlets) and self._clock() < deadline:
+            time.sleep(TICK_NS / S)
+
+    def _now(self) -> int:
+        return self._clock() - self._origin
+
+    def _sleep(self, wait_ns: int) -> None:
+        fds = [self._wake_read] + [self.outlet.fd] * self.outlet.is_plugged_in
+        select.select(fds, [], [], max(wait_ns, 0) / S)
+        if self._away is not None:
+            begin, end = self._away.after * S, sum(self._away) * S
+            for outlet in self._outlets:
+                outlet.plug(plugged_in=not begin <= self._now() < end)
+
+    # --- a simulated master ----------------------------------------------------------------
+
+    def _play(self, bursts: Iterator[Burst]) -> None:
+        baud = self.master.line.baud
+        due = bytearray()
+        for burst in bursts:
+            done = 0
+            while done < len(burst.data):
+                now = self._catch_up(burst.start + wire_ns(done, baud))
+                passed = (now - burst.start) * baud // (BITS_PER_BYTE * S)
+                end = len(burst.data) if self._is_stopping else min(passed, len(burst.data))
+                if end > done:
+                    due += burst.data[done:end]
+                    done = end
+                if done < len(burst.data):
+                    self._hand_over(due)
+                    wait = min(max(burst.end - now, TICK_NS), burst.start - now + PART_NS)
+                    self._sleep(min(max(wait, TICK_NS), IDLE_NS))
+                    self.outlet.read()           # counted, not heard: this master is simulated
+        self._hand_over(due)
+
+    def _catch_up(self, due: int) -> int:
+        """Return the time on the bus; it stands still while we are too late for what is due."""
+        now = self._now()
+        too_late = now - due - wire_ns(LATE_BYTES, self.master.line.baud)
+        if too_late <= 0:
+            return now
+        self._origin += too_late
+        self.stood_still_ns += too_late
+        return now - too_late
+
+    def _hand_over(self, due: bytearray) -> None:
+        if due:
+            for outlet in self._outlets:
+                outlet.write(bytes(due))
+            due.clear()
+
+    # --- a real master ---------------------------------------------------------------------
+
+    def _serve(self, until: int | None) -> None:
+        while not self._is_stopping and (until is None or self._now() < until):
+            self._sleep(self._answers[0].end - self._now() if self._answers else IDLE_NS)
+            self._answers.extend(self._answer(self.outlet.read()))
+            self._send_due()
+
+    def _answer(self, chunk: bytes) -> Iterator[Burst]:
+        """Yield what the chunk leads to on the line, as soon as it holds a whole instruction."""
+        for _, body, flaw in self._framer.frames(chunk) if chunk else ():
+            if flaw is None or not flaw.reason:
+                params = unstuff(body[4:])
+                stuffed = stuff(unstuff(body[3:])) == body[3:]
+                yield from self.master.respond(Ask(body[0], body[3], params, stuffed), self._now())
+
+    def _send_due(self) -> None:
+        now = self._now()
+        while self._answers and self._answers[0].end <= now:
+            burst = self._answers.popleft()
+            if self.tap is not None:             # first: who drives us may ask the listener next
+                self.tap.write(burst.data)
+            if burst.sender != MASTER:
+                self.outlet.write(burst.data)

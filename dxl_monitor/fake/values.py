@@ -1,0 +1,160 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the registers of a simulated device hold: from the factory, as configured, and in motion.
+
+Values are in the units of the model files (rad, rad/s, A, V, degC) and become raw numbers through
+each field's own scale, so any model with the usual register names moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+from typing import NamedTuple
+
+from dxl_monitor.control_table import Field
+from dxl_monitor.control_table import Model
+from dxl_monitor.control_table import STRUCTS
+
+RANGES = {'u8': (0, 0xFF), 'i8': (-0x80, 0x7F), 'u16': (0, 0xFFFF), 'i16': (-0x8000, 0x7FFF),
+          'u32': (0, 0xFFFFFFFF), 'i32': (-0x80000000, 0x7FFFFFFF)}
+
+# Baud Rate register -> bit/s (e-Manual; XL-320 has 0 to 3 alike)
+BAUD_CODES = {0: 9600, 1: 57600, 2: 115200, 3: 1000000, 4: 2000000, 5: 3000000, 6: 4000000,
+              7: 4500000}
+
+# Raw, as the maker ships them (e-Manual, MX(2.0) and X); other registers begin at 0.
+FACTORY = {
+    'ID': 1, 'Baud Rate': 1, 'Return Delay Time': 250, 'Operating Mode': 3, 'Secondary ID': 255,
+    'Protocol Type': 2,
+    'Temperature Limit': 80, 'Max Voltage Limit': 160, 'Min Voltage Limit': 95, 'PWM Limit': 885,
+    'Current Limit': 2047, 'Velocity Limit': 285, 'Max Position Limit': 4095, 'Shutdown': 52,
+    'Status Return Level': 2, 'Velocity I Gain': 1920, 'Velocity P Gain': 100,
+    'Position P Gain': 850, 'Goal PWM': 885, 'Goal Velocity': 285, 'Goal Current': 2047,
+    'Power': 1, 'Power On': 1000,
+}
+
+VOLTAGE = 12.0
+TEMPERATURE = 38.0
+TORQUE_PER_RAD_S = 0.4       # A at 1 rad/s: friction enough for a plausible current
+
+
+class Sine(NamedTuple):
+    """The swing of a joint: angle (rad) = amplitude * sin(2 pi t / period + phase)."""
+
+    amplitude: float = 0.6
+    period_s: float = 3.0
+    phase: float = 0.0
+
+    def angle(self, now_s: float) -> float:
+        """Return the angle (rad) at a time."""
+        return self.amplitude * math.sin(math.tau * now_s / self.period_s + self.phase)
+
+    def velocity(self, now_s: float) -> float:
+        """Return the velocity (rad/s) at a time."""
+        rate = math.tau / self.period_s
+        return self.amplitude * rate * math.cos(rate * now_s + self.phase)
+
+
+class State(NamedTuple):
+    """What a device does at one moment, for its live registers."""
+
+    now_s: float
+    angle: float
+    velocity: float
+    voltage: float
+    temperature: float
+    up_s: float                  # since its last start
+    id: int
+
+
+Live = tuple[int, int, Callable[[State], bytes]]
+
+
+def pack(field: Field, value: float) -> bytes:
+    """Return the bytes of a register for a value in its unit, limited to its range."""
+    number = value if field.scale is None else (value - field.offset) / field.scale
+    return pack_raw(field, number)
+
+
+def pack_raw(field: Field, number: float) -> bytes:
+    """Return the bytes of a register for a raw number, limited to its range."""
+    if field.type in RANGES:
+        low, high = RANGES[field.type]
+        return STRUCTS[field.type].pack(min(max(round(number), low), high))
+    return STRUCTS[field.type].pack(number if field.type[0] == 'f' else round(number))
+
+
+# The second figure stands in for a unit where the model file leaves the register raw.
+_SERVO: dict[str, Callable[[State], float]] = {
+    'Present Position': lambda state: state.angle,
+    'Present Velocity': lambda state: state.velocity,
+    'Present Current': lambda state: TORQUE_PER_RAD_S * state.velocity,
+    'Present Load': lambda state: 10 * state.velocity,
+    'Present PWM': lambda state: 10 * state.velocity,
+    'Present Input Voltage': lambda state: state.voltage,
+    'Present Temperature': lambda state: state.temperature,
+    'Realtime Tick': lambda state: state.up_s % 32.767,
+    'Moving': lambda state: float(abs(state.velocity) > 0.05),
+}
+_RAW = {'Present Position': (2048, 651.9), 'Present Velocity': (0, 41.7),
+        'Present Current': (0, 300.0), 'Realtime Tick': (0, 1000.0)}
+_BY_UNIT: dict[str, Callable[[State], float]] = {
+    'V': lambda state: state.voltage,
+    'A': lambda state: 0.8 + TORQUE_PER_RAD_S * abs(state.velocity),
+    'm/s^2': lambda state: 9.81 * math.cos(state.angle),
+    'rad/s': lambda state: state.velocity,
+}
+_LOGIC_VOLTAGE = 5.0             # on every board's VCC
+_IDENTITY = ('Model', 'Firmware', 'Error', 'Information', 'Reserved', 'Status', 'Registered')
+
+
+def live_registers(model: Model) -> list[Live]:
+    """Return (begin, end, bytes of a state) for each register that moves by itself."""
+    if 'Present Position' in model.by_name:
+        # By name, so that aliases count: XL-320 has its own names for some of them.
+        found = [(field, _servo(name, field)) for name in _SERVO
+                 if (field := model.by_name.get(name)) is not None]
+    else:
+        found = [(field, value) for field in model.fields
+                 if (value := _sensor(field)) is not None]
+    return [(field.at, field.end, value) for field, value in found]
+
+
+def _servo(name: str, field: Field) -> Callable[[State], bytes]:
+    value = _SERVO[name]
+    if field.scale is None and name in _RAW:
+        zero, per_unit = _RAW[name]
+        return lambda state: pack_raw(field, zero + per_unit * value(state))
+    return lambda state: pack(field, value(state))
+
+
+def _sensor(field: Field) -> Callable[[State], bytes] | None:
+    """Go by unit and size: boards have no register names in common."""
+    if field.access != 'r' or field.name in FACTORY \
+            or any(word in field.name for word in _IDENTITY):
+        return None
+    if field.name == 'VCC':
+        return lambda state: pack(field, _LOGIC_VOLTAGE)
+    if field.unit in _BY_UNIT:
+        return lambda state: pack(field, _BY_UNIT[field.unit](state))
+    if field.type[0] == 'f':
+        return lambda state: pack_raw(field, math.sin(state.now_s + field.at))
+    swing = 1000 if field.size > 1 else 50
+    return lambda state: pack_raw(field, swing * (1.2 + math.sin(state.now_s + field.at)))
+
+
+def initial_image(model: Model, firmware: int, size: int) -> bytearray:
+    """Return the control table as it leaves the factory."""
+    image = bytearray(size)
+    for name, number in (FACTORY | {'Firmware Version': firmware}).items():
+        field = model.by_name.get(name)
+        if field is not None:
+            image[field.at:field.end] = pack_raw(field, number)
+    for address, data, count in model.indirect:         # each points at its own data byte
+        for index in range(count):
+            at = address + 2 * index
+            image[at:at + 2] = (data + index).to_bytes(2, 'little')
+    image[0:2] = (model.number or 0).to_bytes(2, 'little')
+    return image

@@ -1,0 +1,459 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated bus: traffic and faults on paper time, then on ptys, and its truth."""
+
+from collections import Counter
+from collections.abc import Callable
+from collections.abc import Iterator
+import itertools
+import json
+import os
+from pathlib import Path
+import random
+import subprocess
+import sys
+import time
+from typing import Any
+
+import pytest
+
+from dxl_monitor.control_table import STRUCTS
+from dxl_monitor.fake.fault import Fault
+from dxl_monitor.fake.faults import KINDS
+from dxl_monitor.fake.faults import parse as parse_fault
+from dxl_monitor.fake.line import Burst
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.line import MASTER
+from dxl_monitor.fake.line import wire_ns
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.outlet import CAPACITY
+from dxl_monitor.fake.outlet import Outlet
+from dxl_monitor.fake.shell import Away
+from dxl_monitor.fake.shell import FakeBus
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.fake.truth import Truth
+from dxl_monitor.fake_bus import DEFAULT_DEVICES
+from dxl_monitor.fake_bus import make_devices
+from dxl_monitor.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor import Settings
+from dxl_monitor.report import BusReport
+from dxl_monitor.uart import heard_at
+from mecarover_serial.parameters import ParameterError
+from msg_defs.dxl_packet import Framer
+
+MODELS = Models()
+BAUD = 2_000_000
+S = 1_000_000_000
+LATER_NS = 2 * S                 # after the last byte: a listener has judged everything
+DEADLINE_S = 30.0
+FAST_DEVICES = ('1-10:XL430-W250', '11-15:XM540-W270')     # two different ones
+
+
+def make_master(pattern: str = 'moving', faults: tuple[str, ...] = (), *,
+                devices: tuple[str, ...] = DEFAULT_DEVICES, baud: int = BAUD,
+                waits_in_line: bool = True, **options: Any) -> Master:
+    line = Line(make_devices(list(devices), MODELS, baud), baud, waits_in_line=waits_in_line)
+    return Master(line, PATTERNS[pattern], faults=[parse_fault(text) for text in faults],
+                  **options)
+
+
+def play(master: Master, seconds: float = 3.0) -> list[Burst]:
+    return list(master.bursts(round(seconds * S)))
+
+
+def wait_for(condition: Callable[[], Any], what: str) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline, f'waited in vain for: {what}'
+        time.sleep(0.005)
+
+
+# --- traffic -------------------------------------------------------------------------------
+
+@pytest.mark.parametrize('pattern', [name for name in PATTERNS if name != 'none'])
+def test_pattern_is_good_traffic_in_order_of_time(pattern: str) -> None:
+    master = make_master(pattern)
+    bursts = play(master)
+    assert all(one.end <= two.start for one, two in itertools.pairwise(bursts))
+    framer = Framer()
+    for burst in bursts:
+        framer.feed(burst.data, burst.end)
+    assert framer.noise_bytes == framer.pending == 0
+    truth = master.truth
+    assert truth.exact
+    assert framer.bytes == truth.bytes == sum(len(burst.data) for burst in bursts)
+    assert framer.packets == truth.instructions + truth.statuses > 20
+
+
+def test_same_seed_same_bytes() -> None:
+    def run(seed: int) -> list[tuple[int, bytes]]:
+        master = make_master(faults=('noise', 'jitter', 'duplicate:3'), seed=seed)
+        return [(burst.start, burst.data) for burst in play(master, 1.0)]
+    assert run(1) == run(1) != run(2)
+
+
+@pytest.mark.parametrize('rate', [20.0, 100.0])
+def test_cycles_come_at_the_rate(rate: float) -> None:
+    bursts = play(make_master('sync', devices=('1-5:MX-64',), rate=rate), 3.0)
+    reads = [burst.start for burst in bursts if burst.data[7] == 0x82]
+    assert {two - one for one, two in itertools.pairwise(reads)} == {round(S / rate)}
+
+
+def test_rate_0_fills_the_line() -> None:
+    bursts = play(make_master(rate=0), 1.0)
+    assert sum(len(burst.data) for burst in bursts) > 0.75 * BAUD / 10
+
+
+def test_253_devices_fit_into_packets() -> None:
+    master = make_master('mixed', devices=('0-252:XM430-W350',), baud=4_500_000, rate=0)
+    framer = Framer()
+    for burst in play(master, 1.0):
+        framer.feed(burst.data, burst.end)
+    assert framer.noise_bytes == 0
+    assert len(master.truth.known) == 253
+    assert {known.state for known in master.truth.known.values()} == {'connected'}
+
+
+def test_master_that_was_there_before_sends_no_ping() -> None:
+    bursts = play(make_master(started=True), 1.0)
+    asked = Counter(burst.data[7] for burst in bursts if burst.sender == MASTER)
+    assert asked[0x01] == 0
+    assert asked[0x82] > 50
+
+
+def test_joints_swing_and_goals_lead() -> None:
+    master = make_master('sync', devices=('1:MX-106',))
+    play(master, 2.0)
+    known = master.truth.known[1]
+    motion = master.line.chain[0].motion
+    assert motion is not None
+    model = MODELS.by_name('MX-106')
+    assert model is not None
+    field = model.by_name['Present Position']
+    raw = bytes(known.bytes[at] for at in range(field.at, field.end))
+    assert field.decode(raw).number == pytest.approx(motion.angle(1.99), abs=0.02)
+
+
+def test_ping_experiment_changes_the_model_each_time() -> None:
+    bursts = play(make_master('ping', devices=('1:MX-106',)), 0.5)
+    numbers = [burst.data[9:11] for burst in bursts if burst.data[7] == 0x55 and
+               len(burst.data) == 14][1:]
+    assert len(set(numbers)) == 2
+    assert all(one != two for one, two in itertools.pairwise(numbers))
+
+
+# --- the truth against the monitor ---------------------------------------------------------
+
+EXACT_FAULTS = [
+    'silent:5:1:1', 'silent:1:1', 'silent:100:1', 'cable:15:1', 'baud:4:1', 'latched:3:1:1',
+    'reboot:4:1', 'brownout::1', 'return_delay', 'overload', 'latency', 'header', 'glitch',
+    'wrong_map:2', 'eeprom:3', 'eeprom_wear:3', 'no_ack', 'unstuffed', 'flip', 'drop',
+    'watchdog:3', 'protocol1', 'hot:1', 'low_voltage', 'unwritten:1', 'jitter']
+
+
+def monitored(master: Master, seconds: float, write_acks: str = 'always') -> BusReport:
+    monitor = Monitor('bus', MODELS, Settings(baud=master.line.baud, write_acks=write_acks))
+    for burst in master.bursts(round(seconds * S)):
+        monitor.feed(burst.data, burst.end + S)
+    return monitor.report(master.now + S + LATER_NS)
+
+
+def assert_agrees(report: BusReport, truth: Truth) -> None:
+    """Hold what the monitor reports against the truth, device by device."""
+    devices = {device.id: device for device in report.devices}
+    for number, known in truth.known.items():
+        device = devices[number]
+        totals = device.totals
+        assert (totals.answers, totals.missed, totals.not_served) == \
+            (known.answered, known.missed, known.waiting), number
+        assert (device.model_number, device.firmware) == (known.model_number, known.firmware)
+        seen = {value.field.name: value for value in device.observed}
+        for field in device.model.fields:
+            raw = bytes(known.bytes.get(at, 0) for at in range(field.at, field.end))
+            if all(at in known.bytes for at in range(field.at, field.end)):
+                assert seen[field.name].value.raw == STRUCTS[field.type].unpack(raw)[0], field
+
+
+@pytest.mark.parametrize('pattern', [name for name in PATTERNS if name not in ('none', 'ping')])
+def test_monitor_knows_the_truth_of_a_pattern(pattern: str) -> None:
+    devices = FAST_DEVICES if pattern == 'fast' else DEFAULT_DEVICES
+    master = make_master(pattern, devices=devices)
+    assert_agrees(monitored(master, 2.0), master.truth)
+
+
+@pytest.mark.parametrize('fault', EXACT_FAULTS)
+def test_monitor_knows_the_truth_of_a_fault(fault: str) -> None:
+    master = make_master(faults=(fault,))
+    report = monitored(master, 3.0, 'auto' if fault == 'no_ack' else 'always')
+    assert master.truth.exact
+    assert_agrees(report, master.truth)
+
+
+@pytest.mark.parametrize('waits_in_line', [True, False])
+@pytest.mark.parametrize('fault', ['silent:5:1:1', 'old_firmware:5:1:1'])
+def test_monitor_knows_the_truth_of_cut_combined_replies(fault: str, waits_in_line: bool) -> None:
+    master = make_master('fast', (fault,), devices=FAST_DEVICES, waits_in_line=waits_in_line)
+    assert_agrees(monitored(master, 3.0), master.truth)
+
+
+# --- faults --------------------------------------------------------------------------------
+
+def test_exactly_the_exact_faults_are_tested_against_the_monitor() -> None:
+    exact = {name for name, kind in KINDS.items() if kind.effect.exact}
+    assert exact - {'old_firmware'} == {text.split(':')[0] for text in EXACT_FAULTS}
+
+
+def test_all_field_problems_are_played() -> None:
+    # 2, the Sync Read that stops at a silent device, is what `silent` leads to.
+    assert {kind.cause for kind in KINDS.values()} - {0} == set(range(1, 20)) - {2}
+    assert all(kind.about.endswith('.') and len(kind.about) < 100 for kind in KINDS.values())
+
+
+@pytest.mark.parametrize('name', KINDS)
+def test_fault_begins_and_ends(name: str) -> None:
+    clean = [(burst.start, burst.data) for burst in play(make_master(), 0.5)
+             if burst.start < 0.5 * S]
+    master = make_master(faults=(f'{name}:3:0.5:0.7',))
+    bursts = play(master, 4.0)
+    assert [(burst.start, burst.data) for burst in bursts[:len(clean)]] == clean
+    late = [burst for burst in bursts if burst.start > 3.8 * S]
+    assert all(burst.intact for burst in late)
+    assert (3 in {burst.sender for burst in late}) == (name != 'baud')      # that one is gone
+
+
+@pytest.mark.parametrize(('text', 'fault'), [
+    ('silent', Fault('silent')),
+    ('silent:5', Fault('silent', 5)),
+    ('silent:5:2', Fault('silent', 5, 2 * S)),
+    ('silent:5:2:3.5', Fault('silent', 5, 2 * S, round(5.5 * S))),
+    ('noise::1', Fault('noise', None, S)),
+])
+def test_fault_as_a_person_writes_it(text: str, fault: Fault) -> None:
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize(('text', 'words'), [
+    ('silnt', 'did you mean silent'),
+    ('zzz', 'there are: silent'),
+    ('silent:x', 'NAME'),
+    ('silent:1:2:3:4', 'NAME'),
+])
+def test_fault_mistakes(text: str, words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        parse_fault(text)
+
+
+def test_fault_of_a_device_that_is_not_there() -> None:
+    with pytest.raises(ParameterError, match='no device has this ID'):
+        make_master(faults=('silent:77',))
+
+
+def test_silent_device_is_known_as_such_and_comes_back() -> None:
+    master = make_master(faults=('silent:5:1:1',))
+    play(master, 1.9)
+    states = {number: known.state for number, known in master.truth.known.items()}
+    assert states[5] == 'disconnected'
+    assert {state for number, state in states.items() if number != 5} == {'connected'}
+    assert master.truth.known[6].waiting == master.truth.known[5].missed > 5
+    master = make_master(faults=('silent:5:1:1',))
+    play(master, 2.2)
+    assert master.truth.known[5].state == 'connected'
+
+
+def test_latched_error_shows_in_every_status_of_the_device() -> None:
+    master = make_master(faults=('latched:3',))
+    statuses = [burst for burst in play(master) if burst.sender == 3]
+    assert all(burst.data[8] & 0x80 for burst in statuses)
+    assert not any(burst.data[8] for burst in play(make_master()) if burst.sender == 3)
+
+
+def test_late_bytes_at_another_rate_are_garbage() -> None:
+    data = bytes(range(256))
+    assert heard_at(data, 1.0) == data
+    assert Counter(heard_at(b'\xff\xff\xfd\x00' * 50, 1.5)) != Counter(b'\xff\xff\xfd\x00' * 50)
+    rng = random.Random(1)
+    for ratio in (0.1, 0.5, 2.0, 8.7):
+        noise = bytes(rng.randrange(256) for _ in range(200))
+        assert isinstance(heard_at(noise, ratio), bytes)
+
+
+# --- on a pty ------------------------------------------------------------------------------
+
+class Reader:
+    """Reads a pty from now on."""
+
+    def __init__(self, path: str) -> None:
+        self.fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self.data = bytearray()
+
+    def take(self) -> int:
+        try:
+            chunk = os.read(self.fd, 65536)
+        except OSError:              # nothing there, or hung up
+            chunk = b''
+        self.data += chunk
+        return len(chunk)
+
+    def take_until(self, length: int) -> None:
+        def enough() -> bool:
+            self.take()
+            return len(self.data) >= length
+        wait_for(enough, f'{length} bytes')
+
+
+@pytest.fixture
+def outlet() -> Iterator[Outlet]:
+    outlet = Outlet()
+    yield outlet
+    outlet.close()
+
+
+def test_outlet_counts_what_nobody_took_as_unheard_then_as_overrun(outlet: Outlet) -> None:
+    for _ in range(100):
+        outlet.write(bytes(100))
+        wait_for(lambda: outlet.outstanding() >= min(outlet.taken, CAPACITY - 1), 'settled')
+    assert outlet.taken == CAPACITY - 1
+    assert (outlet.unheard, outlet.overrun) == (10_000 - outlet.taken, 0)
+    reader = Reader(outlet.path)
+    reader.take_until(CAPACITY - 1)
+    for _ in range(100):
+        outlet.write(bytes(100))
+        wait_for(lambda: outlet.outstanding() >= min(
+            outlet.taken - len(reader.data), CAPACITY - 1), 'settled')
+    assert outlet.overrun == 10_000 - (CAPACITY - 1)
+    assert outlet.sent == outlet.taken + outlet.overrun + outlet.unheard
+    os.close(reader.fd)
+
+
+def test_outlet_hands_over_what_fits(outlet: Outlet) -> None:
+    outlet.write(bytes(3 * CAPACITY))
+    assert outlet.taken == CAPACITY - 1
+
+
+def test_bus_in_real_time_is_the_bus_on_paper() -> None:
+    paper = b''.join(burst.data for burst in play(make_master(), 1.0))
+    bus = FakeBus(make_master(), tap=True)
+    assert bus.tap is not None
+    readers = [Reader(bus.path), Reader(bus.tap.path)]
+    bus.start(1.0)
+    deadline = time.monotonic() + DEADLINE_S
+    while any(len(reader.data) < len(paper) for reader in readers):
+        for reader in readers:
+            reader.take()
+        assert time.monotonic() < deadline
+        if bus.outlet.overrun or bus.tap.overrun:
+            pytest.skip('skipped: this machine is too busy to read a serial port')
+        time.sleep(0.001)
+    assert all(bytes(reader.data) == paper for reader in readers)
+    bus.stop()
+    for reader in readers:
+        os.close(reader.fd)
+
+
+def test_bus_paces_its_bytes() -> None:
+    # Whatever the machine does, bytes never come before their time.
+    seconds = 0.5
+    bus = FakeBus(make_master(devices=('1-5:MX-64',), baud=57_600, rate=0))
+    reader = Reader(bus.path)
+    begin = time.monotonic_ns()
+    bus.start(seconds)
+    while bus.is_running:
+        if reader.take():
+            elapsed = time.monotonic_ns() - begin
+            assert wire_ns(len(reader.data), 57_600) <= elapsed
+        time.sleep(0.001)
+    bus.stop()
+    os.close(reader.fd)
+
+
+def test_bus_never_waits_for_its_reader() -> None:
+    bus = FakeBus(make_master(rate=0))
+    reader = Reader(bus.path)
+    bus.start()
+    reader.take_until(1000)
+    wait_for(lambda: bus.outlet.overrun > 50_000, 'overrun')
+    bus.stop()
+    totals = bus.outlet
+    assert totals.sent == totals.taken + totals.overrun + totals.unheard
+    assert totals.sent == bus.master.truth.bytes
+    os.close(reader.fd)
+
+
+def test_bus_vanishes_and_comes_back(tmp_path: Path) -> None:
+    link = tmp_path / 'bus'
+    bus = FakeBus(make_master(), link=str(link), away=Away(0.3, 0.3))
+    bus.start()
+    wait_for(lambda: not link.is_symlink(), 'gone')
+    wait_for(link.is_symlink, 'back')
+    reader = Reader(str(link))
+    reader.take_until(5000)
+    bus.stop()
+    assert not link.is_symlink()
+    totals = bus.outlet
+    assert totals.sent == totals.taken + totals.overrun + totals.unheard
+    os.close(reader.fd)
+
+
+def test_idle_bus_stops_at_once_and_whole() -> None:
+    bus = FakeBus(make_master('idle'))
+    bus.start()
+    wait_for(lambda: bus.outlet.sent > 500, 'the start')
+    begin = time.monotonic()
+    bus.stop()
+    assert time.monotonic() - begin < 5.0
+    assert bus.outlet.sent == bus.master.truth.bytes
+
+
+def test_simulated_master_counts_what_is_sent_to_it() -> None:
+    bus = FakeBus(make_master())
+    reader = Reader(bus.path)
+    os.write(reader.fd, b'never from a monitor')
+    bus.start()
+    wait_for(lambda: bus.outlet.received == 20, 'the bytes')
+    bus.stop()
+    os.close(reader.fd)
+
+
+# --- the command ---------------------------------------------------------------------------
+
+def run_tool(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, '-m', 'dxl_monitor.fake_bus', *arguments], check=False, text=True,
+        capture_output=True, timeout=60, cwd=Path(__file__).parents[1])
+
+
+def test_command_plays_tells_totals_and_truth(tmp_path: Path) -> None:
+    truth_file = tmp_path / 'truth.json'
+    link = tmp_path / 'bus'
+    result = run_tool('--link', str(link), '--devices', '1-5:MX-106', '--seconds', '0.5',
+                      '--fault', 'silent:2:0.1', '--truth', str(truth_file))
+    assert result.returncode == 0
+    assert result.stderr == ''
+    assert 'totals: sent ' in result.stdout
+    truth = json.loads(truth_file.read_text())
+    assert truth['devices']['2']['state'] == 'disconnected'
+    assert truth['totals']['bus']['sent'] == truth['bytes'] > 1000
+    assert not link.is_symlink()
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (('--fault', 'silnt'), 'did you mean silent'),
+    (('--devices', '1:MX-107'), 'did you mean MX-106'),
+    (('--devices', '1-999:MX-106'), 'at most 252'),
+    (('--baud', '0'), 'give bits per second'),
+    (('--baud', 'fast'), 'invalid'),
+    (('--rate', '-1'), '--rate'),
+    (('--seconds', 'inf'), '--seconds'),
+])
+def test_command_mistakes_are_one_line(arguments: tuple[str, ...], words: str) -> None:
+    result = run_tool(*arguments, '--seconds', '0.1') if '--seconds' not in arguments \
+        else run_tool(*arguments)
+    assert result.returncode == 2
+    assert words in result.stderr
+    assert 'Traceback' not in result.stderr
+
+
+def test_command_lists_faults() -> None:
+    result = run_tool('--list-faults')
+    assert [line.split()[0] for line in result.stdout.splitlines()] == list(KINDS)

@@ -1,0 +1,280 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated device and the line: what the protocol page says a device does, on paper time."""
+
+import pytest
+
+from dxl_monitor.control_table import UNKNOWN
+from dxl_monitor.fake.device import BOOT_NS
+from dxl_monitor.fake.device import Device
+from dxl_monitor.fake.line import Exchange
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.line import MASTER
+from dxl_monitor.fake.line import mix
+from dxl_monitor.fake.registers import ACCESS
+from dxl_monitor.fake.registers import LENGTH
+from dxl_monitor.fake.registers import OK
+from dxl_monitor.fake.registers import RANGE
+from dxl_monitor.fake.registers import RESULT_FAIL
+from dxl_monitor.fake.traffic import words
+from dxl_monitor.fake.values import Sine
+from dxl_monitor.models import Models
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import parse
+from msg_defs.dxl_instruction import split_combined
+from msg_defs.dxl_packet import BROADCAST
+
+MODELS = Models()
+BAUD = 1_000_000
+S = 1_000_000_000
+TORQUE, LED, GOAL, POSITION, WATCHDOG = 64, 65, 116, 132, 98
+
+
+def make(number: int = 1, name: str = 'XM430-W350', **options: object) -> Device:
+    model = MODELS.by_name(name)
+    assert model is not None
+    return Device(number, model, baud=BAUD, **options)  # type: ignore[arg-type]
+
+
+def write(device: Device, address: int, data: bytes) -> int:
+    return device.execute(Instruction.WRITE, words(address) + data, 0).error
+
+
+@pytest.mark.parametrize('number', MODELS.names())
+def test_every_model_answers_for_all_its_registers_and_moves(number: int) -> None:
+    model = MODELS.get(number)
+    assert model is not None
+    device = Device(1, model, motion=Sine(amplitude=0.5))
+    device.set('Torque Enable', 1)
+    for field in model.fields:
+        reply = device.read(field.at, field.size, S)
+        assert reply.error == OK
+        assert len(reply.params) == field.size
+    position = model.by_name.get('Present Position')
+    if position is not None and position.scale:
+        raw = device.read(position.at, position.size, S).params
+        number_read = position.decode(raw).number
+        assert number_read == pytest.approx(Sine(amplitude=0.5).angle(1.0), abs=position.scale)
+    assert device.execute(Instruction.PING, b'', 0).params[:2] == number.to_bytes(2, 'little')
+
+
+def test_unknown_model_is_bare_memory() -> None:
+    device = Device(1, UNKNOWN)
+    assert write(device, 100, b'\x01\x02') == OK
+    assert device.read(100, 2, 0).params == b'\x01\x02'
+
+
+def test_refused_accesses() -> None:
+    device = make()
+    assert device.read(5000, 1, 0).error == ACCESS
+    assert device.read(90 + 400, 1, 0).error == ACCESS          # a hole in the table
+    assert write(device, POSITION, bytes(4)) == ACCESS          # read-only
+    assert write(device, GOAL, bytes(2)) == LENGTH              # half a register
+    assert write(device, TORQUE, b'\x02') == RANGE
+    assert write(device, 7, b'\xfd') == RANGE                   # no ID
+    assert write(device, TORQUE, b'\x01') == OK
+    assert write(device, 9, b'\x00') == ACCESS                  # EEPROM with torque on
+
+
+def test_a_refused_write_changes_nothing() -> None:
+    device = make()
+    before = bytes(device.image)
+    assert write(device, LED, b'\x01\x00\x00\x07') != OK        # runs into a later register
+    assert bytes(device.image) == before
+
+
+def test_indirect_data_is_the_register_it_points_at() -> None:
+    device = make()
+    assert write(device, 168, words(LED)) == OK
+    assert write(device, 224, b'\x01') == OK
+    assert device.image[LED] == 1
+    assert device.read(224, 1, 0).params == b'\x01'
+
+
+def test_goal_moves_a_device_without_motion_of_its_own() -> None:
+    device = make()
+    write(device, GOAL, (3000).to_bytes(4, 'little'))
+    assert device.read(POSITION, 4, 0).params != (3000).to_bytes(4, 'little')
+    write(device, TORQUE, b'\x01')
+    write(device, GOAL, (3000).to_bytes(4, 'little'))
+    assert device.read(POSITION, 4, 0).params == (3000).to_bytes(4, 'little')
+
+
+def test_joint_stands_where_the_torque_was_cut() -> None:
+    device = make(motion=Sine())
+    device.set('Torque Enable', 1)
+    device.execute(Instruction.WRITE, words(TORQUE) + b'\x00', S)
+    assert device.angle(5 * S) == pytest.approx(Sine().angle(1.0))
+    assert device.angle(9 * S) == device.angle(5 * S)
+
+
+def test_reg_write_waits_for_action() -> None:
+    device = make()
+    assert device.execute(Instruction.ACTION, b'', 0).error == RESULT_FAIL
+    assert device.execute(Instruction.REG_WRITE, words(LED) + b'\x01', 0).error == OK
+    assert (device.image[LED], device.get('Registered Instruction')) == (0, 1)
+    assert device.execute(Instruction.ACTION, b'', 0).error == OK
+    assert (device.image[LED], device.get('Registered Instruction')) == (1, 0)
+
+
+def test_reboot_forgets_ram_keeps_eeprom_and_is_deaf_for_a_while() -> None:
+    device = make()
+    write(device, 20, b'\x07\x00\x00\x00')                      # Homing Offset
+    write(device, TORQUE, b'\x01')
+    device.latch(0x20, 0)
+    assert device.error_byte(0) == 0x80
+    device.execute(Instruction.REBOOT, b'', S)
+    assert not device.torque
+    assert device.image[20] == 7
+    assert device.error_byte(0) == 0
+    assert not device.hears(BAUD, S + 1)
+    assert device.hears(BAUD, S + BOOT_NS)
+
+
+def test_latched_error_keeps_the_torque_off() -> None:
+    device = make()
+    device.latch(0x20, 0)
+    write(device, TORQUE, b'\x01')
+    assert not device.torque
+    assert device.get('Hardware Error Status') == 0x20
+
+
+@pytest.mark.parametrize(('option', 'number', 'baud'), [
+    (b'\xff', 1, 57600), (b'\x01', 9, 57600), (b'\x02', 9, BAUD)])
+def test_factory_reset(option: bytes, number: int, baud: int) -> None:
+    device = make(9)
+    assert device.execute(Instruction.FACTORY_RESET, option, 0).error == OK
+    assert (device.id, device.get('ID'), device.baud) == (number, number, baud)
+    assert device.get('Return Delay Time') == 250
+
+
+def test_backup_and_restore() -> None:
+    device = make()
+    write(device, 20, b'\x07\x00\x00\x00')
+    assert device.execute(Instruction.CONTROL_TABLE_BACKUP, b'\x02CTRL', 0).error == RESULT_FAIL
+    assert device.execute(Instruction.CONTROL_TABLE_BACKUP, b'\x01CTRL', 0).error == OK
+    write(device, 20, b'\x08\x00\x00\x00')
+    assert device.execute(Instruction.CONTROL_TABLE_BACKUP, b'\x02CTRL', 0).error == OK
+    assert device.image[20] == 7
+
+
+def test_clear_needs_its_key_and_the_torque_off() -> None:
+    device = make()
+    assert device.execute(Instruction.CLEAR, b'\x01DXL"', 0).error == OK
+    assert device.execute(Instruction.CLEAR, b'\x01', 0).error == RESULT_FAIL
+    write(device, TORQUE, b'\x01')
+    assert device.execute(Instruction.CLEAR, b'\x01DXL"', 0).error == RESULT_FAIL
+
+
+def test_bus_watchdog_refuses_goals_until_cleared() -> None:
+    line = Line([make()], BAUD)
+    goal = words(GOAL) + bytes(4)
+    line.exchange(1, Instruction.WRITE, words(TORQUE) + b'\x01', 0)
+    line.exchange(1, Instruction.WRITE, words(WATCHDOG) + b'\x05', S // 100)
+    assert _error(line.exchange(1, Instruction.WRITE, goal, 2 * S // 100)) == OK
+    assert _error(line.exchange(1, Instruction.WRITE, goal, S)) == RANGE
+    line.exchange(1, Instruction.WRITE, words(WATCHDOG) + b'\x00', S + S // 100)
+    assert _error(line.exchange(1, Instruction.WRITE, goal, S + 2 * S // 100)) == OK
+
+
+def _error(exchange: Exchange) -> int:
+    return exchange.answers[0].error
+
+
+# --- the line ------------------------------------------------------------------------------
+
+def test_return_delay_and_wire_time() -> None:
+    device = make(return_delay=250)
+    exchange = Line([device], BAUD).exchange(1, Instruction.PING, b'', 1000)
+    asked, answer = exchange.bursts
+    assert (asked.start, asked.end) == (1000, 1000 + 10 * 10_000)
+    assert (answer.start, answer.end) == (asked.end + 500_000, asked.end + 500_000 + 14 * 10_000)
+
+
+@pytest.mark.parametrize(('level', 'answered'), [
+    (0, [Instruction.PING]), (1, [Instruction.PING, Instruction.READ]),
+    (2, [Instruction.PING, Instruction.READ, Instruction.WRITE])])
+def test_status_return_level(level: int, answered: list[Instruction]) -> None:
+    device = make()
+    device.set('Status Return Level', level)
+    line = Line([device], BAUD)
+    asks = {Instruction.PING: b'', Instruction.READ: words(LED, 1),
+            Instruction.WRITE: words(LED) + b'\x00'}
+    exchanges = {code: line.exchange(1, code, params, 0) for code, params in asks.items()}
+    assert [code for code, exchange in exchanges.items() if exchange.answers] == answered
+    assert [code for code, exchange in exchanges.items() if exchange.due] == answered
+
+
+def test_broadcasts_reach_all_and_only_ping_is_answered_in_order_of_ids() -> None:
+    line = Line([make(7), make(3), make(5)], BAUD)
+    assert not line.exchange(BROADCAST, Instruction.WRITE, words(LED) + b'\x01', 0).answers
+    assert [device.image[LED] for device in line.chain] == [1, 1, 1]
+    assert not line.exchange(BROADCAST, Instruction.READ, words(LED, 1), 0).answers
+    exchange = line.exchange(BROADCAST, Instruction.PING, b'', 0)
+    assert [answer.id for answer in exchange.answers] == [3, 5, 7]
+
+
+def test_sync_read_follows_the_list_and_stops_at_a_silent_device() -> None:
+    line = Line([make(1), make(2), make(3)], BAUD)
+    ask = words(POSITION, 4) + bytes([3, 1, 2])
+    assert _ids(line.exchange(BROADCAST, Instruction.SYNC_READ, ask, 0)) == [3, 1, 2]
+    line.chain[0].silent = True
+    exchange = line.exchange(BROADCAST, Instruction.SYNC_READ, ask, 0)
+    assert _ids(exchange) == [3]
+    assert exchange.due == (3, 1, 2)
+    line.waits_in_line = False
+    assert _ids(line.exchange(BROADCAST, Instruction.SYNC_READ, ask, 0)) == [3, 2]
+
+
+def _ids(exchange: Exchange) -> list[int]:
+    return [answer.id for answer in exchange.answers]
+
+
+@pytest.mark.parametrize('silent', [None, 1, 2, 3])
+def test_combined_reply_is_cut_at_a_silent_device(silent: int | None) -> None:
+    line = Line([make(1), make(2), make(3)], BAUD)
+    for device in line.chain:
+        device.silent = device.id == silent
+    ask = words(POSITION, 4) + bytes([1, 2, 3])
+    exchange = line.exchange(BROADCAST, Instruction.FAST_SYNC_READ, ask, 0)
+    reply = b''.join(burst.data for burst in exchange.bursts[1:])
+    request = parse(Instruction.FAST_SYNC_READ, BROADCAST, ask)
+    blocks = split_combined(reply[4:], request.accesses)
+    heard = 3 if silent is None else silent - 1
+    assert [block.id for block in blocks] == [1, 2, 3][:heard]
+    assert len(reply) == (8 + 8 * heard if heard else 0)
+
+
+def test_firmware_without_fast_reads() -> None:
+    ask = words(POSITION, 4) + b'\x01'
+    for device, answers in ((make(), 1), (make(firmware=44), 0), (make(name='MX-106'), 0)):
+        line = Line([device], BAUD)
+        exchange = line.exchange(BROADCAST, Instruction.FAST_SYNC_READ, ask, 0)
+        assert len(exchange.answers) == answers
+
+
+def test_written_id_and_baud_take_effect_behind_the_acknowledgement() -> None:
+    line = Line([make(1)], BAUD)
+    exchange = line.exchange(1, Instruction.WRITE, words(7) + b'\x09', 0)
+    assert exchange.answers[0].id == 1
+    assert line.exchange(9, Instruction.PING, b'', 0).answers
+    assert line.exchange(9, Instruction.WRITE, words(8) + b'\x01', 0).answers
+    assert not line.exchange(9, Instruction.PING, b'', 0).answers
+
+
+def test_two_devices_with_one_id_run_into_each_other() -> None:
+    line = Line([make(1), make(1, 'MX-106')], BAUD)
+    exchange = line.exchange(1, Instruction.PING, b'', 0)
+    mixed = mix(exchange.bursts, BAUD)
+    assert [burst.sender == MASTER for burst in mixed] == [True, False]
+    assert not mixed[1].intact
+    assert not any(answer.burst.intact for answer in exchange.answers)
+    line.chain[1].set('Return Delay Time', 250)
+    assert len(mix(line.exchange(1, Instruction.PING, b'', 0).bursts, BAUD)) == 3
+
+
+def test_malformed_and_unknown_instructions_are_refused_by_the_device() -> None:
+    line = Line([make()], BAUD)
+    for code, params in ((Instruction.READ, b'\x00'), (0x77, b''), (Instruction.WRITE, b'\x41')):
+        exchange = line.exchange(1, code, params, 0)
+        assert exchange.answers[0].error & 0x7F in (2, LENGTH)

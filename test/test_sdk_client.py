@@ -1,0 +1,256 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The official client drives the simulated devices while the monitor listens on the tap.
+
+dynamixel-sdk is an oracle from outside: what the client is told is right for the device, and
+what the monitor then knows is what the client was told, for every register touched.
+"""
+
+from collections.abc import Callable
+from collections.abc import Iterator
+import time
+from typing import Any
+
+import pytest
+
+from dxl_monitor.devices import parse_all
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.shell import FakeBus
+from dxl_monitor.fake.traffic import none
+from dxl_monitor.fake_bus import make_devices
+from dxl_monitor.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor import Settings
+from dxl_monitor.report import DeviceReport
+from dxl_monitor.tap import Tap
+
+try:
+    import dynamixel_sdk as sdk
+except ImportError:
+    sdk = None
+
+pytestmark = pytest.mark.skipif(sdk is None, reason='skipped: dynamixel-sdk is not installed')
+
+BAUD = 1_000_000
+MODELS = Models()
+ENTRIES = ['1-3:XL430-W250', '4-5:XM540-W270', '6:MX-106', '101:BitFoot']
+SERVOS = (1, 2, 3, 4, 5, 6)
+FAST = (1, 2, 3, 4, 5)
+DEADLINE_S = 20.0
+ACCESS = 7
+TORQUE, LED, GOAL_VELOCITY, GOAL, POSITION, VOLTAGE = 64, 65, 104, 116, 132, 144
+
+
+class Bench:
+    """Simulated devices, the official client on the bus, a monitor on the tap."""
+
+    def __init__(self) -> None:
+        devices = make_devices(ENTRIES, MODELS, BAUD, moving=False)
+        self.bus = FakeBus(Master(Line(devices, BAUD), none), tap=True)
+        assert self.bus.tap is not None
+        self.monitor = Monitor('bus', MODELS, Settings(BAUD, tuple(parse_all(ENTRIES))))
+        self.tap = Tap(self.bus.tap.path, BAUD, self.monitor.feed, self.monitor.flush_if_idle)
+        self.tap.start()
+        self.wait_for(lambda: self.tap.state.is_open, 'the tap')
+        self.bus.start()
+        self.port = sdk.PortHandler(self.bus.path)
+        assert self.port.setBaudRate(BAUD)
+        self.client = sdk.PacketHandler(2.0)
+
+    def close(self) -> None:
+        self.port.closePort()
+        self.tap.stop()
+        self.bus.stop()
+
+    def wait_for(self, condition: Callable[[], Any], what: str) -> None:
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, f'waited in vain for: {what}'
+            time.sleep(0.005)
+
+    def retry(self, ask: Callable[[], tuple[Any, ...]]) -> tuple[Any, ...]:
+        """Ask again as long as the client times out: it waits 34 ms, this machine may be slow."""
+        deadline = time.monotonic() + DEADLINE_S
+        while True:
+            answer = ask()
+            if answer[-2] == sdk.COMM_SUCCESS or time.monotonic() > deadline:
+                return answer
+
+    def read(self, number: int, address: int, size: int) -> tuple[bytes, int]:
+        data, result, error = self.retry(
+            lambda: self.client.readTxRx(self.port, number, address, size))
+        assert result == sdk.COMM_SUCCESS
+        return bytes(data), error
+
+    def write(self, number: int, address: int, data: bytes) -> int:
+        result, error = self.retry(
+            lambda: self.client.writeTxRx(self.port, number, address, len(data), list(data)))
+        assert result == sdk.COMM_SUCCESS
+        return int(error)
+
+    def device(self, number: int) -> DeviceReport:
+        """Return what the monitor says once it has heard all that was on the bus."""
+        tap = self.bus.tap
+        assert tap is not None
+        self.wait_for(lambda: self.tap.counters.bytes == tap.taken, 'the tap to have read all')
+        report = self.monitor.report(time.monotonic_ns())
+        return next(device for device in report.devices if device.id == number)
+
+    def known(self, number: int, address: int, size: int) -> bytes:
+        """Return the bytes of a register as the monitor knows it, b'' if it does not."""
+        device = self.device(number)
+        for value in device.observed:
+            field = value.field
+            if field.at == address and field.size == size:
+                return int(value.value.raw).to_bytes(
+                    size, 'little', signed=field.type.startswith('i'))
+        return b''
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.close()
+
+
+def test_ping(bench: Bench) -> None:
+    for number, model in ((1, 1060), (4, 1120), (6, 321), (101, 0xAFFE)):
+        answer = bench.retry(lambda one=number: bench.client.ping(bench.port, one))  # type: ignore[misc]
+        assert answer == (model, sdk.COMM_SUCCESS, 0)
+        device = bench.device(number)
+        assert (device.model_number, device.state) == (model, 'connected')
+    assert bench.client.ping(bench.port, 77)[1] == sdk.COMM_RX_TIMEOUT
+
+
+def test_broadcast_ping(bench: Bench) -> None:
+    found, result = bench.client.broadcastPing(bench.port)
+    assert result == sdk.COMM_SUCCESS
+    assert set(found) == {*SERVOS, 101}
+    for number, (model, firmware) in found.items():
+        device = bench.device(number)
+        assert (device.model_number, device.firmware) == (model, firmware)
+
+
+def test_read_every_register(bench: Bench) -> None:
+    model = MODELS.by_name('XL430-W250')
+    assert model is not None
+    told = {}
+    for field in model.fields:
+        if field.at < 168:               # behind: indirect addresses
+            data, error = bench.read(1, field.at, field.size)
+            assert error == 0
+            told[field.at, field.size] = data
+    assert told[0, 2] == (1060).to_bytes(2, 'little')
+    assert told[7, 1] == b'\x01'
+    known = {place: bench.known(1, *place) for place in told}
+    assert known == told
+
+
+def test_write_is_obeyed_and_known(bench: Bench) -> None:
+    goal = (3000).to_bytes(4, 'little')
+    assert bench.write(4, TORQUE, b'\x01') == 0
+    assert bench.write(4, GOAL, goal) == 0
+    assert bench.known(4, GOAL, 4) == goal
+    assert bench.read(4, POSITION, 4) == (goal, 0)
+    assert bench.known(4, POSITION, 4) == goal
+
+
+def test_refused_write_is_not_known(bench: Bench) -> None:
+    assert bench.read(1, 9, 1) == (b'\x00', 0)
+    assert bench.write(1, TORQUE, b'\x01') == 0
+    assert bench.write(1, 9, b'\x07') == ACCESS      # EEPROM with torque on
+    assert bench.known(1, 9, 1) == b'\x00'
+    assert bench.device(1).last_error == 'Access'
+
+
+def test_registered_write_waits_for_action(bench: Bench) -> None:
+    assert bench.read(1, LED, 1) == (b'\x00', 0)
+    assert bench.retry(lambda: bench.client.regWriteTxRx(bench.port, 1, LED, 1, [1])) == (0, 0)
+    assert bench.known(1, LED, 1) == b'\x00'
+    assert bench.client.action(bench.port, 1) == sdk.COMM_SUCCESS
+    bench.wait_for(lambda: bench.known(1, LED, 1) == b'\x01', 'the action')
+    assert bench.read(1, LED, 1) == (b'\x01', 0)
+
+
+def test_header_in_unstuffed_data(bench: Bench) -> None:
+    # The Python SDK does not stuff what it sends, and it loses bytes of what it receives.
+    data = b'\xff\xff\xfd\x00'
+    assert bench.write(1, GOAL_VELOCITY, data) == 0
+    assert bench.known(1, GOAL_VELOCITY, 4) == data
+    assert bench.read(1, GOAL_VELOCITY, 4) == (data, 0)
+
+
+def _group(bench: Bench, kind: str, *arguments: Any) -> Any:
+    return getattr(sdk, kind)(bench.port, bench.client, *arguments)
+
+
+def _succeed(ask: Callable[[], int]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while ask() != sdk.COMM_SUCCESS:
+        assert time.monotonic() < deadline
+
+
+@pytest.mark.parametrize(('method', 'ids'), [('txRxPacket', SERVOS), ('fastSyncRead', FAST)])
+def test_sync_write_and_sync_read(bench: Bench, method: str, ids: tuple[int, ...]) -> None:
+    for number in ids:
+        assert bench.write(number, TORQUE, b'\x01') == 0
+    writer = _group(bench, 'GroupSyncWrite', GOAL, 4)
+    for number in ids:
+        assert writer.addParam(number, (2000 + number).to_bytes(4, 'little'))
+    assert writer.txPacket() == sdk.COMM_SUCCESS
+    reader = _group(bench, 'GroupSyncRead', POSITION, 4)
+    for number in ids:
+        assert reader.addParam(number)
+    _succeed(getattr(reader, method))
+    for number in ids:
+        assert reader.getData(number, POSITION, 4) == 2000 + number
+        assert bench.known(number, GOAL, 4) == (2000 + number).to_bytes(4, 'little')
+        assert bench.known(number, POSITION, 4) == (2000 + number).to_bytes(4, 'little')
+
+
+@pytest.mark.parametrize(('method', 'ids'), [('txRxPacket', SERVOS), ('fastBulkRead', FAST)])
+def test_bulk_write_and_bulk_read(bench: Bench, method: str, ids: tuple[int, ...]) -> None:
+    places = {number: (LED, 1) if number % 2 else (VOLTAGE, 2) for number in ids}
+    writer = _group(bench, 'GroupBulkWrite')
+    for number in ids:
+        assert writer.addParam(number, LED, 1, [1])
+    assert writer.txPacket() == sdk.COMM_SUCCESS
+    reader = _group(bench, 'GroupBulkRead')
+    for number, place in places.items():
+        assert reader.addParam(number, *place)
+    _succeed(getattr(reader, method))
+    for number, (address, size) in places.items():
+        told = reader.getData(number, address, size)
+        assert told == (1 if address == LED else 120)
+        assert bench.known(number, address, size) == told.to_bytes(size, 'little')
+
+
+def test_reboot(bench: Bench) -> None:
+    assert bench.write(2, TORQUE, b'\x01') == 0
+    assert bench.read(2, 20, 4)[1] == 0
+    assert bench.known(2, TORQUE, 1) == b'\x01'
+    assert bench.client.reboot(bench.port, 2)[0] == sdk.COMM_SUCCESS
+    assert bench.known(2, TORQUE, 1) in (b'', b'\x00')
+    assert bench.known(2, 20, 4) == bytes(4)         # EEPROM stays known
+    assert bench.read(2, TORQUE, 1) == (b'\x00', 0)
+    assert bench.known(2, TORQUE, 1) == b'\x00'
+
+
+def test_factory_reset(bench: Bench) -> None:
+    assert bench.read(3, 9, 1) == (b'\x00', 0)
+    keep_id_and_baud = 0x02
+    result, error = bench.client.factoryReset(bench.port, 3, keep_id_and_baud)
+    assert (result, error) == (sdk.COMM_SUCCESS, 0)
+    assert bench.known(3, 9, 1) == b''
+    assert bench.read(3, 9, 1) == (b'\xfa', 0)       # Return Delay Time of the factory
+    assert bench.known(3, 9, 1) == b'\xfa'
+
+
+def test_new_id_is_followed(bench: Bench) -> None:
+    assert bench.write(3, 7, b'\x21') == 0
+    assert bench.read(0x21, 7, 1) == (b'\x21', 0)
+    assert bench.known(0x21, 7, 1) == b'\x21'
+    assert bench.device(0x21).model_name == 'XL430-W250'
