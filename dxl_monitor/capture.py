@@ -1,0 +1,220 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The capture file: every chunk of bytes as it was read, with its stamp, one line of text each.
+
+    # dxl_capture 1 began 2026-09-21T14:13:20.123456Z at 12345.678901234
+    # bus ttyUSB0 baud 2000000 latency_timer_ms 1 port /dev/ttyUSB0
+    (12345.690172411) ttyUSB0 fffffd0001030001194e
+
+docs/captures.md is the reference. Stamps are monotonic ns, kept exactly, as are the borders of the
+chunks: a replay leads to the same report.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable
+from collections.abc import Iterator
+from datetime import datetime
+from datetime import timedelta
+from datetime import timezone
+import os
+from pathlib import Path
+import stat
+from typing import BinaryIO
+from typing import NamedTuple
+from urllib.parse import quote
+from urllib.parse import unquote
+
+from mecarover_serial.parameters import ParameterError
+
+MAGIC = b'# dxl_capture 1 '
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_WALL = '%Y-%m-%dT%H:%M:%S.%f'
+_PLAIN = '/:._-+@'                  # of a bus name: stay as they are, besides letters and digits
+_SECOND = 1_000_000_000
+
+
+class Wire(NamedTuple):
+    """What a capture says about a bus; latency_timer_ms of its adapter, 0 where it has none."""
+
+    name: str
+    baud: int
+    latency_timer_ms: int = 0
+    port: str = ''
+
+
+class Chunk(NamedTuple):
+    """Bytes that were read at once; stamp: when, monotonic ns."""
+
+    stamp: int
+    bus: str
+    data: bytes
+
+
+class Moment(NamedTuple):
+    """One moment on two clocks, ns: since 1970, and monotonic."""
+
+    wall: int
+    stamp: int
+
+
+def seconds(stamp: int) -> str:
+    """Spell ns as seconds with all nine decimals: exact, and of one width."""
+    return f'{stamp // _SECOND}.{stamp % _SECOND:09}'
+
+
+def chunk_line(stamp: int, bus: str, data: bytes) -> bytes:
+    return f'({seconds(stamp)}) {_word(bus)} {data.hex()}\n'.encode()
+
+
+def _word(name: str) -> str:
+    """Spell the name of a bus without blanks; '-' stands for none."""
+    return '%2D' if name == '-' else quote(name, _PLAIN) or '-'
+
+
+class Writer:
+    """Writes to a file that somebody else opened, and flushes and closes."""
+
+    def __init__(self, file: BinaryIO, now: Moment) -> None:
+        self.size = 0
+        self._file = file
+        self._told: set[str] = set()
+        wall = (_EPOCH + timedelta(microseconds=now.wall // 1000)).strftime(_WALL)
+        self._put(MAGIC + f'began {wall}Z at {seconds(now.stamp)}\n'.encode())
+
+    def take(self, wire: Wire, data: bytes, stamp: int) -> None:
+        """Write a chunk, and before the first one of a bus what is known of that."""
+        if wire.name not in self._told:
+            self._told.add(wire.name)
+            self._put(f'# bus {_word(wire.name)} baud {wire.baud} latency_timer_ms '
+                      f'{wire.latency_timer_ms} port {quote(wire.port, _PLAIN)}\n'.encode())
+        self._put(chunk_line(stamp, wire.name, data))
+
+    def remark(self, text: str) -> None:
+        """Write a line for people."""
+        self._put(f'# {text}\n'.encode())
+
+    def _put(self, line: bytes) -> None:
+        self._file.write(line)
+        self.size += len(line)
+
+
+class Reader:
+    """
+    The chunks of a capture, from its lines. What is no line of a capture is left out and counted.
+
+    Several captures behind each other are one: where the clock began anew (another boot), stamps
+    go on by the wall-clock. `began` is of the first header.
+    """
+
+    def __init__(self, lines: Iterable[bytes]) -> None:
+        self.began = Moment(0, 0)
+        self.wires: dict[str, Wire] = {}
+        self.bad_lines = 0
+        self.first_bad_line = 0
+        self._lines = lines
+        self._names: dict[bytes, str] = {}
+        self._shift = 0
+        self._last = 0
+
+    def __iter__(self) -> Iterator[Chunk]:
+        for number, line in enumerate(self._lines, 1):
+            chunk = self._parse(line, number)
+            if chunk is not None:
+                yield chunk
+
+    def _parse(self, line: bytes, number: int) -> Chunk | None:
+        """Return the chunk of a line, None for any other line."""
+        try:
+            if line[:1] == b'(':
+                stamp, bus, data = line.split()
+                self._last = _stamp(stamp[1:-1]) + self._shift
+                return Chunk(self._last, self._name(bus), bytes.fromhex(data.decode()))
+            if line.strip():
+                self._header(line)
+        except (ValueError, LookupError):
+            self.bad_lines += 1
+            self.first_bad_line = self.first_bad_line or number
+        return None
+
+    def _name(self, word: bytes) -> str:
+        name = self._names.get(word)
+        if name is None:
+            name = self._names[word] = '' if word == b'-' else unquote(word.decode())
+        return name
+
+    def _header(self, line: bytes) -> None:
+        """Take in a line that starts with '#'; one that we do not know is a remark."""
+        sign, *words = line.split()
+        if sign != b'#':
+            raise ValueError(line)
+        if line.startswith(MAGIC):
+            now = Moment(_wall(words[3].decode()), _stamp(words[5]))
+            if not self.began.wall:
+                self.began = now
+            if now.stamp + self._shift < self._last:
+                self._shift = now.wall - self.began.wall + self.began.stamp - now.stamp
+        elif words[:1] == [b'bus']:
+            name = self._name(words[1])
+            facts = dict(zip(words[2::2], words[3::2], strict=False))
+            self.wires[name] = Wire(name, int(facts[b'baud']),
+                                    int(facts.get(b'latency_timer_ms', 0)),
+                                    unquote(facts.get(b'port', b'').decode()))
+
+
+def _stamp(text: bytes) -> int:
+    whole, fraction = text.split(b'.')
+    return int(whole) * _SECOND + int(fraction.ljust(9, b'0')[:9])
+
+
+def _wall(text: str) -> int:
+    since = datetime.strptime(text, _WALL + 'Z').replace(tzinfo=_EPOCH.tzinfo) - _EPOCH
+    return since // timedelta(microseconds=1) * 1000
+
+
+def check_new(path: str | Path) -> None:
+    """
+    Raise ParameterError for what must not be written to.
+
+    That is a port, above all, and any file that is no capture.
+    """
+    try:
+        status = os.stat(path)
+        is_file = stat.S_ISREG(status.st_mode) and status.st_size > 0
+        if is_file and not is_capture(path):
+            raise _refusal(path, 'is there and is no capture')
+        if stat.S_ISDIR(status.st_mode):
+            raise _refusal(path, 'is a directory')
+        if stat.S_ISCHR(status.st_mode) and _is_port(path):
+            raise _refusal(path, 'is a port, and nothing must be sent to one')
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise _refusal(path, error.strerror or str(error)) from error
+
+
+def open_new(path: str | Path) -> BinaryIO:
+    """Open a file to write a capture to; an older capture of that name is lost."""
+    check_new(path)
+    try:
+        return open(path, 'wb')
+    except OSError as error:
+        raise _refusal(path, error.strerror or str(error)) from error
+
+
+def is_capture(path: str | Path) -> bool:
+    """Tell whether a file begins as a capture does."""
+    with open(path, 'rb') as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def _is_port(path: str | Path) -> bool:
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        return os.isatty(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _refusal(path: str | Path, reason: str) -> ParameterError:
+    return ParameterError(f'capture: {path}: {reason}; give another file name')

@@ -1,0 +1,179 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Captures: exact to the ns and the chunk, tolerant of damage; the recorder and its disk."""
+import io
+import random
+import re
+import resource
+import time
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+from dxl_monitor.capture import Chunk
+from dxl_monitor.capture import Moment
+from dxl_monitor.capture import open_new
+from dxl_monitor.capture import Reader
+from dxl_monitor.capture import Wire
+from dxl_monitor.capture import Writer
+from dxl_monitor.recorder import Recorder
+from mecarover_serial.parameters import ParameterError
+from mecarover_serial.pty import Pty
+
+NOW = Moment(1_790_000_000_123_456_000, 12_345_678_901_234)
+WIRE = Wire('ttyUSB0', 2_000_000, 1, '/dev/ttyUSB0')
+
+
+def written(*chunks: Chunk, wire: Wire = WIRE) -> bytes:
+    file = io.BytesIO()
+    writer = Writer(file, NOW)
+    for chunk in chunks:
+        writer.take(wire._replace(name=chunk.bus), chunk.data, chunk.stamp)
+    assert writer.size == len(file.getvalue())
+    return file.getvalue()
+
+
+def test_the_format_is_the_one_in_the_docs() -> None:
+    assert written(Chunk(12_345_690_172_411, 'ttyUSB0', b'\xff\xff\xfd\x00\x01')) == (
+        b'# dxl_capture 1 began 2026-09-21T14:13:20.123456Z at 12345.678901234\n'
+        b'# bus ttyUSB0 baud 2000000 latency_timer_ms 1 port /dev/ttyUSB0\n'
+        b'(12345.690172411) ttyUSB0 fffffd0001\n')
+
+
+@given(st.lists(st.builds(Chunk, st.integers(0, 2**62), st.text(
+    st.characters(codec='utf-8'), min_size=1).filter(lambda name: name != '-'),
+    st.binary(min_size=1, max_size=50))))
+def test_what_is_written_is_read(chunks: list[Chunk]) -> None:
+    reader = Reader(io.BytesIO(written(*chunks)))
+    assert list(reader) == chunks
+    assert reader.began == NOW
+    assert not reader.bad_lines
+    for chunk in chunks:
+        assert reader.wires[chunk.bus] == WIRE._replace(name=chunk.bus)
+
+
+@given(st.binary(max_size=300), st.randoms())
+def test_damage_never_raises_and_costs_only_its_lines(noise: bytes, rng: random.Random) -> None:
+    chunks = [Chunk(number * 1000, 'bus', bytes([number])) for number in range(1, 20)]
+    lines = written(*chunks).splitlines(keepends=True)
+    at = rng.randrange(1, len(lines) + 1)
+    lines[at:at] = [line for line in noise.splitlines(keepends=True)
+                    if not line.startswith((b'(', b'#'))] + [b'\n']
+    found = list(Reader(lines))
+    assert [chunk for chunk in found if chunk in chunks] == chunks
+
+
+def test_bad_lines_are_counted() -> None:
+    text = written(Chunk(5, 'bus', b'\xff')) + b'(1.5 bus\nhello\n(1.0) bus zz\n\n(7.5) bus 0'
+    reader = Reader(io.BytesIO(text))
+    assert [chunk.data for chunk in reader] == [b'\xff']
+    assert (reader.bad_lines, reader.first_bad_line) == (4, 4)
+
+
+def test_another_boot_goes_on_by_the_wall_clock() -> None:
+    first = written(Chunk(NOW.stamp + 1, 'bus', b'\x01'))
+    file = io.BytesIO()
+    Writer(file, Moment(NOW.wall + 60_000_000_000, 5_000_000_000)).take(
+        WIRE, b'\x02', 5_000_000_007)
+    stamps = [chunk.stamp for chunk in Reader(io.BytesIO(first + file.getvalue()))]
+    assert stamps == [NOW.stamp + 1, NOW.stamp + 60_000_000_007]
+
+
+def test_nothing_is_written_to_a_port_or_over_a_file_that_is_no_capture(tmp_path) -> None:
+    notes = tmp_path / 'notes.txt'
+    notes.write_text('keep me')
+    with Pty() as pty:
+        for path, reason in ((pty.path, 'is a port'), (notes, 'is there and is no capture'),
+                             (tmp_path, 'is a directory'),
+                             (tmp_path / 'none' / 'x', 'No such file or directory')):
+            with pytest.raises(ParameterError, match=f'{re.escape(str(path))}: {reason}.*; '):
+                open_new(path)
+    assert notes.read_text() == 'keep me'
+
+
+def test_an_older_capture_may_be_overwritten(tmp_path) -> None:
+    path = tmp_path / 'bus.txt'
+    path.write_bytes(written(Chunk(1, 'bus', b'\x01')))
+    with open_new(path) as file:
+        file.write(b'')
+    assert path.read_bytes() == b''
+
+
+def until(condition) -> None:
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_the_recorder_rotates_and_loses_nothing(tmp_path) -> None:
+    path = tmp_path / 'bus.txt'
+    recorder = Recorder(str(path), 2000, 3, lambda: NOW)
+    recorder.start()
+    sent = [Chunk(NOW.stamp + number, 'ttyUSB0', bytes([number])) for number in range(250)]
+    for chunk in sent:
+        recorder.take(WIRE, chunk.data, chunk.stamp)
+    recorder.stop()
+    files = [tmp_path / name for name in ('bus.txt.3', 'bus.txt.2', 'bus.txt.1', 'bus.txt')]
+    assert sorted(tmp_path.iterdir()) == sorted(files)
+    assert all(2000 <= file.stat().st_size < 2200 for file in files[:3])
+    read = list(Reader(line for file in files for line in file.read_bytes().splitlines(True)))
+    assert read == sent[-len(read):]
+    assert len(read) > 180
+    assert not recorder.problem
+
+
+def test_a_capture_of_before_is_kept(tmp_path) -> None:
+    path = tmp_path / 'bus.txt'
+    path.write_bytes(written(Chunk(1, 'bus', b'\x01')))
+    recorder = Recorder(str(path), 10**6, 2)
+    recorder.start()
+    recorder.stop()
+    assert (tmp_path / 'bus.txt.1').read_bytes() == written(Chunk(1, 'bus', b'\x01'))
+
+
+def test_what_was_heard_is_on_the_disk_soon(tmp_path) -> None:
+    path = tmp_path / 'bus.txt'
+    recorder = Recorder(str(path), 10**6, 2)
+    recorder.start()
+    recorder.take(WIRE, b'\xab\xcd', 77)
+    until(lambda: b'abcd' in path.read_bytes())
+    recorder.stop()
+
+
+def test_a_full_disk_ends_the_capture_and_is_told(tmp_path) -> None:
+    recorder = Recorder('/dev/full', 10**6, 2)
+    recorder.start()
+    recorder.take(WIRE, b'\x01' * 5000, 1)
+    until(lambda: recorder.problem)
+    assert recorder.words.startswith('capture stopped: /dev/full: No space left on device; ')
+    recorder.take(WIRE, b'\x01', 2)
+    recorder.stop()
+
+
+def test_a_file_that_may_not_grow_ends_the_capture(tmp_path) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    recorder = Recorder(str(tmp_path / 'bus.txt'), 10**6, 2)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        recorder.start()
+        recorder.take(WIRE, b'\x01' * 20_000, 1)
+        until(lambda: recorder.problem)
+        recorder.stop()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert 'File too large' in recorder.problem
+
+
+def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr('dxl_monitor.recorder.WAITING_LIMIT', 100)
+    path = tmp_path / 'bus.txt'
+    recorder = Recorder(str(path), 10**6, 2, lambda: NOW)
+    for number in range(20):
+        recorder.take(WIRE, bytes(10), NOW.stamp + number)
+    recorder.start()
+    recorder.stop()
+    assert recorder.left_out == 90
+    assert b'# gap: the disk was too slow from 12345.678901245 on, 90 bytes' in path.read_bytes()
+    assert len(list(Reader(path.open('rb')))) == 11

@@ -1,0 +1,491 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""dxl_dump: what it lists, counts, shows, filters and records; and how it ends."""
+from contextlib import suppress
+import fcntl
+import json
+import os
+from pathlib import Path
+import random
+import re
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+import time
+
+from harness import DEADLINE_S
+from harness import Program
+from harness import wait
+import pytest
+
+from dxl_monitor.capture import Moment
+from dxl_monitor.capture import Reader
+from dxl_monitor.capture import Wire
+from dxl_monitor.capture import Writer
+from dxl_monitor.dump.lines import delta_text
+from dxl_monitor.fake.faults import parse
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.fake_bus import make_devices
+from dxl_monitor.models import Models
+from mecarover_serial.pty import Pty
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import STATUS
+
+ROOT = Path(__file__).parents[1]
+TRACE = ROOT.parent / 'shared' / 'data' / 'bus_trace_head.bin'
+MODELS = Models()
+BAUD = 2_000_000
+SECOND = 1_000_000_000
+DEVICES = ('1-3:MX-106', '4:XL430-W250')
+COUNTERS = ('bytes', 'packets', 'repaired', 'crc_errors', 'truncated', 'bad_length',
+            'noise_bytes')
+CHUNKS = (1, 37, 4096)
+
+
+def bursts(*faults, pattern='mixed', seconds=1.0):
+    """Return a generated run as (bytes, stamp)."""
+    line = Line(make_devices(DEVICES, MODELS, BAUD), BAUD)
+    master = Master(line, PATTERNS[pattern], rate=50, faults=[parse(text) for text in faults])
+    return [(burst.data, SECOND + burst.end) for burst in master.bursts(int(seconds * SECOND))]
+
+
+def trickle(file, data, size):
+    """Write in chunks, until nobody reads any more."""
+    with suppress(BrokenPipeError), file:
+        for at in range(0, len(data), size):
+            file.write(data[at:at + size])
+            file.flush()
+
+
+def dump(*arguments, feed=b'', chunk=None, code=0, env=None):
+    """Run dxl_dump on what is fed to its stdin, return stdout."""
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'dxl_monitor.dump.main', *map(str, arguments)], cwd=ROOT,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        env={**os.environ, **(env or {})})
+    feeder = threading.Thread(target=trickle, args=(process.stdin, feed, chunk or len(feed) + 1))
+    feeder.start()
+    with process.stderr:
+        out = process.stdout.read()
+        err = process.stderr.read()
+    process.wait(DEADLINE_S)
+    feeder.join()
+    assert process.returncode == code, err.decode()
+    assert b'Traceback' not in err
+    return err.decode() if code else out.decode()
+
+
+def objects(*arguments, **options):
+    return [json.loads(line) for line in dump(*arguments, '--json', **options).splitlines()]
+
+
+def capture(path, chunks, bus='bus'):
+    with open(path, 'wb') as file:
+        writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
+        for data, stamp in chunks:
+            writer.take(Wire(bus, BAUD), data, stamp)
+    return path
+
+
+@pytest.fixture(scope='module')
+def run():
+    return bursts('silent:2:0.4:0.3', 'flip:3:0.6:0.2', 'wrong_map:1:0.2:0.2')
+
+
+@pytest.fixture
+def recorded(tmp_path, run):
+    return capture(tmp_path / 'bus.txt', run)
+
+
+@pytest.fixture
+def raw(tmp_path, run):
+    path = tmp_path / 'bus.bin'
+    path.write_bytes(b''.join(data for data, _ in run))
+    return path
+
+
+# --- the list of packets --------------------------------------------------------------------
+
+def packets(data):
+    """Return what the framer finds, in the terms of --json."""
+    framer = Framer()
+    found = framer.feed(data, 0) + framer.flush()
+    return framer, [(one.offset, one.id, one.instruction, one.error, one.params.hex(),
+                     one.repaired) for one in found]
+
+
+def listed(found):
+    return [(one['offset'], one['id'], one['code'], one['error'], one['params'],
+             one['repaired']) for one in found]
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_json_lists_the_same_packets_whatever_the_chunks(raw, seed):
+    data = bytearray(raw.read_bytes())
+    rng = random.Random(seed)
+    for _ in range(20):                # damage of every kind
+        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+        del data[(at := rng.randrange(len(data))):at + rng.randrange(5)]
+    texts = {dump('-', '--json', '--summary', feed=bytes(data), chunk=size) for size in CHUNKS}
+    assert len(texts) == 1
+    *found, counts = map(json.loads, texts.pop().splitlines())
+    framer, expected = packets(bytes(data))
+    assert listed(found) == expected
+    assert {name: counts[name] for name in COUNTERS} \
+        == {name: getattr(framer, name) for name in COUNTERS}
+    assert [one['stamp'] for one in found] == sorted(one['stamp'] for one in found)
+
+
+@pytest.mark.skipif(not TRACE.exists(), reason='skipped: no recorded trace here')
+def test_the_trace_of_a_real_robot():
+    data = TRACE.read_bytes()
+    found = objects(TRACE)
+    framer, expected = packets(data)
+    assert listed(found) == expected
+    assert listed(objects('-', feed=data, chunk=1000)) == expected
+    counts = json.loads(dump(TRACE, '--summary'))
+    assert counts['packets'] == len(expected) == framer.packets
+    assert counts['bytes'] == len(data)
+
+
+def test_a_capture_and_its_bytes_list_the_same_packets(recorded, raw):
+    timed, bare = objects(recorded), objects(raw)
+    assert listed(timed) == listed(bare)
+    assert timed[0]['stamp'] == pytest.approx(1_790_000_000, abs=1)
+    assert {one['bus'] for one in timed} == {'bus'}
+
+
+def test_what_is_decoded():
+    goal = struct.pack('<i', 3072)
+    data = b''.join([
+        encode(BROADCAST, I.PING), encode(1, STATUS, b'\x41\x01\x2a', error=0),
+        encode(1, I.WRITE, b'\x74\x00' + goal), encode(1, STATUS, error=0),
+        encode(1, I.READ, b'\x74\x00\x04\x00'), encode(1, STATUS, goal, error=0x80),
+        encode(1, I.WRITE, b'\x07\x00\x05'), encode(1, STATUS, error=7),
+        encode(9, I.READ, b'\x00\x00\x02\x00'), encode(1, 0x8B, b'\x01'),
+    ])
+    (ping, pong, write, ack, read, answer, _, refusal, _, foreign) = objects('-', feed=data)
+    assert (ping['instruction'], ping['error'], ping['model']) == ('Ping', None, None)
+    assert pong['identity'] == {'model_number': 321, 'model_name': 'MX-106', 'firmware': 42}
+    assert (write['model'], write['registers']) == ('MX-106', [
+        {'id': 1, 'address': 116, 'length': 4, 'data': '000c0000',
+         'values': {'Goal Position (rad)': 1.570796327}}])
+    assert (ack['answer_to'], ack['error'], ack['params']) == ('Write', 0, '')
+    assert read['registers'] == [
+        {'id': 1, 'address': 116, 'length': 4, 'names': ['Goal Position']}]
+    assert answer['registers'] == write['registers']
+    assert (answer['error'], answer['error_text']) \
+        == (0x80, 'alert: see Hardware Error Status')
+    assert refusal['error_text'].startswith('Access error: ')
+    assert (foreign['code'], foreign['instruction']) == (0x8B, 'instruction 0x8B')
+
+
+def test_indirect_data_have_the_names_of_what_they_stand_for():
+    where = struct.pack('<4H', 132, 133, 134, 135)
+    data = b''.join([
+        encode(1, I.WRITE, struct.pack('<H', 168) + where), encode(1, STATUS, error=0),
+        encode(1, I.READ, struct.pack('<HH', 224, 4)),
+        encode(1, STATUS, struct.pack('<i', 2048), error=0)])
+    *_, answer = objects('-', '--devices', '1:XM430-W350', feed=data)
+    assert answer['registers'][0]['values'] == {
+        'Present Position (rad)': pytest.approx(0, abs=1e-8)}
+
+
+def test_a_fast_reply_is_split():
+    found = objects('-', '--devices', '1-3:XM430-W350',
+                    feed=b''.join(data for data, _ in fast_run()))
+    reply = next(one for one in found if one['code'] == STATUS and one['id'] == BROADCAST)
+    assert [one['id'] for one in reply['registers']] == [1, 2, 3]
+    assert all('Present Position (rad)' in one['values'] for one in reply['registers'])
+
+
+def fast_run():
+    line = Line(make_devices(['1-3:XM430-W350'], MODELS, BAUD), BAUD)
+    return [(burst.data, burst.end)
+            for burst in Master(line, PATTERNS['fast'], rate=50).bursts(SECOND // 2)]
+
+
+# --- lines ----------------------------------------------------------------------------------
+
+def test_lines_are_for_people(recorded):
+    lines = dump(recorded, '--devices', '1-3:MX-106,4:XL430-W250:knee').splitlines()
+    text = '\n'.join(lines)
+    assert re.search(r'^ +\d+\.\d{6} +\+[\d.]+(us|ms|s) bus +> 001 MX-106 ', lines[5], re.M) \
+        or re.search(r'^ +\d+\.\d{6} +\+', lines[5])
+    for part in ('> all', 'Goal Position', 'Present Position', ' rad', 'XL430-W250 knee',
+                 'no answer to', 'Access error: '):
+        assert part in text, part
+    assert '\033' not in text
+
+
+def test_errors_only(recorded):
+    lines = dump(recorded, '--errors').splitlines()
+    assert lines
+    assert all(re.search(r' ! | error|alert|[*]', line) for line in lines)
+    assert all(one['error'] or one.get('notes') or one['repaired']
+               for one in objects(recorded, '--errors'))
+
+
+@pytest.mark.parametrize(('arguments', 'test'), [
+    (['--id', '2'], lambda one: one['id'] == 2),
+    (['--id', '1,3-4'], lambda one: one['id'] in (1, 3, 4)),
+    (['--instruction', 'sync write,0x02'], lambda one: one['code'] in (0x83, 0x02)),
+    (['--instruction', 'status', '--id', '1'], lambda one: (one['code'], one['id']) == (85, 1)),
+    (['--about', '4'], lambda one: one['id'] == 4 or 4 in [
+        part['id'] for part in one.get('registers', [])]),
+])
+def test_filters(recorded, arguments, test):
+    every = objects(recorded)
+    found = objects(recorded, *arguments)
+    assert found == [one for one in every if test(one)]
+    assert 0 < len(found) < len(every)
+
+
+def test_count_and_seconds(recorded):
+    every = objects(recorded)
+    assert objects(recorded, '--count', '7') == every[:7]
+    some = objects(recorded, '--seconds', '0.5')
+    assert some == every[:len(some)]
+    assert some[-1]['stamp'] - some[0]['stamp'] == pytest.approx(0.5, abs=0.05)
+
+
+def test_colours_only_where_they_are_wanted(recorded):
+    assert '\033' in dump(recorded, '--color', 'always', '--count', '3')
+    assert '\033' not in dump(recorded, '--count', '3')
+
+
+def on_a_terminal(columns, *arguments, **env):
+    """Run dxl_dump on a terminal so wide, return what it shows."""
+    master, slave = os.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack('4H', 24, columns, 0, 0))
+    plain = {name: value for name, value in os.environ.items()
+             if name not in ('COLUMNS', 'LINES', 'NO_COLOR')}
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'dxl_monitor.dump.main', *map(str, arguments)], cwd=ROOT,
+        stdin=subprocess.DEVNULL, stdout=slave, env={**plain, 'TERM': 'xterm', **env})
+    os.close(slave)
+    shown = b''
+    with suppress(OSError), open(master, 'rb', buffering=0) as screen:
+        while piece := screen.read(4096):
+            shown += piece
+    assert process.wait(DEADLINE_S) == 0
+    return shown.decode().replace('\r\n', '\n')
+
+
+@pytest.mark.parametrize('columns', [60, 80, 132])
+def test_lines_fit_the_terminal(recorded, columns):
+    text = on_a_terminal(columns, recorded, '--devices', '1-3:MX-106', NO_COLOR='1')
+    assert '\033' not in text
+    lines = text.splitlines()
+    assert max(map(len, lines)) == columns
+    assert len(lines) > 200
+    assert max(map(len, on_a_terminal(columns, recorded, '--full', '--count', '40', NO_COLOR='1')
+                   .splitlines())) > columns or columns > 80
+
+
+@pytest.mark.parametrize('view', ['--stats', '--changes'])
+def test_screens_fit_the_terminal(recorded, view):
+    text = on_a_terminal(80, recorded, view, '--devices', '1-3:MX-106', NO_COLOR='1')
+    assert max(len(re.sub('\033.*?[A-Za-z]', '', line)) for line in text.splitlines()) <= 80
+
+
+def test_colours_on_a_terminal(recorded):
+    assert '\033[' in on_a_terminal(80, recorded, '--count', '5')
+    assert '\033[' not in on_a_terminal(80, recorded, '--count', '5', TERM='dumb')
+
+
+def test_a_wrong_baud_rate_shows():
+    noise = random.Random(5).randbytes(20_000).replace(b'\xff', b'')
+    assert 'bytes and no packet: wrong --baud?' in dump('-', feed=noise)
+
+
+@pytest.mark.parametrize(('delta_us', 'text'), [
+    (0, '+0us'), (999, '+999us'), (999.6, '+1.00ms'), (9_996, '+10.0ms'), (12_345, '+12.3ms'),
+    (999_400, '+999ms'), (1_234_567, '+1.23s'), (86_400e6, '+86400s'), (1e15, '+++')])
+def test_times_between_lines_are_short(delta_us, text):
+    assert delta_text(delta_us) == text
+    assert len(text) <= 7
+
+
+# --- figures --------------------------------------------------------------------------------
+
+def test_summary_counts_missed_answers():
+    data = encode(3, I.PING) + encode(1, I.PING) + encode(1, STATUS, b'\x41\x01\x2a', error=0)
+    assert json.loads(dump('-', '--summary', feed=b'\x00\x01' + data + encode(3, I.PING))) == {
+        'bytes': 2 + len(data) + 10, 'packets': 4, 'repaired': 0, 'crc_errors': 0, 'truncated': 0,
+        'bad_length': 0, 'noise_bytes': 2, 'missed': {'1': 0, '3': 2}}
+
+
+def test_nothing_is_nothing():
+    assert json.loads(dump('-', '--summary'))['bytes'] == 0
+    assert dump('-') == ''
+
+
+def test_two_buses_in_one_capture(tmp_path):
+    path = tmp_path / 'two.txt'
+    with open(path, 'wb') as file:
+        writer = Writer(file, Moment(SECOND, SECOND))
+        for number in range(4):
+            for bus, device in (('left', 1), ('right', 2)):
+                writer.take(Wire(bus, BAUD), encode(device, I.PING), SECOND * (number + 1))
+    assert json.loads(dump(path, '--summary'))['missed'] == {'left/1': 4, 'right/2': 4}
+    assert {(one['bus'], one['id']) for one in objects(path)} == {('left', 1), ('right', 2)}
+    [first, *_] = objects(path, '--devices', 'right/2:MX-106')
+    assert (first['bus'], first['model']) == ('left', None)
+    assert ' right ' in dump(path)
+
+
+def test_stats_and_changes_of_a_file(recorded):
+    text = dump(recorded, '--stats', '--changes', '--devices', '1-3:MX-106')
+    assert 'mean load' in text
+    assert re.search(r'^002 MX-106 +\w+ +\d+ ', text, re.M)
+    assert 'refused' in text
+    assert re.search(r'^001 MX-106 .*Position -?[\d.]+ rad', text, re.M)
+
+
+# --- a live bus -----------------------------------------------------------------------------
+
+@pytest.fixture
+def bus(tmp_path):
+    link = tmp_path / 'live'
+    with Program('dxl_monitor.fake_bus', '--link', str(link), '--devices', '1-3:MX-106') as fake:
+        fake.wait_for('2000000 baud')
+        yield link
+
+
+def live(*arguments):
+    return Program('dxl_monitor.dump.main', *map(str, arguments))
+
+
+def test_a_live_bus_is_recorded_and_read_again(bus, tmp_path):
+    path = tmp_path / 'bus.txt'
+    with live(bus, '-w', path, '--seconds', '1') as tool:
+        assert tool.exit_code() == 0
+    chunks = list(Reader(path.open('rb')))
+    counts = json.loads(dump(path, '--summary'))
+    assert counts['bytes'] == sum(len(chunk.data) for chunk in chunks) > 5000
+    assert counts['packets'] > 200
+    assert abs(objects(path, '--count', '1')[0]['stamp'] - time.time()) < 60
+
+
+def test_ctrl_c_ends_it_and_the_summary_still_comes(bus):
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with live(bus, '--json', '--summary') as tool:
+            wait(lambda tool=tool: len(tool.lines) > 50)
+            tool.signal(number)
+            assert tool.exit_code() == 0
+            assert json.loads(tool.lines[-1])['packets'] >= len(tool.lines) - 1
+
+
+def test_a_closed_pipe_ends_it(bus):
+    for source in (bus, '-'):
+        done = subprocess.run(
+            f'yes | {sys.executable} -m dxl_monitor.dump.main {source} --baud 2000000 '
+            '| head -n 2; echo ${PIPESTATUS[1]}', shell=True, executable='/bin/bash', cwd=ROOT,
+            capture_output=True, text=True, timeout=DEADLINE_S)
+        assert done.stdout.splitlines()[-1] == '0'
+        assert done.stderr == ''
+
+
+def test_it_says_when_the_port_is_lost_and_goes_on(tmp_path):
+    link = tmp_path / 'live'
+    with Pty(str(link)) as pty:
+        pty.let_go()
+        tool = live(link)
+        wait(lambda: pty.is_open)
+        wait(lambda: os.write(pty.master, encode(1, I.PING)) and tool.said('Ping'))
+    with tool:
+        tool.wait_for('lost')
+        with Pty(str(link)) as pty:
+            tool.wait_for('the port is open again')
+            wait(lambda: os.write(pty.master, encode(2, I.PING)) and tool.said('002'))
+            tool.signal(signal.SIGINT)
+            assert tool.exit_code() == 0
+
+
+def test_a_full_disk_is_one_line(bus):
+    with live(bus, '-w', '/dev/full') as tool:
+        assert tool.exit_code() == 1
+        [said] = tool.lines
+        assert said == ('dxl_dump: /dev/full: No space left on device; '
+                        'make room, or give another file')
+
+
+def test_a_capture_can_go_through_a_pipe(bus):
+    done = subprocess.run(
+        f'{sys.executable} -m dxl_monitor.dump.main {bus} -w - --seconds 0.5 '
+        f'| {sys.executable} -m dxl_monitor.dump.main - --summary', shell=True, cwd=ROOT,
+        capture_output=True, text=True, timeout=DEADLINE_S)
+    assert json.loads(done.stdout)['packets'] > 50
+    assert done.stderr == ''
+
+
+# --- mistakes -------------------------------------------------------------------------------
+
+@pytest.mark.parametrize(('arguments', 'code', 'line'), [
+    ([], 2, 'SOURCE: none given; '),
+    (['/does/not/exist'], 1, '/does/not/exist: no such file or port; '),
+    (['/dev/ttyNONE0'], 1, '/dev/ttyNONE0: is not there; '),
+    (['/dev/null'], 1, '/dev/null: not a serial port; '),
+    (['/'], 2, '/: a directory; '),
+    (['-', '--id', 'knee'], 2, "'knee': no ID; "),
+    (['-', '--instruction', 'sing'], 2, "'sing': no instruction; there are ping, read, "),
+    (['-', '--devices', '300'], 2, "devices: '300': an ID is at most 252; "),
+    (['-', '--devices', '1:MX-107'], 2, "devices: no model is called 'MX-107'; did you mean "),
+    (['-', '--model-dirs', '/does/not/exist'], 2, 'model_dirs: /does/not/exist: '),
+    (['-', '-w', '/does/not/exist/x'], 2, 'capture: /does/not/exist/x: No such file'),
+    (['-', '-w', '-', '--json'], 2, '-w -: the capture goes to stdout; '),
+    (['-', '-b', '0'], 2, '--baud 0: not possible; '),
+    (['-', '--count', '0'], 2, '--count 0: not possible; '),
+    (['--check-models', '/does/not/exist'], 1, '/does/not/exist: No such file'),
+])
+def test_mistakes_are_one_line(arguments, code, line):
+    [said] = dump(*arguments, code=code).splitlines()
+    assert said.startswith((f'dxl_dump: {line}', f'dxl_dump: {line}'))
+
+
+def test_check_models(tmp_path):
+    good = tmp_path / 'my.yaml'
+    good.write_text('model_numbers: {9999: Mine}\nfields:\n'
+                    '  - {at: 0, name: Model Number, type: u16}\n')
+    assert dump('--check-models', tmp_path) == f'{tmp_path}: 1 model files, no problem\n'
+    good.write_text('model_numbers: {9999: Mine}\nfields:\n  - {at: 0, type: u16}\n')
+    assert 'my.yaml' in dump('--check-models', tmp_path, code=1)
+
+
+def test_a_capture_with_bad_lines_is_read_and_said(recorded):
+    good = dump(recorded, '--summary')
+    recorded.write_bytes(recorded.read_bytes() + b'(12.5 b')
+    process = subprocess.run(
+        [sys.executable, '-m', 'dxl_monitor.dump.main', str(recorded), '--summary'], cwd=ROOT,
+        capture_output=True, text=True, timeout=DEADLINE_S)
+    assert process.stdout == good
+    assert '1 lines are no lines of a capture' in process.stderr
+
+
+def test_help_has_examples():
+    text = dump('--help')
+    assert 'examples:' in text
+    assert '--check-models' in text
+    assert max(map(len, text.splitlines())) < 100
+
+
+
+def test_it_never_writes_over_what_it_reads(recorded, tmp_path):
+    link = tmp_path / 'another_name'
+    link.symlink_to(recorded)
+    before = Path(recorded).read_bytes()
+    done = subprocess.run(
+        [sys.executable, '-m', 'dxl_monitor.dump.main', str(recorded), '-w', str(link)],
+        cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert 'is what is read' in done.stderr
+    assert Path(recorded).read_bytes() == before

@@ -1,0 +1,204 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A run that was captured and is replayed leads to what it led to live."""
+import io
+import os
+from pathlib import Path
+import random
+import signal
+import stat
+
+from harness import Program
+from harness import wait
+import pytest
+
+from dxl_monitor.capture import Moment
+from dxl_monitor.capture import Reader
+from dxl_monitor.capture import Wire
+from dxl_monitor.capture import Writer
+from dxl_monitor.fake.faults import parse
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.fake_bus import make_devices
+from dxl_monitor.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor import Settings
+from dxl_monitor.report import BusReport
+from dxl_monitor.tap import Tap
+
+MODELS = Models()
+SECOND = 1_000_000_000
+BAUD = 1_000_000
+WIRE = Wire('bus', BAUD)
+
+
+def run(*faults: str, seconds: float = 4, seed: int = 1) -> list[tuple[bytes, int]]:
+    """Return what a tap would hear of a simulated run: chunks of whatever size, and stamps."""
+    line = Line(make_devices(['1-4:MX-64', '5:XL430-W250', '6:BitFoot'], MODELS, BAUD), BAUD)
+    master = Master(line, PATTERNS['mixed'], rate=50, faults=[parse(text) for text in faults])
+    rng = random.Random(seed)
+    chunks, waiting, end = [], b'', 0
+    for burst in master.bursts(int(seconds * SECOND)):
+        if waiting and burst.start - end > SECOND // 500:      # nobody waits for so long
+            chunks.append((waiting, SECOND + end))
+            waiting = b''
+        waiting += burst.data
+        end = burst.end
+        if rng.random() < 0.6:
+            cut = rng.randrange(len(waiting)) if rng.random() < 0.3 else len(waiting)
+            if cut:
+                chunks.append((waiting[:cut], SECOND + burst.end))
+                waiting = waiting[cut:]
+    return [*chunks, (waiting, SECOND + burst.end)] if waiting else chunks
+
+
+def listen(chunks, models: Models = MODELS) -> BusReport:
+    monitor = Monitor('bus', models, Settings(baud=BAUD), clock=lambda: 0)
+    stamp = 0
+    for data, stamp in chunks:
+        monitor.feed(data, stamp)
+    return monitor.report(stamp + 2 * SECOND)
+
+
+def capture(chunks) -> bytes:
+    file = io.BytesIO()
+    writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
+    for data, stamp in chunks:
+        writer.take(WIRE, data, stamp)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize('faults', [
+    (), ('silent:3:1:1', 'flip:2:2:1'), ('latched:4:1:2', 'wrong_map:2:1:1'),
+    ('reboot:1:2:1', 'glitch:3:0:3', 'header:5:1:1'),
+], ids=lambda faults: '+'.join(faults) or 'none')
+def test_a_captured_run_replayed_gives_the_same_report(faults) -> None:
+    chunks = run(*faults)
+    live = listen(chunks)
+    again = listen((chunk.data, chunk.stamp) for chunk in Reader(io.BytesIO(capture(chunks))))
+    assert again == live
+    assert live.counters['Packets'] > 1000
+    assert bool(live.findings) == bool(faults) or not faults
+
+
+def judged(report: BusReport):
+    """Return what a report says apart from times: counts, tables, states, causes."""
+    return (
+        {name: count for name, count in report.counters.items() if name != 'Pending Bytes'},
+        [(device.id, device.model_name, device.firmware, device.totals, device.errors,
+          [(seen.field.name, seen.value, seen.source) for seen in device.observed])
+         for device in report.devices],
+        report.kinds)
+
+
+class Ear:
+    """A tap and a monitor on a port, as the node has them."""
+
+    def __init__(self, path: Path) -> None:
+        self.monitor = Monitor('bus', MODELS, Settings(baud=BAUD))
+        self._last = 0
+        self.tap = Tap(str(path), BAUD, self._hear, self.monitor.flush_if_idle)
+
+    def _hear(self, data: bytes, stamp: int) -> None:
+        self._last = stamp
+        self.monitor.feed(data, stamp)
+
+    def __enter__(self) -> 'Ear':
+        self.tap.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.tap.stop()
+
+    def report(self, later: int = 2 * SECOND) -> BusReport:
+        return self.monitor.report(self._last + later)
+
+
+def test_the_monitor_on_a_replay_reports_what_it_reported_live(tmp_path) -> None:
+    chunks = run('silent:3:0.5:0.5', seconds=1.5)
+    path, link = tmp_path / 'bus.txt', tmp_path / 'bus'
+    path.write_bytes(capture(chunks))
+    with Program('dxl_monitor.replay', str(path), '--link', str(link)) as replay:
+        replay.wait_for('waiting for a reader')
+        with Ear(link) as ear:
+            replay.wait_for('played')
+            size = sum(len(data) for data, _ in chunks)
+            wait(lambda: ear.tap.counters.bytes == size)
+            heard = ear.report()
+        assert replay.exit_code() == 0
+    live = listen(chunks)
+    assert judged(heard) == judged(live)
+    assert {one.rule for one in heard.findings} == {one.rule for one in live.findings}
+    assert not link.is_symlink()
+
+
+def test_faster_and_again_and_again(tmp_path) -> None:
+    chunks = run(seconds=1)
+    path, link = tmp_path / 'bus.txt', tmp_path / 'bus'
+    path.write_bytes(capture(chunks))
+    size = sum(len(data) for data, _ in chunks)
+    with Program('dxl_monitor.replay', str(path), '--link', str(link), '--speed', '0',
+                 '--loop') as replay, Ear(link) as ear:
+        wait(lambda: ear.tap.counters.bytes > 3 * size)
+        assert ear.report(later=0).counters['Noise Bytes'] == 0
+        replay.signal(signal.SIGINT)
+        assert replay.exit_code() == 0
+    assert 'Traceback' not in replay.text
+
+
+def test_every_bus_has_its_pty(tmp_path) -> None:
+    path, link = tmp_path / 'two.txt', tmp_path / 'bus'
+    file = io.BytesIO()
+    writer = Writer(file, Moment(1, 1))
+    for number in range(3):
+        writer.take(Wire('left', BAUD), b'\x01', 10 + number)
+        writer.take(Wire('right/arm', BAUD), b'\x02\x03', 10 + number)
+    path.write_bytes(file.getvalue())
+    with Program('dxl_monitor.replay', str(path), '--link', str(link), '--stay') as replay:
+        replay.wait_for('waiting')
+        with Ear(tmp_path / 'bus_left') as left, Ear(tmp_path / 'bus_right%2Farm') as right:
+            wait(lambda: left.tap.counters.bytes == 3 and right.tap.counters.bytes == 6)
+            replay.wait_for('played 6 chunks, 9 bytes')
+        replay.signal(signal.SIGTERM)
+        assert replay.exit_code() == 0
+
+
+def test_raw_bytes_play_at_the_speed_of_the_wire(tmp_path) -> None:
+    chunks = run(seconds=0.5)
+    path, link = tmp_path / 'bus.bin', tmp_path / 'bus'
+    path.write_bytes(b''.join(data for data, _ in chunks))
+    with Program('dxl_monitor.replay', str(path), '--link', str(link), '-b', str(BAUD)) as replay:
+        replay.wait_for('waiting')
+        with Ear(link) as ear:
+            replay.wait_for('played')
+            wait(lambda: ear.tap.counters.bytes == path.stat().st_size)
+            assert ear.report().counters['Noise Bytes'] == 0
+
+
+@pytest.mark.parametrize(('arguments', 'line', 'code'), [
+    (['/does/not/exist'], '/does/not/exist: No such file or directory', 1),
+    (['/'], '/: a directory; ', 2),
+    (['{capture}', '--speed', '-1'], '--speed -1: not possible; ', 2),
+    (['{capture}', '--bus', 'arm'], '--bus arm: not in this capture; there are: bus', 2),
+    (['{capture}', '--link', '/does/not/exist/x'], '/does/not/exist/x: cannot be made', 1),
+    (['{empty}'], '{empty}: nothing was recorded; ', 2),
+])
+def test_mistakes_are_one_line(tmp_path, arguments, line, code) -> None:
+    names = {'capture': str(tmp_path / 'bus.txt'), 'empty': str(tmp_path / 'empty.txt')}
+    Path(names['capture']).write_bytes(capture(run(seconds=0.1)))
+    Path(names['empty']).write_bytes(capture([]))
+    with Program('dxl_monitor.replay', *(text.format(**names) for text in arguments)) as replay:
+        assert replay.exit_code() == code
+    [said] = replay.lines
+    assert said.startswith(f'dxl_replay: {line.format(**names)}')     # the name of the command
+
+
+def test_a_file_in_the_place_of_the_link_stays(tmp_path) -> None:
+    path, link = tmp_path / 'bus.txt', tmp_path / 'notes'
+    path.write_bytes(capture(run(seconds=0.1)))
+    link.write_text('keep me')
+    with Program('dxl_monitor.replay', str(path), '--link', str(link)) as replay:
+        assert replay.exit_code() == 1
+    assert link.read_text() == 'keep me'
+    assert stat.S_ISREG(os.lstat(link).st_mode)
