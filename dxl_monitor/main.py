@@ -1,0 +1,35 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The process of the monitor."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+import sys
+
+from dxl_monitor.settings import PARAMETERS
+from mecarover_serial.cli import hold_signals
+from mecarover_serial.cli import no_ros
+from mecarover_serial.cli import node_help
+
+NAME = 'dxl_monitor'
+ABOUT = ('Listens to Dynamixel Protocol 2.0 buses, without ever sending, and publishes devices, '
+         'control tables and timing.')
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; return the exit code."""
+    arguments = sys.argv[1:] if args is None else args
+    if '--help' in arguments or '-h' in arguments:
+        print(node_help(NAME, ABOUT, PARAMETERS))
+        return 0
+    hold_signals()
+    try:
+        from dxl_monitor.node import MonitorNode
+        from mecarover_serial.node import run
+    except ImportError as error:
+        return no_ros(NAME, error)
+    return run(NAME, MonitorNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

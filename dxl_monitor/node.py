@@ -1,0 +1,267 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The ROS side of the monitor: parameters, one tap and one monitor per bus, timers that publish.
+
+Bytes are taken in by the taps' threads; what is published is made from reports, a few statuses
+at a time, so that 253 devices neither fill a message nor hold up the executor.
+"""
+from __future__ import annotations
+
+from collections import deque
+from functools import cached_property
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock
+from rclpy.clock import ClockType
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from dxl_monitor.capture import Wire
+from dxl_monitor.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.recorder import Recorder
+from dxl_monitor.report import BusReport
+from dxl_monitor.settings import Bus
+from dxl_monitor.settings import buses
+from dxl_monitor.settings import load_models
+from dxl_monitor.settings import make_recorder
+from dxl_monitor.settings import PARAMETERS
+from dxl_monitor.status import bus_status
+from dxl_monitor.status import device_metrics
+from dxl_monitor.status import device_status
+from dxl_monitor.status import PortState
+from dxl_monitor.tap import Tap
+from mecarover_serial.node import declare
+from mecarover_serial.process import resident_memory_mb
+from msg_defs.crc import CRC_IS_FAST
+from msg_defs.crc import SLOW_CRC_WARNING
+from msg_defs.reports import Metric
+from msg_defs.reports import Status
+from msg_defs.reports import topic_names
+from msg_defs.ros import DiagnosticArrays
+from msg_defs.ros import joint_state
+from msg_defs.ros import QUEUE_DEPTH
+from msg_defs.ros import STATUSES_PER_MESSAGE
+from msg_defs.ros import TimingPublisher
+from msg_defs.ros import to_ros_time
+from msg_defs.ros import to_time
+
+OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
+
+
+class Listener:
+    """One bus: its tap and its monitor, and the recorder of all buses."""
+
+    def __init__(self, bus: Bus, models: Models, recorder: Recorder | None) -> None:
+        self.bus = bus
+        self.monitor = Monitor(bus.label, models, bus.settings)
+        self._recorder = recorder
+        self.tap = Tap(bus.port, bus.settings.baud,
+                       self.monitor.feed if recorder is None else self._record_and_feed,
+                       self.monitor.flush_if_idle)
+
+    @cached_property
+    def _wire(self) -> Wire:
+        """What a capture says about the bus; known once there are bytes."""
+        return Wire(self.bus.name, self.bus.settings.baud, self.tap.latency_timer_ms or 0,
+                    self.bus.port)
+
+    def _record_and_feed(self, chunk: bytes, stamp: int) -> None:
+        if self._recorder is not None:
+            self._recorder.take(self._wire, chunk, stamp)
+        self.monitor.feed(chunk, stamp)
+
+    def report(self, now: int) -> BusReport:
+        """Return what is known; what the adapter delays is no silence."""
+        self.monitor.idle_ns = int(self.tap.idle_s * 1e9)
+        return self.monitor.report(now, self.tap.counters.line_errors)
+
+    def port_state(self) -> PortState:
+        """Return what the driver and the thread know about the port."""
+        counters, state = self.tap.counters, self.tap.state
+        values = [
+            ('Bytes read', str(counters.bytes)),
+            ('Reads', str(counters.reads)),
+            ('Openings', str(counters.openings)),
+            ('Largest gap between reads (ms)', f'{1e3 * counters.largest_gap_s:.1f}'),
+            ('Low latency mode', str(self.tap.low_latency).lower()),
+        ]
+        if state.is_open:
+            values.append(('Read by', 'a process of its own' if self.tap.reader_pid
+                           else 'a thread of the node'))
+        if self.tap.latency_timer_ms is not None:
+            values.append(('Latency timer (ms)', str(self.tap.latency_timer_ms)))
+        if self._recorder is not None:
+            values.append(('Capture', self._recorder.words))
+        if counters.line_errors is not None:
+            values += [(f'Driver: {name}', str(count))
+                       for name, count in counters.line_errors._asdict().items()]
+        return PortState(self.bus.port, '' if state.is_open else state.text, tuple(values))
+
+
+class JointStates:
+    """dxl/joint_states of one bus."""
+
+    def __init__(self, node: Node, monitor: Monitor, topic: str) -> None:
+        self._monitor = monitor
+        self._since = 0
+        self._publisher = node.create_publisher(JointState, topic, qos_profile_sensor_data)
+
+    def publish(self, now: int, now_ros: int) -> None:
+        """Publish what was read since the last time, if anything was."""
+        joints, stamp = self._monitor.joints(self._since)
+        if joints:
+            self._since = stamp
+            self._publisher.publish(joint_state(joints, to_ros_time(stamp, now, now_ros)))
+
+
+class MonitorNode:
+    """The node dxl_monitor; made once, ended by `stop`."""
+
+    def __init__(self) -> None:
+        self.node = Node('dxl_monitor')
+        self._log = self.node.get_logger()
+        values = declare(self.node, PARAMETERS, lambda changes: None)
+        if not CRC_IS_FAST:
+            self._log.warning(SLOW_CRC_WARNING)
+        models = load_models(values['model_dirs'])
+        found = buses(values, models)
+        self._recorder = make_recorder(values)
+        self._capture_words = ''
+        self._listeners = [Listener(bus, models, self._recorder) for bus in found]
+        self._port_words: dict[str, str] = {}
+        self._levels: list[int] = []
+        self._overview_s = 0.0
+        self._waiting: deque[Status] = deque()      # of the current report, not yet published
+        self._period_s = 1.0 / values['publish_rate']
+        self._overview = self._publisher('/diagnostics')
+        self._tables = self._publisher('dxl/diagnostics')
+        self._overview_arrays = DiagnosticArrays()
+        self._table_arrays = DiagnosticArrays()
+        self._timing = TimingPublisher(
+            self.node, 'dxl', [one.bus.label for one in self._listeners])
+        self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
+        self._timer = self.node.create_timer(
+            self._period_s, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._joint_states = self._start_joint_states(values['joint_state_rate'])
+        self._is_stopped = False
+        if self._recorder is not None:
+            self._recorder.start()
+        for listener in self._listeners:
+            listener.tap.start()
+
+    def stop(self) -> None:
+        """Close the ports, then the capture."""
+        if not self._is_stopped:
+            self._is_stopped = True
+            for listener in self._listeners:
+                listener.tap.stop()
+            if self._recorder is not None:
+                self._recorder.stop()
+
+    def suspend(self) -> None:
+        """Nothing moves here."""
+
+    def resume(self) -> None:
+        """Nothing to begin anew: what was not heard is missing, and counted as such."""
+
+    def _publisher(self, topic: str) -> Any:
+        return self.node.create_publisher(DiagnosticArray, topic, QUEUE_DEPTH)
+
+    def _start_joint_states(self, rate: float) -> list[JointStates]:
+        """Return the publishers of joint states, none at rate 0; a timer works them."""
+        if not rate:
+            return []
+        self.node.create_timer(1.0 / rate, self._publish_joints,
+                               clock=Clock(clock_type=ClockType.STEADY_TIME))
+        parts = topic_names([one.bus.label for one in self._listeners if one.bus.label])
+        return [JointStates(self.node, one.monitor, '/'.join(filter(None, (
+            'dxl/joint_states', parts.get(one.bus.label))))) for one in self._listeners]
+
+    def _publish_joints(self) -> None:
+        now, now_ros = time.monotonic_ns(), self.node.get_clock().now().nanoseconds
+        for one in self._joint_states:
+            one.publish(now, now_ros)
+
+    def _tick(self) -> None:
+        """Publish some of the waiting statuses; make new ones when there are none left."""
+        if self._is_stopped:            # closed ports are no fault now
+            return
+        if not self._waiting:
+            self._report()
+            slices = -(-len(self._waiting) // STATUSES_PER_MESSAGE)
+            self._timer.timer_period_ns = int(1e9 * self._period_s / max(1, slices))
+        some = [self._waiting.popleft()
+                for _ in range(min(STATUSES_PER_MESSAGE, len(self._waiting)))]
+        self._publish(self._tables, self._table_arrays, some)
+
+    def _report(self) -> None:
+        now = time.monotonic_ns()
+        heard = [(one, one.report(now), one.port_state()) for one in self._listeners]
+        for listener, _, port in heard:
+            self._tell_port(listener.tap.state.text, port)
+        self._tell_capture()
+        self._waiting.extend(self._statuses(heard, True))
+        levels = [level for _, report, port in heard for level in (
+            bool(port.problem), report.level, *(device.level for device in report.devices))]
+        now_s = time.monotonic()
+        is_time = now_s - self._overview_s >= OVERVIEW_S - self._period_s / 2
+        if is_time or levels != self._levels:
+            self._levels = levels
+            self._publish(self._overview, self._overview_arrays, self._statuses(heard, False))
+        if is_time:
+            self._overview_s = now_s
+            self._publish_timing([report for _, report, _ in heard])
+
+    def _statuses(self, heard: list[tuple[Listener, BusReport, PortState]],
+                  whole: bool) -> list[Status]:
+        node = self.node.get_name()
+        statuses = []
+        for listener, report, port in heard:
+            label = listener.bus.label
+            statuses.append(bus_status(node, label, report, port, whole))
+            statuses += [device_status(node, label, device, report.findings, whole)
+                         for device in report.devices]
+        return statuses
+
+    def _publish(self, publisher: Any, arrays: DiagnosticArrays, statuses: list[Status]) -> None:
+        stamp = to_time(self.node.get_clock().now().nanoseconds)
+        for array in arrays.build(statuses, stamp):
+            publisher.publish(array)
+
+    def _publish_timing(self, reports: list[BusReport]) -> None:
+        metrics = [Metric('resident_memory', 'MB', value=resident_memory_mb())]
+        for report in reports:
+            metrics += report.metrics
+            metrics += device_metrics(report)
+        self._timing.publish(metrics, self.node.get_clock().now().nanoseconds)
+
+    def _tell_port(self, words: str, port: PortState) -> None:
+        """Log what happens to a port, once per change."""
+        if self._port_words.get(port.port) != words:
+            self._port_words[port.port] = words
+            if port.problem:            # two lines: rclpy ties a severity to a place in the code
+                self._log.error(words)
+            else:
+                self._log.info(words)
+
+    def _tell_capture(self) -> None:
+        """Log what becomes of the capture, once per change."""
+        if self._recorder is not None and self._recorder.words != self._capture_words:
+            self._capture_words = self._recorder.words
+            if self._recorder.problem:
+                self._log.error(self._capture_words)
+            else:
+                self._log.info(self._capture_words)
+
+    def _reset_statistics(self, request: Any, response: Any) -> Any:
+        for listener in self._listeners:
+            listener.monitor.reset_statistics(time.monotonic_ns())
+        response.success = True
+        response.message = 'all counts and statistics begin anew'
+        return response

@@ -1,0 +1,210 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""dxl_monitor as users meet it: a process on a (fake) bus, its topics, its words, its silence."""
+import json
+import os
+from pathlib import Path
+import random
+import re
+import select
+import shutil
+import signal
+import subprocess
+
+from harness import Program
+from harness import wait
+import pytest
+
+from mecarover_serial.pty import Pty
+
+pytestmark = pytest.mark.ros
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+
+
+def monitor(ports, **parameters):
+    """Start the node on ports (a list of paths)."""
+    options = [f'-p {name}:={value}'.split() for name, value in parameters.items()]
+    return Program('dxl_monitor.main', '--ros-args', '-p', f'ports:={list(map(str, ports))}',
+                   *(part for option in options for part in option))
+
+
+def fake_bus(link, *arguments):
+    return Program('dxl_monitor.fake_bus', '--link', str(link), *arguments)
+
+
+def devices(graph, bus=''):
+    """Return the statuses of devices by ID, the newest of each."""
+    pattern = re.compile(rf'dxl_monitor: {bus}(\d+)\b')
+    return {int(match[1]): status for name, status in list(graph.statuses.items())
+            if (match := pattern.match(name))}
+
+
+@pytest.fixture
+def heard(graph):
+    """Listen to the whole tables too, and forget what earlier tests left."""
+    graph.statuses.clear()
+    graph.heard.clear()
+    if not hasattr(graph, 'hears_dxl'):
+        graph.hears_dxl = True
+        for topic in ('/dxl/diagnostics', '/dxl/timing'):
+            graph.listen(graph_message(), topic)
+    return graph
+
+
+def graph_message():
+    from ros_side import DiagnosticArray
+    return DiagnosticArray
+
+
+def values(status):
+    return {pair.key: pair.value for pair in status.values}
+
+
+def test_the_robot_on_the_topics(tmp_path, heard):
+    with fake_bus(tmp_path / 'bus', '--devices', '1-3:MX-106,4:BitFoot', '--fault',
+                  'silent:3:4:3'), \
+            monitor([tmp_path / 'bus'], devices="['1-2:MX-106','3:MX-106:knee','4:BitFoot']"):
+        wait(lambda: set(devices(heard)) == {1, 2, 3, 4})
+        wait(lambda: 'Present Position (rad)' in values(heard.statuses['dxl_monitor: 001'])
+             or any('Present Position (rad)' in values(status)
+                    for message in list(heard.heard['/dxl/diagnostics'])
+                    for status in message.status))
+        tables = {status.name: values(status)
+                  for message in heard.heard['/dxl/diagnostics'] for status in message.status}
+        table = tables['dxl_monitor: 001']
+        assert table['Model'] == 'MX-106'
+        assert abs(float(table['Present Position (rad)'])) < 3.2
+        age_s, source = json.loads(table['observed'])['Present Position']
+        assert 0 <= age_s < 30
+        assert source == 'r'
+        assert int(table['Fields not observed']) > 0
+        knee = next(name for name in tables if name.startswith('dxl_monitor: 003'))
+        assert 'knee' in knee
+        heard.wait_status(knee, 'disconnected', level=2)
+        assert heard.level('dxl_monitor: 001') == 0
+        wait(lambda: values(heard.statuses[knee])['State'] == 'connected')
+        assert 'dxl_monitor: timing/bus_load' in heard.statuses
+        assert float(values(heard.statuses['dxl_monitor: timing/bus_load'])['value (%)']) > 0
+
+
+def test_two_buses_have_names(tmp_path, heard):
+    with fake_bus(tmp_path / 'left', '--devices', '1:MX-64'), \
+            fake_bus(tmp_path / 'right', '--devices', '1:MX-64'), \
+            monitor([tmp_path / 'left', tmp_path / 'right'], bauds=2_000_000):
+        heard.wait_status('dxl_monitor: left/001', 'connected')
+        heard.wait_status('dxl_monitor: right/001', 'connected')
+        heard.wait_status('dxl_monitor: bus right', '1 of 1')
+        assert heard.statuses['dxl_monitor: left/001'].hardware_id == 'left/1'
+
+
+def test_253_devices_come_in_small_messages(tmp_path, heard):
+    with fake_bus(tmp_path / 'bus', '--devices', '0-252:XL430-W250', '--baud', '4500000'), \
+            monitor([tmp_path / 'bus'], bauds=4_500_000, devices="['0-252:XL430-W250']"):
+        wait(lambda: len(devices(heard)) == 253)
+        begin = len(heard.heard['/dxl/diagnostics'])
+        wait(lambda: len(heard.heard['/dxl/diagnostics']) > begin + 28)
+        messages = heard.heard['/dxl/diagnostics'][begin:]
+        assert max(len(message.status) for message in messages) <= 20
+        sizes = [sum(len(pair.key) + len(pair.value) + 16 for status in message.status
+                     for pair in status.values) for message in messages]
+        assert max(sizes) < 64_000
+
+
+def rights_on(port, pid):
+    """Return the access modes of the descriptors that a process has of a port."""
+    fds = [fd for fd in Path(f'/proc/{pid}/fd').iterdir()
+           if os.path.realpath(fd) == os.path.realpath(port)]
+    infos = [Path(f'/proc/{pid}/fdinfo/{fd.name}').read_text() for fd in fds]
+    return [int(re.search(r'flags:\s+(\d+)', info)[1], 8) & os.O_ACCMODE for info in infos]
+
+
+def test_it_never_transmits(tmp_path, heard):
+    """The descriptor is read-only, no call writes to it, and not one byte arrives."""
+    with Pty(str(tmp_path / 'bus')) as pty, monitor([tmp_path / 'bus']) as node:
+        node.wait_for('open at 2000000 baud')
+        [reader] = wait(node.children)
+        wait(lambda: 'dxl_reader' in Path(f'/proc/{reader}/comm').read_text())
+        assert all(rights_on(pty.path, pid) == [os.O_RDONLY] for pid in (node.pid, reader))
+        noise = random.Random(3).randbytes(60_000)
+        while noise:
+            select.select([], [pty.master], [])
+            noise = noise[os.write(pty.master, noise[:600]):]
+        heard.wait_status('dxl_monitor: bus', 'Bytes=60000')
+        with pytest.raises(BlockingIOError):
+            os.read(pty.master, 1)
+
+
+@pytest.mark.skipif(shutil.which('strace') is None, reason='skipped: strace is not installed')
+def test_no_system_call_writes_to_the_port(tmp_path, heard):
+    trace = tmp_path / 'trace'
+    with fake_bus(tmp_path / 'bus', '--devices', '1:MX-64') as bus:
+        bus.wait_for('2000000 baud')
+        target = os.path.realpath(tmp_path / 'bus')
+        with monitor([tmp_path / 'bus']) as node:
+            [reader] = wait(node.children)
+            tracer = subprocess.Popen(
+                ['strace', '-f', '-y', '-e', 'trace=write,writev,pwrite64,sendto,sendmsg',
+                 '-o', str(trace), '-p', str(node.pid), '-p', str(reader)],
+                stderr=subprocess.DEVNULL)
+            try:
+                heard.wait_status('dxl_monitor: 001', 'connected')
+                before = len(heard.heard['/dxl/diagnostics'])
+                wait(lambda: len(heard.heard['/dxl/diagnostics']) > before + 4)
+            finally:
+                tracer.terminate()
+                tracer.wait()
+    calls = trace.read_text()
+    assert re.search(rf'^{reader} +write.*pipe:', calls, re.M), 'strace saw nothing of the reader'
+    assert target not in calls
+
+
+def test_lost_and_found(tmp_path, heard, again):
+    link = tmp_path / 'bus'
+    with monitor([link]) as node:
+        node.wait_for(f'{link}: is not there')
+        heard.wait_status('dxl_monitor: bus', 'is not there', level=2)
+        with fake_bus(link, '--devices', '1:MX-64'):
+            heard.wait_status('dxl_monitor: 001', 'connected', level=0)
+        node.wait_for('lost')
+        heard.wait_status('dxl_monitor: bus', 'is not there', level=2)
+        with fake_bus(link, '--devices', '1:MX-64'):
+            heard.wait_status('dxl_monitor: bus', '1 of 1', level=0)
+
+
+@pytest.mark.parametrize('number', ENDINGS, ids=lambda number: number.name)
+def test_every_ending_signal_ends_it_well(tmp_path, heard, again, number):
+    with fake_bus(tmp_path / 'bus', '--devices', '1-20:MX-64'), \
+            monitor([tmp_path / 'bus']) as node:
+        node.wait_for('open at')
+        node.signal(number)
+        node.signal(number)
+        assert node.exit_code(5.0) == 0
+        assert 'Traceback' not in node.text
+
+
+@pytest.mark.parametrize(('parameters', 'line'), [
+    ({'bauds': '[9600,9600,9600]'}, 'bauds: 3 rates for 1 ports; '),
+    ({'bauds': '5000000'}, 'bauds: 5000000 is not possible; set an integer list in bit/s '),
+    ({'names': '[a,b]'}, 'names: 2 names for 1 ports; '),
+    ({'devices': '[253]'}, "devices: '253': an ID is at most 252; "),
+    ({'devices': "['1:MX-107']"}, "devices: no model is called 'MX-107'; did you mean "),
+    ({'devices': "['left/1']"}, "devices: 'left/1' names no bus; "),
+    ({'model_dirs': '/does/not/exist'}, 'model_dirs: /does/not/exist'),
+    ({'publish_rate': '0.0'}, 'publish_rate: 0.0 is not possible; '),
+    ({'write_acks': 'maybe'}, "write_acks: 'maybe' is not possible; "),
+])
+def test_mistakes_are_one_line(ros, parameters, line):
+    with monitor(['/dev/null-port'], **parameters) as node:
+        assert node.exit_code() == 2
+        [said] = node.lines
+        assert said.startswith(f'dxl_monitor: {line}')
+        assert '; ' in said
+
+
+def test_statistics_begin_anew(tmp_path, heard, ros):
+    with fake_bus(tmp_path / 'bus', '--devices', '1:MX-64'), monitor([tmp_path / 'bus']):
+        heard.wait_status('dxl_monitor: 001', 'connected')
+        wait(lambda: int(values(heard.statuses['dxl_monitor: bus'])['Packets']) > 2000)
+        response = heard.call(ros.Trigger, '/dxl_monitor/reset_statistics')
+        assert response.success
+        wait(lambda: int(values(heard.statuses['dxl_monitor: bus'])['Packets']) < 2000)
