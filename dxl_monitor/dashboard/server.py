@@ -1,0 +1,286 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The web server: the files of static/ and one stream of changes (server-sent events).
+
+It only answers GET and HEAD, and only to the names of this machine: a page elsewhere that points
+a name of its own at us (DNS rebinding) learns nothing. What is served is read at the start, so
+that no path leads outside. Runs with aiohttp 3.9 and newer; all state belongs to its one thread.
+"""
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Awaitable
+from collections.abc import Callable
+from contextlib import suppress
+import hashlib
+from importlib import resources
+import ipaddress
+import json
+import secrets
+import socket
+import threading
+import time
+from typing import Any
+import zlib
+
+from aiohttp import web
+
+from dxl_monitor.dashboard.rows import Table
+from dxl_monitor.dashboard.state import State
+
+PUSH_S = 0.2                    # changes are collected for so long
+BEAT_S = 1.0                    # at least one event in this time: the page can tell that we live
+SEND_S = 15.0                   # a client that takes nothing for so long is given up
+MOST_CLIENTS = 50
+INBOX = 400                     # messages; what does not fit was overtaken anyway
+
+_TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript',
+          'svg': 'image/svg+xml'}
+_HEADERS = {
+    'Content-Security-Policy':
+        "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+        "object-src 'none'; require-trusted-types-for 'script'",
+    'X-Content-Type-Options': 'nosniff',
+    'X-Frame-Options': 'DENY',
+    'Referrer-Policy': 'no-referrer',
+    'Cross-Origin-Resource-Policy': 'same-origin',
+    'Cross-Origin-Opener-Policy': 'same-origin',
+    'Server': 'dxl_dashboard',
+}
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+def is_ours(host: str, names: frozenset[str], any_address: bool) -> bool:
+    """Tell whether a Host header names this machine; an address cannot be a borrowed name."""
+    name = host.rpartition(':')[0] if not host.endswith(']') and ':' in host else host
+    name = name.strip('[]').lower().rstrip('.')
+    try:
+        return ipaddress.ip_address(name).is_loopback or any_address
+    except ValueError:
+        return name in names
+
+
+class Server:
+    """Serves a State on a listening socket, in a thread of its own."""
+
+    def __init__(self, listener: socket.socket, facts: dict[str, Any], is_open: bool) -> None:
+        self._listener = listener
+        self._is_open = is_open
+        names = {'localhost'}
+        if is_open:
+            own = socket.gethostname().lower()
+            names |= {own, own.partition('.')[0], f'{own.partition(".")[0]}.local'}
+        self._names = frozenset(names)
+        self._boot = secrets.token_hex(4)       # versions count from the start of this process
+        self._facts = facts | {'boot': self._boot, 'open': is_open}
+        self._inbox: deque[tuple[str, bytes, float]] = deque(maxlen=INBOX)
+        self._state = State()
+        self._publishers: dict[str, int] = {}
+        self._texts: dict[int, str] = {}        # changes since a version, of the version now
+        self._watched: dict[int, str] = {}      # by client
+        self._thread = threading.Thread(target=self._run, name='dashboard', daemon=True)
+        self._ready = threading.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._ended: asyncio.Event
+
+    # From any thread.
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+        self._ready.wait(10.0)
+
+    def stop(self) -> None:
+        """Stop serving; may be called again."""
+        if self._loop is not None and self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._ended.set)
+            self._thread.join(2.0)
+
+    def take(self, topic: str, message: bytes) -> None:
+        """Take a serialised DiagnosticArray; it is looked at with the next push."""
+        self._inbox.append((topic, message, time.monotonic()))
+
+    def publishers(self, counts: dict[str, int]) -> None:
+        """Take how many publishers each topic has."""
+        self._publishers = counts
+
+    # In the thread.
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._ended = asyncio.Event()
+        self._pushed = asyncio.Event()
+        runner = web.AppRunner(self._app(), access_log=None, handle_signals=False,
+                               shutdown_timeout=0.5)
+        await runner.setup()
+        await web.SockSite(runner, self._listener).start()
+        self._ready.set()
+        try:
+            while not self._ended.is_set():
+                self._push()
+                await _wait(self._ended, PUSH_S)
+        finally:
+            self._pushed.set()
+            await asyncio.wait_for(runner.cleanup(), 1.5)
+
+    def _app(self) -> web.Application:
+        files = _files()
+        page = hashlib.sha256(b''.join(files.values())).hexdigest()[:12]
+        self._facts['page'] = page              # a kiosk reloads itself after an update
+        app = web.Application(middlewares=[self._guard])
+        app.on_response_prepare.append(_add_headers)
+        app.router.add_get('/events', self._events)
+        for name, data in files.items():
+            app.router.add_get(f'/{name}', _serve_file(name, data))
+            if name == 'index.html':
+                app.router.add_get('/', _serve_file(name, data))
+        return app
+
+    @web.middleware
+    async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        if request.method not in ('GET', 'HEAD'):
+            raise web.HTTPMethodNotAllowed(request.method, ['GET', 'HEAD'])
+        if not is_ours(request.headers.get('Host', ''), self._names, self._is_open):
+            return web.Response(status=421, text='This name is not of this machine.\n')
+        return await handler(request)
+
+    def _push(self) -> None:
+        """Take in what has come, and let the clients' tasks send what changed."""
+        state, now_s = self._state, time.monotonic()
+        before = state.version
+        while self._inbox:
+            state.take(*self._inbox.popleft())
+        state.expire(now_s)
+        if state.version != before:
+            self._texts.clear()
+            state.keep_tables(set(self._watched.values()))
+            self._pushed.set()
+            self._pushed = asyncio.Event()
+
+    async def _events(self, request: web.Request) -> web.StreamResponse:
+        if request.method == 'HEAD':
+            return web.Response(content_type='text/event-stream')
+        if len(self._watched) >= MOST_CLIENTS:
+            return web.Response(status=503, text=f'{MOST_CLIENTS} pages are open already.\n')
+        client = _Client(request)
+        self._watched[id(client)] = client.watch
+        try:
+            # When the page has gone, it comes back by itself.
+            with suppress(ConnectionError, asyncio.TimeoutError):
+                await self._stream(client)
+        finally:
+            del self._watched[id(client)]
+        return client.response
+
+    async def _stream(self, client: _Client) -> None:
+        await client.begin()
+        since = client.since(self._boot)
+        while not self._ended.is_set():
+            pushed = self._pushed
+            text = self._text(since) + client.table_text(self._state)
+            since = self._state.version
+            await asyncio.wait_for(client.send(f'{self._boot}.{since}', text), SEND_S)
+            await _wait(pushed, BEAT_S)
+
+    def _text(self, since: int) -> str:
+        """Return the beginning of an event: what all clients at this version are to be told."""
+        text = self._texts.get(since)
+        if text is None:
+            changes = self._state.changes(since)
+            if not since:
+                changes['facts'] = self._facts
+            self._texts[since] = text = _json(changes)[1:-1]
+        now_s = time.monotonic()
+        beat = {'now': round(now_s, 2), 'topics': self._state.topics(now_s),
+                'publishers': self._publishers, 'malformed': self._state.malformed,
+                'refused': self._state.refused}
+        return f'{_json(beat)[:-1]}{"," if text else ""}{text}'
+
+
+class _Client:
+    """One stream of events, compressed where the browser takes that."""
+
+    def __init__(self, request: web.Request) -> None:
+        self._request = request
+        self.watch = request.query.get('watch', '')
+        self.response = web.StreamResponse(headers={
+            'Content-Type': 'text/event-stream', 'Cache-Control': 'no-store',
+            'X-Accel-Buffering': 'no'})
+        self._zip = None
+        if 'gzip' in request.headers.get('Accept-Encoding', ''):
+            self.response.headers['Content-Encoding'] = 'gzip'
+            self._zip = zlib.compressobj(1, zlib.DEFLATED, 31)
+        self._sent = Table([], [])              # of the watched device
+        self._latency_until = 0.0
+
+    async def begin(self) -> None:
+        await self.response.prepare(self._request)
+
+    def since(self, boot: str) -> int:
+        """Return the version that this page knows; 0 if that was before we were started."""
+        of, _, version = self._request.query.get('since', '').partition('.')
+        return int(version) if of == boot and version.isdecimal() and len(version) < 16 else 0
+
+    def table_text(self, state: State) -> str:
+        """Return the end of an event: what changed of the device that this page shows."""
+        table = state.table(self.watch) if self.watch else None
+        if table is None:
+            return '}'
+        changed: dict[str, Any] = {}
+        if table.facts != self._sent.facts:
+            changed['facts'] = table.facts
+        old = self._sent.fields
+        if [one.key for one in old] != [one.key for one in table.fields]:
+            changed['fields'] = table.fields
+        elif some := {at: new for at, new in enumerate(table.fields) if new != old[at]}:
+            changed['some'] = some
+        if points := state.latency(self.watch, self._latency_until):
+            self._latency_until = points[-1][0] or 0.0
+            changed['latency'] = points
+        self._sent = table
+        return f',"table":{_json(changed | {"name": self.watch})}}}' if changed else '}'
+
+    async def send(self, version: str, text: str) -> None:
+        await self._write(f'id: {version}\ndata: {text}\n\n')
+
+    async def _write(self, text: str) -> None:
+        data = text.encode()
+        if self._zip is not None:
+            data = self._zip.compress(data) + self._zip.flush(zlib.Z_SYNC_FLUSH)
+        await self.response.write(data)
+
+
+async def _wait(event: asyncio.Event, timeout_s: float) -> None:
+    with suppress(asyncio.TimeoutError):
+        await asyncio.wait_for(event.wait(), timeout_s)
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False, separators=(',', ':'), allow_nan=False)
+
+
+async def _add_headers(request: web.Request, response: web.StreamResponse) -> None:
+    response.headers.update(_HEADERS)
+
+
+def _files() -> dict[str, bytes]:
+    folder = resources.files('dxl_monitor.dashboard') / 'static'
+    return {file.name: file.read_bytes()
+            for file in sorted(folder.iterdir(), key=lambda file: file.name)
+            if file.name.rpartition('.')[2] in _TYPES}
+
+
+def _serve_file(name: str, data: bytes) -> Handler:
+    content_type = _TYPES[name.rpartition('.')[2]]
+
+    async def serve(request: web.Request) -> web.StreamResponse:
+        response = web.Response(body=data, content_type=content_type, charset='utf-8')
+        response.headers['Cache-Control'] = 'no-cache'
+        response.enable_compression()
+        return response
+    return serve

@@ -1,0 +1,179 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the dashboard knows, and what of it changed since a client was told last.
+
+Pure: serialised messages in, plain values out; time is an argument (monotonic s, of arrival:
+what a bag plays back has old stamps). Each row carries the version at which it changed, so that
+a client gets the same changes whether it lags, reconnects or is new (version 0).
+"""
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+from dxl_monitor.dashboard import rows
+from dxl_monitor.dashboard.cdr import CdrError
+from dxl_monitor.dashboard.cdr import RawStatus
+from dxl_monitor.dashboard.cdr import statuses
+from dxl_monitor.dashboard.rows import Row
+from dxl_monitor.dashboard.rows import Table
+
+TABLES = 'dxl/diagnostics'
+TOPICS = (TABLES, '/diagnostics', 'dxl/timing', 'vel2d/timing')
+SECTIONS = ('devices', 'buses', 'bridge', 'timing')
+QUIET_S = 4.0                # without a report for so long, or 2.5 times the usual: old values
+TABLE_S = 30.0               # after so long without a whole table the short form has to do
+FORGET_S = 60.0              # ... while its node reports others: it is no more
+MOST_ROWS = 3000             # of all kinds: what is published cannot fill the memory
+HISTORY = 300                # points kept of each timing metric
+
+Point = list[float | None]
+
+
+class Entry:
+    """One row; `arrived` is when it was reported last, `whole` its last status with a table."""
+
+    __slots__ = ('arrived', 'period_s', 'points', 'row', 'version', 'whole', 'whole_arrived')
+
+    def __init__(self) -> None:
+        self.row: Row = {}
+        self.version = 0
+        self.arrived = 0.0
+        self.period_s = 0.0         # between reports: the longest of late
+        self.whole: RawStatus | None = None
+        self.whole_arrived = 0.0
+        self.points: deque[tuple[int, Point]] = deque(maxlen=HISTORY)
+
+
+class State:
+    """Rows by section and name. One thread uses it."""
+
+    def __init__(self) -> None:
+        self.version = 0
+        self.messages: dict[str, int] = dict.fromkeys(TOPICS, 0)
+        self.arrived: dict[str, float] = {}         # by topic
+        self.malformed = 0
+        self.refused = 0                            # new names above MOST_ROWS
+        self._entries: dict[str, dict[str, Entry]] = {name: {} for name in SECTIONS}
+        self._removed: deque[tuple[int, str, str]] = deque(maxlen=MOST_ROWS)
+        self._heard: dict[str, float] = {}          # by node
+        self._latencies: dict[str, deque[Point]] = {}       # by device
+        self._tables: dict[str, tuple[RawStatus, Table]] = {}
+
+    def take(self, topic: str, message: bytes, now_s: float) -> None:
+        """Take a serialised DiagnosticArray; whatever it holds, this does not raise."""
+        try:
+            found = statuses(message)
+        except CdrError:
+            self.malformed += 1
+            return
+        self.messages[topic] += 1
+        self.arrived[topic] = now_s
+        self.version += 1
+        for status in found:
+            section = rows.section(status)
+            if section == 'timing' and self._is_of_device(status):
+                self._take_latency(status, now_s)
+            elif section:
+                self._take_status(topic, section, status, now_s)
+
+    def _is_of_device(self, status: RawStatus) -> bool:
+        of = rows.metric_of(status)
+        bus = f'{rows.split(status)[0]}: bus {of}'
+        return rows.is_device(of) and bus not in self._entries['buses']
+
+    def _take_latency(self, status: RawStatus, now_s: float) -> None:
+        name = f'{rows.split(status)[0]}: {rows.metric_of(status)}'
+        if name in self._entries['devices']:
+            points = self._latencies.setdefault(name, deque(maxlen=HISTORY))
+            points.append([round(now_s, 2), *rows.figures(status.pairs())])
+
+    def _take_status(self, topic: str, section: str, status: RawStatus, now_s: float) -> None:
+        entry = self._entry(section, status.name)
+        if entry is None:
+            return
+        row = rows.row(section, status)
+        if entry.arrived:
+            entry.period_s = max(now_s - entry.arrived, entry.period_s / 2)
+        entry.arrived = self._heard[row['node']] = now_s
+        if topic == TABLES or entry.whole is None or now_s - entry.whole_arrived > TABLE_S:
+            entry.whole, entry.whole_arrived = status, now_s
+        if section == 'buses' and topic != TABLES:
+            row['errors'] = entry.row.get('errors', [])     # the short form has none
+        if section == 'timing':
+            entry.points.append((self.version, [round(now_s, 2), *rows.figures(row['values'])]))
+        if row != entry.row or section == 'timing':
+            entry.row, entry.version = row, self.version
+
+    def _entry(self, section: str, name: str) -> Entry | None:
+        entries = self._entries[section]
+        if name not in entries:
+            if sum(map(len, self._entries.values())) >= MOST_ROWS:
+                self.refused += 1
+                return None
+            entries[name] = Entry()
+        return entries[name]
+
+    def expire(self, now_s: float) -> None:
+        """Mark what nobody reports any more; drop what its own node does not know any more."""
+        for section, entries in self._entries.items():
+            for name, entry in list(entries.items()):
+                quiet_s = now_s - entry.arrived
+                if quiet_s <= max(QUIET_S, 2.5 * entry.period_s):
+                    continue
+                if 'quiet_since' not in entry.row:
+                    self.version += 1
+                    entry.version = self.version
+                    entry.row = entry.row | {'quiet_since': round(entry.arrived, 2)}
+                if quiet_s > FORGET_S and now_s - self._heard[entry.row['node']] < QUIET_S:
+                    self.version += 1
+                    del entries[name]
+                    self._tables.pop(name, None)
+                    self._latencies.pop(name, None)
+                    self._removed.append((self.version, section, name))
+
+    def changes(self, since: int) -> dict[str, Any]:
+        """Return rows that changed after a version, None for removed ones; 0 = everything."""
+        changed: dict[str, dict[str, Row | None]] = {name: {} for name in SECTIONS}
+        if since:
+            for version, section, name in self._removed:
+                if version > since and name not in self._entries[section]:
+                    changed[section][name] = None
+        for section, entries in self._entries.items():
+            for name, entry in entries.items():
+                if entry.version > since:
+                    changed[section][name] = _with_points(entry, since)
+        return {section: found for section, found in changed.items() if found}
+
+    def table(self, name: str) -> Table | None:
+        """Return the table of a device as last reported; None if there is no such device."""
+        entry = self._entries['devices'].get(name)
+        if entry is None or entry.whole is None:
+            return None
+        status, before = self._tables.get(name, (None, None))
+        if status is entry.whole and before is not None:
+            return before
+        table = rows.table(entry.whole, entry.whole_arrived, before)
+        self._tables[name] = (entry.whole, table)
+        return table
+
+    def latency(self, name: str, after_s: float) -> list[Point]:
+        """Return the points [s, p50, p95, max] of a device's reply latency after a time."""
+        return [point for point in self._latencies.get(name, ()) if (point[0] or 0) > after_s]
+
+    def keep_tables(self, names: set[str]) -> None:
+        """Forget the decoded tables of devices that nobody looks at."""
+        for name in self._tables.keys() - names:
+            del self._tables[name]
+
+    def topics(self, now_s: float) -> dict[str, Any]:
+        """Return by topic how many messages came, and how long ago the last one, in s."""
+        return {topic: [count, round(now_s - self.arrived[topic], 1) if count else None]
+                for topic, count in self.messages.items()}
+
+
+def _with_points(entry: Entry, since: int) -> Row:
+    if not entry.points:
+        return entry.row
+    return entry.row | {'points': [point for version, point in entry.points if version > since]}

@@ -1,0 +1,100 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// View 2: devices by ID: of one model, of one bus, or all; a search and a choice by state.
+
+import {each, h, icon, say, set, setIcon} from './dom.js';
+import {id3, path, plural, short} from './format.js';
+import {fillEmpty} from './overview.js';
+import {LEVELS, stateOf, wordOf, WORDS} from './store.js';
+
+export class Devices {
+  constructor([bus, model]) {
+    this.bus = bus;
+    this.model = model;
+    this.title = model ?? 'Devices';
+    this.only = null;
+    this.heading = h('h1', {tabindex: -1}, this.title);
+    this.crumbs = h('nav', {class: 'crumbs', ariaLabel: 'Place'});
+    this.search = h('input', {type: 'search', placeholder: 'ID, joint, model', ariaLabel: 'Search devices', oninput: () => this.update(this.store)});
+    this.chips = h('div', {class: 'choice', role: 'group', ariaLabel: 'Show only'}, ...[null, ...LEVELS].map((state) => this.#chip(state)));
+    this.empty = h('div', {class: 'empty'});
+    this.none = h('p', {class: 'empty'}, 'No device fits.');
+    this.lists = h('div');
+    this.element = h('div', {}, this.crumbs, h('div', {class: 'head'}, this.heading, this.search, this.chips), this.empty, this.none, this.lists);
+  }
+
+  #chip(state) {
+    const count = h('b');
+    const button = h('button', {type: 'button', onclick: () => { this.only = state; this.update(this.store); }},
+      state ? icon(state) : null, h('span', {}, state ? WORDS[state] : 'All'), count);
+    Object.assign(button, {state, count});
+    return button;
+  }
+
+  update(store) {
+    this.store = store;
+    const all = store.groups();
+    const groups = all.filter((group) => !this.bus || group.key === this.bus)
+      .map((group) => ({...group, devices: group.devices.filter((device) => !this.model || device.model === this.model)}));
+    this.#place(groups, all.length);
+    const devices = groups.flatMap((group) => group.devices);
+    for (const chip of this.chips.children) {
+      const count = chip.state ? devices.filter((device) => stateOf(device) === chip.state).length : devices.length;
+      say(chip.count, String(count));
+      set(chip, 'aria-pressed', chip.state === this.only);
+      set(chip, 'data-state', count ? chip.state : null);
+    }
+    const words = this.search.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const fits = (device) => (!this.only || stateOf(device) === this.only) && words.every((word) => textOf(device).includes(word));
+    const shown = groups.map((group) => ({...group, devices: group.devices.filter(fits)})).filter((group) => group.devices.length);
+    this.empty.hidden = all.some((group) => group.devices.length);
+    if (!this.empty.hidden) fillEmpty(this.empty, store);
+    this.none.hidden = shown.length > 0 || !this.empty.hidden;
+    each(this.lists, shown, (group) => group.key, makeGroup, (element, group) => updateGroup(element, group, shown.length > 1));
+  }
+
+  #place(groups, count) {
+    const label = this.bus ? groups[0]?.label ?? this.bus : '';
+    const links = [['Overview', '#/'], ['Devices', this.bus ? '#/devices' : null]];
+    if (this.bus && count > 1) links.push([`bus ${label}`, this.model ? path('devices', this.bus) : null]);
+    if (this.model) links.push([this.model, null]);
+    showCrumbs(this.crumbs, links);
+    say(this.heading, this.model ?? (this.bus && count > 1 ? `Bus ${label}` : 'Devices'));
+  }
+}
+
+/** Links to where this view belongs, the last one being here. */
+export function showCrumbs(element, links) {
+  each(element, links, ([text, href]) => `${href}|${text}`,
+    ([text, href]) => href ? h('a', {href}, text) : h('span', {'aria-current': 'page'}, text));
+}
+
+const textOf = (device) => `${id3(device.id)} ${device.id} ${device.joint} ${device.model} ${device.bus} ${device.state} ${device.message}`.toLowerCase();
+
+function makeGroup() {
+  return h('section', {}, h('h2', {class: 'group'}), h('ul', {class: 'grid'}));
+}
+
+function updateGroup(element, group, several) {
+  const [heading, grid] = element.children;
+  heading.hidden = !several;
+  say(heading, `bus ${group.label}, ${plural(group.devices.length, 'device')}`);
+  each(grid, group.devices, (device) => device.name, makeDevice, updateDevice);
+}
+
+function makeDevice(device) {
+  return h('li', {}, h('a', {class: 'device', href: path('device', device.name)},
+    icon('ok'), h('b', {class: 'device-id'}), h('span', {class: 'device-joint'}),
+    h('span', {class: 'device-text'}), h('span', {class: 'device-figures'})));
+}
+
+function updateDevice(item, device) {
+  const [symbol, id, joint, text, figures] = item.firstChild.children;
+  const state = stateOf(device);
+  set(item.firstChild, 'data-state', state);
+  setIcon(symbol, state);
+  say(id, id3(device.id));
+  say(joint, device.joint || device.model);
+  say(text, state === 'ok' ? wordOf(device) : device.quiet_since === undefined ? device.message : 'no report');
+  say(figures, [device.loss && device.loss !== '0' && `loss ${short(device.loss, 2)} %`, device.latency && `${short(device.latency, 3)} ms`].filter(Boolean).join(' \u00b7 '));
+}

@@ -1,0 +1,112 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A dashboard on a free port, fed by a synthetic robot; and the browser that looks at it."""
+from contextlib import contextmanager
+from importlib import util
+from pathlib import Path
+import shutil
+import threading
+import time
+
+from synthetic_robot import SyntheticRobot
+
+SIZES = {'desktop': (1280, 800), 'phone': (390, 844), 'touch': (480, 272)}
+VIEWS = {'overview': '#/', 'devices': '#/devices', 'device': '#/device/dxl_monitor: 007 left_knee',
+         'log': '#/log', 'bridge': '#/bridge'}
+NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
+OPTIONS = ('--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
+           '--disable-background-networking', '--disable-component-update', '--disable-sync')
+
+
+def browser_path():
+    """Return where Chromium is, None if it is nowhere."""
+    return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+def why_not():
+    """Return why there can be no browser test; '' if there can."""
+    if util.find_spec('playwright') is None:
+        return 'skipped: no playwright; pip install playwright'
+    if util.find_spec('aiohttp') is None:
+        return 'skipped: no aiohttp; pip install aiohttp'
+    if browser_path() is None:
+        return 'skipped: no Chromium; sudo apt install chromium'
+    return ''
+
+
+def axe_source():
+    """Return the source of axe-core, None if it is not installed."""
+    found = util.find_spec('axe_playwright_python')
+    return found and (Path(found.origin).parent / 'axe.min.js').read_text()
+
+
+@contextmanager
+def browser():
+    from playwright.sync_api import sync_playwright
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=browser_path(), args=OPTIONS)
+        yield started
+        started.close()
+
+
+class Dashboard:
+    """A server without ROS; `port` is kept over a restart."""
+
+    def __init__(self, is_open=False):
+        self.port = 0
+        self._is_open = is_open
+        self.server = None
+        self.start()
+
+    def start(self):
+        from dxl_monitor.dashboard.main import facts
+        from dxl_monitor.dashboard.main import listen
+        from dxl_monitor.dashboard.server import Server
+        listener = listen('127.0.0.1', self.port)
+        self.port = listener.getsockname()[1]
+        about = facts('127.0.0.1', self.port) | {'machine': 'robot'}
+        self.server = Server(listener, about, self._is_open)
+        self.server.start()
+
+    @property
+    def address(self):
+        return f'http://127.0.0.1:{self.port}/'
+
+    def take(self, messages):
+        for topic, message in messages:
+            self.server.take(topic, message)
+
+    def stop(self):
+        self.server.stop()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stop()
+
+
+class Feed:
+    """Publishes a robot to a dashboard, twice a second, as long as it is entered."""
+
+    def __init__(self, dashboard, robot=None, start_s=100.0):
+        self.robot = robot or SyntheticRobot()
+        self._dashboard = dashboard
+        self._start_s = start_s
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self):
+        begun_s = time.monotonic()
+        while not self._done.is_set():
+            time_s = self._start_s + time.monotonic() - begun_s
+            self._dashboard.take(self.robot.messages(time_s))
+            self._done.wait(0.5)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._done.set()
+        self._thread.join()

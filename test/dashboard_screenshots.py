@@ -1,0 +1,125 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Takes the pictures of the dashboard for the docs: both nodes on fake hardware, a driven rover.
+
+A walking humanoid whose left knee falls silent; the pictures are taken when the plots have
+something to show. See scripts/screenshots; not a test.
+"""
+import argparse
+from contextlib import ExitStack
+import math
+import os
+from pathlib import Path
+import sys
+import tempfile
+import time
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+import dashboard_page
+from dashboard_page import SIZES
+from dashboard_page import VIEWS
+from harness import Program
+from harness import wait
+import ros_side
+from synthetic_robot import JOINTS
+
+ROOT = Path(__file__).parents[1]
+FOR_DOCS = ('overview-desktop-dark', 'overview-desktop-light', 'overview-phone-dark',
+            'overview-phone-light', 'overview-touch-dark', 'overview-touch-light',
+            'device-desktop-light', 'device-phone-dark', 'devices-desktop-dark',
+            'log-desktop-light', 'bridge-desktop-dark')
+WARM_UP_S = 75                  # of plots
+LOOK_S = 20                     # at a device, so that its plot has a line
+SERVOS = 18
+DEVICES = [*(f'{at + 1}:{"MX-106" if at < 10 else "MX-64"}:{JOINTS[at]}' for at in range(SERVOS)),
+           '100:Rhoban DXL Board:power', '101:BitFoot:left_foot', '102:BitFoot:right_foot',
+           '103:Bit-Bots IMU:imu']
+
+
+DASHBOARD = """
+import socket, sys
+socket.gethostname = lambda: 'wolfgang'
+from dxl_monitor.dashboard.main import main
+sys.exit(main())
+"""
+
+
+def drive():
+    """Return a command of somebody who drives in wide bends."""
+    bend = time.monotonic() / 4
+    x, y, omega = 0.32 + 0.06 * math.sin(bend), 0.05 * math.cos(bend), 0.6 * math.sin(bend)
+    return ros_side.twist(x, y, omega)
+
+
+def robot(stack, folder):
+    """Start everything, return the address of the dashboard."""
+    bus, mcu = folder / 'ttyUSB0', folder / 'ttyAMA0'
+    start = stack.enter_context
+    start(Program('dxl_monitor.fake_bus', '--link', str(bus), '--behind-silent', 'answer',
+                  '--fault', f'silent:7:{WARM_UP_S}:600', '--fault', f'hot:14:{WARM_UP_S}:600'))
+    start(Program('vel2d_bridge.fake_mcu', '--link', str(mcu)))
+    dashboard = start(Program('', '--port', '0', script=DASHBOARD))
+    wait(lambda: bus.exists() and mcu.exists())
+    start(Program('dxl_monitor.main', '--ros-args', '-p', f"ports:=['{bus}']",
+                  '-p', f'devices:={DEVICES}'))
+    start(Program('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}'))
+    graph = start(ros_side.Graph('operator'))
+    start(ros_side.Teleop(graph.publisher(), drive, rate=10))
+    return dashboard.wait_for('http://').split()[1]
+
+
+def take(browser, address, folder, wanted):
+    """Take the wanted pictures, one page for each size and theme."""
+    for size, (width, height) in SIZES.items():
+        for theme in ('dark', 'light'):
+            views = [view for view in VIEWS if f'{view}-{size}-{theme}' in wanted]
+            if not views:
+                continue
+            context = browser.new_context(
+                viewport={'width': width, 'height': height}, color_scheme=theme,
+                has_touch=size != 'desktop', is_mobile=size != 'desktop',
+                device_scale_factor=2 if size == 'phone' else 1)
+            page = context.new_page()
+            for view in views:
+                page.goto(f'{address}/{VIEWS[view]}')
+                page.locator('main .panel, main .device, main .tile').first.wait_for()
+                page.wait_for_timeout(1000 * (LOOK_S if view == 'device' else 2))
+                path = folder / f'dashboard-{view}-{size}-{theme}.png'
+                page.screenshot(path=path)
+                print(path.name, flush=True)
+            context.close()
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.strip().partition('\n')[0])
+    parser.add_argument('--all', metavar='FOLDER', type=Path,
+                        help='every view in every size and theme, to a folder')
+    folder = parser.parse_args().all
+    why_not = dashboard_page.why_not()
+    if why_not:
+        print(f'screenshots: {why_not}', file=sys.stderr)
+        return 1
+    everything = [f'{view}-{size}-{theme}' for view in VIEWS for size in SIZES
+                  for theme in ('dark', 'light')]
+    with ExitStack() as stack:
+        directory = stack.enter_context(tempfile.TemporaryDirectory(dir='/dev/shm'))
+        address = robot(stack, Path(directory))
+        browser = stack.enter_context(dashboard_page.browser())
+        print(f'screenshots: the robot walks for {WARM_UP_S} s first', flush=True)
+        time.sleep(WARM_UP_S)
+        page = browser.new_page()
+        page.goto(address)
+        page.locator('.bar[data-state=error]').wait_for(timeout=120_000)
+        page.close()
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+        take(browser, address, folder or ROOT / 'docs/images', everything if folder else FOR_DOCS)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

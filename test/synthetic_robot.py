@@ -1,0 +1,239 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A robot that consists of what it publishes: device, bus, bridge and timing statuses, as bytes.
+
+The statuses are made by the same functions as those of the nodes; `serialise` turns them into
+what a subscription gets, so that the dashboard can be tested without ROS.
+"""
+import math
+import struct
+
+from dxl_monitor import report as words
+from dxl_monitor.devices import Device
+from dxl_monitor.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor import Settings
+from dxl_monitor.report import Error
+from dxl_monitor.report import Finding
+from dxl_monitor.report import Latency
+from dxl_monitor.status import bus_status
+from dxl_monitor.status import device_metrics
+from dxl_monitor.status import device_status
+from dxl_monitor.status import PortState
+from dxl_monitor.table import Observed
+from msg_defs.reports import Level
+from msg_defs.reports import Metric
+from msg_defs.reports import metric_status
+from msg_defs.reports import Status
+from msg_defs.timing import Summary
+
+NODE = 'dxl_monitor'
+JOINTS = ('left_hip_yaw', 'right_hip_yaw', 'left_hip_roll', 'right_hip_roll', 'left_hip_pitch',
+          'right_hip_pitch', 'left_knee', 'right_knee', 'left_ankle_pitch', 'right_ankle_pitch',
+          'left_ankle_roll', 'right_ankle_roll', 'left_shoulder_pitch', 'right_shoulder_pitch',
+          'left_shoulder_roll', 'right_shoulder_roll', 'left_elbow', 'right_elbow', 'neck_yaw',
+          'neck_pitch')
+HUMANOID = (*((i + 1, 'MX-106' if i < 10 else 'MX-64', joint) for i, joint in enumerate(JOINTS)),
+            (100, 'Rhoban DXL Board', ''), (101, 'BitFoot', 'left_foot'),
+            (102, 'BitFoot', 'right_foot'), (103, 'Bit-Bots IMU', 'imu'))
+MANY = tuple((i, ('MX-106', 'MX-64', 'XL430-W250')[i % 3], '') for i in range(253))
+
+
+def serialise(statuses, order='<'):
+    """Return the CDR of a DiagnosticArray with these statuses."""
+    data = bytearray(b'\0\1\0\0' if order == '<' else b'\0\0\0\0')
+
+    def put_number(value):
+        data.extend(bytes(-len(data) % 4) + struct.pack(order + 'I', value))
+
+    def put_text(text):
+        encoded = text if isinstance(text, bytes) else text.encode()
+        put_number(len(encoded) + 1)
+        data.extend(encoded + b'\0')
+
+    put_number(0)
+    put_number(0)
+    put_text('')
+    put_number(len(statuses))
+    for status in statuses:
+        data.append(status.level)
+        for text in (status.name, status.message, status.hardware_id):
+            put_text(text)
+        put_number(len(status.values))
+        for pair in status.values:
+            put_text(pair[0])
+            put_text(pair[1])
+    return bytes(data)
+
+
+def summary(mean, spread):
+    return Summary(100, mean, spread / 3, max(0.0, mean - spread), mean + 2 * spread,
+                   mean, mean + spread, mean + 1.7 * spread)
+
+
+class SyntheticRobot:
+    """Buses of (id, model, joint) by name; `lost`, `warned` and so on hold device IDs."""
+
+    def __init__(self, buses=None):
+        self.buses = {'': HUMANOID} if buses is None else buses
+        self.lost, self.warned, self.silent, self.faulty = set(), set(), set(), set()
+        self.port_problem = ''
+        self.findings = ()
+        self.velocity = (0.32, 0.11, 0.6)
+        self._made, self._made_s = [], None
+        models = Models()
+        self._blank = {bus: Monitor(bus, models, Settings(
+            devices=tuple(Device(*device) for device in devices))).report(0)
+            for bus, devices in self.buses.items()}
+
+    def tables(self, time_s):
+        """Return what goes to dxl/diagnostics."""
+        return self._statuses(time_s, True)
+
+    def overview(self, time_s):
+        """Return what goes to /diagnostics, the bridge included."""
+        return [*self._statuses(time_s, False), *self.bridge(time_s)]
+
+    def _statuses(self, time_s, whole):
+        statuses = []
+        for bus, report in self._reports(time_s):
+            port = PortState(f'/dev/tty{bus or "USB0"}', self.port_problem,
+                             (('Latency timer (ms)', '1'), ('Openings', '1')))
+            statuses.append(bus_status(NODE, bus, report, port, whole))
+            statuses += [device_status(NODE, bus, device, report.findings, whole)
+                         for device in report.devices]
+        return statuses
+
+    def _reports(self, time_s):
+        """Return (bus, report) of all buses; the last ones are kept."""
+        if self._made_s != time_s:
+            self._made, self._made_s = list(self._make(time_s)), time_s
+        return self._made
+
+    def _make(self, time_s):
+        for bus, blank in self._blank.items():
+            reports = tuple(self._device(time_s, device) for device in blank.devices)
+            lost = [one for one in reports if one.state == words.DISCONNECTED]
+            errors = tuple(
+                Error(int((time_s - 20 + i) * 1e9), f'{one.id:03}: no answer to Read at 132')
+                for i, one in enumerate(lost * 3))
+            yield bus, blank._replace(
+                devices=reports, errors=errors,
+                level=Level.ERROR if lost else Level.OK, findings=self.findings,
+                message=f'{len(lost)} of {len(reports)} devices disconnected' if lost
+                else f'{len(reports)} devices',
+                counters={'Bytes': int(time_s * 84000), 'Packets': int(time_s * 3900)},
+                rates={'bytes': 84000.0, 'packets': 3900.0, 'errors': 0.4 * len(lost)})
+
+    def _device(self, time_s, blank):
+        number, model = blank.id, blank.model
+        state, level, message = words.CONNECTED, Level.OK, 'connected'
+        missed = 0
+        if number in self.lost:
+            state, level, missed = words.DISCONNECTED, Level.ERROR, 7
+            message = 'disconnected: 7 answers missed'
+        elif number in self.faulty:
+            level, message = Level.ERROR, 'hardware error: overheating'
+        elif number in self.silent:
+            state, level, message = words.SILENT, Level.STALE, 'silent: nobody asked it for 9 s'
+        elif number in self.warned:
+            level, message = Level.WARN, '12 of 310 answers missed'
+        loss = 3.87 if number in self.warned else 100.0 if number in self.lost else 0.0
+        latency = 0.11 + 0.01 * math.sin(time_s + number)
+        return blank._replace(
+            firmware=44, state=state, level=level, message=message,
+            counters=(('Answers', int(time_s * 100)), ('Missed Answers', 3 * missed),
+                      ('Missed in a Row', missed), ('Loss in 10 s (%)', loss),
+                      ('Damaged Answers', 0), ('Writes', int(time_s * 50))),
+            observed=tuple(self._observe(model, number, time_s)), unobserved=9,
+            latency=Latency(summary(latency, 0.02), summary(latency, 0.05), 0.94))
+
+    def _observe(self, model, number, time_s):
+        for field in model.fields[:60]:
+            raw = bytes(field.size)
+            age_s, source = 12.0 + time_s % 3600, 'r'
+            if field.name.startswith('Present Position'):
+                raw = self._position(field.size, number, time_s)
+                age_s = 0.01
+            elif field.name.startswith('Goal Position'):
+                raw = self._position(field.size, number, time_s + 0.15)
+                age_s, source = 0.01, 'w'
+            elif field.name == 'Present Temperature':
+                raw, age_s = bytes([41 + number % 7]), 0.6
+            elif field.name == 'Present Input Voltage':
+                raw, age_s = (152 + int(3 * math.sin(time_s))).to_bytes(field.size, 'little'), 0.6
+            elif field.name == 'ID':
+                raw = bytes([number])
+            yield Observed(field, field.decode(raw), age_s, source)
+
+    def _position(self, size, number, time_s):
+        step = int(2048 + 500 * math.sin(1.7 * time_s + number))
+        return step.to_bytes(size, 'little', signed=True)
+
+    def timing(self, time_s):
+        """Return what goes to dxl/timing."""
+        wave = math.sin(time_s / 9)
+        metrics = [Metric('resident_memory', 'MB', value=61.2)]
+        for bus, report in self._reports(time_s):
+            window = {'time_per_buffer': ('ms', 0.42 + 0.03 * wave, 0.2),
+                      'time_between_buffers': ('ms', 4.1, 0.8), 'bytes_per_buffer': ('B', 344, 80)}
+            single = {'byte_rate': ('B/s', 84000 + 900 * wave),
+                      'packet_rate': ('Hz', 3900 + 40 * wave),
+                      'error_rate': ('Hz', 0.4 * len(self.lost)),
+                      'bus_load': ('%', 42 + 5 * wave)}
+            metrics += [Metric(name, unit, summary(mean, spread), summary(mean, 3 * spread),
+                               bus=bus)
+                        for name, (unit, mean, spread) in window.items()]
+            metrics += [Metric(name, unit, value=float(value), bus=bus)
+                        for name, (unit, value) in single.items()]
+            metrics += [metric._replace(bus=bus) for metric in device_metrics(report)]
+        return [metric_status(NODE, metric) for metric in metrics]
+
+    def bridge(self, time_s):
+        """Return what vel2d_bridge puts on /diagnostics."""
+        x, y, omega = self.velocity
+        state = 'driving' if any(self.velocity) else 'stopped'
+        link = [('Port', '/dev/ttyAMA0'), ('State', 'open'), ('In this state for (s)', '241.5'),
+                ('Frames sent', str(int(20 * time_s))), ('Last x (m/s)', str(x)),
+                ('Last y (m/s)', str(y)), ('Last omega (rad/s)', str(omega)), ('Openings', '1'),
+                ('Reopenings', '0'), ('Losses', '0'), ('Write time-outs', '0'),
+                ('Partial writes', '0'), ('Freezes', '0'), ('Deadman', 'ready'),
+                ('Bytes from MCU', '0'), ('Last error', 'none')]
+        commands = [('Topic', '/cmd_vel'), ('Message type', 'Twist'), ('State', state),
+                    ('Enabled', 'true'), ('Commands received', str(int(10 * time_s))),
+                    ('Commands accepted', str(int(10 * time_s))), ('Commands limited', '0'),
+                    ('Refused: not finite', '0'), ('Refused: stamp too old', '3'),
+                    ('Time-outs', '2'), ('Stops: port opened', '1'), ('Stops: time-out', '2')]
+        return [Status('vel2d_bridge: link', Level.OK, 'open', '/dev/ttyAMA0', link),
+                Status('vel2d_bridge: commands', Level.OK, state, '/dev/ttyAMA0', commands)]
+
+    def bridge_timing(self, time_s):
+        """Return what goes to vel2d/timing."""
+        wave = 0.04 * math.sin(time_s / 5)
+        return [metric_status('vel2d_bridge', metric) for metric in (
+            Metric('callback_to_write', 'ms', summary(0.31 + wave, 0.12), summary(0.31, 0.9)),
+            Metric('write', 'ms', summary(0.09, 0.02), summary(0.09, 0.3)),
+            Metric('command_period', 'ms', summary(100.2, 3.0), summary(100, 9)),
+            Metric('stamp_age', 'ms'),
+            Metric('frame_rate', 'Hz', value=20.0 + wave),
+            Metric('resident_memory', 'MB', value=48.3))]
+
+    def messages(self, time_s, all_topics=True):
+        """Return (topic, bytes) of one second's reports, at most 20 statuses in each."""
+        self._made_s = None
+        published = [('dxl/diagnostics', self.tables(time_s))]
+        if all_topics:
+            published += [('/diagnostics', self.overview(time_s)),
+                          ('dxl/timing', self.timing(time_s)),
+                          ('vel2d/timing', self.bridge_timing(time_s))]
+        return [(topic, serialise(statuses[at:at + 20]))
+                for topic, statuses in published for at in range(0, len(statuses), 20)]
+
+
+FINDINGS = (
+    Finding('missing_termination', Level.WARN, None,
+            'Noise after every answer: put 120 ohm across D+ and D- at both ends of the bus'),
+    Finding('return_delay', Level.WARN, 12,
+            'Return Delay Time is 250 (500 us): set 0, each read then takes half as long'),
+)

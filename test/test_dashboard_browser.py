@@ -1,0 +1,439 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The dashboard in a real browser: every view, in three sizes, and what may go wrong around it."""
+from contextlib import contextmanager
+import re
+
+import dashboard_page
+from dashboard_page import Dashboard
+from dashboard_page import Feed
+from dashboard_page import SIZES
+from dashboard_page import VIEWS
+from harness import wait
+import pytest
+from synthetic_robot import FINDINGS
+from synthetic_robot import MANY
+from synthetic_robot import serialise
+from synthetic_robot import SyntheticRobot
+
+from msg_defs.reports import Level
+from msg_defs.reports import Status
+
+WHY_NOT = dashboard_page.why_not()
+pytestmark = pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT or 'runs')
+DEADLINE_MS = 20_000
+BAR = '.bar'
+
+
+@pytest.fixture(scope='module')
+def chromium():
+    with dashboard_page.browser() as started:
+        yield started
+
+
+@pytest.fixture(scope='module')
+def dashboard():
+    with Dashboard() as dashboard:
+        yield dashboard
+
+
+@pytest.fixture
+def robot(dashboard):
+    robot = SyntheticRobot()
+    with Feed(dashboard, robot):
+        yield robot
+
+
+@pytest.fixture
+def open_page(chromium):
+    """Return a function that opens a page; a console error or exception fails the test."""
+    complaints, contexts = [], []
+
+    def open_page(address, size='desktop', **options):
+        width, height = SIZES[size]
+        context = chromium.new_context(viewport={'width': width, 'height': height},
+                                       has_touch=size != 'desktop', is_mobile=size != 'desktop',
+                                       **options)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(DEADLINE_MS)
+        page.complaints = complaints
+        page.on('console', lambda message: message.type in ('error', 'warning')
+                and complaints.append(message.text))
+        page.on('pageerror', lambda error: complaints.append(str(error)))
+        page.on('dialog', lambda dialog: complaints.append(f'dialog {dialog.message}'))
+        page.goto(address)
+        return page
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert complaints == []
+
+
+@pytest.fixture
+def page(dashboard, robot, open_page):
+    page = open_page(dashboard.address)
+    page.wait_for_selector('.tile')
+    return page
+
+
+def see(page, selector, text):
+    """Wait until an element holds a text (a pattern)."""
+    page.locator(selector).filter(has_text=re.compile(text)).first.wait_for()
+
+
+def state_of(page, selector):
+    return page.locator(selector).first.get_attribute('data-state')
+
+
+def show(page, view):
+    page.goto(page.url.partition('#')[0] + VIEWS[view])
+
+
+def test_overview(page):
+    see(page, BAR, '24/24.*All 24 devices connected')
+    assert state_of(page, BAR) == 'ok'
+    tiles = page.locator('.tile').all_inner_texts()
+    assert [tile.split('\n')[0] for tile in tiles] \
+        == ['MX-106', 'MX-64', 'BitFoot', 'Bit-Bots IMU', 'Rhoban DXL Board']
+    assert page.locator('.cell').count() == 24
+
+
+def test_a_device_lost_and_found(page, robot):
+    see(page, BAR, '24/24')
+    robot.lost = {7, 11}
+    see(page, BAR, '22/24.*Lost: 007 left_knee, 011 left_ankle_roll')
+    assert state_of(page, BAR) == 'error'
+    assert page.locator(f'{BAR} use').get_attribute('href') == '#i-error'
+    assert page.title().startswith('\u2716 2 lost')
+    see(page, '.tile[data-state=error]', 'MX-64.*1 lost|MX-64[\\s\\S]*1 lost')
+    see(page, '[role=status]', 'Lost: 007')
+    robot.lost = set()
+    see(page, BAR, '24/24.*All 24 devices connected')
+    assert state_of(page, BAR) == 'ok'
+
+
+@pytest.mark.parametrize(('which', 'state', 'words'), [
+    ('warned', 'warn', 'Warning: 007 left_knee, 12 of 310 answers missed'),
+    ('faulty', 'error', 'Error: 007 left_knee, hardware error: overheating'),
+    ('silent', 'stale', 'Silent: 007 left_knee, silent: nobody asked it')])
+def test_the_bar_names_the_worst(page, robot, which, state, words):
+    setattr(robot, which, {7})
+    see(page, BAR, words)
+    assert state_of(page, BAR) == state
+
+
+def test_a_port_that_is_gone(page, robot):
+    robot.port_problem = '/dev/ttyUSB0: there is no such device; plug it in'
+    see(page, BAR, 'there is no such device; plug it in')
+    assert state_of(page, BAR) == 'error'
+
+
+def test_from_the_overview_to_a_register_and_back(page):
+    page.locator('.tile', has_text='MX-64').click()
+    see(page, 'h1', '^MX-64$')
+    assert page.locator('.device').count() == 10
+    assert page.evaluate('document.activeElement.tagName') == 'H1'
+    page.locator('.device', has_text='017').click()
+    see(page, 'h1', '017 left_elbow')
+    see(page, '.fields tr', 'Present Position')
+    page.go_back()
+    see(page, 'h1', '^MX-64$')
+    page.go_back()
+    page.wait_for_selector('.tile')
+
+
+def row(page, name):
+    return page.locator('.device-fields tbody tr').filter(
+        has=page.locator('th', has_text=re.compile(f'^{name}$')))
+
+
+def test_device(page):
+    show(page, 'device')
+    see(page, 'h1', '007 left_knee')
+    position = row(page, 'Present Position')
+    position.wait_for()
+    value, unit, age, source = position.locator('td').all_inner_texts()
+    assert abs(float(value)) < 3.2
+    assert (unit, age, source) == ('rad', 'now', 'read')
+    assert row(page, 'Goal Position').locator('td').last.inner_text() == 'written'
+    position.locator('[data-changed]').wait_for()
+    assert row(page, 'ID').locator('[data-changed]').count() == 0
+    see(page, '.legend', 'Present Position.*rad[\\s\\S]*Goal Position')
+    page.get_by_label('Search fields').fill('temperature limit')
+    wait(lambda: page.locator('.device-fields tbody').first.locator('tr').count() == 1)
+    page.get_by_label('Search fields').fill('')
+    page.get_by_role('button', name='Changing only').click()
+    wait(lambda: 0 < page.locator('.device-fields tbody').first.locator('tr').count() < 10)
+
+
+def test_plot_of_any_number(page):
+    show(page, 'device')
+    field = row(page, 'Present Temperature').locator('button')
+    field.click()
+    assert field.get_attribute('aria-pressed') == 'true'
+    see(page, '.legend', 'Present Temperature.*\u00b0C')
+    assert 'Present Temperature 4' in page.locator('canvas').get_attribute('aria-label')
+    page.get_by_role('button', name='Reply latency', exact=True).click()
+    see(page, '.legend', 'latency p50.*ms[\\s\\S]*latency p95[\\s\\S]*latency max')
+    page.locator('canvas').focus()
+    page.keyboard.press('ArrowLeft')
+    see(page, '.legend', 'at \u2212')
+    drawn = page.evaluate("""() => {
+        const canvas = document.querySelector('canvas');
+        const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+        return pixels.data.some((value) => value > 0);
+    }""")
+    assert drawn
+
+
+def test_error_history_and_findings(page, robot):
+    robot.lost, robot.findings = {7}, FINDINGS
+    show(page, 'device')
+    see(page, '.device-errors li', '007: no answer to Read at 132')
+    show(page, 'log')
+    see(page, '.errors li', '007: no answer to Read at 132')
+    see(page, '.findings li', 'missing termination|Missing Termination')
+    page.locator('.findings a', has_text='012').click()
+    see(page, 'h1', '012')
+    see(page, '.findings', 'Return Delay Time is 250')
+
+
+def test_log_and_timing(page):
+    show(page, 'log')
+    see(page, '.figures tr', 'time per buffer\\s*0\\.')
+    see(page, '.figures tr', 'time between buffers')
+    see(page, '.figures tr', 'resident memory.*61.2')
+    see(page, '[role=meter]', '[34]\\d(\\.\\d)? %')
+    page.locator('.figures button', has_text='time per buffer').click()
+    see(page, '.legend', 'p50.*ms[\\s\\S]*p95.*ms[\\s\\S]*max')
+
+
+def test_bridge(page, robot):
+    show(page, 'bridge')
+    see(page, '.axes', 'driving[\\s\\S]*0.32[\\s\\S]*0.11[\\s\\S]*0.60')
+    assert 'x 0.32 m/s' in page.locator('.dial').get_attribute('aria-label')
+    see(page, '.panel', 'Time-outs\\s*2')
+    see(page, '.legend', 'p50.*ms')
+    robot.velocity = (0.0, -0.25, 0.0)
+    see(page, '.axes', '0.00[\\s\\S]*\u22120.25')
+
+
+def test_search_and_filter_of_devices(page, robot):
+    robot.lost = {7}
+    show(page, 'devices')
+    page.get_by_role('button', name='Error').click()
+    wait(lambda: page.locator('.device').count() == 1)
+    page.get_by_role('button', name='All').click()
+    page.get_by_label('Search devices').fill('hip left')
+    wait(lambda: page.locator('.device').count() == 3)
+    page.get_by_label('Search devices').fill('nothing like that')
+    page.get_by_text('No device fits.').wait_for()
+
+
+def test_keys(page):
+    page.keyboard.press('4')
+    see(page, '.axes', 'driving')
+    page.keyboard.press('2')
+    page.locator('.device').first.wait_for()
+    page.keyboard.press('/')
+    page.keyboard.type('t1')
+    assert page.get_by_label('Search devices').input_value() == 't1'
+    page.keyboard.press('Escape')
+    show(page, 'device')
+    see(page, 'h1', '007')
+    page.keyboard.press(']')
+    see(page, 'h1', '008')
+    page.keyboard.press('u')
+    see(page, 'h1', 'MX-106')
+    page.keyboard.press('?')
+    page.get_by_role('dialog').wait_for()
+    page.keyboard.press('Escape')
+    page.keyboard.press('1')
+    page.wait_for_selector('.tile')
+
+
+def test_everything_is_reached_with_tab(page):
+    reached = set()
+    for _ in range(60):
+        page.keyboard.press('Tab')
+        reached.add(page.evaluate('document.activeElement.className || document.activeElement.id'))
+    assert {'skip', 'bar', 'tile', 'theme'} <= {name.split()[0] for name in reached if name} | {
+        'theme'}
+
+
+def test_theme_follows_the_system_until_chosen(dashboard, robot, open_page):
+    page = open_page(dashboard.address, color_scheme='dark')
+    assert page.evaluate('document.documentElement.dataset.theme') == 'dark'
+    page.emulate_media(color_scheme='light')
+    wait(lambda: page.evaluate('document.documentElement.dataset.theme') == 'light')
+    page.locator('#theme').click()
+    page.reload()
+    assert page.evaluate('document.documentElement.dataset.theme') == 'dark'
+
+
+@pytest.mark.parametrize('size', SIZES)
+def test_every_view_fits(dashboard, robot, open_page, size):
+    robot.lost, robot.warned, robot.findings = {7, 11}, {14}, FINDINGS
+    page = open_page(dashboard.address, size)
+    for view in VIEWS:
+        show(page, view)
+        page.locator('main .panel, main .device, main .tile').first.wait_for()
+        wide = page.evaluate('document.documentElement.scrollWidth - innerWidth')
+        assert wide <= 0, f'{view} is {wide} px too wide'
+
+
+def test_the_whole_overview_fits_the_touch_display(dashboard, robot, open_page):
+    page = open_page(dashboard.address, 'touch')
+    page.wait_for_selector('.tile')
+    see(page, BAR, '24/24')
+    for tile in page.locator('.tile').all():
+        box = tile.bounding_box()
+        assert box['y'] + box['height'] <= SIZES['touch'][1]
+
+
+@pytest.mark.parametrize('theme', ['light', 'dark'])
+def test_accessibility(dashboard, robot, open_page, theme):
+    axe = dashboard_page.axe_source()
+    if not axe:
+        pytest.skip('skipped: no axe-core; pip install axe-playwright-python')
+    robot.lost, robot.warned, robot.silent, robot.findings = {7}, {14}, {103}, FINDINGS
+    page = open_page(dashboard.address, color_scheme=theme, reduced_motion='reduce')
+    page.evaluate(axe)
+    found = []
+    for view in VIEWS:
+        show(page, view)
+        page.locator('main .panel, main .device').first.wait_for()
+        see(page, '.pip', '')
+        result = page.evaluate('axe.run({resultTypes: ["violations"]})')
+        found += [(view, one['id'], one['impact'], [node['html'] for node in one['nodes']][:3])
+                  for one in result['violations']]
+    assert [one for one in found if one[2] in ('serious', 'critical')] == []
+    assert found == []
+
+
+HOSTILE = '<img src=x onerror=alert(1)><script>alert(2)</script>'
+
+
+def hostile_statuses():
+    values = [('Model', HOSTILE), ('Firmware Version', 'NaN'), ('State', 'connected'),
+              (f'{HOSTILE} (rad)', 'nan'), ('Not a number (V)', 'NaN'), ('Endless (A)', 'inf'),
+              ('Huge', '9' * 400), ('Long', 'A' * 1_000_000), (b'\xff\xfe', b'\xed\xa0\x80'),
+              ('', ''), ('__proto__', '1'), ('constructor', '{}'),
+              (f'finding.{HOSTILE}', HOSTILE),
+              ('observed', '{"Not a number":[0.1,"r"],"Endless":[NaN,"x"],"__proto__":[1,"r"]}')]
+    bus = [('Port', HOSTILE), ('Baud (bit/s)', 'NaN'), ('error 00', HOSTILE),
+           ('error 01', 'B' * 1_000_000)]
+    return [Status('dxl_monitor: 001', Level.WARN, HOSTILE, '1', values),
+            Status(f'dxl_monitor: 002 {HOSTILE}', Level.OK, 'C' * 1_000_000, '2', values),
+            Status(f'dxl_monitor: {HOSTILE}/003', Level.OK, '\u202e\0\n', f'{HOSTILE}/3',
+                   values),
+            Status('dxl_monitor: 004 __proto__', 7, '', '4', values[:3]),
+            Status('dxl_monitor: bus', Level.ERROR, HOSTILE, '', bus),
+            Status(f'dxl_monitor: timing/{HOSTILE}', Level.OK, '', '', [('value (%)', 'NaN')]),
+            Status('vel2d_bridge: link', Level.OK, HOSTILE, '', [
+                ('Port', HOSTILE), ('State', HOSTILE), ('Last x (m/s)', 'NaN'),
+                ('Last y (m/s)', '1e400'), ('Last omega (rad/s)', HOSTILE)])]
+
+
+def test_hostile_values_are_text(open_page):
+    with Dashboard() as dashboard:
+        for _ in range(3):
+            dashboard.take([('dxl/diagnostics', serialise(hostile_statuses())),
+                            ('/diagnostics', b'\0\1\0\0garbage')])
+        page = open_page(dashboard.address)
+        see(page, '.tile', re.escape(HOSTILE))
+        show(page, 'log')
+        see(page, '.errors li', re.escape(HOSTILE))
+        see(page, '.errors li', '1000000 bytes')
+        show(page, 'bridge')
+        see(page, '.axes', 'NaN')
+        page.goto(f'{dashboard.address}#/device/dxl_monitor: 001')
+        see(page, '.fields td', 'NaN')
+        see(page, '.fields td', '1000000 bytes')
+        page.goto(f'{dashboard.address}#/devices')
+        assert page.locator('.device').count() == 4
+        assert page.locator('img').count() == 0
+        assert page.locator('script').count() == 2
+        page.context.close()
+
+
+@pytest.mark.parametrize('address', ['#/device/nobody', '#/devices/x/y', '#/log/%', '#/%ff',
+                                     '#/constructor', '#//', '#/device/'])
+def test_any_address(dashboard, robot, open_page, address):
+    page = open_page(dashboard.address + address)
+    page.locator('main > *').first.wait_for()
+    see(page, '#live', 'live')
+
+
+def test_nothing_published_yet(open_page):
+    with Dashboard() as dashboard:
+        page = open_page(dashboard.address)
+        see(page, '.empty', 'Nobody publishes dxl/diagnostics in ROS domain')
+        see(page, '.empty', 'ros2 run mecarover_serial dxl_monitor')
+        show(page, 'bridge')
+        see(page, '.empty', 'vel2d_bridge')
+        dashboard.server.publishers({'dxl/diagnostics': 1, 'vel2d/timing': 1})
+        see(page, '.empty', '1 publisher of vel2d/timing, no message yet')
+        page.context.close()
+
+
+@contextmanager
+def lost_requests_allowed(page):
+    """Allow the browser to log that it could not connect: that is what is tested."""
+    yield
+    page.complaints[:] = [one for one in page.complaints if 'ERR_' not in one]
+
+
+def test_a_lost_connection_is_said_and_heals(open_page):
+    with Dashboard() as dashboard, Feed(dashboard) as feed:
+        page = open_page(dashboard.address)
+        see(page, BAR, '24/24')
+        show(page, 'device')
+        row(page, 'Present Position').wait_for()
+        with lost_requests_allowed(page):
+            dashboard.stop()
+            page.locator('#banner').wait_for()
+            assert 'No connection to the dashboard. What you see is old' \
+                in page.locator('#banner').inner_text()
+            see(page, '#live', 'lost')
+            assert 'no connection' in page.title()
+            feed.robot.lost = {7}
+            dashboard.start()
+            page.locator('#banner').wait_for(state='hidden')
+            see(page, '.badge', 'disconnected')
+            see(page, '.device-head .message', '7 answers missed')
+            see(page, '#live', 'live')
+        page.context.close()
+
+
+def test_a_monitor_that_falls_silent(dashboard, open_page):
+    with Feed(dashboard):
+        page = open_page(dashboard.address)
+        see(page, BAR, '24/24')
+    see(page, BAR, 'No report from dxl_monitor for \\d+ s')
+    assert state_of(page, BAR) == 'stale'
+
+
+def test_several_full_buses(open_page):
+    robot = SyntheticRobot({f'bus{i}': MANY[:60] for i in range(4)})
+    robot.lost = {17}
+    with Dashboard() as dashboard:
+        dashboard.take(robot.messages(100.0))
+        page = open_page(dashboard.address)
+        see(page, BAR, '59/60.*Lost: 017')
+        assert page.locator(BAR).count() == 4
+        page.locator(BAR).nth(2).click()
+        see(page, 'h1', 'Bus bus2')
+        assert page.locator('.device').count() == 60
+        show(page, 'log')
+        page.locator('.choice a', has_text='bus3').click()
+        see(page, '.choice a[aria-current]', 'bus3')
+        page.context.close()
+
+
+def test_open_to_the_network_is_said_on_the_page(open_page):
+    with Dashboard(is_open=True) as dashboard:
+        page = open_page(dashboard.address)
+        see(page, '#foot', 'Open to the network: whoever reaches 127.0.0.1')
+        page.context.close()

@@ -1,0 +1,156 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The dashboard as users meet it: a process that hears the real monitor on a fake bus."""
+from importlib import util
+import re
+import signal
+
+import dashboard_page
+from harness import Program
+from harness import wait
+import pytest
+from synthetic_robot import SyntheticRobot
+from test_dashboard_browser import see
+from test_dashboard_server import Stream
+
+pytestmark = [pytest.mark.ros,
+              pytest.mark.skipif(util.find_spec('aiohttp') is None, reason='skipped: no aiohttp')]
+
+
+class Running(Program):
+    """A dashboard process on a free port."""
+
+    def __init__(self, *arguments):
+        super().__init__('dxl_monitor.dashboard.main', '--port', '0', *arguments)
+
+    def __enter__(self):
+        self.line = self.wait_for('http://')
+        self.port = int(re.search(r':(\d+)\b', self.line.partition('http://')[2])[1])
+        wait(lambda: Stream(self).next())
+        return self
+
+
+def collect(stream, rows, condition):
+    """Apply events to `rows` until the condition holds; return the last table seen."""
+    table = {}
+    for _ in range(300):
+        event = stream.next()
+        for section in ('devices', 'buses', 'bridge', 'timing'):
+            rows.setdefault(section, {}).update(event.get(section, {}))
+        table.update(event.get('table', {}))
+        if condition():
+            return table
+    raise AssertionError(f'never came: {rows.keys()}')
+
+
+@pytest.mark.ros
+def test_the_real_monitor_on_a_fake_bus(ros, tmp_path):
+    link = tmp_path / 'bus'
+    with Program('dxl_monitor.fake_bus', '--link', str(link), '--devices', '1-3:MX-106',
+                 '4:BitFoot', '--fault', 'silent:2:6:5'), Running() as dashboard:
+        wait(link.exists)
+        with Program('dxl_monitor.main', '--ros-args', '-p', f"ports:=['{link}']", '-p',
+                     "devices:=['1-2:MX-106','3:MX-106:knee','4:BitFoot']"):
+            stream, rows = Stream(dashboard, 'watch=dxl_monitor:%20003%20knee'), {}
+            devices = rows.setdefault('devices', {})
+            state = {}
+
+            def lost():
+                state.update({row['id']: row['state'] for row in devices.values()})
+                return state.get(2) == 'disconnected'
+            table = collect(stream, rows, lost)
+            assert state[1] == 'connected'
+            collect(stream, rows, lambda: not lost())
+            stream.close()
+            again = Stream(dashboard, 'watch=dxl_monitor:%20003%20knee')
+            table = collect(again, rows, lambda: True)
+            again.close()
+    knee = devices['dxl_monitor: 003 knee']
+    assert (knee['model'], knee['joint'], knee['id']) == ('MX-106', 'knee', 3)
+    fields = {field[0]: field for field in table['fields']}
+    assert abs(float(fields['Present Position (rad)'][1])) < 3.2
+    assert fields['Present Position (rad)'][4] == 'r'
+    [bus] = rows['buses'].values()
+    assert bus['errors']
+    assert {'bus_load', 'time_per_buffer', 'time_between_buffers', 'resident_memory'} \
+        <= {row['metric'] for row in rows['timing'].values()}
+
+
+@pytest.mark.ros
+@pytest.mark.skipif(bool(dashboard_page.why_not()), reason=dashboard_page.why_not() or 'runs')
+def test_every_view_of_the_real_robot(ros, tmp_path):
+    link, mcu = tmp_path / 'bus', tmp_path / 'mcu'
+    with Program('dxl_monitor.fake_bus', '--link', str(link), '--devices', '1-3:MX-106',
+                 '4:BitFoot', '--fault', 'silent:2:6:4'), \
+            Program('vel2d_bridge.fake_mcu', '--link', str(mcu)), Running() as dashboard:
+        wait(lambda: link.exists() and mcu.exists())
+        with Program('dxl_monitor.main', '--ros-args', '-p', f"ports:=['{link}']", '-p',
+                     "devices:=['1-3:MX-106','4:BitFoot']"), \
+                Program('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}'), \
+                dashboard_page.browser() as chromium:
+            page = chromium.new_page()
+            complaints = []
+            page.on('console', lambda message: complaints.append(message.text))
+            page.on('pageerror', lambda error: complaints.append(str(error)))
+            page.goto(dashboard.line.split()[1])
+            see(page, '.bar', 'Lost: 002')
+            see(page, '.bar', '4/4')
+            see(page, '.tile', 'MX-106')
+            page.goto(f'{page.url}#/device/dxl_monitor: 001')
+            see(page, '.fields tr', 'Present Position.*rad.*read')
+            page.keyboard.press('3')
+            see(page, '.figures tr', 'time per buffer')
+            see(page, '.errors li', '002: no answer')
+            page.keyboard.press('4')
+            see(page, '.axes', 'stopped')
+            see(page, '.panel', 'Link.*open')
+            see(page, '.panel', 'Commands.*Topic')
+            assert complaints == []
+            page.close()
+
+
+@pytest.mark.ros
+def test_a_recording_shows_as_the_robot_did(ros, graph):
+    """`ros2 bag play` publishes what was recorded: old stamps, no node of that name."""
+    from rclpy.serialization import deserialize_message
+    robot = SyntheticRobot()
+    robot.lost = {7}
+    publishers = {}
+    with Running() as dashboard:
+        for topic, data in robot.messages(100.0):
+            if topic not in publishers:
+                publishers[topic] = graph.publisher(f'/{topic.lstrip("/")}', ros.DiagnosticArray,
+                                                    ros.qos(100))
+            message = deserialize_message(data, ros.DiagnosticArray)
+            message.header.stamp.sec = 1_500_000_000
+            publishers[topic].publish(message)
+        stream, rows = Stream(dashboard), {}
+        expected = {'devices': 24, 'buses': 1, 'bridge': 2, 'timing': 14}
+        collect(stream, rows,
+                lambda: {name: len(found) for name, found in rows.items()} == expected)
+        stream.close()
+    assert rows['devices']['dxl_monitor: 007 left_knee']['state'] == 'disconnected'
+    assert not any('quiet_since' in row for row in rows['devices'].values())
+    for publisher in publishers.values():
+        graph.node.destroy_publisher(publisher)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signals_end_it_with_code_0(ros, number):
+    with Running() as dashboard:
+        stream = Stream(dashboard)
+        stream.next()
+        dashboard.signal(number)
+        assert dashboard.exit_code() == 0
+        stream.close()
+    assert 'Traceback' not in dashboard.text
+    assert len(dashboard.lines) == 1
+
+
+@pytest.mark.ros
+def test_names_can_be_remapped(ros, graph):
+    """Several robots in one graph: each dashboard stands in the namespace of its robot."""
+    with Running('--ros-args', '-r', '__ns:=/left'):
+        wait(lambda: graph.node.count_subscribers('/left/dxl/diagnostics'))
+        assert graph.node.count_subscribers('/diagnostics')

@@ -1,0 +1,256 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The web server of the dashboard: what it serves, to whom, how its stream goes on."""
+import gzip
+from http.client import HTTPConnection
+from importlib import util
+import json
+import socket
+import zlib
+
+from dashboard_page import Dashboard
+from harness import Program
+import pytest
+from synthetic_robot import SyntheticRobot
+
+pytestmark = pytest.mark.skipif(util.find_spec('aiohttp') is None, reason='skipped: no aiohttp')
+KNEE = 'dxl_monitor:%20007%20left_knee'
+
+
+@pytest.fixture
+def dashboard():
+    with Dashboard() as dashboard:
+        yield dashboard
+
+
+def ask(dashboard, path='/', method='GET', **headers):
+    connection = HTTPConnection('127.0.0.1', dashboard.port, timeout=20)
+    connection.request(method, path, headers=headers)
+    response = connection.getresponse()
+    body = response.read()
+    connection.close()
+    return response, body
+
+
+class Stream:
+    """The events of one page; `id` is what it would resume with."""
+
+    def __init__(self, dashboard, query='', **headers):
+        self._connection = HTTPConnection('127.0.0.1', dashboard.port, timeout=20)
+        self._connection.request('GET', f'/events?{query}', headers=headers)
+        self.response = self._connection.getresponse()
+        self.id = ''
+
+    def next(self):
+        while True:
+            line = self.response.readline().decode()
+            if line.startswith('id: '):
+                self.id = line[4:].strip()
+            elif line.startswith('data: '):
+                return json.loads(line[6:])
+
+    def until(self, condition):
+        for _ in range(50):
+            event = self.next()
+            if condition(event):
+                return event
+        raise AssertionError('never came')
+
+    def close(self):
+        self._connection.close()
+
+
+def test_page_and_headers(dashboard):
+    response, body = ask(dashboard)
+    assert response.status == 200
+    assert b'<title>mecarover</title>' in body
+    policy = response.headers['Content-Security-Policy']
+    assert "default-src 'self'" in policy
+    assert "frame-ancestors 'none'" in policy
+    assert 'unsafe' not in policy
+    assert response.headers['X-Content-Type-Options'] == 'nosniff'
+    assert response.headers['Referrer-Policy'] == 'no-referrer'
+    assert 'aiohttp' not in response.headers['Server']
+    assert b'http://' not in body and b'https://' not in body, 'nothing from elsewhere'
+
+
+def test_nothing_is_inline(dashboard):
+    _, page = ask(dashboard)
+    assert b'<style' not in page and b' style=' not in page and b' onclick' not in page
+    assert page.count(b'<script') == page.count(b'<script src=') + page.count(b'<script type=')
+
+
+@pytest.mark.parametrize('path', [
+    '/../server.py', '/..%2fserver.py', '/%2e%2e/server.py', '/static/index.html', '/server.py',
+    '//etc/passwd', '/etc/passwd', '/.git/config', '/index.html/..', '/main.js%00.html',
+    '/x' * 999])
+def test_no_path_leads_out(dashboard, path):
+    response, body = ask(dashboard, path)
+    assert response.status in (400, 403, 404)
+    assert b'import' not in body
+
+
+@pytest.mark.parametrize('method', ['POST', 'PUT', 'DELETE', 'PATCH', 'OPTIONS', 'TRACE'])
+@pytest.mark.parametrize('path', ['/', '/events', '/nowhere'])
+def test_it_only_reads(dashboard, method, path):
+    response, _ = ask(dashboard, path, method)
+    assert response.status == 405
+    assert response.headers['X-Content-Type-Options'] == 'nosniff'
+
+
+def test_head(dashboard):
+    for path in ('/', '/events', '/main.js'):
+        response, body = ask(dashboard, path, 'HEAD')
+        assert (response.status, body) == (200, b'')
+
+
+@pytest.mark.parametrize(('host', 'is_open', 'status'), [
+    ('localhost:8420', False, 200), ('127.0.0.1', False, 200), ('[::1]:8420', False, 200),
+    ('evil.example', False, 421), ('evil.example:8420', False, 421), ('', False, 421),
+    ('localhost.evil.example', False, 421), ('192.168.1.7:8420', False, 421),
+    ('192.168.1.7:8420', True, 200), ('[fe80::1]:8420', True, 200), ('evil.example', True, 421),
+    (socket.gethostname(), True, 200), (f'{socket.gethostname()}.local:8420', True, 200)])
+def test_only_names_of_this_machine(host, is_open, status):
+    with Dashboard(is_open) as dashboard:
+        assert ask(dashboard, Host=host)[0].status == status
+        assert ask(dashboard, '/index.html', Host=host)[0].status == status
+
+
+def test_files_are_compressed(dashboard):
+    response, body = ask(dashboard, '/main.js', **{'Accept-Encoding': 'gzip'})
+    assert response.headers['Content-Encoding'] == 'gzip'
+    assert gzip.decompress(body) == ask(dashboard, '/main.js')[1]
+    assert response.headers['Content-Type'].startswith('text/javascript')
+
+
+def test_stream_tells_everything_then_changes(dashboard):
+    robot = SyntheticRobot()
+    dashboard.take(robot.messages(100.0))
+    stream = Stream(dashboard)
+    first = stream.until(lambda event: 'devices' in event)
+    assert len(first['devices']) == 24
+    assert (first.get('facts') or {}).get('open', False) is False
+    robot.lost = {7}
+    dashboard.take(robot.messages(100.0))
+    change = stream.until(lambda event: 'devices' in event)
+    assert set(change['devices']) == {'dxl_monitor: 007 left_knee'}
+    stream.close()
+
+
+def test_stream_goes_on_where_it_ended(dashboard):
+    robot = SyntheticRobot()
+    dashboard.take(robot.messages(100.0))
+    stream = Stream(dashboard)
+    stream.until(lambda event: 'devices' in event)
+    stream.close()
+    again = Stream(dashboard, f'since={stream.id}')
+    event = again.next()
+    assert 'facts' not in event and 'devices' not in event
+    again.close()
+    for since in ('', 'other.5', 'x', f'{stream.id}9x', '.', f'{stream.id.partition(".")[0]}.-1',
+                  f'{stream.id.partition(".")[0]}.{"9" * 5000}'):
+        anew = Stream(dashboard, f'since={since}')
+        assert 'facts' in anew.next(), since
+        anew.close()
+
+
+def test_stream_beats_while_nothing_happens(dashboard):
+    stream = Stream(dashboard)
+    stamps = [stream.next()['now'] for _ in range(3)]
+    assert stamps == sorted(stamps)
+    stream.close()
+
+
+def test_the_table_of_one_device(dashboard):
+    robot = SyntheticRobot()
+    dashboard.take(robot.messages(100.0))
+    stream = Stream(dashboard, f'watch={KNEE}')
+    table = stream.until(lambda event: 'table' in event)['table']
+    assert table['name'] == 'dxl_monitor: 007 left_knee'
+    assert len(table['fields']) == 60
+    assert len(table['latency'][0]) == 4
+    dashboard.take(robot.messages(100.1))
+    change = stream.until(lambda event: 'table' in event)['table']
+    assert 'fields' not in change
+    changed = {table['fields'][int(at)][0] for at in change['some']}
+    assert 'Present Position (rad)' in changed
+    assert len(changed) < 30
+    stream.close()
+
+
+def test_compressed_stream(dashboard):
+    dashboard.take(SyntheticRobot().messages(100.0))
+    stream = Stream(dashboard, **{'Accept-Encoding': 'gzip'})
+    unzip = zlib.decompressobj(31)
+    text = b''
+    while b'left_knee' not in text:
+        text += unzip.decompress(stream.response.read1(4096))
+    stream.close()
+
+
+def test_watching_nobody(dashboard):
+    stream = Stream(dashboard, 'watch=%00%ff%3Cscript%3E')
+    assert 'table' not in stream.next()
+    stream.close()
+
+
+def test_streams_are_limited(dashboard):
+    from dxl_monitor.dashboard.server import MOST_CLIENTS
+    streams = [Stream(dashboard) for _ in range(MOST_CLIENTS)]
+    assert ask(dashboard, '/events')[0].status == 503
+    assert ask(dashboard, '/')[0].status == 200
+    for stream in streams:
+        stream.close()
+
+
+def test_stop_ends_open_streams(dashboard):
+    stream = Stream(dashboard)
+    stream.next()
+    dashboard.stop()
+    assert not dashboard.server._thread.is_alive()
+    stream.close()
+
+
+def test_an_inbox_that_nobody_empties_is_bounded():
+    from dxl_monitor.dashboard.server import INBOX
+    with Dashboard() as dashboard:
+        dashboard.stop()
+        for _ in range(2 * INBOX):
+            dashboard.server.take('/diagnostics', b'')
+        assert len(dashboard.server._inbox) == INBOX
+
+
+@pytest.mark.parametrize(('options', 'code', 'words'), [
+    (['--port', 'x'], 2, 'usage'), (['--port', '70000'], 2, 'a port is 0 to 65535'),
+    (['--nonsense'], 2, 'usage'), (['--host', '203.0.113.9'], 1, 'not an address of this machine'),
+    (['--host', 'no.such.host.invalid'], 1, 'no.such.host.invalid:8420: ')])
+def test_mistakes_are_one_line(options, code, words):
+    with Program('dxl_monitor.dashboard.main', *options) as program:
+        assert program.exit_code() == code
+    assert words in program.text
+    assert 'Traceback' not in program.text
+    if code == 1:
+        assert len(program.lines) == 1
+
+
+def test_a_port_in_use_is_one_line_with_a_remedy():
+    with Dashboard() as dashboard, \
+            Program('dxl_monitor.dashboard.main', '--port', str(dashboard.port)) as program:
+        assert program.exit_code() == 1
+    assert program.lines == [f'dxl_dashboard: 127.0.0.1:{dashboard.port}: in use; stop the other '
+                             'dashboard, or choose another port with --port']
+
+
+def test_opening_to_the_network_is_said():
+    from dxl_monitor.dashboard.main import announcement
+    assert 'this machine only' in announcement('127.0.0.1', 8420, False)
+    text = announcement('0.0.0.0', 8420, True)
+    assert 'OPEN TO THE NETWORK' in text
+    assert socket.gethostname() in text
+    assert 'no password' in text
+
+
+def test_arguments_for_ros_are_not_ours():
+    from dxl_monitor.dashboard.main import _own
+    assert _own(['--port', '0', '--ros-args', '-r', '__ns:=/a', '--', '--host', '::1']) \
+        == ['--port', '0', '--host', '::1']

@@ -1,0 +1,263 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the dashboard makes of messages: rows, changes since a version, tables, age, limits."""
+import json
+
+import pytest
+from synthetic_robot import FINDINGS
+from synthetic_robot import serialise
+from synthetic_robot import SyntheticRobot
+
+from dxl_monitor.dashboard import cdr
+from dxl_monitor.dashboard import rows
+from dxl_monitor.dashboard.state import FORGET_S
+from dxl_monitor.dashboard.state import MOST_ROWS
+from dxl_monitor.dashboard.state import State
+from dxl_monitor.dashboard.state import TABLES
+from msg_defs.reports import Level
+from msg_defs.reports import Status
+
+KNEE = 'dxl_monitor: 007 left_knee'
+
+
+@pytest.fixture
+def robot():
+    return SyntheticRobot()
+
+
+def told(robot, state=None, now_s=100.0):
+    state = State() if state is None else state
+    for topic, message in robot.messages(now_s):
+        state.take(topic, message, now_s)
+    return state
+
+
+def one_device(values=(), **fields):
+    status = Status('dxl_monitor: 011', Level.OK, 'connected', '11',
+                    [('Model', 'MX-106'), ('Firmware Version', '44'), ('State', 'connected'),
+                     *values])
+    return status._replace(**fields)
+
+
+def take_one(status, topic=TABLES, state=None, now_s=1.0):
+    state = State() if state is None else state
+    state.take(topic, serialise([status]), now_s)
+    return state
+
+
+@pytest.mark.parametrize('order', ['<', '>'])
+def test_statuses_come_out_as_they_went_in(robot, order):
+    sent = robot.tables(3.0)
+    got = cdr.statuses(serialise(sent, order))
+    assert [(one.level, one.name, one.message, one.hardware_id, one.pairs()) for one in got] \
+        == [(one.level, one.name, one.message, one.hardware_id, one.values)
+            if len(dict(one.values).get('observed', '')) <= cdr.TEXT_LIMIT
+            else (one.level, one.name, one.message, one.hardware_id, one_cut(one.values))
+            for one in sent]
+
+
+def one_cut(values):
+    return [(key, value if len(value) <= cdr.TEXT_LIMIT
+             else f'{value[:cdr.TEXT_LIMIT]}\u2026 ({len(value)} bytes)') for key, value in values]
+
+
+@pytest.mark.ros
+def test_the_format_is_that_of_ros(robot, ros):
+    from rclpy.serialization import deserialize_message
+    from rclpy.serialization import serialize_message
+    data = serialise(robot.tables(3.0))
+    message = deserialize_message(data, ros.DiagnosticArray)
+    assert len(message.status) == len(robot.tables(3.0))
+    again = cdr.statuses(serialize_message(message))
+    assert [one.pairs() for one in again] == [one.pairs() for one in cdr.statuses(data)]
+
+
+def test_no_bytes_raise(robot):
+    data = serialise(robot.overview(3.0)[:2])
+    state = State()
+    broken = [data[:size] for size in range(len(data))]
+    broken += [bytes(data[:at]) + b'\xff\xff\xff\x7f' + bytes(data[at + 4:])
+               for at in range(0, len(data) - 4, 4)]
+    for message in broken:
+        state.take(TABLES, message, 1.0)
+    assert state.malformed > len(data) / 2
+    json.dumps(state.changes(0), allow_nan=False)
+
+
+def test_sections(robot):
+    changes = told(robot).changes(0)
+    assert {section: len(found) for section, found in changes.items()} \
+        == {'devices': 24, 'buses': 1, 'bridge': 2, 'timing': 8 + 6}
+    knee = changes['devices'][KNEE]
+    assert (knee['id'], knee['joint'], knee['model'], knee['state'], knee['level'], knee['bus']) \
+        == (7, 'left_knee', 'MX-106', 'connected', 0, '')
+
+
+def test_buses_are_told_apart():
+    robot = SyntheticRobot({'left': ((1, 'MX-64', ''),), 'right': ((1, 'MX-64', 'hand'),)})
+    changes = told(robot).changes(0)
+    assert {(row['bus'], row['id'], row['joint']) for row in changes['devices'].values()} \
+        == {('left', 1, ''), ('right', 1, 'hand')}
+    assert {row['bus'] for row in changes['buses'].values()} == {'left', 'right'}
+    assert {row['of'] for row in changes['timing'].values()} == {'left', 'right', ''}
+
+
+def test_statuses_of_others_are_none_of_ours():
+    state = State()
+    others = [Status('cpu_monitor: usage', Level.OK, 'fine', 'pi', [('Load', '3')]),
+              Status('no colon', Level.ERROR, '', '', []),
+              Status('camera: bus', Level.OK, 'usb', '', [('Speed', '480')]),
+              Status('camera: link', Level.OK, '', '', [])]
+    state.take('/diagnostics', serialise(others), 1.0)
+    assert state.changes(0) == {}
+
+
+def test_only_what_changed_is_told(robot):
+    state = told(robot)
+    before = state.version
+    assert state.changes(before) == {}
+    robot.lost = {7}
+    told(robot, state, 100.0)
+    changes = state.changes(before)
+    assert set(changes['devices']) == {KNEE}
+    assert changes['devices'][KNEE]['level'] == 2
+    assert [len(row['points']) for row in changes['timing'].values()] == [1] * 14
+
+
+def test_the_same_report_twice_is_no_change():
+    state = take_one(one_device([('Present Position (rad)', '1.5')]))
+    before = state.version
+    take_one(one_device([('Present Position (rad)', '1.6')]), state=state, now_s=1.5)
+    assert state.changes(before) == {}          # tables are for those who look at them
+
+
+def test_the_short_form_keeps_what_only_the_long_one_says(robot):
+    robot.lost = {7}
+    state = told(robot)
+    robot_bus = state.changes(0)['buses']['dxl_monitor: bus']
+    assert robot_bus['errors'][0].endswith('007: no answer to Read at 132')
+    assert any(field.key == 'Present Position (rad)' for field in state.table(KNEE).fields)
+
+
+def test_findings(robot):
+    robot.findings = FINDINGS
+    changes = told(robot).changes(0)
+    assert changes['buses']['dxl_monitor: bus']['findings'][0][0] == 'missing_termination'
+    assert changes['devices']['dxl_monitor: 012 right_ankle_roll']['findings'][0][0] \
+        == 'return_delay'
+
+
+def test_table(robot):
+    state = told(robot)
+    table = state.table(KNEE)
+    fields = {field.key: field for field in table.fields}
+    assert len(fields) == len(table.fields) == 60
+    assert fields['Goal Position (rad)'].source == 'w'
+    assert fields['Present Position (rad)'].source == 'r'
+    assert fields['Present Position (rad)'].seen == pytest.approx(100 - 0.01, abs=0.01)
+    assert fields['Operating Mode'].raw == '0'
+    assert dict(table.facts)['Firmware Version'] == '44'
+    assert dict(table.facts)['Fields not observed'] == '9'
+    assert state.table('nobody') is None
+    assert state.table(KNEE) is table
+    state.keep_tables(set())
+    assert state.table(KNEE) is not table
+
+
+def test_a_field_that_was_not_seen_again_keeps_its_time():
+    values = [('ID', '11'), ('observed', '{"ID":[20.0,"r"]}')]
+    state = take_one(one_device(values), now_s=100.0)
+    first = state.table('dxl_monitor: 011')
+    values[1] = ('observed', '{"ID":[20.4,"r"]}')
+    take_one(one_device(values), state=state, now_s=100.55)
+    assert state.table('dxl_monitor: 011') == first
+
+
+@pytest.mark.parametrize('observed', [
+    '', 'no json', '[1]', '{"Goal":3}', '{"Goal":[]}', '{"Goal":[NaN,"r"]}', '{"Goal":["a",4]}',
+    '{"Goal":[-1,"r"]}', '{"Goal":[1e999,"r"]}', '[' * 5000, '{"Goal":[null,null]}'])
+def test_whatever_stands_in_observed(observed):
+    state = take_one(one_device([('Goal', 'NaN'), ('observed', observed)]))
+    table = state.table('dxl_monitor: 011')
+    assert ('Goal', 'NaN') in [*table.facts, *(field[:2] for field in table.fields)]
+    json.dumps(table, allow_nan=False)
+
+
+def test_long_texts_are_cut_and_said_to_be():
+    state = take_one(one_device([('x' * 1_000_000, 'y' * 1_000_000)], message='z' * 1_000_000))
+    [(_, row)] = state.changes(0)['devices'].items()
+    assert len(row['message']) < 600
+    key, value = state.table('dxl_monitor: 011').facts[-1]
+    assert len(key) < 600
+    assert value.endswith('\u2026 (1000000 bytes)')
+
+
+def test_text_that_is_no_text():
+    broken = one_device([(b'\xff\xfe', b'\xed\xa0\x80')], message=b'\xc3(')
+    state = take_one(broken)
+    assert '\ufffd' in state.changes(0)['devices']['dxl_monitor: 011']['message']
+    json.dumps(state.changes(0)).encode()
+
+
+def test_reply_latency_of_a_device_is_for_those_who_look(robot):
+    state = told(robot)
+    told(robot, state, 101.0)
+    assert [point[0] for point in state.latency(KNEE, 0.0)] == [101.0] or \
+        [point[0] for point in state.latency(KNEE, 0.0)] == [100.0, 101.0]
+    assert state.latency(KNEE, 101.0) == []
+    assert not any('reply_latency' in name for name in state.changes(0)['timing'])
+
+
+def test_silence_is_judged_by_arrival(robot):
+    state = told(robot, now_s=100.0)
+    state.expire(103.0)
+    before = state.version
+    assert 'quiet_since' not in state.changes(0)['devices'][KNEE]
+    state.expire(105.0)
+    assert state.changes(before)['devices'][KNEE]['quiet_since'] == 100.0
+    before = state.version
+    state.expire(300.0)                         # the node itself is silent: last values stay
+    assert state.changes(before) == {}
+    told(robot, state, 301.0)
+    assert 'quiet_since' not in state.changes(before)['devices'][KNEE]
+
+
+def test_a_slow_monitor_is_not_silent():
+    state = State()
+    for now_s in (10.0, 20.0, 20.01, 30.0, 30.01):
+        take_one(one_device(), state=state, now_s=now_s)
+    state.expire(40.0)
+    assert 'quiet_since' not in state.changes(0)['devices']['dxl_monitor: 011']
+    state.expire(60.0)
+    assert 'quiet_since' in state.changes(0)['devices']['dxl_monitor: 011']
+
+
+def test_what_its_node_does_not_know_any_more_goes(robot):
+    state = told(robot)
+    fewer = SyntheticRobot({'': ((1, 'MX-106', 'left_hip_yaw'),)})
+    later = 100.0 + FORGET_S + 1
+    told(fewer, state, later)
+    before = state.version
+    state.expire(later)
+    assert state.changes(before)['devices'][KNEE] is None
+    assert set(state.changes(0)['devices']) == {'dxl_monitor: 001 left_hip_yaw'}
+    assert state.table(KNEE) is None
+    told(robot, state, later + 1)
+    assert state.changes(before)['devices'][KNEE]['id'] == 7
+
+
+def test_names_cannot_fill_the_memory():
+    state = State()
+    for at in range(0, MOST_ROWS + 100, 100):
+        statuses = [one_device(name=f'dxl_monitor: 011 {at + i}') for i in range(100)]
+        state.take(TABLES, serialise(statuses), 1.0)
+    assert len(state.changes(0)['devices']) == MOST_ROWS
+    assert state.refused == 100
+
+
+@pytest.mark.parametrize(('values', 'figures'), [
+    ([('p50 (ms)', '1.5'), ('p95 (ms)', '2'), ('max (ms)', '3')], [1.5, 2.0, 3.0]),
+    ([('p50 (ms)', 'nan'), ('max (ms)', 'inf')], [None, None, None]),
+    ([('value (%)', '42')], [42.0]), ([], [None])])
+def test_what_of_a_metric_is_plotted(values, figures):
+    assert rows.figures(values) == figures
