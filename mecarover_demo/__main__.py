@@ -1,0 +1,187 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The demo: a fake MCU, a fake bus, both nodes, and a scripted drive, ending with a verdict.
+
+Every process is started as a user would start it, every figure comes out of a fake or a topic.
+"""
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import socket
+import sys
+import tempfile
+import time
+from typing import Any
+import urllib.request
+
+from mecarover_demo.scenes import judge
+from mecarover_demo.scenes import Scene
+from mecarover_demo.scenes import SCENES
+from mecarover_demo.scenes import SetPoint
+from mecarover_demo.scenes import TIME_OUT_BOUND_S
+from mecarover_demo.scenes import Verdict
+from mecarover_demo.stage import Stage
+from mecarover_demo.table import DeviceTable
+from mecarover_serial.cli import COULD_NOT_RUN
+from mecarover_serial.cli import no_ros
+from mecarover_serial.cli import run_tool
+from msg_defs.vel2d import STOP
+
+READY_S = 20.0          # starting everything on a busy machine; discovery alone takes up to 2.5 s
+COMMAND_PERIOD_S = 0.05
+SILENT_ID, SILENT_AT_S, SILENT_FOR_S = 7, 6, 4
+DEVICES = ('1-4:MX-106', '5-12:MX-64', '13-15:Rhoban DXL board', '16-18:BitFoot',
+           '19-20:Bit-Bots IMU')
+
+
+def main() -> int:
+    """Run the demo; return the exit code."""
+    return run_tool('demo', _main)
+
+
+def _main(arguments: list[str]) -> int:
+    options = _parser().parse_args(arguments)
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    try:
+        from mecarover_demo.node import Operator
+    except ImportError as error:
+        return no_ros('demo', error)
+    operator = Operator()
+    with tempfile.TemporaryDirectory(prefix='mecarover-') as folder, Stage() as stage:
+        show = Show(stage, operator, folder)
+        try:
+            verdicts = show.run(options.seconds)
+        except KeyboardInterrupt:
+            verdicts = show.verdicts
+        finally:
+            operator.close()
+        stage.end()
+        verdicts += [Verdict(name, code == 0, f'ended with {code}')
+                     for name, code in stage.exit_codes.items()]
+    return _conclude(verdicts)
+
+
+def _conclude(verdicts: list[Verdict]) -> int:
+    failed = [one for one in verdicts if not one.passed]
+    for one in failed:
+        print(f'FAILED  {one.scene}: {one.text}')
+    print(f'demo: {len(verdicts) - len(failed)} of {len(verdicts)} checks passed')
+    return COULD_NOT_RUN if failed else 0
+
+
+class Show:
+    """One run of the demo."""
+
+    def __init__(self, stage: Stage, operator: Any, folder: str) -> None:
+        self.verdicts: list[Verdict] = []
+        self._operator = operator
+        self._set_points: list[SetPoint] = []
+        self._read = 0
+        mcu = os.path.join(folder, 'mcu')
+        bus = os.path.join(folder, 'bus')
+        print(f'demo: fake MCU on {mcu}, fake Dynamixel bus on {bus}', flush=True)
+        self._mcu = stage.start('vel2d_bridge.fake_mcu', '--link', mcu, '--json')
+        self._bridge = stage.start('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}')
+        self._table = DeviceTable()
+        self._stage = stage
+        devices = ','.join(DEVICES)
+        stage.start('dxl_monitor.fake_bus', '--link', bus, '--devices', devices, '--fault',
+                    f'silent:{SILENT_ID}:{SILENT_AT_S}:{SILENT_FOR_S}')
+        stage.start('dxl_monitor.main', '--ros-args', '-p', f'ports:={bus}', '-p',
+                    f'devices:={list(DEVICES)}')
+        self._dashboard = stage.start('dxl_monitor.dashboard.main', '--port', _page_port())
+
+    def run(self, seconds: float | None) -> list[Verdict]:
+        """Play scene after scene; with a time limit, every scene once and then until it ends."""
+        begin = time.monotonic()
+        self._await_ready(begin + READY_S)
+        self.verdicts.append(self._see_dashboard())
+        started = time.monotonic()
+        round_ = 0
+        while seconds is None or round_ == 0 or time.monotonic() - started < seconds:
+            for scene in SCENES:
+                self._play(scene)
+            round_ += 1
+        self.verdicts += self._table.verdicts(SILENT_ID)
+        return self.verdicts
+
+    def _await_ready(self, deadline: float) -> None:
+        """Wait until the bridge listens and the monitor reports."""
+        while not (self._operator.is_heard() and self._table.devices(self._operator.statuses)):
+            self._operator.command(STOP)
+            self._operator.spin(COMMAND_PERIOD_S)
+            for actor in self._stage.actors:
+                if actor.exit_code is not None:
+                    raise OSError(f'{actor.name} ended: {" / ".join(list(actor.lines)[-3:])}')
+            if time.monotonic() > deadline:
+                raise OSError(f'not ready after {READY_S:g} s; is the machine very busy?')
+
+    def _see_dashboard(self) -> Verdict:
+        """Say where the page is, and load it."""
+        line = next((line for line in self._dashboard.lines if 'http://' in line), '')
+        address = line[line.find('http://'):].split(' ')[0]
+        print(f'demo: dashboard on {address}', flush=True)
+        try:
+            with urllib.request.urlopen(address, timeout=READY_S) as page:
+                loaded = '<title>' in page.read().decode()
+        except (OSError, ValueError) as error:
+            return Verdict('dashboard', False, f'{address}: {error}')
+        return Verdict('dashboard', loaded, address)
+
+    def _play(self, scene: Scene) -> None:
+        begin = time.monotonic()
+        while time.monotonic() < begin + scene.seconds:
+            if scene.command is not None:
+                self._operator.command(scene.command)
+            self._listen(COMMAND_PERIOD_S)
+        end = time.monotonic()
+        if scene.kill:
+            end = self._bridge.kill()
+            self._listen(TIME_OUT_BOUND_S)
+            self._operator.forget()
+            self._bridge.restart()
+        elif scene.name == 'restarted':
+            self._await_ready(end + READY_S)
+        verdict = judge(scene, begin, end, self._set_points)
+        self.verdicts.append(verdict)
+        mark = 'ok    ' if verdict.passed else 'FAILED'
+        print(f'  {mark}  {scene.name:24} {verdict.text}', flush=True)
+
+    def _listen(self, seconds: float) -> None:
+        """Take what topics and the MCU say for so long, and show it."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0:
+            self._operator.spin(left)
+            self._read_mcu()
+            self._table.show(self._operator.statuses, time.monotonic())
+
+    def _read_mcu(self) -> None:
+        while self._mcu.lines:
+            record = json.loads(self._mcu.lines.popleft())
+            if 'what' in record:
+                self._set_points.append(SetPoint.from_record(record))
+                x, y, omega = self._set_points[-1].velocity
+                print(f'     MCU  x {x:6.3f} m/s  y {y:6.3f} m/s  omega {omega:6.3f} rad/s  '
+                      f'{record["what"]}', flush=True)
+
+
+def _page_port() -> str:
+    """Return the usual port of the dashboard, or 0 (any) while another one has it."""
+    with socket.socket() as probe:
+        return '0' if probe.connect_ex(('127.0.0.1', 8420)) == 0 else '8420'
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='scripts/demo', description='The whole suite against fake hardware.',
+        epilog='Exit code 0: everything that was shown worked.')
+    parser.add_argument('--seconds', type=float, metavar='N',
+                        help='end after about N seconds (default: run until Ctrl-C)')
+    return parser
+
+
+if __name__ == '__main__':
+    sys.exit(main())

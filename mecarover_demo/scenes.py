@@ -1,0 +1,98 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The script of the demo as data, and what must be seen at the MCU for it to have worked.
+
+Pure: scenes and set-points in, verdicts out. Bounds are those of docs/reliability.md; set-points
+are what the fake MCU prints, in mm/s and rad/s, stamps on the monotonic clock in s.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import NamedTuple
+
+from msg_defs.vel2d import STOP
+from msg_defs.vel2d import Vel2d
+
+TIME_OUT_BOUND_S = 0.5 + 2 / 20 + 0.05 + 0.3    # cmd_vel_timeout, resends, write_timeout, queue
+KILL_BOUND_S = 0.3 + 0.1        # the deadman's promise; a tenth for a busy demo machine
+_MM_PER_M = 1000.0
+_NAN = Vel2d(math.nan, 0.0, 0.0)
+
+
+class Scene(NamedTuple):
+    """Publish `command` for `seconds` (None: nothing); `kill` the bridge at its end."""
+
+    name: str
+    seconds: float
+    command: Vel2d | None
+    kill: bool = False
+
+
+SCENES = (
+    Scene('forward', 1.5, Vel2d(0.3, 0.0, 0.0)),
+    Scene('strafe left', 1.5, Vel2d(0.0, 0.2, 0.0)),
+    Scene('turn', 1.5, Vel2d(0.0, 0.0, 0.8)),
+    Scene('silence', 1.5, None),
+    Scene('NaN', 1.0, _NAN),
+    Scene('forward, then kill -9', 1.5, Vel2d(0.3, 0.0, 0.0), kill=True),
+    Scene('restarted', 2.5, None),
+    Scene('diagonal', 1.0, Vel2d(0.2, -0.2, 0.0)),
+    Scene('silence', 1.5, None),
+)
+
+
+class SetPoint(NamedTuple):
+    """A set-point that the MCU took: from `stamp` (s) on it holds x, y (m/s), omega (rad/s)."""
+
+    stamp: float
+    velocity: Vel2d
+
+    @classmethod
+    def from_record(cls, record: dict[str, float]) -> SetPoint:
+        """Read a line of the fake MCU."""
+        return cls(record['stamp'], Vel2d(
+            record['x'] / _MM_PER_M, record['y'] / _MM_PER_M, record['omega']))
+
+
+class Verdict(NamedTuple):
+    """Whether a scene went as it should, and the figure that shows it."""
+
+    scene: str
+    passed: bool
+    text: str
+
+
+def judge(scene: Scene, begin: float, end: float, set_points: Sequence[SetPoint]) -> Verdict:
+    """Judge a scene that ran from `begin` to `end` (s) by the changes of set-points at the MCU."""
+    during = [one for one in set_points if begin <= one.stamp <= end]
+    if scene.command is None or scene.command is _NAN:
+        return _judge_stillness(scene, begin, end, set_points)
+    followed = [one for one in during if _close(one.velocity, scene.command)]
+    if not followed:
+        return Verdict(scene.name, False, 'its set-point never reached the MCU')
+    text = f'at the MCU after {followed[0].stamp - begin:.2f} s'
+    if not scene.kill:
+        return Verdict(scene.name, True, text)
+    stops = [one for one in set_points if one.stamp > end and one.velocity == STOP]
+    if not stops:
+        return Verdict(scene.name, False, 'the MCU drives on')
+    after = stops[0].stamp - end
+    return Verdict(scene.name, after <= KILL_BOUND_S, f'{text}, stopped {after:.2f} s after kill')
+
+
+def _judge_stillness(scene: Scene, begin: float, end: float,
+                     set_points: Sequence[SetPoint]) -> Verdict:
+    """Nothing may move later than the bound, and it must be standing at the end."""
+    before = [one for one in set_points if one.stamp <= end]
+    if before and before[-1].velocity != STOP:
+        return Verdict(scene.name, False, 'the MCU still drives')
+    stopped = before[-1].stamp if before else begin
+    after = max(0.0, stopped - begin)
+    text = f'stopped after {after:.2f} s' if after else 'stands still'
+    return Verdict(scene.name, after <= TIME_OUT_BOUND_S, text)
+
+
+def _close(one: Vel2d, other: Vel2d) -> bool:
+    return all(math.isclose(a, b, abs_tol=1e-6) for a, b in zip(one, other, strict=True))

@@ -1,0 +1,100 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The processes of the demo: started as a user would, their lines collected, all of them ended."""
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from types import TracebackType
+
+
+class Actor:
+    """One process; what it prints is kept in `lines`, and `exit_code` is None while it runs."""
+
+    def __init__(self, name: str, arguments: Sequence[str]) -> None:
+        self.name = name
+        self.lines: deque[str] = deque(maxlen=10_000)
+        self._arguments = arguments
+        self._start()
+
+    def _start(self) -> None:
+        # A session of its own: Ctrl-C in the terminal is ours to pass on, in the right order.
+        self._process = subprocess.Popen(
+            self._arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT, text=True, errors='replace', start_new_session=True,
+            env={**os.environ, 'PYTHONUNBUFFERED': '1'})
+        self._reader = threading.Thread(target=self._read, args=(self._process,), daemon=True)
+        self._reader.start()
+
+    def _read(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            self.lines.append(line.rstrip('\n'))
+
+    @property
+    def exit_code(self) -> int | None:
+        """The exit code, None while it runs."""
+        return self._process.poll()
+
+    def kill(self) -> float:
+        """Kill it as `kill -9` does; return when (monotonic s)."""
+        self._process.kill()
+        stamp = time.monotonic()
+        self._process.wait()
+        return stamp
+
+    def restart(self) -> None:
+        """Start it again, as respawn in a launch file does."""
+        self._start()
+
+    def end(self, timeout_s: float = 5.0) -> int:
+        """
+        End it politely; kill it when it does not listen. Return its exit code.
+
+        Not with SIGINT: what a script starts in the background inherits that it is ignored.
+        """
+        with suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGTERM)
+        try:
+            code = self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            code = -signal.SIGKILL
+        self._reader.join(1.0)
+        return code
+
+
+class Stage:
+    """All processes of the demo; leaving it ends them in the reverse order of their start."""
+
+    def __init__(self) -> None:
+        self.actors: list[Actor] = []
+        self.exit_codes: dict[str, int] = {}
+
+    def start(self, module: str, *arguments: str) -> Actor:
+        """Start a module of this package with the Python that runs us."""
+        actor = Actor(module.rpartition('.')[2] if not module.endswith('.main')
+                      else module.partition('.')[0],
+                      [sys.executable, '-m', module, *arguments])
+        self.actors.append(actor)
+        return actor
+
+    def end(self) -> None:
+        """End what still runs."""
+        while self.actors:
+            actor = self.actors.pop()
+            self.exit_codes[actor.name] = actor.end()
+
+    def __enter__(self) -> Stage:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.end()

@@ -1,0 +1,80 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The device table of the demo: what dxl/diagnostics says, as a person wants it in a terminal."""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from mecarover_demo.scenes import Verdict
+from msg_defs.reports import Level
+
+_PERIOD_S = 5.0
+_COLUMNS = (            # title, width, the keys of which the first one that is there is shown
+    ('model', 19, ('Model',)),
+    ('state', 13, ('State',)),
+    ('answers', 8, ('Answers',)),
+    ('missed', 7, ('Missed Answers',)),
+    ('position (rad)', 15, ('Present Position (rad)',)),
+    ('voltage (V)', 12, ('Present Input Voltage (V)', 'Present Voltage (V)')),
+)
+_MARKS = {Level.OK: '    ok', Level.WARN: '  WARN', Level.ERROR: ' ERROR', Level.STALE: ' STALE'}
+_EXPECTED = 20
+
+
+class DeviceTable:
+    """Shows the table every few seconds and each change of a device's state at once."""
+
+    def __init__(self, node: str = 'dxl_monitor') -> None:
+        self._prefix = f'{node}: '
+        self._states: dict[str, list[str]] = {}     # every state a device was seen in, in order
+        self._shown_s = 0.0
+
+    def devices(self, statuses: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the statuses of devices by name, in the order of their IDs."""
+        names = sorted(name for name in statuses if name.startswith(self._prefix))
+        return {name.removeprefix(self._prefix): statuses[name] for name in names
+                if name.removeprefix(self._prefix)[:3].isdigit()}
+
+    def show(self, statuses: Mapping[str, Any], now_s: float) -> None:
+        """Print what has changed, and now and then everything."""
+        devices = self.devices(statuses)
+        for name, status in devices.items():
+            state = _values(status).get('State', '?')
+            seen = self._states.setdefault(name, [])
+            if seen and seen[-1] != state:
+                print(f'     bus  {name}: {seen[-1]} -> {state} ({status.message})', flush=True)
+            if not seen or seen[-1] != state:
+                seen.append(state)
+        if devices and now_s - self._shown_s > _PERIOD_S:
+            self._shown_s = now_s
+            print(_render(devices), flush=True)
+
+    def verdicts(self, silenced: int) -> list[Verdict]:
+        """Judge what was seen: everybody there, the silenced one lost and found, nobody else."""
+        name = f'{silenced:03}'
+        lost = [other for other, states in self._states.items() if 'disconnected' in states]
+        states = self._states.get(name, [])
+        back = 'disconnected' in states and states[-1] == 'connected'
+        return [
+            Verdict('all devices seen', len(self._states) == _EXPECTED,
+                    f'{len(self._states)} of {_EXPECTED}'),
+            Verdict(f'device {name} lost and found', back, ' -> '.join(states) or 'never seen'),
+            Verdict('nobody else lost', lost in ([name], []), ', '.join(lost)),
+        ]
+
+
+def _values(status: Any) -> dict[str, str]:
+    return {pair.key: pair.value for pair in status.values}
+
+
+def _render(devices: Mapping[str, Any]) -> str:
+    lines = ['', 'level  ' + 'ID   ' + ''.join(f'{title:{width}}' for title, width, _ in _COLUMNS)]
+    for name, status in devices.items():
+        values = _values(status)
+        cells = (next((values[key] for key in keys if key in values), '-')
+                 for _, _, keys in _COLUMNS)
+        lines.append(f'{_MARKS[Level(status.level[0])]:6} {name[:4]:5}' + ''.join(
+            f'{cell[:width - 1]:{width}}' for cell, (_, width, _) in zip(
+                cells, _COLUMNS, strict=True)))
+    return '\n'.join([*lines, ''])
