@@ -1,0 +1,57 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stable names of serial adapters: what udev knows about them, the rule, the systemd unit."""
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+
+MCU_LINK = '/dev/mecarover_mcu'
+BUS_LINK = '/dev/mecarover_dxl'
+
+
+class InstallError(Exception):
+    """What keeps the installation from running: 'thing: reason; remedy'."""
+
+
+def parse_bus(text: str) -> tuple[str, str]:
+    """Return device and link of a --bus option."""
+    name, _, device = text.rpartition('=')
+    if not device.startswith('/dev/'):
+        raise InstallError(f'--bus {text}: not a device; give /dev/ttyUSB0 or NAME=/dev/ttyUSB0')
+    if name and not re.fullmatch('[A-Za-z0-9]+', name):
+        raise InstallError(f'--bus {text}: a name has letters and digits only; change it')
+    return device, BUS_LINK + (f'_{name}' if name else '')
+
+
+def name_rule(device: str, link: str) -> str:
+    """Return the rule that gives the adapter behind `device` its name, wherever it is plugged."""
+    facts = _udev_facts(device)
+    symlink = f'SYMLINK+="{os.path.basename(link)}", TAG+="systemd"'
+    if facts.get('ID_BUS') != 'usb':
+        return f'KERNEL=="{os.path.basename(os.path.realpath(device))}", {symlink}'
+    keys = ['ID_VENDOR_ID', 'ID_MODEL_ID', 'ID_SERIAL_SHORT', 'ID_USB_INTERFACE_NUM']
+    if 'ID_SERIAL_SHORT' not in facts:
+        print(f'note: {device} has no serial number: it is known by the socket it is plugged into')
+        keys = ['ID_PATH']
+    return ', '.join([f'ENV{{{key}}}=="{facts[key]}"' for key in keys if key in facts] + [symlink])
+
+
+def _udev_facts(device: str) -> dict[str, str]:
+    try:
+        done = subprocess.run(['udevadm', 'info', '--query=property', f'--name={device}'],
+                              capture_output=True, text=True, check=True)
+    except FileNotFoundError:
+        return {}
+    except subprocess.CalledProcessError:
+        raise InstallError(
+            f'{device}: udev does not know it; plug it in (a UART: enable it, docs/wiring.md), '
+            'or give another device (ls /dev/serial/by-id)') from None
+    return dict(line.split('=', 1) for line in done.stdout.splitlines() if '=' in line)
+
+
+def device_unit(link: str) -> str:
+    """Return the systemd unit of a device, escaped as systemd-escape --path does."""
+    escaped = re.sub(r'[^A-Za-z0-9:_.]', lambda match: f'\\x{ord(match[0]):02x}', link[5:])
+    return f'dev-{escaped}.device'

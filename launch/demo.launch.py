@@ -1,0 +1,76 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Starts suite and dashboard against simulated hardware: a fake MCU and a fake Dynamixel bus.
+
+Then drive: `ros2 run teleop_twist_keyboard teleop_twist_keyboard`; the fake MCU prints what it
+understands.
+"""
+import os
+import shutil
+import tempfile
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.actions import ExecuteProcess
+from launch.actions import IncludeLaunchDescription
+from launch.actions import OpaqueFunction
+from launch.actions import RegisterEventHandler
+from launch.event_handlers import OnShutdown
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch_ros.actions import Node
+from launch_ros.substitutions import ExecutableInPackage
+
+PACKAGE = 'mecarover_serial'
+SHARE = get_package_share_directory(PACKAGE)
+# A monitor that starts in the middle of traffic must be told the models, or wait for a Ping.
+DEVICES = ['1-4:MX-106', '5-12:MX-64', '13-15:Rhoban DXL board', '16-18:BitFoot',
+           '19-20:Bit-Bots IMU']
+ARGUMENTS = (
+    ('folder', '', 'for the links to the fake ports; default: a new one, removed at the end'),
+    ('fault', '', 'of the fake bus, e.g. silent:7:10:5; see fake_bus --list-faults'),
+    ('dashboard', 'true', 'serve the web page too'),
+    ('dashboard_port', '8420', 'of the web page; 0 = any free one'),
+    ('namespace', '', 'of the nodes and their topics'),
+    ('log_level', 'info', 'debug, info, warn, error'),
+)
+
+
+def generate_launch_description():
+    return LaunchDescription([
+        *(DeclareLaunchArgument(name, default_value=default, description=text)
+          for name, default, text in ARGUMENTS),
+        OpaqueFunction(function=_start),
+    ])
+
+
+def _start(context):
+    given = dict(context.launch_configurations)
+    folder = given['folder'] or tempfile.mkdtemp(prefix='mecarover-')
+    mcu, bus = os.path.join(folder, 'mcu'), os.path.join(folder, 'bus')
+    fault = ['--fault', given['fault']] if given['fault'] else []
+    actions = [
+        _fake('fake_mcu', '--link', mcu),
+        _fake('fake_bus', '--link', bus, '--devices', *DEVICES, *fault),
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(os.path.join(SHARE, 'launch', 'suite.launch.py')),
+            launch_arguments=[
+                ('port', mcu), ('ports', bus), ('devices', str(DEVICES)),
+                ('namespace', given['namespace']),
+                ('log_level', given['log_level'])]),
+    ]
+    if given['dashboard'].lower() in ('true', '1'):
+        actions.append(Node(
+            package=PACKAGE, executable='dxl_dashboard', namespace=given['namespace'],
+            arguments=['--port', given['dashboard_port']], output='screen'))
+    if not given['folder']:
+        actions.append(RegisterEventHandler(OnShutdown(
+            on_shutdown=[OpaqueFunction(function=lambda _: shutil.rmtree(folder, True))])))
+    return actions
+
+
+def _fake(name, *arguments):
+    """Not a Node action: that would add --ros-args, and the fakes know nothing of ROS."""
+    return ExecuteProcess(cmd=[ExecutableInPackage(name, PACKAGE), *arguments],
+                          name=name, output='screen')

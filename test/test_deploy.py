@@ -1,0 +1,232 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What deploy/ puts on a robot: rules and units that their own tools accept; and its undoing."""
+import json
+import os
+from pathlib import Path
+import re
+import shutil
+import subprocess
+import sys
+
+from deploy_under_systemd import kill_under_systemd
+from deploy_under_systemd import why_no_systemd
+import pytest
+
+ROOT = Path(__file__).parents[1]
+INSTALLER = ROOT / 'deploy/install.py'
+UNITS = ('vel2d_bridge.service', 'dxl_monitor.service')
+USB = {'ID_BUS': 'usb', 'ID_VENDOR_ID': '0403', 'ID_MODEL_ID': '6014',
+       'ID_SERIAL_SHORT': 'FT4TFSGE', 'ID_USB_INTERFACE_NUM': '00', 'ID_PATH': 'usb-0:1:1.0'}
+
+
+@pytest.fixture
+def robot(tmp_path, monkeypatch):
+    """Make a root to install into, a prefix with the nodes, and a udevadm that knows USB."""
+    prefix = tmp_path / 'ws/install/mecarover_serial'
+    for unit in UNITS:
+        executable = prefix / 'lib/mecarover_serial' / unit.partition('.')[0]
+        executable.parent.mkdir(parents=True, exist_ok=True)
+        executable.write_text('#!/bin/sh\n')
+        executable.chmod(0o755)
+    (prefix.parent / 'setup.bash').touch()
+    tools = tmp_path / 'tools'
+    tools.mkdir()
+    (tmp_path / 'facts').write_text('E')
+    udevadm = tools / 'udevadm'
+    udevadm.write_text(f'#!/bin/sh\ncase "$*" in *ttyUSB*) cat {tmp_path}/facts;; esac\n')
+    udevadm.chmod(0o755)
+    monkeypatch.setenv('PATH', f'{tools}:{os.environ["PATH"]}')
+    robot = Robot(tmp_path, prefix)
+    robot.facts(USB)
+    return robot
+
+
+class Robot:
+    """Runs the installer against a folder."""
+
+    def __init__(self, folder, prefix):
+        self._folder = folder
+        self.root = folder / 'root'
+        self.prefix = prefix
+        self.root.mkdir()
+
+    def facts(self, facts):
+        (self._folder / 'facts').write_text(''.join(f'{k}={v}\n' for k, v in facts.items()))
+
+    def run(self, *options, answer=''):
+        return subprocess.run(
+            [sys.executable, INSTALLER, '--root', self.root, '--prefix', self.prefix,
+             '--user', 'ubuntu', *options], input=answer, capture_output=True, text=True,
+            timeout=60)
+
+    def install(self, *options):
+        done = self.run('--mcu', '/dev/ttyAMA0', '--bus', '/dev/ttyUSB0', '--yes', *options)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def read(self, path):
+        return (self.root / path).read_text()
+
+    def files(self):
+        return sorted(str(path.relative_to(self.root))
+                      for path in self.root.rglob('*') if path.is_file())
+
+
+def test_installs_everything_and_nothing_twice(robot):
+    robot.install()
+    assert robot.files() == [
+        'etc/mecarover_serial/bridge.yaml', 'etc/mecarover_serial/environment',
+        'etc/mecarover_serial/monitor.yaml', 'etc/systemd/system/dxl_monitor.service',
+        'etc/systemd/system/vel2d_bridge.service',
+        'etc/udev/rules.d/70-mecarover_serial.rules']
+    assert robot.install() == 'install: nothing to do\n'
+
+
+def test_shows_and_asks_before_it_does(robot):
+    options = ('--mcu', '/dev/ttyAMA0')
+    shown = robot.run(*options, '--dry-run')
+    assert shown.returncode == 0
+    assert '    | User=ubuntu\n' in shown.stdout
+    refused = robot.run(*options, answer='n\n')
+    assert refused.returncode == 1
+    assert 'nothing was changed' in refused.stdout
+    assert robot.files() == []
+    assert robot.run(*options, answer='y\n').returncode == 0
+    assert 'etc/systemd/system/vel2d_bridge.service' in robot.files()
+
+
+def test_settings_name_the_stable_ports(robot):
+    robot.install('--bus', 'left=/dev/ttyUSB1')
+    assert '    port: /dev/mecarover_mcu\n' in robot.read('etc/mecarover_serial/bridge.yaml')
+    assert "    ports: ['/dev/mecarover_dxl', '/dev/mecarover_dxl_left']\n" \
+        in robot.read('etc/mecarover_serial/monitor.yaml')
+
+
+def test_edited_settings_survive(robot):
+    robot.install()
+    settings = robot.root / 'etc/mecarover_serial/bridge.yaml'
+    settings.write_text('mine')
+    robot.install()
+    assert settings.read_text() == 'mine'
+    assert robot.run('--uninstall', '--yes').returncode == 0
+    assert (robot.root / 'etc/mecarover_serial.removed/bridge.yaml').read_text() == 'mine'
+
+
+def test_uninstall_leaves_only_the_settings_aside(robot):
+    robot.install()
+    assert robot.run('--uninstall', '--yes').returncode == 0
+    assert {Path(name).parts[1] for name in robot.files()} == {'mecarover_serial.removed'}
+    again = robot.run('--uninstall', '--yes')
+    assert (again.returncode, again.stdout) == (0, 'install: nothing to do\n')
+
+
+@pytest.mark.parametrize('facts, rule', [
+    (USB, 'ENV{ID_VENDOR_ID}=="0403", ENV{ID_MODEL_ID}=="6014", ENV{ID_SERIAL_SHORT}=="FT4TFSGE", '
+          'ENV{ID_USB_INTERFACE_NUM}=="00", SYMLINK+="mecarover_dxl", TAG+="systemd"'),
+    ({k: v for k, v in USB.items() if k != 'ID_SERIAL_SHORT'},
+     'ENV{ID_PATH}=="usb-0:1:1.0", SYMLINK+="mecarover_dxl", TAG+="systemd"'),
+])
+def test_an_adapter_is_known_by_its_serial_number_or_its_socket(robot, facts, rule):
+    robot.facts(facts)
+    robot.install()
+    rules = robot.read('etc/udev/rules.d/70-mecarover_serial.rules').splitlines()
+    assert rule in rules
+    assert 'KERNEL=="ttyAMA0", SYMLINK+="mecarover_mcu", TAG+="systemd"' in rules
+
+
+@pytest.mark.parametrize('options, words', [
+    ((), 'nothing to install; give --mcu'),
+    (('--bus', 'ttyUSB0'), '--bus ttyUSB0: not a device; give'),
+    (('--bus', 'le-ft=/dev/ttyUSB0'), 'letters and digits'),
+    (('--mcu', '/dev/ttyAMA0', '--prefix', '/nowhere'), 'vel2d_bridge: not found below /nowhere'),
+])
+def test_a_mistake_is_one_line(robot, options, words):
+    done = robot.run('--yes', *options)
+    assert done.returncode == 1
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert robot.files() == []
+
+
+def test_a_workspace_is_sourced_and_a_venv_is_not(robot):
+    robot.install()
+    [command] = re.findall('^ExecStart=(.*)$', robot.read('etc/systemd/system/' + UNITS[0]), re.M)
+    assert f'{robot.prefix.parent}/setup.bash' in command
+    (robot.prefix / 'pyvenv.cfg').touch()
+    robot.install()
+    [command] = re.findall('^ExecStart=(.*)$', robot.read('etc/systemd/system/' + UNITS[0]), re.M)
+    assert command.startswith(f'{robot.prefix}/lib/mecarover_serial/vel2d_bridge --ros-args')
+
+
+def test_the_command_line_survives_systemd(robot, tmp_path):
+    """What systemd makes of `$$`, bash must make of the arguments."""
+    if shutil.which('bash') is None:
+        pytest.skip('skipped: no bash here')
+    (robot.prefix.parent / 'setup.bash').write_text('export SOURCED=yes\n')
+    node = robot.prefix / 'lib/mecarover_serial/vel2d_bridge'
+    node.write_text('#!/bin/sh\necho "$SOURCED $*"\n')
+    robot.install()
+    [command] = re.findall('^ExecStart=(.*)$', robot.read('etc/systemd/system/' + UNITS[0]), re.M)
+    done = subprocess.run(['bash', '-c', command.replace('$$', '$')], capture_output=True,
+                          text=True)
+    assert done.stdout == 'yes --ros-args --params-file /etc/mecarover_serial/bridge.yaml\n'
+
+
+@pytest.mark.parametrize('unit', UNITS)
+def test_units_pass_systemd_analyze(robot, unit):
+    if shutil.which('systemd-analyze') is None:
+        pytest.skip('skipped: no systemd-analyze here')
+    robot.install()
+    path = robot.root / 'etc/systemd/system' / unit
+    assert not re.search('@[A-Z]+@', path.read_text())
+    done = subprocess.run(['systemd-analyze', 'verify', '--man=no', path], capture_output=True,
+                          text=True, timeout=60)
+    complaints = [line for line in done.stderr.splitlines() if unit in line]
+    assert (done.returncode, complaints) == (0, [])
+
+
+def test_rules_pass_udevadm(robot):
+    robot.install()
+    real = shutil.which('udevadm', path='/usr/bin:/bin:/sbin:/usr/sbin')
+    if real is None or subprocess.run([real, 'verify', '--help'], capture_output=True).returncode:
+        pytest.skip('skipped: no udevadm verify here (systemd 254 or newer)')
+    done = subprocess.run([real, 'verify', robot.root / 'etc/udev/rules.d'],
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_rules_are_well_formed(robot):
+    """A poor man's udevadm: pairs, commas, known keys, a label for every goto."""
+    robot.install()
+    text = robot.read('etc/udev/rules.d/70-mecarover_serial.rules')
+    rules = [line for line in text.splitlines() if line and not line.startswith('#')]
+    term = re.compile(r'(ACTION|SUBSYSTEM|DRIVER|KERNEL|GROUP|MODE|SYMLINK|TAG|GOTO|LABEL|'
+                      r'ENV\{\w+\}|ATTR\{\w+\})(==|!=|=|\+=)"[^"]*"')
+    for rule in rules:
+        assert all(term.fullmatch(part) for part in rule.split(', ')), rule
+    assert set(re.findall('GOTO="(.*?)"', text)) == set(re.findall('LABEL="(.*?)"', text))
+
+
+def test_device_units_are_named_as_systemd_names_them(robot):
+    robot.install('--bus', 'left=/dev/ttyUSB1')
+    text = robot.read('etc/systemd/system/dxl_monitor.service')
+    assert 'After=dev-mecarover_dxl.device dev-mecarover_dxl_left.device\n' in text
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.skipif(bool(why_no_systemd()), reason=f'skipped: {why_no_systemd()}')
+def test_the_dead_man_outlives_a_kill_of_the_service(robot, tmp_path):
+    """
+    Under a real systemd, with the unit as installed: kill -9 of the node stops the rover.
+
+    KillMode=mixed, which looks safer, ends the child at once: the rover drives on.
+    """
+    robot.install()
+    unit = robot.read('etc/systemd/system/vel2d_bridge.service')
+    outcome = kill_under_systemd(unit, tmp_path)
+    assert outcome['drove'], outcome
+    assert outcome['stopped_after_s'] is not None, json.dumps(outcome)
+    assert outcome['stopped_after_s'] < 0.3 + 0.5      # the machine may be busy
+    assert outcome['left_over'] == []

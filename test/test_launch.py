@@ -1,0 +1,75 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The launch files as `colcon test` runs them: launch_testing, fake ports, clean exit codes.
+
+Skipped by a mark, never by a module-level skip: launch_testing's plugin would drop every other
+test of the run with it.
+"""
+import importlib.util
+import tempfile
+import unittest
+
+import pytest
+from scenarios import CASTS
+from scenarios import play
+
+_NEEDED = ('rclpy', 'launch_ros', 'launch_testing', 'ament_index_python')
+_MISSING = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
+SHARE = WHY = ''
+if _MISSING:
+    WHY = 'skipped: needs ROS 2 with its launch tools, not importable: ' + ', '.join(_MISSING)
+else:
+    from ament_index_python.packages import get_package_share_directory
+    try:
+        SHARE = get_package_share_directory('mecarover_serial')
+    except LookupError as error:
+        WHY = f'skipped: mecarover_serial is not in the ament index; build and source it ({error})'
+
+if WHY:
+    @pytest.mark.ros
+    @pytest.mark.skip(reason=WHY)
+    @pytest.mark.parametrize('name', CASTS)
+    def test_launch(name):
+        """Stand in for the launch test."""
+else:
+    import sys
+
+    from launch import LaunchDescription
+    from launch.actions import ExecuteProcess
+    from launch.actions import IncludeLaunchDescription
+    from launch.launch_description_sources import PythonLaunchDescriptionSource
+    import launch_testing
+    import launch_testing.actions
+    import launch_testing.asserts
+    import ros_side
+
+    @pytest.mark.launch_test
+    @launch_testing.parametrize('name', list(CASTS))
+    def generate_test_description(name):
+        folder = tempfile.mkdtemp(prefix='launch_test_')
+        arguments = CASTS[name]['launch']
+        return LaunchDescription([
+            *(ExecuteProcess(cmd=[sys.executable, '-m', module, *(
+                word.format(folder=folder) for word in words)])
+              for module, *words in CASTS[name]['fakes']),
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(f'{SHARE}/launch/{name}.launch.py'),
+                launch_arguments=[(key, value.format(folder=folder))
+                                  for key, value in arguments.items()]),
+            launch_testing.actions.ReadyToTest(),
+        ])
+
+    class TestRunning(unittest.TestCase):
+        def test_scenarios(self, name):
+            with ros_side.Graph('operator') as graph:
+                play(name, graph, ros_side)
+
+    @launch_testing.post_shutdown_test()
+    class TestShutdown(unittest.TestCase):
+        def test_exit_codes(self, proc_info):
+            launch_testing.asserts.assertExitCodes(proc_info)
+
+        def test_no_traceback(self, proc_output):
+            text = ''.join(line.text.decode(errors='replace') for line in proc_output)
+            self.assertNotIn('Traceback', text)
