@@ -1,0 +1,88 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Run the benchmarks: a table to the terminal, all figures to a JSON file if asked."""
+
+import argparse
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+import shlex
+import sys
+
+from benchmark.harness import as_json
+from benchmark.harness import Figure
+from benchmark.harness import machine
+from benchmark.harness import Options
+from benchmark.harness import table
+from mecarover_serial.cli import run_tool
+from mecarover_serial.cli import UsageError
+
+# Each is a module here with run(options) -> list of figures.
+PLAIN = ('parsing', 'doctor', 'node_cost', 'bridge', 'messages')
+ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
+NEEDS_ROS = ('node_cost', 'bridge', 'messages', *ALONE)
+
+
+class Failed(OSError):
+    """A figure that must not be: exit code 1."""
+
+
+def main(arguments: Sequence[str]) -> None:
+    options = _parser().parse_args(arguments)
+    if options.trace is not None and not options.trace.is_file():
+        raise UsageError(f'--trace: {options.trace} is no file; give the raw bytes of a bus')
+    settings = Options(quick=options.quick, trace=options.trace,
+                       seconds=2.0 if options.quick else options.seconds,
+                       soak_minutes=options.soak or 0.0, load_minutes=options.load or 0.0)
+    print(', '.join(f'{key}: {value}' for key, value in machine().items()), flush=True)
+    figures: list[Figure] = []
+    for section in _sections(options):
+        figures += _run(section, settings)
+    if options.json is not None:
+        options.json.write_text(as_json(figures, _command(arguments)) + '\n')
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog='scripts/bench', description=(
+        'Measure the nodes and what they are made of; docs/benchmarks.md explains each figure.'))
+    parser.add_argument('--json', type=Path, metavar='FILE', help='write all figures to FILE')
+    parser.add_argument('--quick', action='store_true', help='few and short rounds: a smoke test')
+    parser.add_argument('--only', choices=PLAIN, action='append', help='one section (repeatable)')
+    parser.add_argument('--thesis', action='store_true', help='only the six experiments')
+    parser.add_argument('--load', type=float, metavar='MINUTES',
+                        help='only: the monitor at full load for so long; memory')
+    parser.add_argument('--soak', type=float, metavar='MINUTES',
+                        help='only: both nodes for so long, with faults')
+    parser.add_argument('--trace', type=Path, metavar='FILE', help='raw bytes of a real bus')
+    parser.add_argument('--seconds', type=float, default=10.0, help='per experiment (%(default)s)')
+    return parser
+
+
+def _sections(options: argparse.Namespace) -> Sequence[str]:
+    alone = [name for name in ALONE if getattr(options, name)]
+    if alone:
+        return alone
+    return options.only or PLAIN
+
+
+def _run(section: str, settings: Options) -> list[Figure]:
+    if section in NEEDS_ROS and find_spec('rclpy') is None:
+        print(f'{section}: skipped: no rclpy here; source ROS 2 first', file=sys.stderr)
+        return []
+    print(f'{section} ...', file=sys.stderr)
+    module = import_module(f'benchmark.{section}')
+    figures: list[Figure] = module.run(settings)
+    print(getattr(module, 'layout', table)(figures), flush=True)
+    if found := getattr(module, 'problems', lambda figures: [])(figures):
+        raise Failed(f'{section}: ' + '\n'.join(found))
+    return figures
+
+
+def _command(arguments: Sequence[str]) -> str:
+    """Return the command as typed, without anybody's folders."""
+    return shlex.join(['scripts/bench', *(Path(part).name for part in arguments)])
+
+
+if __name__ == '__main__':
+    sys.exit(run_tool('bench', main))

@@ -1,0 +1,181 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A scripted cable: a pty in the middle between a node under test and its fake device.
+
+The node opens `path`, the cable opens the device's pty, one thread carries the bytes. Faults are
+set from outside at any time; `calm` ends them all. Damage is seeded.
+"""
+from contextlib import contextmanager
+from contextlib import suppress
+import os
+import random
+import select
+import termios
+import threading
+import time
+import tty
+
+from mecarover_serial.pty import Pty
+
+TICK_S = 0.002
+NO_FAULT = {'drop': 0.0, 'flip': 0.0, 'delay_s': 0.0}
+
+
+class Cable:
+    """
+    Carries bytes both ways between `path` and the pty of a device.
+
+    drop, flip: the share of chunks that lose a byte or get a bit turned; delay_s: how late they
+    arrive. `stalled`: the node's writes are not taken, and nothing reaches it.
+    """
+
+    def __init__(self, device, link, seed=1):
+        self.path = str(link)
+        self.carried = self.damaged = 0
+        self.lost = 0                           # bytes that nobody took
+        self._device = device                   # path of the device's pty
+        self._chance = random.Random(seed)
+        self._lock = threading.RLock()
+        self._faults = dict(NO_FAULT)
+        self._stalled = False
+        self._late = []                         # [due, write, chunk]
+        self._flood = None                      # until when, bytes per tick
+        self._near = self._far = None
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='cable')
+
+    def __enter__(self):
+        self.reopen()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._done.set()
+        self._thread.join()
+        self.cut()
+
+    # --- what may be done to it, from any thread ---------------------------------------------
+
+    def damage(self, **faults):
+        """Set drop, flip (shares of chunks) or delay_s from now on."""
+        with self._lock:
+            self._faults.update(faults)
+
+    def stall(self):
+        """Take nothing any more, as with flow control that never comes back."""
+        with self._lock:
+            termios.tcflow(self._near._slave, termios.TCOOFF)
+            self._turn()                        # what was taken before arrives
+            self._stalled = True
+
+    def flood(self, seconds, bytes_per_s=200_000):
+        """Send noise to the node for a while."""
+        with self._lock:
+            self._flood = time.monotonic() + seconds, int(bytes_per_s * TICK_S)
+
+    def calm(self):
+        """End all faults but a cut."""
+        with self._lock:
+            self._faults = dict(NO_FAULT)
+            self._flood = None
+            if self._stalled and self._near is not None:
+                termios.tcflow(self._near._slave, termios.TCOON)
+            self._stalled = False
+
+    def cut(self):
+        """Be unplugged: the node's port hangs up, its name is gone."""
+        with self._lock:
+            for end in (self._near, self._far):
+                if end is not None:
+                    end.close()
+            self._near = self._far = None
+            self._late.clear()
+
+    def reopen(self):
+        """Be plugged in again, under the same name."""
+        with self._lock:
+            if self._near is None:
+                self._far = _End(self._device)
+                self._near = Pty(self.path)
+
+    def remove_name(self):
+        """Take the symlink away and leave the line as it is, as udev does when it re-reads."""
+        os.unlink(self.path)
+
+    def restore_name(self):
+        with self._lock:
+            os.symlink(self._near.path, self.path)
+
+    @contextmanager
+    def while_damaged(self, **faults):
+        self.damage(**faults)
+        try:
+            yield
+        finally:
+            self.calm()
+
+    # --- the thread ----------------------------------------------------------------------------
+
+    def _run(self):
+        while not self._done.wait(TICK_S):
+            with self._lock, suppress(OSError):     # a device that has gone
+                if self._near is not None:
+                    self._turn()
+
+    def _turn(self):
+        near, far = self._near.master, self._far.fd
+        if not self._stalled:
+            self._carry(near, far)
+            self._carry(far, near)
+        self._deliver()
+        if self._flood is not None:
+            until, size = self._flood
+            self._write(near, self._chance.randbytes(size))
+            if time.monotonic() > until:
+                self._flood = None
+
+    def _carry(self, source, target):
+        if not select.select([source], [], [], 0)[0]:
+            return
+        chunk = os.read(source, 4096)
+        self.carried += len(chunk)
+        arriving = self._spoil(chunk)
+        self.damaged += arriving != chunk
+        self._late.append((time.monotonic() + self._faults['delay_s'], target, arriving))
+
+    def _spoil(self, chunk):
+        chance, faults = self._chance, self._faults
+        if chance.random() < faults['drop']:
+            at = chance.randrange(len(chunk))
+            chunk = chunk[:at] + chunk[at + 1:]
+        if chunk and chance.random() < faults['flip']:
+            bit = chance.randrange(8 * len(chunk))
+            damaged = bytearray(chunk)
+            damaged[bit // 8] ^= 1 << bit % 8
+            chunk = bytes(damaged)
+        return chunk
+
+    def _deliver(self):
+        now = time.monotonic()
+        while self._late and self._late[0][0] <= now:
+            _, target, chunk = self._late.pop(0)
+            self._write(target, chunk)
+
+    def _write(self, fd, data):
+        """Write what is taken; what nobody takes is lost, as on a wire."""
+        taken = 0
+        with suppress(BlockingIOError):
+            taken = os.write(fd, data)
+        self.lost += len(data) - taken
+
+
+class _End:
+    """The cable's end in the device's socket."""
+
+    def __init__(self, path):
+        self.fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(self.fd)
+
+    def close(self):
+        os.close(self.fd)

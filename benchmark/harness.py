@@ -1,0 +1,230 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What every benchmark stands on: interleaved rounds, figures with their spread, child processes.
+
+A machine that others use too is fast at one moment and slow at the next. So cases that are to be
+compared take turns, and a figure is the median of its rounds beside the smallest and the largest.
+"""
+
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
+import json
+from math import ceil
+import os
+from pathlib import Path
+import platform
+import random
+from statistics import median
+import subprocess
+import sys
+import time
+from types import TracebackType
+from typing import Any
+from typing import NamedTuple
+from typing import TypeVar
+
+Result = TypeVar('Result')
+REPOSITORY = Path(__file__).resolve().parents[1]
+_TICKS = os.sysconf('SC_CLK_TCK')
+
+
+class Options(NamedTuple):
+    """What the command line asks for."""
+
+    quick: bool = False
+    trace: Path | None = None           # a recorded robot trace, raw bytes
+    seconds: float = 10.0               # per experiment through a pty
+    soak_minutes: float = 5.0
+    load_minutes: float = 5.0
+
+    @property
+    def rounds(self) -> int:
+        return 3 if self.quick else 9
+
+
+class Figure(NamedTuple):
+    """
+    One result: a value per round; `beside` is what it is to be compared with, in words.
+
+    `distributions` in ms, by name, as points: min, median, max, perhaps p99 (see plot.py).
+    """
+
+    section: str
+    name: str
+    unit: str
+    values: Sequence[float]
+    beside: str = ''
+    distributions: Mapping[str, Mapping[str, float]] = {}
+
+    @property
+    def median(self) -> float:
+        return median(self.values)
+
+
+def interleaved(cases: Mapping[str, Callable[[], Result]], rounds: int,
+                seed: int = 1) -> dict[str, list[Result]]:
+    """Run every case once per round, in a new order each time; return the results by case."""
+    rng = random.Random(seed)
+    results: dict[str, list[Result]] = {name: [] for name in cases}
+    order = list(cases)
+    for _ in range(rounds):
+        rng.shuffle(order)
+        for name in order:
+            results[name].append(cases[name]())
+    return results
+
+
+def quantile(values: Sequence[float], share: float) -> float:
+    """Return the value of nearest rank."""
+    return sorted(values)[max(1, ceil(share * len(values))) - 1]
+
+
+def cpu_us_per_call(call: Callable[[], object], repeats: int) -> float:
+    """Return the CPU time of this process, all threads, that one call takes, in us."""
+    start = time.process_time_ns()
+    for _ in range(repeats):
+        call()
+    return (time.process_time_ns() - start) / repeats / 1000
+
+
+def table(figures: Sequence[Figure]) -> str:
+    """Lay figures out for a terminal, one section after the other."""
+    rows = [(figure.name, f'{figure.median:.4g}', figure.unit,
+             f'({min(figure.values):.4g} to {max(figure.values):.4g})', figure.beside)
+            for figure in figures]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    section = ''
+    for figure, row in zip(figures, rows, strict=True):
+        if figure.section != section:
+            section = figure.section
+            lines.append(f'\n{section}')
+        name, value, unit, spread, beside = (
+            cell.rjust(width) if i == 1 else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True)))
+        lines.append(f'  {name}  {value} {unit}  {spread}  {beside}'.rstrip())
+    return '\n'.join(lines)
+
+
+def as_json(figures: Sequence[Figure], command: str) -> str:
+    return json.dumps({
+        'command': command,
+        'machine': machine(),
+        'figures': [{
+            'section': figure.section, 'name': figure.name, 'unit': figure.unit,
+            'median': figure.median, 'minimum': min(figure.values),
+            'maximum': max(figure.values), 'values': list(figure.values),
+            'beside': figure.beside,
+            'distributions': figure.distributions} for figure in figures],
+    }, indent=1)
+
+
+def machine() -> dict[str, str]:
+    """Describe the machine without naming it or its owner."""
+    return {
+        'cpu': _cpu_name(),
+        'cores': str(len(os.sched_getaffinity(0))),
+        'memory': f'{os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9:.1f} GB',
+        'kernel': platform.release(),
+        'python': f'{platform.python_implementation()} {platform.python_version()}',
+        'load at the start': f'{os.getloadavg()[0]:.2f}',
+    }
+
+
+def _cpu_name() -> str:
+    text = Path('/proc/cpuinfo').read_text()
+    for key in ('model name', 'Model'):         # x86-64, Raspberry Pi
+        for line in text.splitlines():
+            if line.startswith(key):
+                return line.partition(':')[2].strip()
+    return platform.machine()
+
+
+class Usage(NamedTuple):
+    """What a process and its children have taken so far."""
+
+    cpu_s: float
+    wake_ups: int                       # voluntary context switches, of all threads
+    resident_mb: float                  # what they share counts for each
+
+    def __add__(self, other: tuple[float, ...]) -> 'Usage':  # type: ignore[override]
+        return Usage(*(mine + its for mine, its in zip(self, other, strict=True)))
+
+
+def usage(pid: int) -> Usage:
+    """Return what a process and its living children have taken so far."""
+    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    tasks = list(Path(f'/proc/{pid}/task').iterdir())
+    wake_ups = sum(_status(task / 'status', 'voluntary_ctxt_switches') for task in tasks)
+    own = Usage((int(fields[11]) + int(fields[12])) / _TICKS, wake_ups,
+                _status(Path(f'/proc/{pid}/status'), 'VmRSS') / 1024)
+    children = [int(child) for task in tasks for child in (task / 'children').read_text().split()]
+    return sum(map(usage, children), own)
+
+
+def _status(path: Path, key: str) -> int:
+    for line in path.read_text().splitlines():
+        if line.startswith(f'{key}:'):
+            return int(line.split()[1])
+    return 0
+
+
+def ros_environment() -> dict[str, str]:
+    """Return an environment in which the nodes of this run meet nobody else."""
+    return {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            'ROS_DOMAIN_ID': str(random.SystemRandom().randrange(61, 102)),
+            'PYTHONPATH': os.pathsep.join(
+                filter(None, (str(REPOSITORY), os.environ.get('PYTHONPATH'))))}
+
+
+class Child:
+    """
+    A Python module in a process of its own; it talks in lines of JSON.
+
+    Leaving the context ends it: SIGTERM, and SIGKILL after 5 s.
+    """
+
+    def __init__(self, module: str, *arguments: str, env: Mapping[str, str] | None = None,
+                 quiet: bool = False) -> None:
+        self._module = module
+        self._process = subprocess.Popen(
+            [sys.executable, '-u', '-m', module, *arguments], cwd=REPOSITORY,
+            env=dict(os.environ if env is None else env), text=True, stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL if quiet else None,
+            start_new_session=True)         # Ctrl-C is for this process, which ends its children
+        self.pid = self._process.pid
+
+    def hear(self) -> Any:
+        """Return the next line that the child says, decoded; lines that are no JSON are passed."""
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if line.startswith(('{', '[')):
+                return json.loads(line)
+        raise ChildProcessError(f'python -m {self._module}: ended early; run it alone to see why')
+
+    def tell(self, thing: object) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(thing) + '\n')
+        self._process.stdin.flush()
+
+    def __enter__(self) -> 'Child':
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self._process.terminate()
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                stream.close()
+
+
+def say(thing: object) -> None:
+    """Say one thing to the process that started this one (see Child.hear)."""
+    print(json.dumps(thing), flush=True)

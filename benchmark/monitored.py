@@ -1,0 +1,167 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+One run of traffic through a pty: into the real node dxl_monitor, or into the bare reader.
+
+Every run has processes of its own: writer, node or reader, and this one, which only listens to
+dxl/timing. What is said about the node is what the node says about itself on that topic.
+"""
+
+from contextlib import ExitStack
+import os
+from pathlib import Path
+import time
+from typing import Any
+from typing import NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
+
+from benchmark.harness import Child
+from benchmark.harness import ros_environment
+from benchmark.harness import usage
+from benchmark.traffic import BAUD
+from benchmark.traffic import ROBOT
+
+NODE = 'dxl_monitor.main'
+THREAD_NODE = 'benchmark.thread_node'        # the same, without its reader process
+SETTLE_S = 1.0
+QUEUE_DEPTH = 100                              # 253 devices come in 14 messages at once
+START_S = 30.0
+PREFIX = 'dxl_monitor: timing/'
+
+
+class Traffic(NamedTuple):
+    """What is on the bus."""
+
+    kind: str
+    gap_us: int = 0
+    baud: int = BAUD
+    devices: tuple[str, ...] = ROBOT
+    trace: Path | None = None
+
+
+class Run(NamedTuple):
+    """What came out of a run; `metrics` since the reset, by name and key, e.g. 'max (ms)'."""
+
+    seconds: float
+    sent: int
+    taken: int
+    overrun: int
+    gap_us: list[float]                 # that there really was between packets: p50, p99
+    cpu: float                          # of a core, 0 to 1
+    wake_ups: float                     # per second
+    resident_mb: float
+    growth_mb: float                    # of the resident memory during the run
+    longest_gap_ms: float               # between two reads
+    metrics: dict[str, dict[str, float]]
+
+
+def through_reader(traffic: Traffic, seconds: float) -> Run:
+    """Measure what the bare reader makes of the traffic."""
+    with ExitStack() as stack:
+        writer, port = _writer(stack, traffic)
+        reader = stack.enter_context(Child('benchmark.reader', port))
+        reader.hear()
+        writer.tell({'settle': SETTLE_S, 'seconds': seconds})
+        writer.hear()
+        reader.tell('begin')
+        before = usage(reader.pid)
+        result = writer.hear()
+        after = usage(reader.pid)
+        reader.tell('report')
+        longest = reader.hear()['longest_gap_ms']
+        writer.tell('done')
+    return _run(result, before, after, longest, {})
+
+
+def through_node(traffic: Traffic, seconds: float, *parameters: str, module: str = NODE,
+                 settle_s: float = SETTLE_S) -> Run:
+    """Measure what the node makes of the traffic; parameters as 'name:=value'."""
+    env = ros_environment()
+    os.environ.update(env)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with ExitStack() as stack:
+            writer, port = _writer(stack, traffic)
+            given = (f'ports:={port}', f'bauds:={traffic.baud}', *parameters)
+            node = stack.enter_context(Child(
+                module, '--ros-args', *(word for one in given for word in ('-p', one)), env=env))
+            listener = _Listener()
+            listener.wait(START_S)
+            writer.tell({'settle': settle_s, 'seconds': seconds})
+            writer.hear()
+            listener.reset()
+            before = usage(node.pid)
+            result = writer.hear()
+            after = usage(node.pid)
+            metrics = listener.figures(since=time.time_ns())
+            writer.tell('done')
+    finally:
+        rclpy.try_shutdown()
+    longest = metrics['time_between_buffers']['since start max (ms)']
+    return _run(result, before, after, longest, metrics)
+
+
+def _writer(stack: ExitStack, traffic: Traffic) -> tuple[Child, str]:
+    writer = stack.enter_context(Child('benchmark.writer'))
+    writer.tell({**traffic._asdict(), 'trace': str(traffic.trace)})
+    return writer, writer.hear()['port']
+
+
+def _run(result: dict[str, Any], before: Any, after: Any, longest_gap_ms: float,
+         metrics: dict[str, dict[str, float]]) -> Run:
+    seconds = result['seconds']
+    return Run(seconds, result['sent'], result['taken'], result['overrun'] + result['unheard'],
+               result['gap_us'], (after.cpu_s - before.cpu_s) / seconds,
+               (after.wake_ups - before.wake_ups) / seconds, after.resident_mb,
+               after.resident_mb - before.resident_mb, longest_gap_ms, metrics)
+
+
+class _Listener:
+    """Hears dxl/timing."""
+
+    def __init__(self) -> None:
+        self._node = rclpy.create_node('bench_listener')
+        self._node.create_subscription(DiagnosticArray, 'dxl/timing', self._hear, QUEUE_DEPTH)
+        for topic in ('dxl/diagnostics', '/diagnostics'):       # somebody listens, unread
+            self._node.create_subscription(
+                DiagnosticArray, topic, lambda message: None, QUEUE_DEPTH, raw=True)
+        self._service = self._node.create_client(Trigger, '/dxl_monitor/reset_statistics')
+        self._stamp = 0         # of the last message: those in the queue may be old
+        self._metrics: dict[str, dict[str, float]] = {}
+
+    def _hear(self, array: DiagnosticArray) -> None:
+        self._stamp = array.header.stamp.sec * 1_000_000_000 + array.header.stamp.nanosec
+        for status in array.status:
+            self._metrics[status.name.removeprefix(PREFIX)] = {
+                pair.key: float(pair.value) for pair in status.values if _is_number(pair.value)}
+
+    def wait(self, seconds: float) -> None:
+        """Wait until the node says something."""
+        self.figures(0, seconds)
+
+    def figures(self, since: int, seconds: float = 10.0) -> dict[str, dict[str, float]]:
+        """Return what the node says after a moment (ns since the epoch)."""
+        deadline = time.monotonic() + seconds
+        while self._stamp <= since:
+            if time.monotonic() > deadline:
+                raise TimeoutError(f'dxl/timing: nothing heard for {seconds:g} s; '
+                                   f'try python -m {NODE} alone')
+            rclpy.spin_once(self._node, timeout_sec=0.1)
+        return self._metrics
+
+    def reset(self) -> None:
+        """Let the statistics of the node begin anew."""
+        done = self._service.call_async(Trigger.Request())
+        rclpy.spin_until_future_complete(self._node, done, timeout_sec=10.0)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,77 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the monitor costs as a process: CPU, memory, wake-ups, and what it loses at full bus load.
+
+All topics are on. The bare reader has the same traffic in the same run, turn by turn: what it
+loses too is the machine's doing, not the node's. So has the node with a thread that reads instead
+of a process: what the process is for.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from statistics import median
+
+from benchmark.harness import Figure
+from benchmark.harness import interleaved
+from benchmark.harness import Options
+from benchmark.monitored import Run
+from benchmark.monitored import THREAD_NODE
+from benchmark.monitored import through_node
+from benchmark.monitored import through_reader
+from benchmark.monitored import Traffic
+from benchmark.traffic import FULL_BUS
+
+SECTION = 'dxl_monitor as a process'
+ALL_TOPICS = ('joint_state_rate:=10.0',)
+FAST_BAUD = 4_500_000
+LOADS = {
+    '200 kB/s, 20 devices': (Traffic('moving robot'), 'wanted: under 10'),
+    '450 kB/s, 20 devices': (Traffic('moving robot', baud=FAST_BAUD), 'wanted: under 20'),
+    '450 kB/s, 253 devices': (
+        Traffic('moving robot', baud=FAST_BAUD, devices=FULL_BUS), 'reported only'),
+}
+
+
+def run(options: Options) -> list[Figure]:
+    figures = []
+    for name, (traffic, wanted) in LOADS.items():
+        cases: dict[str, Callable[[], Run]] = {
+            'node': partial(through_node, traffic, options.seconds, *ALL_TOPICS),
+            'thread': partial(through_node, traffic, options.seconds, *ALL_TOPICS,
+                              module=THREAD_NODE),
+            'reader': partial(through_reader, traffic, options.seconds)}
+        runs = interleaved(cases, 1 if options.quick else 5)
+        figures += _figures(name, wanted, runs)
+    return figures
+
+
+def _figures(name: str, wanted: str, runs: dict[str, list[Run]]) -> list[Figure]:
+    def figure(what: str, unit: str, of: Callable[[Run], float], beside: str = '') -> Figure:
+        values = {case: [of(one) for one in taken] for case, taken in runs.items()}
+        others = (f'bare reader {median(values["reader"]):.3g}, '
+                  f'reading in a thread {median(values["thread"]):.3g}')
+        return Figure(SECTION, f'{name}: {what}', unit, values['node'],
+                      others + (f', {beside}' if beside else ''))
+
+    gaps = [thread.longest_gap_ms / node.longest_gap_ms
+            for thread, node in zip(runs['thread'], runs['node'], strict=True)]
+    return [
+        figure('CPU', '% of a core', lambda one: 100 * one.cpu, wanted),
+        figure('wake-ups', '1/s', lambda one: one.wake_ups),
+        figure('resident memory', 'MB', lambda one: one.resident_mb),
+        figure('growth of it', 'MB', lambda one: one.growth_mb),
+        figure('bytes on the bus', 'B/s', lambda one: one.sent / one.seconds),
+        figure('overrun', 'B', lambda one: one.overrun),
+        figure('longest gap between reads', 'ms', lambda one: one.longest_gap_ms),
+        Figure(SECTION, f'{name}: longest gap, thread / process', '', gaps, 'wanted: at least 2',
+               {f'between reads, {name}': _points(runs['node']),
+                f'{name}, thread': _points(runs['thread'])}),
+    ]
+
+
+def _points(runs: list[Run]) -> dict[str, float]:
+    """Return the times between reads in ms: medians of what each run says."""
+    keys = {'min': 'min', 'median': 'p50', 'p99': 'p99', 'max': 'max'}
+    return {name: median(run.metrics['time_between_buffers'][f'since start {key} (ms)']
+                         for run in runs) for name, key in keys.items()}

@@ -1,0 +1,151 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Framing and full tracking from memory, in chunks as a port gives them; the official client beside.
+
+`monitor` is all that the node does with a chunk short of publishing: lock, framing, pairing,
+tables, timing statistics. `rxPacket` of dynamixel-sdk only parses, and only statuses: it is given
+the statuses of the same traffic, out of memory. CPU time per packet; cases take turns.
+"""
+
+from collections.abc import Callable
+from collections.abc import Sequence
+from functools import partial
+from statistics import median
+import time
+
+from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
+
+from benchmark.harness import Figure
+from benchmark.harness import interleaved
+from benchmark.harness import Options
+from benchmark.traffic import BAUD
+from benchmark.traffic import KINDS
+from benchmark.traffic import packets
+from benchmark.traffic import TRACE
+from benchmark.traffic import trace_packets
+from dxl_monitor.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor import Settings
+from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import STATUS
+
+CHUNKS = (4096, 64)
+QUICK_PACKETS = 5_000
+FULL_PACKETS = 25_000
+SDK_PACKETS = 2_000                # of the official client, which takes several times as long
+SDK = 'dynamixel-sdk rxPacket'
+_BYTE_NS = 10 * 10**9 // BAUD
+
+
+class Memory:
+    """What the official client takes for a port: bytes that are all there already."""
+
+    is_using = False
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._at = 0
+
+    def readPort(self, length: int) -> bytes:
+        at = self._at
+        self._at = at + length
+        return self._data[at:at + length]
+
+    def isPacketTimeout(self) -> bool:
+        return True
+
+
+def run(options: Options) -> list[Figure]:
+    """Measure every kind of traffic, the trace too where there is one."""
+    count = QUICK_PACKETS if options.quick else FULL_PACKETS
+    traffic = {kind: packets(kind, count) for kind in KINDS}
+    if options.trace is not None:
+        traffic[TRACE] = trace_packets(options.trace)
+    figures = []
+    for kind, pieces in traffic.items():
+        figures += measure(kind, pieces, options.rounds)
+    return figures
+
+
+def measure(kind: str, pieces: Sequence[bytes], rounds: int) -> list[Figure]:
+    """Return the figures of one kind of traffic: us per packet, and times the client's rate."""
+    data = b''.join(pieces)
+    statuses = _statuses(data)[:SDK_PACKETS]
+    models = Models()
+    cases: dict[str, Callable[[], float]] = {
+        f'monitor, chunks of {size}': partial(monitor_us, models, _chunks(data, size))
+        for size in CHUNKS}
+    cases[f'framing alone, chunks of {CHUNKS[0]}'] = partial(
+        framing_us, _chunks(data, CHUNKS[0]))
+    if statuses:
+        cases[SDK] = partial(sdk_us, statuses)
+    results = interleaved(cases, rounds)
+    return _figures(kind, results, 8 * len(data) / _packet_count(data))
+
+
+def monitor_us(models: Models, chunks: Sequence[bytes]) -> float:
+    """Return the CPU time per packet of a fresh monitor, in us."""
+    monitor = Monitor('bus', models, Settings(baud=BAUD))
+    stamps = []
+    received = 0
+    for chunk in chunks:
+        received += len(chunk)
+        stamps.append(1 + received * _BYTE_NS)
+    feed = monitor.feed
+    start = time.process_time_ns()
+    for chunk, stamp in zip(chunks, stamps, strict=True):
+        feed(chunk, stamp)
+    spent = time.process_time_ns() - start
+    return spent / 1000 / monitor.report(stamps[-1]).counters['Packets']
+
+
+def framing_us(chunks: Sequence[bytes]) -> float:
+    """Return the CPU time per packet of a fresh framer, in us."""
+    framer = Framer()
+    start = time.process_time_ns()
+    for chunk in chunks:
+        framer.frames(chunk)
+    return (time.process_time_ns() - start) / 1000 / framer.packets
+
+
+def sdk_us(statuses: Sequence[bytes]) -> float:
+    """Return the CPU time per status of the official client's parser, in us."""
+    handler = Protocol2PacketHandler()
+    port = Memory(b''.join(statuses))
+    start = time.process_time_ns()
+    for _ in statuses:
+        handler.rxPacket(port, False)
+    return (time.process_time_ns() - start) / 1000 / len(statuses)
+
+
+def _figures(kind: str, results: dict[str, list[float]], bits: float) -> list[Figure]:
+    section = f'parsing: {kind}'
+    figures = []
+    for name, values in results.items():
+        beside = f'{bits / median(values):.1f} Mbit/s' if name != SDK else ''
+        figures.append(Figure(section, name, 'us/packet', values, beside))
+    sdk = results.get(SDK)
+    for size in CHUNKS if sdk else ():
+        mine = results[f'monitor, chunks of {size}']
+        ratios = [theirs / ours for theirs, ours in zip(sdk or (), mine, strict=True)]
+        figures.append(Figure(section, f"monitor at {size}: times the client's rate", '', ratios))
+    return figures
+
+
+def _chunks(data: bytes, size: int) -> list[bytes]:
+    return [data[at:at + size] for at in range(0, len(data), size)]
+
+
+def _packet_count(data: bytes) -> int:
+    framer = Framer()
+    framer.frames(data)
+    return framer.packets
+
+
+def _statuses(data: bytes) -> list[bytes]:
+    """Return the whole statuses that the client could take: not repaired, no fast replies."""
+    framer = Framer()
+    return [data[end - len(body) - 6:end] for end, body, flaw in framer.frames(data)
+            if body[3:4] == bytes((STATUS,)) and body[0] <= 252
+            and (flaw is None or not (flaw.reason or flaw.repaired))]

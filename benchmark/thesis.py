@@ -1,0 +1,133 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The six experiments of the thesis, through a pty into the real node, in the layout of its table.
+
+*time per buffer*: from a read to the end of its processing. *time between buffers*: from one read
+to the next. Effective rate: bits received per duration; processing rate: bits received per sum of
+all times per buffer. The thesis' buffers hold 4096 bytes; what a pty hands over at a time is less,
+so the time per buffer stands there as measured and scaled to 4096 bytes.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from benchmark.harness import Figure
+from benchmark.harness import Options
+from benchmark.monitored import Run
+from benchmark.monitored import through_node
+from benchmark.monitored import through_reader
+from benchmark.monitored import Traffic
+from benchmark.traffic import TRACE
+
+SECTION = 'the six experiments of the thesis'
+BUFFER = 4096
+SHARES = ('max', 'median', 'mean', 'min')
+KEYS = {'max': 'max', 'median': 'p50', 'mean': 'mean', 'min': 'min'}
+
+
+class Row(NamedTuple):
+    """A line of the table: ms in the order of SHARES, rates in bit/s."""
+
+    per_buffer: tuple[float, ...]
+    between: tuple[float, ...]
+    effective: float
+    processing: float
+
+
+# thesis.md part B, 216 MHz Cortex-M7
+THESIS = {
+    ('trace', 0): Row((10.1, 8.8, 8.6, 0.9), (15.0, 4.0, 6.7, 3.8), 1_600_717, 3_788_589),
+    ('trace', 100): Row((9.4, 7.7, 7.6, 0.9), (13.1, 4.0, 4.3, 3.7), 313_481, 4_306_544),
+    ('read/write', 0): Row((11.9, 11.2, 11.2, 10.6), (17.0, 4.0, 8.6, 3.7), 1_600_717, 2_916_174),
+    ('read/write', 100): Row((11.7, 10.9, 10.9, 10.3), (16.1, 4.0, 4.5, 3.7), 314_027, 2_999_109),
+    ('ping', 0): Row((54.2, 52.7, 50.8, 37.0), (59.1, 4.0, 22.6, 3.7), 534_118, 644_432),
+    ('ping', 100): Row((58.7, 57.9, 57.9, 57.0), (64.0, 4.0, 8.9, 3.7), 314_027, 565_894),
+}
+
+
+def run(options: Options) -> list[Figure]:
+    figures = []
+    for kind, gap_us in THESIS:
+        if kind == TRACE and options.trace is None:
+            continue
+        traffic = Traffic(kind, gap_us, trace=options.trace)
+        node = through_node(traffic, options.seconds)
+        reader = through_reader(traffic, options.seconds)
+        figures += _figures(_name(kind, gap_us), row_of(node), THESIS[kind, gap_us], node, reader)
+    return figures
+
+
+def row_of(node: Run) -> Row:
+    """Return the figures of a run as the thesis gives them."""
+    per_buffer, between, size = (node.metrics[name] for name in (
+        'time_per_buffer', 'time_between_buffers', 'bytes_per_buffer'))
+    return Row(
+        tuple(per_buffer[f'since start {KEYS[share]} (ms)'] for share in SHARES),
+        tuple(between[f'since start {KEYS[share]} (ms)'] for share in SHARES),
+        8 * node.taken / node.seconds,
+        8000 * size['since start mean (B)'] / per_buffer['since start mean (ms)'])
+
+
+def _name(kind: str, gap_us: int) -> str:
+    return f'{kind}, {gap_us} us' if gap_us else f'{kind}, no delay'
+
+
+def _figures(name: str, row: Row, thesis: Row, node: Run, reader: Run) -> list[Figure]:
+    scale = BUFFER / node.metrics['bytes_per_buffer']['since start mean (B)']
+
+    def figure(what: str, value: float, unit: str, beside: str = '') -> Figure:
+        return Figure(SECTION, f'{name}: {what}', unit, [value], beside)
+
+    return [
+        *(figure(f'per buffer {share}', value, 'ms', f'thesis {known}')
+          for share, value, known in zip(SHARES, row.per_buffer, thesis.per_buffer, strict=True)),
+        figure('per 4096 bytes mean', row.per_buffer[2] * scale, 'ms',
+               f'thesis {thesis.per_buffer[2]}'),
+        *(figure(f'between buffers {share}', value, 'ms', f'thesis {known}')
+          for share, value, known in zip(SHARES, row.between, thesis.between, strict=True)),
+        figure('effective rate', row.effective, 'bit/s', f'thesis {thesis.effective}'),
+        figure('processing rate', row.processing, 'bit/s', f'thesis {thesis.processing}'),
+        Figure(SECTION, f'{name}: processing rate / thesis', '',
+               [row.processing / thesis.processing], 'wanted: at least 8',
+               {f'{name}, per buffer': _points(row.per_buffer),
+                f'{name}, per buffer, thesis': _points(thesis.per_buffer),
+                f'{name}, between': _points(row.between),
+                f'{name}, between, thesis': _points(thesis.between)}),
+        figure('overrun', node.overrun, 'B', f'bare reader {reader.overrun}'),
+        figure('longest gap between reads', node.longest_gap_ms, 'ms',
+               f'bare reader {reader.longest_gap_ms:.3g}'),
+        figure('gap made by the writer p50', node.gap_us[0], 'us', f'p99 {node.gap_us[1]:.4g}'),
+        figure('CPU', 100 * node.cpu, '% of a core', f'bare reader {100 * reader.cpu:.1f}'),
+    ]
+
+
+def _points(values: tuple[float, ...]) -> dict[str, float]:
+    return dict(zip(SHARES, values, strict=True))
+
+
+def layout(figures: Sequence[Figure]) -> str:
+    """Lay the experiments out as the thesis does, its own figures below each line."""
+    found = {figure.name: figure.median for figure in figures}
+    lines = [f'\n{SECTION}', (
+        f'  {"experiment":22}{"per buffer max/med/mean/min (ms)":42}'
+        f'{"between buffers max/med/mean/min (ms)":40}{"effective":>12}{"processing":>12} bit/s')]
+    for kind, gap_us in THESIS:
+        name = _name(kind, gap_us)
+        if f'{name}: CPU' in found:
+            here = Row(tuple(found[f'{name}: per buffer {share}'] for share in SHARES),
+                       tuple(found[f'{name}: between buffers {share}'] for share in SHARES),
+                       found[f'{name}: effective rate'], found[f'{name}: processing rate'])
+            lines += [_line(name, here), _line('  thesis', THESIS[kind, gap_us])]
+    for figure in figures:
+        what = figure.name.partition(': ')[2]
+        if what.startswith(('per 4096', 'processing rate /', 'overrun', 'longest', 'gap', 'CPU')):
+            lines.append(f'  {figure.name:48}{figure.median:10.4g} {figure.unit:12}'
+                         f'{figure.beside}'.rstrip())
+    return '\n'.join(lines)
+
+
+def _line(name: str, row: Row) -> str:
+    per_buffer, between = (
+        ' / '.join(f'{value:.3g}' for value in values) for values in (row.per_buffer, row.between))
+    return f'  {name:22}{per_buffer:42}{between:40}{row.effective:12.0f}{row.processing:12.0f}'

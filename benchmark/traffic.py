@@ -1,0 +1,41 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the benchmarks put on the bus: packets as they follow each other on the wire.
+
+Taken from the simulated bus with 20 devices of the five models of the thesis, or from a recorded
+trace. The first two kinds are experiments 2 and 3 of the thesis; in `moving robot` nearly every
+packet is different, as with a robot that moves.
+"""
+
+from itertools import islice
+from pathlib import Path
+
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.fake_bus import make_devices
+from dxl_monitor.models import Models
+from msg_defs.dxl_packet import HEADER
+
+BAUD = 2_000_000
+PACKETS = 25_000                # of a kind: more than 400 KiB each, as in the thesis
+ROBOT = ('1-4:MX-64', '5-8:MX-106', '9-12:Rhoban DXL Board', '13-16:BitFoot', '17-20:Bit-Bots IMU')
+FULL_BUS = ('0-252:MX-106',)
+KINDS = {'read/write': 'read_write', 'ping': 'ping', 'moving robot': 'moving'}
+TRACE = 'trace'
+LONGEST = 256                   # of a trace's pieces: no packet on that robot is longer
+
+
+def packets(kind: str, count: int = PACKETS, devices: tuple[str, ...] = ROBOT) -> list[bytes]:
+    """Return the first packets of a kind of traffic."""
+    line = Line(make_devices(list(devices), Models(), BAUD), BAUD)
+    master = Master(line, PATTERNS[KINDS[kind]], rate=0, gap=0)
+    return [burst.data for burst in islice(master.bursts(), count)]
+
+
+def trace_packets(path: Path) -> list[bytes]:
+    """Cut a trace in front of each header, and where for long there is none."""
+    first, *others = path.read_bytes().split(HEADER)
+    return [piece[at:at + LONGEST] for piece in (first, *(HEADER + other for other in others))
+            for at in range(0, len(piece), LONGEST)]

@@ -1,0 +1,104 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The parts of the benchmark suite that could be wrong without anybody noticing."""
+
+import json
+import os
+import xml.dom.minidom
+
+import pytest
+
+from benchmark import plot
+from benchmark.harness import as_json
+from benchmark.harness import Child
+from benchmark.harness import Figure
+from benchmark.harness import interleaved
+from benchmark.harness import quantile
+from benchmark.harness import table
+from benchmark.harness import usage
+from benchmark.traffic import KINDS
+from benchmark.traffic import packets
+from benchmark.traffic import ROBOT
+from benchmark.traffic import trace_packets
+from dxl_monitor.fake.line import wire_ns
+from msg_defs.dxl_packet import Framer
+
+POINTS = {'min': 0.4, 'median': 0.5, 'p99': 0.9, 'max': 7.0}
+FIGURES = [
+    Figure('one', 'mean', 'us', [3.0, 1.0, 2.0], 'wanted: less'),
+    Figure('two', 'p50 <a>', 'ms', [0.5], distributions={'a & b': POINTS}),
+]
+
+
+def test_a_figure_is_the_median_with_its_spread():
+    assert FIGURES[0].median == 2.0
+    line = next(line for line in table(FIGURES).splitlines() if 'mean' in line)
+    assert line.split() == ['mean', '2', 'us', '(1', 'to', '3)', 'wanted:', 'less']
+
+
+def test_cases_take_turns():
+    calls = []
+    results = interleaved({name: lambda name=name: calls.append(name) or len(calls)
+                           for name in 'abc'}, rounds=4)
+    assert [sorted(calls[at:at + 3]) for at in range(0, 12, 3)] == [list('abc')] * 4
+    assert {name: len(values) for name, values in results.items()} == dict.fromkeys('abc', 4)
+
+
+def test_quantile_is_of_nearest_rank():
+    assert [quantile([4, 1, 3, 2], share) for share in (0.0, 0.5, 0.75, 1.0)] == [1, 2, 3, 4]
+
+
+def test_results_name_no_folder_and_nobody():
+    text = as_json(FIGURES, 'scripts/bench')
+    assert os.getcwd() not in text
+    assert os.uname().nodename not in json.loads(text)['machine'].values()
+    assert json.loads(text)['figures'][0]['values'] == [3.0, 1.0, 2.0]
+
+
+def test_plot_is_drawn_from_a_results_file():
+    rows = plot.rows_of(json.loads(as_json(FIGURES, 'scripts/bench')))
+    assert rows == [plot.Row('a & b', POINTS)]
+    drawing = xml.dom.minidom.parseString(plot.svg(rows))
+    texts = [node.firstChild.data for node in drawing.getElementsByTagName('text')]
+    assert texts == ['0.1 ms', '1 ms', '10 ms', 'a & b']
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_traffic_is_whole_packets_of_a_busy_bus(kind):
+    pieces = packets(kind, 2000)
+    framer = Framer()
+    framer.feed(b''.join(pieces), 1)
+    assert len(pieces) == framer.packets == 2000
+    assert framer.noise_bytes == 0
+    assert packets(kind, 2000) == pieces
+
+
+def test_a_moving_robot_hardly_repeats_itself():
+    assert len(set(packets('moving robot', 2000)[500:])) > 1000
+
+
+def test_a_trace_is_cut_without_loss(tmp_path):
+    recorded = bytes(700) + b''.join(packets('ping', 10)) + b'\xff\xff'
+    file = tmp_path / 'trace.bin'
+    file.write_bytes(recorded)
+    pieces = trace_packets(file)
+    assert b''.join(pieces) == recorded
+    assert max(map(len, pieces)) <= 256
+    assert len(pieces) == 3 + 10
+
+
+@pytest.mark.parametrize('gap_us', [0, 100])
+def test_writer_keeps_its_schedule_and_counts_what_nobody_takes(gap_us):
+    with Child('benchmark.writer') as writer:
+        writer.tell({'kind': 'ping', 'trace': '', 'devices': ROBOT, 'baud': 2_000_000,
+                     'gap_us': gap_us})
+        port = writer.hear()['port']
+        with Child('benchmark.reader', port) as reader:
+            reader.hear()
+            writer.tell({'settle': 0.1, 'seconds': 0.5})
+            assert writer.hear() == {'measuring': True}
+            assert usage(writer.pid).resident_mb > 1
+            result = writer.hear()
+    assert result['sent'] == result['taken'] + result['overrun'] + result['unheard']
+    assert 0 < result['sent'] * wire_ns(1, 2_000_000) <= 1.1e9 * result['seconds']
+    assert result['gap_us'][0] >= gap_us
