@@ -1,0 +1,9 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Fuzz targets: one module per input that comes from outside, each with check(data).
+
+check() takes any bytes, turns them into that input and asserts what must hold; its docstring
+names the invariants. Three things call it: hypothesis and the kept corpus (test/test_fuzz.py),
+and the coverage-guided fuzzer (python -m fuzz TARGET --seconds N).
+"""

@@ -1,0 +1,97 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Model files: any text in a folder of the user's, and what a table makes of it."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from dxl_monitor.model_yaml import ModelError
+from dxl_monitor.models import check_models
+from dxl_monitor.models import Models
+from dxl_monitor.table import READ
+from dxl_monitor.table import Table
+from fuzz.script import Script
+
+SAMPLE = b"""model_numbers: {7: Own, 9: Other}
+source: a page
+words: {state: {0: off, 1: on}}
+torque_constants: {7: 1.5}
+indirect: [{address: 168, data: 224, count: 28}]
+aliases: {Voltage: Present Voltage}
+blocks: [{at: 300, size: 8, name: Log}]
+each: {9: {without: [], fields: [{at: 90, name: Own, type: u8}]}}
+firmware: [{up_to: 40, fields: [{at: 80, name: Old, type: i16}]}]
+fields:
+  - {at: 0, name: Model Number, type: u16, access: r, memory: eeprom}
+  - {at: 8, name: Baud Rate, type: u8, unit: bit/s, enum: {0: 9600, 3: 1000000}}
+  - {at: 9, name: Mode, type: u8, enum: state}
+  - {at: 10, name: Code, type: u8, show: hex}
+  - {at: 20, name: Position, type: i32, unit: rad, scale: 0.00153398, offset: -3.14159}
+  - {at: 24, name: Speed, type: u16, unit: rad/s, scale: 0.01, sign_bit: 10}
+  - {at: 26, name: Errors, type: u8, flags: {0: voltage, 2: overheating}}
+  - {at: 30, name: 'History {n}', type: u8, repeat: 4}
+  - {repeat: 2, step: 40, prefix: 'Motor {n}', shift: 400,
+     fields: [{at: 0, name: Goal, type: f32}]}
+  - {at: 60, name: Goal, type: i16, by: Mode, mask: 1, cases: {0: {unit: A}, 1: {unit: rad}}}
+  - {at: 70, name: Present Voltage, type: u16, unit: V, scale: 0.1}
+"""
+WORDS = (b'-1', b'0', b'65535', b'65536', b'1e999', b'0.0', b'-0.0', b'null', b'true', b'[]',
+         b'{}', b'~', b'\xff', b'{n}', b'u64', b'f64', b'*a', b'&a', b'|', b"''",
+         b'!!python/name:os.system', b'0x10', b'{0: 1}',
+         b'[1, 2]', b'Model Number', b'include: m', b'\x00', b'\n',
+         b'99999999999999999999', b'1e-320', b'5e-324', b'\xc3\xa9', b'...', b'---', b'? x')
+
+
+def check(data):
+    """
+    Check one file.
+
+    Never raises but ModelError, one line with a remedy; both ways of checking agree; whatever
+    is taken describes a table that shows any bytes.
+    """
+    script = Script(data)
+    raw = script.byte() < 60
+    image = data[-64:] * 12
+    text = script.rest() if raw else mutated(script)
+    with TemporaryDirectory(dir=_fast()) as folder:
+        Path(folder, 'm.yaml').write_bytes(text)
+        problems = check_models(folder)
+        for line in problems:
+            assert '; ' in line and '\n' not in line, line
+        try:
+            models = Models([folder])
+        except ModelError as error:
+            assert problems
+            assert str(error) in problems
+            return
+        assert not problems
+        for number in models.names():
+            if number < 100:
+                show(models, number, image)
+
+
+def mutated(script):
+    """Replace, drop and insert pieces of the sample."""
+    text = SAMPLE
+    for _ in range(script.byte() % 6):
+        at = script.word() % len(text)
+        size = script.byte() % 24
+        piece = script.pick(WORDS) if script.byte() < 160 else script.take(script.byte() % 8)
+        text = text[:at] + piece + text[at + size:] or b' '
+    return text
+
+
+def show(models, number, image):
+    for firmware in (None, 0, 40, 41):
+        model = models.get(number, firmware)
+        assert model is not None, models.problems
+        table = Table()
+        table.store(0, image, 1, READ)
+        for seen in table.observed(model, 2):
+            assert isinstance(seen.value.text, str)
+            assert seen.field.key
+        model.decode(0, image)
+
+
+def _fast():
+    return '/dev/shm' if Path('/dev/shm').is_dir() else None

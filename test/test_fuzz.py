@@ -1,0 +1,279 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What must hold for any input: the checks of fuzz/, on the kept corpus and on what hypothesis finds.
+
+The invariants stand in the docstrings of fuzz/*.py. Here they get inputs that are always the
+same; `python -m fuzz TARGET` looks for new ones, and what it finds goes into test/corpus/.
+"""
+from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
+import subprocess
+import sys
+
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import initialize
+from hypothesis.stateful import invariant
+from hypothesis.stateful import precondition
+from hypothesis.stateful import rule
+from hypothesis.stateful import RuleBasedStateMachine
+import pytest
+
+from dxl_monitor.models import Models
+from dxl_monitor.monitor import Monitor
+from fuzz.__main__ import CORPUS
+from fuzz.__main__ import TARGETS
+from fuzz.script import fast_reply
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import MAX_FRAME
+from msg_defs.dxl_packet import STATUS
+from msg_defs.vel2d import encode as encode_velocity
+from msg_defs.vel2d import FRAME_SIZE
+from msg_defs.vel2d import Vel2d
+from vel2d_bridge.receiver import LOOP
+from vel2d_bridge.receiver import QUEUE_DEPTH
+from vel2d_bridge.receiver import Receiver
+
+EXAMPLES = {'tracker': 150, 'model_file': 150, 'dashboard': 200}      # the others are quick
+STEADY = settings(derandomize=True, deadline=None, database=None)
+MACHINE = settings(STEADY, max_examples=60, stateful_step_count=40)
+MODELS = Models()
+IDS = st.integers(0, 4)
+PARAMS = st.one_of(st.binary(max_size=40), st.lists(
+    st.sampled_from([b'\xff', b'\xfd', b'\x00', b'\xff\xff\xfd\x00', b'\x01']),
+    max_size=12).map(b''.join))
+
+
+@pytest.mark.parametrize('target', TARGETS)
+def test_kept_inputs(target):
+    files = sorted((CORPUS / target).iterdir())
+    assert files, f'no corpus for {target}'
+    check = import_module(f'fuzz.{target}').check
+    for file in files:
+        print(file.name)                # which one it was, when one fails
+        check(file.read_bytes())
+
+
+@pytest.mark.parametrize('target', TARGETS)
+def test_any_input(target):
+    check = import_module(f'fuzz.{target}').check
+    steady = settings(STEADY, max_examples=EXAMPLES.get(target, 400))
+    steady(given(st.binary(max_size=300))(check))()
+
+
+def test_the_corpus_stays_small():
+    files = [file for file in CORPUS.rglob('*') if file.is_file()]
+    assert {file.parent.name for file in files} == set(TARGETS)
+    assert max(file.stat().st_size for file in files) <= 1024
+    assert len(files) <= 60 * len(TARGETS)
+
+
+def test_the_fuzzer_says_what_it_lacks():
+    """Without atheris: one line; with it: it runs."""
+    done = subprocess.run([sys.executable, '-m', 'fuzz', 'vel2d', '--seconds', '1'],
+                          capture_output=True, text=True, cwd=Path(__file__).parents[1])
+    if done.returncode:
+        assert done.stderr == 'fuzz: atheris is not installed; pip install -e .[fuzz]\n'
+    else:
+        assert 'stat::number_of_executed_units' in done.stderr
+
+
+def test_a_volume_of_hostile_bytes():
+    """A little of what docs/reliability.md tells of 10^8 bytes."""
+    done = subprocess.run([sys.executable, '-m', 'fuzz.volume', '--bytes', '1500000'],
+                          capture_output=True, text=True, cwd=Path(__file__).parents[1])
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count(' false (') == 3
+
+
+class FramerMachine(RuleBasedStateMachine):
+    """Packets, noise and pauses in any order and any pieces: what was sent whole is found."""
+
+    @initialize()
+    def begin(self):
+        self.framer = Framer()
+        self.sent = []              # good packets since the last pause, all else was quiet
+        self.found = []
+        self.clean = True           # nothing but good packets since the last pause
+        self.total = 0
+
+    def hear(self, data, cuts):
+        borders = [0, *sorted(cut % (len(data) + 1) for cut in cuts), len(data)]
+        for at, end in pairwise(borders):
+            self.found += self.framer.feed(data[at:end], 1)
+        self.total += len(data)
+
+    @rule(number=st.integers(0, 255), params=PARAMS, error=st.integers(0, 255),
+          cuts=st.lists(st.integers(0, 60), max_size=3), stuffed=st.booleans())
+    def packet(self, number, params, error, cuts, stuffed):
+        self.hear(encode(number, STATUS, params, error, stuffed), cuts)
+        self.sent.append((number, STATUS, error))
+
+    @rule(noise=st.binary(max_size=30), cuts=st.lists(st.integers(0, 30), max_size=2))
+    def noise(self, noise, cuts):
+        self.hear(noise, cuts)
+        self.clean &= not noise
+
+    @rule(params=PARAMS, size=st.integers(1, 30))
+    def packet_that_breaks_off(self, params, size):
+        self.hear(encode(1, STATUS, params, 0)[:size], [])
+        self.clean = False
+
+    @rule()
+    def pause(self):
+        self.found += self.framer.flush(1)
+        assert self.framer.pending == 0
+        if self.clean:
+            assert [packet[2:5] for packet in self.found] == self.sent
+        self.sent, self.found, self.clean = [], [], True
+
+    @precondition(lambda self: self.clean)
+    @rule()
+    def clean_packets_need_no_pause(self):
+        assert [packet[2:5] for packet in self.found] == self.sent
+
+    @invariant()
+    def accounts(self):
+        framer = getattr(self, 'framer', None)
+        if framer is not None:
+            assert framer.bytes == self.total
+            assert framer.packet_bytes >= 0 <= framer.noise_bytes
+            assert framer.pending <= MAX_FRAME
+
+
+class MonitorMachine(RuleBasedStateMachine):
+    """A bus with devices that answer, stay away or mumble; the tables hold what was said."""
+
+    @initialize()
+    def begin(self):
+        self.monitor = Monitor('bus', MODELS)
+        self.now = 1_000_000_000
+        self.known = {}             # (device, address): byte that it surely said or took
+
+    def hear(self, data, pause_ns=500_000):
+        self.now += pause_ns
+        self.monitor.feed(data, self.now)
+
+    def table(self, number):
+        return self.monitor._roster.devices[number].table
+
+    @rule(number=IDS, address=st.integers(200, 220), data=st.binary(min_size=1, max_size=6))
+    def read(self, number, address, data):
+        self.hear(encode(number, 2, bytes([address, 0, len(data), 0])))
+        self.hear(encode(number, STATUS, data, 0))
+        self.learn(number, address, data)
+
+    @rule(number=IDS, address=st.integers(200, 220), data=st.binary(min_size=1, max_size=6))
+    def write(self, number, address, data):
+        self.hear(encode(number, 3, bytes([address, 0]) + data))
+        self.hear(encode(number, STATUS, b'', 0))
+        self.learn(number, address, data)
+
+    @rule(number=IDS, address=st.integers(200, 220), error=st.integers(1, 7))
+    def refused_write(self, number, address, error):
+        self.hear(encode(number, 3, bytes([address, 0, 0xEE])))
+        self.hear(encode(number, STATUS, b'', error))
+
+    @rule(ids=st.lists(IDS, min_size=1, max_size=5, unique=True), data=st.binary(
+        min_size=2, max_size=4), silent=st.integers(0, 5), fast=st.booleans())
+    def sync_read(self, ids, data, silent, fast):
+        where = bytes([210, 0, len(data), 0])
+        self.hear(encode(BROADCAST, 0x8A if fast else 0x82, where + bytes(ids)))
+        if fast:
+            self.hear(b'\xff\xff\xfd\x00'
+                      + fast_reply([(0, number, data) for number in ids])[4:])
+        for at, number in enumerate(ids):
+            if fast or at < silent:
+                if not fast:
+                    self.hear(encode(number, STATUS, data, 0))
+                self.learn(number, 210, data)
+
+    @rule(number=IDS, data=st.binary(min_size=1, max_size=6), bit=st.integers(0, 80))
+    def damaged_answer(self, number, data, bit):
+        """Hold that what did not come through whole changes nothing."""
+        self.hear(encode(number, 2, bytes([205, 0, len(data), 0])))
+        answer = bytearray(encode(number, STATUS, data, 0))
+        bit %= 8 * len(answer)
+        answer[max(8, bit) // 8] ^= 1 << bit % 8            # the first byte would be repaired
+        self.hear(bytes(answer))
+        self.hear(b'', 30_000_000)
+
+    @rule(noise=st.binary(min_size=4, max_size=30))
+    def noise_then_an_answer(self, noise):
+        """Answer what the noise may have hidden: life, and nothing for the table."""
+        self.hear(noise, 1_000_000)
+        self.monitor.flush_if_idle(self.now + 30_000_000)
+        self.now += 30_000_000
+        self.hear(encode(1, STATUS, b'\x99\x99', 0))
+
+    @rule(pause_ns=st.sampled_from([1, 30_000_000, 1_500_000_000, 20_000_000_000]))
+    def pause(self, pause_ns):
+        self.now += pause_ns
+        report = self.monitor.report(self.now)
+        assert len(report.devices) <= 5
+
+    def learn(self, number, address, data):
+        for at, byte in enumerate(data, start=address):
+            self.known[number, at] = byte
+
+    @invariant()
+    def tables_hold_what_was_said(self):
+        for (number, address), byte in getattr(self, 'known', {}).items():
+            assert self.table(number).byte(address) == byte, (number, address)
+
+
+class McuMachine(RuleBasedStateMachine):
+    """The rover's receiver under frames, fragments and pauses: a stop that fits in stops it."""
+
+    @initialize(baud=st.sampled_from([19200, 115200]))
+    def begin(self, baud):
+        self.mcu = Receiver(baud=baud)
+        self.now = 0
+
+    def wait(self, ns):
+        self.now = max(self.now, self.mcu.line_free) + ns
+        return self.mcu.advance(self.now)
+
+    @rule(x=st.floats(allow_nan=False, allow_infinity=False, width=32))
+    def frame(self, x):
+        self.mcu.feed(encode_velocity(Vel2d(x, 0.0, 0.0)), self.now)
+        self.wait(2 * self.mcu.character)
+
+    @rule(data=st.binary(min_size=1, max_size=70), gap=st.booleans())
+    def garbage(self, data, gap):
+        self.mcu.feed(data, self.now)
+        self.wait(2 * self.mcu.character if gap else 0)
+
+    @rule(ms=st.integers(0, 400))
+    def pause(self, ms):
+        before = self.mcu.wheels
+        taken = self.wait(ms * 1_000_000)
+        assert self.mcu.wheels == (taken[-1] if taken else before)
+
+    @rule()
+    def empty_queue_and_a_stop(self):
+        """Hold what everything else builds on: 300 ms, then one good frame is enough."""
+        self.wait(QUEUE_DEPTH * LOOP)
+        self.mcu.feed(encode_velocity(Vel2d(0.0, 0.0, 0.0)), self.now)
+        self.wait(2 * LOOP)
+        assert self.mcu.wheels.is_stop
+
+    @invariant()
+    def nothing_is_lost_or_made_up(self):
+        mcu = getattr(self, 'mcu', None)
+        if mcu is not None:
+            assert mcu.queued <= QUEUE_DEPTH
+            assert len(mcu._buffer) < FRAME_SIZE
+            assert sum(one.size for one in mcu.arrivals) + len(mcu._buffer) == mcu.totals.received
+
+
+for machine in (FramerMachine, MonitorMachine, McuMachine):
+    machine.TestCase.settings = MACHINE
+TestFramer = FramerMachine.TestCase
+TestMonitor = MonitorMachine.TestCase
+TestMcu = McuMachine.TestCase
