@@ -1,0 +1,72 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Write docs/sample.md: what dxl/diagnostics says of one device of each family.
+
+A simulated bus on simulated time: each device is pinged and its whole table is read, as a
+thorough master would. `python -m docs.generate` calls this; a test holds the page to it.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+import struct
+
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake_bus import make_devices
+from dxl_monitor.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor import Settings
+from dxl_monitor.status import device_status
+from msg_defs.dxl_instruction import Instruction
+
+FAMILIES = ('1:MX-106', '2:XM430-W350', '3:XL330-M288', '4:XL-320', '5:PH54-200-S500',
+            '6:H54-200-S500-R(A)', '7:RH-P12-RN(A)', '8:YM070-210-M001', '9:Rhoban DXL Board',
+            '10:BitFoot', '11:Bit-Bots IMU')
+BAUD = 2_000_000
+LONGEST = 100                   # bytes of a read
+PAUSE_NS = 1_000_000
+
+
+def sample() -> str:
+    """Return the page."""
+    models = Models()
+    devices = make_devices(list(FAMILIES), models, BAUD)
+    line, monitor = Line(devices, BAUD), Monitor('', models, Settings(baud=BAUD))
+    now = PAUSE_NS
+    for device in devices:
+        for instruction, params in _questions(device.model.fields):
+            exchange = line.exchange(device.id, instruction, params, now)
+            for burst in exchange.bursts:
+                monitor.feed(burst.data, burst.end)
+            now = exchange.end + PAUSE_NS
+    report = monitor.report(now)
+    parts = [_section(device_status('dxl_monitor', '', device, report.findings, True).values,
+                      device.name) for device in report.devices]
+    return ('# A device of each family on dxl/diagnostics\n\n'
+            'Simulated devices, freshly read from the first register to the last: what a person '
+            'reads in `ros2 topic echo /dxl/diagnostics`, without the counters in front and the '
+            'ages at the end. Rows of indirect addresses are left out.\n\n' + '\n'.join(parts))
+
+
+def _questions(fields: object) -> Iterator[tuple[Instruction, bytes]]:
+    """Yield a Ping, then reads that cover every field, none of them across a hole."""
+    yield Instruction.PING, b''
+    begin = end = -1
+    for field in [*fields, None]:   # type: ignore[misc]
+        if field is not None and field.at <= end and field.end - begin <= LONGEST:
+            end = max(end, field.end)
+            continue
+        if end > begin:
+            yield Instruction.READ, struct.pack('<HH', begin, end - begin)
+        if field is not None:
+            begin, end = field.at, field.end
+
+
+def _section(values: list[tuple[str, str]], name: str) -> str:
+    model = dict(values)['Model']
+    keys = [key for key, _ in values]
+    first = keys.index('Model Number') if 'Model Number' in keys else 0
+    shown = [(key, value) for key, value in values[first:keys.index('Fields not observed')]
+             if not key.startswith('Indirect')]
+    lines = [f'{key}: {value}' for key, value in shown]
+    return '\n'.join([f'## {name} {model}', '', '```text', *lines, '```', ''])

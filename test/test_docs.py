@@ -1,0 +1,266 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the documentation promises: links lead somewhere, commands exist, figures hold."""
+import ast
+import json
+import os
+from pathlib import Path
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+
+from harness import Program
+from harness import wait
+import pytest
+import yaml
+
+from docs.generate import BRIDGE
+from docs.generate import MONITOR
+from docs.generate import PAGES
+from msg_defs.crc import CRC_INPUTS
+from msg_defs.vel2d import encode
+from msg_defs.vel2d import Vel2d
+
+ROOT = Path(__file__).parents[1]
+PAGES_BY_HAND = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted(ROOT.glob('docs/*.md'))]
+SETTINGS = {'bridge.yaml': BRIDGE, 'monitor.yaml': MONITOR}
+TOOLS = {path.name for path in (ROOT / 'resource/executables').iterdir()}
+# Programs of others that our pages name.
+FOREIGN = {'cd', 'git', 'mkdir', 'source', 'rosdep', 'colcon', 'ros2', 'sudo', 'systemctl',
+           'journalctl', 'rqt_plot', 'export', 'ssh', 'pip', 'xset', 'python', 'jq'}
+
+
+def pages():
+    return pytest.mark.parametrize('page', PAGES_BY_HAND, ids=lambda page: page.name)
+
+
+def commands(page):
+    """Yield the commands of a page's bash blocks, one per && or | part, joined lines."""
+    for block in re.findall(r'^```bash\n(.*?)^```', page.read_text(), re.M | re.S):
+        for line in block.replace('\\\n', ' ').splitlines():
+            yield from filter(None, (part.strip() for part in re.split(r'&&|\|', line)))
+
+
+def anchor(heading):
+    """Spell a heading as its link does."""
+    return re.sub(r'[^\w\- ]', '', heading.strip().lower()).replace(' ', '-')
+
+
+@pages()
+def test_relative_links_lead_somewhere(page):
+    text = re.sub(r'^```.*?^```', '', page.read_text(), flags=re.M | re.S)
+    for target in re.findall(r'\]\(([^)\s]+)\)', text):
+        if '://' in target:
+            continue
+        path, _, name = target.partition('#')
+        there = (page.parent / path) if path else page
+        assert there.exists(), f'{page.name}: {target}'
+        if name and there.suffix == '.md':
+            headings = re.findall(r'^#+ (.*)$', there.read_text(), re.M)
+            assert name in map(anchor, headings), f'{page.name}: {target}'
+
+
+@pages()
+def test_commands_name_what_exists(page):
+    for command in commands(page):
+        words = [word for word in command.split() if not re.match(r'\w+=', word)]
+        if not words or words[0].startswith('#'):
+            continue
+        program = words[0]
+        if '/' in program:
+            file = re.sub(r'^(~/ws/|\./)?(src/mecarover_serial/)?', '', program)
+            assert (ROOT / file).exists() or file.startswith('.venv/'), command
+        else:
+            assert program in TOOLS | FOREIGN, command
+        if words[:3] == ['ros2', 'launch', 'mecarover_serial']:
+            check_launch(words[3:])
+        if words[:3] == ['ros2', 'run', 'mecarover_serial']:
+            assert words[3] in TOOLS, command
+        for name in re.findall(r'-p "?(\w+):=', command):
+            assert name in known_parameters() | {'stamped'}, command
+
+
+def check_launch(words):
+    file, *given = words
+    text = (ROOT / 'launch' / file).read_text()
+    for argument in given:
+        if ':=' in argument:
+            assert f"'{argument.partition(':=')[0]}'" in text, argument
+
+
+def known_parameters():
+    return {one.name for one in (*BRIDGE, *MONITOR)}
+
+
+@pages()
+def test_own_options_exist(page):
+    """Every --option behind one of our tools is in its --help."""
+    for command in commands(page):
+        program = command.removeprefix('ros2 run mecarover_serial ').split()[0]
+        if program in TOOLS - {'vel2d_bridge', 'dxl_monitor'} or program.startswith('deploy/'):
+            known = help_text(program)
+            for option in re.findall(r'(?<=\s)--[\w-]+', command.partition(' # ')[0]):
+                assert option in known, command
+
+
+def help_text(program):
+    file = ROOT / program if '/' in program else ROOT / 'resource/executables' / program
+    done = subprocess.run([sys.executable, file, '--help'], capture_output=True, text=True,
+                          env={**os.environ, 'PYTHONPATH': str(ROOT)}, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def linked(page):
+    """Return the pages that a page links to."""
+    targets = re.findall(r'\]\(([^)\s#]+\.md)', page.read_text())
+    return {(page.parent / target).resolve() for target in targets if '://' not in target}
+
+
+def test_every_page_is_reached_from_the_readme():
+    reached, waiting = set(), {ROOT / 'README.md'}
+    while waiting:
+        page = waiting.pop()
+        reached.add(page)
+        waiting |= {other for other in linked(page) if other.exists()} - reached
+    assert set(ROOT.glob('docs/*.md')) - reached == set()
+
+
+def test_the_readme_names_every_tool():
+    text = (ROOT / 'README.md').read_text()
+    assert [tool for tool in TOOLS if tool not in text] == []
+
+
+def test_generated_pages_are_current():
+    for name, make in PAGES.items():
+        assert (ROOT / 'docs' / name).read_text() == make(), \
+            f'docs/{name} is not current; python -m docs.generate'
+
+
+@pytest.mark.parametrize('name', SETTINGS)
+def test_settings_files_have_every_parameter_at_its_default(name):
+    text = (ROOT / 'config' / name).read_text()
+    given = yaml.safe_load(text)['/**']['ros__parameters']
+    for one in SETTINGS[name]:
+        if one.default == [] or one.name == 'model_dirs':
+            assert re.search(rf'^    #{one.name}: \[', text, re.M), one.name
+        else:
+            assert given.pop(one.name) == one.default, one.name
+    assert given == {}
+
+
+@pytest.mark.parametrize('crc_input, crc', [('bytes', '0xCDF45F5A'), ('words', '0xEF7857FA')])
+def test_the_frame_page_tells_the_checksums(crc_input, crc):
+    frame = encode(Vel2d(0.5, -0.25, 1.0), CRC_INPUTS[crc_input])
+    assert f'`{crc_input}` | {crc} |' in (ROOT / 'docs/frame.md').read_text()
+    assert struct.unpack('<I', frame[-4:]) == (int(crc, 16),)
+
+
+def float_topics():
+    text = (ROOT / 'docs/diagnostics.md').read_text()
+    return set(re.findall(r'`((?:vel2d|dxl)/timing/\w+)` \|', text))
+
+
+def test_layouts_plot_topics_that_exist():
+    xml = ElementTree.parse(ROOT / 'config/plotjuggler.xml')
+    curves = {curve.get('name') for curve in xml.iter('curve')}
+    ticked = {topic.get('name') for topic in xml.iter('topic')}
+    assert {f'/{topic}/data' for topic in float_topics()} >= curves
+    assert {f'{topic}/data' for topic in ticked} == curves
+    foxglove = json.loads((ROOT / 'config/foxglove.json').read_text())
+    panels = foxglove['configById']
+    plotted = {path['value'] for panel in panels.values() for path in panel.get('paths', ())}
+    assert {f'/{topic}.data' for topic in float_topics()} >= plotted
+    assert set(re.findall(r'"(\w+!\w+)"', json.dumps(foxglove))) == set(panels)
+
+
+def test_analyzers_group_every_status_once():
+    groups = yaml.safe_load((ROOT / 'config/analyzers.yaml').read_text())[
+        'analyzers']['ros__parameters']
+    analyzers = [one for group in groups.values() if isinstance(group, dict)
+                 for one in group['analyzers'].values()]
+
+    def matching(name):         # as GenericAnalyzer does
+        return [one['path'] for one in analyzers
+                if any(name.startswith(start) for start in one.get('startswith', ()))
+                or any(re.fullmatch(regex, name) for regex in one.get('regex', ()))]
+
+    for name, path in (('vel2d_bridge: link', 'Link'), ('vel2d_bridge: commands', 'Commands'),
+                       ('dxl_monitor: bus', 'Buses'), ('dxl_monitor: bus left', 'Buses'),
+                       ('dxl_monitor: 011', 'Devices'), ('dxl_monitor: 011 knee', 'Devices'),
+                       ('dxl_monitor: left/011', 'Devices'), ('dxl_monitor: bus1/011', 'Devices')):
+        assert matching(name) == [path], name
+
+
+def policy(node):
+    """Return what the SROS2 policy lets a node publish, subscribe and serve, absolute names."""
+    root = ElementTree.parse(ROOT / 'config/sros2_policy.xml').getroot()
+    [profile] = root.findall(f'.//profile[@node="{node}"]')
+
+    def names(path):
+        return {re.sub('^~', f'/{node}', one.text) if one.text[0] in '~/' else f'/{one.text}'
+                for one in profile.findall(path)}
+    return (names('topics[@publish="ALLOW"]/topic'), names('topics[@subscribe="ALLOW"]/topic'),
+            names('services[@reply="ALLOW"]/service'))
+
+
+@pytest.mark.parametrize('node, prefix', [('vel2d_bridge', 'vel2d'), ('dxl_monitor', 'dxl')])
+def test_policy_allows_every_timing_topic(node, prefix):
+    publish, _, _ = policy(node)
+    timing = {f'/{topic}' for topic in float_topics() if topic.startswith(prefix)}
+    assert {topic for topic in publish if '/timing/' in topic} == timing
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('node, link, fake', [
+    ('vel2d_bridge', 'port', ('vel2d_bridge.fake_mcu',)),
+    ('dxl_monitor', 'ports', ('dxl_monitor.fake_bus',))])
+def test_policy_allows_what_a_running_node_uses_and_little_more(
+        graph, tmp_path, node, link, fake):
+    publish, subscribe, reply = policy(node)
+    optional = {name for name in publish if '/statistics/' in name} | {
+        '/vel2d/timing/callback_to_write_ms', '/vel2d/timing/command_period_ms',
+        '/vel2d/timing/stamp_age_ms', '/dxl/joint_states', '/clock'}
+    with Program(*fake, '--link', str(tmp_path / 'port')), \
+            Program(f'{node}.main', '--ros-args', '-p', f'{link}:={tmp_path}/port'):
+        me = graph.node
+
+        def used():
+            return [{name for name, _ in ask(node, '/')} for ask in (
+                me.get_publisher_names_and_types_by_node,
+                me.get_subscriber_names_and_types_by_node,
+                me.get_service_names_and_types_by_node)]
+
+        wait(lambda: node in me.get_node_names())
+        wait(lambda: publish - optional <= used()[0])
+        used_publish, used_subscribe, used_reply = used()
+    assert used_publish <= publish
+    assert used_subscribe | optional >= subscribe >= used_subscribe
+    assert used_reply == reply
+
+
+def test_scripts_docs_builds_without_a_warning(tmp_path):
+    """The API pages; also the docstrings' mark-up."""
+    try:
+        import sphinx  # noqa: F401 - the extra `docs`
+    except ImportError:
+        pytest.skip("skipped: no sphinx here; pip install 'mecarover_serial[docs]'")
+    done = subprocess.run([sys.executable, '-m', 'sphinx', '-q', '-W', '--keep-going', '-b',
+                           'html', ROOT / 'docs/api', tmp_path], capture_output=True, text=True,
+                          timeout=300)
+    assert done.returncode == 0, done.stderr
+
+
+def test_shell_scripts_parse():
+    if shutil.which('bash') is None:
+        pytest.skip('skipped: no bash here')
+    for script in [*ROOT.glob('scripts/*'), ROOT / '.ci/run']:
+        assert subprocess.run(['bash', '-n', script]).returncode == 0, script
+
+
+def test_launch_files_parse_and_describe_themselves():
+    for file in ROOT.glob('launch/*.launch.py'):
+        assert ast.get_docstring(ast.parse(file.read_text())), file.name

@@ -1,0 +1,85 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The house rules that a machine can hold: import layers, where ROS may be, sizes."""
+import ast
+from pathlib import Path
+import statistics
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LAYERS = {                              # package: what of ours it may import
+    'msg_defs': {'msg_defs'},
+    'mecarover_serial': {'msg_defs', 'mecarover_serial'},
+    'vel2d_bridge': {'msg_defs', 'mecarover_serial', 'vel2d_bridge'},
+    'dxl_monitor': {'msg_defs', 'mecarover_serial', 'dxl_monitor'},
+    'mecarover_demo': {'msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor',
+                       'mecarover_demo'},
+}
+ROS = ('rclpy', 'rcl_interfaces', 'launch', 'launch_ros', 'ament_index_python', 'std_srvs',
+       'builtin_interfaces')
+PURE = {'msg_defs'}                     # no IO, no clock
+IO = {'os', 'socket', 'select', 'time', 'serial', 'subprocess', 'pathlib'}
+FILES = [path for package in LAYERS for path in sorted((ROOT / package).rglob('*.py'))]
+
+
+def imports(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f'{path}: relative import'
+            yield node.module
+
+
+def is_ros(module):
+    top = module.partition('.')[0]
+    return top in ROS or top.endswith('_msgs')
+
+
+def may_use_ros(path):
+    return path.name == 'node.py' or path == ROOT / 'msg_defs/ros.py' \
+        or path.name == 'subscriber.py'
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_go_downward(path):
+    package = path.relative_to(ROOT).parts[0]
+    for module in imports(path):
+        top = module.partition('.')[0]
+        assert top not in LAYERS or top in LAYERS[package], f'{package} imports {module}'
+        assert not is_ros(module) or may_use_ros(path), f'{path.name} imports {module}'
+        if package in PURE and path.name != 'ros.py':
+            assert top not in IO, f'{package} does IO or looks at a clock: {module}'
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_are_one_screenful_of_thought(path):
+    assert len(path.read_text().splitlines()) <= 300
+
+
+def functions():
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                yield f'{path.relative_to(ROOT)}:{node.name}', code_lines(node)
+
+
+def code_lines(function):
+    """Lines of a function without its docstring, as style guides count them."""
+    first = function.body[0]
+    lines = function.end_lineno - function.lineno + 1
+    if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+        lines -= first.end_lineno - first.lineno + 1
+    return lines
+
+
+def test_functions_are_short():
+    sizes = dict(functions())
+    assert [name for name, lines in sizes.items() if lines > 60] == []
+    assert statistics.median(sizes.values()) <= 8
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_file_says_what_it_owns(path):
+    assert ast.get_docstring(ast.parse(path.read_text()))

@@ -1,0 +1,89 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What `ros2 run` and `ros2 launch` need to find after a plain pip install into a fresh prefix."""
+import ast
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+NAME = 'mecarover_serial'
+
+
+def tools():
+    """Console scripts of setup.py, without running it."""
+    for node in ast.walk(ast.parse((ROOT / 'setup.py').read_text())):
+        if isinstance(node, ast.Assign) and node.targets[0].id == 'TOOLS':
+            return ast.literal_eval(node.value)
+    raise AssertionError('setup.py has no TOOLS')
+
+
+@pytest.fixture(scope='module')
+def prefix(tmp_path_factory):
+    """Install a copy of the tree, as `pip install .` does, without asking the network."""
+    tree = tmp_path_factory.mktemp('tree') / NAME
+    keep_out = ('.venv', '.git', '.*_cache', '.hypothesis', 'build', '*.egg-info', '__pycache__')
+    shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*keep_out))
+    prefix = tmp_path_factory.mktemp('prefix')
+    subprocess.run([sys.executable, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-index',
+                    '--no-build-isolation', '--ignore-installed', '--prefix', prefix, '.'],
+                   cwd=tree, check=True)
+    return prefix
+
+
+def test_index_marker_and_share(prefix):
+    share = prefix / 'share'
+    assert (share / 'ament_index/resource_index/packages' / NAME).read_text() == ''
+    assert (share / NAME / 'package.xml').read_bytes() == (ROOT / 'package.xml').read_bytes()
+    for folder, pattern in (('launch', '*.launch.py'), ('config', '*')):
+        here = {path.name for path in (ROOT / folder).glob(pattern)}
+        # pip compiles what it installs.
+        assert {path.name for path in (share / NAME / folder).glob('*')} - {'__pycache__'} == here
+
+
+@pytest.mark.parametrize('tool', tools())
+def test_ros2_run_finds_and_starts(prefix, tool):
+    executable = prefix / 'lib' / NAME / tool
+    assert os.access(executable, os.X_OK)
+    assert os.access(prefix / 'bin' / tool, os.X_OK)
+    [packages] = prefix.glob('lib/python*/site-packages')
+    done = subprocess.run([sys.executable, executable, '--help'], cwd=prefix, timeout=60,
+                          env={**os.environ, 'PYTHONPATH': str(packages)},
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert 'usage' in done.stdout.lower()
+
+
+def test_models_are_installed(prefix):
+    [models] = prefix.glob('lib/python*/site-packages/dxl_monitor/models')
+    assert {path.name for path in models.glob('*.yaml')} \
+        == {path.name for path in (ROOT / 'dxl_monitor/models').glob('*.yaml')} != set()
+
+
+def test_wrappers_are_the_entry_points():
+    wrappers = {path.name: path.read_text()
+                for path in (ROOT / 'resource/executables').iterdir()}
+    assert wrappers.keys() == tools().keys()
+    for tool, module in tools().items():
+        assert f'from {module} import main\n' in wrappers[tool]
+
+
+def test_package_xml_names_what_is_imported():
+    package = ElementTree.parse(ROOT / 'package.xml').getroot()
+    depends = {entry.text for entry in package.iter('exec_depend')}
+    for path in ROOT.glob('*/**/*.py'):
+        if path.relative_to(ROOT).parts[0] not in ('msg_defs', NAME, 'vel2d_bridge',
+                                                   'dxl_monitor', 'launch'):
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            module = node.module if isinstance(node, ast.ImportFrom) else ''
+            top = (module or '').partition('.')[0]
+            if top == 'rclpy' or top.endswith(('_msgs', '_interfaces', '_srvs')):
+                assert top in depends, f'{path} imports {top}'
+    assert package.find('export/build_type').text == 'ament_python'
+    assert package.get('format') == '3'
