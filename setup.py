@@ -46,7 +46,7 @@ setup(
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6'],
         'dashboard': DASHBOARD,
-        'test': ['pytest>=7.4', 'pytest-xdist', 'hypothesis', 'dynamixel-sdk==4.1.0', 'ruff',
+        'test': ['pytest>=7.4', 'pytest-xdist>=3.7', 'hypothesis', 'dynamixel-sdk==4.1.0', 'ruff',
                  'mypy', 'types-PyYAML', 'playwright', 'axe-playwright-python', *DASHBOARD],
         'docs': ['sphinx>=7'],
         'fuzz': ['atheris>=2.3'],           # python -m fuzz; the tests do without

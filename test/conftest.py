@@ -66,6 +66,22 @@ class Domain:
         self._lock.close()
 
 
+def pytest_collection_modifyitems(config, items):
+    """
+    Let one worker take all that judges real processes, first; another takes the files without.
+
+    Two nodes on one core each are a robot; four are a machine that is too busy for its robot.
+    """
+    def is_alone(item):
+        return any(item.get_closest_marker(name) for name in ('ros', 'alone'))
+
+    items.sort(key=is_alone, reverse=True)
+    if config.pluginmanager.hasplugin('xdist'):
+        for item in items:
+            group = 'alone' if is_alone(item) else item.path.stem
+            item.add_marker(pytest.mark.xdist_group(group))
+
+
 def pytest_generate_tests(metafunc):
     """Repeat what must never fail once: every test that asks for `again`."""
     if 'again' in metafunc.fixturenames:
@@ -139,3 +155,11 @@ def graph(ros):
     """Return an operator in the ROS graph, for the whole session."""
     with ros.Graph('operator') as graph:
         yield graph
+
+
+@pytest.fixture(scope='module')
+def cmd_vel(graph):
+    """Return a publisher of commands; the next module's bridge does not meet it."""
+    publisher = graph.publisher(heard=False)
+    yield publisher
+    graph.node.destroy_publisher(publisher)

@@ -15,6 +15,7 @@ from rcl_interfaces.srv import ListParameters
 from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -27,8 +28,8 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
-__all__ = ['DiagnosticArray', 'Float64', 'Graph', 'SetBool', 'String', 'Teleop', 'Trigger',
-           'Twist', 'TwistStamped', 'qos', 'stamped', 'twist']
+__all__ = ['DiagnosticArray', 'Duration', 'Float64', 'Graph', 'SetBool', 'String', 'Teleop',
+           'Trigger', 'Twist', 'TwistStamped', 'qos', 'stamped', 'twist']
 
 
 def twist(x=0.0, y=0.0, omega=0.0):

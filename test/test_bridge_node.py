@@ -4,7 +4,7 @@
 The bridge end to end: real DDS, a real process, a real pty.
 
 Bounds are those that the bridge promises; the fake MCU's stamps are from its own thread, which a
-busy machine may hold up: LATE is added where a bound is shorter than what such a machine does.
+busy machine may hold up: LATE_S is added where a bound is shorter than what such a machine does.
 """
 import math
 import signal
@@ -13,6 +13,8 @@ import threading
 import time
 
 from harness import bridge
+from harness import DEADLINE_S
+from harness import LATE_S
 from harness import Mcu
 from harness import wait
 import pytest
@@ -23,7 +25,6 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 
 pytestmark = pytest.mark.ros
-LATE = 0.25                         # s that a shared machine may hold a thread
 TIME_OUT_BOUND = 0.5 + 2 / 20 + 0.05 + 0.3      # cmd_vel_timeout, resends, write_timeout, queue
 LINK, COMMANDS = 'vel2d_bridge: link', 'vel2d_bridge: commands'
 DRIVE = Vel2d(0.5, -0.25, 1.0)      # the vector of the thesis
@@ -43,13 +44,8 @@ def running(mcu):
         assert 'Traceback' not in running.text
 
 
-@pytest.fixture(scope='module')
-def cmd_vel(graph, running):
-    return graph.publisher()
-
-
 @pytest.fixture
-def standing(graph, mcu, cmd_vel):
+def standing(graph, mcu, running, cmd_vel):
     """Begin with a rover that stands and a time-out that is over."""
     try:
         wait(lambda: mcu.receiver.wheels.is_stop and mcu.velocity == STOP)
@@ -105,7 +101,7 @@ def test_a_thousand_commands_at_200_hz(ros, graph, standing, cmd_vel, max_rate):
 def test_silence_stops_the_rover(ros, standing, cmd_vel):
     with ros.Teleop(cmd_vel, lambda: ros.twist(0.3), rate=50) as teleop:
         wait(lambda: not standing.receiver.wheels.is_stop)
-    assert standing.stopped_at(teleop.last) / 1e9 < TIME_OUT_BOUND + LATE
+    assert standing.stopped_at(teleop.last) / 1e9 < TIME_OUT_BOUND + LATE_S
     stopped = time.monotonic_ns()
     zeros = standing.since(stopped, 10)                         # and it goes on receiving zeros
     assert {frame.velocity for frame in zeros} == {STOP}
@@ -117,7 +113,7 @@ def test_what_is_not_finite_neither_drives_nor_keeps_driving(ros, graph, running
     drive(standing, cmd_vel, ros.twist(0.3), Vel2d(0.3, 0.0, 0.0))
     last = time.monotonic_ns()
     with ros.Teleop(cmd_vel, lambda: ros.twist(*bad), rate=50):
-        assert standing.stopped_at(last) / 1e9 < TIME_OUT_BOUND + LATE
+        assert standing.stopped_at(last) / 1e9 < TIME_OUT_BOUND + LATE_S
         graph.wait_status(COMMANDS, 'commands are refused: not finite; mend its publisher',
                           level=1)
     assert all(math.isfinite(part) for frame in standing.arrivals for part in frame.velocity)
@@ -197,12 +193,14 @@ def test_unplugged_and_plugged_in_again(ros, graph, running, standing, cmd_vel):
     for _ in range(10):
         with ros.Teleop(cmd_vel, lambda: ros.twist(0.3), rate=50):
             wait(lambda: not mcu.receiver.wheels.is_stop)
+        # What is still under way would be a new command to the port that comes back.
+        assert cmd_vel.wait_for_all_acked(ros.Duration(seconds=DEADLINE_S))
         mcu.vanish()
         graph.wait_status(LINK, 'State=closed', level=2)
         back = time.monotonic_ns()
         mcu.come_back()
         first, *more = mcu.since(back, 6)
-        assert (first.stamp - back) / 1e9 < 2.5
+        assert (first.stamp - back) / 1e9 < 2.5 + LATE_S
         # Stops, and nothing but stops: no command has come since.
         assert {frame.velocity for frame in [first, *more]} == {STOP}
     values = graph.wait_status(LINK, 'State=open', level=0).values
@@ -252,9 +250,8 @@ def test_what_blocks_the_executor_delays_no_stop(ros, graph, tmp_path):
             message.angular.x = float(number)
             last = time.monotonic_ns()
             cmd_vel.publish(message)
-            running.wait_for('blocked:', name)
-            assert mcu.stopped_at(last) / 1e9 < TIME_OUT_BOUND + 0.25 + LATE
-            assert time.monotonic_ns() - last < 2.9e9           # it was blocked all the time
+            running.wait_for('blocked:', name)                  # for 3 s from here
+            assert mcu.stopped_at(last) / 1e9 < TIME_OUT_BOUND + 0.25 + LATE_S
         # A signal that comes while it is blocked stops the rover before it can end the process.
         assert graph.set('/slow/vel2d_bridge', cmd_vel_timeout=10.0) == ['']
         drive(mcu, cmd_vel, ros.twist(0.3), Vel2d(0.3, 0.0, 0.0))
@@ -263,7 +260,7 @@ def test_what_blocks_the_executor_delays_no_stop(ros, graph, tmp_path):
         wait(lambda: len(running.said('blocked: look')) == 2)
         signalled = time.monotonic_ns()
         running.signal(signal.SIGINT)
-        assert mcu.stopped_at(signalled) / 1e9 < 0.3 + LATE
+        assert mcu.stopped_at(signalled) / 1e9 < 0.3 + LATE_S
         assert running.exit_code() == 0
 
 

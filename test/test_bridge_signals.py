@@ -4,7 +4,7 @@
 How the bridge ends, is suspended, is killed and is frozen: the rover stops every time.
 
 --times N repeats each (the figures in docs/reliability.md are from 25). The bridge promises 2 s
-for its end and 0.3 s for the deadman; LATE is what a busy machine may add to the latter.
+for its end and 0.3 s for the deadman; LATE_S is what a busy machine may add to the latter.
 """
 from contextlib import contextmanager
 import os
@@ -13,6 +13,7 @@ import signal
 import time
 
 from harness import bridge
+from harness import LATE_S
 from harness import Mcu
 from harness import wait
 import pytest
@@ -21,7 +22,6 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 
 pytestmark = pytest.mark.ros
-LATE = 0.25
 ENDINGS = {
     'SIGINT': [signal.SIGINT],
     'SIGTERM': [signal.SIGTERM],
@@ -36,11 +36,6 @@ ENDINGS = {
 def mcu(tmp_path_factory):
     with Mcu(str(tmp_path_factory.mktemp('dev') / 'mcu')).running() as mcu:
         yield mcu
-
-
-@pytest.fixture(scope='module')
-def cmd_vel(graph):
-    return graph.publisher(heard=False)
 
 
 @contextmanager
@@ -101,7 +96,7 @@ def test_suspended_and_continued(ros, graph, mcu, cmd_vel):
         begin = time.monotonic_ns()
         running.signal(signal.SIGTSTP)
         wait(lambda: running.state() == 'T')
-        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE
+        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
         assert stops_only(mcu.since(time.monotonic_ns(), 10))
         teleop.stop()
         # What waits in the sockets is from before: it must not drive the rover.
@@ -123,7 +118,7 @@ def test_killed(ros, mcu, cmd_vel):
         [deadman] = running.children()
         begin = time.monotonic_ns()
         running.signal(signal.SIGKILL)
-        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE
+        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
         assert running.exit_code() == -signal.SIGKILL
         wait(lambda: is_gone(deadman))
 
@@ -134,7 +129,7 @@ def test_frozen(ros, mcu, cmd_vel):
         [deadman] = running.children()
         begin = time.monotonic_ns()
         running.signal(signal.SIGSTOP)
-        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE
+        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
         assert stops_only(mcu.since(time.monotonic_ns(), 10))
         running.signal(signal.SIGCONT)
         # Commands go on coming: it drives again, after a stop of its own.

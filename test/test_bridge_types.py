@@ -10,6 +10,7 @@ from functools import partial
 import time
 
 from harness import bridge
+from harness import LATE_S
 from harness import Mcu
 from harness import wait
 import pytest
@@ -19,7 +20,6 @@ from msg_defs.vel2d import Vel2d
 
 pytestmark = pytest.mark.ros
 COMMANDS = 'vel2d_bridge: commands'
-LATE = 0.25                     # s that a shared machine may hold a thread or delay discovery
 
 
 @pytest.fixture(scope='module')
@@ -69,7 +69,7 @@ def test_auto_follows_a_teleop_that_changes_its_type(ros, graph, mcu, running, o
         mcu.receiver.arrivals.clear()
         with operator('teleop', kind) as publisher:
             taken_s = drives(ros, mcu, publisher, partial(message, *velocity), velocity)
-            assert taken_s < 1.0 + LATE
+            assert taken_s < 1.0 + LATE_S
         frames = [frame.velocity for frame in mcu.arrivals]
         assert frames[frames.index(velocity) - 1] == STOP
     assert running.said('/teleop/cmd_vel carries twist_stamped now, following')

@@ -17,6 +17,7 @@ import sys
 import time
 
 from harness import bridge
+from harness import LATE_S
 from harness import Mcu
 from harness import Program
 from harness import wait
@@ -29,7 +30,6 @@ from msg_defs.vel2d import Vel2d
 pytestmark = pytest.mark.ros
 LINK, COMMANDS = 'vel2d_bridge: link', 'vel2d_bridge: commands'
 BOUND_S = 0.5 + 2 / 20 + 0.05 + 0.3         # cmd_vel_timeout, resends, write_timeout, queue
-LATE_S = 0.5                                # what a shared machine may add; see the document
 SPEED = 0.3
 DRIVE = Vel2d(SPEED, 0.0, 0.0)
 
@@ -180,24 +180,28 @@ import os, signal, sys, time
 import rclpy
 from geometry_msgs.msg import Twist, TwistStamped
 rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
-signal.signal(signal.SIGTERM, lambda *_: sys.exit(rclpy.shutdown()))
+signal.signal(signal.SIGTERM, lambda *_: sys.exit())
 node = rclpy.create_node('other_teleop')
 kind, x, rate, seconds = sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4])
 publisher = node.create_publisher({'twist': Twist, 'stamped': TwistStamped}[kind], '/cmd_vel', 1)
 message = publisher.msg_type()
 twist = message if kind == 'twist' else message.twist
 twist.linear.x = x
-while not publisher.get_subscription_count():
-    time.sleep(0.01)
-print('begin', flush=True)
-end = time.monotonic() + seconds
-due = time.monotonic()
-while time.monotonic() < end:
-    publisher.publish(message)
-    due += 1 / rate
-    if (left := due - time.monotonic()) > 0:
-        time.sleep(left)
-print('end', flush=True)
+try:
+    while not publisher.get_subscription_count():
+        time.sleep(0.01)
+    print('begin', flush=True)
+    end = time.monotonic() + seconds
+    due = time.monotonic()
+    while time.monotonic() < end:
+        publisher.publish(message)
+        due += 1 / rate
+        if (left := due - time.monotonic()) > 0:
+            time.sleep(left)
+    print('end', flush=True)
+finally:                # take leave of the graph, or its lease has to end first
+    node.destroy_node()
+    rclpy.shutdown()
 """
 
 
@@ -209,7 +213,7 @@ def publishing(kind='twist', x=SPEED, rate=50.0, seconds=60.0):
 
 
 def test_a_publisher_changes_its_type(mcu, cable, running, graph, recovery):
-    """Before those that are killed: the graph knows a dead publisher for its lease, 20 s."""
+    """Before those that are killed: the graph knows a dead publisher for its lease."""
     with publishing():
         wait(lambda: moves(mcu))
     wait(lambda: mcu.receiver.wheels.is_stop)
