@@ -5,7 +5,7 @@
 import {Command} from './command.js';
 import {bridgeState} from './bridge.js';
 import {each, h, icon, set, setIcon} from './dom.js';
-import {showFindings} from './log.js';
+import {showFindings} from './parts.js';
 import {Plot} from './plot.js';
 
 const MOST_ERRORS = 6;

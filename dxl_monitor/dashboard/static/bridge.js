@@ -5,12 +5,9 @@
 import {Command, COMMAND_KEYS} from './command.js';
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {short, splitUnit} from './format.js';
-import {seriesOf, showMetrics} from './log.js';
-import {fillEmpty} from './overview.js';
+import {fillEmpty, metricsHead, seriesOf, showMetrics} from './parts.js';
 import {Plot} from './plot.js';
 import {stateOf, worst} from './store.js';
-
-const COLUMNS = ['mean', 'p50', 'p95', 'max', 'max ever', 'unit'];
 
 export class BridgeView {
   constructor() {
@@ -25,7 +22,7 @@ export class BridgeView {
       h('div', {}, h('section', {class: 'panel'}, h('h2', {}, 'Last command'), this.command.element), this.cards.link.element),
       h('div', {}, h('section', {class: 'panel'}, h('h2', {}, 'Timing'), this.plot.element,
         h('table', {class: 'figures'}, h('caption', {class: 'unseen'}, 'Timing over the last 10 s'),
-          h('thead', {}, h('tr', {}, ...['last 10 s', ...COLUMNS].map((text) => h('th', {scope: 'col'}, text === 'unit' ? h('span', {class: 'unseen'}, text) : text)))), this.rows)),
+          metricsHead(), this.rows)),
       this.cards.commands.element));
     this.element = h('div', {}, h('h1', {class: 'unseen', tabindex: -1}, 'Bridge'), this.empty, this.body);
   }

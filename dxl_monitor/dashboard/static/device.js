@@ -2,10 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // View 3: one device: every observed field, what was missed, a plot of whatever is a number.
 
-import {showCrumbs} from './devices.js';
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {Fields} from './fields.js';
 import {id3, path, splitUnit} from './format.js';
+import {showCrumbs, showFinding} from './parts.js';
 import {Plot} from './plot.js';
 import {deviceName, stateOf, wordOf} from './store.js';
 
@@ -125,11 +125,6 @@ function firstPlot(table) {
   if (table.latency.length) return [LATENCY];
   const field = table.fields.find(({key}) => table.history.has(key));
   return field ? [field.key] : null;
-}
-
-export function showFinding(item, [rule, message]) {
-  say(item.children[1], rule.replaceAll('_', ' '));
-  say(item.children[2], message);
 }
 
 const makeSibling = (device) => h('li', {}, h('a', {href: path('device', device.name)}, icon('ok'), h('b'), h('span')));

@@ -4,7 +4,7 @@
 
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {id3, path, plural, short} from './format.js';
-import {fillEmpty} from './overview.js';
+import {fillEmpty, showCrumbs} from './parts.js';
 import {LEVELS, stateOf, wordOf, WORDS} from './store.js';
 
 export class Devices {
@@ -61,12 +61,6 @@ export class Devices {
     showCrumbs(this.crumbs, links);
     say(this.heading, this.model ?? (this.bus && count > 1 ? `Bus ${label}` : 'Devices'));
   }
-}
-
-/** Links to where this view belongs, the last one being here. */
-export function showCrumbs(element, links) {
-  each(element, links, ([text, href]) => `${href}|${text}`,
-    ([text, href]) => href ? h('a', {href}, text) : h('span', {'aria-current': 'page'}, text));
 }
 
 const textOf = (device) => `${id3(device.id)} ${device.id} ${device.joint} ${device.model} ${device.bus} ${device.state} ${device.message}`.toLowerCase();

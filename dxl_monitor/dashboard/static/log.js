@@ -2,14 +2,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // View 4: the figures of the thesis per bus, its load, a plot of any of them, findings, errors.
 
-import {showFinding} from './device.js';
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {numberOf, path, short, splitUnit} from './format.js';
-import {fillEmpty} from './overview.js';
+import {fillEmpty, metricsHead, seriesOf, showFinding, showFindings, showMetrics} from './parts.js';
 import {Plot} from './plot.js';
-import {deviceName, stateOf, valueOf} from './store.js';
+import {stateOf, valueOf} from './store.js';
 
-const COLUMNS = ['mean', 'p50', 'p95', 'max'];
 const THESIS = ['time_per_buffer', 'time_between_buffers', 'bytes_per_buffer', 'bus_load', 'byte_rate', 'packet_rate', 'error_rate'];
 
 export class LogView {
@@ -34,7 +32,7 @@ export class LogView {
       h('div', {},
         h('section', {class: 'panel'}, h('h2', {}, 'Timing'), this.load,
           h('table', {class: 'figures'}, h('caption', {class: 'unseen'}, 'Timing over the last 10 s'),
-            h('thead', {}, h('tr', {}, ...['last 10 s', ...COLUMNS, 'max ever', ''].map((text) => h('th', {scope: 'col'}, text || h('span', {class: 'unseen'}, 'unit'))))), this.rows)),
+            metricsHead(), this.rows)),
         h('section', {class: 'panel'}, h('h2', {}, 'Findings'), this.noFindings, this.findings, this.untold)),
       h('div', {},
         h('section', {class: 'panel', ariaLabel: 'Plot'}, this.plot.element),
@@ -99,38 +97,3 @@ export class LogView {
       (line, [, value]) => say(line.children[1], value));
   }
 }
-
-/** List the findings of buses and their devices; return how many. */
-export function showFindings(element, groups) {
-  const found = groups.flatMap(({row, devices}) => [
-    ...(row?.findings ?? []).map(([rule, text]) => [rule, text, null, row.name]),
-    ...devices.flatMap((device) => device.findings.map(([rule, text]) => [rule, text, device, device.name]))]);
-  each(element, found, ([rule, , , of]) => `${rule}|${of}`, makeFinding, showFinding);
-  return found.length;
-}
-
-const makeFinding = ([, , device]) => h('li', {}, icon('warn'), h('b'), h('span'),
-  device ? h('a', {href: path('device', device.name)}, deviceName(device)) : null);
-
-/** A table of timing metrics; pressing a name plots it. */
-export function showMetrics(body, rows, plotted, choose) {
-  each(body, rows, (row) => row.metric, (row) => h('tr', {}, h('th', {scope: 'row'}, h('button', {type: 'button', class: 'field', onclick: () => choose(row.metric)}, h('i', {class: 'swatch'}), h('span', {}, row.metric.replaceAll('_', ' ')))),
-    ...COLUMNS.map(() => h('td')), h('td'), h('td', {class: 'unit'})), (line, row) => {
-    set(line.firstChild.firstChild, 'aria-pressed', row.metric === plotted);
-    set(line.firstChild.firstChild.firstChild, 'data-line', row.metric === plotted ? 0 : null);
-    const figures = new Map(row.values.map(([key, value]) => [splitUnit(key)[0], value]));
-    COLUMNS.forEach((name, at) => say(line.children[at + 1], short(figures.get(name) ?? (name === 'mean' ? figures.get('value') : undefined) ?? '', 3)));
-    say(line.children[COLUMNS.length + 1], short(figures.get('since start max') ?? '', 3));
-    say(line.lastChild, unitOf(row));
-  });
-}
-
-export const unitOf = (row) => splitUnit(row.values[0]?.[0] ?? '')[1];
-
-/** The series of a metric: p50, p95 and max of the window, or its value. */
-export function seriesOf(row) {
-  if (!row?.points?.length) return [];
-  const names = row.points.at(-1).length > 2 ? ['p50', 'p95', 'max'] : [row.metric.replaceAll('_', ' ')];
-  return names.map((name, at) => ({name, unit: unitOf(row), points: row.points.map((point) => [point[0], point[at + 1] ?? null])}));
-}
-

@@ -5,6 +5,7 @@
 import {Beside} from './beside.js';
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {id3, list, path, plural, short} from './format.js';
+import {fillEmpty} from './parts.js';
 import {deviceName, isLost, stateOf, valueOf, WORDS} from './store.js';
 
 const MOST_ALERTS = 8;
@@ -28,20 +29,6 @@ export class Overview {
     each(this.buses, groups, (group) => group.key, makeBus, updateBus);
     this.beside.update(store, groups);
   }
-}
-
-/** What to do while nothing has come yet. */
-export function fillEmpty(element, store, wanted = 'dxl/diagnostics') {
-  const heard = Object.values(store.topics).some(([count]) => count);
-  const publishers = store.publishers[wanted] ?? 0;
-  const words = publishers
-    ? `${plural(publishers, 'publisher')} of ${wanted}, no message yet.`
-    : heard ? `Nothing on ${wanted} yet.` : `Nobody publishes ${wanted} in ROS domain ${store.facts?.domain ?? '?'}.`;
-  const command = wanted.startsWith('vel2d') ? 'vel2d_bridge' : 'dxl_monitor';
-  each(element, [words], (text) => text, (text) => h('div', {},
-    h('p', {class: 'empty-head'}, text),
-    h('p', {}, 'Start the node, or play a recording:'),
-    h('pre', {}, `ros2 run mecarover_serial ${command}\nros2 bag play RECORDING`)));
 }
 
 function makeBus(group) {
