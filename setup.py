@@ -18,6 +18,7 @@ TOOLS = {
     'dxl_dashboard': 'dxl_monitor.dashboard.main',
 }
 DASHBOARD = ['aiohttp>=3.9']
+DOCS = ['sphinx>=7']
 
 setup(
     name=NAME,
@@ -47,8 +48,8 @@ setup(
         'ros': ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6'],
         'dashboard': DASHBOARD,
         'test': ['pytest>=7.4', 'pytest-xdist>=3.7', 'hypothesis', 'dynamixel-sdk==4.1.0', 'ruff',
-                 'mypy', 'types-PyYAML', 'playwright', 'axe-playwright-python', *DASHBOARD],
-        'docs': ['sphinx>=7'],
+                 'mypy', 'types-PyYAML', 'playwright', 'axe-playwright-python', *DOCS, *DASHBOARD],
+        'docs': DOCS,
         'fuzz': ['atheris>=2.3'],           # python -m fuzz; the tests do without
     },
     entry_points={'console_scripts': [

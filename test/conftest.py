@@ -3,11 +3,13 @@
 """A ROS graph of its own for each test process, and the fixtures that the ROS tests share."""
 from collections import defaultdict
 from contextlib import contextmanager
+from functools import cache
 import importlib
 from itertools import cycle
 from itertools import islice
 import os
 from pathlib import Path
+import re
 import shutil
 import socket
 from statistics import median
@@ -66,20 +68,33 @@ class Domain:
         self._lock.close()
 
 
-def pytest_collection_modifyitems(config, items):
-    """
-    Let one worker take all that judges real processes, first; another takes the files without.
+@cache
+def group(path):
+    """Return 'ros' or 'alone' for a file that judges what real processes do in time, else ''."""
+    marks = re.findall(r'pytest\.mark\.(ros|alone)\b', path.read_text())
+    return max(marks, default='')
 
-    Two nodes on one core each are a robot; four are a machine that is too busy for its robot.
-    """
-    def is_alone(item):
-        return any(item.get_closest_marker(name) for name in ('ros', 'alone'))
 
-    items.sort(key=is_alone, reverse=True)
-    if config.pluginmanager.hasplugin('xdist'):
-        for item in items:
-            group = 'alone' if is_alone(item) else item.path.stem
-            item.add_marker(pytest.mark.xdist_group(group))
+def pytest_collection_modifyitems(items):
+    """Begin with the tests that go one by one: they take longest."""
+    items.sort(key=lambda item: group(item.path), reverse=True)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """
+    Let one worker take all files with nodes, another all those with other processes.
+
+    Two nodes on two cores are a robot; four are a machine that is too busy for its robot.
+    """
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            file = super()._split_scope(nodeid)
+            return group(config.rootpath / file) or file
+
+    return Scheduling(config, log)
 
 
 def pytest_generate_tests(metafunc):

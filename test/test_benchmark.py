@@ -23,6 +23,8 @@ from benchmark.traffic import trace_packets
 from dxl_monitor.fake.line import wire_ns
 from msg_defs.dxl_packet import Framer
 
+pytestmark = pytest.mark.alone
+
 POINTS = {'min': 0.4, 'median': 0.5, 'p99': 0.9, 'max': 7.0}
 FIGURES = [
     Figure('one', 'mean', 'us', [3.0, 1.0, 2.0], 'wanted: less'),

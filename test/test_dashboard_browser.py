@@ -20,7 +20,7 @@ from msg_defs.reports import Level
 from msg_defs.reports import Status
 
 WHY_NOT = dashboard_page.why_not()
-pytestmark = pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT or 'runs')
+pytestmark = [pytest.mark.alone, pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT or 'runs')]
 DEADLINE_MS = 20_000
 BAR = '.bar'
 

@@ -21,6 +21,7 @@ from mecarover_serial.port import open_port
 from msg_defs.vel2d import STOP
 from vel2d_bridge.fake_mcu import FakeMcu
 
+pytestmark = pytest.mark.alone
 PATIENCE_S = 20
 BRIDGE = """
 import json, select, sys, time

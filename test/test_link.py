@@ -22,6 +22,8 @@ from vel2d_bridge.gate import Stop
 from vel2d_bridge.gate import Verdict
 from vel2d_bridge.link import Link
 
+pytestmark = pytest.mark.alone
+
 PATIENCE_S = 20
 TIOCGEXCL = 0x80045440
 DRIVE = Vel2d(0.5, -0.25, 1.0)

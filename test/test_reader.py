@@ -23,6 +23,8 @@ from dxl_monitor import reader_process
 from dxl_monitor.tap import Tap
 from mecarover_serial.pty import Pty
 
+pytestmark = pytest.mark.alone
+
 MS = 1_000_000
 
 

@@ -27,6 +27,8 @@ from dxl_monitor.monitor import Settings
 from dxl_monitor.report import BusReport
 from dxl_monitor.tap import Tap
 
+pytestmark = pytest.mark.alone
+
 MODELS = Models()
 SECOND = 1_000_000_000
 BAUD = 1_000_000

@@ -31,7 +31,9 @@ try:
 except ImportError:
     sdk = None
 
-pytestmark = pytest.mark.skipif(sdk is None, reason='skipped: dynamixel-sdk is not installed')
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.skipif(sdk is None, reason='skipped: dynamixel-sdk is not installed')]
 
 BAUD = 1_000_000
 MODELS = Models()

@@ -21,6 +21,8 @@ from dxl_monitor.tap_driver import LineErrors
 from dxl_monitor.tap_driver import set_low_latency
 from mecarover_serial.pty import Pty
 
+pytestmark = pytest.mark.alone
+
 DEADLINE_S = 20.0
 
 
