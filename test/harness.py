@@ -1,9 +1,11 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """Real processes for tests: start one, read what it says, end it; and an MCU that remembers."""
+from contextlib import contextmanager
 from contextlib import suppress
 import os
 from pathlib import Path
+import resource
 import signal
 import subprocess
 import sys
@@ -97,6 +99,31 @@ class Program:
         self._process.wait()
         self._reader.join(DEADLINE_S)
         self._process.stdout.close()
+
+
+@contextmanager
+def starving(count=4):
+    """Keep the machine busy: more spinning processes than cores, for a few seconds at most."""
+    spin = 'import time\nend = time.monotonic() + 6\nwhile time.monotonic() < end: pass'
+    busy = [subprocess.Popen([sys.executable, '-c', spin]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for one in busy:
+            one.kill()
+            one.wait()
+
+
+@contextmanager
+def no_descriptors(pid):
+    """Let a process open no further file: half of what it has open is all it may have."""
+    before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+    used = len(os.listdir(f'/proc/{pid}/fd'))
+    resource.prlimit(pid, resource.RLIMIT_NOFILE, (used // 2, before[1]))
+    try:
+        yield
+    finally:
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, before)
 
 
 def bridge(mcu, *ros_arguments, script=None, prefix=(), **parameters):

@@ -10,16 +10,15 @@ from contextlib import contextmanager
 from itertools import pairwise
 import os
 import random
-import resource
 import signal
-import subprocess
-import sys
 import time
 
 from harness import bridge
 from harness import LATE_S
 from harness import Mcu
+from harness import no_descriptors
 from harness import Program
+from harness import starving
 from harness import wait
 import pytest
 
@@ -280,19 +279,6 @@ def test_frozen_and_continued(mcu, cable, running, teleop, recovery):
     recovery('SIGSTOP, SIGCONT', until_driving(mcu, end))
 
 
-@contextmanager
-def starving(count=4):
-    """Keep the machine busy: more spinning processes than cores, for a few seconds at most."""
-    spin = 'import time\nend = time.monotonic() + 6\nwhile time.monotonic() < end: pass'
-    busy = [subprocess.Popen([sys.executable, '-c', spin]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for one in busy:
-            one.kill()
-            one.wait()
-
-
 def test_no_cpu_left(mcu, cable, running, teleop, recovery):
     """The least of all processes among busy ones: it still times out, by the steady clock."""
     before = {one: os.getpriority(os.PRIO_PROCESS, one) for one in tasks(running.pid)}
@@ -317,17 +303,12 @@ def tasks(pid):
 
 def test_no_descriptors_left(mcu, cable, running, graph, teleop, recovery):
     """The port is lost and cannot be opened: said, tried again, and back as soon as it can."""
-    old = resource.prlimit(running.pid, resource.RLIMIT_NOFILE)
-    used = len(os.listdir(f'/proc/{running.pid}/fd'))
     cable.cut()
     graph.wait_status(LINK, 'State=closed', level=2)
-    resource.prlimit(running.pid, resource.RLIMIT_NOFILE, (used // 2, old[1]))
-    try:
+    with no_descriptors(running.pid):
         cable.reopen()
         graph.wait_status(LINK, 'no file descriptor is left', level=2)
-    finally:
-        begin = time.monotonic_ns()
-        resource.prlimit(running.pid, resource.RLIMIT_NOFILE, old)
+    begin = time.monotonic_ns()
     recovery('no file descriptors left', until_driving(mcu, begin))
     graph.wait_status(LINK, 'State=open', level=0)
 
