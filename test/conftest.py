@@ -17,6 +17,7 @@ import struct
 import subprocess
 import tempfile
 
+from harness import Mcu
 import pytest
 
 DOMAINS = range(1, 61)          # up to 101 keep clear of the ephemeral ports; benchmarks: 61...
@@ -170,6 +171,13 @@ def graph(ros):
     """Return an operator in the ROS graph, for the whole session."""
     with ros.Graph('operator') as graph:
         yield graph
+
+
+@pytest.fixture(scope='module')
+def mcu(tmp_path_factory):
+    """Return a running fake MCU that remembers; its port is `path`."""
+    with Mcu(str(tmp_path_factory.mktemp('dev') / 'mcu')).running() as mcu:
+        yield mcu
 
 
 @pytest.fixture(scope='module')

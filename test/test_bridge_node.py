@@ -31,12 +31,6 @@ DRIVE = Vel2d(0.5, -0.25, 1.0)      # the vector of the thesis
 
 
 @pytest.fixture(scope='module')
-def mcu(tmp_path_factory):
-    with Mcu(str(tmp_path_factory.mktemp('dev') / 'mcu')).running() as mcu:
-        yield mcu
-
-
-@pytest.fixture(scope='module')
 def running(mcu):
     with bridge(mcu) as running:
         running.wait_for('open at 115200 baud')

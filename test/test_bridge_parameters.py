@@ -39,12 +39,6 @@ REFUSED = (                     # parameter, value, part of the reason
 
 
 @pytest.fixture(scope='module')
-def mcu(tmp_path_factory):
-    with Mcu(str(tmp_path_factory.mktemp('dev') / 'mcu')).running() as mcu:
-        yield mcu
-
-
-@pytest.fixture(scope='module')
 def running(mcu):
     """Run a bridge with the file of defaults; an argument wins over it."""
     with Program('vel2d_bridge.main', '--ros-args', '--params-file', str(CONFIG),

@@ -14,7 +14,6 @@ import time
 
 from harness import bridge
 from harness import LATE_S
-from harness import Mcu
 from harness import wait
 import pytest
 
@@ -30,12 +29,6 @@ ENDINGS = {
     'SIGINT twice': [signal.SIGINT, signal.SIGINT],
     'SIGINT, SIGTERM': [signal.SIGINT, signal.SIGTERM],
 }
-
-
-@pytest.fixture(scope='module')
-def mcu(tmp_path_factory):
-    with Mcu(str(tmp_path_factory.mktemp('dev') / 'mcu')).running() as mcu:
-        yield mcu
 
 
 @contextmanager

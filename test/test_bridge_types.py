@@ -23,12 +23,6 @@ COMMANDS = 'vel2d_bridge: commands'
 
 
 @pytest.fixture(scope='module')
-def mcu(tmp_path_factory):
-    with Mcu(str(tmp_path_factory.mktemp('dev') / 'mcu')).running() as mcu:
-        yield mcu
-
-
-@pytest.fixture(scope='module')
 def running(graph, mcu):
     """Run a bridge with message_type auto, in a namespace and with a remapped topic."""
     with bridge(mcu, '-r', '__ns:=/rover', '-r', 'cmd_vel:=/teleop/cmd_vel') as running:

@@ -34,12 +34,6 @@ DRIVE = Vel2d(SPEED, 0.0, 0.0)
 
 
 @pytest.fixture(scope='module')
-def mcu(tmp_path_factory):
-    with Mcu(str(tmp_path_factory.mktemp('dev') / 'mcu')).running() as mcu:
-        yield mcu
-
-
-@pytest.fixture(scope='module')
 def cable(mcu, tmp_path_factory):
     with Cable(mcu.path, tmp_path_factory.mktemp('cable') / 'port') as cable:
         yield cable
