@@ -11,6 +11,7 @@ import os
 from pathlib import Path
 import re
 import shutil
+import signal
 import socket
 from statistics import median
 import struct
@@ -43,6 +44,8 @@ def pytest_configure(config):
         'FASTRTPS_DEFAULT_PROFILES_FILE': str(Path(__file__).with_name('fast_discovery.xml')),
     })
     os.environ.pop('ROS_LOCALHOST_ONLY', None)
+    # A script's background job ignores Ctrl-C, and so would every process that a test starts.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_unconfigure(config):
