@@ -13,6 +13,7 @@ import sys
 from typing import Any
 
 from mecarover_serial.cli import COULD_NOT_RUN
+from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
 from mecarover_serial.cli import outside_ros_args
 
@@ -29,6 +30,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the dashboard; return the exit code."""
     arguments = list(sys.argv[1:] if args is None else args)
     options = _parser().parse_args(outside_ros_args(arguments))
+    hold_signals()
     try:
         listener = listen(options.host, options.port)
     except OSError as error:
