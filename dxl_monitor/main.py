@@ -18,7 +18,7 @@ ABOUT = ('Listens to Dynamixel Protocol 2.0 buses, without ever sending, and pub
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; return the exit code."""
-    code = answer(NAME, ABOUT, PARAMETERS, sys.argv[1:] if args is None else args)
+    code = answer(NAME, ABOUT, PARAMETERS, args)
     if code is not None:
         return code
     hold_signals()

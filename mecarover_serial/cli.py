@@ -91,13 +91,14 @@ def outside_ros_args(arguments: Sequence[str]) -> list[str]:
 
 
 def answer(name: str, about: str, parameters: Sequence[Parameter],
-           arguments: Sequence[str]) -> int | None:
+           args: Sequence[str] | None) -> int | None:
     """
     Answer a command line that needs no node, for help or by mistake; None: run the node.
 
     ROS ignores what stands outside --ros-args: the node would go on with another port than the
-    one that was meant.
+    one that was meant. args: None for those of the process.
     """
+    arguments = sys.argv[1:] if args is None else args
     if '--help' in arguments or '-h' in arguments:
         print(node_help(name, about, parameters))
         return DONE

@@ -22,7 +22,7 @@ ABOUT = 'Subscribes cmd_vel and writes checked set-points to the MCU of a rover 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; return the exit code."""
-    code = answer(NAME, ABOUT, PARAMETERS, sys.argv[1:] if args is None else args)
+    code = answer(NAME, ABOUT, PARAMETERS, args)
     if code is not None:
         return code
     hold_signals()
