@@ -14,6 +14,7 @@ import re
 from typing import NamedTuple
 
 from mecarover_serial.parameters import ParameterError
+from mecarover_serial.parameters import refuse_twice
 
 MAX_ID = 252
 _ENTRY = re.compile(r'\s*(\d+)\s*(?:-\s*(\d+)\s*)?(?::([^:]*))?(?::([^:]*))?')
@@ -36,8 +37,8 @@ def parse(text: str) -> list[Device]:
 def parse_all(entries: Iterable[str]) -> list[Device]:
     """Return the devices of all entries in their order; an ID twice is a mistake."""
     devices = [device for entry in entries for device in parse(entry)]
-    _refuse_twice('ID', [str(device.id) for device in devices])
-    _refuse_twice('joint', [device.joint for device in devices if device.joint])
+    refuse_twice('devices: ID', [device.id for device in devices])
+    refuse_twice('devices: joint', [device.joint for device in devices if device.joint])
     return devices
 
 
@@ -57,11 +58,3 @@ def _parse_entry(entry: str) -> list[Device]:
         raise ParameterError(f'devices: {entry!r}: one joint name for {last - first + 1} devices; '
                              'name the joints one by one')
     return [Device(number, model, joint) for number in range(first, last + 1)]
-
-
-def _refuse_twice(what: str, names: list[str]) -> None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise ParameterError(f'devices: {what} {name} is there twice; list each device once')
-        seen.add(name)

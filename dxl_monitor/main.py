@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import sys
 
 from dxl_monitor.settings import PARAMETERS
+from mecarover_serial.cli import answer
 from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
-from mecarover_serial.cli import node_help
 
 NAME = 'dxl_monitor'
 ABOUT = ('Listens to Dynamixel Protocol 2.0 buses, without ever sending, and publishes devices, '
@@ -18,10 +18,9 @@ ABOUT = ('Listens to Dynamixel Protocol 2.0 buses, without ever sending, and pub
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; return the exit code."""
-    arguments = sys.argv[1:] if args is None else args
-    if '--help' in arguments or '-h' in arguments:
-        print(node_help(NAME, ABOUT, PARAMETERS))
-        return 0
+    code = answer(NAME, ABOUT, PARAMETERS, args)
+    if code is not None:
+        return code
     hold_signals()
     try:
         from dxl_monitor.node import MonitorNode

@@ -101,7 +101,8 @@ class Listener:
         if counters.line_errors is not None:
             values += [(f'Driver: {name}', str(count))
                        for name, count in counters.line_errors._asdict().items()]
-        return PortState(self.bus.port, '' if state.is_open else state.text, tuple(values))
+        return PortState(self.bus.port, '' if state.is_open else state.text, tuple(values),
+                         '' if self._recorder is None else self._recorder.problem)
 
 
 class JointStates:
@@ -208,7 +209,8 @@ class MonitorNode:
         self._tell_capture()
         self._waiting.extend(self._statuses(heard, True))
         levels = [level for _, report, port in heard for level in (
-            bool(port.problem), report.level, *(device.level for device in report.devices))]
+            bool(port.problem), bool(port.warning), report.level,
+            *(device.level for device in report.devices))]
         now_s = time.monotonic()
         is_time = now_s - self._overview_s >= OVERVIEW_S - self._period_s / 2
         if is_time or levels != self._levels:

@@ -18,6 +18,7 @@ from dxl_monitor.monitor import Settings
 from dxl_monitor.recorder import Recorder
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
+from mecarover_serial.parameters import refuse_twice
 
 PARAMETERS = (
     Parameter('ports', ['/dev/ttyUSB0'], 'one port per bus: a path, best a stable one from '
@@ -78,7 +79,7 @@ def buses(values: dict[str, Any], models: Models) -> list[Bus]:
     ports, bauds = values['ports'], values['bauds']
     if not ports:
         raise ParameterError('ports: none given; set e.g. ports:=/dev/ttyUSB0')
-    _refuse_twice('ports', ports)
+    refuse_twice('ports:', ports)
     if len(bauds) == 1:
         bauds = bauds * len(ports)
     if len(bauds) != len(ports):
@@ -99,7 +100,7 @@ def _names(given: Sequence[str], ports: Sequence[str]) -> list[str]:
         if len(given) != len(ports):
             raise ParameterError(f'names: {len(given)} names for {len(ports)} ports; '
                                  'give one per port')
-        _refuse_twice('names', given)
+        refuse_twice('names:', given)
         return list(given)
     names: list[str] = []
     for port in ports:
@@ -134,11 +135,3 @@ def check_models(devices: Iterable[Device], models: Models) -> None:
             near = models.closest(model)
             remedy = f'did you mean {near}?' if near else 'add a file for it to model_dirs'
             raise ParameterError(f'devices: no model is called {model!r}; {remedy}')
-
-
-def _refuse_twice(parameter: str, texts: Iterable[str]) -> None:
-    seen: set[str] = set()
-    for text in texts:
-        if text in seen:
-            raise ParameterError(f'{parameter}: {text!r} is there twice; give each once')
-        seen.add(text)

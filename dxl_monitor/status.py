@@ -31,6 +31,7 @@ class PortState(NamedTuple):
     port: str
     problem: str                # why it is not open; '' when it is
     values: tuple[tuple[str, str], ...]     # further facts: latency timer, overruns, gaps
+    warning: str = ''           # what else somebody has to see to, e.g. a capture that stopped
 
 
 def device_status(node: str, bus: str, device: DeviceReport, findings: tuple[Finding, ...],
@@ -53,10 +54,13 @@ def device_status(node: str, bus: str, device: DeviceReport, findings: tuple[Fin
 
 def bus_status(node: str, bus: str, report: BusReport, port: PortState,
                with_log: bool) -> Status:
-    """Return the status of the bus itself; a port that is not open outdoes everything else."""
+    """Return the status of the bus itself; a port that is not open outdoes what was heard."""
     level, message = report.level, report.message
     if port.problem:
         level, message = Level.ERROR, port.problem
+    if port.warning:
+        told = (port.warning, message) if level is Level.OK else (message, port.warning)
+        level, message = worst([level, Level.WARN]), '; '.join(filter(None, told))
     by_state: dict[str, int] = {}
     for device in report.devices:
         by_state[device.state] = by_state.get(device.state, 0) + 1

@@ -10,7 +10,10 @@ import os
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
+from launch.actions import EmitEvent
 from launch.actions import OpaqueFunction
+from launch.events import matches_action
+from launch.events.process import ShutdownProcess
 from launch_ros.actions import Node
 import yaml
 
@@ -45,4 +48,11 @@ def _node(context):
         parameters=[given['config'], {
             name: yaml.safe_load(given[name]) for name, _ in PARAMETERS if given[name]}],
         ros_arguments=['--log-level', f'{logger}:={given["log_level"]}'],
-        respawn=given['respawn'].lower() in ('true', '1'), respawn_delay=1.0)]
+        respawn=given['respawn'].lower() in ('true', '1'), respawn_delay=1.0,
+        on_exit=_give_up_if_hopeless)]
+
+
+def _give_up_if_hopeless(event, context):
+    """Exit code 2 is a wrong parameter: starting again cannot help, and hides what it said."""
+    give_up = EmitEvent(event=ShutdownProcess(process_matcher=matches_action(event.action)))
+    return [give_up] if event.returncode == 2 else []

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Sequence
 import os
+import shlex
 import signal
 import sys
 import textwrap
@@ -74,6 +75,50 @@ def node_help(name: str, about: str, parameters: Sequence[Parameter]) -> str:
                   textwrap.fill(one.description, 95, initial_indent='      ',
                                 subsequent_indent='      ')]
     return '\n'.join(lines)
+
+
+def outside_ros_args(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments that are not for ROS, which stand between --ros-args and --."""
+    outside, is_ours = [], True
+    for argument in arguments:
+        if argument == '--ros-args':
+            is_ours = False
+        elif is_ours:
+            outside.append(argument)
+        elif argument == '--':
+            is_ours = True
+    return outside
+
+
+def answer(name: str, about: str, parameters: Sequence[Parameter],
+           args: Sequence[str] | None) -> int | None:
+    """
+    Answer a command line that needs no node, for help or by mistake; None: run the node.
+
+    ROS ignores what stands outside --ros-args: the node would go on with another port than the
+    one that was meant. args: None for those of the process.
+    """
+    arguments = sys.argv[1:] if args is None else args
+    if '--help' in arguments or '-h' in arguments:
+        print(node_help(name, about, parameters))
+        return DONE
+    outside = outside_ros_args(arguments)
+    if outside:
+        return _complain(name, UsageError(
+            f'{outside[0]}: not understood outside --ros-args; write e.g. --ros-args '
+            f'{_meant(outside, parameters)}, or see --help'), WRONG_USAGE)
+    return None
+
+
+def _meant(outside: Sequence[str], parameters: Sequence[Parameter]) -> str:
+    """Return how the parameter is set that `--NAME VALUE` or `--NAME=VALUE` means."""
+    option, _, value = outside[0].partition('=')
+    name = option.lstrip('-').replace('-', '_')
+    if name in (one.name for one in parameters):
+        value = value or ''.join(outside[1:2])
+    else:
+        name, value = parameters[0].name, ''
+    return shlex.join(['-p', f'{name}:={value or "VALUE"}'])
 
 
 def no_ros(name: str, error: ImportError) -> int:

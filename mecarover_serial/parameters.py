@@ -8,6 +8,7 @@ anything once it is told not to; so values are converted and checked here, witho
 """
 from __future__ import annotations
 
+from collections.abc import Iterable
 from collections.abc import Sequence
 import difflib
 import math
@@ -85,6 +86,15 @@ def unknown(parameters: Sequence[Parameter], given: Sequence[str]) -> list[str]:
         remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
         lines.append(f'{name}: no such parameter, ignored; {remedy}')
     return lines
+
+
+def refuse_twice(thing: str, values: Iterable[object]) -> None:
+    """Raise ParameterError for the first value that is there already; 'NAME:' or 'NAME: part'."""
+    seen: set[object] = set()
+    for value in values:
+        if value in seen:
+            raise ParameterError(f'{thing} {value} is there twice; give each once')
+        seen.add(value)
 
 
 def _scalar(parameter: Parameter, wanted: type, raw: Any) -> Any:

@@ -3,6 +3,7 @@
 """Real processes for tests: start one, read what it says, end it; and an MCU that remembers."""
 from contextlib import contextmanager
 from contextlib import suppress
+import importlib.util
 import os
 from pathlib import Path
 import resource
@@ -20,6 +21,20 @@ DEADLINE_S = 30.0               # for what takes a moment: generous, the machine
 # runs with 0.25.
 LATE_S = float(os.environ.get('LATE_S', '1.0'))
 POLL_S = 0.005
+
+
+def installed_share(*needed):
+    """Return the share folder of the package as installed, and why a test of it has to skip."""
+    missing = [name for name in needed if importlib.util.find_spec(name) is None]
+    if missing:
+        return '', ('skipped: needs ROS 2 with its launch tools, not importable: '
+                    + ', '.join(missing))
+    from ament_index_python.packages import get_package_share_directory
+    try:
+        return get_package_share_directory('mecarover_serial'), ''
+    except LookupError as error:
+        return '', ('skipped: mecarover_serial is not in the ament index; build and source it '
+                    f'({error})')
 
 
 def wait(condition, deadline_s=DEADLINE_S):

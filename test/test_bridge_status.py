@@ -74,7 +74,7 @@ def test_link(state, warnings, level, message):
      '/cmd_vel: commands are refused: not finite; mend its publisher'),
     (OPEN, HEARD._replace(timeout_s=0.0), Level.WARN, 'cmd_vel_timeout: 0 holds'),
     (OPEN, HEARD._replace(timeout_s=0.0, choice=Choice('twist', False)), Level.WARN,
-     'cmd_vel_timeout: 0 holds the last command for ever, and a best-effort publisher may lose'),
+     'cmd_vel_timeout: 0 holds the last command for ever, and best effort may lose'),
     (OPEN, HEARD._replace(period=periods(0.1, 0.1, 0.1)), Level.OK, 'driving'),
     (OPEN, HEARD._replace(period=periods(0.8, 0.8, 0.8)), Level.WARN,
      '/cmd_vel: a command every 0.8 s, slower than cmd_vel_timeout (0.5 s), the rover stutters; '),

@@ -162,3 +162,15 @@ def test_overridden_qos_and_a_fixed_type(ros, graph, tmp_path):
         running.wait_for('sending [0.5, -0.25, 1.0], crc: 3455344474')
         running.wait_for('sending [0.0, 0.0, 0.0], crc: ')
         assert Vel2d(0.9, 0.0, 0.0) not in {frame.velocity for frame in mcu.arrivals}
+
+
+def test_best_effort_although_the_publisher_is_reliable(ros, graph, tmp_path):
+    """As docs/teleop.md advises over Wi-Fi: then nobody sends a lost command again, late."""
+    with Mcu(str(tmp_path / 'mcu')).running() as mcu, bridge(
+            mcu, '-p', 'qos_overrides./far/cmd_vel.subscription.reliability:=best_effort',
+            '-r', '__ns:=/far', '-r', '__node:=base'):
+        publisher = graph.publisher('/far/cmd_vel', profile=ros.qos(10))
+        drives(ros, mcu, publisher, lambda: ros.twist(0.3))
+        [ours] = graph.node.get_subscriptions_info_by_topic('/far/cmd_vel')
+        assert ours.qos_profile.reliability == ros.qos(1, False).reliability
+        graph.wait_status('base: commands', 'Reliability=best effort')

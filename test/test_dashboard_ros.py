@@ -148,6 +148,29 @@ def test_signals_end_it_with_code_0(ros, number):
     assert len(dashboard.lines) == 1
 
 
+INTERRUPTED = """
+import os, signal, sys
+from dxl_monitor.dashboard import main
+
+class Finder:
+    def find_spec(name, *_):
+        if name == 'IMPORTED':
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Finder)
+sys.exit(main.main(['--port', '0']))
+"""
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('imported', ['aiohttp', 'rclpy', 'diagnostic_msgs'])
+def test_signal_while_it_starts(ros, imported):
+    """The start is finished, then ended; the import of ROS takes longest."""
+    with Program('', script=INTERRUPTED.replace('IMPORTED', imported)) as dashboard:
+        assert dashboard.exit_code() == 0, dashboard.text
+    assert 'Traceback' not in dashboard.text
+
+
 @pytest.mark.ros
 def test_names_can_be_remapped(ros, graph):
     """Several robots in one graph: each dashboard stands in the namespace of its robot."""

@@ -248,9 +248,3 @@ def test_opening_to_the_network_is_said():
     assert 'OPEN TO THE NETWORK' in text
     assert socket.gethostname() in text
     assert 'no password' in text
-
-
-def test_arguments_for_ros_are_not_ours():
-    from dxl_monitor.dashboard.main import _own
-    assert _own(['--port', '0', '--ros-args', '-r', '__ns:=/a', '--', '--host', '::1']) \
-        == ['--port', '0', '--host', '::1']

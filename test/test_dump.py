@@ -419,6 +419,18 @@ def test_a_full_disk_is_one_line(bus):
                         'make room, or give another file')
 
 
+def test_a_port_without_a_single_packet_is_asked_about(tmp_path):
+    link = tmp_path / 'live'
+    with Pty(str(link)) as pty:
+        pty.let_go()
+        with live(link, '--seconds', '2', '--json') as tool:
+            wait(lambda: pty.is_open)
+            os.write(pty.master, b'Protocol 1.0')
+            assert tool.exit_code() == 0
+    assert tool.lines == [f'dxl_dump: {link}: 12 bytes and no packet; is it a Protocol 2.0 bus, '
+                          'and 2000000 baud its rate? --baud takes another']
+
+
 def test_a_capture_can_go_through_a_pipe(bus):
     done = subprocess.run(
         f'{sys.executable} -m dxl_monitor.dump.main {bus} -w - --seconds 0.5 '
@@ -469,6 +481,21 @@ def test_a_capture_with_bad_lines_is_read_and_said(recorded):
         capture_output=True, text=True, timeout=DEADLINE_S)
     assert process.stdout == good
     assert '1 lines are no lines of a capture' in process.stderr
+
+
+@pytest.mark.parametrize('view', [['--summary'], ['--json'], ['--stats'], []])
+def test_a_file_without_a_single_packet_is_asked_about(tmp_path, view):
+    """It is no mistake that could be told from a bus at another rate: nothing else is changed."""
+    text = tmp_path / 'passwd'
+    text.write_bytes(100 * b'root:x:0:0:root:/root:/bin/bash\n')
+    empty = tmp_path / 'empty'
+    empty.write_bytes(b'')
+    for path, lines in (text, [f'dxl_dump: {text}: 3200 bytes and no packet; is it a recording of '
+                               'a Protocol 2.0 bus, made at its rate?']), (empty, []):
+        done = subprocess.run([sys.executable, '-m', 'dxl_monitor.dump.main', str(path), *view],
+                              cwd=ROOT, capture_output=True, text=True, timeout=DEADLINE_S)
+        assert done.returncode == 0
+        assert done.stderr.splitlines() == lines
 
 
 def test_help_has_examples():

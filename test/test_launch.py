@@ -6,25 +6,15 @@ The launch files as `colcon test` runs them: launch_testing, fake ports, clean e
 Skipped by a mark, never by a module-level skip: launch_testing's plugin would drop every other
 test of the run with it.
 """
-import importlib.util
 import tempfile
 import unittest
 
+from harness import installed_share
 import pytest
 from scenarios import CASTS
 from scenarios import play
 
-_NEEDED = ('rclpy', 'launch_ros', 'launch_testing', 'ament_index_python')
-_MISSING = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
-SHARE = WHY = ''
-if _MISSING:
-    WHY = 'skipped: needs ROS 2 with its launch tools, not importable: ' + ', '.join(_MISSING)
-else:
-    from ament_index_python.packages import get_package_share_directory
-    try:
-        SHARE = get_package_share_directory('mecarover_serial')
-    except LookupError as error:
-        WHY = f'skipped: mecarover_serial is not in the ament index; build and source it ({error})'
+SHARE, WHY = installed_share('rclpy', 'launch_ros', 'launch_testing', 'ament_index_python')
 
 if WHY:
     @pytest.mark.ros

@@ -10,6 +10,7 @@ import pytest
 from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
+from mecarover_serial.parameters import refuse_twice
 from mecarover_serial.parameters import unknown
 
 TIMEOUT = Parameter('cmd_vel_timeout', 0.5, 'time-out', 's', 0.05, 10.0, or_zero=True)
@@ -55,6 +56,13 @@ def test_unknown_names():
         'prot: no such parameter, ignored; did you mean port?']
     assert unknown([PORT, BAUD], ['zzz']) == [
         'zzz: no such parameter, ignored; there are: port, baud']
+
+
+def test_what_is_given_twice_is_named():
+    refuse_twice('ports:', ['a', 'b'])
+    with pytest.raises(ParameterError) as caught:
+        refuse_twice('devices: ID', [3, 4, 3, 4])
+    assert str(caught.value) == 'devices: ID 3 is there twice; give each once'
 
 
 def test_words_for_people():

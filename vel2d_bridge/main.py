@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 import sys
 
+from mecarover_serial.cli import answer
 from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
-from mecarover_serial.cli import node_help
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.settings import PARAMETERS
 
@@ -22,10 +22,9 @@ ABOUT = 'Subscribes cmd_vel and writes checked set-points to the MCU of a rover 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; return the exit code."""
-    arguments = sys.argv[1:] if args is None else args
-    if '--help' in arguments or '-h' in arguments:
-        print(node_help(NAME, ABOUT, PARAMETERS))
-        return 0
+    code = answer(NAME, ABOUT, PARAMETERS, args)
+    if code is not None:
+        return code
     hold_signals()
     deadman = Deadman()
     try:

@@ -234,7 +234,7 @@ class Bridge:
         name, state, subscriber = self.node.get_name(), self._link.state(), self._subscriber
         verdict, refused_at = self._refused or (None, 0)
         commands = Commands(
-            subscriber.topic, subscriber.choice, self._values['cmd_vel_timeout'],
+            subscriber.topic, subscriber.subscribed, self._values['cmd_vel_timeout'],
             subscriber.complaints, self._timing.command_period.summary(now),
             subscriber.zero_stamps, verdict if now - refused_at < REFUSED_NS else None)
         return [link_status(name, self._port, state, self._port_warnings, self._mcu, now),

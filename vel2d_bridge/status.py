@@ -138,7 +138,7 @@ def _complaints(state: LinkState, commands: Commands) -> list[str]:
     if commands.timeout_s == 0:
         lines.append('cmd_vel_timeout: 0 holds the last command for ever'
                      + ('' if commands.choice.reliable else
-                        ', and a best-effort publisher may lose the one that stops')
+                        ', and best effort may lose the one that stops')
                      + '; set 0.5')
     return lines
 

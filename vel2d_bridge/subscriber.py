@@ -61,6 +61,12 @@ class Subscriber:
         self._overrides = _overridden(node, self.topic)
         self._subscription = self._subscribe()
 
+    @property
+    def subscribed(self) -> Choice:
+        """The choice as it is in force: the reliability may be overridden."""
+        ours = self._subscription.qos_profile.reliability
+        return self.choice._replace(reliable=ours == ReliabilityPolicy.RELIABLE)
+
     def look(self) -> None:
         """Look at the graph and follow it; to be called several times a second."""
         self._wall.observe(time.time_ns(), time.monotonic_ns())

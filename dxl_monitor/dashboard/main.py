@@ -13,7 +13,9 @@ import sys
 from typing import Any
 
 from mecarover_serial.cli import COULD_NOT_RUN
+from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
+from mecarover_serial.cli import outside_ros_args
 
 NAME = 'dxl_dashboard'
 HOST, PORT = '127.0.0.1', 8420
@@ -27,7 +29,8 @@ _REMEDIES = {
 def main(args: Sequence[str] | None = None) -> int:
     """Run the dashboard; return the exit code."""
     arguments = list(sys.argv[1:] if args is None else args)
-    options = _parser().parse_args(_own(arguments))
+    options = _parser().parse_args(outside_ros_args(arguments))
+    hold_signals()
     try:
         listener = listen(options.host, options.port)
     except OSError as error:
@@ -83,19 +86,6 @@ def facts(host: str, port: int) -> dict[str, Any]:
 
 def _bracketed(host: str) -> str:
     return f'[{host}]' if ':' in host else host
-
-
-def _own(arguments: list[str]) -> list[str]:
-    """Return the arguments that are not for ROS, which stand between --ros-args and --."""
-    own, is_ours = [], True
-    for argument in arguments:
-        if argument == '--ros-args':
-            is_ours = False
-        elif is_ours:
-            own.append(argument)
-        elif argument == '--':
-            is_ours = True
-    return own
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -233,8 +233,19 @@ class Session:
         if self._writer is not None and sys.stderr.isatty():
             print(f'dxl_dump: recorded {self._bytes} bytes of the bus to {self._options.write}',
                   file=sys.stderr)
-        for problem in [*self._source.problems(), *self._models.problems]:
+        for problem in [*self._doubts(reports), *self._source.problems(),
+                        *self._models.problems]:
             print(f'dxl_dump: {problem}', file=sys.stderr)
+
+    def _doubts(self, reports: list[BusReport]) -> list[str]:
+        """Ask about bytes without a single packet: of no bus, or heard at another rate."""
+        if not self._bytes or any(report.counters['Packets'] for report in reports):
+            return []
+        question = 'is it a recording of a Protocol 2.0 bus, made at its rate?'
+        if self._source.is_live:
+            question = (f'is it a Protocol 2.0 bus, and {reports[0].baud} baud its rate? '
+                        '--baud takes another')
+        return [f'{self._options.source}: {self._bytes} bytes and no packet; {question}']
 
 
 def _output(options: argparse.Namespace) -> BinaryIO | None:

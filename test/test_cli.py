@@ -1,0 +1,36 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a node does with its command line before ROS is even looked at."""
+from harness import Program
+import pytest
+
+from mecarover_serial.cli import outside_ros_args
+
+BRIDGE, MONITOR = 'vel2d_bridge.main', 'dxl_monitor.main'
+
+
+@pytest.mark.parametrize(('arguments', 'outside'), [
+    (['--port', '0', '--ros-args', '-r', '__ns:=/a', '--', '--host', '::1'],
+     ['--port', '0', '--host', '::1']),
+    (['--ros-args', '-p', 'a:=1', '--ros-args', '-p', 'b:=2'], []),
+    (['--', 'x'], ['--', 'x']),
+    ([], []),
+])
+def test_arguments_that_are_not_for_ros(arguments, outside):
+    assert outside_ros_args(arguments) == outside
+
+
+@pytest.mark.parametrize(('module', 'arguments', 'thing', 'remedy'), [
+    (BRIDGE, ['--port', '/dev/x'], '--port', '-p port:=/dev/x'),
+    (BRIDGE, ['--max-rate=20'], '--max-rate=20', '-p max_rate:=20'),
+    (BRIDGE, ['-p', 'port:=/dev/x'], '-p', '-p port:=VALUE'),
+    (BRIDGE, ['--ros-args', '-p', 'port:=/dev/x', '--', '--baud'], '--baud', '-p baud:=VALUE'),
+    (MONITOR, ['foo'], 'foo', '-p ports:=VALUE'),
+    (MONITOR, ['--devices', '1 2'], '--devices', "-p 'devices:=1 2'"),
+])
+def test_what_stands_outside_ros_args_is_one_line(module, arguments, thing, remedy):
+    """It was ignored, and the node went on with its defaults: on another port than was meant."""
+    with Program(module, *arguments) as program:
+        assert program.exit_code() == 2
+    assert program.lines == [f'{module.partition(".")[0]}: {thing}: not understood outside '
+                             f'--ros-args; write e.g. --ros-args {remedy}, or see --help']
