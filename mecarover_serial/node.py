@@ -10,6 +10,7 @@ a thread reads it, stops the machine first, and only then ends the spinning.
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Container
 from collections.abc import Sequence
 from functools import partial
 import gc
@@ -40,6 +41,7 @@ from mecarover_serial.cli import WRONG_USAGE
 from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
+from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
 from mecarover_serial.port import PortError
 from mecarover_serial.systemd import Systemd
@@ -118,6 +120,19 @@ def given(node: Node) -> dict[str, Any]:
     return {name: one.value for name, one in node._parameter_overrides.items()}
 
 
+def _prefer_typed(node: Node, known: Container[str]) -> None:
+    """
+    Let the command line win over a file that gives another type.
+
+    rcl keeps one value per type, and rclpy takes the integer: with `cmd_vel_timeout: 1` in a
+    file, `-p cmd_vel_timeout:=0.25` would be lost without a word.
+    """
+    overrides = node._parameter_overrides
+    for name, value in typed(sys.argv[1:], node.get_name()).items():
+        if name in known and name in overrides and type(value) is not type(overrides[name].value):
+            overrides[name] = rclpy.Parameter(name, value=value)
+
+
 def declare(node: Node, parameters: Sequence[Parameter],
             apply: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
     """
@@ -128,6 +143,7 @@ def declare(node: Node, parameters: Sequence[Parameter],
     """
     known = {parameter.name: parameter for parameter in parameters}
     values = {}
+    _prefer_typed(node, known)
     wanted = given(node)
     for parameter in parameters:
         if parameter.name in wanted:    # before rclpy does: its words name no remedy

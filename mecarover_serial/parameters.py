@@ -10,10 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from collections.abc import Sequence
+from contextlib import suppress
 import difflib
+from itertools import pairwise
 import math
 from typing import Any
 from typing import NamedTuple
+
+import yaml
 
 from msg_defs.reports import number
 
@@ -86,6 +90,29 @@ def unknown(parameters: Sequence[Parameter], given: Sequence[str]) -> list[str]:
         remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
         lines.append(f'{name}: no such parameter, ignored; {remedy}')
     return lines
+
+
+def typed(arguments: Sequence[str], node: str) -> dict[str, Any]:
+    """Return the values of `-p [NODE:]NAME:=VALUE` behind --ros-args; the last one counts."""
+    found = {}
+    is_ros = False
+    for word, value in pairwise([*arguments, '']):
+        if word in ('--ros-args', '--'):
+            is_ros = word == '--ros-args'
+        elif is_ros and word in ('-p', '--param') and ':=' in value:
+            name, _, text = value.partition(':=')
+            where, _, name = name.rpartition(':')
+            if where.lstrip('/') in ('', '**', '*', node):
+                found[name] = _parsed(text)
+    return found
+
+
+def _parsed(text: str) -> Any:
+    with suppress(ValueError):          # 1e-3 is a number for ROS, a string for PyYAML
+        return float(text) if not text.lstrip('+-').isdigit() else int(text)
+    with suppress(yaml.YAMLError):
+        return yaml.safe_load(text)
+    return text
 
 
 def refuse_twice(thing: str, values: Iterable[object]) -> None:

@@ -11,6 +11,7 @@ from geometry_msgs.msg import TwistStamped
 from harness import DEADLINE_S
 from harness import wait
 from rcl_interfaces.srv import DescribeParameters
+from rcl_interfaces.srv import GetParameters
 from rcl_interfaces.srv import ListParameters
 from rcl_interfaces.srv import SetParameters
 import rclpy
@@ -19,6 +20,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
@@ -150,6 +152,11 @@ class Graph:
                       for name, value in values.items()]
         response = self.call(SetParameters, f'{node}/set_parameters', parameters=parameters)
         return ['' if one.successful else one.reason or 'refused' for one in response.results]
+
+    def get(self, node, names):
+        """Return the values of parameters."""
+        response = self.call(GetParameters, f'{node}/get_parameters', names=names)
+        return [parameter_value_to_python(one) for one in response.values]
 
     def describe(self, node, names):
         """Return the descriptors of parameters by name."""

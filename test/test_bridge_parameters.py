@@ -218,6 +218,18 @@ def test_a_baud_that_the_port_refuses(ros):
     assert running.said(f'{pty.path}: asked for 4000000 baud, the driver gives')
 
 
+def test_the_command_line_wins_over_a_file_of_another_type(graph, mcu, tmp_path):
+    """For rcl the 1 and the 0.25 are two values, of which rclpy takes the integer."""
+    file = tmp_path / 'mine.yaml'
+    file.write_text('/**:\n  ros__parameters:\n    cmd_vel_timeout: 1\n    max_rate: 25\n')
+    with bridge(mcu, '--params-file', str(file), '-r', '__node:=typed', cmd_vel_timeout=0.25):
+        got = graph.get('/typed', ['cmd_vel_timeout', 'max_rate'])
+        assert got == [0.25, 25]
+    with bridge(mcu, '--params-file', str(file), max_rate='fast') as running:
+        assert running.exit_code() == 2
+        assert running.said("max_rate: 'fast' is not possible")
+
+
 def test_mistyped_names_are_said(mcu):
     with bridge(mcu, bauds=9600) as running:
         running.wait_for('WARN', 'bauds: no such parameter, ignored; did you mean baud?')

@@ -11,6 +11,7 @@ from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import refuse_twice
+from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
 
 TIMEOUT = Parameter('cmd_vel_timeout', 0.5, 'time-out', 's', 0.05, 10.0, or_zero=True)
@@ -69,3 +70,16 @@ def test_words_for_people():
     assert TIMEOUT.range_text == '>= 0.05, <= 10 or 0'
     assert [p.type_name for p in (TIMEOUT, BAUD, PORT, DEADMAN, PORTS, BAUDS)] == [
         'double', 'integer', 'string', 'bool', 'string list', 'integer list']
+
+
+@pytest.mark.parametrize(('words', 'values'), [
+    ('--ros-args -p cmd_vel_timeout:=0.25', {'cmd_vel_timeout': 0.25}),
+    ('--ros-args -p a:=1 -p a:=2 --param b:=1e-3 --params-file x -p c:=[1]',
+     {'a': 2, 'b': 0.001, 'c': [1]}),
+    ('--ros-args -p bridge:a:=true -p /bridge:b:=-2 -p /**:c:=x:=y -p other:d:=4',
+     {'a': True, 'b': -2, 'c': 'x:=y'}),
+    ('-p a:=1 --ros-args -p b:=2 -- -p c:=3 --ros-args -r d:=4 -p e', {'b': 2}),
+    ('--ros-args -p port:=/dev/tty:1 -p a:=[', {'port': '/dev/tty:1', 'a': '['}), ('', {}),
+])
+def test_what_the_command_line_says(words, values):
+    assert typed(words.split(), 'bridge') == values
