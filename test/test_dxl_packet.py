@@ -347,6 +347,7 @@ def test_what_is_wrong_is_said_exactly(
     assert flaw is not None
     assert (flaw.reason, flaw.repaired, flaw.noise_length) == (reason, False, 0)
     assert body == wire[4:4 + len(body)]
+    assert reason != 'length' or len(body) == 4      # who, how long and what: no more is known
     assert end == len(PING) + 4 + len(body)
     assert (framer.crc_errors, framer.truncated, framer.bad_length) == counts
 
@@ -384,3 +385,11 @@ def test_a_packet_behind_noise_is_not_held_back() -> None:
     framer = Framer()
     framer.feed(bytes(50) + READ[:8], 0)
     assert len(framer.feed(READ[8:], 0)) == 1
+
+
+@pytest.mark.parametrize('first', [b'', b'\x00'])
+def test_the_first_frame_of_a_stream_may_have_a_damaged_header_too(first: bytes) -> None:
+    framer = Framer()
+    [packet] = framer.feed(first + REPLY[1:], 0)
+    assert (packet.repaired, packet.params) == (True, b'\xa6\x00\x00\x00')
+    assert summary(framer) == (1, 1, 0, 0, 0, 0)
