@@ -224,18 +224,21 @@ class Copy:
 
     def passes(self, tests: Sequence[str]) -> bool | None:
         """Tell whether these tests pass; None when they do not end in time."""
-        process = subprocess.Popen(
-            [sys.executable, '-B', '-m', 'pytest', '-qx', '-p', 'no:cacheprovider', *SELECT,
-             *(f'test/{name}' for name in tests)], cwd=self._folder, start_new_session=True,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            env={**os.environ, 'PYTHONPATH': str(self._folder), 'PYTHONHASHSEED': '0',
-                 'PYTEST_DISABLE_PLUGIN_AUTOLOAD': '1'})       # they take longer than most tests
-        try:
-            return process.wait(TIMEOUT_S) == 0
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, 9)
-            process.wait()
-            return None
+        code = -1
+        while code < 0:                              # somebody ended them: that says nothing
+            process = subprocess.Popen(
+                [sys.executable, '-B', '-m', 'pytest', '-qx', '-p', 'no:cacheprovider', *SELECT,
+                 *(f'test/{name}' for name in tests)], cwd=self._folder, start_new_session=True,
+                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                env={**os.environ, 'PYTHONPATH': str(self._folder), 'PYTHONHASHSEED': '0',
+                     'PYTEST_DISABLE_PLUGIN_AUTOLOAD': '1'})   # they take longer than most tests
+            try:
+                code = process.wait(TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, 9)
+                process.wait()
+                return None
+        return code == 0
 
 
 def main() -> int:
@@ -248,11 +251,10 @@ def main() -> int:
                 print(f'{file}: its tests fail as it is; mend them first', file=sys.stderr)
                 return 1
         survivors = list(_survivors(chosen, copies, pool))
-    known = [one for one in survivors if one.changes_nothing]
-    judged = len(chosen) - len(known)
-    killed = len(chosen) - len(survivors)
-    print(f'{killed} of {judged} mutants noticed: {100 * killed / judged:.1f} % '
-          f'({len(known)} more change nothing; seed {options.seed})')
+    judged = [one for one in chosen if not one.changes_nothing]
+    noticed = len(judged) - len([one for one in survivors if not one.changes_nothing])
+    print(f'{noticed} of {len(judged)} mutants noticed: {100 * noticed / len(judged):.1f} % '
+          f'({len(chosen) - len(judged)} more change nothing; seed {options.seed})')
     return 0
 
 
@@ -269,6 +271,8 @@ def _survivors(chosen: list[Mutant], copies: list[Copy],
                 print(f'{what}: {mutant}', flush=True)
             elif passed is None:
                 print(f'noticed, as its tests do not end: {mutant}', flush=True)
+            elif mutant.changes_nothing:
+                print(f'noticed, which it cannot be: {mutant}', flush=True)
         return found
 
     shares = [chosen[n::len(copies)] for n in range(len(copies))]
