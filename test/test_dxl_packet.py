@@ -13,6 +13,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
 
+from msg_defs.crc import crc16
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
@@ -393,3 +394,17 @@ def test_the_first_frame_of_a_stream_may_have_a_damaged_header_too(first: bytes)
     [packet] = framer.feed(first + REPLY[1:], 0)
     assert (packet.repaired, packet.params) == (True, b'\xa6\x00\x00\x00')
     assert summary(framer) == (1, 1, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize('length', [0, 1, 2])
+def test_what_is_too_short_for_an_instruction_is_no_packet_whatever_its_crc(length: int) -> None:
+    frame = HEADER + b'\x01' + length.to_bytes(2, 'little')
+    found, framer = feed(frame + crc16(frame).to_bytes(2, 'little') + PING)
+    assert [packet.instruction for packet in found] == [0x01]
+    assert framer.bad_length == 1
+
+
+def test_nothing_is_said_of_good_frames_directly_behind_each_other() -> None:
+    framer = Framer()
+    frames = framer.frames(PING + READ + REPLY[:5]) + framer.frames(REPLY[5:])
+    assert [flaw for _, _, flaw in frames] == [None, None, None]

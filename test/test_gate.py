@@ -347,6 +347,17 @@ def test_a_burst_is_six_zeros_50_ms_apart_30_ms_behind_the_last_frame():
     assert [stamp - begin for stamp in stops] == [(30 + 50 * n) * MS for n in range(6)]
 
 
+def test_it_is_stopping_until_the_last_zero_is_out():
+    """A process that is to be suspended waits for that."""
+    gate, now = opened(resend_rate=0.0)
+    gate.stop(now, Stop.SUSPEND)
+    last = now + 250 * MS
+    play(gate, now, last - 1)
+    assert gate.stopping
+    play(gate, last, last)
+    assert not gate.stopping
+
+
 def test_without_limits_any_speed_goes_through():
     gate, now = opened()
     fast = Vel2d(50.0, -40.0, 30.0)

@@ -216,7 +216,7 @@ def test_a_frame_that_leaves_in_time_costs_the_next_nothing():
     world = World()
     world.drive()
     world.line.holds = 1
-    world.pacer.step(world.now + MS)
+    world.pacer.step(world.now + characters_ns(FRAME_SIZE + 2, 115200) - 1)
     world.line.holds = 0
     now = world.now + 45 * MS
     world.pacer.offer(DRIVE, now)
