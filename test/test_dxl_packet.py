@@ -13,6 +13,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
 
+from msg_defs.crc import crc16
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
@@ -347,6 +348,7 @@ def test_what_is_wrong_is_said_exactly(
     assert flaw is not None
     assert (flaw.reason, flaw.repaired, flaw.noise_length) == (reason, False, 0)
     assert body == wire[4:4 + len(body)]
+    assert reason != 'length' or len(body) == 4      # who, how long and what: no more is known
     assert end == len(PING) + 4 + len(body)
     assert (framer.crc_errors, framer.truncated, framer.bad_length) == counts
 
@@ -384,3 +386,25 @@ def test_a_packet_behind_noise_is_not_held_back() -> None:
     framer = Framer()
     framer.feed(bytes(50) + READ[:8], 0)
     assert len(framer.feed(READ[8:], 0)) == 1
+
+
+@pytest.mark.parametrize('first', [b'', b'\x00'])
+def test_the_first_frame_of_a_stream_may_have_a_damaged_header_too(first: bytes) -> None:
+    framer = Framer()
+    [packet] = framer.feed(first + REPLY[1:], 0)
+    assert (packet.repaired, packet.params) == (True, b'\xa6\x00\x00\x00')
+    assert summary(framer) == (1, 1, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize('length', [0, 1, 2])
+def test_what_is_too_short_for_an_instruction_is_no_packet_whatever_its_crc(length: int) -> None:
+    frame = HEADER + b'\x01' + length.to_bytes(2, 'little')
+    found, framer = feed(frame + crc16(frame).to_bytes(2, 'little') + PING)
+    assert [packet.instruction for packet in found] == [0x01]
+    assert framer.bad_length == 1
+
+
+def test_nothing_is_said_of_good_frames_directly_behind_each_other() -> None:
+    framer = Framer()
+    frames = framer.frames(PING + READ + REPLY[:5]) + framer.frames(REPLY[5:])
+    assert [flaw for _, _, flaw in frames] == [None, None, None]

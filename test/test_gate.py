@@ -10,9 +10,11 @@ from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
 
+from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import BURST_FRAMES
+from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import Kind
 from vel2d_bridge.gate import MILLISECOND as MS
@@ -195,7 +197,7 @@ def test_newest_replaces_older_and_the_rate_holds(rate):
 def test_rate_never_exceeds_what_the_baud_carries_with_a_gap():
     gate = Gate(Settings(max_rate=400.0), baud=9600)
     assert gate.frame_rate == pytest.approx(960 / 30, rel=1e-6)
-    assert Gate(Settings(max_rate=400.0), baud=115200).frame_rate == pytest.approx(384, rel=1e-4)
+    assert Gate(Settings(max_rate=400.0)).frame_rate == pytest.approx(11520 / 30, rel=1e-6)
     gate.opened(START)
     offers = [(START + index * MS, Vel2d(1.0, index, 0.0)) for index in range(500)]
     stamps = [stamp for stamp, _ in play(gate, START, START + SECOND, offers)]
@@ -345,6 +347,17 @@ def test_a_burst_is_six_zeros_50_ms_apart_30_ms_behind_the_last_frame():
     assert [stamp - begin for stamp in stops] == [(30 + 50 * n) * MS for n in range(6)]
 
 
+def test_it_is_stopping_until_the_last_zero_is_out():
+    """A process that is to be suspended waits for that."""
+    gate, now = opened(resend_rate=0.0)
+    gate.stop(now, Stop.SUSPEND)
+    last = now + 250 * MS
+    play(gate, now, last - 1)
+    assert gate.stopping
+    play(gate, last, last)
+    assert not gate.stopping
+
+
 def test_without_limits_any_speed_goes_through():
     gate, now = opened()
     fast = Vel2d(50.0, -40.0, 30.0)
@@ -401,8 +414,10 @@ def test_enabling_and_disabling_again_is_no_news():
 def test_closed_again_it_writes_and_takes_nothing():
     gate, now = opened()
     gate.offer(DRIVE, now)
+    gate.stop(now, Stop.TYPE_SWITCH)
     gate.closed()
     assert not gate.is_open
+    assert not gate.stopping
     assert gate.next_frame(now + SECOND) is None
     assert gate.next_deadline(now) == NEVER
     assert gate.offer(DRIVE, now) is Verdict.NO_PORT
@@ -426,3 +441,62 @@ def test_before_a_suspension_no_command_is_taken():
 def test_what_nobody_sets_is_as_the_parameters_say():
     defaults = {parameter.name: parameter.default for parameter in PARAMETERS}
     assert Settings()._asdict() == {name: defaults[name] for name in Settings._fields}
+
+
+def test_opening_leaves_a_gap_behind_who_wrote_last():
+    gate = Gate()
+    gate.opened(START)
+    gap = characters_ns(FRAME_SIZE + 2, 115200)
+    assert gate.next_deadline(START) == START + gap
+    assert gate.next_frame(START + gap - 1) is None
+    assert gate.next_frame(START + gap) == (STOP, Kind.STOP, None)
+
+
+def test_a_zero_command_during_a_burst_is_that_burst():
+    """It waits for nothing of its own: no latency, and nothing is replaced by the next."""
+    gate, now = opened()
+    gate.stop(now, Stop.TYPE_SWITCH)
+    gate.offer(STOP, now)
+    assert gate.next_frame(now) == (STOP, Kind.STOP, None)
+    gate.offer(STOP, now)
+    assert (gate.counters.accepted, gate.counters.replaced) == (2, 0)
+    assert gate.counters.stops[Stop.COMMAND] == 0
+
+
+@pytest.mark.parametrize('frames', range(1, BURST_FRAMES + 1))
+def test_a_burst_delays_the_next_command_by_one_interval_at_most(frames):
+    gate, now = opened(max_rate=2.0, resend_rate=0.0, cmd_vel_timeout=2.0)
+    gate.stop(now, Stop.TYPE_SWITCH)
+    stops = stops_of(play(gate, now, now + 50 * (frames - 1) * MS))
+    assert len(stops) == frames
+    sent = play(gate, stops[-1], stops[-1] + SECOND, [(stops[-1], DRIVE)])
+    assert sent[0] == (stops[-1] + 500 * MS, (DRIVE, Kind.COMMAND, stops[-1]))
+
+
+@pytest.mark.parametrize(('velocity', 'limits'), [
+    (Vel2d(-1.2, -1.2, 1.5), Vel2d(0.3, 0.2, 0.8)),
+    (Vel2d(0.9, -1.7, 1.3), Vel2d(0.5, 0.7, 0.2)),
+    (Vel2d(0.6, 1.6, 1.1), Vel2d(0.5, 0.8, 0.4)),
+])
+def test_no_rounding_carries_a_velocity_over_its_limit(velocity, limits):
+    assert all(abs(part) <= bound
+               for part, bound in zip(limit(velocity, limits), limits, strict=True))
+
+
+def test_what_is_inside_the_limits_is_not_rounded():
+    velocity = Vel2d(-0.45, -0.32, -1.25)            # not the same after / 1.25 * 1.25
+    gate, now = opened(max_linear_x=5.0, max_linear_y=5.0, max_angular_z=5.0)
+    gate.offer(velocity, now)
+    assert gate.next_frame(now).velocity == velocity
+    assert gate.counters.limited == 0
+
+
+def test_a_command_behind_a_resend_goes_out_after_the_gap():
+    gate, now = opened()
+    gate.offer(DRIVE, now)
+    resent = play(gate, now, now + 75 * MS)[-1]
+    assert resent == (now + 75 * MS, (DRIVE, Kind.RESEND, None))
+    gate.offer(OTHER, resent[0])
+    gap = characters_ns(FRAME_SIZE + 2, 115200)
+    assert gate.next_frame(resent[0] + gap - 1) is None
+    assert gate.next_frame(resent[0] + gap) == (OTHER, Kind.COMMAND, resent[0])

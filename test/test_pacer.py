@@ -6,6 +6,7 @@ from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.deadman import SILENCE
+from vel2d_bridge.gate import BURST_FRAMES
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import Kind
@@ -15,11 +16,11 @@ from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.gate import Verdict
 from vel2d_bridge.pacer import Pacer
-from vel2d_bridge.pacer import RETRY
 
 START = 5 * SECOND
 DRIVE = Vel2d(0.5, -0.25, 1.0)
 TIMEOUT = 50 * MS
+RETRY = 2 * MS                                       # soon, and not busily
 
 
 class Line:
@@ -30,8 +31,10 @@ class Line:
         self.dropped = 0
         self.takes = FRAME_SIZE
         self.holds = 0
+        self.on_write = lambda: None
 
     def write(self, data):
+        self.on_write()
         self.written.append(data[:self.takes])
         return len(self.written[-1])
 
@@ -146,6 +149,7 @@ def test_a_frame_that_does_not_leave_is_dropped_at_the_time_out_and_a_stop_follo
     assert world.velocities == [DRIVE]
     world.run(50 * MS)
     assert world.velocities[1] == STOP
+    assert world.sent[-1].stamp == drained
 
 
 def test_time_outs_in_a_row_are_counted_and_a_good_write_ends_the_row():
@@ -212,7 +216,7 @@ def test_a_frame_that_leaves_in_time_costs_the_next_nothing():
     world = World()
     world.drive()
     world.line.holds = 1
-    world.pacer.step(world.now + MS)
+    world.pacer.step(world.now + characters_ns(FRAME_SIZE + 2, 115200) - 1)
     world.line.holds = 0
     now = world.now + 45 * MS
     world.pacer.offer(DRIVE, now)
@@ -231,4 +235,46 @@ def test_a_new_line_begins_anew():
     assert world.pacer.time_outs_in_row == 0
     assert not world.pacer.is_idle()
     world.run(10 * MS)
+    assert [decode(data) for data in line.written] == [STOP]
+
+
+def test_the_timings_of_a_frame_are_those_of_its_write():
+    world = World()
+    begin = world.now
+    world.pacer.offer(DRIVE, begin)
+    world.now = begin + 2 * MS                       # the thread comes a little later
+    world.line.on_write = lambda: setattr(world, 'now', begin + 5 * MS)
+    world.pacer.step(world.now)
+    sent = world.sent[-1]
+    assert (sent.stamp, sent.write, sent.latency) == (begin + 5 * MS, 3 * MS, 5 * MS)
+
+
+def test_frames_and_mishaps_are_counted_from_0():
+    pacer = Pacer(Gate(), lambda: START)
+    assert (pacer.frames, pacer.time_outs, pacer.partial_writes, pacer.freezes) == (0, 0, 0, 0)
+    world = World()
+    assert world.pacer.frames == len(world.sent) > BURST_FRAMES
+    world.line.takes = 0
+    world.run(200 * MS)
+    assert world.pacer.frames == len(world.sent)     # what the line refuses is none
+
+
+def test_what_has_not_left_is_waited_for_before_it_counts_as_idle():
+    world = World()
+    assert world.pacer.is_idle()
+    world.line.holds = 1
+    assert not world.pacer.is_idle()
+
+
+def test_a_new_line_does_not_pay_for_a_slow_one():
+    world = World()
+    world.drive()
+    world.line.holds = 1
+    world.pacer.step(world.now + characters_ns(FRAME_SIZE + 2, 115200))
+    world.pacer.detach()
+    line = Line()
+    world.now += SECOND
+    world.pacer.attach(line, world.now)
+    world.now += characters_ns(FRAME_SIZE + 2, 115200)
+    world.pacer.turn(world.now)
     assert [decode(data) for data in line.written] == [STOP]

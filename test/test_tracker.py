@@ -303,7 +303,7 @@ def test_disconnected_after_more_than_the_limit_and_back_at_once() -> None:
     for _ in range(6):
         bus.hear(read(1), gap_ns=100_000_000)
     assert bus.device(1).missed_in_a_row == 5
-    assert ev.DISCONNECTED in bus.kinds()
+    assert [one[2:] for one in notes(bus) if one[1] == ev.DISCONNECTED] == [(1, (5,))]
     bus.hear(reply(1, b'aaaa'))
     assert bus.device(1).missed_in_a_row == 0
     assert ev.RETURNED in bus.kinds()
@@ -841,3 +841,43 @@ def test_whose_turn_was_later_tells_no_latency() -> None:
     assert bus.device(2).latency_resolved == 0
     bus.hear(read(2), reply(2, b'1234'))
     assert bus.device(2).latency_resolved == 1
+
+
+@pytest.mark.parametrize(('asked', 'answer', 'spoilt'), [
+    (read(1), b'', 0), (read(1), damaged(reply(1, b'1234')), 1),
+    (fast_read(1), b'', 0), (fast_read(1), damaged(fast_reply({1: b'1234'})), 1),
+])
+def test_damage_and_then_silence_is_an_answer_spoilt_not_a_device_silent(
+        asked: bytes, answer: bytes, spoilt: int) -> None:
+    """The doctor tells a bad cable from an absent device by it."""
+    bus = Bus()
+    bus.hear(ping(1), pong(1), asked, answer)
+    bus.idle()
+    bus.tracker.settle(bus.now + 10**9)
+    assert (bus.device(1).missed, bus.device(1).spoilt) == (1, spoilt)
+
+
+def test_what_nobody_contradicts_is_carried_out_in_silence_too() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1), write(1, GOAL, b'1234'), reply(1, b'too long'))
+    bus.tracker.settle(bus.now + 10**9)
+    assert bus.known(1, GOAL) == b'1234'
+
+
+def test_when_an_instruction_was_sent_is_kept() -> None:
+    bus = Bus()
+    sent = []
+    for _ in range(3):
+        bus.hear(read(1))
+        sent.append(bus.now)
+        bus.hear(reply(1, b'1234'))
+    [plan] = bus.tracker.plans()
+    assert list(plan.stamps) == sent
+
+
+def test_who_waited_behind_a_silent_device_waits_no_longer_once_it_answers() -> None:
+    bus = Bus()
+    bus.hear(ping(1), pong(1), ping(2), pong(2), sync_read(1, 2), ping(9))
+    assert bus.device(2).waiting_behind == 1
+    bus.hear(read(2), reply(2, b'1234'))
+    assert bus.device(2).waiting_behind is None

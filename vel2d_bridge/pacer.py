@@ -68,7 +68,7 @@ class Pacer:
         self.write_timeout_s = write_timeout_s
         self.frames = 0
         self.time_outs = 0
-        self.time_outs_in_row = 0
+        self.time_outs_in_row = 0                    # since the line last took a frame
         self.partial_writes = 0
         self.freezes = 0
         self.last: Sent | None = None
