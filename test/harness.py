@@ -114,6 +114,8 @@ class Program:
         self._process.wait()
         self._reader.join(DEADLINE_S)
         self._process.stdout.close()
+        crashed = self._process.returncode in (-signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS)
+        assert not crashed, f'crashed with signal {-self._process.returncode}:\n{self.text}'
 
 
 @contextmanager

@@ -16,6 +16,8 @@ from vel2d_bridge.gate import Verdict
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.link import LinkState
 from vel2d_bridge.mcu_log import McuLog
+from vel2d_bridge.settings import doubts
+from vel2d_bridge.settings import PARAMETERS
 from vel2d_bridge.status import Commands
 from vel2d_bridge.status import commands_status
 from vel2d_bridge.status import link_status
@@ -149,3 +151,19 @@ def test_garbage_is_counted_and_not_printed():
     mcu.feed(b'\xff\n')
     assert mcu.garbage(3 * SECOND) == ''                            # said just now
     assert '1 bytes' in mcu.garbage(12 * SECOND)
+
+
+@pytest.mark.parametrize(('name', 'value', 'begin'), [
+    ('cmd_vel_timeout', 0.0, 'cmd_vel_timeout: 0 holds the last command for ever'),
+    ('cmd_vel_timeout', 0.05, 'cmd_vel_timeout: 0.05 s is less than two frames at max_rate 30 Hz'),
+    ('max_rate', 3.0, 'cmd_vel_timeout: 0.5 s is less than two frames at max_rate 3 Hz'),
+    ('max_rate', 34.0, 'max_rate: 34 Hz is more than the MCU takes'),
+    ('resend_rate', 0.0, 'resend_rate: 0 sends each set-point once'),
+    ('deadman', False, 'deadman: off, the rover drives on when this process is killed'),
+])
+def test_what_is_possible_and_probably_not_meant_is_doubted(name, value, begin):
+    values = {parameter.name: parameter.default for parameter in PARAMETERS}
+    assert doubts(values) == []
+    [line] = doubts({**values, name: value})
+    assert line.startswith(begin)
+    assert '; set ' in line

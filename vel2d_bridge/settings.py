@@ -49,14 +49,17 @@ def gate_settings(values: dict[str, Any]) -> Settings:
 def doubts(values: dict[str, Any]) -> list[str]:
     """Say what is possible and probably not meant, a line each."""
     lines = []
-    timeout = values['cmd_vel_timeout']
+    timeout, rate = values['cmd_vel_timeout'], values['max_rate']
     if timeout == 0:
         lines.append('cmd_vel_timeout: 0 holds the last command for ever when its publisher '
                      'dies; set 0.5')
+    elif timeout * rate < 2:
+        lines.append(f'cmd_vel_timeout: {timeout:g} s is less than two frames at max_rate '
+                     f'{rate:g} Hz, commands expire before they are sent; set {2 / rate:.2g}')
     if values['resend_rate'] == 0:
         lines.append('resend_rate: 0 sends each set-point once, a lost frame stays lost; set 20')
-    if values['max_rate'] > 33:
-        lines.append(f'max_rate: {values["max_rate"]:g} Hz is more than the MCU takes (one '
+    if rate > 33:
+        lines.append(f'max_rate: {rate:g} Hz is more than the MCU takes (one '
                      'set-point per 30 ms), the rover will lag; set 30')
     if not values['deadman']:
         lines.append('deadman: off, the rover drives on when this process is killed; set true')
