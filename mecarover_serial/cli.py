@@ -18,6 +18,7 @@ from types import FrameType
 
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
+from mecarover_serial.parameters import split_ros_args
 from mecarover_serial.port import PortError
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
@@ -77,19 +78,6 @@ def node_help(name: str, about: str, parameters: Sequence[Parameter]) -> str:
     return '\n'.join(lines)
 
 
-def outside_ros_args(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments that are not for ROS, which stand between --ros-args and --."""
-    outside, is_ours = [], True
-    for argument in arguments:
-        if argument == '--ros-args':
-            is_ours = False
-        elif is_ours:
-            outside.append(argument)
-        elif argument == '--':
-            is_ours = True
-    return outside
-
-
 def answer(name: str, about: str, parameters: Sequence[Parameter],
            args: Sequence[str] | None) -> int | None:
     """
@@ -102,7 +90,7 @@ def answer(name: str, about: str, parameters: Sequence[Parameter],
     if '--help' in arguments or '-h' in arguments:
         print(node_help(name, about, parameters))
         return DONE
-    outside = outside_ros_args(arguments)
+    _, outside = split_ros_args(arguments)
     if outside:
         return _complain(name, UsageError(
             f'{outside[0]}: not understood outside --ros-args; write e.g. --ros-args '

@@ -92,14 +92,26 @@ def unknown(parameters: Sequence[Parameter], given: Sequence[str]) -> list[str]:
     return lines
 
 
+def split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the arguments for ROS, which stand between --ros-args and --, and the others."""
+    ros: list[str] = []
+    others: list[str] = []
+    into = others
+    for argument in arguments:
+        if argument == '--ros-args':
+            into = ros
+        elif argument == '--' and into is ros:
+            into = others
+        else:
+            into.append(argument)
+    return ros, others
+
+
 def typed(arguments: Sequence[str], node: str) -> dict[str, Any]:
     """Return the values of `-p [NODE:]NAME:=VALUE` behind --ros-args; the last one counts."""
     found = {}
-    is_ros = False
-    for word, value in pairwise([*arguments, '']):
-        if word in ('--ros-args', '--'):
-            is_ros = word == '--ros-args'
-        elif is_ros and word in ('-p', '--param') and ':=' in value:
+    for word, value in pairwise([*split_ros_args(arguments)[0], '']):
+        if word in ('-p', '--param') and ':=' in value:
             name, _, text = value.partition(':=')
             where, _, name = name.rpartition(':')
             if where.lstrip('/') in ('', '**', '*', node):

@@ -4,7 +4,7 @@
 from harness import Program
 import pytest
 
-from mecarover_serial.cli import outside_ros_args
+from mecarover_serial.parameters import split_ros_args
 
 BRIDGE, MONITOR = 'vel2d_bridge.main', 'dxl_monitor.main'
 
@@ -17,7 +17,7 @@ BRIDGE, MONITOR = 'vel2d_bridge.main', 'dxl_monitor.main'
     ([], []),
 ])
 def test_arguments_that_are_not_for_ros(arguments, outside):
-    assert outside_ros_args(arguments) == outside
+    assert split_ros_args(arguments)[1] == outside
 
 
 @pytest.mark.parametrize(('module', 'arguments', 'thing', 'remedy'), [

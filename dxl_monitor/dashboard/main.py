@@ -15,7 +15,7 @@ from typing import Any
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
-from mecarover_serial.cli import outside_ros_args
+from mecarover_serial.parameters import split_ros_args
 
 NAME = 'dxl_dashboard'
 HOST, PORT = '127.0.0.1', 8420
@@ -29,7 +29,7 @@ _REMEDIES = {
 def main(args: Sequence[str] | None = None) -> int:
     """Run the dashboard; return the exit code."""
     arguments = list(sys.argv[1:] if args is None else args)
-    options = _parser().parse_args(outside_ros_args(arguments))
+    options = _parser().parse_args(split_ros_args(arguments)[1])
     hold_signals()
     try:
         listener = listen(options.host, options.port)
