@@ -35,6 +35,7 @@ from dxl_monitor.status import bus_status
 from dxl_monitor.status import device_metrics
 from dxl_monitor.status import device_status
 from dxl_monitor.status import PortState
+from dxl_monitor.tap import TAKE_EVERY_S
 from dxl_monitor.tap import Tap
 from mecarover_serial.node import declare
 from mecarover_serial.process import resident_memory_mb
@@ -57,13 +58,15 @@ OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
 class Listener:
     """One bus: its tap and its monitor, and the recorder of all buses."""
 
-    def __init__(self, bus: Bus, models: Models, recorder: Recorder | None) -> None:
+    def __init__(self, bus: Bus, models: Models, recorder: Recorder | None,
+                 joint_state_rate: float) -> None:
         self.bus = bus
         self.monitor = Monitor(bus.label, models, bus.settings)
         self._recorder = recorder
         self.tap = Tap(bus.port, bus.settings.baud,
                        self.monitor.feed if recorder is None else self._record_and_feed,
-                       self.monitor.flush_if_idle)
+                       self.monitor.flush_if_idle,
+                       take_every_s=min(TAKE_EVERY_S, 0.5 / (joint_state_rate or 1.0)))
 
     @cached_property
     def _wire(self) -> Wire:
@@ -134,7 +137,8 @@ class MonitorNode:
         found = buses(values, models)
         self._recorder = make_recorder(values)
         self._capture_words = ''
-        self._listeners = [Listener(bus, models, self._recorder) for bus in found]
+        self._listeners = [Listener(bus, models, self._recorder, values['joint_state_rate'])
+                           for bus in found]
         self._port_words: dict[str, str] = {}
         self._levels: list[int] = []
         self._overview_s = 0.0
