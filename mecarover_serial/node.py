@@ -18,6 +18,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from typing import Any
 from typing import Protocol
 
@@ -46,6 +47,7 @@ from mecarover_serial.parameters import unknown
 from mecarover_serial.port import PortError
 from mecarover_serial.systemd import Systemd
 
+STEP_S = 1.0                    # of the system clock; less is no step
 _LARGEST = 1e9                  # stands for "no upper limit" in a range, which needs both ends
 
 
@@ -66,27 +68,55 @@ class Stoppable(Protocol):
 
 def run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None = None) -> int:
     """Run a node until a signal ends it; return the exit code (0 signal, 1 failed, 2 usage)."""
+    clock = _SystemClock()
     with _Signals() as signals:
         try:
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         except Exception as error:      # RCLError is private; its cause is what the user typed
             return _complain(name, f'{first_line(error)}; see ros2 run --help', WRONG_USAGE)
-        try:
-            _spin(start(), signals)
-            return DONE
-        except ParameterError as error:
-            return _complain(name, str(error), WRONG_USAGE)
-        except ParameterException as error:     # rclpy's own parameters: use_sim_time, QoS
-            return _complain(name, f'{first_line(error)}; see ros2 param --help', WRONG_USAGE)
-        except PortError as error:
-            return _complain(name, str(error), COULD_NOT_RUN)
-        except OSError as error:
-            return _complain(name, f'{error}; see docs/troubleshooting.md', COULD_NOT_RUN)
-        finally:
+        code = _run(name, start, signals, clock)
+        if clock.went_back:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+        return code
+
+
+class _SystemClock:
+    """
+    Knows whether the system clock was set back since the start.
+
+    Fast DDS then crashes, every other time, when it takes down what was there before. By that
+    time everything of ours is stopped and closed: the process is left without taking it down.
+    """
+
+    def __init__(self) -> None:
+        self._ahead_s = time.time() - time.monotonic()
+
+    @property
+    def went_back(self) -> bool:
+        return time.time() - time.monotonic() < self._ahead_s - STEP_S
+
+
+def _run(name: str, start: Callable[[], Stoppable], signals: _Signals,
+         clock: _SystemClock) -> int:
+    try:
+        _spin(start(), signals, clock)
+        return DONE
+    except ParameterError as error:
+        return _complain(name, str(error), WRONG_USAGE)
+    except ParameterException as error:         # rclpy's own parameters: use_sim_time, QoS
+        return _complain(name, f'{first_line(error)}; see ros2 param --help', WRONG_USAGE)
+    except PortError as error:
+        return _complain(name, str(error), COULD_NOT_RUN)
+    except OSError as error:
+        return _complain(name, f'{error}; see docs/troubleshooting.md', COULD_NOT_RUN)
+    finally:
+        if not clock.went_back:
             rclpy.try_shutdown()
 
 
-def _spin(app: Stoppable, signals: _Signals) -> None:
+def _spin(app: Stoppable, signals: _Signals, clock: _SystemClock) -> None:
     """Spin until a signal has come; then the machine is stopped before anything else ends."""
     executor = SingleThreadedExecutor()
     ended = threading.Event()
@@ -106,7 +136,8 @@ def _spin(app: Stoppable, signals: _Signals) -> None:
         systemd.stopping()
         app.stop()
         executor.shutdown(timeout_sec=1.0)
-        app.node.destroy_node()
+        if not clock.went_back:
+            app.node.destroy_node()
 
 
 def _end(executor: SingleThreadedExecutor, ended: threading.Event) -> None:

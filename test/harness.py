@@ -59,7 +59,7 @@ class Program:
         self._process = subprocess.Popen(
             [*prefix, sys.executable, *start, *arguments], stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors='replace',
-            cwd=ROOT, env={**os.environ, 'PYTHONUNBUFFERED': '1'})
+            cwd=ROOT, env={**os.environ, 'PYTHONUNBUFFERED': '1', 'PYTHONFAULTHANDLER': '1'})
         self.pid = self._process.pid
         self.lines = []
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -87,6 +87,10 @@ class Program:
 
     def signal(self, number):
         self._process.send_signal(number)
+
+    @property
+    def has_ended(self):
+        return self._process.poll() is not None
 
     def state(self):
         """Return the state of the process as ps shows it: R, S, T (stopped) ..."""

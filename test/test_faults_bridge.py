@@ -328,6 +328,8 @@ def test_the_system_clock_jumps(graph, ros, clock, tmp_path, recovery, step_s):
             values = graph.values('jumper: commands')
             assert (values['Refused: waited too long'], values['Time-outs']) == ('0', '0')
         assert mcu.stopped_at(teleop.last) / 1e9 < BOUND_S + LATE_S
+        running.signal(signal.SIGTERM)
+        assert running.exit_code() == 0
         assert 'Traceback' not in running.text
 
 

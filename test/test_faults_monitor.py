@@ -210,6 +210,8 @@ def test_the_system_clock_jumps(own_bus, reports, clock, recovery, step_s):
         recovery(f'system clock {step_s:+} s', node.recovers(time.monotonic()))
         wait(lambda: any(abs(one.header.stamp.sec - time.time() - step_s) < 60
                          for one in reports.heard['/dxl/diagnostics'][-20:]))
+        node.signal(signal.SIGTERM)
+        assert node.exit_code() == 0
         assert 'Traceback' not in node.text
 
 
