@@ -11,8 +11,8 @@ from contextlib import ExitStack
 import math
 import os
 from pathlib import Path
+import shutil
 import sys
-import tempfile
 import time
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -34,6 +34,7 @@ FOR_DOCS = ('overview-desktop-dark', 'overview-desktop-light', 'overview-phone-d
             'log-desktop-light', 'bridge-desktop-dark')
 WARM_UP_S = 75                  # of plots
 LOOK_S = 20                     # at a device, so that its plot has a line
+FOLDER = Path('/tmp/dev')
 SERVOS = 18
 DEVICES = [*(f'{at + 1}:{"MX-106" if at < 10 else "MX-64"}:{JOINTS[at]}' for at in range(SERVOS)),
            '100:Rhoban DXL Board:power', '101:BitFoot:left_foot', '102:BitFoot:right_foot',
@@ -106,8 +107,9 @@ def main():
     everything = [f'{view}-{size}-{theme}' for view in VIEWS for size in SIZES
                   for theme in ('dark', 'light')]
     with ExitStack() as stack:
-        directory = stack.enter_context(tempfile.TemporaryDirectory(dir='/dev/shm'))
-        address = robot(stack, Path(directory))
+        FOLDER.mkdir()                  # its name is in the pictures
+        stack.callback(shutil.rmtree, FOLDER)
+        address = robot(stack, FOLDER)
         browser = stack.enter_context(dashboard_page.browser())
         print(f'screenshots: the robot walks for {WARM_UP_S} s first', flush=True)
         time.sleep(WARM_UP_S)

@@ -167,14 +167,18 @@ def _plug_in_and_out(link: str, listener: Listener, byte: bytes) -> None:
 
 
 def test_stops_at_once_whatever_it_is_doing(tmp_path: Path) -> None:
-    absent = Listener(str(tmp_path / 'absent'))
-    with Pty() as silent_cable:
-        silent = Listener(silent_cable.path)
-        silent.wait_open()
-        for listener in (absent, silent):
-            begin = time.monotonic()
-            listener.tap.stop()
-            assert time.monotonic() - begin < 1.0       # 0.2 s, and a busy machine
+    def stopping_s(listener: Listener) -> float:
+        begin = time.monotonic()
+        listener.tap.stop()
+        return time.monotonic() - begin
+
+    # The best of three: a busy machine may hold one up.
+    assert min(stopping_s(Listener(str(tmp_path / 'absent'))) for _ in range(3)) < 0.5
+    with Pty() as one, Pty() as two, Pty() as three:
+        listeners = [Listener(cable.path) for cable in (one, two, three)]
+        for listener in listeners:
+            listener.wait_open()
+        assert min(map(stopping_s, listeners)) < 0.5
     assert not [one for one in threading.enumerate() if one.name.startswith('tap')]
 
 
