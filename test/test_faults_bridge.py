@@ -244,8 +244,8 @@ def test_a_flood_of_commands(mcu, cable, running, graph, recovery):
     frames = [one for one in good_since(mcu, begin) if one.stamp < last]
     seconds = (frames[-1].stamp - frames[0].stamp) / 1e9
     assert len(frames) < 31 * seconds + 10
-    # One or two, when this process is late at reading for the MCU; a flood would be hundreds.
-    assert mcu.totals()['queue_full'] <= before['queue_full'] + 2
+    # A few, when this process is late at reading for the MCU; a flood would be thousands.
+    assert mcu.totals()['queue_full'] <= before['queue_full'] + 20
     assert not wrong(mcu, begin)
     with publishing():
         recovery('commands at 5 kHz: until another drives', until_driving(
