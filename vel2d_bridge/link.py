@@ -212,7 +212,6 @@ class Link:
                 while not self._is_finished(port):
                     self._turn(port)
             except Exception as error:     # also a callback's mistake: the stops must go on
-                self._losses += 1
                 self._end(port, self._as_problem(error))
                 self._doze(self._backoff.next())
             else:
@@ -272,6 +271,9 @@ class Link:
             self._port = None
             self._since = self._clock()
             self._pacer.detach()
+            if error is not None:
+                self._losses += 1
+                self._problem, self._last_error = error, str(error)
         if self._deadman is not None:
             self._deadman.release()
         with suppress(PortError):
@@ -279,7 +281,7 @@ class Link:
                 port.drop_output()
         port.close()
         if error is not None:
-            self._report(error)
+            self._on_change(error)
 
     def _report(self, error: PortError) -> None:
         with self._lock:
