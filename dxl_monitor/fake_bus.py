@@ -20,7 +20,6 @@ from dxl_monitor.fake.faults import KINDS
 from dxl_monitor.fake.faults import parse as parse_fault
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.shell import Away
 from dxl_monitor.fake.shell import FakeBus
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.fake.values import Sine
@@ -28,6 +27,7 @@ from dxl_monitor.models import Models
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 from mecarover_serial.parameters import ParameterError
+from mecarover_serial.pty import parse_away
 
 WAIT_S = 0.1
 DEFAULT_DEVICES = ('1-10:MX-106', '11-18:MX-64', '100:Rhoban DXL Board', '101:BitFoot',
@@ -69,7 +69,8 @@ def _run(arguments: list[str]) -> int:
     master = Master(line, PATTERNS[pattern], rate=options.rate, seed=options.seed,
                     faults=[parse_fault(text) for text in options.fault],
                     started=options.mid_traffic, patience=round(options.patience * 1e6))
-    bus = FakeBus(master, link=options.link, tap=options.tap or False, away=_away(options.vanish))
+    bus = FakeBus(master, link=options.link, tap=options.tap or False,
+                  away=parse_away(options.vanish))
     print(f'fake_bus: {options.link or bus.path}, {options.baud} baud, {len(devices)} devices, '
           f'pattern {pattern}' + (f', tap {options.tap}' if options.tap else ''), flush=True)
     try:
@@ -88,16 +89,6 @@ def _finish(bus: FakeBus, truth_file: str | None) -> None:
     if truth_file is not None:
         with open(truth_file, 'w', encoding='utf-8') as file:
             json.dump(bus.master.truth.as_json() | {'totals': totals}, file, indent=1)
-
-
-def _away(text: str | None) -> Away | None:
-    if text is None:
-        return None
-    try:
-        after, duration = map(float, text.split(':'))
-    except ValueError:
-        raise UsageError(f'--vanish {text}: not AFTER:FOR; give seconds, as in 3:1.5') from None
-    return Away(after, duration)
 
 
 def _check(options: argparse.Namespace) -> None:

@@ -14,6 +14,27 @@ from pathlib import Path
 import select
 import tty
 from types import TracebackType
+from typing import NamedTuple
+
+from mecarover_serial.cli import UsageError
+
+
+class Away(NamedTuple):
+    """When the adapter is unplugged, and for how long (s)."""
+
+    after: float
+    duration: float
+
+
+def parse_away(text: str | None) -> Away | None:
+    """Return what `--vanish AFTER:FOR` of a fake means."""
+    if text is None:
+        return None
+    try:
+        after, duration = map(float, text.split(':'))
+    except ValueError:
+        raise UsageError(f'--vanish {text}: not AFTER:FOR; give seconds, as in 3:1.5') from None
+    return Away(after, duration)
 
 
 class Pty:

@@ -122,6 +122,17 @@ class Program:
         assert not crashed, f'crashed with signal {-self._process.returncode}:\n{self.text}'
 
 
+def loose_contact(cable):
+    """Cut a cable six times in a second; return when it was last mended (monotonic ns)."""
+    for pause_s in (0.0, 0.01, 0.05, 0.1, 0.2, 0.3):
+        cable.cut()
+        time.sleep(pause_s)
+        begin = time.monotonic_ns()
+        cable.reopen()
+        time.sleep(pause_s)
+    return begin
+
+
 @contextmanager
 def starving(count=4):
     """Keep the machine busy: more spinning processes than cores, for a few seconds at most."""

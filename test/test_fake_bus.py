@@ -28,7 +28,6 @@ from dxl_monitor.fake.line import wire_ns
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.outlet import CAPACITY
 from dxl_monitor.fake.outlet import Outlet
-from dxl_monitor.fake.shell import Away
 from dxl_monitor.fake.shell import FakeBus
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.fake.truth import Truth
@@ -40,6 +39,7 @@ from dxl_monitor.monitor import Settings
 from dxl_monitor.report import BusReport
 from dxl_monitor.uart import heard_at
 from mecarover_serial.parameters import ParameterError
+from mecarover_serial.pty import Away
 from msg_defs.dxl_packet import Framer
 
 MODELS = Models()

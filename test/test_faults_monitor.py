@@ -11,6 +11,7 @@ import resource
 import signal
 import time
 
+from harness import loose_contact
 from harness import no_descriptors
 from harness import Program
 from harness import starving
@@ -143,12 +144,7 @@ def test_unplugged(node, cable, reports, recovery):
 
 
 def test_closes_and_reopens_again_and_again(node, cable, recovery):
-    for pause_s in (0.0, 0.01, 0.05, 0.1, 0.2, 0.3):
-        cable.cut()
-        time.sleep(pause_s)
-        begin = time.monotonic()
-        cable.reopen()
-        time.sleep(pause_s)
+    begin = loose_contact(cable) / 1e9
     recovery('cable: a loose contact, six cuts in a second', node.recovers(begin))
 
 

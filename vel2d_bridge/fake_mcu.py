@@ -21,7 +21,8 @@ import threading
 import time
 
 from mecarover_serial.cli import run_tool
-from mecarover_serial.cli import UsageError
+from mecarover_serial.pty import Away
+from mecarover_serial.pty import parse_away
 from mecarover_serial.pty import Pty
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import CRC_INPUTS
@@ -135,14 +136,14 @@ def main() -> int:
 
 def _main(arguments: list[str]) -> int:
     options = _parser().parse_args(arguments)
-    vanish = _vanish(options.vanish)
+    away = parse_away(options.vanish)
     cable = Cable(drop=options.drop, flip=options.flip, deaf_after=options.deaf_after,
                   seed=options.seed)
     mcu = FakeMcu(options.link, baud=options.baud, crc=CRC_INPUTS[options.crc_input], cable=cable)
     printer = _Printer(mcu, as_json=options.json, frames=options.frames)
     printer.begin(options.baud, options.crc_input)
     try:
-        _serve(mcu, printer, options.seconds, vanish)
+        _serve(mcu, printer, options.seconds, away)
     finally:
         printer.end()
         mcu.close()
@@ -150,14 +151,13 @@ def _main(arguments: list[str]) -> int:
 
 
 def _serve(mcu: FakeMcu, printer: _Printer, seconds: float | None,
-           vanish: tuple[float, float] | None) -> None:
+           away: Away | None) -> None:
     """Pump until the time is over, gone in between if that was asked for."""
     begin = time.monotonic()
     while seconds is None or time.monotonic() - begin < seconds:
         printer.show(mcu.pump(_PUMP_S))
-        if vanish is not None:
-            after, away = vanish
-            is_away = after <= time.monotonic() - begin < after + away
+        if away is not None:
+            is_away = away.after <= time.monotonic() - begin < sum(away)
             (mcu.vanish if is_away else mcu.come_back)()
 
 
@@ -210,16 +210,6 @@ class _Printer:
 
     def _print(self, text: str, record: dict[str, object]) -> None:
         print(json.dumps(record) if self._as_json else text, flush=True)
-
-
-def _vanish(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    try:
-        after, away = map(float, text.split(':'))
-    except ValueError:
-        raise UsageError(f'--vanish {text}: not AFTER:FOR; give seconds, as in 3:1.5') from None
-    return after, away
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -17,7 +17,6 @@ import select
 import threading
 import time
 from typing import Any
-from typing import NamedTuple
 
 from dxl_monitor.fake.line import BITS_PER_BYTE
 from dxl_monitor.fake.line import Burst
@@ -27,6 +26,7 @@ from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.outlet import Outlet
 from dxl_monitor.fake.traffic import Ask
 from dxl_monitor.fake.traffic import none
+from mecarover_serial.pty import Away
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import stuff
 from msg_defs.dxl_packet import unstuff
@@ -37,13 +37,6 @@ PART_NS = 1_000_000              # for a part of a long packet
 IDLE_NS = 50_000_000
 DRAIN_NS = 200_000_000
 LATE_BYTES = 2048                # half of what a reader may leave
-
-
-class Away(NamedTuple):
-    """When the adapter is unplugged, and for how long (s)."""
-
-    after: float
-    duration: float
 
 
 class FakeBus:
