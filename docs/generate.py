@@ -56,7 +56,8 @@ LINK = {
                        'a stop followed each',
     'Partial writes': 'frames of which the port took a part; never completed, a stop followed',
     'Freezes': 'the bridge stood still for 0.2 s or more, or the dead man acted',
-    'Deadman': 'ready, off (parameter), or lost (ERROR)',
+    'Deadman': 'ready, off (parameter), no use (a URL it cannot write to; WARN), or '
+               'lost (ERROR)',
     'Bytes from MCU': 'text from the MCU is logged at INFO',
     'Lines from MCU': '',
     'Garbage from MCU (B)': 'bytes that are no text',

@@ -45,6 +45,14 @@ class PortError(Exception):
         self.remedy = reason.remedy
 
 
+def as_port_error(name: str, error: Exception) -> PortError:
+    """Return what a user is told of any error of the port `name`, a mistake in a program too."""
+    if isinstance(error, PortError):
+        return error
+    return PortError(name, Reason('other', f'{type(error).__name__}: {error}',
+                                  'a mistake in a program, please report it'))
+
+
 class Port:
     """An open port. Every method raises PortError (kind 'lost') when the port has gone."""
 
@@ -63,11 +71,17 @@ class Port:
         if self.fd is not None:
             return self.fd in _ready([self.fd, *wake], timeout_s)
         deadline = time.monotonic() + timeout_s
-        while not self._device.in_waiting:
+        while not self._waiting():
             left = deadline - time.monotonic()
             if left <= 0 or _ready(wake, min(left, _POLL_S)):
                 return False
         return True
+
+    def _waiting(self) -> int:
+        try:
+            return int(self._device.in_waiting)
+        except (OSError, serial.SerialException) as error:
+            raise self.lost(error) from error
 
     def read(self) -> bytes:
         """Return what is there, b'' when nothing is."""
@@ -165,10 +179,10 @@ def _configured(path_or_url: str, baud: int) -> Any:
         if type(device) is serial.Serial:
             device.exclusive = True
         device.open()
-    except (ValueError, OverflowError) as error:        # pyserial: the rate, or the URL
-        raise PortError(path_or_url, _bad_setting(path_or_url, baud, error)) from error
     except (OSError, serial.SerialException, termios.error) as error:
         raise PortError(path_or_url, why_not(path_or_url, error)) from error
+    except Exception as error:      # pyserial: the rate, or a URL that it fails to take apart
+        raise PortError(path_or_url, _bad_setting(path_or_url, baud, error)) from error
     return device
 
 

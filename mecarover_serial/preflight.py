@@ -95,8 +95,12 @@ def holders(path: str, root: Path = ROOT) -> list[str]:
 
 def ports_here() -> str:
     """Name the serial ports that do exist, for a person who mistyped one."""
+    try:
+        found = list_ports.comports()
+    except Exception:               # TypeError: one of them vanished while pyserial looked at it
+        return 'ls /dev/serial/by-id names those that are plugged in'
     # ttyS* without hardware behind them are listed on every PC: only real ones help.
-    ports = [port for port in list_ports.comports() if not port.device.startswith('/dev/ttyS')
+    ports = [port for port in found if not port.device.startswith('/dev/ttyS')
              or port.hwid != 'n/a']
     if not ports:
         return 'no serial port is plugged in'

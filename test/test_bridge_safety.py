@@ -349,14 +349,14 @@ def test_wheels_never_turn_longer_than_allowed_in_10000_more_histories():
     check_histories(range(1_000_000, 1_010_000))
 
 
-def drive(seed=1, **changes):
-    """Return a world without accidents that has driven for a while at 30 Hz, 115200 baud."""
+def drive(seed=1, period=33 * MS, **changes):
+    """Return a world without accidents that has driven for a while, 115200 baud."""
     world = World(seed)
     world.settings = Settings(**changes)
     world.write_timeout_s, world.baud = 0.05, 115200
     world.mcu = Receiver()
     world.uart = Uart(world.mcu, world.chance, 0.0)
-    world.plan = iter(range(SECOND, 1000 * SECOND, 33 * MS))
+    world.plan = iter(range(SECOND, 1000 * SECOND, period))
     world.command_at = next(world.plan)
     world.chance.choice = lambda options: options[0]
     world.bound = SECOND
@@ -381,6 +381,22 @@ def test_killed_or_frozen_the_rover_stops_within_300_ms(accident, offset):
     since = world.now
     getattr(world, accident)()
     assert stopped_after(world, since) <= 300 * MS
+
+
+@pytest.mark.parametrize('accident', ['kill', 'freeze'])
+@pytest.mark.parametrize('rate', [34.0, 100.0, 400.0])
+def test_with_more_frames_than_the_mcu_takes_it_is_400_ms(accident, rate):
+    """Ten set-points wait in the MCU's queue then, the stop behind them."""
+    longest = 0
+    for offset in range(0, 100, 7):
+        world = drive(period=2 * MS, max_rate=rate)
+        world.run(world.now + offset * MS, [])
+        world.chance.randrange = lambda *_: 1400 * MS
+        since = world.now
+        getattr(world, accident)()
+        longest = max(longest, stopped_after(world, since))
+    assert longest <= 400 * MS
+    assert longest > 300 * MS or rate == 34.0 or accident == 'freeze'
 
 
 def test_suspended_it_stops_first_whatever_comes_meanwhile():

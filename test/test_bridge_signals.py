@@ -65,11 +65,33 @@ def test_ending_signals(ros, mcu, cmd_vel, signals):
             running.signal(number)
             time.sleep(0.05 if len(signals) > 1 else 0)         # as `ros2 launch` does
         assert running.exit_code() == 0, running.text
-        assert (time.monotonic_ns() - begin) / 1e9 < 2.0
+        assert (time.monotonic_ns() - begin) / 1e9 < 2.0 + LATE_S
     wait(lambda: mcu.receiver.wheels.is_stop)
     assert stops_only(mcu.since(begin)[-5:])
     assert 'Traceback' not in running.text
     assert not running.said('Error'), running.text
+
+
+@pytest.mark.parametrize('comes_back', [True, False])
+def test_ended_while_the_port_is_lost(ros, mcu, cmd_vel, comes_back):
+    """It waits a moment for the port, to send the stop that it owes; else it says so."""
+    with driving(ros, mcu, cmd_vel) as (running, _):
+        mcu.vanish()
+        running.wait_for('lost')
+        begin = time.monotonic_ns()
+        running.signal(signal.SIGINT)
+        if comes_back:
+            mcu.come_back()
+        assert running.exit_code() == 0, running.text
+    warned = running.said('no stop could be sent, the rover may be driving on; switch it off')
+    if comes_back:
+        assert stops_only(mcu.since(begin, 5))
+        wait(lambda: mcu.receiver.wheels.is_stop)
+    else:
+        assert len(warned) == 1, running.text
+        assert not mcu.receiver.wheels.is_stop
+        mcu.come_back()
+    assert 'Traceback' not in running.text
 
 
 @pytest.mark.parametrize('delay_s', [0.05, 0.1, 0.2, 0.3])

@@ -14,7 +14,7 @@ from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Verdict
 from vel2d_bridge.graph import Choice
-from vel2d_bridge.link import LinkState
+from vel2d_bridge.link_state import LinkState
 from vel2d_bridge.mcu_log import McuLog
 from vel2d_bridge.settings import doubts
 from vel2d_bridge.settings import PARAMETERS
@@ -56,6 +56,7 @@ def periods(*seconds):
      f'{PORT}: is not there; plug it in'),
     (OPEN._replace(deadman='lost'), [], Level.ERROR, 'deadman: its process has gone'),
     (OPEN._replace(deadman='off'), [], Level.OK, 'open'),
+    (OPEN._replace(deadman='no use'), [], Level.WARN, 'deadman: it cannot write to this kind of'),
     (OPEN, [CONSOLE], Level.WARN, CONSOLE),
     (OPEN, [CONSOLE, 'x: y; z'], Level.WARN, f'{CONSOLE} (and 1 more)'),
     (OPEN._replace(is_open=False, problem=ABSENT), [CONSOLE], Level.ERROR, str(ABSENT)),
@@ -159,6 +160,7 @@ def test_garbage_is_counted_and_not_printed():
     ('max_rate', 3.0, 'cmd_vel_timeout: 0.5 s is less than two frames at max_rate 3 Hz'),
     ('max_rate', 34.0, 'max_rate: 34 Hz is more than the MCU takes'),
     ('resend_rate', 0.0, 'resend_rate: 0 sends each set-point once'),
+    ('baud', 9600, 'baud: 9600 bit/s is too slow for the rover to stop in the time'),
     ('deadman', False, 'deadman: off, the rover drives on when this process is killed'),
 ])
 def test_what_is_possible_and_probably_not_meant_is_doubted(name, value, begin):

@@ -19,6 +19,7 @@ import pytest
 
 from mecarover_serial.port import open_port
 from msg_defs.vel2d import STOP
+from vel2d_bridge import deadman
 from vel2d_bridge.fake_mcu import FakeMcu
 
 pytestmark = pytest.mark.alone
@@ -172,3 +173,14 @@ def test_unplugged_it_lets_go_of_the_device(mcu):
         mcu.come_back()
         wait(mcu, lambda: mcu.receiver.wheels.x == 500.0)
         wait(mcu, lambda: len(os.listdir(folder)) == 5)
+
+
+def test_a_driver_that_counts_whole_transfers_is_not_flushed_in_mid_frame(monkeypatch):
+    """The Linux driver cdc-acm calls all of a USB transfer pending, whatever is in it."""
+    flushed = []
+    counts = iter([64, 64, 0])
+    watch = deadman._Watch(memoryview(bytearray(8)), None, 0)
+    monkeypatch.setattr(watch, '_pending', lambda: next(counts))
+    monkeypatch.setattr(deadman.termios, 'tcflush', lambda *what: flushed.append(what))
+    watch._settle()
+    assert not flushed

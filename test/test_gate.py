@@ -274,6 +274,20 @@ def test_settings_change_while_driving():
     assert gate.counters.limited == 1
 
 
+@pytest.mark.parametrize('rate', [20.0, 0.0])
+def test_a_lower_limit_holds_at_once_and_a_higher_one_from_the_next_command_on(rate):
+    gate, now = opened(resend_rate=rate)
+    sent = play(gate, now, now + 36 * MS, [(now, DRIVE)])
+    assert sent[-1][1].velocity == DRIVE
+    now += 36 * MS
+    gate.settings = gate.settings._replace(max_linear_x=DRIVE.x / 2)
+    slower = Vel2d(DRIVE.x / 2, DRIVE.y / 2, DRIVE.omega / 2)
+    assert gate.next_deadline(now) == now
+    assert [frame.velocity for _, frame in play(gate, now, now + 10 * MS)] == [slower]
+    gate.settings = gate.settings._replace(max_linear_x=0.0)
+    assert {frame.velocity for _, frame in play(gate, now + 10 * MS, now + 200 * MS)} <= {slower}
+
+
 def test_hold_keeps_everything_back():
     gate, now = opened()
     gate.stop(now, Stop.WRITE)

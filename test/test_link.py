@@ -5,18 +5,22 @@ import array
 from contextlib import contextmanager
 import fcntl
 import os
+import threading
 import time
 
 import pytest
 
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
+from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.fake_mcu import FakeMcu
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import Kind
+from vel2d_bridge.gate import MILLISECOND
+from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Settings
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.gate import Verdict
@@ -169,6 +173,92 @@ def test_closing_without_a_port_does_not_wait(tmp_path):
     assert not link._thread.is_alive()
 
 
+def test_a_mistake_of_pyserial_does_not_end_the_thread(mcu):
+    """It lists all ports to say what is plugged in, and trips over one that vanishes meanwhile."""
+    mistakes = [TypeError('expected str, not NoneType'), KeyError('usb')]
+
+    def opener(path, baud):
+        if mistakes:
+            raise mistakes.pop(0)
+        return open_port(path, baud)
+
+    with linked(mcu.path, opener=opener) as link:
+        drive(link, mcu)
+        assert "KeyError: 'usb'" in link.state().last_error
+
+
+def test_closing_while_the_port_is_lost_waits_for_it_to_send_the_stop_that_is_owed(mcu):
+    with linked(mcu.path) as link:
+        drive(link, mcu)
+        mcu.vanish()
+        wait(lambda: not link.state().is_open)
+        mcu.receiver.arrivals.clear()
+        closing = threading.Thread(target=link.close)
+        closing.start()
+        wait(lambda: link.gate.is_shut)
+        mcu.come_back()
+        closing.join()
+    wait(lambda: mcu.receiver.wheels.is_stop)
+    assert set(velocities(mcu)) == {STOP}
+    assert not link._thread.is_alive()
+
+
+@pytest.mark.parametrize('drives', [True, False])
+def test_closing_tells_whether_the_rover_may_be_driving_on(mcu, drives):
+    with linked(mcu.path) as link:
+        drive(link, mcu)
+        if not drives:
+            wait(lambda: mcu.receiver.wheels.is_stop and not link.gate.stopping)
+        mcu.vanish()
+        wait(lambda: not link.state().is_open)
+        assert link.close() is not drives
+        assert link.close()
+    assert not link._thread.is_alive()
+
+
+class Recorder:
+    """A port that takes all there is, at once."""
+
+    fd = None
+
+    def __init__(self):
+        self.written = []
+
+    def write(self, data):
+        self.written.append(decode(data))
+        return len(data)
+
+    def pending(self):
+        return 0
+
+
+@pytest.mark.parametrize('act', [
+    lambda link: link.enable(True), lambda link: link.apply(Settings(max_linear_x=0.3)),
+    lambda link: link.stop(Stop.TYPE_SWITCH)])
+def test_whatever_comes_first_after_a_freeze_sends_no_old_set_point(act):
+    now = SECOND
+    port = Recorder()
+    link = Link('/dev/none', 115200, Gate(), clock=lambda: now)
+    link._begin(port)                                # no thread: it is frozen
+    now += 100 * MILLISECOND
+    while STOP not in port.written[2:]:              # the burst
+        now += 10 * MILLISECOND
+        link._pacer.turn(now)
+    link.offer(DRIVE)
+    while port.written[-1] == STOP:
+        now += 10 * MILLISECOND
+        link._pacer.turn(now)
+    assert port.written[-1] == DRIVE
+    port.written.clear()
+    now += 300 * MILLISECOND
+    act(link)
+    for _ in range(10):
+        now += 10 * MILLISECOND
+        link._pacer.turn(now)
+    assert set(port.written) == {STOP}
+    assert link.state().freezes == 1
+
+
 def push(fd):
     try:
         return os.write(fd, bytes(64))
@@ -289,3 +379,13 @@ def test_a_url_without_a_descriptor_works():
     with linked('loop://', on_received=lambda chunk, stamp: heard.append(chunk)) as link:
         wait(lambda: sum(map(len, heard)) >= 3 * FRAME_SIZE)
         assert link.state().is_open
+
+
+def test_a_deadman_without_a_descriptor_to_write_to_is_of_no_use():
+    class Alive:
+        def __getattr__(self, name):
+            return lambda *_: name == 'is_alive'
+
+    with linked('loop://', deadman=Alive()) as link:
+        wait(lambda: link.state().is_open)
+        assert link.state().deadman == 'no use'

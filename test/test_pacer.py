@@ -49,11 +49,12 @@ class Line:
 class World:
     """A pacer behind its opening burst, and the time."""
 
-    def __init__(self):
+    def __init__(self, baud=115200, **options):
         self.now = START
         self.line = Line()
         self.sent = []
-        self.pacer = Pacer(Gate(), lambda: self.now, on_sent=self.sent.append)
+        self.pacer = Pacer(Gate(baud=baud), lambda: self.now, baud=baud,
+                           on_sent=self.sent.append, **options)
         self.pacer.attach(self.line, START)
         self.run(SECOND)
         self.line.written.clear()
@@ -123,14 +124,38 @@ def test_where_the_deadman_acted_the_bridge_begins_anew():
     assert world.pacer.offer(DRIVE, world.now, acted=True) is Verdict.FROZEN
 
 
-def test_more_than_a_frame_pending_is_dropped_at_once_a_frame_is_not():
+def test_a_driver_that_counts_whole_transfers_is_given_the_time_of_any_other():
+    """The Linux driver cdc-acm calls all of a USB transfer pending, whatever is in it."""
     world = World()
-    world.line.holds = FRAME_SIZE
+    world.line.holds = 64
     world.pacer.step(world.now + MS)
     assert (world.line.dropped, world.pacer.time_outs) == (0, 0)
-    world.line.holds = FRAME_SIZE + 1
-    world.pacer.step(world.now + MS)
+
+
+def test_a_frame_is_given_the_time_it_takes_however_short_the_write_time_out_is():
+    world = World(baud=19200, write_timeout_s=0.005)
+    on_the_wire = characters_ns(FRAME_SIZE, 19200)
+    assert on_the_wire > 5 * MS
+    world.drive()
+    while not world.line.written:
+        world.run(MS)
+    begin = world.sent[-1].stamp
+    world.line.holds = FRAME_SIZE
+    world.pacer.step(begin + on_the_wire)
+    assert (world.line.dropped, world.pacer.time_outs) == (0, 0)
+    world.run(100 * MS)
     assert (world.line.dropped, world.pacer.time_outs) == (1, 1)
+
+
+def test_what_the_kernel_takes_and_the_wire_does_not_is_no_good_write():
+    """A UART whose flow control blocks it: each frame is taken, none ever leaves."""
+    world = World()
+    world.line.on_write = lambda: setattr(world.line, 'holds', FRAME_SIZE)
+    world.run(SECOND)
+    assert world.pacer.time_outs_in_row == world.pacer.time_outs > 5
+    world.line.on_write = lambda: None
+    world.run(SECOND)
+    assert world.pacer.time_outs_in_row == 0
 
 
 def test_a_frame_that_does_not_leave_is_dropped_at_the_time_out_and_a_stop_follows():

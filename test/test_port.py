@@ -115,6 +115,21 @@ def test_urls(url, kind):
     assert refusal(url).kind == kind
 
 
+@pytest.mark.parametrize('url', [
+    'socket://[::1', 'rfc2217://127.0.0.1:x', 'socket://:', 'socket://127.0.0.1:99999',
+    'hwgrep://(', 'hwgrep://nothing like it', 'spy://', 'alt://', 'loop://?a=b', 'cp2110://x:y'])
+def test_urls_that_pyserial_fails_to_take_apart(url):
+    refusal(url)
+
+
+def test_a_port_that_vanishes_while_all_are_listed_is_no_mistake_of_ours(tmp_path, monkeypatch):
+    def trip():
+        raise TypeError('expected str, bytes or os.PathLike object, not NoneType')
+
+    monkeypatch.setattr(preflight.list_ports, 'comports', trip)
+    assert refusal(tmp_path / 'gone').kind == 'absent'
+
+
 @pytest.mark.parametrize('baud', [0, -9600, 10**10])
 def test_unusable_baud(baud):
     with Pty() as pty:

@@ -206,11 +206,9 @@ class _Watch:
             os.write(self._fd, self._stop)
 
     def _settle(self) -> None:
-        """Wait for an idle line; what does not leave, or is more than a frame, is flushed."""
+        """Wait for an idle line; what does not leave is flushed."""
         deadline = time.monotonic() + _STUCK_S
-        while 0 < (pending := self._pending()) <= len(self._stop):
-            if time.monotonic() > deadline:
-                break
+        while (pending := self._pending()) and time.monotonic() < deadline:
             time.sleep(0.001)
         if pending:
             termios.tcflush(self._fd, termios.TCOFLUSH)

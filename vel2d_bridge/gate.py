@@ -93,11 +93,7 @@ class Counters:
     __slots__ = ('accepted', 'limited', 'received', 'refused', 'replaced', 'stops', 'time_outs')
 
     def __init__(self) -> None:
-        self.received = 0
-        self.accepted = 0
-        self.limited = 0
-        self.replaced = 0
-        self.time_outs = 0
+        self.received = self.accepted = self.limited = self.replaced = self.time_outs = 0
         self.refused: Counter[Verdict] = Counter(dict.fromkeys(Verdict, 0))
         self.stops: Counter[Stop] = Counter(dict.fromkeys(Stop, 0))
 
@@ -126,6 +122,7 @@ class Gate:
         self._sent = Kind.STOP                       # what the last frame was
         self._earliest = 0                           # nothing is written before
         self._settled = 0                            # commands are refused before
+        self._is_lowered = False                     # the set-point was, and is not written yet
         self.settings = settings or Settings()
 
     @property
@@ -134,7 +131,7 @@ class Gate:
 
     @settings.setter
     def settings(self, settings: Settings) -> None:
-        """Take effect at once, a new cmd_vel_timeout for the running command too."""
+        """Take effect at once: time-out and lower limits for the running command too."""
         self._settings = settings
         self._timeout = round(settings.cmd_vel_timeout * SECOND)
         self._interval = max(math.ceil(SECOND / settings.max_rate), self._spacing)
@@ -142,6 +139,8 @@ class Gate:
         self._resend = max(math.ceil(SECOND / rate), self._interval, STOP_GAP) if rate > 0 else 0
         self._limits = Vel2d(
             settings.max_linear_x, settings.max_linear_y, settings.max_angular_z)
+        before, self.velocity = self.velocity, limit(self.velocity, self._limits)
+        self._is_lowered |= self.velocity != before
 
     @property
     def frame_rate(self) -> float:
@@ -256,6 +255,7 @@ class Gate:
         self._last = now
         self._free = self._interval + (now if self._zeros else max(now, self._free))
         self._sent = self._kind()
+        self._is_lowered = False
         if not (self._zeros and self.driving):
             self._fresh = None
         self._bursting = self._zeros > 0
@@ -274,6 +274,8 @@ class Gate:
             due = self._last + (BURST_PERIOD if self._bursting else STOP_GAP)
         elif kind is Kind.COMMAND:                   # at once after a resend; the rate is repaid
             due = self._free if self._sent is not Kind.RESEND else self._last
+        elif self._is_lowered:
+            due = self._free
         elif self._resend:                           # later, not to get in the way of a stream
             late = self._resend // 2 if self._sent is Kind.COMMAND else 0
             due = max(self._last + self._resend + late, self._free)

@@ -10,11 +10,13 @@ allows, for latency. Nothing here waits for the executor, and no lock is held wh
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from contextlib import suppress
 import threading
 import time
-from typing import NamedTuple
 
+from mecarover_serial.port import as_port_error
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
@@ -31,34 +33,19 @@ from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Settings
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.gate import Verdict
+from vel2d_bridge.link_state import deadman_state
+from vel2d_bridge.link_state import LinkState
 from vel2d_bridge.pacer import Pacer
 from vel2d_bridge.pacer import Sent
 from vel2d_bridge.wake import Wake
 
 _STUCK_TIME_OUTS = 10              # in a row: reopening may help an adapter that hangs
-_CLOSE_NS = SECOND                 # for the last burst; the port may be stuck
-_JOIN_S = 1.5
+_SEARCH_NS = SECOND                # when closing: for a lost port to come back
+_CLOSE_NS = 2 * SECOND             # and for the last burst; the port may be stuck
+_JOIN_S = 2.5
 _POLL_S = 0.005
-
-
-class LinkState(NamedTuple):
-    """A snapshot for diagnostics; stamps are monotonic ns, `problem` is why it is not open."""
-
-    is_open: bool
-    since: int                     # of is_open
-    problem: PortError | None
-    last_error: str                # stays after recovery
-    openings: int
-    losses: int
-    frames: int
-    time_outs: int                 # of writes
-    partial_writes: int
-    freezes: int                   # the bridge was frozen, or the deadman acted
-    bytes_received: int
-    last: Sent | None
-    driving: bool
-    enabled: bool
-    deadman: str                   # 'off', 'ready', 'lost'
+_RETRY_S = 0.5                     # at most between attempts: until then the rover may be driving
+_LAST_RETRY_S = 0.1                # while closing
 
 
 def _ignore(*_: object) -> None:
@@ -98,11 +85,12 @@ class Link:
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name='port', daemon=True)
         self._wake = Wake()
-        self._backoff = Backoff()
+        self._backoff = Backoff(last_s=_RETRY_S)
         self._port: Port | None = None
         self._failure: PortError | None = None       # of a write in a callback's thread
         self._wake_at = 0                            # until when the thread sleeps
-        self._close_by: int | None = None            # set when shutting down
+        self._closing: int | None = None             # since when
+        self._owes_stop = False                      # lost while driving: the MCU may do so still
         self._since = clock()
         self._problem: PortError | None = None
         self._last_error = ''
@@ -122,10 +110,8 @@ class Link:
 
     def stop(self, why: Stop) -> None:
         """Forget the command and send a stop burst; driving again takes a new command."""
-        with self._lock:
-            now = self._clock()
+        with self._acting() as now:
             self.gate.stop(now, why)
-            self._step(now)
 
     def suspend(self, timeout_s: float = 1.0) -> None:
         """Stop because the process is about to be suspended; return when the burst is out."""
@@ -135,28 +121,27 @@ class Link:
             time.sleep(_POLL_S)
 
     def enable(self, on: bool) -> None:
-        with self._lock:
-            now = self._clock()
+        with self._acting() as now:
             self.gate.enable(on, now)
-            self._step(now)
 
     def apply(self, settings: Settings, write_timeout_s: float | None = None) -> None:
         """Change settings while running; they take effect at once."""
-        with self._lock:
+        with self._acting():
             self.gate.settings = settings
             if write_timeout_s is not None:
                 self._pacer.write_timeout_s = write_timeout_s
-            self._step(self._clock())
 
-    def close(self) -> None:
-        """Send the last burst and release everything; takes at most 2 s, never raises."""
-        with self._lock:
-            if self._close_by is not None:
-                return
-            now = self._clock()
-            self._close_by = now + _CLOSE_NS
+    def close(self) -> bool:
+        """
+        Send the last burst and release everything; takes at most 3 s, never raises.
+
+        A port that was lost while the rover drove is waited for; False: in vain, it drives on.
+        """
+        with self._acting() as now:
+            if self._closing is not None:
+                return True
+            self._closing = now
             self.gate.stop(now, Stop.SHUTDOWN)
-            self._step(now)
         self._wake.rouse()
         if self._thread.is_alive():
             self._thread.join(_JOIN_S)
@@ -164,6 +149,7 @@ class Link:
             self._wake.close()
         if self._deadman is not None:
             self._deadman.leave()
+        return not self._owes_stop
 
     def state(self) -> LinkState:
         with self._lock:
@@ -172,12 +158,8 @@ class Link:
                 self._port is not None, self._since, self._problem, self._last_error,
                 self._openings, self._losses, pacer.frames, pacer.time_outs,
                 pacer.partial_writes, pacer.freezes, self._bytes_received, pacer.last,
-                gate.driving, gate.enabled, self._deadman_state())
-
-    def _deadman_state(self) -> str:
-        if self._deadman is None:
-            return 'off'
-        return 'ready' if self._deadman.is_alive(self._clock()) else 'lost'
+                gate.driving, gate.enabled,
+                deadman_state(self._deadman, self._port, self._clock()))
 
     def _is_idle(self) -> bool:
         with self._lock, suppress(PortError):
@@ -186,6 +168,15 @@ class Link:
 
     def _acted(self) -> bool:
         return self._deadman is not None and self._deadman.acted()
+
+    @contextmanager
+    def _acting(self) -> Iterator[int]:
+        """Let any thread change something at this time (ns); then do what follows from it."""
+        with self._lock:
+            now = self._clock()
+            self._pacer.notice_freeze(now, self._acted())
+            yield now
+            self._step(now)
 
     def _step(self, now: int) -> None:
         """Write what is due, and have the thread up in time for what is next."""
@@ -199,29 +190,28 @@ class Link:
             self._wake.rouse()
 
     def _run(self) -> None:
-        """Be the thread."""
-        while self._close_by is None:
+        """Be the thread; no mistake ends it, whoever makes it: the stops must go on."""
+        while not self._is_over():
             try:
                 port = self._opener(self._name, self._baud)
-            except PortError as error:
-                self._report(error)
+            except Exception as error:
+                self._report(as_port_error(self._name, error))
                 self._doze(self._backoff.next())
                 continue
             try:
                 self._begin(port)
                 while not self._is_finished(port):
                     self._turn(port)
-            except Exception as error:     # also a callback's mistake: the stops must go on
-                self._end(port, self._as_problem(error))
+            except Exception as error:
+                self._end(port, as_port_error(self._name, error))
                 self._doze(self._backoff.next())
             else:
                 self._end(port, None)
 
-    def _as_problem(self, error: Exception) -> PortError:
-        if isinstance(error, PortError):
-            return error
-        return PortError(self._name, Reason(
-            'other', f'{type(error).__name__}: {error}', 'a bug in the bridge, please report it'))
+    def _is_over(self) -> bool:
+        """Whether to look for the port no more."""
+        return self._closing is not None and not (
+            self._owes_stop and self._clock() < self._closing + _SEARCH_NS)
 
     def _begin(self, port: Port) -> None:
         if self._deadman is not None and port.fd is not None:
@@ -232,14 +222,15 @@ class Link:
             self._failure = self._problem = None
             self._since = now
             self._openings += 1
+            self._owes_stop = False
             self._pacer.attach(port, now)
         self._backoff.reset()
         self._on_change(None)
 
     def _is_finished(self, port: Port) -> bool:
         with self._lock:
-            return self._close_by is not None and (
-                self._pacer.is_idle() or self._clock() >= self._close_by)
+            return self._closing is not None and (
+                self._pacer.is_idle() or self._clock() >= self._closing + _CLOSE_NS)
 
     def _turn(self, port: Port) -> None:
         """Do what is due, then sleep until the next deadline, a byte or a wake-up."""
@@ -270,6 +261,7 @@ class Link:
         with self._lock:
             self._port = None
             self._since = self._clock()
+            self._owes_stop = self.gate.driving or self.gate.stopping
             self._pacer.detach()
             if error is not None:
                 self._losses += 1
@@ -292,7 +284,9 @@ class Link:
             self._on_change(error)
 
     def _doze(self, seconds: float) -> None:
-        """Sleep between attempts; shutting down ends it."""
+        """Sleep between attempts; shutting down shortens it."""
         deadline = time.monotonic() + seconds
-        while self._close_by is None and (left := deadline - time.monotonic()) > 0:
+        while self._closing is None and (left := deadline - time.monotonic()) > 0:
             self._wake.sleep(left)
+        if self._closing is not None and not self._is_over():
+            time.sleep(_LAST_RETRY_S)

@@ -98,7 +98,9 @@ class Bridge:
 
     def stop(self) -> None:
         """Stop the rover, close the port, end the deadman."""
-        self._link.close()
+        if not self._link.close():
+            self._log.error(f'{self._port}: no stop could be sent, the rover may be driving on; '
+                            'switch it off')
 
     def suspend(self) -> None:
         """Stop the rover; the process is about to be suspended."""

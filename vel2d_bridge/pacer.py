@@ -6,8 +6,9 @@ Pacer: how the gate's frames get onto the line.
 One write per frame, never before the previous frame has left; a partial write is never
 completed. When the line takes nothing for the write time-out, what is pending is thrown away,
 and a stop follows once the UART's FIFO must be empty (a flush in mid-frame and a stop without a
-gap after it would both be lost at the MCU). After a freeze of the bridge: a stop, and only new
-commands. Never blocks; time and line are arguments, so that all of it runs in simulated time.
+gap after it would both be lost at the MCU). How much is pending says nothing: cdc-acm counts
+whole USB transfers. After a freeze of the bridge: a stop, and only new commands. Never blocks;
+time and line are arguments, so that all of it runs in simulated time.
 """
 from __future__ import annotations
 
@@ -27,6 +28,7 @@ from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import Kind
 from vel2d_bridge.gate import MILLISECOND
 from vel2d_bridge.gate import NEVER
+from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.gate import Verdict
 
@@ -68,7 +70,7 @@ class Pacer:
         self.write_timeout_s = write_timeout_s
         self.frames = 0
         self.time_outs = 0
-        self.time_outs_in_row = 0                    # since the line last took a frame
+        self.time_outs_in_row = 0                    # since a frame last left
         self.partial_writes = 0
         self.freezes = 0
         self.last: Sent | None = None
@@ -80,6 +82,7 @@ class Pacer:
         self._drain = characters_ns(FIFO_CHARACTERS + GAP_CHARACTERS, baud)
         self._line: Line | None = None
         self._written = 0                            # when the line last took a frame
+        self._under_way = False                      # and it is not known to have left
         self._is_slow = False                        # and had it still when it should have left
         self._refused: int | None = None             # since when it takes none
         self._beaten = 0                             # the last turn of the owner's thread
@@ -90,7 +93,7 @@ class Pacer:
         self._line = line
         self._beaten = self._written = now
         self._refused = None
-        self._is_slow = False
+        self._under_way = self._is_slow = False
         self.time_outs_in_row = 0
         self.gate.opened(now)
 
@@ -102,9 +105,14 @@ class Pacer:
         """Whether no stop is under way and everything written has left."""
         return self._line is None or not (self.gate.stopping or self._line.pending())
 
+    @property
+    def _patience(self) -> int:
+        """How long a frame may take to leave (ns): never less than it takes on the wire."""
+        return max(round(self.write_timeout_s * SECOND), 2 * self._spacing)
+
     def turn(self, now: int, acted: bool = False) -> int:
         """Be called by the owner's thread, at least every BEAT; `acted`: the deadman did."""
-        self._notice_freeze(now, acted)
+        self.notice_freeze(now, acted)
         self._beaten = now
         return self.step(now)
 
@@ -112,11 +120,16 @@ class Pacer:
             self, velocity: Vel2d, now: int, *, waited: int = 0, stamp_age: int | None = None,
             acted: bool = False) -> Verdict:
         """Judge a command; a `step` after it writes it at once, if the rate allows."""
-        self._notice_freeze(now, acted)
+        self.notice_freeze(now, acted)
         return self.gate.offer(velocity, now, waited=waited, stamp_age=stamp_age)
 
-    def _notice_freeze(self, now: int, acted: bool) -> None:
-        """Begin anew when the thread was silent for so long that the deadman acts, or it did."""
+    def notice_freeze(self, now: int, acted: bool) -> None:
+        """
+        Begin anew when the thread was silent for so long that the deadman acts, or it did.
+
+        Comes before whatever else is done: the first `step` after a freeze must not write what
+        was commanded before it.
+        """
         if self._line is None or not (acted or now - self._beaten >= SILENCE):
             return
         if self._frozen != self._beaten:             # counted once, whoever notices first
@@ -130,12 +143,14 @@ class Pacer:
             return NEVER
         pending = self._line.pending()
         busy_since = self._written if pending else self._refused
-        if busy_since is not None and (
-                pending > FRAME_SIZE or now - busy_since >= self.write_timeout_s * 1e9):
+        if busy_since is not None and now - busy_since >= self._patience:
             self.time_outs += 1
             self.time_outs_in_row += 1
             self._clear(self._line, now)
         elif not pending:
+            if self._under_way:                      # what the kernel took has left, too
+                self._under_way = False
+                self.time_outs_in_row = 0
             if self._is_slow:                        # it may have left only now
                 self._is_slow = False
                 self.gate.hold(now + self._gap)
@@ -160,12 +175,12 @@ class Pacer:
         else:
             self._refused = None
             self._written = end
+            self._under_way = True
             self._took(frame, begin, end)
 
     def _took(self, frame: Frame, begin: int, end: int) -> None:
         self.gate.sent(end)
         self.frames += 1
-        self.time_outs_in_row = 0
         latency = None if frame.offered is None else end - frame.offered
         self.last = Sent(end, frame.velocity, frame.kind, end - begin, latency)
         self._on_sent(self.last)
@@ -174,6 +189,7 @@ class Pacer:
         """Throw away what is pending, and stop when the rest has left the FIFO."""
         line.drop_output()
         self._refused = None
+        self._under_way = False
         self._written = now
         self.gate.stop(now, Stop.WRITE)
         self.gate.hold(now + self._drain)

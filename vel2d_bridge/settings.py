@@ -9,6 +9,7 @@ from mecarover_serial.parameters import Parameter
 from msg_defs.crc import CRC_INPUTS
 from vel2d_bridge.gate import Settings
 
+SLOWEST_BAUD = 19200            # slower, a frame takes so long that the stated bounds do not hold
 AUTO, TWIST, TWIST_STAMPED = 'auto', 'twist', 'twist_stamped'
 
 PARAMETERS = (
@@ -34,7 +35,8 @@ PARAMETERS = (
     Parameter('max_stamp_age', 0.0, 'refuse a TwistStamped that is older, or further in the '
               'future; 0 = no check', 's', 0.0, 3600.0, run_time=True),
     Parameter('write_timeout', 0.05, 'a frame that has not left by then is thrown away, and a '
-              'stop follows', 's', 0.005, 1.0, run_time=True),
+              'stop follows; never less than the time of two frames on the wire', 's', 0.005,
+              1.0, run_time=True),
     Parameter('crc_input', 'bytes', 'how the MCU feeds its CRC unit', choices=tuple(CRC_INPUTS)),
     Parameter('deadman', True, 'a child process stops the rover when this one is killed or '
               'frozen'),
@@ -61,6 +63,9 @@ def doubts(values: dict[str, Any]) -> list[str]:
     if rate > 33:
         lines.append(f'max_rate: {rate:g} Hz is more than the MCU takes (one '
                      'set-point per 30 ms), the rover will lag; set 30')
+    if values['baud'] < SLOWEST_BAUD:
+        lines.append(f'baud: {values["baud"]} bit/s is too slow for the rover to stop in the time '
+                     f'that is promised; set {SLOWEST_BAUD} or more')
     if not values['deadman']:
         lines.append('deadman: off, the rover drives on when this process is killed; set true')
     return lines

@@ -21,7 +21,9 @@ from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import Verdict
 from vel2d_bridge.graph import Choice
-from vel2d_bridge.link import LinkState
+from vel2d_bridge.link_state import LinkState
+from vel2d_bridge.link_state import LOST
+from vel2d_bridge.link_state import NO_USE
 from vel2d_bridge.mcu_log import McuLog
 
 _STUTTER_SAMPLES = 3            # periods of commands that tell a rate
@@ -61,12 +63,15 @@ def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str],
                 now: int) -> Status:
     """Is the port open, does it take frames, what disturbs it."""
     complaints = list(warnings) if state.is_open else []
+    if state.deadman == NO_USE:
+        complaints.insert(0, 'deadman: it cannot write to this kind of URL, nothing stops the '
+                             'rover if this process dies; use a device or socket://')
     level, message = Level.OK, 'open'
     if state.problem is not None:
         level, message = Level.ERROR, str(state.problem)
     elif not state.is_open:
         level, message = Level.WARN, 'opening the port'
-    elif state.deadman == 'lost':
+    elif state.deadman == LOST:
         level, message = Level.ERROR, ('deadman: its process has gone, nothing stops the rover if '
                                        'this one dies; restart the bridge')
     elif complaints:

@@ -1,0 +1,42 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the link tells of itself: a snapshot for diagnostics."""
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from mecarover_serial.port import Port
+from mecarover_serial.port import PortError
+from vel2d_bridge.deadman import Deadman
+from vel2d_bridge.pacer import Sent
+
+OFF, READY, LOST, NO_USE = 'off', 'ready', 'lost', 'no use'    # how the deadman stands
+
+
+class LinkState(NamedTuple):
+    """A snapshot for diagnostics; stamps are monotonic ns, `problem` is why it is not open."""
+
+    is_open: bool
+    since: int                     # of is_open
+    problem: PortError | None
+    last_error: str                # stays after recovery
+    openings: int
+    losses: int
+    frames: int
+    time_outs: int                 # of writes
+    partial_writes: int
+    freezes: int                   # the bridge was frozen, or the deadman acted
+    bytes_received: int
+    last: Sent | None
+    driving: bool
+    enabled: bool
+    deadman: str                   # OFF, READY, LOST or NO_USE
+
+
+def deadman_state(deadman: Deadman | None, port: Port | None, now: int) -> str:
+    """Tell whether it would stop the rover: it needs a descriptor, rfc2217:// has none."""
+    if deadman is None:
+        return OFF
+    if port is not None and port.fd is None:
+        return NO_USE
+    return READY if deadman.is_alive(now) else LOST
