@@ -188,6 +188,20 @@ def test_a_mistake_of_pyserial_does_not_end_the_thread(mcu):
         assert "KeyError: 'usb'" in link.state().last_error
 
 
+def test_frozen_while_the_port_is_closed_it_begins_anew_too(mcu, monkeypatch):
+    """What was published meanwhile waits in the sockets, and would drive the rover."""
+    link = Link(mcu.path, 115200, Gate())
+    monkeypatch.setattr(link._wake, 'sleep', lambda seconds: time.sleep(seconds + 0.25))
+    monkeypatch.setattr(link, '_opener', lambda *_: open_port(str(mcu.path) + '-gone', 115200))
+    link.start()
+    wait(lambda: link.state().problem is not None)
+    monkeypatch.setattr(link, '_opener', open_port)
+    wait(lambda: link.state().is_open)
+    assert link.state().freezes >= 1
+    assert link.gate.counters.stops[Stop.FROZEN] >= 1
+    link.close()
+
+
 def test_closing_while_the_port_is_lost_waits_for_it_to_send_the_stop_that_is_owed(mcu):
     with linked(mcu.path) as link:
         drive(link, mcu)

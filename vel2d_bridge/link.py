@@ -28,6 +28,7 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.deadman import BEAT
 from vel2d_bridge.deadman import Deadman
+from vel2d_bridge.deadman import SILENCE
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Settings
@@ -91,6 +92,7 @@ class Link:
         self._wake_at = 0                            # until when the thread sleeps
         self._closing: int | None = None             # since when
         self._owes_stop = False                      # lost while driving: the MCU may do so still
+        self._overslept = False                      # frozen while the port was closed
         self._since = clock()
         self._problem: PortError | None = None
         self._last_error = ''
@@ -224,6 +226,9 @@ class Link:
             self._openings += 1
             self._owes_stop = False
             self._pacer.attach(port, now)
+            if self._overslept:
+                self._overslept = False
+                self._pacer.notice_freeze(now, True)
         self._backoff.reset()
         self._on_change(None)
 
@@ -288,5 +293,6 @@ class Link:
         deadline = time.monotonic() + seconds
         while self._closing is None and (left := deadline - time.monotonic()) > 0:
             self._wake.sleep(left)
+        self._overslept |= time.monotonic() >= deadline + SILENCE / SECOND
         if self._closing is not None and not self._is_over():
             time.sleep(_LAST_RETRY_S)
