@@ -16,7 +16,8 @@ html_theme_options = {'fixed_sidebar': True}
 # ROS is on robots, not on the machine that makes the pages.
 autodoc_mock_imports = [
     'rclpy', 'rcl_interfaces', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs',
-    'sensor_msgs', 'statistics_msgs', 'std_msgs', 'std_srvs', 'aiohttp']
+    'sensor_msgs', 'statistics_msgs', 'std_msgs', 'std_srvs', 'aiohttp', 'launch', 'launch_ros',
+    'ament_index_python']
 autodoc_default_options = {'members': True, 'member-order': 'bysource'}
 autodoc_typehints = 'signature'
 autodoc_preserve_defaults = True
