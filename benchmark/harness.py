@@ -164,6 +164,23 @@ def usage(pid: int) -> Usage:
     return sum(map(usage, children), own)
 
 
+def family(pid: int) -> list[int]:
+    """Return a process and its children, without those that have ended: a zombie has a folder."""
+    try:
+        children = [int(child) for task in Path(f'/proc/{pid}/task').iterdir()
+                    for child in (task / 'children').read_text().split()]
+        return [one for one in (pid, *children) if _is_alive(one)]
+    except OSError:
+        return []
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] not in 'ZX'
+    except OSError:
+        return False
+
+
 def _status(path: Path, key: str) -> int:
     for line in path.read_text().splitlines():
         if line.startswith(f'{key}:'):
@@ -208,6 +225,18 @@ class Child:
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(thing) + '\n')
         self._process.stdin.flush()
+
+    def signal(self, number: int) -> None:
+        """Send a signal; one that has ended gets none."""
+        self._process.send_signal(number)
+
+    @property
+    def end(self) -> str:
+        """How it ended: 'signal 9', 'exit code 0'; '' while it runs."""
+        code = self._process.poll()
+        if code is None:
+            return ''
+        return f'signal {-code}' if code < 0 else f'exit code {code}'
 
     def __enter__(self) -> 'Child':
         return self

@@ -4,10 +4,12 @@
 Both nodes for minutes, with faults: nothing grows, nothing is lost in quiet, all ends well.
 
 Bridge and monitor run as processes, each on a cable (cable.py) to its fake; commands come in
-spells. A seeded fault strikes every few seconds; between faults and at the end it is quiet, and
-only what is lost in quiet counts. LIMITS says what a soak must not exceed (exit code 1).
+spells. A seeded fault strikes every few seconds; between faults it is quiet, and what the nodes
+say is held against what cable, bus and MCU know. soak_figures.py says what a soak must come to
+(else exit code 1); what went wrong is told in a line when it does.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
@@ -15,47 +17,46 @@ import os
 from pathlib import Path
 import random
 import signal
-import statistics
 import sys
 from tempfile import TemporaryDirectory
 import threading
 import time
-from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Twist
 import rclpy
-from rclpy.qos import QoSProfile
-from rclpy.qos import ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from benchmark.cable import Cable
 from benchmark.harness import Child
+from benchmark.harness import family
 from benchmark.harness import Figure
 from benchmark.harness import Options
 from benchmark.harness import ros_environment
 from benchmark.harness import usage
+from benchmark.soak_drive import Driver
+from benchmark.soak_figures import figures
+from benchmark.soak_figures import problems
+from benchmark.soak_figures import Sample
+from benchmark.soak_watch import Ears
+from benchmark.soak_watch import FREEZE_AFTER_S
+from benchmark.soak_watch import IDS
+from benchmark.soak_watch import Machine
+from benchmark.soak_watch import MONITOR
+from benchmark.soak_watch import NODES
+from benchmark.soak_watch import S
+from benchmark.soak_watch import TABLES
 from vel2d_bridge.fake_mcu import FakeMcu
 
-SECTION = 'both nodes with faults'
+__all__ = ['problems', 'run']      # what benchmark/__main__.py calls
 SEED = 1
 START_S = 60.0
-QUIET_S = 4.0                   # between faults: a drive and a rest
+FAULT_S = 2.5                   # after a fault: the back-off, and what it leads to
+QUIET_S = 2.0                   # undisturbed, beside what is asked of the monitor then
+ANSWER_S = 10.0                 # until something must be heard again
+VERDICT_S = 3.0                 # until the monitor has to say what is so
+STEADY_S = 0.75                 # its count of bytes stands still: all that came is in it
 END_S = 30.0                    # until all must be well again: the window of the levels is 10 s
-SPEED = 0.3
-DRIVE_S, REST_S = 2.0, 1.5
-STOP_BOUND_S = 0.95             # as docs/reliability.md; and what a shared machine adds:
-LATE_S = 0.5
-HELD_S = 0.25                   # when it held us for so long, the moment says nothing
-NODES = ('vel2d_bridge', 'dxl_monitor')
-DEVICES = '1-8:MX-106'
-LIMITS = {
-    'growth of memory, bridge': 5.0, 'growth of memory, monitor': 8.0,
-    'more descriptors, bridge': 0, 'more descriptors, monitor': 0,
-    'more threads, bridge': 0, 'more threads, monitor': 0,
-    'bytes not accounted for': 0, 'bytes lost in quiet': 0, 'velocities made up': 0,
-    'stops too late': 0, 'statuses not well at the end': 0, 'nodes ended': 0,
-}
+PROCESSES = 2                   # of a node: bridge and dead man, monitor and reader
+DEVICES = f'{IDS[0]}-{IDS[-1]}:MX-106'
 
 
 def run(options: Options) -> list[Figure]:
@@ -69,12 +70,6 @@ def run(options: Options) -> list[Figure]:
         rclpy.try_shutdown()
 
 
-def problems(figures: list[Figure]) -> list[str]:
-    """Return what exceeds LIMITS."""
-    return [f'{one.name}: {one.median:g} {one.unit}, at most {LIMITS[one.name]:g} is right'
-            for one in figures if one.name in LIMITS and not one.median <= LIMITS[one.name]]
-
-
 class _Soak:
     """The processes, the fakes, and what happens to them."""
 
@@ -82,9 +77,8 @@ class _Soak:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         self._chance = random.Random(SEED)
         self._mcu = stack.enter_context(FakeMcu(str(folder / 'mcu')).running())
-        stack.enter_context(Child('dxl_monitor.fake_bus', '--link', str(folder / 'bus'),
-                                  '--devices', DEVICES, '--rate', '100', quiet=True))
-        _wait((folder / 'bus').exists)
+        self._bus = stack.enter_context(Child('benchmark.soak_bus', str(folder / 'bus'), DEVICES))
+        self._answers()                 # it is there
         self._cables = [
             stack.enter_context(Cable(str(folder / device), folder / f'{device}_cable', seed))
             for seed, device in enumerate(('mcu', 'bus'))]
@@ -96,27 +90,59 @@ class _Soak:
                 word for key, value in given for word in ('-p', f'{key}:={value}')),
                 env=env, quiet=True))
             for name, given in zip(NODES, parameters, strict=True)]
-        self._ears = _Ears()
+        self._machine = Machine([node.pid for node in self._nodes])
+        stack.callback(self._machine.stop)
+        self._ears = Ears()
         stack.callback(self._ears.stop)
-        self._driver = _Driver(self._ears.node, self._mcu)
+        self._driver = Driver(self._ears.node, self._mcu, self._machine, self._complain)
         stack.callback(self._driver.stop)
-        self._faults = 0
-        self._samples: list[tuple[tuple[float, int, int], ...]] = []
-        self._lost_in_quiet = 0
+        self._wrong: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self._faults = self._quiets = 0
+        self._samples: list[tuple[Sample, ...]] = []
 
     def run(self, seconds: float) -> list[Figure]:
-        _wait(self._is_well, START_S)
+        if not self._waited(lambda: not self._ears.not_well(0), START_S):
+            raise TimeoutError('soak: the nodes are not well from the start; run them alone: '
+                               + '; '.join(self._ends() or self._ears.not_well(0)))
+        self._waited(self._driver.is_heard, START_S)
+        print('soak: all is well, faults from now on', file=sys.stderr, flush=True)
+        held_s, begin_s = self._machine.held_s(), time.monotonic()
         self._driver.start()
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self._quiet(QUIET_S)
+        while time.monotonic() < begin_s + seconds and not self._ends():
+            self._quiet()
             self._strike()
         self._driver.stop()
-        not_well = [] if _waited(self._is_well, END_S) else self._ears.not_well()
-        for line in not_well:
-            print(f'soak: not well: {line}', file=sys.stderr)
-        self._quiet(QUIET_S)
-        return self._figures(seconds, len(not_well))
+        self._see_end()
+        self._quiet()
+        for line in self._ends():
+            self._complain('nodes ended', line)
+        for line in self._driver.late(self._ears):
+            self._complain('drives too late', line)
+        return self._figures(time.monotonic() - begin_s, self._machine.held_s() - held_s)
+
+    def _complain(self, kind: str, line: str) -> None:
+        with self._lock:                # the driver complains, too
+            self._wrong[kind] += 1
+            print(f'soak: {line} ({kind}; at {time.monotonic():.1f} s; last fault: '
+                  f'{self._driver.last_fault})', file=sys.stderr, flush=True)
+
+    def _ends(self) -> list[str]:
+        return [f'{name}: ended with {node.end}'
+                for name, node in zip(NODES, self._nodes, strict=True) if node.end]
+
+    def _waited(self, condition: Callable[[], bool], seconds: float) -> bool:
+        """Wait for a condition, but not for a node that has ended."""
+        return self._machine.waited(lambda: bool(self._ends()) or condition(), seconds) \
+            and condition()
+
+    def _see_end(self) -> None:
+        """Give the nodes time to be well again."""
+        begin, begin_s = time.time_ns(), time.monotonic()
+        if not self._waited(lambda: not self._ears.not_well(begin), END_S):
+            for line in self._ears.not_well(begin):
+                self._complain('statuses not well at the end', line)
+        time.sleep(max(0.0, 0.0 if self._ends() else begin_s + FREEZE_AFTER_S - time.monotonic()))
 
     # --- faults ------------------------------------------------------------------------------
 
@@ -125,177 +151,148 @@ class _Soak:
         self._faults += 1
         at = self._chance.randrange(2)
         cable, node = self._cables[at], self._nodes[at]
-        faults: list[Callable[[], object]] = [
-            partial(cable.damage, drop=0.3), partial(cable.damage, flip=0.3),
-            partial(cable.damage, delay_s=0.1), cable.stall, partial(cable.flood, 0.5), cable.cut,
-            cable.remove_name, partial(os.kill, node.pid, signal.SIGSTOP)]
+        faults: dict[str, Callable[[], object]] = {
+            'drop': partial(cable.damage, drop=0.3), 'flip': partial(cable.damage, flip=0.3),
+            'delay': partial(cable.damage, delay_s=0.1), 'stall': cable.stall,
+            'flood': partial(cable.flood, 0.5), 'cut': cable.cut,
+            'no name': cable.remove_name, 'freeze': partial(node.signal, signal.SIGSTOP)}
         self._driver.is_hindered = at == 0
-        fault = self._chance.choice(faults)
-        self._driver.last_fault = f'{fault} on {NODES[at]} at {time.monotonic():.1f} s'
-        fault()
+        fault = self._chance.choice(list(faults))
+        self._driver.last_fault = f'{fault} of {NODES[at]} at {time.monotonic():.1f} s'
+        faults[fault]()
         time.sleep(self._chance.uniform(0.1, 1.0))
-        os.kill(node.pid, signal.SIGCONT)
+        node.signal(signal.SIGCONT)
         cable.calm()
-        if fault == cable.remove_name:
+        if fault == 'no name':
             cable.restore_name()
         cable.reopen()
-        time.sleep(2.5)                 # the back-off, and what it leads to
+        time.sleep(FAULT_S)
         self._driver.is_hindered = False
 
-    def _quiet(self, seconds: float) -> None:
-        """Let it run undisturbed; take a sample, count what nobody takes."""
-        before = [cable.lost for cable in self._cables]
-        time.sleep(seconds)
-        self._lost_in_quiet += sum(
-            cable.lost - lost for cable, lost in zip(self._cables, before, strict=True))
-        self._samples.append(tuple(
-            (usage(node.pid).resident_mb, _count(node.pid, 'fd'), _count(node.pid, 'task'))
-            for node in self._nodes if Path(f'/proc/{node.pid}/fd').exists()))
+    # --- quiet -------------------------------------------------------------------------------
 
-    def _is_well(self) -> bool:
-        return not self._ears.not_well()
+    def _quiet(self) -> None:
+        """Let it run undisturbed; what the nodes say must be what is so."""
+        begin = time.time_ns()
+        is_heard = self._waited(lambda: not self._ears.silent(begin), ANSWER_S)
+        if self._ends():
+            return
+        if not is_heard:
+            self._complain_of('silences', self._ears.silent(begin))
+            return
+        self._hear_verdict(begin, set())
+        self._count_processes()
+        self._compare_bytes()
+        self._sample()
+        self._quiets += 1
+
+    def _count_processes(self) -> None:
+        self._waited(lambda: all(len(family(node.pid)) == PROCESSES for node in self._nodes),
+                     ANSWER_S)
+        for name, node in zip(NODES, self._nodes, strict=True):
+            if not node.end and len(family(node.pid)) != PROCESSES:
+                self._complain('processes missing', f'{name}: {len(family(node.pid))} processes, '
+                               f'{PROCESSES} are right')
+
+    def _complain_of(self, kind: str, lines: list[str]) -> None:
+        for line in lines:
+            self._complain(kind, line)
+
+    def _compare_bytes(self) -> None:
+        """Count what cable and monitor count while it is quiet, between two pauses of the bus."""
+        cable = self._cables[1]
+        begin_s, held_s = time.monotonic(), self._machine.held_s()
+        lost, damaged = [one.lost for one in self._cables], self._damaged_frames()
+        cable.stall()
+        carried, its_count = cable.carried - cable.lost, self._steady_count()
+        cable.calm()
+        self._strike_dumb()
+        cable.stall()
+        carried = cable.carried - cable.lost - carried
+        if not self._waited(lambda: self._ears.counted.count - its_count == carried, ANSWER_S):
+            counted = self._ears.counted.count - its_count
+            self._wrong['bytes counted wrong'] += abs(counted - carried) - 1
+            self._complain('bytes counted wrong', f'{MONITOR}: counted {counted} B of '
+                           f'{carried} B that the cable brought in quiet')
+        cable.calm()
+        if damaged != self._damaged_frames():
+            self._complain('frames damaged in quiet', f'{NODES[0]}: {self._mcu.totals()}')
+        lost_now = sum(one.lost for one in self._cables) - sum(lost)
+        rate = carried / (time.monotonic() - begin_s)
+        excess = lost_now - rate * max(0.0, self._machine.held_s() - held_s)
+        if excess > 0:                  # more than what nobody could take
+            self._wrong['bytes lost in quiet'] += lost_now - 1
+            self._complain('bytes lost in quiet', f'{lost_now} B were not taken in quiet')
+
+    def _steady_count(self) -> int:
+        """Return what the monitor has counted when nothing comes any more."""
+        begin, held_s = time.time_ns(), self._machine.held_s()
+
+        def is_steady() -> bool:
+            count = self._ears.counted
+            steady_s = (count.until - max(count.since, begin)) / S
+            return steady_s >= self._machine.patience_s(STEADY_S, held_s)
+
+        if not self._waited(is_steady, ANSWER_S):
+            self._complain_of('silences', self._ears.silent(begin, TABLES))
+            self._complain('bytes counted wrong', f'{MONITOR}: tells no steady count while the '
+                           'cable brings nothing')
+        return self._ears.counted.count
+
+    def _strike_dumb(self) -> None:
+        """Have a device say nothing for a moment: the monitor must notice both, and only that."""
+        self._hear_verdict(time.time_ns(), set())       # what a pause has led to is over
+        begin, dumb, before = time.time_ns(), self._chance.choice(IDS), self._answers()
+        self._answers(dumb)
+        self._hear_verdict(time.time_ns(), {dumb})
+        self._answers()
+        self._hear_verdict(time.time_ns(), set())
+        time.sleep(QUIET_S)
+        after = self._answers()
+        for number, state in sorted({(number, state) for stamp, number, state
+                                     in list(self._ears.denied) if stamp > begin}):
+            if number != dumb and after[number] > before[number]:
+                self._complain('false verdicts', f'{MONITOR}: called {number:03} {state}, which '
+                               'answered')
+
+    def _hear_verdict(self, since: int, dumb: set[int]) -> None:
+        ears = self._ears
+        if not self._waited(lambda: not ears.silent(since, TABLES) and not ears.wrong(since, dumb),
+                            VERDICT_S):
+            self._complain_of('silences', ears.silent(since, TABLES))
+            self._complain_of('false verdicts', ears.wrong(since, dumb))
+
+    def _answers(self, *dumb: int) -> dict[int, int]:
+        """Have these devices say nothing; return how often each has answered."""
+        self._bus.tell(dumb)
+        return {int(number): count for number, count in self._bus.hear().items()}
+
+    def _damaged_frames(self) -> int:
+        totals = self._mcu.totals()
+        return totals['insufficient'] + totals['crc_err']
+
+    def _sample(self) -> None:
+        """Measure the nodes, each with the process beside it."""
+        sample = []
+        for node in self._nodes:
+            pids = family(node.pid)
+            try:
+                sample.append(Sample(usage(node.pid).resident_mb, *(
+                    sum(len(os.listdir(f'/proc/{pid}/{what}')) for pid in pids)
+                    for what in ('fd', 'task'))))
+            except OSError:             # one has just ended: `nodes ended`, `processes missing`
+                return
+        self._samples.append(tuple(sample))
 
     # --- what came of it ---------------------------------------------------------------------
 
-    def _figures(self, seconds: float, not_well: int) -> list[Figure]:
-        whole = [one for one in self._samples if len(one) == len(NODES)]
-        third = max(1, len(whole) // 3)
-        figures = {
-            'faults': (self._faults, f'in {seconds:.0f} s'), 'stops': (self._driver.stops, ''),
+    def _figures(self, seconds: float, held_s: float) -> list[Figure]:
+        driver = self._driver
+        return figures({
+            'faults': (self._faults, f'in {seconds:.0f} s'), 'quiet times': (self._quiets, ''),
+            'held by the machine': (held_s, 's'),
             'bytes to the monitor': (self._cables[1].carried, 'B'),
-            'nodes ended': (sum(len(one) < len(NODES) for one in self._samples), ''),
+            'drives': (driver.drives, ''), 'longest until a drive': (driver.slowest_s, 's'),
+            'stops': (driver.stops, ''), 'longest until a stop': (driver.longest_s, 's'),
             'bytes not accounted for': (self._ears.unaccounted, 'B'),
-            'bytes lost in quiet': (self._lost_in_quiet, 'B'),
-            'velocities made up': (self._driver.made_up, ''),
-            'stops too late': (self._driver.late, ''),
-            'longest until a stop': (self._driver.longest_s, 's'),
-            'statuses not well at the end': (not_well, '')}
-        for at, node in enumerate(('bridge', 'monitor')):
-            first, last = whole[:third], whole[-third:]
-            for kind, (what, unit) in enumerate((
-                    ('growth of memory', 'MB'), ('more descriptors', ''), ('more threads', ''))):
-                grown = statistics.median(one[at][kind] for one in last) - statistics.median(
-                    one[at][kind] for one in first)
-                figures[f'{what}, {node}'] = (grown, unit)
-            figures[f'memory at the end, {node}'] = (whole[-1][at][0], 'MB')
-        return [Figure(SECTION, name, unit, [float(value)],
-                       f'at most {LIMITS[name]:g}' if name in LIMITS else '')
-                for name, (value, unit) in figures.items()]
-
-
-class _Ears:
-    """Hears the statuses of both nodes, in a thread of its own."""
-
-    def __init__(self) -> None:
-        self.node = rclpy.create_node('bench_soak')
-        self.unaccounted = 0            # most of all reports
-        self._complaints: dict[str, str] = {}       # by status, '' where it is OK
-        for topic in ('/diagnostics', 'dxl/diagnostics'):
-            self.node.create_subscription(DiagnosticArray, topic, self._hear, 100)
-        self._is_stopping = False
-        self._thread = threading.Thread(target=self._spin, name='ears')
-        self._thread.start()
-
-    def stop(self) -> None:
-        self._is_stopping = True
-        self._thread.join()
-
-    def not_well(self) -> list[str]:
-        """Return the statuses that are not OK and what they say; silent nodes likewise."""
-        heard = dict(self._complaints)
-        silent = [f'{node}: says nothing' for node in NODES
-                  if not any(name.startswith(node) for name in heard)]
-        return silent + [f'{name}: {text}' for name, text in heard.items() if text]
-
-    def _spin(self) -> None:
-        while not self._is_stopping:
-            rclpy.spin_once(self.node, timeout_sec=0.1)
-
-    def _hear(self, array: DiagnosticArray) -> None:
-        for status in array.status:
-            self._complaints[status.name] = status.message if status.level[0] else ''
-            values = {pair.key: pair.value for pair in status.values}
-            if 'Noise Bytes' in values:
-                parts = (int(values[f'{kind} Bytes']) for kind in ('Packet', 'Noise', 'Pending'))
-                self.unaccounted = max(self.unaccounted, abs(int(values['Bytes']) - sum(parts)))
-
-
-class _Driver:
-    """Publishes commands in spells, and watches how the rover obeys."""
-
-    def __init__(self, node: Any, mcu: FakeMcu) -> None:
-        self.is_hindered = False        # a fault may delay a stop beyond the bound
-        self.last_fault = 'none'
-        self.stops = self.late = self.made_up = 0
-        self.longest_s = 0.0
-        # A reliable publisher sends a lost command again, seconds later: a new one for the bridge.
-        self._publisher = node.create_publisher(Twist, 'cmd_vel', QoSProfile(
-            depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
-        self._mcu = mcu
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='driver')
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def stop(self) -> None:
-        self._done.set()
-        if self._thread.is_alive():
-            self._thread.join()
-
-    def _run(self) -> None:
-        message = Twist()
-        message.linear.x = SPEED
-        while not self._done.is_set():
-            was_hindered = False
-            end = time.monotonic() + DRIVE_S
-            while time.monotonic() < end:
-                self._publisher.publish(message)
-                was_hindered |= self.is_hindered
-                self._look()
-                time.sleep(0.02)
-            self._rest(time.monotonic(), was_hindered)
-
-    def _rest(self, last_s: float, was_hindered: bool) -> None:
-        """Say nothing; the rover must stop."""
-        stopped_s = None
-        looked_s = last_s
-        while (now_s := time.monotonic()) < last_s + REST_S:
-            self._look()
-            was_hindered |= self.is_hindered or now_s - looked_s > HELD_S
-            looked_s = now_s
-            wheels = self._mcu.receiver.wheels
-            if stopped_s is None and wheels.is_stop:
-                stopped_s = time.monotonic()
-            time.sleep(0.01)
-        if not was_hindered:
-            self.stops += 1
-            taken_s = (stopped_s or time.monotonic()) - last_s
-            self.longest_s = max(self.longest_s, taken_s)
-            if taken_s > STOP_BOUND_S + LATE_S:
-                self.late += 1
-                print(f'soak: no stop within {taken_s:.3f} s at {time.monotonic():.1f} s; '
-                      f'last fault: {self.last_fault}; {self._mcu.totals()}', file=sys.stderr)
-
-    def _look(self) -> None:
-        arrivals = self._mcu.receiver.arrivals
-        while arrivals:
-            velocity = arrivals.popleft().velocity
-            self.made_up += velocity is not None and tuple(velocity) not in (
-                (SPEED, 0.0, 0.0), (0.0, 0.0, 0.0))
-
-
-def _count(pid: int, what: str) -> int:
-    return len(os.listdir(f'/proc/{pid}/{what}'))
-
-
-def _waited(condition: Callable[[], bool], seconds: float) -> bool:
-    deadline = time.monotonic() + seconds
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    return condition()
-
-
-def _wait(condition: Callable[[], bool], seconds: float = START_S) -> None:
-    if not _waited(condition, seconds):
-        raise TimeoutError(f'soak: the nodes are not well after {seconds:g} s; run them alone')
+            'velocities made up': (driver.made_up, '')}, self._samples, self._wrong)
