@@ -49,6 +49,7 @@ def test_imports_go_downward(path):
         top = module.partition('.')[0]
         assert top not in LAYERS or top in LAYERS[package], f'{package} imports {module}'
         assert not is_ros(module) or may_use_ros(path), f'{path.name} imports {module}'
+        assert module != 'mecarover_serial.launch', f'{path.name}: only launch files have launch'
         if package in PURE and path.name != 'ros.py':
             assert top not in IO, f'{package} does IO or looks at a clock: {module}'
 
