@@ -169,7 +169,7 @@ class Tracker:
             slot = self._slots.pop(block.id, None)
             if slot is not None:
                 self._answer(slot, block.error, block.data, stamp)
-        if len(blocks) < len(accesses):
+        if len(blocks) < len(accesses) and not self._doubtful:
             self._evidence.note(stamp, ev.FAST_CUT, accesses[len(blocks)].id, len(blocks),
                                 len(accesses))
 
@@ -201,8 +201,9 @@ class Tracker:
     def _flawed(self, body: bytes, flaw: Flaw, stamp: int) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
         if flaw.reason:
-            self._doubtful = True
+            self._doubtful |= flaw.noise_length > GLITCH
             self._damaged(body, flaw.reason, stamp)
+            self._doubtful = True
             return True
         device = self._roster.devices.get(body[0]) if body[3] == STATUS else None
         if flaw.noise_length > GLITCH:
@@ -220,9 +221,7 @@ class Tracker:
         is_status = instruction == STATUS
         if is_status and number == BROADCAST and BROADCAST in self._slots:
             del self._slots[BROADCAST]
-            self._doubtful = False             # each block that holds proves itself
-            self._combined(body, stamp)
-            self._doubtful = True
+            self._combined(body, stamp)        # each block that holds proves itself
         if reason == 'length':
             self._evidence.note(stamp, ev.BAD_LENGTH, ev.NOBODY, length)
         elif reason == 'cut':

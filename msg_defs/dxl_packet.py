@@ -171,7 +171,7 @@ class Framer:
                 mark = find(_TAIL, end)
             else:
                 if mark > done and data[mark - 1] == 0xFF:
-                    found.append(self._damaged(data, base, mark, length))
+                    found.append(self._damaged(data, base, done, mark, length))
                     damaged += 1
                 mark = find(_TAIL, mark + 1)
         self.packets += len(found) - damaged
@@ -188,7 +188,7 @@ class Framer:
         self._noise_length = 0
         return flaw
 
-    def _damaged(self, data: bytes, base: int, mark: int, length: int) -> Frame:
+    def _damaged(self, data: bytes, base: int, done: int, mark: int, length: int) -> Frame:
         """Count a frame that has a header and fails; its bytes are noise, and searched again."""
         end = mark + 6 + length
         body = data[mark + 3:end]
@@ -202,7 +202,8 @@ class Framer:
         else:
             self.crc_errors += 1
             reason = 'crc'
-        return base + mark + 3 + len(body), body, Flaw(reason, False, 0)
+        ahead = self._noise_length + mark - 1 - done
+        return base + mark + 3 + len(body), body, Flaw(reason, False, ahead)
 
     def _keep(self, data: bytes, done: int, undecided: int) -> None:
         self._give_up(data[done:undecided])

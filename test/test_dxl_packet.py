@@ -353,6 +353,14 @@ def test_what_is_wrong_is_said_exactly(
     assert (framer.crc_errors, framer.truncated, framer.bad_length) == counts
 
 
+def test_how_much_noise_is_ahead_of_a_damaged_frame_is_said() -> None:
+    framer = Framer()
+    framer.frames(PING + bytes(30))
+    damaged = framer.frames(b'\x01' * 5 + BAD_REPLY + PING)[0]
+    assert damaged[2] is not None
+    assert (damaged[2].reason, damaged[2].noise_length) == ('crc', 35)
+
+
 def test_the_longest_length_is_waited_for_and_judged_by_its_crc() -> None:
     framer = Framer()
     wire = HEADER + b'\x01\x00\x04\x03' + bytes(1021)

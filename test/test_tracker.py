@@ -579,6 +579,30 @@ def test_a_fast_reply_cut_by_the_next_instruction_is_kept_too() -> None:
     assert bus.device(2).missed == 1
 
 
+@pytest.mark.parametrize('lost', [
+    damaged(encode(BROADCAST, I.FAST_SYNC_READ, words(GOAL, 4) + b'\x01\x02\x03')),
+    b'\x01' * 9,
+    encode(BROADCAST, I.FAST_SYNC_READ, words(GOAL, 4) + b'\x01\x02\x03')[4:],
+], ids=['damaged', 'noise', 'no header'])
+@pytest.mark.parametrize('size', [18, 24, 31, 32])
+def test_behind_damage_a_fast_reply_is_life_only_cut_or_not(lost: bytes, size: int) -> None:
+    """What was lost may have asked for other registers."""
+    bus = Bus()
+    bus.hear(fast_read(1, 2, 3), lost + fast_reply({1: b'aaaa', 2: b'bbbb', 3: b'cccc'})[:size])
+    bus.idle()
+    bus.hear(ping(9))
+    assert [bus.known(n, POSITION) for n in (1, 2, 3)] == [None] * 3
+    assert bus.device(1).heard
+    assert bus.device(1).missed == 0
+
+
+def test_a_glitch_does_not_spoil_a_cut_fast_reply() -> None:
+    bus = Bus()
+    bus.hear(fast_read(1, 2), b'\x00' + fast_reply({1: b'aaaa', 2: b'bbbb'})[:-1])
+    bus.idle()
+    assert bus.known(1, POSITION) == b'aaaa'
+
+
 def test_a_device_may_refuse_a_fast_read_on_its_own() -> None:
     bus = Bus()
     bus.hear(fast_read(1), reply(1, error=2), ping(9))
