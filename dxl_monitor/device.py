@@ -15,6 +15,7 @@ from dxl_monitor.control_table import Model
 from dxl_monitor.control_table import UNKNOWN
 from dxl_monitor.report import Latency
 from dxl_monitor.report import Window
+from dxl_monitor.table import size_of
 from dxl_monitor.table import Table
 from msg_defs.timing import Series
 
@@ -90,6 +91,7 @@ class Device:
         """Take on a model; what was seen of the table stays."""
         self.model = model
         self._special, self.eeprom_end, self.level_at = _special_of(model)
+        self.table.limit = size_of(model)
 
     def special_values(self, address: int, data: bytes) -> list[tuple[str, int]]:
         """Return what these bytes say of ID, Baud Rate and Status Return Level: (name, raw)."""

@@ -24,8 +24,12 @@ from dxl_monitor.control_table import Value
 READ = 1        # the device said so
 WRITTEN = 2     # the master wrote it and the device did not refuse
 SOURCES = {READ: 'r', WRITTEN: 'w'}
-SIZE_LIMIT = 0x4000     # no known table reaches address 10600; what lies beyond is not kept
+# What lies beyond is not kept: the tables of nearly all devices end before the first of them, and
+# none that is known reaches 10600.
+USUAL_LIMIT = 0x800
+SIZE_LIMIT = 0x4000
 SPAN_LIMIT = 64         # spans waiting to be put in place; a master uses a handful
+LONG = 256              # bytes of a span that does not wait
 Data = bytes            # the built-in, whose name Table.bytes takes
 IDENTITY = ('Model Number', 'Model Information', 'Firmware Version')
 
@@ -68,8 +72,8 @@ class Image:
             self.stamps.frombytes(bytes(8 * more))
             self.sources.extend(bytes(more))
 
-    def put(self, address: int, data: bytes, stamp: int, source: int) -> None:
-        data = data[:max(0, SIZE_LIMIT - address)]
+    def put(self, address: int, data: bytes, stamp: int, source: int, limit: int) -> None:
+        data = data[:max(0, limit - address)]
         end = address + len(data)
         if not data:
             return
@@ -89,29 +93,31 @@ class Image:
 
 
 class Table:
-    """The memory image of one device."""
+    """The memory image of one device, up to the address `limit`."""
 
-    __slots__ = ('_image', '_latest')
+    __slots__ = ('_image', '_latest', 'limit')
 
     def __init__(self) -> None:
+        self.limit = USUAL_LIMIT
         self._latest: dict[tuple[int, int], tuple[Data, int, int]] = {}
         self._image = Image()
 
     def store(self, address: int, data: Data, stamp: int, source: int) -> None:
         """Note that the bytes from `address` on were seen at `stamp`, READ or WRITTEN."""
         latest = self._latest
-        key = (address, len(data))
+        size = len(data)
+        key = (address, size)
         # Taken out and put back, so that the dict stays in order of arrival (stamps may be equal).
         latest.pop(key, None)
         latest[key] = (data, stamp, source)
-        if len(latest) > SPAN_LIMIT:
+        if size > LONG or len(latest) > SPAN_LIMIT:
             self._settle()
 
     def _settle(self) -> Image:
         if self._latest:
             put = self._image.put
             for (address, _), (data, stamp, source) in self._latest.items():
-                put(address, data, stamp, source)
+                put(address, data, stamp, source, self.limit)
             self._latest.clear()
         return self._image
 
@@ -214,6 +220,14 @@ class Table:
         for indirect in model.indirect:
             _resolve(image, indirect, resolved)
         return resolved
+
+
+@lru_cache(maxsize=256)
+def size_of(model: Model) -> int:
+    """Return up to which address bytes of this model are kept."""
+    ends = [field.end for field in model.fields[-1:]]
+    ends += [one.data + one.size for one in model.indirect]
+    return min(max(USUAL_LIMIT, *ends), SIZE_LIMIT) if ends else USUAL_LIMIT
 
 
 def _in_force(field: Field, model: Model, image: Image) -> Field:

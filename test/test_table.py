@@ -14,6 +14,7 @@ from dxl_monitor.models import Models
 from dxl_monitor.table import Observed
 from dxl_monitor.table import READ
 from dxl_monitor.table import SIZE_LIMIT
+from dxl_monitor.table import size_of
 from dxl_monitor.table import SPAN_LIMIT
 from dxl_monitor.table import Table
 from dxl_monitor.table import WRITTEN
@@ -192,6 +193,19 @@ def test_after_a_factory_reset_only_what_stays_is_known() -> None:
     assert 'Present Position' in seen(table, model)
 
 
+def test_what_a_table_takes_up_is_bounded_by_its_model() -> None:
+    table = Table()
+    table.store(0x800, b'b', 1, READ)
+    table.store(0x7FF, b'a', 1, READ)
+    assert (table.byte(0x7FF), table.byte(0x800)) == (ord('a'), None)
+    assert size_of(servo()) == 0x800
+    assert size_of(Model(1, 'Large', (Field(4000, 'Far', 'u32'),))) == 4004
+    assert size_of(Model(1, 'Huge', (Field(60_000, 'Far', 'u32'),))) == SIZE_LIMIT
+    table.limit = 4004
+    table.store(4000, b'abcd', 2, READ)
+    assert table.bytes(4000, 4) == b'abcd'
+
+
 def test_hostile_stores_stay_bounded() -> None:
     generator = random.Random(2)
     table, model = Table(), servo()
@@ -199,6 +213,7 @@ def test_hostile_stores_stay_bounded() -> None:
         table.store(generator.randrange(0x10000), generator.randbytes(generator.randrange(1025)),
                     stamp, READ)
         assert len(table._latest) <= SPAN_LIMIT + 1
+        assert sum(len(one[0]) for one in table._latest.values()) <= SPAN_LIMIT * 256
     table.store(0xFFFF, bytes(1024), 1, READ)
     assert len(table._image.data) <= SIZE_LIMIT
     assert table.byte(0xFFFF) is None
