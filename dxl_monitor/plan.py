@@ -12,6 +12,7 @@ from collections.abc import Callable
 from enum import Enum
 
 from dxl_monitor.device import Device
+from msg_defs.dxl_instruction import NAMES
 from msg_defs.dxl_instruction import Request
 
 # What takes an answer in: address, data, stamp, source (as Table.store).
@@ -46,20 +47,32 @@ class Plan:
     One instruction. slots: who must answer, in the order of answering, by ID.
 
     Of a fast read the combined status is the first of the slots, under the broadcast ID. begin:
-    what one more of these instructions starts, from its body and stamp.
+    what one more of these instructions starts, from its body and stamp. oddities: the kinds of
+    incident that each of them is; the first is noted, the others are counted.
     """
 
-    __slots__ = ('asked', 'begin', 'counted', 'missed', 'request', 'slots', 'stamps')
+    __slots__ = ('asked', 'begin', 'counted', 'missed', 'oddities', 'request', 'slots', 'stamps')
 
-    def __init__(self, request: Request, slots: dict[int, Slot],
-                 begin: Begin | None = None) -> None:
+    def __init__(self, request: Request, slots: dict[int, Slot], begin: Begin | None = None,
+                 oddities: tuple[str, ...] = ()) -> None:
         self.request = request
         self.slots = slots
         self.begin = begin
+        self.oddities = oddities
         self.asked = 0
-        self.counted = 0                   # of `asked`: already in Device.reads
+        self.counted = 0                   # of `asked`: already counted elsewhere too
         self.missed = 0
         self.stamps: deque[int] = deque(maxlen=STAMPS_KEPT)
+
+    @property
+    def is_understood(self) -> bool:
+        """Whether it is known who answers it."""
+        return self.request.instruction in NAMES and not self.request.malformed
+
+    @property
+    def size(self) -> int:
+        """How much memory it takes, in slots; a plan by itself is as large as eight."""
+        return 8 + len(self.slots) + len(self.request.accesses)
 
     @property
     def address(self) -> int:

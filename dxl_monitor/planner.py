@@ -26,6 +26,7 @@ from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import bulk_write_entries
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import is_whole_bulk_write
 from msg_defs.dxl_instruction import NAMES
 from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_instruction import Request
@@ -33,10 +34,11 @@ from msg_defs.dxl_instruction import RESET_ALL
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import unstuff
 
-LISTS_KEPT = 16                    # of IDs, for one kind of Sync Write
-SLOTS_KEPT = 8192                  # of all plans together
+LISTS_KEPT = 64                    # of IDs, of all Sync Writes
+SLOTS_KEPT = 32_768                # the size of all plans together: 3000 different reads
+BYTES_PER_SLOT = 32                # of what tells plans apart
 NO_IDS = (0xFD, 0xFF)
-NO_PLAN = Plan(Request(0, 0, Answers.NOBODY), {})
+NO_PLAN = Plan(Request(0, 0xFF, Answers.NOBODY), {})
 
 # How much of the body tells one plan from another, where the rest is data to write.
 _KEY_SIZE: dict[int, int] = {
@@ -48,7 +50,6 @@ _RUN = b'\xff\xff\xfd'
 # one of them may tell what the device is or does.
 _TELLING = (0, 15, 17, 68, 516)
 
-_LISTED_WRITES = (Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
 _WITH_OPTION = (Instruction.FACTORY_RESET, Instruction.CLEAR, Instruction.CONTROL_TABLE_BACKUP)
 
 # What is done to a device; its arguments: the device, more, stamp.
@@ -58,14 +59,15 @@ Effect = Callable[..., None]
 class Planner:
     """The plans of one bus. deferred: what the pending instruction will do to its device."""
 
-    __slots__ = ('_effects', '_evidence', '_makers', '_retired', '_roster', '_size', 'deferred',
-                 'known')
+    __slots__ = ('_effects', '_evidence', '_lists', '_makers', '_retired', '_roster', '_size',
+                 'deferred', 'known')
 
     def __init__(self, roster: Roster, evidence: Evidence) -> None:
         self._roster = roster
         self._evidence = evidence
         self.known: dict[bytes, Plan] = {}     # by what tells one from another
         self._size = 0                 # of all plans, in slots
+        self._lists: dict[bytes, list[Device]] = {}    # of IDs, as a Sync Write has them
         self._retired = 0              # instructions of forgotten plans
         self.deferred: tuple[Effect, tuple[Any, ...]] | None = None
         roster.renumbered = self.forget_plans
@@ -97,16 +99,19 @@ class Planner:
         plan = self.known.get(key)
         if plan is None:
             plan = self._learn(body, stamp)
-            self._size += 1 + len(plan.slots)
-            if self._size > SLOTS_KEPT:
+            if plan.request.malformed:
+                key = body             # another one of this key may well make sense
+            size = plan.size + len(key) // BYTES_PER_SLOT
+            if self._size + size > SLOTS_KEPT:
                 self.forget_plans()
+            self._size += size
             self.known[key] = plan
         return plan
 
     def plans(self) -> list[Plan]:
-        """Return the plans in use, with each device's number of reads brought up to date."""
+        """Return the plans in use, with what is counted of them elsewhere brought up to date."""
         for plan in self.known.values():
-            self._count_reads(plan)
+            self._count(plan)
         return list(self.known.values())
 
     def instructions(self) -> int:
@@ -118,6 +123,7 @@ class Planner:
         self.plans()
         self._retired = self.instructions()
         self.known.clear()
+        self._lists.clear()
         self._size = 0
 
     def carry_out(self) -> None:
@@ -127,32 +133,33 @@ class Planner:
             self.deferred = None
             effect(*arguments)
 
-    def _count_reads(self, plan: Plan) -> None:
+    def _count(self, plan: Plan) -> None:
         new = plan.asked - plan.counted
         plan.counted = plan.asked
+        for kind in plan.oddities:
+            self._evidence.counts[kind] += new
         for slot in plan.slots.values():
             slot.device.reads += new if slot.due is Due.READ else 0
 
     def _learn(self, body: bytes, stamp: int) -> Plan:
-        number, instruction = body[0], body[3]
-        request = parse(instruction, number, unstuff(body[4:]))
-        self._note_oddities(request, body, stamp)
-        if number in NO_IDS:
+        request = parse(body[3], body[0], unstuff(body[4:]))
+        plan = self._plan_of(request)
+        oddities = _oddities(request, body)
+        if oddities:
+            plan.oddities = tuple(kind for kind, *_ in oddities)
+            plan.counted = 1               # noted here, and it has no reads
+            for kind, *what in oddities:
+                self._evidence.note(stamp, kind, *what)
+        return plan
+
+    def _plan_of(self, request: Request) -> Plan:
+        if request.id in NO_IDS:
             return Plan(request, {})
         slots = {slot.device.number: slot for slot in self._makers[request.answers](request)}
         if request.answers is Answers.COMBINED and slots:
             first = next(iter(slots.values())).device
             slots = {BROADCAST: Slot(first, Due.READ, 0, -6, _nowhere), **slots}
         return Plan(request, slots, self._beginner(request))
-
-    def _note_oddities(self, request: Request, body: bytes, stamp: int) -> None:
-        number, instruction = body[0], body[3]
-        if instruction not in NAMES:
-            self._evidence.note(stamp, ev.UNKNOWN_INSTRUCTION, number, instruction)
-        if request.malformed:
-            self._evidence.note(stamp, ev.MALFORMED, number, instruction, len(body) - 4)
-        if number in NO_IDS:
-            self._evidence.note(stamp, ev.BAD_ID, ev.NOBODY, number)
 
     def _ping_slots(self, request: Request) -> list[Slot]:
         device = self._roster.device(request.id)
@@ -181,17 +188,18 @@ class Planner:
 
     def _beginner(self, request: Request) -> Begin | None:
         """Return what a repetition of this instruction starts, None for one that only asks."""
+        if request.instruction == Instruction.BULK_WRITE and request.accesses:
+            return partial(self._bulk_write, request.malformed)
         effect = self._effects.get(request.instruction)
         if effect is None or request.malformed:
             return None
+        if request.instruction == Instruction.SYNC_WRITE:
+            return self._sync_write
         if request.id != BROADCAST:
             device = self._roster.device(request.id)
             if request.accesses:
                 return partial(self._defer_write, effect, device, request.accesses[0].address)
             return partial(self._defer_command, effect, device, _arguments(request))
-        if request.instruction in _LISTED_WRITES:
-            return partial(self._sync_write, {}) if (
-                request.instruction == Instruction.SYNC_WRITE) else self._bulk_write
         if request.accesses:
             return partial(self._write_all, effect, request.accesses[0].address)
         return partial(self._command_all, effect, request)
@@ -204,19 +212,20 @@ class Planner:
                        body: bytes, stamp: int) -> None:
         self.deferred = effect, (device, *arguments, stamp)
 
-    def _sync_write(self, known: dict[bytes, list[Device]], body: bytes, stamp: int) -> None:
+    def _sync_write(self, body: bytes, stamp: int) -> None:
         """Write to many. A robot sends nothing as often, so this is not parsed each time."""
         params = self._content(body, 4, stamp)
         address = params[0] | params[1] << 8
         size = params[2] | params[3] << 8
         ids = params[4::size + 1]
         if 4 + len(ids) * (size + 1) != len(params):
-            return                                 # stuffed, and then it makes no sense
-        devices = known.get(ids)
+            self._note_malformed(body, stamp)      # once it is unstuffed
+            return
+        devices = self._lists.get(ids)
         if devices is None:
-            if len(known) >= LISTS_KEPT:
-                known.clear()
-            devices = known[ids] = [self._roster.device(number) for number in ids]
+            if len(self._lists) >= LISTS_KEPT:
+                self._lists.clear()
+            devices = self._lists[ids] = [self._roster.device(number) for number in ids]
         at = 5
         for device in devices:                     # as Roster.write(), which costs a call more
             data = params[at:at + size]
@@ -226,9 +235,17 @@ class Planner:
             if address < device.eeprom_end or address <= device.level_at < address + size:
                 self._roster.follow(device, address, data, stamp)
 
-    def _bulk_write(self, body: bytes, stamp: int) -> None:
-        for number, address, data in bulk_write_entries(self._content(body, 4, stamp)):
+    def _bulk_write(self, is_known: bool, body: bytes, stamp: int) -> None:
+        """Write what makes sense; is_known: that not all of it does is noted already."""
+        params = self._content(body, 4, stamp)
+        entries = bulk_write_entries(params)
+        for number, address, data in entries:
             self._roster.write(self._roster.device(number), address, data, stamp)
+        if not is_known and not is_whole_bulk_write(params, entries):
+            self._note_malformed(body, stamp)
+
+    def _note_malformed(self, body: bytes, stamp: int) -> None:
+        self._evidence.note(stamp, ev.MALFORMED, body[0], body[3], len(body) - 4)
 
     def _content(self, body: bytes, at: int, stamp: int) -> bytes:
         """Return what is written, unstuffed; a master that does not stuff is worth a note."""
@@ -249,6 +266,19 @@ class Planner:
             return             # X and MX ignore that one, lest all get the same ID
         for device in list(self._roster.devices.values()):
             effect(device, *_arguments(request), stamp)
+
+
+def _oddities(request: Request, body: bytes) -> list[tuple[Any, ...]]:
+    """Return what is odd about an instruction: the kinds of incident, each with its details."""
+    number, instruction = request.id, request.instruction
+    found: list[tuple[Any, ...]] = []
+    if instruction not in NAMES:
+        found.append((ev.UNKNOWN_INSTRUCTION, number, instruction))
+    if request.malformed:
+        found.append((ev.MALFORMED, number, instruction, len(body) - 4))
+    if number in NO_IDS:
+        found.append((ev.BAD_ID, ev.NOBODY, number))
+    return found
 
 
 def _arguments(request: Request) -> tuple[str, ...]:

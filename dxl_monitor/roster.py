@@ -26,6 +26,7 @@ from msg_defs.dxl_instruction import MULTI_TURN
 from msg_defs.dxl_instruction import RESTORE
 
 MAX_ID = 252
+NO_ID = 255
 ABSENCE_MS = 50                    # missed for so long: it was away, which is worth a note
 FACTORY_ID = 1
 FACTORY_BAUD = 57_600
@@ -39,7 +40,8 @@ _CLEARS = {MULTI_TURN: 'Present Position', ERROR: 'Hardware Error Status'}
 class Roster:
     """The devices, by the ID they answer to. baud: of this bus; renumbered: called at a change."""
 
-    __slots__ = ('_baud', '_evidence', '_followers', '_models', 'devices', 'renumbered')
+    __slots__ = ('_baud', '_evidence', '_followers', '_models', '_nobody', 'devices',
+                 'renumbered')
 
     def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
                  evidence: Evidence) -> None:
@@ -47,6 +49,7 @@ class Roster:
         self._baud = baud
         self._evidence = evidence
         self.devices: dict[int, Device] = {}
+        self._nobody = Device(NO_ID)       # takes what is sent to an ID that no device can have
         self.renumbered: Callable[[], None] = lambda: None
         self._followers = {'ID': self._follow_id, 'Baud Rate': self._follow_baud,
                            RETURN_LEVEL: self._follow_return_level}
@@ -62,9 +65,9 @@ class Roster:
         """Return the device with this ID, new at first sight; what is no ID is nobody's."""
         device = self.devices.get(number)
         if device is None:
-            device = Device(number)
-            if number <= MAX_ID:
-                self.devices[number] = device
+            if number > MAX_ID:
+                return self._nobody
+            device = self.devices[number] = Device(number)
         return device
 
     def heard(self, device: Device, error: int, stamp: int) -> None:

@@ -191,6 +191,8 @@ class Tracker:
                 self._evidence.note(stamp, ev.ANEW, number, request.instruction)
         elif number in self._plan.slots:
             self._evidence.note(stamp, ev.SECOND_ANSWER, number, request.instruction)
+        elif not self._plan.is_understood and request.id in (number, BROADCAST):
+            pass                   # who knows who answers that
         elif number in self._given_up:
             self._evidence.note(stamp, ev.LATE, number, self._since_asked(stamp))
         else:
@@ -256,9 +258,9 @@ class Tracker:
 
     def _judge(self, due: list[Slot], now: int) -> None:
         """Count who is missed, and who was not served because the master gave up before."""
-        waiting = 0
+        waiting, silent = 0, set(due)
         for slot in reversed(self._plan.slots.values()):
-            if slot not in due or slot.device.number in self._spoke:
+            if slot not in silent or slot.device.number in self._spoke:
                 break
             waiting += 1
         served = len(due) - max(0, waiting - 1)

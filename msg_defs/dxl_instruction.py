@@ -112,6 +112,8 @@ def parse(instruction: int, id: int, params: bytes) -> Request:
     parser = _PARSERS.get(instruction)
     if parser is None:
         return Request(instruction, id, Answers.NOBODY)
+    if id != BROADCAST and instruction in _TO_MANY:
+        return _malformed(instruction, id)
     return parser(instruction, id, params)
 
 
@@ -138,16 +140,22 @@ def split_combined(body: bytes, accesses: tuple[Access, ...]) -> list[Block]:
 
 
 def bulk_write_entries(params: bytes) -> list[tuple[int, int, bytes]]:
-    """Return what a Bulk Write writes: (ID, address, data); nothing if it is malformed."""
+    """Return what a Bulk Write writes, as far as it makes sense: (ID, address, data)."""
     entries = []
     at = 0
     while at + 5 < len(params):
         end = at + 5 + (params[at + 3] | params[at + 4] << 8)
-        entries.append((params[at], params[at + 1] | params[at + 2] << 8, params[at + 5:end]))
-        if end == at + 5:
-            return []
+        if end > len(params):
+            break
+        if end > at + 5:
+            entries.append((params[at], params[at + 1] | params[at + 2] << 8, params[at + 5:end]))
         at = end
-    return entries if at == len(params) else []
+    return entries
+
+
+def is_whole_bulk_write(params: bytes, entries: list[tuple[int, int, bytes]]) -> bool:
+    """Return whether these entries are all there is in a Bulk Write, and it writes something."""
+    return bool(entries) and len(params) == sum(5 + len(data) for _, _, data in entries)
 
 
 def _u16(params: bytes, at: int) -> int:
@@ -222,17 +230,19 @@ def _sync_write(instruction: int, id: int, params: bytes) -> Request:
 
 
 def _bulk_write(instruction: int, id: int, params: bytes) -> Request:
-    accesses = tuple(Access(one, address, len(data), data)
-                     for one, address, data in bulk_write_entries(params))
-    if not accesses:
-        return _malformed(instruction, id)
-    return Request(instruction, id, Answers.NOBODY, accesses)
+    entries = bulk_write_entries(params)
+    accesses = tuple(Access(one, address, len(data), data) for one, address, data in entries)
+    return Request(instruction, id, Answers.NOBODY, accesses,
+                   malformed=not is_whole_bulk_write(params, entries))
 
 
 _LISTED: dict[int, Answers] = {
     Instruction.SYNC_READ: Answers.LISTED, Instruction.BULK_READ: Answers.LISTED,
     Instruction.FAST_SYNC_READ: Answers.COMBINED, Instruction.FAST_BULK_READ: Answers.COMBINED,
 }
+
+# Their parameters list the devices; they are sent to everybody and to nobody else.
+_TO_MANY = (*_LISTED, Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
 
 _PARSERS: dict[int, Callable[[int, int, bytes], Request]] = {
     Instruction.PING: _ping,

@@ -100,11 +100,25 @@ def test_options(instruction: int, params: bytes, option: str) -> None:
     assert parse(instruction, 1, params).option == option
 
 
+@pytest.mark.parametrize('instruction', [0x82, 0x83, 0x8A, 0x92, 0x93, 0x9A])
+def test_what_lists_devices_is_for_everybody_alone(instruction: int) -> None:
+    params = b'\x01' + words(3, 1) + b'\x01' + (b'\x02' if instruction != 0x92 else b'')
+    assert parse(instruction, 1, params).malformed
+
+
 def test_names_and_errors_in_words() -> None:
     assert name_of(Instruction.FAST_SYNC_READ) == 'Fast Sync Read'
     assert name_of(0x8B) == 'instruction 0x8B'
     assert [error_text(error) for error in (0, 0x80, 7, 0x87, 9)] == [
         '', 'alert', 'Access', 'Access, alert', 'error 9']
+
+
+def test_a_bulk_write_says_what_makes_sense_of_it() -> None:
+    whole = b'\x01' + words(32, 2) + b'\xa0\x00'
+    found = (Access(1, 32, 2, b'\xa0\x00'),)
+    for rest in (b'\x02', b'\x02' + words(32, 0), b'\x02' + words(32, 9) + b'\x01'):
+        request = parse(0x93, BROADCAST, whole + rest)
+        assert (request.accesses, request.malformed) == (found, True)
 
 
 def test_a_combined_reply_is_one_frame_and_splits() -> None:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each rule of pairing on its own: what an answer means, who is missed, what a table takes in."""
 
+import gc
 from pathlib import Path
 import struct
 
@@ -15,6 +16,7 @@ from dxl_monitor.device import Device
 from dxl_monitor.devices import Device as Expected
 from dxl_monitor.evidence import Evidence
 from dxl_monitor.models import Models
+from dxl_monitor.planner import SLOTS_KEPT
 from dxl_monitor.roster import Roster
 from dxl_monitor.tracker import Tracker
 from msg_defs.crc import crc16
@@ -171,6 +173,28 @@ def test_an_answer_that_nobody_asked_for_is_life_only() -> None:
     assert bus.roster.devices[2].table.known() == []
     assert bus.known(1, POSITION) == b'bbbb'
     assert bus.kinds() == [ev.UNASKED, ev.SECOND_ANSWER]
+
+
+@pytest.mark.parametrize(('asked', 'unasked'), [
+    (encode(1, 0x8B, b'\x01\x02'), 0), (encode(BROADCAST, 0x8B, b'\x01'), 0),
+    (encode(1, I.READ, b'\x01'), 0), (encode(2, 0x8B, b'\x01\x02'), 1), (read(2), 1),
+])
+def test_who_answers_what_nobody_here_understands_is_not_unasked(
+        asked: bytes, unasked: int) -> None:
+    bus = Bus()
+    bus.hear(asked, reply(1, b'aaaa'))
+    assert bus.evidence.counts[ev.UNASKED] == unasked
+    assert bus.device(1).heard == bus.now
+    assert bus.roster.devices[1].table.known() == []
+
+
+def test_what_is_not_understood_is_noted_once_and_counted_each_time() -> None:
+    bus = Bus()
+    bus.hear(*[encode(1, 0x8B), encode(1, I.READ), encode(253, I.PING)] * 5)
+    bus.tracker.plans()
+    kinds = [ev.UNKNOWN_INSTRUCTION, ev.MALFORMED, ev.BAD_ID]
+    assert bus.kinds() == kinds
+    assert [bus.evidence.counts[kind] for kind in kinds] == [5, 5, 5]
 
 
 def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
@@ -385,6 +409,53 @@ def test_sync_and_bulk_writes_take_effect_at_once() -> None:
     assert (bus.known(1, GOAL), bus.known(2, GOAL)) == (b'cccc', b'\xff\xff\xfd\x00')
     bus.hear(encode(BROADCAST, I.BULK_WRITE, b'\x01' + words(GOAL, 4) + b'dddd'))
     assert bus.known(1, GOAL) == b'dddd'
+
+
+SENSELESS = encode(BROADCAST, I.SYNC_WRITE, words(GOAL, 4) + b'\x01\xff\xff\xfd\xfd\x02bbbb',
+                   stuffed=False)          # as the official Python client sends it
+
+
+@pytest.mark.parametrize('senseless', [
+    SENSELESS, encode(BROADCAST, I.SYNC_WRITE, words(GOAL, 4) + b'\x01aaaa\x02bbb'),
+    encode(BROADCAST, I.BULK_WRITE, b'\x01' + words(GOAL, 9) + b'aaaa'),
+    encode(BROADCAST, I.BULK_WRITE, b'\x01' + words(GOAL, 0) + b'aaaa'),
+    encode(1, I.WRITE, words(GOAL)), encode(1, I.WRITE, b'\x74'), encode(1, I.WRITE),
+    encode(1, I.SYNC_WRITE, words(GOAL, 4) + b'\x01aaaa'),
+], ids=repr)
+def test_a_write_that_makes_no_sense_hides_none_behind_it(senseless: bytes) -> None:
+    bus = Bus()
+    for data in (b'cccc', b'dddd'):
+        bus.hear(senseless
+                 + encode(BROADCAST, I.SYNC_WRITE, words(GOAL, 4) + b'\x01' + data + b'\x02bbbb')
+                 + encode(BROADCAST, I.BULK_WRITE, b'\x03' + words(GOAL, 4) + data)
+                 + write(4, GOAL, data) + reply(4))
+        assert [bus.known(n, GOAL) for n in (1, 2, 3, 4)] == [data, b'bbbb', data, data]
+    bus.tracker.plans()
+    assert bus.evidence.counts[ev.MALFORMED] == 2
+
+
+def test_a_write_that_makes_no_sense_behind_one_that_does_is_noted() -> None:
+    bus = Bus()
+    bus.hear(encode(BROADCAST, I.SYNC_WRITE, words(GOAL, 4) + b'\x01cccc\x02bbbb'), SENSELESS)
+    assert notes(bus)[-1][1:] == (ev.MALFORMED, BROADCAST, (I.SYNC_WRITE, 14))
+    assert bus.known(1, GOAL) == b'cccc'
+
+
+def test_a_bulk_write_counts_as_far_as_it_makes_sense() -> None:
+    bus = Bus()
+    entries = [bytes([n]) + words(GOAL, 4) + data for n, data in ((1, b'aaaa'), (2, b'bbbb'))]
+    bus.hear(encode(BROADCAST, I.BULK_WRITE, entries[0] + b'\x09' + words(GOAL, 0) + entries[1]))
+    assert (bus.known(1, GOAL), bus.known(2, GOAL)) == (b'aaaa', b'bbbb')
+    bus.hear(encode(BROADCAST, I.BULK_WRITE, b'\x01' + words(GOAL, 4) + b'cccc' + entries[1][:-1]))
+    assert (bus.known(1, GOAL), bus.known(2, GOAL)) == (b'cccc', b'bbbb')
+    assert bus.evidence.counts[ev.MALFORMED] == 2
+
+
+def test_a_sync_write_to_one_device_is_no_write() -> None:
+    """It has no data where a Write has them."""
+    bus = Bus()
+    bus.hear(encode(1, I.SYNC_WRITE, words(GOAL, 4) + b'\x01aaaa'), ping(1), pong(1))
+    assert bus.roster.devices[1].table.bytes(GOAL, 2) is None
 
 
 def test_a_broadcast_write_is_for_everybody_known() -> None:
@@ -681,10 +752,30 @@ def test_memory_is_bounded_whatever_is_asked() -> None:
     for n in range(3_000):
         bus.hear(encode(BROADCAST, I.SYNC_READ, words(n, 4) + bytes(range(60))),
                  encode(BROADCAST, I.SYNC_WRITE, words(n, 1) + bytes([n % 253, 0])))
-    assert len(bus.tracker.plans()) <= 8192
-    assert sum(len(plan.slots) for plan in bus.tracker.plans()) <= 8192
+    assert sum(plan.size for plan in bus.tracker.plans()) <= SLOTS_KEPT
     assert len(bus.evidence.incidents()) <= 1000
     assert bus.tracker.instructions() == 6_000
+
+
+def test_memory_is_bounded_whatever_is_written() -> None:
+    """Each of these packets was worth 1 MB of devices and accesses once."""
+    bus = Bus()
+    before = _devices_alive()
+    for n in range(150):
+        ids = bytes(253 + (n + at) % 3 for at in range(500))
+        bus.hear(encode(BROADCAST, I.SYNC_WRITE, words(n, 1) + b''.join(
+            bytes((number, 0)) for number in ids[n:])))
+        bus.hear(encode(BROADCAST, I.BULK_WRITE, bytes([n % 253]) + words(0, 900) + bytes(900)))
+        bus.hear(encode(BROADCAST, I.BULK_WRITE, b'\xfd' + words(n, 1) + b'a'))
+    assert _devices_alive() - before <= 150
+    assert set(bus.roster.devices) == set(range(150))
+    assert sum(len(plan.request.accesses) for plan in bus.tracker.plans()) <= SLOTS_KEPT
+    assert bus.tracker.instructions() == 450
+
+
+def _devices_alive() -> int:
+    gc.collect()
+    return sum(isinstance(one, Device) for one in gc.get_objects())
 
 
 def test_the_robot_trace_in_any_chunks() -> None:
