@@ -55,7 +55,7 @@ class Device:
         self.acks: bool | None = None
         self.acks_missing = 0
         self.return_level: int | None = None
-        self.registered: tuple[int, bytes] | None = None
+        self.registered: tuple[int, bytes, bool] | None = None     # as Roster.write() takes it
         self.moved: int | None = None
         self.waiting_behind: int | None = None
         self.alert = False

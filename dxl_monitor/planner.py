@@ -258,8 +258,10 @@ class Planner:
 
     def _write_all(self, effect: Effect, address: int, body: bytes, stamp: int) -> None:
         data = self._content(body, 6, stamp)
-        for device in list(self._roster.devices.values()):
-            effect(device, address, data, stamp)
+        devices = list(self._roster.devices.values())
+        heard = [device for device in devices if device.heard]
+        for device in devices:
+            effect(device, address, data, stamp, heard == [device])
 
     def _command_all(self, effect: Effect, request: Request, body: bytes, stamp: int) -> None:
         if request.option == RESET_ALL:

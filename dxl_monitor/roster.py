@@ -140,21 +140,29 @@ class Roster:
         firmware = data[field.at:field.end] if field is not None and field.size == 1 else b''
         self.pinged(device, 0, data[:2] + firmware, stamp, READ)
 
-    def write(self, device: Device, address: int, data: bytes, stamp: int) -> None:
-        """Keep what the master wrote, and follow what it changes about the device."""
+    def write(self, device: Device, address: int, data: bytes, stamp: int,
+              alone: bool = True) -> None:
+        """
+        Keep what the master wrote, and follow what it changes about the device.
+
+        alone: False for a write to everybody where there are several: an ID that all of them
+        take at once tells none of them apart, so each stays who it was.
+        """
         device.writes += 1
         device.table.store(address, data, stamp, WRITTEN)
         if address < device.eeprom_end or address <= device.level_at < address + len(data):
-            self.follow(device, address, data, stamp)
+            self.follow(device, address, data, stamp, alone)
 
-    def register(self, device: Device, address: int, data: bytes, stamp: int) -> None:
+    def register(self, device: Device, address: int, data: bytes, stamp: int,
+                 alone: bool = True) -> None:
         """Keep a Reg Write until its Action."""
-        device.registered = address, data
+        device.registered = address, data, alone
 
     def act(self, device: Device, stamp: int) -> None:
         """Carry out the registered write, at an Action."""
         if device.registered is not None:
-            self.write(device, *device.registered, stamp)
+            address, data, alone = device.registered
+            self.write(device, address, data, stamp, alone)
             device.registered = None
 
     def reboot(self, device: Device, stamp: int) -> None:
@@ -186,13 +194,15 @@ class Roster:
             self.reboot(device, stamp)
             device.table.forget('all', device.model, (*IDENTITY, 'ID', 'Baud Rate'))
 
-    def follow(self, device: Device, address: int, data: bytes, stamp: int) -> None:
+    def follow(self, device: Device, address: int, data: bytes, stamp: int,
+               alone: bool = True) -> None:
         """Note what a write to EEPROM or to Status Return Level changes about the device."""
         self.resolve(device)
         field = device.model.by_address.get(address)
         device.eeprom_writes += field is not None and field.memory == 'eeprom'
         for name, value in device.special_values(address, data):
-            self._followers[name](device, value, stamp)
+            if alone or name != 'ID':
+                self._followers[name](device, value, stamp)
 
     def _follow_id(self, device: Device, value: int, stamp: int) -> None:
         self._evidence.note(stamp, ev.ID_WRITTEN, device.number, value)
@@ -213,10 +223,14 @@ class Roster:
             device.odd = True
 
     def _renumber(self, device: Device, number: int, stamp: int) -> None:
-        if number > MAX_ID or number == device.number:
+        if number > MAX_ID or self.devices.get(device.number) is not device:
             return
-        if self.devices.get(device.number) is device:
-            del self.devices[device.number]
+        other = self.devices.get(number)
+        if other is not None and other.heard:
+            return             # itself, or one that nobody may take for another
+        if other is not None and other.expected:
+            device.joint, device.expected = other.joint, True
+        del self.devices[device.number]
         device.number = number
         self.devices[number] = device
         self.renumbered()

@@ -547,6 +547,36 @@ def test_a_refused_id_is_not_followed() -> None:
     assert list(bus.roster.devices) == [1]
 
 
+@pytest.mark.parametrize('how', [I.WRITE, I.REG_WRITE])
+def test_an_id_written_to_everybody_leaves_everybody_who_he_is(how: int) -> None:
+    bus = Bus(Expected(1, 'MX-64', 'left_knee'), Expected(2, 'MX-106', 'right_knee'))
+    bus.hear(ping(1), pong(1), ping(2), pong(2, MX_106), ping(3), pong(3),
+             encode(BROADCAST, how, words(7) + b'\x09'), encode(BROADCAST, I.ACTION), ping(1))
+    assert [(n, bus.device(n).joint, bus.device(n).model.name) for n in bus.roster.devices] == [
+        (1, 'left_knee', 'MX-64'), (2, 'right_knee', 'MX-106'), (3, '', 'MX-64')]
+
+
+def test_an_id_written_to_everybody_is_that_of_the_only_one() -> None:
+    bus = Bus(Expected(2, 'MX-106', 'right_knee'))
+    bus.hear(ping(1), pong(1), write(BROADCAST, 7, b'\x09'), ping(9), pong(9))
+    assert set(bus.roster.devices) == {2, 9}
+    assert bus.device(9).answers == 2
+
+
+def test_nobody_takes_the_place_of_a_device_that_was_heard() -> None:
+    bus = Bus(Expected(2, 'MX-106', 'right_knee'))
+    bus.hear(ping(2), pong(2, MX_106), ping(1), pong(1), write(1, 7, b'\x02'), reply(1))
+    assert {n: bus.device(n).joint for n in bus.roster.devices} == {1: '', 2: 'right_knee'}
+
+
+def test_who_gets_the_id_of_one_that_is_listed_is_that_one() -> None:
+    bus = Bus(Expected(2, 'MX-106', 'right_knee'))
+    bus.hear(ping(1), pong(1, MX_106), write(1, 7, b'\x02'), reply(1))
+    assert set(bus.roster.devices) == {2}
+    device = bus.device(2)
+    assert (device.joint, device.expected, device.answers) == ('right_knee', True, 2)
+
+
 def test_a_written_baud_rate_is_followed() -> None:
     bus = filled(Bus())
     bus.hear(write(1, 8, b'\x01'), reply(1))
