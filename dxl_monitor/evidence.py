@@ -98,10 +98,11 @@ class Evidence:
         """Keep how long the master waited for an answer before it went on."""
         self._waits.append((stamp, wait_us, device))
 
-    def look_at_noise(self, noise: bytes, stamp: int) -> None:
-        """Look for packets of Protocol 1.0 in the last bytes that were no packets."""
-        for at in _protocol_1(noise):
-            self.note(stamp, PROTOCOL_1, noise[at + 2], noise[at + 4])
+    def look_at_noise(self, noise: bytes, fresh: int, stamp: int) -> None:
+        """Look for packets of Protocol 1.0 that end in the last `fresh` bytes of noise."""
+        for at, end in _protocol_1(noise):
+            if end > len(noise) - fresh:
+                self.note(stamp, PROTOCOL_1, noise[at + 2], noise[at + 4])
 
     def newest(self, count: int) -> tuple[Incident, ...]:
         """Return the last incidents, oldest first."""
@@ -129,14 +130,19 @@ def _line(incident: Incident) -> str:
     return text if incident.device < 0 else f'{incident.device:03}: {text}'
 
 
-def _protocol_1(data: bytes) -> list[int]:
-    """Return where packets of Protocol 1.0 begin: FF FF, ID, length, instruction, checksum."""
+def _protocol_1(data: bytes) -> list[tuple[int, int]]:
+    """
+    Return where packets of Protocol 1.0 begin and end.
+
+    They are FF FF, ID, length, instruction, parameters, checksum.
+    """
     found = []
     at = data.find(b'\xff\xff')
     while 0 <= at < len(data) - 5:
         end = at + 4 + data[at + 3]
         if (data[at + 2] < 0xFD and 2 <= data[at + 3] <= 0x40 and end <= len(data)
                 and sum(data[at + 2:end]) & 0xFF == 0xFF):
-            found.append(at)
+            found.append((at, end))
+            at = end - 1
         at = data.find(b'\xff\xff', at + 1)
     return found

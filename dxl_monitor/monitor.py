@@ -115,6 +115,8 @@ class Monitor:
             self._start_statistics(now)
             for device in self._roster.devices.values():
                 device.reset_statistics()
+        with self._examining:
+            self.doctor = Doctor()             # it compares with what was counted before
 
     def report(self, now: int, line_errors: LineErrors | None = None) -> BusReport:
         """
@@ -167,9 +169,11 @@ class Monitor:
     def _start_statistics(self, now: int) -> None:
         self._started = now
         self._next_tick = 0
+        self._tracker.plans()                  # brings counts up to date that shall end here
+        self._evidence.counts.clear()
         self._base: dict[str, int] = {}
         self._base = self._counters()
-        self._evidence.counts.clear()
+        self._base['Bytes'] -= self._base.pop('Pending Bytes')     # these are counted anew
         self._ticks: deque[tuple[int, int, int, int]] = deque(maxlen=WINDOW_S)
         self._time_per_buffer = Series(WINDOW_S)
         self._time_between = Series(WINDOW_S)
@@ -200,7 +204,7 @@ class Monitor:
             device.tick()
         framer = self._framer
         if self._ticks and framer.noise_bytes != self._noise_seen:
-            self._evidence.look_at_noise(framer.noise, now)
+            self._evidence.look_at_noise(framer.noise, framer.noise_bytes - self._noise_seen, now)
         self._noise_seen = framer.noise_bytes
         self._ticks.append((now, *self._rated()))
 

@@ -220,6 +220,15 @@ def test_packets_of_protocol_1_are_noticed() -> None:
                for incident in bus.report().incidents)
 
 
+def test_one_packet_of_protocol_1_is_counted_once() -> None:
+    bus = Bus()
+    packet = b'\xff\xff\x01\x04\x02\x24\x02\xd2'
+    bus.hear(READ, packet[:3], packet[3:], *[b'\x00'] * 10, every_ms=1000)
+    assert bus.report().kinds['protocol 1.0'] == 1
+    bus.hear(packet * 3, *[b'\x00'] * 10, every_ms=1000)
+    assert bus.report().kinds['protocol 1.0'] == 4
+
+
 def test_an_idle_line_decides_what_is_pending() -> None:
     bus = Bus()
     bus.hear(READ[:9])
@@ -287,6 +296,37 @@ def test_reset_statistics_keeps_what_is_known() -> None:
     assert report.devices[0].state == 'connected'
     bus.hear(READ, REPLY)
     assert bus.report().counters['Packets'] == 2
+
+
+def test_no_counter_is_below_zero_after_a_reset() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, PONG, READ, REPLY, *[encode(7, STATUS, error=0)] * 3, encode(1, 0x8B),
+             b'\x01\x02', READ[:9])
+    before = bus.report()
+    assert before.counters['Unasked Answers'] == 4
+    bus.hear(READ[9:] + READ[:9])
+    bus.monitor.reset_statistics(bus.now)
+    report = bus.report()
+    assert {name: count for name, count in report.counters.items() if count} == {
+        'Bytes': 9, 'Pending Bytes': 9}
+    assert [(device.reads, device.writes) for device in report.devices] == [(0, 0), (0, 0)]
+    bus.hear(READ[9:])
+    report = bus.report()
+    assert {name: count for name, count in report.counters.items() if count} == {
+        'Bytes': len(READ), 'Packet Bytes': len(READ), 'Packets': 1, 'Instructions': 1}
+    assert report.devices[0].reads == 1
+    assert not report.kinds.get('unasked answer')
+
+
+def test_after_a_reset_the_doctor_does_not_count_back() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG)
+    bus.report()
+    bus.monitor.reset_statistics(bus.now)
+    bus.hear(*[READ, REPLY] * 5)
+    bus.report()
+    marks = bus.monitor.doctor._history._marks
+    assert [mark.packets for mark in marks] == [10]
 
 
 def test_two_buses_know_nothing_of_each_other() -> None:
