@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What to say of a device: its state, a level, a few words to act on.
+What to say of a device, and of a bus: the state, a level, a few words to act on.
 
 Levels come from the last 10 s, never from counts since start: a fault that is over is over.
 """
@@ -13,6 +13,7 @@ from dxl_monitor import report as words
 from dxl_monitor.control_table import UNKNOWN
 from dxl_monitor.device import Device
 from dxl_monitor.device import WINDOW_S
+from dxl_monitor.report import BusReport
 from dxl_monitor.report import DeviceReport
 from dxl_monitor.report import Window
 from dxl_monitor.table import Observed
@@ -47,7 +48,7 @@ class Snapshot(NamedTuple):
     table: Table
 
 
-def judge(device: Device, window: Window, now: int, limits: Limits) -> Verdict:
+def judge(device: Device, window: Window, quiet_s: float, limits: Limits) -> Verdict:
     """Return the state of a device from what happened on the wire alone."""
     if device.moved is not None:
         return Verdict(words.MOVED, Level.WARN, f'moved to {device.moved} Bd by a write')
@@ -59,7 +60,6 @@ def judge(device: Device, window: Window, now: int, limits: Limits) -> Verdict:
     if device.waiting_behind is not None:
         return Verdict(words.WAITING, Level.WARN,
                        f'asked but not served: waiting behind {device.waiting_behind:03}')
-    quiet_s = (now - max(device.heard, device.asked_stamp)) / 1e9
     if quiet_s > limits.silent_after:
         return Verdict(words.SILENT, Level.STALE, f'silent: nobody asked it for {quiet_s:.0f} s')
     return Verdict(words.CONNECTED, *_degraded(device, window, limits))
@@ -83,10 +83,14 @@ def _degraded(device: Device, window: Window, limits: Limits) -> tuple[Level, st
     return Level.OK, 'connected'
 
 
-def snapshot(device: Device, now: int, limits: Limits) -> Snapshot:
-    """Return all of a device that the table has no part in, and a copy of the table."""
+def snapshot(device: Device, now: int, quiet_s: float, limits: Limits) -> Snapshot:
+    """
+    Return all of a device that the table has no part in, and a copy of the table.
+
+    quiet_s: for how long somebody listened and it was neither heard nor asked.
+    """
     window = device.window()
-    verdict = judge(device, window, now, limits)
+    verdict = judge(device, window, quiet_s, limits)
     totals = device.totals()
     report = DeviceReport(
         id=device.number, name=_name(device), joint=device.joint, model=device.model,
@@ -116,6 +120,19 @@ def complete(shot: Snapshot, now: int) -> DeviceReport:
         level = worst((level, Level.ERROR))
     return report._replace(level=level, message=message, observed=tuple(observed),
                            unobserved=len(report.model.fields) - len(observed))
+
+
+def judge_bus(bus: BusReport, devices: Sequence[DeviceReport]) -> tuple[Level, str]:
+    """Return the level of the bus itself, and the state of its devices in a few words."""
+    if not bus.counters['Bytes'] and bus.last_byte_s is None:
+        return Level.STALE, 'nothing heard yet'
+    connected = sum(device.state == words.CONNECTED for device in devices)
+    message = f'{connected} of {len(devices)} devices connected'
+    if not bus.counters['Packets']:
+        return Level.WARN, 'bytes, but no packets: wrong baud rate?'
+    if bus.rates['errors'] > 1:
+        return Level.WARN, f'{bus.rates["errors"]:.1f} damaged packets per second; {message}'
+    return Level.OK, message
 
 
 def _hardware_error(observed: Sequence[Observed]) -> str:

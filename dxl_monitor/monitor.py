@@ -25,9 +25,7 @@ from dxl_monitor.joints import Joints
 from dxl_monitor.models import Models
 from dxl_monitor.plan import Plan
 from dxl_monitor.report import BusReport
-from dxl_monitor.report import CONNECTED
 from dxl_monitor.report import Cycle
-from dxl_monitor.report import DeviceReport
 from dxl_monitor.roster import Roster
 from dxl_monitor.tap_driver import LineErrors
 from dxl_monitor.tracker import Tracker
@@ -46,6 +44,7 @@ IDLE_CHARACTERS = 20
 IDLE_NS = 20_000_000               # at least, and two latency timers of a USB adapter
 LAG_NS = 200_000_000               # bytes that were read may wait for so long to be fed
 ANSWER_NS = 1_000_000_000          # a broadcast Ping may take 0.8 s; nothing pending takes longer
+DEAF_NS = 2_000_000_000            # a tap that listens says something far more often
 
 
 class Settings(NamedTuple):
@@ -64,10 +63,15 @@ DEFAULTS = Settings()
 
 
 class Monitor:
-    """One bus under observation."""
+    """
+    One bus under observation.
+
+    idle_is_told: by flush_if_idle(), again and again while nothing comes. Then time counts only as
+    far as somebody listened; else the stamps alone say when the line was idle.
+    """
 
     def __init__(self, name: str, models: Models, settings: Settings = DEFAULTS,
-                 clock: Callable[[], int] = monotonic_ns) -> None:
+                 clock: Callable[[], int] = monotonic_ns, *, idle_is_told: bool = False) -> None:
         self.name = name
         self.settings = settings
         self._clock = clock
@@ -85,7 +89,10 @@ class Monitor:
                                 settings.write_acks)
         self._limits = assess.Limits(settings.missed_limit, settings.warn_loss,
                                      settings.silent_after)
+        self._idle_is_told = idle_is_told
         self._last = 0                         # stamp of the last chunk
+        self._listened = 0                     # up to when all that came was fed, if told
+        self._resumed = 0                      # when somebody listened again
         self._noise_seen = 0
         self._start_statistics(0)
 
@@ -93,7 +100,10 @@ class Monitor:
         """Take the bytes that were read at stamp, when the last of them had just come in."""
         with self._lock:
             began = self._clock()
-            self._flush_if_idle(stamp - int(len(chunk) * self._byte_ns))
+            if self._idle_is_told:
+                self._listen_until(stamp)
+            else:
+                self._flush_if_idle(stamp - int(len(chunk) * self._byte_ns))
             framer = self._framer
             self._track(framer.frames(chunk), stamp)
             if stamp >= self._next_tick:
@@ -107,6 +117,7 @@ class Monitor:
     def flush_if_idle(self, now: int) -> None:
         """Decide what is pending, if the line was idle too long for more to belong to it."""
         with self._lock:
+            self._listen_until(now)
             self._flush_if_idle(now)
 
     def reset_statistics(self, now: int) -> None:
@@ -118,22 +129,27 @@ class Monitor:
         with self._examining:
             self.doctor = Doctor()             # it compares with what was counted before
 
-    def report(self, now: int, line_errors: LineErrors | None = None) -> BusReport:
+    def report(self, now: int, line_errors: LineErrors | None = None,
+               is_listening: bool = True) -> BusReport:
         """
         Return what is known and what it means; the lock is held for less than 1 ms at a time.
 
-        line_errors: what the serial driver counted, where it does.
+        line_errors: what the serial driver counted, where it does. is_listening: False while there
+        is no port that could tell when the line is idle.
         """
         self._load_models()
         with self._lock:
-            self._flush_if_idle(now - LAG_NS)
+            if not self._idle_is_told:
+                self._flush_if_idle(now - LAG_NS)
+            if not (self._idle_is_told and is_listening):
+                self._listened = now
             while now >= self._next_tick:
                 self._tick(now)
             cycles = _cycles(self._tracker.plans())
             bus = self._bus_report(now, cycles)
         devices = tuple(assess.complete(self._snapshot(device, now), now)
                         for device in self._by_id())
-        level, message = _verdict(bus, devices)
+        level, message = assess.judge_bus(bus, devices)
         with self._examining:
             return self.doctor.examine(bus._replace(
                 devices=devices, level=level, message=message, line_errors=line_errors,
@@ -142,7 +158,8 @@ class Monitor:
     def _snapshot(self, device: Device, now: int) -> assess.Snapshot:
         with self._lock:
             self._roster.resolve(device)
-            return assess.snapshot(device, now, self._limits)
+            quiet_ns = self._listened - max(device.heard, device.asked_stamp, self._resumed)
+            return assess.snapshot(device, now, quiet_ns / 1e9, self._limits)
 
     def joints(self, since: int) -> Joints:
         """Return what was read of joints after the stamp `since`, without a whole report."""
@@ -182,6 +199,11 @@ class Monitor:
     def _track(self, frames: list[Frame], stamp: int) -> None:
         """Take what the framer found in the chunk of this stamp."""
         self._tracker.track(frames, stamp, self._framer.bytes)
+
+    def _listen_until(self, now: int) -> None:
+        if self._listened and now - self._listened > DEAF_NS:
+            self._resumed = now
+        self._listened = now
 
     def _flush_if_idle(self, now: int) -> None:
         idle = now - self._last
@@ -272,16 +294,3 @@ def _cycles(plans: list[Plan]) -> tuple[Cycle, ...]:
               plan.request.accesses[0].length if plan.request.accesses else 0,
               plan.asked, plan.missed, tuple(plan.stamps))
         for plan in often)
-
-
-def _verdict(bus: BusReport, devices: tuple[DeviceReport, ...]) -> tuple[Level, str]:
-    """Return the level of the bus itself, and the state of its devices in a few words."""
-    if not bus.counters['Bytes'] and bus.last_byte_s is None:
-        return Level.STALE, 'nothing heard yet'
-    connected = sum(device.state == CONNECTED for device in devices)
-    message = f'{connected} of {len(devices)} devices connected'
-    if not bus.counters['Packets']:
-        return Level.WARN, 'bytes, but no packets: wrong baud rate?'
-    if bus.rates['errors'] > 1:
-        return Level.WARN, f'{bus.rates["errors"]:.1f} damaged packets per second; {message}'
-    return Level.OK, message

@@ -53,6 +53,9 @@ from msg_defs.ros import to_ros_time
 from msg_defs.ros import to_time
 
 OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
+BEHIND_NS = 1_000_000_000   # after a freeze; else a tap is 0.3 s behind at most
+AGAIN_NS = 50_000_000       # until it is looked again whether that is over
+PATIENCE_NS = 5_000_000_000     # then it is no freeze: the tap does not listen
 
 
 class Listener:
@@ -61,7 +64,8 @@ class Listener:
     def __init__(self, bus: Bus, models: Models, recorder: Recorder | None,
                  joint_state_rate: float) -> None:
         self.bus = bus
-        self.monitor = Monitor(bus.label, models, bus.settings)
+        self.monitor = Monitor(bus.label, models, bus.settings, idle_is_told=True)
+        self._behind_since = 0
         self._recorder = recorder
         self.tap = Tap(bus.port, bus.settings.baud,
                        self.monitor.feed if recorder is None else self._record_and_feed,
@@ -79,10 +83,19 @@ class Listener:
             self._recorder.take(self._wire, chunk, stamp)
         self.monitor.feed(chunk, stamp)
 
+    def is_behind(self, now: int) -> bool:
+        """Return whether a report must wait, because what came is still to be read."""
+        if not self.tap.state.is_open or now - self.tap.listened < BEHIND_NS:
+            self._behind_since = 0
+            return False
+        self._behind_since = self._behind_since or now
+        return now - self._behind_since < PATIENCE_NS
+
     def report(self, now: int) -> BusReport:
         """Return what is known; what the adapter delays is no silence."""
         self.monitor.idle_ns = int(self.tap.idle_s * 1e9)
-        return self.monitor.report(now, self.tap.counters.line_errors)
+        return self.monitor.report(now, self.tap.counters.line_errors,
+                                   self.tap.state.is_open and not self._behind_since)
 
     def port_state(self) -> PortState:
         """Return what the driver and the thread know about the port."""
@@ -198,15 +211,20 @@ class MonitorNode:
         if self._is_stopped:            # closed ports are no fault now
             return
         if not self._waiting:
-            self._report()
+            now = time.monotonic_ns()
+            behind = [one.is_behind(now) for one in self._listeners]
+            if any(behind):
+                self._timer.timer_period_ns = AGAIN_NS
+                self._timer.reset()
+                return
+            self._report(now)
             slices = -(-len(self._waiting) // STATUSES_PER_MESSAGE)
             self._timer.timer_period_ns = int(1e9 * self._period_s / max(1, slices))
         some = [self._waiting.popleft()
                 for _ in range(min(STATUSES_PER_MESSAGE, len(self._waiting)))]
         self._publish(self._tables, self._table_arrays, some)
 
-    def _report(self) -> None:
-        now = time.monotonic_ns()
+    def _report(self, now: int) -> None:
         heard = [(one, one.report(now), one.port_state()) for one in self._listeners]
         for listener, _, port in heard:
             self._tell_port(listener.tap.state.text, port)

@@ -27,7 +27,7 @@ import time
 GATHER_S = 0.001
 BUSY_NS = 3_000_000
 AT_ONCE_NS = 50_000              # waiting was so short that bytes were there already
-SILENT_S = 1.0                   # how long to wait once the line was reported idle
+SILENT_S = 0.25                  # how long to wait once the line was reported idle
 READ_SIZE = 65_536
 
 # A record: its kind, a stamp, the largest gap so far (both ns), the size of the bytes behind it.
@@ -42,6 +42,7 @@ class Loop:
     Reading, in whatever process.
 
     wait(seconds) returns whether there is something to read, read() all of it (perhaps nothing).
+    on_idle(stamp): nothing came until then; again and again as long as nothing comes.
     largest_gap (ns): the longest time between two reads in which bytes were waiting.
     """
 
@@ -64,12 +65,14 @@ class Loop:
         is_idle = True
         while not is_over():
             begin = clock()
-            if self._wait(SILENT_S if is_idle else self._idle_s):
+            patience_s = SILENT_S if is_idle else self._idle_s
+            if self._wait(patience_s):
                 if self._take(clock() - begin < AT_ONCE_NS):
                     is_idle = False
-            elif not is_idle and not is_over():
+            elif not is_over():
                 is_idle = True
-                self._on_idle(clock())
+                # Up to the end of the wait: we may have been stopped since, with bytes coming in.
+                self._on_idle(min(clock(), begin + int(patience_s * 1e9)))
 
     def _take(self, was_waiting: bool) -> bool:
         """Read and hand on what is there; `was_waiting`: it was there before we came back."""

@@ -58,7 +58,12 @@ class TapCounters(NamedTuple):
 
 
 class Tap:
-    """A listener on one port; both callbacks come from its thread."""
+    """
+    A listener on one port; both callbacks come from its thread.
+
+    on_chunk(bytes, stamp) for what was read; on_idle(stamp) whenever nothing came until then, a
+    few times a second while it lasts: without either nobody was listening.
+    """
 
     def __init__(self, port: str, baud: int, on_chunk: Callable[[bytes, int], object],
                  on_idle: Callable[[int], object] = lambda now: None, *,
@@ -70,6 +75,7 @@ class Tap:
         self.latency_timer_ms: int | None = None     # of an FTDI adapter
         self.low_latency = False
         self.reader_pid: int | None = None           # of the process that reads at present
+        self.listened = 0            # stamp (ns) up to which all that came was handed on
         self._on_chunk = on_chunk
         self._on_idle = on_idle
         self._gather_s = gather_s
@@ -142,6 +148,7 @@ class Tap:
 
     def _listen(self, port: Port) -> None:
         """Have the port read until it is lost (PortError) or we are stopped."""
+        self.listened = time.monotonic_ns()
         if port.fd is not None and not self._in_thread:
             problem = self._listen_by_process(port, port.fd)
             if problem:
@@ -157,7 +164,7 @@ class Tap:
             self._largest_gap = max(self._largest_gap, loop.largest_gap)
             self._hear(chunk, stamp)
 
-        loop = reader.Loop(wait, port.read, hear, self._on_idle,
+        loop = reader.Loop(wait, port.read, hear, self._idle,
                            idle_s=self.idle_s, gather_s=self._gather_s)
         loop.run(lambda: self._stopping)
 
@@ -196,7 +203,7 @@ class Tap:
         if record.kind == reader.CHUNK:
             self._hear(record.data, record.stamp)
         elif record.kind == reader.IDLE:
-            self._on_idle(record.stamp)
+            self._idle(record.stamp)
         elif record.kind == reader.LOST:
             raise port.lost(OSError(int(record.data), ''))
 
@@ -206,9 +213,14 @@ class Tap:
         self._reads += 1
         self._backoff.reset()
         self._on_chunk(chunk, stamp)
+        self.listened = stamp
         if stamp - self._errors_at > ERRORS_EVERY_NS:
             self._errors_at = stamp
             self._count_errors()
+
+    def _idle(self, stamp: int) -> None:
+        self._on_idle(stamp)
+        self.listened = stamp
 
     def _count_errors(self) -> None:
         """Refresh the driver's counters: what it counted before we came is not ours."""

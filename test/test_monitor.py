@@ -255,6 +255,74 @@ def test_a_long_chunk_is_no_pause() -> None:
     assert bus.report().counters['Packets'] == 1
 
 
+class Tapped(Bus):
+    """A bus whose tap says when nothing came; it can be stopped, and then bytes wait."""
+
+    def __init__(self, **limits: float) -> None:
+        super().__init__(**limits)
+        self.monitor = Monitor('arm', MODELS, Settings(
+            silent_after=limits.get('silent_after', 5.0)), idle_is_told=True)
+
+    def listen(self, seconds: float) -> None:
+        end = self.now + int(seconds * SECOND)
+        while self.now < end:
+            self.now = min(end, self.now + SECOND // 4)
+            self.monitor.flush_if_idle(self.now)
+
+
+def test_what_waited_while_we_were_stopped_is_not_cut_in_two() -> None:
+    bus = Tapped()
+    bus.hear(PING, PONG, READ[:9])
+    bus.wait(10)                               # stopped; a report may be the first to run again
+    assert bus.report().counters['Pending Bytes'] == 9
+    bus.hear(READ[9:] + REPLY)
+    counters = bus.report().counters
+    assert (counters['Packets'], counters['Noise Bytes'], counters['Truncated Packets']) == (
+        4, 0, 0)
+    assert bus.device().totals.missed == 0
+
+
+def test_an_answer_that_waited_while_we_were_stopped_is_not_missed() -> None:
+    bus = Tapped()
+    bus.hear(PING, PONG, READ)
+    bus.wait(10)
+    assert bus.device().totals.missed == 0
+    bus.hear(REPLY)
+    assert (bus.device().totals.answers, bus.device().totals.missed) == (2, 0)
+
+
+def test_time_that_we_did_not_listen_is_no_silence() -> None:
+    bus = Tapped()
+    ping_2, pong_2 = encode(2, I.PING), encode(2, STATUS, b'\x37\x01\x29', error=0)
+    bus.hear(PING, PONG, ping_2, pong_2)
+    bus.wait(60)
+    assert [one.state for one in bus.report().devices] == ['connected'] * 2
+    bus.hear(PING, PONG)                       # device 2 was not among what waited
+    assert [one.state for one in bus.report().devices] == ['connected'] * 2
+    bus.listen(4.5)
+    assert [one.state for one in bus.report().devices] == ['connected'] * 2
+    bus.listen(1)
+    assert [one.state for one in bus.report().devices] == ['silent'] * 2
+    assert bus.device().last_heard_s == pytest.approx(5.5)
+
+
+def test_while_nobody_listens_and_nobody_was_stopped_devices_are_silent() -> None:
+    """The port is lost, or what reads it hangs: then what is known is old."""
+    bus = Tapped()
+    bus.hear(PING, PONG)
+    bus.wait(6)
+    assert bus.monitor.report(bus.now, is_listening=False).devices[0].state == 'silent'
+
+
+def test_a_told_pause_decides_and_settles() -> None:
+    bus = Tapped()
+    bus.hear(PING, PONG, READ, READ[:9])
+    bus.listen(2)
+    counters = bus.report().counters
+    assert (counters['Pending Bytes'], counters['Truncated Packets']) == (0, 1)
+    assert bus.device().missed_in_a_row == 1
+
+
 def test_the_idle_time_is_that_of_the_design() -> None:
     assert Monitor('', MODELS, Settings(baud=2_000_000)).idle_ns == 20 * MS
     assert Monitor('', MODELS, Settings(latency_timer_ms=16)).idle_ns == 32 * MS

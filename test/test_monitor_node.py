@@ -15,9 +15,16 @@ from harness import Program
 from harness import wait
 import pytest
 
+from dxl_monitor.models import Models
+from dxl_monitor.monitor import Settings
+from dxl_monitor.settings import Bus
+from dxl_monitor.tap import TapState
 from mecarover_serial.pty import Pty
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import STATUS
 
 pytestmark = pytest.mark.ros
+S = 1_000_000_000
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
@@ -156,6 +163,26 @@ def test_no_system_call_writes_to_the_port(tmp_path, heard):
     calls = trace.read_text()
     assert re.search(rf'^{reader} +write.*pipe:', calls, re.M), 'strace saw nothing of the reader'
     assert target not in calls
+
+
+def test_a_report_waits_until_what_waited_is_read(ros):
+    """After a freeze; but not for ever, if it is the reader that hangs."""
+    from dxl_monitor.node import Listener
+    listener = Listener(Bus('bus', '', '/does/not/exist', Settings()), Models(), None, 0.0)
+    tap = listener.tap
+    assert not listener.is_behind(1 * S)            # nothing is open
+    tap.state = TapState(True)
+    tap.listened = 10 * S
+    assert [listener.is_behind(now) for now in (10 * S + S // 2, 20 * S)] == [False, True]
+    tap.listened = 20 * S
+    assert not listener.is_behind(20 * S + S // 10)
+    assert [listener.is_behind(now * S) for now in (30, 34, 35, 60)] == [True, True, False, False]
+    listener.monitor.feed(encode(1, STATUS, error=0), 20 * S)
+    assert listener.report(60 * S).devices[0].state == 'silent'
+    tap.listened = 61 * S
+    assert not listener.is_behind(61 * S)
+    tap.start()
+    tap.stop()
 
 
 def test_lost_and_found(tmp_path, heard, again):

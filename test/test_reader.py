@@ -261,6 +261,27 @@ def test_the_largest_gap_counts_only_while_bytes_waited(monkeypatch: pytest.Monk
     assert line.run().largest_gap == 8 * MS
 
 
+def test_how_long_nothing_came_is_said_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = Line(monkeypatch, [(50 * MS, b'a'), (700 * MS, b'b')])
+    line.run()
+    assert line.idle == [70 * MS, 320 * MS, 570 * MS]
+
+
+def test_after_a_freeze_it_says_no_more_than_it_knows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stopped behind a wait in vain: what came since is unknown."""
+    line = Line(monkeypatch, [(50 * MS, b'a'), (1000 * MS, b'b')])
+    wait = line.wait
+
+    def and_freeze(seconds: float) -> bool:
+        is_ready = wait(seconds)
+        line.now += 0 if is_ready else 5000 * MS
+        return is_ready
+    monkeypatch.setattr(line, 'wait', and_freeze)
+    line.run()
+    assert line.idle == [70 * MS]
+    assert line.heard[-1] == (b'b', 5070 * MS)
+
+
 class Late(list):
     """A caller that takes 8 ms for its first chunk."""
 

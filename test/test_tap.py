@@ -87,12 +87,15 @@ def test_hands_on_every_byte_in_order_with_growing_stamps(
     assert counters.openings == 1
 
 
-def test_tells_once_that_the_line_is_idle(cable: Pty, listener: Listener) -> None:
-    while len(listener.idle) < 3:
-        told = len(listener.idle)
+def test_tells_that_the_line_is_idle_and_how_far_it_listened(
+        cable: Pty, listener: Listener) -> None:
+    for _ in range(3):
         os.write(cable.master, b'x')
-        _wait_longer(listener.idle, told)
-    assert len(listener.data) == 3
+        _wait_longer(listener.idle, len(listener.idle) + 1)
+    wait_for(lambda: len(listener.data) == 3, 'all bytes')
+    wait_for(lambda: listener.idle[-1] > listener.chunks[-1][1], 'the end of the last one')
+    wait_for(lambda: listener.tap.listened == listener.idle[-1], 'what was told last')
+    assert listener.idle == sorted(listener.idle)
 
 
 def test_idle_time_covers_latency_timer_and_slow_rates(tmp_path: Path) -> None:
