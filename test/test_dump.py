@@ -199,6 +199,57 @@ def test_indirect_data_have_the_names_of_what_they_stand_for():
         'Present Position (rad)': pytest.approx(0, abs=1e-8)}
 
 
+def mapped(number, *targets):
+    """Return a write of indirect addresses, acknowledged."""
+    where = struct.pack(f'<{1 + len(targets)}H', 168, *targets)
+    return encode(number, I.WRITE, where) + encode(number, STATUS, error=0)
+
+
+POSITION, TORQUE_AND_LED = (132, 133, 134, 135), (64, 65, 300, 301)
+BOTH = struct.pack('<HH', 224, 4)          # indirect data of these
+
+
+@pytest.mark.parametrize(('instruction', 'params'), [
+    (I.SYNC_READ, BOTH + bytes((1, 2, 3))),
+    (I.BULK_READ, b''.join(bytes((number,)) + BOTH for number in (1, 2, 3))),
+    (I.SYNC_WRITE, BOTH + b''.join(bytes((number, 1, 1, 0, 0)) for number in (1, 2, 3))),
+    (I.BULK_WRITE, b''.join(bytes((number,)) + BOTH + bytes((1, 1, 0, 0))
+                            for number in (1, 2, 3))),
+])
+def test_devices_with_other_indirect_addresses_have_other_names(instruction, params):
+    """The third one points nowhere: not one register is whole in its range."""
+    line = dump('-', '--devices', '1-3:XM430-W350', '--instruction', 'sync_read,bulk_read,'
+                'sync_write,bulk_write', feed=b''.join([
+                    mapped(1, *POSITION), mapped(2, *TORQUE_AND_LED),
+                    mapped(3, 300, 301, 302, 303), encode(BROADCAST, instruction, params)]))
+    if instruction in (I.SYNC_READ, I.BULK_READ):
+        assert ('1: Present Position (4 at 224); 2: Torque Enable .. LED (4 at 224); '
+                '3: 4 at 224\n') in line
+    else:
+        assert '1: Present Position' in line
+        assert 'rad; 2: Torque Enable on, LED on; 3: 4 at 224: 01 01 00 00' in line
+
+
+def test_a_register_that_means_another_thing_on_another_device_is_told_apart():
+    modes = [encode(number, I.WRITE, struct.pack('<HB', 10, mode))
+             + encode(number, STATUS, error=0) for number, mode in ((1, 0), (2, 4))]
+    sync = struct.pack('<HH', 112, 4) + b''.join(struct.pack('<Bi', number, 10)
+                                                 for number in (1, 2))
+    line = dump('-', '--devices', '1-2:XM430-W350', '--instruction', 'sync_write',
+                feed=b''.join([*modes, encode(BROADCAST, I.SYNC_WRITE, sync)]))
+    assert '1: Profile Velocity 0.2398 rad/s; 2: Profile Velocity 0.01 s\n' in line
+
+
+def test_addresses_and_their_data_written_at_once_go_together():
+    """As a robot does that sets up all at its start: 28 addresses, then the data behind them."""
+    now = struct.pack('<28H', *POSITION, *range(300, 324)) + struct.pack('<i', 2048)
+    found = objects('-', '--devices', '1:XM430-W350', feed=b''.join([
+        mapped(1, *TORQUE_AND_LED), encode(1, I.WRITE, struct.pack('<H', 168) + now)]))
+    values = found[-1]['registers'][0]['values']
+    assert values['Present Position (rad)'] == pytest.approx(0, abs=1e-8)
+    assert 'LED' not in values
+
+
 def test_a_fast_reply_is_split():
     found = objects('-', '--devices', '1-3:XM430-W350',
                     feed=b''.join(data for data, _ in fast_run()))

@@ -94,7 +94,7 @@ class Interpreter:
     def _part(self, access: Access, data: bytes | None, error: int = 0) -> Part:
         device = self._listing.device(access.id)
         model, table = (UNKNOWN, _NOTHING) if device is None else (device.model, device.table)
-        layout = self._layout(model, access.address, access.length, table)
+        layout = self._layout(model, access, table)
         fields = tuple(field if field.cases is None else table.in_force(field, model)
                        for field, _ in layout)
         values = () if data is None else tuple(
@@ -102,14 +102,15 @@ class Interpreter:
             for field, (_, indices) in zip(fields, layout, strict=True))
         return Part(access.id, model, access.address, access.length, data, fields, values, error)
 
-    def _layout(self, model: Model, address: int, length: int, table: Table) -> Layout:
+    def _layout(self, model: Model, access: Access, table: Table) -> Layout:
         """Return the fields that lie wholly in a range, and which of its bytes are theirs."""
+        _, address, length, _ = access
         if model is UNKNOWN or length > LONGEST:
             return ()
         targets: tuple[int, ...] = ()
         if any(one.data < address + length and address < one.data + one.size
                for one in model.indirect):
-            targets = _targets(model, address, length, table)
+            targets = _targets(model, access, table)
         key = model, address, length, targets
         layout = self._layouts.get(key)
         if layout is None:
@@ -120,14 +121,22 @@ class Interpreter:
         return layout
 
 
-def _targets(model: Model, address: int, length: int, table: Table) -> tuple[int, ...]:
-    """Return where each byte of a range belongs, indirect data where they point."""
+def _targets(model: Model, access: Access, table: Table) -> tuple[int, ...]:
+    """
+    Return where each byte of a range belongs, indirect data where they point.
+
+    A write that sets the addresses and the data behind them at once goes by its own addresses.
+    """
+    _, first, length, written = access
     targets = []
-    for at in range(address, address + length):
+    for at in range(first, first + length):
         target = None
         for one in model.indirect:
             if one.data <= at < one.data + one.size:
-                target = table.bytes(one.address + 2 * (at - one.data), 2)
+                where = one.address + 2 * (at - one.data)
+                target = table.bytes(where, 2)
+                if written is not None and first <= where <= first + length - 2:
+                    target = written[where - first:where - first + 2]
         targets.append(at if target is None else target[0] | target[1] << 8)
     return tuple(targets)
 

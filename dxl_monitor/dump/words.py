@@ -107,10 +107,15 @@ def noise_words(entry: Entry) -> str:
 
 
 def _grouped(parts: Sequence[Part], with_ids: bool) -> str:
-    """Return parts in words, devices with the same registers together."""
+    """
+    Return parts in words, devices with the same registers together.
+
+    Devices of one model have the same range in common, but not what is in it: indirect
+    addresses may differ, and what a register means may hang on another one.
+    """
     words = []
     for _, group in groupby(parts, key=lambda part: (
-            part.model, part.address, part.length, part.data is None, part.error)):
+            part.model, part.address, part.length, part.fields, part.data is None, part.error)):
         same = list(group)
         words.append(_asked(same, with_ids) if same[0].data is None else _told(same, with_ids))
     return '; '.join(words)
