@@ -40,6 +40,25 @@ CASE_KEYS = {'unit', 'scale', 'offset', 'sign_bit', 'enum', 'flags'}
 GROUP_KEYS = {'repeat', 'step', 'prefix', 'shift', 'fields', 'include'}
 ADDRESS_END = 0x10000
 REPEAT_LIMIT = 4096
+FIELDS_LIMIT = ADDRESS_END           # made for one file, those in between counted too
+
+
+class TooManyError(ModelError):
+    """A file whose repeats would take all time and memory; nothing more of it is built."""
+
+
+class Room:
+    """How many fields the entries of a file may still make; repeats in repeats multiply."""
+
+    def __init__(self) -> None:
+        self._left = FIELDS_LIMIT
+
+    def take(self, fields: list[Field], count: int, check: Check) -> None:
+        self._left -= count * sum(1 + len(field.cases.fields if field.cases else ())
+                                  for field in fields)
+        if self._left < 0:
+            raise TooManyError(check.path, check.field, f'with this one more than {FIELDS_LIMIT} '
+                               'fields', 'no control table has so many: correct repeat')
 
 
 class Context(NamedTuple):
@@ -49,6 +68,7 @@ class Context(NamedTuple):
     words: Mapping[str, Any]
     included: Callable[[str], Iterable[Field]]
     report: Callable[[ModelError], None]
+    room: Room
 
 
 def build_fields(raw: Any, context: Context) -> list[Field]:
@@ -63,7 +83,10 @@ def _try_entry(entry: Any, context: Context) -> list[Field]:
         group = isinstance(entry, dict) and ('fields' in entry or 'include' in entry)
         check.mapping(entry, GROUP_KEYS if group else FIELD_KEYS)
         return list(_build_group(entry, check, context) if group
-                    else _repeat(entry, [_build_field(entry, check, context.words)], check))
+                    else _repeat(entry, [_build_field(entry, check, context.words)], check,
+                                 context.room))
+    except TooManyError:
+        raise
     except ModelError as error:
         context.report(error)
         return []
@@ -76,11 +99,13 @@ def _build_group(entry: dict[str, Any], check: Check, context: Context) -> Itera
         if 'include' in entry else []
     fields += build_fields(entry.get('fields', []), context)
     return _repeat(entry, [_moved(field, shift, lambda name: prefix + name, check)
-                           for field in fields], check)
+                           for field in fields], check, context.room)
 
 
-def _repeat(entry: dict[str, Any], fields: list[Field], check: Check) -> Iterator[Field]:
+def _repeat(entry: dict[str, Any], fields: list[Field], check: Check,
+            room: Room) -> Iterator[Field]:
     count = check.integer(entry.get('repeat', 1), 'repeat', 1, REPEAT_LIMIT)
+    room.take(fields, count, check)
     if count > 1 and any('{n}' not in field.name for field in fields):
         raise check.error('repeat without {n} in the name', "name it as 'Error Code History {n}'")
     size = fields[0].size if len(fields) == 1 else None
@@ -170,7 +195,7 @@ def _shared(raw: Any, words: Mapping[str, Any], check: Check) -> dict[Any, Any]:
     """`enum: NAME` and `flags: NAME` take their words from the file's `words`."""
     if isinstance(raw, str):
         if raw not in words:
-            raise check.error(f'no words called {raw!r}',
+            raise check.error(f'no words called {describe(raw)}',
                               f'use one of: {", ".join(sorted(words)) or "(none given)"}')
         raw = words[raw]
     if not isinstance(raw, dict) or not raw:
@@ -183,7 +208,11 @@ def _enum(raw: dict[Any, Any], check: Check) -> tuple[dict[int, Word], tuple[Spa
     spans = []
     for code, word in raw.items():
         if type(word) not in (str, int, float):
-            raise check.error(f'word of {code} is {describe(word)}', 'put it in quotes')
+            raise check.error(f'word of {describe(code)} is {describe(word)}', 'put it in quotes')
+        if isinstance(word, str):
+            check.text(word, f'word of {describe(code)}')
+        else:
+            check.number(word, f'word of {describe(code)}')
         if isinstance(code, str):
             spans.append(Span(*_range(code, check), word))
         else:
@@ -210,9 +239,9 @@ def _flags(raw: dict[Any, Any], check: Check, bits: int) -> tuple[Bits, ...]:
 
 
 def _range(text: str, check: Check) -> tuple[int, int]:
-    match = re.fullmatch(r'(\d+)-(\d+)', text)
+    match = re.fullmatch(r'(\d{1,10})-(\d{1,10})', text)
     if not match or int(match[1]) > int(match[2]):
-        raise check.error(f'code {text!r}', "give a number, or a range as '4-5'")
+        raise check.error(f'code {describe(text)}', "give a number, or a range as '4-5'")
     return int(match[1]), int(match[2])
 
 

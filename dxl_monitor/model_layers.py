@@ -24,6 +24,7 @@ from dxl_monitor.model_file import build_blocks
 from dxl_monitor.model_file import build_fields
 from dxl_monitor.model_file import build_indirect
 from dxl_monitor.model_file import Context
+from dxl_monitor.model_file import Room
 from dxl_monitor.model_yaml import Check
 from dxl_monitor.model_yaml import describe
 from dxl_monitor.model_yaml import ModelError
@@ -33,6 +34,7 @@ FILE_KEYS = {'model_numbers', 'source', 'include', 'without', 'fields', 'words',
              'aliases', 'blocks', 'each', 'firmware', 'torque_constants'}
 EACH_KEYS = {'without', 'fields', 'indirect', 'aliases'}
 VARIANT_KEYS = EACH_KEYS | {'up_to'}
+INCLUDE_LIMIT = 20                  # files in files
 
 
 class Definition(NamedTuple):
@@ -156,6 +158,9 @@ class Layers:
             return self._layers[path]
         if path in above:
             raise Check(path, 'include').error('includes itself', 'break the circle')
+        if len(above) > INCLUDE_LIMIT:
+            raise Check(path, 'include').error(f'{len(above)} files in each other',
+                                               'include them side by side')
         raw = self.definition(path).raw
         layer = Layer()
         check = Check(path, 'include')
@@ -191,7 +196,7 @@ class Layers:
             return self._layer(found, (*above, path)).all_fields()
 
         own: dict[str, Field] = {}
-        context = Context(path, words, included, self._report)
+        context = Context(path, words, included, self._report, Room())
         for field in build_fields(raw.get('fields', []), context):
             if field.name in own:
                 self._report(Check(path, field.name).error(
@@ -201,8 +206,8 @@ class Layers:
 
     def _without(self, raw: dict[str, Any], below: Layer, path: Path) -> dict[str, Field]:
         check = Check(path, 'without')
-        names = [check.text(name, 'name')
-                 for name in check.sequence(raw.get('without', []), 'without')]
+        names = dict.fromkeys(check.text(name, 'name')
+                              for name in check.sequence(raw.get('without', []), 'without'))
         for name in names:
             if name not in below.fields:
                 self._report(Check(path, name).error('without it, but no file included has it',
@@ -220,11 +225,11 @@ class Layers:
         for field in fields:
             if field.cases and field.cases.by not in names:
                 self._report(Check(path, field.name).error(
-                    f'by {field.cases.by!r}: no such field', 'correct by'))
+                    f'by {describe(field.cases.by)}: no such field', 'correct by'))
         for alias, name in layer.aliases.items():
             if name not in names or alias in names:
                 reason = 'no such field' if name not in names else f'{alias} is a field too'
-                self._report(Check(path, str(alias)).error(f'alias of {name!r}: {reason}',
+                self._report(Check(path, str(alias)).error(f'alias of {describe(name)}: {reason}',
                                                            'correct aliases'))
 
 

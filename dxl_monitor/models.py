@@ -21,7 +21,7 @@ from dxl_monitor.model_yaml import ModelError
 
 BUILT_IN = Path(__file__).with_name('models')
 _NUMBERS = re.compile(rb'^model_numbers: *\{([^{}#]*)\}', re.MULTILINE)
-_NUMBER = re.compile(r'(0x[0-9a-fA-F]+|0|[1-9][0-9]*): +([A-Za-z0-9][^:\'"]*)')
+_NUMBER = re.compile(r'(0x[0-9a-fA-F]{1,4}|0|[1-9][0-9]{0,4}): +([A-Za-z0-9][^:\'"]*)')
 
 
 class Models:

@@ -48,6 +48,14 @@ def run_tool(tool: str, main: Callable[[list[str]], int | None]) -> int:
     return code
 
 
+def printable(text: str, limit: int | None = None) -> str:
+    """Return a text of somebody else's as a terminal may see it: one line, no control codes."""
+    if limit is not None and len(text) > limit:
+        text = text[:limit] + '..'
+    return text if text.isprintable() else ''.join(
+        character if character.isprintable() else '\ufffd' for character in text)
+
+
 def _complain(tool: str, error: Exception, code: int) -> int:
     """Print one line about an error under the name of the tool, and return `code`."""
     text = str(error)

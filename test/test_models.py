@@ -3,6 +3,7 @@
 """All model files, one after the other; families against each other; the loader and its errors."""
 
 from itertools import pairwise
+import os
 from pathlib import Path
 import re
 import shutil
@@ -294,6 +295,80 @@ def test_whatever_stands_in_a_file_is_a_mistake_or_a_model(tmp_path: Path) -> No
                 assert '\n' not in problem
     write(tmp_path, FULL)
     assert check_models(tmp_path) == []
+
+
+def levels(opening: str, innermost: str, closing: str, count: int) -> str:
+    return count * opening + innermost + count * closing
+
+
+LAUGHS = '\n'.join(['words:', '  a0: &a0 {0: ha, 1: ha}', *(
+    f'  a{n}: &a{n} {{{", ".join(f"{key}: *a{n - 1}" for key in range(10))}}}'
+    for n in range(1, 12))])
+REPEATS = levels("{repeat: 4096, step: 1, prefix: 'B {n}', fields: [",
+                 '{at: 0, name: C, type: u8}', ']}', 4)
+
+
+@pytest.mark.parametrize(('text', 'words'), [
+    ('[' * 100_000, 'line 1: not YAML: more than 50 levels'),
+    ('{a: ' * 100_000, 'line 1: not YAML: more than 50 levels'),
+    ('- ' * 100_000, 'line 1: not YAML: more than 50 levels'),
+    ('? ' * 100_000, 'line 1: not YAML: more than 50 levels'),
+    (GOOD + LAUGHS, 'line 10: not YAML: more than 20000 values'),
+    (GOOD + 'words: &w {a: *w}', 'not YAML: *w stands for nothing, or for itself'),
+    (GOOD + f'words: {{{", ".join(f"{n}: x" for n in range(30_000))}}}',
+     'not YAML: more than 20000 values'),
+    (GOOD + f'words: {{{", ".join(["a: x"] * 9_000)}}}', "not YAML: key 'a' twice"),
+    (GOOD + '#' * 600_000, 'cannot be read: longer than 500000 bytes'),
+    (GOOD.replace('at: 0', f'at: {"9" * 5000}'), 'not YAML: '),
+    (GOOD.replace('at: 0', f'at: {"9" * 4000}'), 'line 3: not YAML: a number of 13288 bits'),
+    (GOOD.replace('at: 0', f'at: 0x{"9" * 50_000}'), 'line 3: not YAML: a number of 200000 bits'),
+    (GOOD.replace('at: 0', 'at: !!int x'), 'not YAML: '),
+    (GOOD.replace('at: 0', "at: !!int ''"), 'not YAML: '),
+    (GOOD.replace('at: 0', 'at: !!bool x'), 'not YAML: '),
+    (GOOD.replace('at: 0', 'at: !!timestamp x'), 'not YAML: '),
+    (GOOD.replace('at: 0', 'at: !!python/name:os.system'), 'not YAML: could not determine'),
+    (GOOD.replace('4660: Gripper', f'{"9" * 5000}: Gripper'), 'not YAML: '),
+    (GOOD.replace('name: Mode,', 'name: "\\e[31mM\\nB",'),
+     "name is '\\x1b[31mM\\nB'; give a text"),
+    (GOOD.replace('1: on', '1: "\\e[31m"'), "Mode: word of 1 is '\\x1b[31m'"),
+    (GOOD.replace('1: on', '1: 1e999'), 'Mode: word of 1 is inf'),
+    (GOOD.replace('{0: off, 1: on}', f"{{'1-{'9' * 90}': x}}"), "Mode: code '1-999"),
+    (GOOD.replace('Mode', '"\0"'), 'not YAML: '),
+    (GOOD + '\0', 'not YAML: '),
+    (GOOD.encode('utf-16')[:-1].decode('latin-1'), 'not YAML: '),
+    (GOOD.replace('Mode', 'M\xe4ode'), 'not YAML: '),
+    (GOOD + f'  - {REPEATS}\n', 'with this one more than 65536 fields'),
+    (GOOD + ''.join(f"  - {{at: {n}, name: 'C{n} {{n}}', type: u8, repeat: 4096}}\n"
+                    for n in range(300)), 'with this one more than 65536 fields'),
+])
+def test_no_file_takes_the_process_or_its_time(tmp_path: Path, text: str, words: str) -> None:
+    """Written as latin-1, so that one of them is no UTF-8."""
+    (tmp_path / 'device.yaml').write_bytes(text.encode('latin-1'))
+    problems = check_models(tmp_path)
+    assert words in problems[0]
+    assert all(problem.isprintable() and len(problem) < 1000 for problem in problems)
+    with pytest.raises(ModelError):
+        Models([tmp_path])
+
+
+def test_aliases_may_be_used(tmp_path: Path) -> None:
+    write(tmp_path, GOOD.replace('{0: off, 1: on}', '&words {0: off, 1: on}')
+          + '  - {at: 20, name: Other, type: u8, enum: *words}\n')
+    assert check_models(tmp_path) == []
+
+
+def test_what_is_no_file_is_told_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / 'pipe.yaml')
+    (tmp_path / 'folder.yaml').mkdir()
+    assert [problem.partition('.yaml: ')[2] for problem in check_models(tmp_path)] == [
+        'cannot be read: Is a directory; check the file and its permissions',
+        'cannot be read: not a file; check the file and its permissions']
+
+
+def test_files_in_files_without_end_are_told(tmp_path: Path) -> None:
+    for n in range(400):
+        write(tmp_path, f'include: [_{n + 1}]\n', f'_{n}.yaml')
+    assert '21 files in each other; ' in check_models(tmp_path)[0]
 
 
 def test_files_that_include_each_other_are_told(tmp_path: Path) -> None:
