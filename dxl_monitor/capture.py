@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from datetime import datetime
 from datetime import timedelta
 from datetime import timezone
+import errno
 import os
 from pathlib import Path
 import stat
@@ -25,6 +26,7 @@ from typing import NamedTuple
 from urllib.parse import quote
 from urllib.parse import unquote
 
+from mecarover_serial.cli import printable
 from mecarover_serial.parameters import ParameterError
 
 MAGIC = b'# dxl_capture 1 '
@@ -32,6 +34,12 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _WALL = '%Y-%m-%dT%H:%M:%S.%f'
 _PLAIN = '/:._-+@'                  # of a bus name: stay as they are, besides letters and digits
 _SECOND = 1_000_000_000
+STAMP_END = 1 << 63                 # ns: 292 years; more is no time since a boot
+BAUD_LIMIT = 100_000_000
+LATENCY_LIMIT_MS = 10_000
+BUSES_LIMIT = 256
+LINE_LIMIT = 1 << 20                # bytes: many times the longest line that is ever written
+_SHOWN = 60                         # characters of a bad line in a message
 
 
 class Wire(NamedTuple):
@@ -104,7 +112,7 @@ class Reader:
     The chunks of a capture, from its lines. What is no line of a capture is left out and counted.
 
     Several captures behind each other are one: where the clock began anew (another boot), stamps
-    go on by the wall-clock. `began` is of the first header.
+    go on by the wall-clock. `began` is of the first header. `is_cut`: the last line has no end.
     """
 
     def __init__(self, lines: Iterable[bytes]) -> None:
@@ -112,6 +120,8 @@ class Reader:
         self.wires: dict[str, Wire] = {}
         self.bad_lines = 0
         self.first_bad_line = 0
+        self.first_bad_text = ''
+        self.is_cut = False
         self._lines = lines
         self._names: dict[bytes, str] = {}
         self._shift = 0
@@ -128,18 +138,37 @@ class Reader:
         try:
             if line[:1] == b'(':
                 stamp, bus, data = line.split()
-                self._last = _stamp(stamp[1:-1]) + self._shift
-                return Chunk(self._last, self._name(bus), bytes.fromhex(data.decode()))
+                if stamp[-1:] != b')':
+                    raise ValueError(line)
+                chunk = Chunk(_bounded(_stamp(stamp[1:-1]) + self._shift), self._name(bus),
+                              bytes.fromhex(data.decode()))
+                self._last = chunk.stamp
+                self.is_cut = line[-1:] != b'\n'
+                return chunk
             if line.strip():
                 self._header(line)
         except (ValueError, LookupError):
             self.bad_lines += 1
-            self.first_bad_line = self.first_bad_line or number
+            if not self.first_bad_line:
+                self.first_bad_line = number
+                self.first_bad_text = printable(line.decode(errors='replace').strip(), _SHOWN)
         return None
+
+    def problems(self) -> list[str]:
+        """Return what a person should know at the end, a line each."""
+        found = []
+        if self.bad_lines:
+            found.append(f'{self.bad_lines} lines are no lines of a capture and were left out, '
+                         f'the first is line {self.first_bad_line}: {self.first_bad_text}')
+        if self.is_cut:
+            found.append('the last line has no end; is the capture still written, or cut off?')
+        return found
 
     def _name(self, word: bytes) -> str:
         name = self._names.get(word)
         if name is None:
+            if len(self._names) >= BUSES_LIMIT:
+                raise ValueError(word)
             name = self._names[word] = '' if word == b'-' else unquote(word.decode())
         return name
 
@@ -153,18 +182,42 @@ class Reader:
             if not self.began.wall:
                 self.began = now
             if now.stamp + self._shift < self._last:
-                self._shift = now.wall - self.began.wall + self.began.stamp - now.stamp
+                since = now.wall - self.began.wall + self.began.stamp
+                if since < self._last - _SECOND:       # the wall-clock was set back
+                    since = self._last
+                self._shift = _bounded(since) - now.stamp
         elif words[:1] == [b'bus']:
             name = self._name(words[1])
             facts = dict(zip(words[2::2], words[3::2], strict=False))
-            self.wires[name] = Wire(name, int(facts[b'baud']),
-                                    int(facts.get(b'latency_timer_ms', 0)),
+            baud = int(facts[b'baud'])
+            latency_ms = int(facts.get(b'latency_timer_ms', 0))
+            if not (1 <= baud <= BAUD_LIMIT and 0 <= latency_ms <= LATENCY_LIMIT_MS):
+                raise ValueError(line)
+            self.wires[name] = Wire(name, baud, latency_ms,
                                     unquote(facts.get(b'port', b'').decode()))
+
+
+def lines(file: BinaryIO) -> Iterator[bytes]:
+    """Yield the lines of a file; one that is too long to be a line of a capture as a '?'."""
+    while line := file.readline(LINE_LIMIT):
+        if len(line) == LINE_LIMIT and line[-1:] != b'\n':
+            while line and line[-1:] != b'\n':
+                line = file.readline(LINE_LIMIT)
+            line = b'?\n'
+        yield line
 
 
 def _stamp(text: bytes) -> int:
     whole, fraction = text.split(b'.')
-    return int(whole) * _SECOND + int(fraction.ljust(9, b'0')[:9])
+    if not (whole.isdigit() and fraction.isdigit()):       # int takes -1, and 1_0
+        raise ValueError(text)
+    return _bounded(int(whole) * _SECOND + int(fraction.ljust(9, b'0')[:9]))
+
+
+def _bounded(stamp: int) -> int:
+    if not 0 <= stamp < STAMP_END:
+        raise ValueError(stamp)
+    return stamp
 
 
 def _wall(text: str) -> int:
@@ -193,13 +246,25 @@ def check_new(path: str | Path) -> None:
         raise _refusal(path, error.strerror or str(error)) from error
 
 
-def open_new(path: str | Path) -> BinaryIO:
-    """Open a file to write a capture to; an older capture of that name is lost."""
+def open_new(path: str | Path, waits: bool = True) -> BinaryIO:
+    """
+    Open a file to write a capture to; an older capture of that name is lost.
+
+    waits: for somebody to read, where it is a pipe; else that is a ParameterError.
+    """
     check_new(path)
     try:
-        return open(path, 'wb')
+        return open(path, 'wb', opener=None if waits else _without_waiting)
     except OSError as error:
+        if error.errno == errno.ENXIO:
+            raise _refusal(path, 'is a pipe that nobody reads') from error
         raise _refusal(path, error.strerror or str(error)) from error
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    descriptor = os.open(path, flags | os.O_NONBLOCK, 0o666)
+    os.set_blocking(descriptor, True)
+    return descriptor
 
 
 def is_capture(path: str | Path) -> bool:

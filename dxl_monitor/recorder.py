@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 import os
+import sys
 import threading
 import time
 
@@ -23,6 +24,7 @@ from dxl_monitor.capture import Writer
 from mecarover_serial.parameters import ParameterError
 
 FLUSH_S = 0.2
+STOP_S = 3.0                        # the end waits no longer for what takes nothing
 WAITING_LIMIT = 16_000_000          # bytes: more than a minute of a busy bus
 
 
@@ -53,7 +55,9 @@ class Recorder:
         self._gap: int | None = None            # stamp of the first chunk left out
         self._is_stopping = threading.Event()
         self._make_room()
-        self._file = open_new(path)
+        self._file = open_new(path, waits=False)
+        if not os.path.isfile(path):
+            self._size = sys.maxsize            # a pipe has no elders
         self._writer = Writer(self._file, now())
         self._thread = threading.Thread(target=self._run, name='recorder', daemon=True)
 
@@ -78,9 +82,11 @@ class Recorder:
                 self._waiting.append((wire, data, stamp))
 
     def stop(self) -> None:
-        """Write what is left and close the file."""
+        """Write what is left and close the file; give up what nobody takes, as a full pipe."""
         self._is_stopping.set()
-        self._thread.join()
+        self._thread.join(STOP_S)
+        if self._thread.is_alive():
+            self.problem = f'capture stopped: {self.path}: takes nothing; what waited is lost'
 
     def _run(self) -> None:
         try:
@@ -104,7 +110,7 @@ class Recorder:
             if self._writer.size >= self._size:
                 self._file.close()
                 self._make_room()
-                self._file = open_new(self.path)
+                self._file = open_new(self.path, waits=False)
                 self._writer = Writer(self._file, self._now())
         if gap is not None:
             self._writer.remark(f'gap: the disk was too slow from {seconds(gap)} on, '

@@ -13,23 +13,28 @@ from collections.abc import Iterator
 from contextlib import suppress
 import os
 import select
+import stat
 import sys
 import time
 from typing import NamedTuple
 from urllib.parse import quote
 
+from dxl_monitor.capture import BAUD_LIMIT
 from dxl_monitor.capture import Chunk
 from dxl_monitor.capture import is_capture
+from dxl_monitor.capture import lines
 from dxl_monitor.capture import Reader
 from dxl_monitor.capture import Wire
 from dxl_monitor.source import File
 from dxl_monitor.source import open_file
 from dxl_monitor.source import RawFile
 from mecarover_serial.cli import DONE
+from mecarover_serial.cli import printable
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 from mecarover_serial.pty import Pty
 
+SLOWEST = 1e-6                     # times the original speed
 SETTLE_S = 0.5                     # a reader has opened the port, and sets it up
 QUIET_S = 1.5                      # at the end: until the last instruction is given up
 LOOP_PAUSE_NS = 100_000_000
@@ -94,9 +99,11 @@ def main() -> int:
 
 def _run(arguments: list[str]) -> int:
     options = _parser().parse_args(arguments)
-    if not 0 <= options.speed < float('inf'):
+    if options.speed and not SLOWEST <= options.speed < float('inf'):
         raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '
                          'timing, 0 for as fast as it is read')
+    if options.baud is not None and not 1 <= options.baud <= BAUD_LIMIT:
+        raise UsageError(f'--baud {options.baud}: not possible; give 1 to {BAUD_LIMIT}')
     wires = _wires(options)
     outlets: dict[str, Pty] = {}
     try:
@@ -112,7 +119,7 @@ def _run(arguments: list[str]) -> int:
 
 def _play(options: argparse.Namespace, wires: dict[str, Wire], outlets: dict[str, Pty]) -> None:
     for name, outlet in outlets.items():
-        print(f'{outlet.link or outlet.path} is {name}, {wires[name].baud} baud')
+        print(f'{outlet.link or outlet.path} is {printable(name)}, {wires[name].baud} baud')
     print('waiting for a reader', flush=True)
     player = Player(outlets, options.speed)
     player.wait_for_readers()
@@ -126,7 +133,7 @@ def _play(options: argparse.Namespace, wires: dict[str, Wire], outlets: dict[str
         print(f'played {played.chunks} chunks, {played.bytes} bytes, '
               f'at most {1e3 * played.late_s:.1f} ms late', flush=True)
         for problem in file.problems():
-            print(f'dxl_replay: {problem}', file=sys.stderr)
+            print(f'dxl_replay: {printable(problem)}', file=sys.stderr)
         if not options.loop:
             break
         time.sleep(LOOP_PAUSE_NS / 1e9)
@@ -143,14 +150,17 @@ def _chunks(file: File) -> Iterator[Chunk]:
 
 def _wires(options: argparse.Namespace) -> dict[str, Wire]:
     """Return the buses to play, by name; looks through the whole capture for them."""
-    if os.path.isdir(options.capture):
+    mode = os.stat(options.capture).st_mode
+    if stat.S_ISDIR(mode):
         raise UsageError(f'{options.capture}: a directory; give a capture')
-    file = open_file(options.capture, options.baud)
-    wires = dict(file.wires)
-    file.close()
+    if not stat.S_ISREG(mode):
+        raise UsageError(f'{options.capture}: no file; it is read more than once: give a file')
+    source = open_file(options.capture, options.baud)
+    wires = dict(source.wires)
+    source.close()
     if is_capture(options.capture):
-        with open(options.capture, 'rb') as lines:
-            reader = Reader(line for line in lines if line.startswith(b'#'))
+        with open(options.capture, 'rb') as file:
+            reader = Reader(line for line in lines(file) if line.startswith(b'#'))
             list(reader)
         wires = {name: wire if options.baud is None else wire._replace(baud=options.baud)
                  for name, wire in reader.wires.items()}

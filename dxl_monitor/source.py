@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from io import BufferedReader
+from itertools import chain
 import os
 import queue
 import stat
@@ -17,6 +18,7 @@ import sys
 import time
 
 from dxl_monitor.capture import Chunk
+from dxl_monitor.capture import lines
 from dxl_monitor.capture import MAGIC
 from dxl_monitor.capture import Moment
 from dxl_monitor.capture import Reader
@@ -32,6 +34,8 @@ TICK_S = 0.1
 READ_SIZE = 65_536
 QUEUED_LIMIT = 100_000             # chunks that wait because our output is not taken
 _BYTE_NS = 10_000_000_000          # over the baud rate
+_PACKED = {b'\x1f\x8b\x08': 'gzip', b'\xfd7zXZ': 'xz', b'\x28\xb5\x2f\xfd': 'zstd',
+           b'BZh': 'bzip2', b'PK\x03\x04': 'zip'}
 
 
 class Source:
@@ -71,12 +75,13 @@ class Source:
 
 
 class File(Source):
-    """A file or a pipe, of whatever is in it."""
+    """A file or a pipe, of whatever is in it; `head` was read of it already."""
 
-    def __init__(self, name: str, file: BufferedReader) -> None:
+    def __init__(self, name: str, file: BufferedReader, head: bytes) -> None:
         super().__init__()
         self._name = name
         self._file = file
+        self._head = head
         status = os.fstat(file.fileno())
         self.total = status.st_size if stat.S_ISREG(status.st_mode) else 0
 
@@ -90,10 +95,10 @@ class File(Source):
 class CaptureFile(File):
     """A capture; baud overrides what it says."""
 
-    def __init__(self, name: str, file: BufferedReader, baud: int | None) -> None:
-        super().__init__(name, file)
+    def __init__(self, name: str, file: BufferedReader, head: bytes, baud: int | None) -> None:
+        super().__init__(name, file, head)
         self._baud = baud
-        self._reader = Reader(iter(file.readline, b''))
+        self._reader = Reader(chain((head + file.readline(READ_SIZE),), lines(file)))
         self.wires = self._reader.wires
 
     def chunks(self) -> Iterator[Chunk | None]:
@@ -106,9 +111,7 @@ class CaptureFile(File):
         return wire if self._baud is None else wire._replace(baud=self._baud)
 
     def problems(self) -> list[str]:
-        reader = self._reader
-        return [f'{self._name}: {reader.bad_lines} lines are no lines of a capture and were left '
-                f'out, the first is line {reader.first_bad_line}'] if reader.bad_lines else []
+        return [f'{self._name}: {problem}' for problem in self._reader.problems()]
 
 
 class RawFile(File):
@@ -117,15 +120,17 @@ class RawFile(File):
     is_timed = False
     read_size = READ_SIZE
 
-    def __init__(self, name: str, file: BufferedReader, baud: int | None) -> None:
-        super().__init__(name, file)
+    def __init__(self, name: str, file: BufferedReader, head: bytes, baud: int | None) -> None:
+        super().__init__(name, file, head)
         bus = 'stdin' if name == '-' else os.path.basename(name).partition('.')[0]
         self._wire = self.wires[bus] = Wire(bus, baud or DEFAULT_BAUD, port=name)
 
     def chunks(self) -> Iterator[Chunk | None]:
         name, baud, *_ = self._wire
         received = 0
-        while data := self._file.read1(self.read_size):
+        head, self._head = self._head, b''
+        while data := head or self._file.read1(self.read_size):
+            head = b''
             received += len(data)
             yield Chunk(1 + received * _BYTE_NS // baud, name, data)
 
@@ -216,5 +221,12 @@ def _is_device(name: str) -> bool:
 
 
 def _file(name: str, file: BufferedReader, baud: int | None) -> File:
-    kind = CaptureFile if file.peek(len(MAGIC))[:len(MAGIC)] == MAGIC else RawFile
-    return kind(name, file, baud)
+    head = b''
+    # A pipe gives what is there, at least a byte: that is too few to tell.
+    while MAGIC.startswith(head) and (more := file.read1(len(MAGIC) - len(head))):
+        head += more
+    packed = next((kind for front, kind in _PACKED.items() if head.startswith(front)), None)
+    if packed is not None:
+        file.close()
+        raise UsageError(f'{name}: packed with {packed}; unpack it first')
+    return (CaptureFile if head == MAGIC else RawFile)(name, file, head, baud)

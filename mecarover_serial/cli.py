@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Sequence
+from contextlib import suppress
+import io
 import os
 import shlex
 import signal
@@ -32,20 +34,53 @@ class UsageError(Exception):
 def run_tool(tool: str, main: Callable[[list[str]], int | None]) -> int:
     """Run `main(arguments)`, return the exit code; Ctrl-C, SIGTERM and a closed pipe are fine."""
     signal.signal(signal.SIGTERM, _interrupt)
+    _open_streams()
+    failure: Exception | None = None
+    code = DONE
     try:
         code = main(sys.argv[1:]) or DONE
-        sys.stdout.flush()
     except KeyboardInterrupt:
-        code = DONE
-    except BrokenPipeError:
-        # The reader of our output (head, less) has left; the interpreter must not flush again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = DONE
+        pass
+    except SystemExit as ending:           # argparse has said all
+        code = ending.code if isinstance(ending.code, int) else COULD_NOT_RUN
     except (UsageError, ParameterError) as error:
-        code = _complain(tool, error, WRONG_USAGE)
+        failure, code = error, WRONG_USAGE
+    except BrokenPipeError:                # the reader of our output (head, less) has left
+        pass
     except (PortError, OSError) as error:
-        code = _complain(tool, error, COULD_NOT_RUN)
-    return code
+        failure, code = error, COULD_NOT_RUN
+    lost = _lost_output()
+    if lost is not None and not isinstance(lost, BrokenPipeError):
+        failure, code = OSError(lost.errno, lost.strerror, 'stdout'), COULD_NOT_RUN
+    return code if failure is None else _complain(tool, failure, code)
+
+
+def _open_streams() -> None:
+    """
+    Let nothing that is printed raise.
+
+    A character that the terminal does not have becomes '?'. What was closed (>&-) is /dev/null
+    now, before a port or a capture gets its number and our messages go there.
+    """
+    for number, name in enumerate(('stdin', 'stdout', 'stderr')):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            if nowhere != number:
+                os.dup2(nowhere, number)
+                os.close(nowhere)
+            setattr(sys, name, os.fdopen(number, 'w' if number else 'r', closefd=False))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors='replace')
+
+
+def _lost_output() -> OSError | None:
+    """Write out what stdout still holds; return why not, and the interpreter tries no more."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return error
+    return None
 
 
 def printable(text: str, limit: int | None = None) -> str:
@@ -61,7 +96,8 @@ def _complain(tool: str, error: Exception, code: int) -> int:
     text = str(error)
     if isinstance(error, OSError) and error.strerror:
         text = f'{error.filename}: {error.strerror}' if error.filename else error.strerror
-    print(f'{tool}: {text}', file=sys.stderr)
+    with suppress(OSError):                # stderr is full, or its reader has left
+        print(f'{tool}: {printable(text)}', file=sys.stderr)
     return code
 
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Captures: exact to the ns and the chunk, tolerant of damage; the recorder and its disk."""
 import io
+import os
 import random
 import re
 import resource
@@ -11,7 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
+from dxl_monitor.capture import BUSES_LIMIT
 from dxl_monitor.capture import Chunk
+from dxl_monitor.capture import chunk_line
+from dxl_monitor.capture import LINE_LIMIT
+from dxl_monitor.capture import lines
 from dxl_monitor.capture import Moment
 from dxl_monitor.capture import open_new
 from dxl_monitor.capture import Reader
@@ -69,6 +74,58 @@ def test_bad_lines_are_counted() -> None:
     reader = Reader(io.BytesIO(text))
     assert [chunk.data for chunk in reader] == [b'\xff']
     assert (reader.bad_lines, reader.first_bad_line) == (4, 4)
+
+
+FAR = 400 * b'9'
+
+
+@pytest.mark.parametrize('line', [
+    b'(-1.0) bus ff', b'(1.-5) bus ff', b'(nan) bus ff', b'(1e400) bus ff', b'(1) bus ff',
+    b'(1_0.0) bus ff', b'(9223372037.0) bus ff', b'(' + FAR + b'.0) bus ff', b'(1.50 bus ff',
+    b'(1.0) bus fff', b'(1.0) bus 0x', b'(1.0) bus \xff', b'(1.0) bus', b'(1.0) bus ff ff',
+    b'# bus bus baud 0', b'# bus bus baud -5', b'# bus bus baud nan', b'# bus bus baud ' + FAR,
+    b'# bus bus baud', b'# bus bus baud 9600 latency_timer_ms ' + FAR,
+    b'# bus bus baud 9600 latency_timer_ms -1', b'# dxl_capture 1 began',
+    b'# dxl_capture 1 began 2026-13-21T14:13:20.0Z at 1.0',
+    b'# dxl_capture 1 began 9999-12-31T23:59:59.999999Z at 1.0',
+    b'# dxl_capture 1 began 2026-09-21T14:13:20.0Z at -1.0', b'\x1b[31mred\x1b[m',
+    b'(1.0) bus ' + b'f' * (LINE_LIMIT + 1)])
+def test_impossible_lines_are_told_and_left_out(line: bytes) -> None:
+    text = written(Chunk(NOW.stamp + 5, 'bus', b'\x01')) + line + b'\n' \
+        + chunk_line(NOW.stamp + 6, 'bus', b'\x02')
+    reader = Reader(lines(io.BytesIO(text)))
+    assert [chunk.data for chunk in reader] == [b'\x01', b'\x02']
+    assert reader.wires == {'bus': WIRE._replace(name='bus')}
+    [problem] = reader.problems()
+    assert problem.startswith('1 lines are no lines of a capture and were left out, '
+                              'the first is line 4: ')
+    assert problem.isprintable()
+    assert len(problem) < 160
+
+
+@pytest.mark.parametrize('cut', range(1, 39))
+def test_a_capture_that_is_cut_off_says_so(cut: int) -> None:
+    text = written(Chunk(5, 'bus', b'\x01'), Chunk(6, 'bus', bytes(range(10))))[:-cut]
+    reader = Reader(lines(io.BytesIO(text)))
+    first, *rest = [chunk.data for chunk in reader]
+    assert first == b'\x01'
+    assert not rest or bytes(range(10)).startswith(rest[0])
+    assert len(reader.problems()) == 1
+
+
+def test_a_capture_does_not_make_buses_without_end() -> None:
+    text = b''.join(chunk_line(5, f'bus{number}', b'\x01') for number in range(1000))
+    reader = Reader(lines(io.BytesIO(text)))
+    assert len(list(reader)) == BUSES_LIMIT
+    assert reader.bad_lines == 1000 - BUSES_LIMIT
+
+
+def test_a_clock_that_was_set_back_does_not_set_back_the_stamps() -> None:
+    first = written(Chunk(NOW.stamp + 1, 'bus', b'\x01'))
+    file = io.BytesIO()
+    Writer(file, Moment(NOW.wall - 10**18, 5)).take(WIRE, b'\x02', 7)
+    stamps = [chunk.stamp for chunk in Reader(io.BytesIO(first + file.getvalue()))]
+    assert stamps == [NOW.stamp + 1, NOW.stamp + 3]
 
 
 def test_another_boot_goes_on_by_the_wall_clock() -> None:
@@ -177,3 +234,39 @@ def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch)
     assert recorder.left_out == 90
     assert b'# gap: the disk was too slow from 12345.678901245 on, 90 bytes' in path.read_bytes()
     assert len(list(Reader(path.open('rb')))) == 11
+
+
+def test_a_pipe_that_nobody_reads_is_refused(tmp_path) -> None:
+    """Opening it waits for a reader: the node never got to its ports."""
+    path = tmp_path / 'pipe'
+    os.mkfifo(path)
+    with pytest.raises(ParameterError, match='pipe: is a pipe that nobody reads; '):
+        Recorder(str(path), 10**6, 2)
+
+
+def test_a_pipe_is_not_rotated(tmp_path) -> None:
+    path = tmp_path / 'pipe'
+    os.mkfifo(path)
+    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    recorder = Recorder(str(path), 1000, 2)
+    recorder.take(WIRE, bytes(1000), 1)
+    recorder.take(WIRE, bytes(1000), 2)
+    recorder.start()
+    recorder.stop()
+    assert recorder.problem == ''
+    assert os.read(reader, 65536).count(b'# dxl_capture') == 1
+    assert os.listdir(tmp_path) == ['pipe']
+    os.close(reader)
+
+
+def test_a_pipe_whose_reader_sleeps_does_not_hold_up_the_end(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr('dxl_monitor.recorder.STOP_S', 0.2)
+    path = tmp_path / 'pipe'
+    os.mkfifo(path)
+    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    recorder = Recorder(str(path), 10**6, 2)
+    recorder.take(WIRE, bytes(200_000), 1)
+    recorder.start()
+    recorder.stop()
+    assert recorder.words == f'capture stopped: {path}: takes nothing; what waited is lost'
+    os.close(reader)

@@ -3,6 +3,7 @@
 """dxl_dump: what it lists, counts, shows, filters and records; and how it ends."""
 from contextlib import suppress
 import fcntl
+import gzip
 import json
 import os
 from pathlib import Path
@@ -360,7 +361,8 @@ def test_a_wrong_baud_rate_shows():
 
 @pytest.mark.parametrize(('delta_us', 'text'), [
     (0, '+0us'), (999, '+999us'), (999.6, '+1.00ms'), (9_996, '+10.0ms'), (12_345, '+12.3ms'),
-    (999_400, '+999ms'), (1_234_567, '+1.23s'), (86_400e6, '+86400s'), (1e15, '+++')])
+    (999_400, '+999ms'), (1_234_567, '+1.23s'), (86_400e6, '+86400s'), (1e15, '+++'),
+    (-512, '-512us'), (-86_400e6, '-86400s'), (-1e15, '---')])
 def test_times_between_lines_are_short(delta_us, text):
     assert delta_text(delta_us) == text
     assert len(text) <= 7
@@ -493,6 +495,65 @@ def test_a_capture_can_go_through_a_pipe(bus):
     assert done.stderr == ''
 
 
+@pytest.mark.parametrize('size', [1, 15])
+def test_a_capture_is_told_from_bytes_however_it_trickles_in(recorded, size):
+    """A pipe gives what is there: the first letter of a capture may come alone."""
+    data = recorded.read_bytes()[:6000].rpartition(b'\n')[0] + b'\n'
+    assert dump('-', feed=data, chunk=size) == dump('-', feed=data)
+
+
+# --- where the output goes ------------------------------------------------------------------
+
+def shell(command, **env):
+    """Run dxl_dump as a shell does, return exit code, stdout and stderr."""
+    done = subprocess.run(
+        ['bash', '-c', command.replace('dxl_dump', f'{sys.executable} -m dxl_monitor.dump.main')],
+        cwd=ROOT, env={**os.environ, **env}, capture_output=True, timeout=DEADLINE_S)
+    assert b'Traceback' not in done.stderr
+    assert b'Exception ignored' not in done.stderr
+    return done.returncode, done.stdout.decode(), done.stderr.decode()
+
+
+@pytest.mark.parametrize(('where', 'code', 'words'), [
+    ('>&-', 0, ''), ('--summary <&- >&- 2>&-', 0, ''),
+    ('>/dev/full', 1, 'dxl_dump: No space left on device\n'),
+    ('--summary >/dev/full 2>&1', 1, '')])
+def test_an_output_that_takes_nothing_is_one_line(recorded, where, code, words):
+    returned, _, err = shell(f'dxl_dump {recorded} {where}')
+    assert (returned, err) == (code, words)
+
+
+@pytest.mark.parametrize(('command', 'code'), [
+    ('dxl_dump - --summary <&-', 0), ('dxl_dump nothing 2>/dev/full', 1),
+    ('dxl_dump {} | head -1; exit ${{PIPESTATUS[0]}}', 0),
+    ('dxl_dump {} -w - | true; exit ${{PIPESTATUS[0]}}', 0),
+    ('dxl_dump <(cat {}) --summary', 0)])
+def test_streams_that_are_closed_are_no_traceback(recorded, command, code):
+    returned, _, err = shell(command.format(recorded))
+    assert returned == code
+    assert err == ''
+
+
+def test_a_terminal_without_umlauts_gets_question_marks(recorded, tmp_path):
+    folder = tmp_path / 'm\xe4'
+    folder.mkdir()
+    (folder / '_a.yaml').write_text('fields: []\n')
+    ascii_only = {'LC_ALL': 'C', 'PYTHONIOENCODING': 'ascii'}
+    _, out, _ = shell(f'dxl_dump {recorded} --devices 1:MX-106:kn\xf6chel', **ascii_only)
+    assert 'MX-106 kn?chel' in out
+    _, out, _ = shell(f'dxl_dump --check-models {folder}', **ascii_only)
+    assert 'm?: 1 model files, no problem' in out
+
+
+@pytest.mark.parametrize('view', [(), ('--summary', '--stats', '--changes')])
+def test_no_control_code_of_a_capture_reaches_the_terminal(tmp_path, run, view):
+    path = capture(tmp_path / 'bus.txt', run, bus='b\x1b[31m\x07\x9b\u2028')
+    path.write_bytes(path.read_bytes() + b'\x1b]0;title\x07\n')
+    returned, out, err = shell(f'dxl_dump {path} {" ".join(view)}')
+    assert returned == 0
+    assert all(line.isprintable() for line in (out + err).split('\n'))
+
+
 # --- mistakes -------------------------------------------------------------------------------
 
 @pytest.mark.parametrize(('arguments', 'code', 'line'), [
@@ -509,12 +570,19 @@ def test_a_capture_can_go_through_a_pipe(bus):
     (['-', '-w', '/does/not/exist/x'], 2, 'capture: /does/not/exist/x: No such file'),
     (['-', '-w', '-', '--json'], 2, '-w -: the capture goes to stdout; '),
     (['-', '-b', '0'], 2, '--baud 0: not possible; '),
+    (['-', '-b', '9' * 4000], 2, '--baud: not possible; give less'),
     (['-', '--count', '0'], 2, '--count 0: not possible; '),
+    (['-', '--seconds', 'nan'], 2, '--seconds: not possible; '),
+    (['-', '--devices', '1:MX-106:\x1b'], 2, "--devices '1:MX-106:\\x1b': control codes; "),
+    (['{packed}'], 2, '{packed}: packed with gzip; unpack it first'),
     (['--check-models', '/does/not/exist'], 1, '/does/not/exist: No such file'),
 ])
-def test_mistakes_are_one_line(arguments, code, line):
+def test_mistakes_are_one_line(tmp_path, arguments, code, line):
+    packed = tmp_path / 'bus.txt.gz'
+    packed.write_bytes(gzip.compress(b'# dxl_capture 1 '))
+    arguments = [text.format(packed=packed) for text in arguments]
     [said] = dump(*arguments, code=code).splitlines()
-    assert said.startswith((f'dxl_dump: {line}', f'dxl_dump: {line}'))
+    assert said.startswith(f'dxl_dump: {line.format(packed=packed)}')
 
 
 def test_check_models(tmp_path):

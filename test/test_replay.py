@@ -185,11 +185,18 @@ def test_raw_bytes_play_at_the_speed_of_the_wire(tmp_path) -> None:
     (['{capture}', '--bus', 'arm'], '--bus arm: not in this capture; there are: bus', 2),
     (['{capture}', '--link', '/does/not/exist/x'], '/does/not/exist/x: cannot be made', 1),
     (['{empty}'], '{empty}: nothing was recorded; ', 2),
+    (['{capture}', '--speed', '1e-320'], '--speed 9.99989e-321: not possible; ', 2),
+    (['{capture}', '-b', '0'], '--baud 0: not possible; ', 2),
+    (['{capture}', '-b', '-5'], '--baud -5: not possible; ', 2),
+    (['/dev/zero'], '/dev/zero: no file; ', 2),
+    (['{pipe}'], '{pipe}: no file; ', 2),
 ])
 def test_mistakes_are_one_line(tmp_path, arguments, line, code) -> None:
-    names = {'capture': str(tmp_path / 'bus.txt'), 'empty': str(tmp_path / 'empty.txt')}
+    names = {'capture': str(tmp_path / 'bus.txt'), 'empty': str(tmp_path / 'empty.txt'),
+             'pipe': str(tmp_path / 'pipe')}
     Path(names['capture']).write_bytes(capture(run(seconds=0.1)))
     Path(names['empty']).write_bytes(capture([]))
+    os.mkfifo(names['pipe'])
     with Program('dxl_monitor.replay', *(text.format(**names) for text in arguments)) as replay:
         assert replay.exit_code() == code
     [said] = replay.lines

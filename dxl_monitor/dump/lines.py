@@ -96,13 +96,14 @@ class Lines:
 
 
 def delta_text(delta_us: float) -> str:
-    """Return a time in at most seven characters: +512us, +12.3ms, +4.56s."""
+    """Return a time in at most seven characters: +512us, +12.3ms, +4.56s, -1.20s."""
+    sign, delta_us = '-' if delta_us < 0 else '+', abs(delta_us)
     for limit, unit, size in ((1e3, 'us', 1.0), (1e6, 'ms', 1e3), (1e11, 's', 1e6)):
         if delta_us < limit * 0.9995:
             number = delta_us / size
             digits = 0 if unit == 'us' or number >= 99.95 else 2 if number < 9.995 else 1
-            return f'+{number:.{digits}f}{unit}'
-    return '+++'
+            return f'{sign}{number:.{digits}f}{unit}'
+    return 3 * sign
 
 
 Shown = tuple[str, str, str, str, str]         # mark, colour, ID, instruction, words

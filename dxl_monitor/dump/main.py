@@ -9,12 +9,14 @@ import os
 from pathlib import Path
 import sys
 
+from dxl_monitor.capture import BAUD_LIMIT
 from dxl_monitor.dump.lines import TIMES
 from dxl_monitor.dump.session import Session
 from dxl_monitor.models import check_models
 from dxl_monitor.models import model_files
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import DONE
+from mecarover_serial.cli import printable
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 from msg_defs.dxl_instruction import NAMES
@@ -43,11 +45,12 @@ def _run(arguments: list[str]) -> int:
         return _check_models(options.check_models)
     if options.source is None:
         raise UsageError('SOURCE: none given; name a port, a capture or a file, or - for stdin')
-    for name, least in (('baud', 1), ('count', 1), ('seconds', 0)):
+    for name, least, most in (('baud', 1, BAUD_LIMIT), ('count', 1, sys.maxsize),
+                              ('seconds', 0, 1e9)):
         value = getattr(options, name)
-        if value is not None and not least <= value < float('inf'):
-            raise UsageError(f'--{name} {value:g}: not possible; give {least} or more')
-    sys.stdout.reconfigure(errors='replace')  # type: ignore[union-attr]
+        if value is not None and not least <= value <= most:
+            raise UsageError(f'--{name} {value}: not possible; give {least} or more'
+                             if value < least else f'--{name}: not possible; give less')
     options.ids = _ids(options.id)
     options.about = _ids(options.about)
     options.instructions = _instructions(options.instruction)
@@ -61,10 +64,10 @@ def _check_models(folder: str) -> int:
     """Say every problem of a folder of model files."""
     problems = check_models(folder)
     for problem in problems:
-        print(f'dxl_dump: {problem}', file=sys.stderr)
+        print(f'dxl_dump: {printable(problem)}', file=sys.stderr)
     if problems:
         return COULD_NOT_RUN
-    print(f'{folder}: {len(model_files(Path(folder)))} model files, no problem')
+    print(f'{printable(folder)}: {len(model_files(Path(folder)))} model files, no problem')
     return DONE
 
 

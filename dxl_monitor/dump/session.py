@@ -41,6 +41,7 @@ from dxl_monitor.report import BusReport
 from dxl_monitor.settings import check_models
 from dxl_monitor.settings import load_models
 from dxl_monitor.source import open_source
+from mecarover_serial.cli import printable
 from mecarover_serial.cli import UsageError
 
 PAINT_S = {'changes': 0.2, 'stats': 1.0}
@@ -55,6 +56,9 @@ class Session:
         self._options = options
         self._lists = options.json or not (
             options.summary or options.changes or options.stats or options.write)
+        for text in options.devices:
+            if not text.isprintable():
+                raise UsageError(f'--devices {text!r}: control codes; give plain text')
         self._models = load_models(options.model_dirs)
         check_models(parse_all(text.rpartition('/')[2] for text in options.devices), self._models)
         self._source = open_source(options.source, options.baud)
@@ -114,13 +118,14 @@ class Session:
                 if text.rpartition('/')[0] in ('', bus)]
         settings = Settings(baud=wire.baud, devices=tuple(parse_all(mine)),
                             latency_timer_ms=wire.latency_timer_ms)
+        shown = printable(bus)
         if self._lists:
-            monitor: Monitor = Listing(bus, self._models, lambda entry: show(entry), settings,
+            monitor: Monitor = Listing(shown, self._models, lambda entry: show(entry), settings,
                                        self._source.is_timed)
             assert isinstance(monitor, Listing)
-            show = partial(self._show, bus, Interpreter(monitor))
+            show = partial(self._show, shown, Interpreter(monitor))
         else:
-            monitor = Monitor(bus, self._models, settings)
+            monitor = Monitor(shown, self._models, settings)
         self._monitors[bus] = monitor
         return monitor
 
@@ -235,7 +240,7 @@ class Session:
                   file=sys.stderr)
         for problem in [*self._doubts(reports), *self._source.problems(),
                         *self._models.problems]:
-            print(f'dxl_dump: {problem}', file=sys.stderr)
+            print(f'dxl_dump: {printable(problem)}', file=sys.stderr)
 
     def _doubts(self, reports: list[BusReport]) -> list[str]:
         """Ask about bytes without a single packet: of no bus, or heard at another rate."""
