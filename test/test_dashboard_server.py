@@ -10,6 +10,7 @@ import zlib
 
 from dashboard_page import Dashboard
 from harness import Program
+from harness import wait
 import pytest
 from synthetic_robot import SyntheticRobot
 
@@ -218,6 +219,53 @@ def test_an_inbox_that_nobody_empties_is_bounded():
         for _ in range(2 * INBOX):
             dashboard.server.take('/diagnostics', b'')
         assert len(dashboard.server._inbox) == INBOX
+
+
+def test_an_inbox_is_bounded_in_bytes_too(monkeypatch):
+    monkeypatch.setattr('dxl_monitor.dashboard.server.INBOX_BYTES', 1000)
+    with Dashboard() as dashboard:
+        dashboard.stop()
+        for _ in range(20):
+            dashboard.server.take('/diagnostics', bytes(300))
+        assert len(dashboard.server._inbox) == 3
+
+
+def test_versions_that_clients_claim_do_not_pile_up(dashboard):
+    from dxl_monitor.dashboard.server import MOST_CLIENTS
+    for since in range(2 * MOST_CLIENTS):
+        dashboard.server._text(since)
+    assert len(dashboard.server._texts) <= MOST_CLIENTS
+
+
+@pytest.mark.parametrize('request_', [
+    b'\x16\x03\x01\x02\x00', b'GET / HTTP/1.1', b'GET / HTTP/9.9',
+    b'GET /' + b'a' * 20_000 + b' HTTP/1.1',
+    b'GET http://[::1 HTTP/1.1', b'GET / HTTP/1.1\r\nHost: localhost\r\nHost: b',
+    b'POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: -5',
+    b'GET / HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\nzz'])
+def test_what_is_no_request_is_answered_and_not_logged(dashboard, request_, caplog):
+    with socket.create_connection(('127.0.0.1', dashboard.port), timeout=20) as client:
+        client.sendall(request_ + b'\r\n\r\n')
+        assert client.recv(100)[9:12] == b'400'
+    assert ask(dashboard)[0].status == 200
+    assert not caplog.records
+
+
+def test_connections_are_limited(dashboard, monkeypatch):
+    """The files of the process are those of its ROS node too."""
+    monkeypatch.setattr('dxl_monitor.dashboard.server.MOST_CONNECTIONS', 3)
+    idle = [socket.create_connection(('127.0.0.1', dashboard.port), timeout=20) for _ in range(9)]
+    assert [client.recv(1) for client in idle[3:]] == [b''] * 6
+    for client in idle:
+        client.close()
+    wait(lambda: _answers(dashboard))
+
+
+def _answers(dashboard):
+    try:
+        return ask(dashboard)[0].status == 200
+    except OSError:
+        return False
 
 
 @pytest.mark.parametrize(('options', 'code', 'words'), [

@@ -11,6 +11,8 @@ from synthetic_robot import SyntheticRobot
 from dxl_monitor.dashboard import cdr
 from dxl_monitor.dashboard import rows
 from dxl_monitor.dashboard.state import FORGET_S
+from dxl_monitor.dashboard.state import MOST_OF_MESSAGE
+from dxl_monitor.dashboard.state import MOST_OF_STATUS
 from dxl_monitor.dashboard.state import MOST_ROWS
 from dxl_monitor.dashboard.state import State
 from dxl_monitor.dashboard.state import TABLES
@@ -253,6 +255,51 @@ def test_names_cannot_fill_the_memory():
         state.take(TABLES, serialise(statuses), 1.0)
     assert len(state.changes(0)['devices']) == MOST_ROWS
     assert state.refused == 100
+
+
+def test_long_rows_cannot_fill_the_memory(monkeypatch):
+    """Names are few here: it is the bytes that are bounded."""
+    state = State()
+    monkeypatch.setattr('dxl_monitor.dashboard.state.MOST_BYTES', 4_000_000)
+    for at in range(20):
+        take_one(Status(f'x: bus {at}', Level.OK, '', '', [('Port', '')] + [
+            (f'{key}' * 50, 'x' * 400) for key in range(1000)]), '/diagnostics', state)
+    assert state.refused
+    assert 2_000_000 < state.bytes <= 4_000_000
+    assert 0 < len(state.changes(0)['buses']) < 10
+
+
+def test_what_is_kept_of_a_message_is_what_is_shown_of_it():
+    """A row kept the whole message it came in, whatever else was in that."""
+    state = State()
+    filler = Status('x: other', Level.OK, 'z' * 100, '', [('a', 'b' * 1000)])
+    state.take(TABLES, serialise([filler] * 100 + [one_device([('a', 'b')])]), 1.0)
+    [(name, _)] = state.changes(0)['devices'].items()
+    assert len(state._entries['devices'][name].whole.data) < 200
+    assert state.table(name).facts[-1] == ('a', 'b')
+
+
+def test_messages_of_others_are_bounded_too():
+    state = take_one(one_device(message='z' * MOST_OF_MESSAGE))
+    assert state.refused == 1
+    take_one(one_device([('z' * MOST_OF_STATUS, '')]), state=state)
+    assert state.refused == 2
+    state.take(TABLES, serialise([one_device(name=f'a: 011 {n}') for n in range(
+        2 * cdr.STATUSES_LIMIT)]), 1.0)
+    assert state.refused == 2 + cdr.STATUSES_LIMIT - MOST_ROWS
+
+
+def test_a_crowd_that_has_left_makes_room():
+    state = State()
+    for at in range(0, MOST_ROWS, 100):
+        state.take('/diagnostics', serialise(
+            [one_device(name=f'node{at + i}: 011') for i in range(100)]), 1.0)
+    take_one(one_device(name='dxl_monitor: 012'), state=state, now_s=FORGET_S)
+    assert state.refused == 1
+    take_one(one_device(name='dxl_monitor: 012'), state=state, now_s=FORGET_S + 2)
+    assert [*state.changes(0)['devices']] == ['dxl_monitor: 012']
+    assert state.bytes < 10_000
+    assert state.changes(1)['devices']['node0: 011'] is None
 
 
 @pytest.mark.parametrize(('values', 'figures'), [

@@ -14,6 +14,8 @@ from struct import Struct
 from typing import NamedTuple
 
 TEXT_LIMIT = 500            # characters of one text that reach the page
+PAIRS_LIMIT = 4096          # of one status: the longest control table has a few hundred
+STATUSES_LIMIT = 5000       # of one message: ten full buses have half of it
 _FRONT = 4                  # representation and options
 _STAMP = 8
 
@@ -23,7 +25,11 @@ class CdrError(ValueError):
 
 
 class RawStatus(NamedTuple):
-    """A status whose values are still bytes: `count` pairs in `data` from `at` on."""
+    """
+    A status whose values are still bytes: `count` pairs in `data` from `at` on.
+
+    `data` are its own: whoever keeps one status must not keep the message it came in.
+    """
 
     level: int
     name: str
@@ -45,7 +51,7 @@ def statuses(data: bytes) -> list[RawStatus]:
     try:
         reader = _Reader(data, _FRONT + _STAMP)
         reader.skip(1)                          # frame_id
-        return [reader.status() for _ in range(reader.number())]
+        return [reader.status() for _ in range(min(reader.number(), STATUSES_LIMIT))]
     except (StructError, IndexError) as error:
         raise CdrError(f'no DiagnosticArray: {error}') from error
 
@@ -100,7 +106,10 @@ class _Reader:
         count = self.number()
         at = self.at
         self.skip(2 * count)
-        return RawStatus(level, name, message, hardware_id, self.data, at, count)
+        begin = at & -4                     # alignment goes on as it was
+        return RawStatus(level, name, message, hardware_id,
+                         self.data[:_FRONT] + self.data[begin:self.at],
+                         at - begin + _FRONT, min(count, PAIRS_LIMIT))
 
 
 def _cut(data: bytes, size: int, limit: int) -> str:

@@ -18,7 +18,7 @@ from msg_defs.reports import Level
 
 Row = dict[str, Any]
 
-_HEAD = 26                          # pairs in front of the table: facts, counters, findings
+HEAD = 26                          # pairs in front of the table: facts, counters, findings
 _LISTED = ('finding.', 'error ', 'cannot tell.')        # keys of a bus that are lists
 _NAMING = 3                         # of them: Model, Firmware Version, State
 _LEVELS = frozenset(Level)
@@ -93,7 +93,7 @@ def row(kind: str, status: RawStatus) -> Row:
 
 
 def _device(status: RawStatus, rest: str) -> Row:
-    pairs = status.pairs(_HEAD)
+    pairs = status.pairs(HEAD)
     values = dict(reversed(pairs))      # a field of the table may be called like a fact
     number, _, joint = _own_name(status, rest).partition(' ')
     return {

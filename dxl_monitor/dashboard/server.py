@@ -17,17 +17,18 @@ from contextlib import suppress
 import hashlib
 from importlib import resources
 import ipaddress
-import json
+import logging
 import secrets
 import socket
 import threading
 import time
 from typing import Any
-import zlib
 
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 
-from dxl_monitor.dashboard.rows import Table
+from dxl_monitor.dashboard.client import Client
+from dxl_monitor.dashboard.client import json_text
 from dxl_monitor.dashboard.state import State
 
 PUSH_S = 0.2                    # changes are collected for so long
@@ -35,6 +36,8 @@ BEAT_S = 1.0                    # at least one event in this time: the page can 
 SEND_S = 15.0                   # a client that takes nothing for so long is given up
 MOST_CLIENTS = 50
 INBOX = 400                     # messages; what does not fit was overtaken anyway
+INBOX_BYTES = 64_000_000
+MOST_CONNECTIONS = 200          # pages, files and whatever says nothing; a process has 1024 files
 
 _TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript',
           'svg': 'image/svg+xml'}
@@ -62,6 +65,29 @@ def is_ours(host: str, names: frozenset[str], any_address: bool) -> bool:
         return name in names
 
 
+class _Mistakes(logging.Filter):
+    """Keeps out of the log what clients do wrong: anybody could fill it."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        return not isinstance(error, HttpProcessingError | web.RequestPayloadError)
+
+
+class _Door(asyncio.Protocol):
+    """A new connection: it gets its handler, unless it is one too many."""
+
+    def __init__(self, handlers: web.Server) -> None:
+        self._handlers = handlers
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        if len(self._handlers.connections) >= MOST_CONNECTIONS:
+            transport.close()
+            return
+        handler = self._handlers()
+        transport.set_protocol(handler)
+        handler.connection_made(transport)
+
+
 class Server:
     """Serves a State on a listening socket, in a thread of its own."""
 
@@ -75,7 +101,9 @@ class Server:
         self._names = frozenset(names)
         self._boot = secrets.token_hex(4)       # versions count from the start of this process
         self._facts = facts | {'boot': self._boot, 'open': is_open}
-        self._inbox: deque[tuple[str, bytes, float]] = deque(maxlen=INBOX)
+        self._inbox: deque[tuple[str, bytes, float]] = deque()
+        self._inbox_bytes = 0
+        self._inbox_lock = threading.Lock()
         self._state = State()
         self._publishers: dict[str, int] = {}
         self._texts: dict[int, str] = {}        # changes since a version, of the version now
@@ -100,7 +128,11 @@ class Server:
 
     def take(self, topic: str, message: bytes) -> None:
         """Take a serialised DiagnosticArray; it is looked at with the next push."""
-        self._inbox.append((topic, message, time.monotonic()))
+        with self._inbox_lock:
+            self._inbox.append((topic, message, time.monotonic()))
+            self._inbox_bytes += len(message)
+            while len(self._inbox) > INBOX or self._inbox_bytes > INBOX_BYTES:
+                self._inbox_bytes -= len(self._inbox.popleft()[1])
 
     def publishers(self, counts: dict[str, int]) -> None:
         """Take how many publishers each topic has."""
@@ -115,16 +147,21 @@ class Server:
         self._loop = asyncio.get_running_loop()
         self._ended = asyncio.Event()
         self._pushed = asyncio.Event()
+        logger = logging.getLogger('dxl_dashboard')
+        logger.addFilter(_Mistakes())
         runner = web.AppRunner(self._app(), access_log=None, handle_signals=False,
-                               shutdown_timeout=0.5)
+                               shutdown_timeout=0.5, logger=logger)
         await runner.setup()
-        await web.SockSite(runner, self._listener).start()
+        handlers = runner.server
+        assert handlers is not None
+        listening = await self._loop.create_server(lambda: _Door(handlers), sock=self._listener)
         self._ready.set()
         try:
             while not self._ended.is_set():
                 self._push()
                 await _wait(self._ended, PUSH_S)
         finally:
+            listening.close()
             self._pushed.set()
             await asyncio.wait_for(runner.cleanup(), 1.5)
 
@@ -153,8 +190,8 @@ class Server:
         """Take in what has come, and let the clients' tasks send what changed."""
         state, now_s = self._state, time.monotonic()
         before = state.version
-        while self._inbox:
-            state.take(*self._inbox.popleft())
+        while waiting := self._taken():
+            state.take(*waiting)
         state.expire(now_s)
         if state.version != before:
             self._texts.clear()
@@ -162,12 +199,20 @@ class Server:
             self._pushed.set()
             self._pushed = asyncio.Event()
 
+    def _taken(self) -> tuple[str, bytes, float] | None:
+        """Take the oldest message out of the inbox."""
+        with self._inbox_lock:
+            if not self._inbox:
+                return None
+            self._inbox_bytes -= len(self._inbox[0][1])
+            return self._inbox.popleft()
+
     async def _events(self, request: web.Request) -> web.StreamResponse:
         if request.method == 'HEAD':
             return web.Response(content_type='text/event-stream')
         if len(self._watched) >= MOST_CLIENTS:
             return web.Response(status=503, text=f'{MOST_CLIENTS} pages are open already.\n')
-        client = _Client(request)
+        client = Client(request)
         self._watched[id(client)] = client.watch
         try:
             # When the page has gone, it comes back by itself.
@@ -177,7 +222,7 @@ class Server:
             del self._watched[id(client)]
         return client.response
 
-    async def _stream(self, client: _Client) -> None:
+    async def _stream(self, client: Client) -> None:
         await client.begin()
         since = client.since(self._boot)
         while not self._ended.is_set():
@@ -194,74 +239,19 @@ class Server:
             changes = self._state.changes(since)
             if not since:
                 changes['facts'] = self._facts
-            self._texts[since] = text = _json(changes)[1:-1]
+            if len(self._texts) >= MOST_CLIENTS:        # a client may claim any version
+                self._texts.clear()
+            self._texts[since] = text = json_text(changes)[1:-1]
         now_s = time.monotonic()
         beat = {'now': round(now_s, 2), 'topics': self._state.topics(now_s),
                 'publishers': self._publishers, 'malformed': self._state.malformed,
                 'refused': self._state.refused}
-        return f'{_json(beat)[:-1]}{"," if text else ""}{text}'
-
-
-class _Client:
-    """One stream of events, compressed where the browser takes that."""
-
-    def __init__(self, request: web.Request) -> None:
-        self._request = request
-        self.watch = request.query.get('watch', '')
-        self.response = web.StreamResponse(headers={
-            'Content-Type': 'text/event-stream', 'Cache-Control': 'no-store',
-            'X-Accel-Buffering': 'no'})
-        self._zip = None
-        if 'gzip' in request.headers.get('Accept-Encoding', ''):
-            self.response.headers['Content-Encoding'] = 'gzip'
-            self._zip = zlib.compressobj(1, zlib.DEFLATED, 31)
-        self._sent = Table([], [])              # of the watched device
-        self._latency_until = 0.0
-
-    async def begin(self) -> None:
-        await self.response.prepare(self._request)
-
-    def since(self, boot: str) -> int:
-        """Return the version that this page knows; 0 if that was before we were started."""
-        of, _, version = self._request.query.get('since', '').partition('.')
-        return int(version) if of == boot and version.isdecimal() and len(version) < 16 else 0
-
-    def table_text(self, state: State) -> str:
-        """Return the end of an event: what changed of the device that this page shows."""
-        table = state.table(self.watch) if self.watch else None
-        if table is None:
-            return '}'
-        changed: dict[str, Any] = {}
-        if table.facts != self._sent.facts:
-            changed['facts'] = table.facts
-        old = self._sent.fields
-        if [one.key for one in old] != [one.key for one in table.fields]:
-            changed['fields'] = table.fields
-        elif some := {at: new for at, new in enumerate(table.fields) if new != old[at]}:
-            changed['some'] = some
-        if points := state.latency(self.watch, self._latency_until):
-            self._latency_until = points[-1][0] or 0.0
-            changed['latency'] = points
-        self._sent = table
-        return f',"table":{_json(changed | {"name": self.watch})}}}' if changed else '}'
-
-    async def send(self, version: str, text: str) -> None:
-        await self._write(f'id: {version}\ndata: {text}\n\n')
-
-    async def _write(self, text: str) -> None:
-        data = text.encode()
-        if self._zip is not None:
-            data = self._zip.compress(data) + self._zip.flush(zlib.Z_SYNC_FLUSH)
-        await self.response.write(data)
+        return f'{json_text(beat)[:-1]}{"," if text else ""}{text}'
 
 
 async def _wait(event: asyncio.Event, timeout_s: float) -> None:
     with suppress(asyncio.TimeoutError):
         await asyncio.wait_for(event.wait(), timeout_s)
-
-
-def _json(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False, separators=(',', ':'), allow_nan=False)
 
 
 async def _add_headers(request: web.Request, response: web.StreamResponse) -> None:

@@ -26,7 +26,13 @@ QUIET_S = 4.0                # without a report for so long, or 2.5 times the us
 TABLE_S = 30.0               # after so long without a whole table the short form has to do
 FORGET_S = 60.0              # ... while its node reports others: it is no more
 MOST_ROWS = 3000             # of all kinds: what is published cannot fill the memory
+MOST_BYTES = 128_000_000     # ... however long it is; six full buses at which somebody looked
+MOST_OF_MESSAGE = 16_000_000         # bytes; a full bus takes 3 million
+MOST_OF_STATUS = 4_000_000   # bytes; a full table takes 20 000
 HISTORY = 300                # points kept of each timing metric
+_ROW = 2000                  # about what a row takes in itself, and in the list of removed ones
+_PAIR = 200                  # ... and each of its pairs, besides their bytes
+_POINTS = 60_000             # ... and its history
 
 Point = list[float | None]
 
@@ -34,11 +40,13 @@ Point = list[float | None]
 class Entry:
     """One row; `arrived` is when it was reported last, `whole` its last status with a table."""
 
-    __slots__ = ('arrived', 'period_s', 'points', 'row', 'version', 'whole', 'whole_arrived')
+    __slots__ = ('arrived', 'cost', 'period_s', 'points', 'row', 'version', 'whole',
+                 'whole_arrived')
 
     def __init__(self) -> None:
         self.row: Row = {}
         self.version = 0
+        self.cost = 0               # bytes, about
         self.arrived = 0.0
         self.period_s = 0.0         # between reports: the longest of late
         self.whole: RawStatus | None = None
@@ -54,7 +62,8 @@ class State:
         self.messages: dict[str, int] = dict.fromkeys(TOPICS, 0)
         self.arrived: dict[str, float] = {}         # by topic
         self.malformed = 0
-        self.refused = 0                            # new names above MOST_ROWS
+        self.refused = 0                            # what would be too much to keep
+        self.bytes = 0                              # about, of all that is kept
         self._entries: dict[str, dict[str, Entry]] = {name: {} for name in SECTIONS}
         self._removed: deque[tuple[int, str, str]] = deque(maxlen=MOST_ROWS)
         self._heard: dict[str, float] = {}          # by node
@@ -63,6 +72,9 @@ class State:
 
     def take(self, topic: str, message: bytes, now_s: float) -> None:
         """Take a serialised DiagnosticArray; whatever it holds, this does not raise."""
+        if len(message) > MOST_OF_MESSAGE:
+            self.refused += 1
+            return
         try:
             found = statuses(message)
         except CdrError:
@@ -71,6 +83,8 @@ class State:
         self.messages[topic] += 1
         self.arrived[topic] = now_s
         self.version += 1
+        if self._is_full(_ROW):
+            self._forget_the_silent(now_s)
         for status in found:
             section = rows.section(status)
             if section == 'timing' and self._is_of_device(status):
@@ -86,18 +100,25 @@ class State:
     def _take_latency(self, status: RawStatus, now_s: float) -> None:
         name = f'{rows.split(status)[0]}: {rows.metric_of(status)}'
         if name in self._entries['devices']:
-            points = self._latencies.setdefault(name, deque(maxlen=HISTORY))
+            points = self._latencies.get(name)
+            if points is None:
+                if self.bytes + _POINTS > MOST_BYTES:
+                    self.refused += 1
+                    return
+                self.bytes += _POINTS
+                points = self._latencies[name] = deque(maxlen=HISTORY)
             points.append([round(now_s, 2), *rows.figures(status.pairs())])
 
     def _take_status(self, topic: str, section: str, status: RawStatus, now_s: float) -> None:
-        entry = self._entry(section, status.name)
+        entry = self._entry(section, status)
         if entry is None:
             return
         row = rows.row(section, status)
         if entry.arrived:
             entry.period_s = max(now_s - entry.arrived, entry.period_s / 2)
         entry.arrived = self._heard[row['node']] = now_s
-        if topic == TABLES or entry.whole is None or now_s - entry.whole_arrived > TABLE_S:
+        if section == 'devices' and (topic == TABLES or entry.whole is None
+                                     or now_s - entry.whole_arrived > TABLE_S):
             entry.whole, entry.whole_arrived = status, now_s
         if section == 'buses' and topic != TABLES:
             row['errors'] = entry.row.get('errors', [])     # the short form has none
@@ -106,14 +127,44 @@ class State:
         if row != entry.row or section == 'timing':
             entry.row, entry.version = row, self.version
 
-    def _entry(self, section: str, name: str) -> Entry | None:
+    def _entry(self, section: str, status: RawStatus) -> Entry | None:
+        """Return the row of a status, None where there is no room for it."""
         entries = self._entries[section]
-        if name not in entries:
-            if sum(map(len, self._entries.values())) >= MOST_ROWS:
-                self.refused += 1
-                return None
-            entries[name] = Entry()
-        return entries[name]
+        entry = entries.get(status.name)
+        cost = _cost(section, status)
+        old = 0 if entry is None else entry.cost
+        if len(status.data) > MOST_OF_STATUS or (
+                self._is_full(cost) if entry is None
+                else cost > old and self.bytes + cost - old > MOST_BYTES):
+            self.refused += 1
+            return None
+        if entry is None:
+            entry = entries[status.name] = Entry()
+        # A short form does not take the room of the table that is kept beside it.
+        entry.cost = max(old, cost)
+        self.bytes += entry.cost - old
+        return entry
+
+    def _is_full(self, more: int) -> bool:
+        """Tell whether one more row of so many bytes is too much."""
+        return (self.bytes + more > MOST_BYTES
+                or sum(map(len, self._entries.values())) >= MOST_ROWS)
+
+    def _forget_the_silent(self, now_s: float) -> None:
+        """Make room: drop what nobody has reported for long, whether its node lives or not."""
+        for section, entries in self._entries.items():
+            for name, entry in list(entries.items()):
+                if now_s - entry.arrived > FORGET_S:
+                    self._remove(section, name)
+
+    def _remove(self, section: str, name: str) -> None:
+        self.version += 1
+        self.bytes -= self._entries[section].pop(name).cost
+        if section == 'devices':
+            self._tables.pop(name, None)
+            if self._latencies.pop(name, None) is not None:
+                self.bytes -= _POINTS
+        self._removed.append((self.version, section, name))
 
     def expire(self, now_s: float) -> None:
         """Mark what nobody reports any more; drop what its own node does not know any more."""
@@ -127,11 +178,7 @@ class State:
                     entry.version = self.version
                     entry.row = entry.row | {'quiet_since': round(entry.arrived, 2)}
                 if quiet_s > FORGET_S and now_s - self._heard[entry.row['node']] < QUIET_S:
-                    self.version += 1
-                    del entries[name]
-                    self._tables.pop(name, None)
-                    self._latencies.pop(name, None)
-                    self._removed.append((self.version, section, name))
+                    self._remove(section, name)
 
     def changes(self, since: int) -> dict[str, Any]:
         """Return rows that changed after a version, None for removed ones; 0 = everything."""
@@ -171,6 +218,13 @@ class State:
         """Return by topic how many messages came, and how long ago the last one, in s."""
         return {topic: [count, round(now_s - self.arrived[topic], 1) if count else None]
                 for topic, count in self.messages.items()}
+
+
+def _cost(section: str, status: RawStatus) -> int:
+    """Return about how many bytes a row takes; texts are kept as bytes and decoded."""
+    pairs = min(status.count, rows.HEAD) if section == 'devices' else status.count
+    return (_ROW + 2 * len(status.data) + _PAIR * pairs
+            + (_POINTS if section == 'timing' else 0))
 
 
 def _with_points(entry: Entry, since: int) -> Row:
