@@ -76,6 +76,15 @@ def test_one_idle_character_ends_a_frame():
     assert mcu.totals.insufficient == 1
 
 
+def test_nothing_received_does_not_prolong_a_pause():
+    mcu = Receiver()
+    mcu.feed(FRAME[:27], 0)
+    end = mcu.line_free + mcu.character
+    mcu.feed(b'', end - 1)
+    mcu.advance(end)
+    assert [arrival.stamp for arrival in mcu.arrivals] == [end]
+
+
 def test_a_pause_inside_a_frame_spoils_it():
     mcu = Receiver()
     mcu.feed(FRAME[:14], 0)

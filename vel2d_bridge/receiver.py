@@ -98,7 +98,8 @@ class Receiver:
             self.totals.unheard += len(chunk)
             return
         self._notice_idle(now)
-        self.line_free = max(self.line_free, now)
+        if chunk:
+            self.line_free = max(self.line_free, now)
         while chunk:
             taken = chunk[:FRAME_SIZE - len(self._buffer)]
             chunk = chunk[len(taken):]
