@@ -8,7 +8,9 @@ same; `python -m fuzz TARGET` looks for new ones, and what it finds goes into te
 """
 from importlib import import_module
 from itertools import pairwise
+import os
 from pathlib import Path
+import re
 import subprocess
 import sys
 
@@ -81,6 +83,35 @@ def test_the_fuzzer_says_what_it_lacks():
         assert done.stderr == 'fuzz: atheris is not installed; pip install -e .[fuzz]\n'
     else:
         assert 'stat::number_of_executed_units' in done.stderr
+
+
+# What atheris does as far as we need it: a broken input is written, and the process ends.
+ATHERIS = """
+import contextlib, os, sys
+def instrument_imports(include): return contextlib.nullcontext()
+def Setup(arguments, check):
+    [prefix] = [one[17:] for one in arguments if one.startswith('-artifact_prefix=')]
+    open(prefix + 'crash-1', 'wb').write(b'what broke it')
+def Fuzz(): os._exit(77)
+"""
+
+
+def test_the_fuzzer_says_where_it_kept_what_it_found(tmp_path):
+    (tmp_path / 'atheris.py').write_text(ATHERIS)
+    root = Path(__file__).parents[1]
+
+    def fuzz(*options):
+        return subprocess.run(
+            [sys.executable, '-m', 'fuzz', 'vel2d', *options], capture_output=True, text=True,
+            cwd=root, env=os.environ | {'PYTHONPATH': str(tmp_path), 'TMPDIR': str(tmp_path)})
+
+    done = fuzz('--seconds', '1')
+    assert done.returncode == 1, done.stderr
+    told = re.search(r'fuzz: (\S+) breaks vel2d; again: python -m fuzz (.+)\n', done.stdout)
+    assert Path(told[1]).read_bytes() == b'what broke it'
+    again = fuzz(*told[2].split()[1:])
+    assert again.returncode == 0, again.stderr
+    assert 'nothing is broken' in again.stdout
 
 
 def test_a_volume_of_hostile_bytes():
