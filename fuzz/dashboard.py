@@ -2,18 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """What comes to the dashboard: serialised messages of anybody, and names in a request."""
 
+from functools import lru_cache
 import json
+import re
 import struct
 
+from dxl_monitor.dashboard import rows
 from dxl_monitor.dashboard.cdr import CdrError
 from dxl_monitor.dashboard.cdr import statuses
 from dxl_monitor.dashboard.server import is_ours
-from dxl_monitor.dashboard.state import HISTORY
-from dxl_monitor.dashboard.state import MOST_ROWS
 from dxl_monitor.dashboard.state import State
 from dxl_monitor.dashboard.state import TOPICS
 from fuzz.script import Script
 
+MOST_ROWS = 3000
+HISTORY = 300
+TEXT_LIMIT = 500
 NAMES = ('dxl_monitor: 001', 'dxl_monitor: 001 knee', 'dxl_monitor: left/011', 'n: bus', ': 002',
          'dxl_monitor: bus left', 'vel2d_bridge: link', 'vel2d_bridge: commands', 'x', '',
          'n: timing/write', 'dxl_monitor: timing/001/reply_latency', 'n: timing/', 'n: bus left')
@@ -22,8 +26,19 @@ KEYS = ('Model', 'State', 'Port', 'Topic', 'Present Position (rad)', 'Present Po
         'Loss in 10 s (%)', 'Firmware Version', 'Reply latency p50 (ms)')
 VALUES = ('1.5', 'nan', 'inf', '-inf', '1e400', '', 'connected', '[]',
           '{"Present Position": [1, "r"]}', '{"Present Position": [NaN, "w"]}',
-          '{"Present Position": [-1, null]}', '{"Model": [1e308, "\\ud800"]}', '[' * 200,
-          '<script>', 'x' * 1200, '\u0000', '1' * 5000)
+          '{"Present Position": [-1, null]}', '{"Model": [1e308, "\\ud800"]}', '[' * 5000,
+          '<script>', 'x' * 1200, '\u0000', '1' * 5000, '\u00e9' * 499, b'\xff\xfe', b'\xc3')
+MESSAGES = ('connected', 'disconnected: 5 answers missed', '', '\u00e9' * 600)
+BEGINNINGS = ((), (), ('Model', 'Firmware Version', 'State'), ('Model', 'State', 'observed'),
+              ('Port', 'State', 'error 00'), ('Topic', 'Message type'), ('p50 (ms)', 'p95 (ms)'))
+OWN_NAMES = frozenset(('localhost', 'rover.local'))
+OURS = ('localhost', 'LOCALHOST:8080', 'localhost.', '127.0.0.1', '127.0.0.1:80', '[::1]',
+        '[::1]:80', 'rover.local:80', '127.8.8.8')
+ADDRESSES = ('10.0.0.1', '192.168.0.7:80', '8.8.8.8', '0.0.0.0', '[::2]:1', '[fe80::1]',
+             '169.254.1.1')
+OTHERS = ('', 'evil.example', '127.0.0.1.evil.example', 'localhost.evil.example', '1.example',
+          'evil.example:127', 'xlocalhost', 'localhost@evil.example', '127.0.0.1x', ':80', '[')
+LOOPBACK = re.compile(r'[\[\]]*(127(\.\d{1,3}){3}|[0:]*:0{0,3}1(%[^:]*)?)[\[\]]*\.*(:.*)?', re.S)
 
 
 def check(data):
@@ -31,45 +46,73 @@ def check(data):
     Check what a few messages do to the page.
 
     Never raises; the number of rows and points is bounded; all that a page is told is JSON that
-    can be sent; what was serialised is read again; an address is ours only by itself.
+    can be sent; what was serialised is read again, in either order of bytes, no text longer than
+    the limit, and what is cut anywhere is refused; the last word about a device counts; a page
+    that is told changes has what one has that is told all; an address is ours only by itself.
     """
     script = Script(data)
     state = State()
+    page = Page(state)
     now_s = 1.0
+    is_flood = script.byte() > 252
     while script:
         message, wanted = made(script)
-        assert [(one.level, one.name, one.pairs(limit=6000))
-                for one in statuses(message)] == wanted
+        assert [as_sent(one) for one in statuses(message)] == wanted
+        cut_short(message, script.word())
         if script.byte() > 180:
             message = damaged(script, message)
         never_raises(message)
         state.take(script.pick(TOPICS), message, now_s)
+        last_word_counts(state, message)
         now_s += script.pick((0.0, 0.1, 1.0, 5.0, 100.0))
         state.expire(now_s)
         told(state, script.byte(), now_s)
-    assert sum(map(len, state._entries.values())) <= MOST_ROWS
-    assert all(len(points) <= HISTORY for points in state._latencies.values())
-    assert not is_ours(data.decode('latin-1'), frozenset(), False) or b'127' in data \
-        or b'1' in data
+        if script.byte() > 80:
+            page.poll()
+    page.poll()
+    page.has_all()
+    if is_flood:
+        state.take(TOPICS[0], flood(), now_s)
+    bounded(state)
+    who_is_ours(data)
 
 
 def made(script):
     """Serialise a DiagnosticArray of a few statuses; return it and what it holds."""
-    wanted = [(script.byte() % 8, script.pick(NAMES), [
-        (script.pick(KEYS), script.pick(VALUES)) for _ in range(script.byte() % 12)])
-        for _ in range(script.byte() % 4)]
-    return cdr([(level, name, 'words', 'left/11', pairs) for level, name, pairs in wanted]), wanted
+    wanted = []
+    for _ in range(script.byte() % 4):
+        keys = [*script.pick(BEGINNINGS), *(script.pick(KEYS) for _ in range(script.byte() % 10))]
+        wanted.append((script.byte() % 8, script.pick(NAMES), script.pick(MESSAGES), 'left/11',
+                       [(key, script.pick(VALUES)) for key in keys]))
+    return cdr(wanted, script.pick('<>')), [
+        (*head, text[:TEXT_LIMIT] + f'\u2026 ({len(text.encode())} bytes)' * (len(text) > 500),
+         who, [(key, as_text(value)) for key, value in pairs])
+        for *head, text, who, pairs in wanted]
 
 
-def cdr(found):
-    """Serialise statuses (level, name, message, hardware_id, pairs) as XCDR1, little-endian."""
-    out = bytearray(b'\0\1\0\0' + bytes(8))
+def as_text(value):
+    return value.decode(errors='replace') if isinstance(value, bytes) else value
+
+
+def as_sent(status):
+    for (key, text), (same, whole) in zip(status.pairs(), status.pairs(limit=6000), strict=True):
+        assert key == same
+        size = len(whole.encode())
+        assert text == whole if len(whole) <= TEXT_LIMIT else (
+            text == f'{whole[:TEXT_LIMIT]}\u2026 ({size} bytes)')
+    assert status.pairs(2) == status.pairs()[:2]
+    return (*status[:4], status.pairs(limit=6000))
+
+
+def cdr(found, order='<'):
+    """Serialise statuses (level, name, message, hardware_id, pairs) as XCDR1."""
+    out = bytearray((b'\0\1' if order == '<' else b'\0\0') + bytes(10))
 
     def number(value):
-        out.extend(bytes(-len(out) % 4) + struct.pack('<I', value))
+        out.extend(bytes(-len(out) % 4) + struct.pack(order + 'I', value))
 
     def text(value):
-        raw = value.encode() + b'\0'
+        raw = (value if isinstance(value, bytes) else value.encode()) + b'\0'
         number(len(raw))
         out.extend(raw)
 
@@ -86,6 +129,25 @@ def cdr(found):
     return bytes(out)
 
 
+@lru_cache
+def flood():
+    """More devices than there may be rows, each metric more often than it is kept."""
+    times = HISTORY + 10
+    word = [('Model', 'x'), ('State', 'y')]
+    return cdr([(0, 'a: 001', '', '', word), *(
+        (0, name, '', '', [('p50 (ms)', '1')])
+        for name in ['a: timing/001/reply_latency'] * times + ['a: timing/write'] * times),
+        *((0, f'n{n}: 002', '', '', word) for n in range(MOST_ROWS + 10))])
+
+
+def cut_short(message, where):
+    try:
+        statuses(message[:where % len(message)])
+    except CdrError:
+        return
+    raise AssertionError('a message that was cut is taken')
+
+
 def damaged(script, message):
     at = script.word() % (len(message) + 1)
     return message[:at] + script.take(script.byte() % 8) + message[at + script.byte() % 8:]
@@ -99,6 +161,18 @@ def never_raises(message):
         pass
 
 
+def last_word_counts(state, message):
+    try:
+        last = {(rows.section(one), one.name): one for one in statuses(message)}
+    except CdrError:
+        return
+    for (section, name), status in last.items():
+        entry = state._entries.get(section, {}).get(name)
+        if entry is not None and entry.arrived:
+            assert entry.row['message'] == status.message
+            assert entry.row['level'] == (status.level if status.level < 4 else 3)
+
+
 def told(state, since, now_s):
     """Hold that all a page may ask for can be sent."""
     said = [state.changes(0), state.changes(since), state.topics(now_s)]
@@ -106,3 +180,52 @@ def told(state, since, now_s):
         said += [state.table(name), state.latency(name, 0.0)]
     for one in said:
         json.dumps(one, ensure_ascii=False, allow_nan=False).encode()
+
+
+class Page:
+    """A client: it is told what changed, whenever it asks, and keeps it."""
+
+    def __init__(self, state):
+        self.state = state
+        self.version = 0
+        self.rows = {}
+
+    def poll(self):
+        for section, changed in self.state.changes(self.version).items():
+            for name, row in changed.items():
+                if row is None:
+                    self.rows.pop((section, name), None)
+                else:
+                    before = self.rows.get((section, name), {}).get('points', [])
+                    points = before + row['points'] if 'points' in row else None
+                    self.rows[section, name] = {**row, 'points': points}
+        self.version = self.state.version
+
+    def has_all(self):
+        """Hold that it has all; of a metric that was gone for a while it may have more."""
+        whole = {(section, name): {'points': None, **row}
+                 for section, found in self.state.changes(0).items()
+                 for name, row in found.items()}
+        for key, row in whole.items():
+            points = self.rows[key]['points']
+            if points is not None:
+                self.rows[key]['points'] = points[len(points) - len(row['points']):]
+        assert self.rows == whole
+
+
+def bounded(state):
+    entries = [one for found in state._entries.values() for one in found.values()]
+    assert len(entries) <= MOST_ROWS
+    assert all(len(one.points) <= HISTORY for one in entries)
+    assert all(len(points) <= HISTORY for points in state._latencies.values())
+    assert state._latencies.keys() <= state._entries['devices'].keys()
+    assert state._tables.keys() <= state._entries['devices'].keys()
+
+
+def who_is_ours(data):
+    assert all(is_ours(host, OWN_NAMES, False) for host in OURS)
+    assert not any(is_ours(host, OWN_NAMES, False) for host in (*OTHERS, *ADDRESSES))
+    assert all(is_ours(host, OWN_NAMES, True) for host in ADDRESSES)
+    assert not any(is_ours(host, OWN_NAMES, True) for host in OTHERS)
+    host = data.decode('latin-1')
+    assert not is_ours(host, frozenset(), False) or LOOPBACK.fullmatch(host)

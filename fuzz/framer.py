@@ -2,55 +2,110 @@
 # SPDX-License-Identifier: Apache-2.0
 """Framer: any bytes, in any split."""
 
+from fuzz import reference
 from fuzz.script import Script
 from fuzz.script import traffic
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import MAX_FRAME
-from msg_defs.dxl_packet import NOISE_KEPT
+from msg_defs.dxl_packet import packet_of
 from msg_defs.dxl_packet import STATUS
 
 GOOD = encode(1, STATUS, b'good', 0)
+NOISE_KEPT = 256
+
+
+class Watched(Framer):
+    """A Framer that keeps what it finds good, and adds up by itself how many bytes that is."""
+
+    __slots__ = ('_last', 'accounted', 'good')
+
+    def __init__(self):
+        super().__init__()
+        self.good = []
+        self.accounted = self._last = 0
+
+    def frames(self, chunk):
+        return self._keep_good(super().frames(chunk))
+
+    def flush_frames(self):
+        frames = self._keep_good(super().flush_frames())
+        self._last = self.bytes        # what was in front is noise, also of a header's first byte
+        return frames
+
+    def _keep_good(self, frames):
+        for frame in frames:
+            end, body, flaw = frame
+            if flaw is None or not flaw.reason:
+                assert self._last < end, 'frames overlap'
+                self.good.append(frame)
+                self.accounted += end - max(self._last, end - len(body) - 6)
+                self._last = end
+        return frames
 
 
 def check(data):
     """
-    Check one stream, whole and in pieces.
+    Check one stream, whole, in pieces and byte by byte.
 
-    Never raises; memory bounded; every byte in exactly one counter; any split finds the same
-    packets; a good packet behind garbage is found; what it finds was sent, but for the CRC.
+    Never raises; memory bounded; every byte in exactly one counter; any split finds the same, a
+    packet as soon as its last byte is there; a good packet behind garbage is found; what it finds
+    was sent, but for the CRC: all as in fuzz/reference.py.
     """
     script = Script(data)
     seed = script.word()
     stream = b''.join(traffic(script))
-    whole = feed([stream])
-    assert feed(pieces(stream, seed)) == whole
+    sent = reference.Stream(stream + GOOD)
+    whole = feed([stream], sent)
+    assert feed(pieces(stream, seed), sent) == whole
+    if len(stream) < 300:
+        assert feed((stream[at:at + 1] for at in range(len(stream))), sent) == whole
+    feed([stream + GOOD], sent)
     good_is_found_behind(stream)
 
 
-def feed(chunks):
-    """Return the packets and the byte counters after chunks and a flush, checked on the way."""
-    framer = Framer()
-    total = accounted = last = 0
-    packets = []
+def feed(chunks, sent):
+    """Return what is found in chunks and a flush; compare with what was sent on the way."""
+    framer = Watched()
+    total = 0
+    damaged = []
     for chunk in [*chunks, None]:
         frames = framer.flush_frames() if chunk is None else framer.frames(chunk)
         total += len(chunk or b'')
-        for end, body, flaw in frames:
-            assert 0 <= end <= total
-            if flaw is None or not flaw.reason:
-                assert last < end, 'frames overlap'
-                accounted += end - max(last, end - len(body) - 6)
-                last = end
-                packets.append((end, body, flaw is not None and flaw.repaired))
-        assert framer.bytes == total == accounted + framer.noise_bytes + framer.pending
-        assert framer.packet_bytes == accounted
+        damaged += [frame for frame in frames if frame[2] is not None and frame[2].reason]
+        packets, noise = sent.found(total, chunk is None)
+        assert [as_found(frame) for frame in framer.good] == packets
+        assert framer.noise_bytes == len(noise)
+        assert framer.noise == noise[-NOISE_KEPT:]
+        assert framer.bytes == total == framer.accounted + len(noise) + framer.pending
+        assert framer.packet_bytes == framer.accounted
         assert framer.packets == len(packets)
+        assert framer.repaired == sum(one.repaired for one in packets)
         assert framer.pending <= MAX_FRAME
-        assert len(framer.noise) <= NOISE_KEPT
     assert framer.pending == 0
-    return packets, framer.noise_bytes, framer.repaired, framer.noise
+    assert framer.crc_errors + framer.truncated + framer.bad_length == len(damaged)
+    for frame in framer.good:
+        readable(frame)
+    return framer.good, damaged
+
+
+def as_found(frame):
+    end, body, flaw = frame
+    return reference.Found(end, body, flaw is not None and flaw.repaired,
+                           flaw.noise_length if flaw is not None else 0)
+
+
+def readable(frame):
+    """Hold that a packet says what its frame says; a fast reply is never stuffed."""
+    end, body, _ = frame
+    packet = packet_of(frame, 7)
+    is_status = body[3] == 0x55
+    params = body[5:] if is_status else body[4:]
+    if not is_status or body[0] != 0xFE:
+        params = reference.unstuff(params)
+    assert packet[:6] == (7, end - len(body) - 6, body[0], body[3],
+                          body[4] if is_status else None, params)
 
 
 def pieces(stream, seed):

@@ -2,8 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Model files: any text in a folder of the user's, and what a table makes of it."""
 
+from itertools import pairwise
+import math
 from pathlib import Path
+import re
+import struct
 from tempfile import TemporaryDirectory
+
+import yaml
 
 from dxl_monitor.model_yaml import ModelError
 from dxl_monitor.models import check_models
@@ -42,16 +48,26 @@ WORDS = (b'-1', b'0', b'65535', b'65536', b'1e999', b'0.0', b'-0.0', b'null', b'
          b'99999999999999999999', b'1e-320', b'5e-324', b'\xc3\xa9', b'...', b'---', b'? x')
 
 
+NUMBERS = (b'0', b'1', b'2', b'3', b'7', b'8', b'15', b'16', b'20', b'26', b'60', b'80', b'255',
+           b'-1', b'4096', b'65533', b'65535', b'65536', b'0.0', b'-0.5', b'1e-3', b'1e99')
+NUMBER = re.compile(rb'(?<![a-z0-9])-?[0-9]+(?:\.[0-9]+)?')
+IMAGES = (b'\xff', b'\x80', b'\0', b'\0\0\x80\x7f', b'\x01\0', bytes(range(256)))
+CODES = {'u8': 'B', 'i8': 'b', 'u16': 'H', 'i16': 'h', 'u32': 'I', 'i32': 'i', 'u64': 'Q',
+         'i64': 'q', 'f32': 'f', 'f64': 'd'}
+
+
 def check(data):
     """
     Check one file.
 
-    Never raises but ModelError, one line with a remedy; both ways of checking agree; whatever
-    is taken describes a table that shows any bytes.
+    Never raises but ModelError, one line with a remedy; both ways of checking agree; what is
+    taken gives no key twice and describes a table: registers that lie in 0 to 65535, one
+    behind the other, called by one name each, and all they refer to is there. Any bytes decode
+    to what struct, scale, offset, sign bit, words and bits make of them.
     """
     script = Script(data)
-    raw = script.byte() < 60
-    image = data[-64:] * 12
+    raw = script.byte() < 40
+    image = data[-64:] if len(data) % 3 else script.pick(IMAGES)
     text = script.rest() if raw else mutated(script)
     with TemporaryDirectory(dir=_fast()) as folder:
         Path(folder, 'm.yaml').write_bytes(text)
@@ -65,32 +81,107 @@ def check(data):
             assert str(error) in problems
             return
         assert not problems
+        no_key_twice(yaml.compose(text, yaml.CSafeLoader))
         for number in models.names():
             if number < 100:
-                show(models, number, image)
+                show(models, number, (image * 768)[:768])
 
 
 def mutated(script):
-    """Replace, drop and insert pieces of the sample."""
+    """Replace, drop and insert pieces, lines and numbers of the sample."""
     text = SAMPLE
     for _ in range(script.byte() % 6):
+        what = script.byte()
+        lines = text.splitlines(True)
         at = script.word() % len(text)
-        size = script.byte() % 24
-        piece = script.pick(WORDS) if script.byte() < 160 else script.take(script.byte() % 8)
-        text = text[:at] + piece + text[at + size:] or b' '
+        if what < 110:
+            size = script.byte() % 24
+            piece = script.pick(WORDS) if script.byte() < 160 else script.take(script.byte() % 8)
+            text = text[:at] + piece + text[at + size:]
+        elif what < 140:
+            lines.insert(at % len(lines), lines[script.byte() % len(lines)])
+            text = b''.join(lines)
+        elif what < 160:
+            del lines[at % len(lines)]
+            text = b''.join(lines)
+        else:
+            found = list(NUMBER.finditer(text)) or [re.match(b'', text)]
+            begin, end = found[at % len(found)].span()
+            text = text[:begin] + script.pick(NUMBERS) + text[end:]
+        text = text or b' '
     return text
+
+
+def no_key_twice(node):
+    if isinstance(node, yaml.MappingNode):
+        keys = [(key.tag, key.value) for key, _ in node.value]
+        assert len(set(keys)) == len(keys)
+    for child in node.value if isinstance(node.value, list) else ():
+        for one in child if isinstance(child, tuple) else (child,):
+            no_key_twice(one)
 
 
 def show(models, number, image):
     for firmware in (None, 0, 40, 41):
         model = models.get(number, firmware)
         assert model is not None, models.problems
+        is_a_table(model)
         table = Table()
         table.store(0, image, 1, READ)
         for seen in table.observed(model, 2):
             assert isinstance(seen.value.text, str)
             assert seen.field.key
-        model.decode(0, image)
+        for field in model.fields:
+            raw = image[:field.size]
+            for one in (field, *(field.cases.fields.values() if field.cases else ())):
+                means(one, raw)
+        found = model.decode(0, image)
+        assert [field for field, _ in found] == [
+            field for field in model.fields if field.end <= len(image)]
+        for field, value in found:
+            assert repr(value) == repr(field.decode(image[field.at:field.end]))
+
+
+def is_a_table(model):
+    names = [field.name for field in model.fields]
+    assert len(set(names)) == len(names)
+    assert all(0 <= field.at < field.end <= 0x10000 for field in model.fields)
+    assert all(first.end <= second.at for first, second in pairwise(model.fields))
+    assert all(field.cases.by in names for field in model.fields if field.cases)
+    assert set(model.aliases.values()) <= set(names)
+    assert all(0 <= one.at < one.at + one.size <= 0x10000 for one in model.blocks)
+    for one in model.indirect:
+        assert 0 <= one.address <= 0x10000 - 2 * one.size
+        assert 0 <= one.data <= 0x10000 - one.size
+
+
+def means(field, raw):
+    """Hold that a register says of these bytes what its description does."""
+    value = field.decode(raw)
+    code, = struct.unpack('<' + CODES[field.type], raw)
+    assert repr(value.raw) == repr(code)
+    if isinstance(code, float) and not math.isfinite(code):
+        assert value.number is None
+    elif field.flags:
+        assert value.number is None
+        known = sum(one.mask << one.shift for one in field.flags)
+        beyond = [f'bit {bit}' for bit in range(64) if code & ~known & 1 << bit]
+        said = value.text.split(', ')
+        assert said[len(said) - len(beyond):] == beyond
+        for one in field.flags:
+            part = code >> one.shift & one.mask
+            assert part >= len(one.words) or one.words[part] in value.text
+    elif isinstance(code, int) and code in (field.enum or {}):
+        assert value.text == str(field.enum[code]) or value.number == field.enum[code]
+    elif isinstance(code, float) or not field.in_words:
+        number = code
+        if field.sign_bit is not None:
+            low = code % 2 ** field.sign_bit
+            number = -low if code // 2 ** field.sign_bit % 2 else low
+        assert value.number == (
+            number if field.scale is None else number * field.scale + field.offset)
+        assert field.hexadecimal or abs(float(value.text) - value.number) <= max(
+            1e-5 * abs(value.number), abs(field.scale or 0.0))
 
 
 def _fast():

@@ -4,33 +4,51 @@
 
 import struct
 
+from fuzz import reference
 from fuzz.script import Script
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import encode
-from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
+
+SIZE = 28
+CRCS = {'bytes': reference.crc32, 'words': reference.crc32_words}
+TELLING = (0.0, -0.0, 1.0, -1.0, 5e-324, 1.7976931348623157e308, float('inf'), float('-inf'),
+           float('nan'))
 
 
 def check(data):
     """
     Check one frame, made and taken.
 
-    Never raises; what is decoded encodes to the same bytes, NaN and -0.0 included; a flipped bit
-    or a missing byte is never a frame.
+    Never raises; a frame is three little-endian doubles and their CRC by either way of feeding
+    it, as fuzz/reference.py has it; what is decoded is that to the bit, NaN and -0.0 included; a
+    flipped bit, a missing or a further byte is never a frame.
     """
     script = Script(data)
-    crc = script.pick(tuple(CRC_INPUTS.values()))
-    bit, at = script.word() % (8 * FRAME_SIZE), script.byte() % FRAME_SIZE
-    values = struct.unpack('<ddd', script.take(24).ljust(24, b'\0'))
-    frame = encode(Vel2d(*values), crc)
-    assert len(frame) == FRAME_SIZE
-    assert struct.pack('<ddd', *decode(frame, crc)) == frame[:24]
-    flipped = bytearray(frame)
-    flipped[bit // 8] ^= 1 << bit % 8
-    assert decode(bytes(flipped), crc) is None
-    assert decode(frame[:at] + frame[at + 1:], crc) is None
+    name = script.pick(tuple(CRCS))
+    crc = CRC_INPUTS[name]
+    bit, at = script.word() % (8 * SIZE), script.byte() % SIZE
+    values = b''.join(value(script) for _ in range(3))
+    frame = encode(Vel2d(*struct.unpack('<ddd', values)), crc)
+    assert frame == values + CRCS[name](values).to_bytes(4, 'little')
+    assert struct.pack('<ddd', *decode(frame, crc)) == values
+    for flipped in (bit, *range(192, 8 * SIZE)):
+        number = int.from_bytes(frame, 'little') ^ 1 << flipped
+        assert decode(number.to_bytes(SIZE, 'little'), crc) is None
+    for size in (frame[:at] + frame[at + 1:], frame + frame[at:at + 1], frame[:at], frame * 2):
+        assert decode(size, crc) is None
     rest = script.rest()
-    for candidate in (rest, rest[:FRAME_SIZE]):
+    for candidate in (rest, rest[:SIZE]):
         velocity = decode(candidate, crc)
-        assert velocity is None or encode(velocity, crc) == candidate
+        is_frame = len(candidate) == SIZE and candidate[24:] == CRCS[name](
+            candidate[:24]).to_bytes(4, 'little')
+        assert (velocity is not None) == is_frame
+        assert not is_frame or struct.pack('<ddd', *velocity) == candidate[:24]
+
+
+def value(script):
+    """Return the 8 bytes of a double: any, or one that is easily got wrong."""
+    if script.byte() < 100:
+        return struct.pack('<d', script.pick(TELLING))
+    return script.take(8).ljust(8, b'\0')

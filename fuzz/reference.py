@@ -1,0 +1,109 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Reference: the rules of both wires a second time, as plainly as they can be put.
+
+The targets compare with it, so it takes nothing from the package: not a constant, not a CRC.
+It sees a stream as a whole and is slow. Sources: e-Manual, Protocol 2.0; docs/frame.md.
+"""
+
+from typing import NamedTuple
+
+TAIL = b'\xff\xfd\x00'                 # of a header; its first byte may have got lost
+LONGEST = 1024                         # Length of a packet
+
+
+def _crc_table(width: int, polynomial: int) -> list[int]:
+    table = []
+    for byte in range(256):
+        value = byte << width - 8
+        for _ in range(8):
+            value = value << 1 ^ (polynomial if value >> width - 1 else 0)
+            value &= (1 << width) - 1
+        table.append(value)
+    return table
+
+
+_CRC16 = _crc_table(16, 0x8005)
+_CRC32 = _crc_table(32, 0x04C11DB7)
+
+
+def crc16(data: bytes) -> int:
+    value = 0
+    for byte in data:
+        value = value << 8 & 0xFFFF ^ _CRC16[value >> 8 ^ byte]
+    return value
+
+
+def crc32(data: bytes) -> int:
+    value = 0xFFFFFFFF
+    for byte in data:
+        value = value << 8 & 0xFFFFFFFF ^ _CRC32[value >> 24 ^ byte]
+    return value
+
+
+def crc32_words(data: bytes) -> int:
+    return crc32(b''.join(data[at:at + 4][::-1] for at in range(0, len(data), 4)))
+
+
+def stuff(data: bytes) -> bytes:
+    out = bytearray()
+    for at, byte in enumerate(data):
+        out.append(byte)
+        if data[max(0, at - 2):at + 1] == b'\xff\xff\xfd':
+            out.append(0xFD)
+    return bytes(out)
+
+
+def unstuff(data: bytes) -> bytes:
+    return bytes(byte for at, byte in enumerate(data)
+                 if byte != 0xFD or data[max(0, at - 3):at] != b'\xff\xff\xfd')
+
+
+class Found(NamedTuple):
+    """A good packet; noise: bytes of it in front. end and body as in msg_defs.dxl_packet.Frame."""
+
+    end: int
+    body: bytes
+    repaired: bool
+    noise: int
+
+
+class Stream:
+    """All packets of a stream of bytes, by how much of it has come."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self._marks = []               # (second FF of a header, Length, whether the CRC holds)
+        at = data.find(TAIL)
+        while at >= 0:
+            length = int.from_bytes(data[at + 4:at + 6], 'little')
+            self._marks.append((at, length, self._holds(at, length)))
+            at = data.find(TAIL, at + 1)
+
+    def _holds(self, at: int, length: int) -> bool:
+        body, end = self.data[at + 3:at + 4 + length], at + 6 + length
+        shortest = 4 if body[3:4] == b'\x55' else 3
+        return (shortest <= length <= LONGEST and end <= len(self.data)
+                and crc16(b'\xff' + TAIL + body).to_bytes(2, 'little') == self.data[end - 2:end])
+
+    def found(self, size: int, idle: bool) -> tuple[list[Found], bytes]:
+        """Return packets and noise of the first `size` bytes; idle: nothing more will come."""
+        packets = []
+        noise = bytearray()
+        done = 0
+        decided = size if idle else max(0, size - len(TAIL))
+        for at, length, holds in self._marks:
+            end = at + 6 + length
+            if at < done:
+                continue
+            if not idle and (at + 7 > size or (end > size and length <= LONGEST)):
+                decided = min(decided, at - 1)
+                break
+            if holds and end <= size:
+                begin = max(done, at - 1)
+                packets.append(Found(end, self.data[at + 3:end - 2],
+                                     begin == at or self.data[begin] != 0xFF, begin - done))
+                noise += self.data[done:begin]
+                done = end
+        return packets, bytes(noise + self.data[done:max(done, decided)])
