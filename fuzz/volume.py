@@ -6,7 +6,8 @@ python -m fuzz.volume --bytes N: N bytes of hostile input through Framer, tracke
 A third each: random bytes, bytes that look like headers and lengths, and the traffic of a robot
 (or --trace FILE) with bytes lost, turned, doubled and torn apart. Exit code 1 when an exception
 comes, a byte is counted twice or not at all, memory grows, or more false packets are found than
-the 16 bits of a CRC let pass.
+the 16 bits of a CRC let pass: of 65536 candidates one. A false packet is one that was not sent, a
+candidate what looks like a frame and is none of the packets that were sent.
 """
 
 import argparse
@@ -21,39 +22,14 @@ from benchmark.traffic import packets
 from benchmark.traffic import trace_packets
 from dxl_monitor.models import Models
 from dxl_monitor.monitor import Monitor
+from fuzz.framer import Watched
 from fuzz.script import TRICKY
 from mecarover_serial.process import resident_memory_mb
-from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import HEADER
 
 BLOCK = 1 << 18
 GROWTH_MB = 30.0                    # of the resident memory, from the first block on
-CANDIDATE = re.compile(rb'(?=\xff\xfd\x00.(..))', re.DOTALL)
-
-
-class Watched(Framer):
-    """A Framer that keeps what it finds good, and adds up by itself how many bytes that is."""
-
-    __slots__ = ('_last', 'accounted', 'good')
-
-    def __init__(self):
-        super().__init__()
-        self.good = []
-        self.accounted = self._last = 0
-
-    def frames(self, chunk):
-        return self._keep_good(super().frames(chunk))
-
-    def flush_frames(self):
-        return self._keep_good(super().flush_frames())
-
-    def _keep_good(self, frames):
-        for end, body, flaw in frames:
-            if flaw is None or not flaw.reason:
-                self.good.append(body)
-                self.accounted += end - max(self._last, end - len(body) - 6)
-                self._last = end
-        return frames
+CANDIDATE = re.compile(rb'(?=\xff\xfd\x00(.(..)))', re.DOTALL)
 
 
 def random_bytes(chance, _):
@@ -93,7 +69,7 @@ KINDS = {'random': random_bytes, 'look-alikes': look_alikes, 'mutated traffic': 
 def main():
     options = _parser().parse_args()
     traffic = trace_packets(options.trace) if options.trace else packets('moving robot')
-    sent = {body for piece in [*traffic, b''.join(traffic)] for _, body, _ in whole(piece)}
+    sent = {body for piece in [*traffic, b''.join(traffic)] for body in good_in(piece)}
     failed = False
     for kind, make in KINDS.items():
         begin = time.process_time()
@@ -107,9 +83,21 @@ def main():
     return int(failed)
 
 
-def whole(stream):
-    framer = Framer()
-    return [*framer.frames(stream), *framer.flush_frames()]
+def candidates(block, sent):
+    """Count what the Framer may take for a frame and is nothing that was sent."""
+    found = 0
+    for one in CANDIDATE.finditer(block):
+        length = int.from_bytes(one[2], 'little')
+        found += (2 < length <= 1024
+                  and block[one.start(1):one.start(1) + length + 1] not in sent)
+    return found
+
+
+def good_in(stream):
+    framer = Watched()
+    framer.frames(stream)
+    framer.flush_frames()
+    return [body for _, body, _ in framer.good]
 
 
 def run(make, size, chance, traffic, sent):
@@ -119,8 +107,7 @@ def run(make, size, chance, traffic, sent):
     now, total, false, packets_found, tried, memory = 1_000_000_000, 0, 0, 0, 0, None
     while total < size:
         block = make(chance, traffic)
-        tried += sum(2 < int.from_bytes(one[1], 'little') <= 1024
-                     for one in CANDIDATE.finditer(block))
+        tried += candidates(block, sent)
         at = 0
         while at < len(block):
             chunk = block[at:at + chance.choice((chance.randrange(1, 64), 512, 4096))]
@@ -131,7 +118,7 @@ def run(make, size, chance, traffic, sent):
             packets_found += len(framer.good)
             in_counters = framer.accounted + framer.noise_bytes + framer.pending
             assert framer.bytes == total == in_counters, (total, in_counters)
-            false += sum(body not in sent for body in framer.good)
+            false += sum(body not in sent for _, body, _ in framer.good)
             framer.good.clear()
         monitor.report(now)
         memory = memory or resident_memory_mb()

@@ -33,6 +33,8 @@ from fuzz.__main__ import TARGETS
 from fuzz.framer import feed
 from fuzz.reference import Stream
 from fuzz.script import fast_reply
+from fuzz.volume import candidates
+from fuzz.volume import good_in
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
@@ -135,6 +137,15 @@ def test_a_volume_of_hostile_bytes():
                           capture_output=True, text=True, cwd=Path(__file__).parents[1])
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count(' false (') == 3
+
+
+def test_what_was_sent_is_no_candidate_for_a_false_packet():
+    good = encode(1, STATUS, b'good', 0)
+    damaged = good[:9] + b'?' + good[10:]
+    sent = set(good_in(good * 3 + damaged))
+    assert len(sent) == 1
+    assert candidates(good * 100, sent) == 0
+    assert candidates(good + damaged + good, sent) == 1
 
 
 def test_every_length_of_a_packet():
