@@ -19,6 +19,9 @@ import tty
 from mecarover_serial.pty import Pty
 
 TICK_S = 0.002
+PAUSE_TURNS = 2
+PAUSE_WITHIN_S = 1.0
+ARRIVALS_PER_TURN = 8                           # four times what comes: a pty takes 17 KiB
 NO_FAULT = {'drop': 0.0, 'flip': 0.0, 'delay_s': 0.0}
 
 
@@ -34,11 +37,14 @@ class Cable:
         self.path = str(link)
         self.carried = self.damaged = 0
         self.lost = 0                           # bytes that nobody took
+        self.delivered = 0                      # bytes that the node's side took
         self._device = device                   # path of the device's pty
         self._chance = random.Random(seed)
         self._lock = threading.RLock()
         self._faults = dict(NO_FAULT)
         self._stalled = False
+        self._is_holding = False
+        self._idle_turns = 0                    # in which nothing came from the device
         self._late = []                         # [due, write, chunk]
         self._flood = None                      # until when, bytes per tick
         self._near = self._far = None
@@ -115,6 +121,20 @@ class Cable:
         finally:
             self.calm()
 
+    @contextmanager
+    def held(self):
+        """Let nothing arrive meanwhile; what comes is kept, and arrives afterwards, whole."""
+        # From a pause of the device on, if there is one soon: else a packet may be cut in two.
+        deadline = time.monotonic() + PAUSE_WITHIN_S
+        while not self._is_holding:
+            with self._lock:
+                self._is_holding = self._idle_turns >= PAUSE_TURNS or time.monotonic() > deadline
+            time.sleep(TICK_S / 2)
+        try:
+            yield
+        finally:
+            self._is_holding = False
+
     # --- the thread ----------------------------------------------------------------------------
 
     def _run(self):
@@ -127,7 +147,7 @@ class Cable:
         near, far = self._near.master, self._far.fd
         if not self._stalled:
             self._carry(near, far)
-            self._carry(far, near)
+            self._idle_turns = 0 if self._carry(far, near) else self._idle_turns + 1
         self._deliver()
         if self._flood is not None:
             until, size = self._flood
@@ -137,12 +157,13 @@ class Cable:
 
     def _carry(self, source, target):
         if not select.select([source], [], [], 0)[0]:
-            return
+            return False
         chunk = os.read(source, 4096)
         self.carried += len(chunk)
         arriving = self._spoil(chunk)
         self.damaged += arriving != chunk
         self._late.append((time.monotonic() + self._faults['delay_s'], target, arriving))
+        return True
 
     def _spoil(self, chunk):
         chance, faults = self._chance, self._faults
@@ -158,7 +179,9 @@ class Cable:
 
     def _deliver(self):
         now = time.monotonic()
-        while self._late and self._late[0][0] <= now:
+        for _ in range(ARRIVALS_PER_TURN):
+            if self._is_holding or not self._late or self._late[0][0] > now:
+                break
             _, target, chunk = self._late.pop(0)
             self._write(target, chunk)
 
@@ -167,6 +190,8 @@ class Cable:
         taken = 0
         with suppress(BlockingIOError):
             taken = os.write(fd, data)
+        if fd == self._near.master:
+            self.delivered += taken
         self.lost += len(data) - taken
 
 
