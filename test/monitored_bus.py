@@ -44,10 +44,17 @@ COUNTERS = {
     **dict.fromkeys(DEVICES, (
         'Answers', 'Missed Answers', 'Not Served', 'Damaged Answers', 'Repaired Answers',
         'Refused Instructions', 'Alert Answers', 'Writes'))}
-# What its devices are is said once, when the bus begins.
+# What its devices are is said when the bus begins, and never again: so begin when it is heard.
+# Five times, as a machine that is too busy may tear a packet apart.
 BUS_THAT_WAITS = """
 import os, signal
 from dxl_monitor import fake_bus
+from dxl_monitor.fake import master
+once = master.start_up
+def start_up(*arguments):
+    for _ in range(5):
+        yield from once(*arguments)
+master.start_up = start_up
 class Waiting(fake_bus.FakeBus):
     def start(self, seconds=None):
         os.kill(os.getpid(), signal.SIGSTOP)
