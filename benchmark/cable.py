@@ -15,6 +15,7 @@ import termios
 import threading
 import time
 import tty
+from typing import NamedTuple
 
 from mecarover_serial.pty import Pty
 
@@ -22,7 +23,20 @@ TICK_S = 0.002
 PAUSE_TURNS = 2
 PAUSE_WITHIN_S = 1.0
 ARRIVALS_PER_TURN = 8                           # four times what comes: a pty takes 17 KiB
+KEPT_BYTES = 2048               # of the beginning of a line
 NO_FAULT = {'drop': 0.0, 'flip': 0.0, 'delay_s': 0.0}
+
+
+class Line(NamedTuple):
+    """
+    A line since it was plugged in, or freed after a stall.
+
+    `until`: when its predecessor ended or stalled, monotonic ns; `written`: what the node wrote
+    on it first, before any damage.
+    """
+
+    until: int
+    written: bytearray
 
 
 class Cable:
@@ -30,7 +44,8 @@ class Cable:
     Carries bytes both ways between `path` and the pty of a device.
 
     drop, flip: the share of chunks that lose a byte or get a bit turned; delay_s: how late they
-    arrive. `stalled`: the node's writes are not taken, and nothing reaches it.
+    arrive. `stalled`: the node's writes are not taken, and nothing reaches it. `lines` holds one
+    for each time that it was plugged in or freed.
     """
 
     def __init__(self, device, link, seed=1):
@@ -38,6 +53,7 @@ class Cable:
         self.carried = self.damaged = 0
         self.lost = 0                           # bytes that nobody took
         self.delivered = 0                      # bytes that the node's side took
+        self.lines = []
         self._device = device                   # path of the device's pty
         self._chance = random.Random(seed)
         self._lock = threading.RLock()
@@ -48,6 +64,8 @@ class Cable:
         self._late = []                         # [due, write, chunk]
         self._flood = None                      # until when, bytes per tick
         self._near = self._far = None
+        self._before = None                     # the slave of the pty before, see cut
+        self._until = 0
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._run, name='cable')
 
@@ -60,6 +78,7 @@ class Cable:
         self._done.set()
         self._thread.join()
         self.cut()
+        self._let_go()
 
     # --- what may be done to it, from any thread ---------------------------------------------
 
@@ -74,6 +93,7 @@ class Cable:
             termios.tcflow(self._near._slave, termios.TCOOFF)
             self._turn()                        # what was taken before arrives
             self._stalled = True
+            self._until = time.monotonic_ns()
 
     def flood(self, seconds, bytes_per_s=200_000):
         """Send noise to the node for a while."""
@@ -87,23 +107,34 @@ class Cable:
             self._flood = None
             if self._stalled and self._near is not None:
                 termios.tcflow(self._near._slave, termios.TCOON)
+                self.lines.append(Line(self._until, bytearray()))
             self._stalled = False
 
     def cut(self):
         """Be unplugged: the node's port hangs up, its name is gone."""
         with self._lock:
-            for end in (self._near, self._far):
-                if end is not None:
-                    end.close()
+            if self._near is not None:
+                self._until = time.monotonic_ns()
+                self._before = os.dup(self._near._slave)
+                self._near.close()
+                self._far.close()
             self._near = self._far = None
             self._late.clear()
 
-    def reopen(self):
-        """Be plugged in again, under the same name."""
+    def reopen(self, named=True):
+        """Be plugged in again, under the same name, as another device; or without the name."""
         with self._lock:
             if self._near is None:
                 self._far = _End(self._device)
-                self._near = Pty(self.path)
+                self._near = Pty(self.path if named else None)
+                self.lines.append(Line(self._until, bytearray()))
+            self._let_go()
+
+    def _let_go(self):
+        """Give the number of the pty before back: the next one has got another."""
+        if self._before is not None:
+            os.close(self._before)
+        self._before = None
 
     def remove_name(self):
         """Take the symlink away and leave the line as it is, as udev does when it re-reads."""
@@ -112,6 +143,7 @@ class Cable:
     def restore_name(self):
         with self._lock:
             os.symlink(self._near.path, self.path)
+            self._near.link = self.path
 
     @contextmanager
     def while_damaged(self, **faults):
@@ -160,6 +192,8 @@ class Cable:
             return False
         chunk = os.read(source, 4096)
         self.carried += len(chunk)
+        if source == self._near.master and len(self.lines[-1].written) < KEPT_BYTES:
+            self.lines[-1].written.extend(chunk)
         arriving = self._spoil(chunk)
         self.damaged += arriving != chunk
         self._late.append((time.monotonic() + self._faults['delay_s'], target, arriving))

@@ -133,17 +133,30 @@ def loose_contact(cable):
     return begin
 
 
+SPIN = """
+import os, sys
+print(flush=True)
+while os.getppid() == int(sys.argv[1]):
+    sum(range(100_000))
+"""
+
+
 @contextmanager
-def starving(count=4):
-    """Keep the machine busy: more spinning processes than cores, for a few seconds at most."""
-    spin = 'import time\nend = time.monotonic() + 6\nwhile time.monotonic() < end: pass'
-    busy = [subprocess.Popen([sys.executable, '-c', spin]) for _ in range(count)]
+def starving():
+    """Keep the machine busy, two spinning processes per core, from the first line to the last."""
+    busy = [subprocess.Popen([sys.executable, '-c', SPIN, str(os.getpid())],
+                             stdout=subprocess.PIPE)
+            for _ in range(2 * len(os.sched_getaffinity(0)))]
     try:
+        for one in busy:
+            one.stdout.readline()
         yield
+        assert all(one.poll() is None for one in busy)
     finally:
         for one in busy:
             one.kill()
             one.wait()
+            one.stdout.close()
 
 
 @contextmanager
@@ -197,7 +210,9 @@ class Mcu(FakeMcu):
 
     def stopped_at(self, stamp):
         """Wait until the wheels hold zero; return when they began to, ns after `stamp`."""
-        wait(lambda: self.receiver.wheels.stamp > stamp and self.receiver.wheels.is_stop)
+        # Of what is kept, not of the wheels: these turn a moment before it is.
+        wait(lambda: self.set_points and self.set_points[-1].stamp > stamp
+             and self.set_points[-1].is_stop)
         moving = [point.stamp for point in self.set_points
                   if point.stamp > stamp and not point.is_stop]
         return next(point.stamp for point in self.set_points
