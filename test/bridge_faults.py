@@ -88,6 +88,9 @@ class Rover:
         return [Heard(status) for message in messages for status in message.status
                 if status.name == name]
 
+    def is_well(self):
+        return all(self.heard(kind)[-1].level == 0 for kind in (LINK, COMMANDS))
+
     @contextmanager
     def row(self):
         """Begin a row when the rover stands; at its end all holds that must hold in each row."""
@@ -192,7 +195,10 @@ class Row:
 
     def late_s(self):
         """Return by how much anything may exceed its bound on this machine."""
-        return LATE_S + SLACK * self._lateness.longest_s + self.delay_s
+        return LATE_S + self.measured_late_s() + self.delay_s
+
+    def measured_late_s(self):
+        return SLACK * self._lateness.longest_s
 
     def stops_in_time(self):
         """End the commands; the rover stops within the bound. Return after how long (s)."""
@@ -205,7 +211,7 @@ class Row:
 
     def quiet(self):
         """Begin with all well; in this row the user is to see nothing of the fault."""
-        wait(self._are_well)
+        wait(self.rover.is_well)
         self.forget()
         self._is_quiet = True
 
@@ -261,9 +267,6 @@ class Row:
     def says(self, *parts):
         wait(lambda: self.said(*parts))
 
-    def _are_well(self):
-        return all(self.rover.heard(kind)[-1].level == 0 for kind in (LINK, COMMANDS))
-
     # --- at its end --------------------------------------------------------------------------
 
     def check(self):
@@ -314,7 +317,7 @@ class Row:
                           for at in range(whole)]
             assert velocities[:1] in ([], [STOP]), velocities[:3]
             first = next((one for one in velocities if one not in (STOP, None)), None)
-            assert first is None or first.omega + self.late_s() - LATE_S > line.until / 1e9, first
+            assert first is None or first.omega + self.measured_late_s() > line.until / 1e9, first
 
     def _counts_go_up(self, kind):
         """No counter is lost, and each command is accepted or refused for a reason."""
