@@ -132,6 +132,7 @@ class Row:
         self._lateness = lateness
         self._teleop = None
         self._is_quiet = False
+        self._may_be_seen = ()
         wait(lambda: rover.heard(LINK) and rover.heard(COMMANDS))
         self._first = len(rover.graph.heard['/diagnostics'])
         self._before = {kind: rover.heard(kind)[-1] for kind in (LINK, COMMANDS)}
@@ -209,11 +210,12 @@ class Row:
 
     # --- what the user sees ------------------------------------------------------------------
 
-    def quiet(self):
-        """Begin with all well; in this row the user is to see nothing of the fault."""
+    def quiet(self, *but):
+        """Begin with all well; in this row the user is to see nothing of the fault, `but`..."""
         wait(self.rover.is_well)
         self.forget()
         self._is_quiet = True
+        self._may_be_seen = but
 
     def forget(self):
         """Begin anew: what was heard until now is not what the user sees of the fault."""
@@ -221,7 +223,9 @@ class Row:
 
     def end_of_quiet(self):
         """Let be seen what comes now; what came before was not, but for a freeze."""
-        seen = [one.text for kind in (LINK, COMMANDS) for one in self.heard(kind) if one.level]
+        seen = [one.text for kind in (LINK, COMMANDS) for one in self.heard(kind)
+                if one.level and not all(any(part in complaint for part in self._may_be_seen)
+                                         for complaint in one.complaints or [one.text])]
         assert not seen or self.was_disturbed(), seen
         self._is_quiet = False
 
