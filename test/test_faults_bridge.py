@@ -70,6 +70,8 @@ def row(rover, cable):
             rover.running.signal(signal.SIGCONT)
             cable.calm()
             cable.reopen()
+            if not os.path.lexists(cable.path):
+                cable.restore_name()
             if rover.publisher is None:
                 rover.publish()
 
