@@ -238,7 +238,7 @@ class Row:
 
     def _is_disturbed(self):
         return (self._lateness.longest_s > LATE_ENOUGH_S or self.grown(LINK, 'Freezes')
-                or self.grown(COMMANDS, 'Stops: bridge was frozen'))
+                or self.grown(COMMANDS, 'Refused: bridge was frozen'))
 
     def heard(self, kind):
         return self.rover.heard(kind, self._first)
