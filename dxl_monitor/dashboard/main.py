@@ -57,8 +57,11 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def listen(host: str, port: int) -> socket.socket:
     """Return a socket that listens on an address (or a name); raise OSError with its errno."""
-    family, _, _, _, address = socket.getaddrinfo(
-        host or '0.0.0.0', port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+    try:
+        family, _, _, _, address = socket.getaddrinfo(
+            host or '0.0.0.0', port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+    except UnicodeError:                        # two dots, or a label of more than 63 letters
+        raise OSError(errno.EINVAL, 'not a name') from None
     return socket.create_server(address[:2], family=family)
 
 

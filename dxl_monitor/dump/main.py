@@ -21,6 +21,7 @@ from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 from msg_defs.dxl_instruction import NAMES
 
+HIGHEST_ID = 255                   # damage may make any byte of an ID
 EXAMPLES = """examples:
   dxl_dump /dev/ttyUSB0                         every packet at 2 MBd, registers by name
   dxl_dump /dev/ttyUSB0 -b 1000000 --errors     only what went wrong
@@ -79,10 +80,13 @@ def _ids(entries: Sequence[str] | None) -> frozenset[int] | None:
     for text in ','.join(entries).split(','):
         first, dash, last = text.strip().partition('-')
         try:
-            found.update(range(int(first), int(last if dash else first) + 1))
+            ids = range(int(first), int(last if dash else first) + 1)
         except ValueError:
+            ids = range(0)
+        if not ids or not 0 <= ids[0] <= ids[-1] <= HIGHEST_ID:
             raise UsageError(f'{text!r}: no ID; write e.g. 7 or 7,11-13, 254 for broadcasts'
-                             ) from None
+                             )
+        found.update(ids)
     return frozenset(found)
 
 
@@ -95,10 +99,13 @@ def _instructions(entries: Sequence[str] | None) -> frozenset[int] | None:
     for text in ','.join(entries).split(','):
         name = text.strip().casefold().replace(' ', '_').replace('-', '_')
         try:
-            found.add(codes[name] if name in codes else int(name, 0))
+            code = codes[name] if name in codes else int(name, 0)
         except ValueError:
+            code = -1
+        if not 0 <= code <= 0xFF:
             raise UsageError(f'{text!r}: no instruction; there are {", ".join(codes)}, '
-                             'or give a code like 0x83') from None
+                             'or give a code like 0x83')
+        found.add(code)
     return frozenset(found)
 
 

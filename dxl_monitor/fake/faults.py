@@ -86,11 +86,12 @@ def parse(text: str) -> Fault:
             raise ValueError
         number = int(figures[0]) if figures and figures[0] else None
         begin, length = (float(part) if part else None for part in [*figures[1:], '', ''][:2])
-    except ValueError:
+        start = round((begin or 0.0) * S)
+        end = None if length is None else start + round(length * S)
+    except (ValueError, OverflowError):        # the latter: of inf
         raise ParameterError(f'fault: {text!r} is not NAME[:id[:at_s[:for_s]]]; '
                              "write e.g. 'silent:5:2:3'") from None
-    start = round((begin or 0.0) * S)
-    return Fault(name, number, start, None if length is None else start + round(length * S))
+    return Fault(name, number, start, end)
 
 
 class Faults:
