@@ -560,6 +560,7 @@ def test_no_control_code_of_a_capture_reaches_the_terminal(tmp_path, run, view):
     ([], 2, 'SOURCE: none given; '),
     (['/does/not/exist'], 1, '/does/not/exist: no such file or port; '),
     (['/dev/ttyNONE0'], 1, '/dev/ttyNONE0: is not there; '),
+    (['loop://?x=y'], 1, 'loop://?x=y: not a URL that pyserial knows '),
     (['/dev/null'], 1, '/dev/null: not a serial port; '),
     (['/'], 2, '/: a directory; '),
     (['-', '--id', 'knee'], 2, "'knee': no ID; "),
