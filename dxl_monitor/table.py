@@ -105,12 +105,11 @@ class Table:
     def store(self, address: int, data: Data, stamp: int, source: int) -> None:
         """Note that the bytes from `address` on were seen at `stamp`, READ or WRITTEN."""
         latest = self._latest
-        size = len(data)
-        key = (address, size)
+        key = (address, len(data))
         # Taken out and put back, so that the dict stays in order of arrival (stamps may be equal).
-        latest.pop(key, None)
+        before = latest.pop(key, None)
         latest[key] = (data, stamp, source)
-        if size > LONG or len(latest) > SPAN_LIMIT:
+        if before is None and (len(latest) > SPAN_LIMIT or len(data) > LONG):
             self._settle()
 
     def _settle(self) -> Image:
