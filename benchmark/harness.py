@@ -174,6 +174,12 @@ def family(pid: int) -> list[int]:
         return []
 
 
+def own_mb(pids: Sequence[int]) -> float:
+    """Return the memory that processes have filled; of a file's, the kernel takes pages back."""
+    return sum(_status(Path(f'/proc/{pid}/status'), key)
+               for pid in pids for key in ('RssAnon', 'VmSwap')) / 1024
+
+
 def _is_alive(pid: int) -> bool:
     try:
         return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] not in 'ZX'

@@ -30,8 +30,8 @@ from benchmark.harness import Child
 from benchmark.harness import family
 from benchmark.harness import Figure
 from benchmark.harness import Options
+from benchmark.harness import own_mb
 from benchmark.harness import ros_environment
-from benchmark.harness import usage
 from benchmark.soak_drive import Driver
 from benchmark.soak_figures import figures
 from benchmark.soak_figures import problems
@@ -277,7 +277,7 @@ class _Soak:
         for node in self._nodes:
             pids = family(node.pid)
             try:
-                sample.append(Sample(usage(node.pid).resident_mb, *(
+                sample.append(Sample(own_mb(pids), *(
                     sum(len(os.listdir(f'/proc/{pid}/{what}')) for pid in pids)
                     for what in ('fd', 'task'))))
             except OSError:             # one has just ended: `nodes ended`, `processes missing`

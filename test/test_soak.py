@@ -12,6 +12,7 @@ import pytest
 from benchmark.harness import Child
 from benchmark.harness import family
 from benchmark.harness import Figure
+from benchmark.harness import own_mb
 
 pytestmark = pytest.mark.ros
 COMMAND = [sys.executable, '-m', 'benchmark', '--soak', '0.5']
@@ -70,6 +71,15 @@ def test_a_zombie_is_not_alive():
         assert Path(f'/proc/{child.pid}').exists()
         assert family(child.pid) == []
         assert child.end == 'signal 9'
+
+
+def test_memory_is_what_a_process_filled():
+    me = [os.getpid()]
+    before = own_mb(me)
+    filled = bytearray(b'x' * 30_000_000)
+    assert 25 < own_mb(me) - before < 60
+    assert own_mb([*me, *me]) > 1.9 * before
+    del filled
 
 
 def said(hearing, stamp, topic, name, level=0, **values):
