@@ -310,10 +310,21 @@ class MonitorMachine(RuleBasedStateMachine):
     @rule(noise=st.binary(min_size=4, max_size=30))
     def noise_then_an_answer(self, noise):
         """Answer what the noise may have hidden: life, and nothing for the table."""
+        self.hear(encode(1, 2, u16(210) + u16(2)))
+        before = self.table(1).bytes(210, 2)
         self.hear(noise, 1_000_000)
         self.monitor.flush_if_idle(self.now + 30_000_000)
         self.now += 30_000_000
-        self.hear(encode(1, STATUS, b'\x99\x99', 0))
+        self.hear(encode(1, STATUS, b'\x99\x98', 0))
+        assert self.table(1).bytes(210, 2) == before
+
+    @rule(number=IDS, wide=st.binary(min_size=8, max_size=8), narrow=st.binary(min_size=2,
+          max_size=2))
+    def spans_that_overlap(self, number, wide, narrow):
+        """Hold that the last word counts, also between two looks at the table."""
+        self.read(number, 204, wide[:4])
+        self.read(number, 205, narrow)
+        self.read(number, 204, wide[4:])
 
     @rule(pause_ns=st.sampled_from([1, 30_000_000, 1_500_000_000, 20_000_000_000]))
     def pause(self, pause_ns):
