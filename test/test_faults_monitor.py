@@ -291,7 +291,7 @@ def test_the_disk_is_full(alone, tmp_path, recovery):
     lines = path.read_bytes().splitlines()
     reader = Reader(lines)
     kept = [chunk.data for chunk in reader]
-    assert len(kept) > 20
+    assert len(kept) > 2
     assert reader.bad_lines <= 1                # the one that the disk had no room for
     assert len(kept) + reader.bad_lines >= sum(line[:1] == b'(' for line in lines)
     heard = bytes(node.cable.heard)
