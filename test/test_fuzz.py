@@ -248,6 +248,12 @@ class MonitorMachine(RuleBasedStateMachine):
             self.hear(encode(number, STATUS, b'', 0))
         self.learn(number, address, data)
 
+    @rule(address=ADDRESSES, data=SPAN)
+    def write_to_all(self, address, data):
+        self.hear(encode(BROADCAST, 3, u16(address) + data))
+        for number in self.monitor._roster.devices:
+            self.learn(number, address, data)
+
     @rule(number=IDS, address=ADDRESSES, error=st.integers(1, 127))
     def refused_write(self, number, address, error):
         self.hear(encode(number, 3, u16(address) + b'\xee'))
