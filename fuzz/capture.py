@@ -118,7 +118,7 @@ def second_boot(moment, written, lines):
     """Hold that behind a capture an hour long one of the next boot goes on by the wall-clock."""
     file = io.BytesIO()
     later = Moment(moment.wall + 7200 * SECOND, 5 * SECOND)
-    writer = Writer(file, later)
+    writer = Writer(file, moment)
     wire = Wire('left', 57600, 1, '')
     writer.take(wire, b'\1', moment.stamp + 3600 * SECOND)
     writer = Writer(file, later)

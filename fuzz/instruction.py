@@ -23,6 +23,7 @@ BACKUP = {b'\x01CTRL': 'store', b'\x02CTRL': 'restore'}
 RESETS = {b'\xff': 'all', b'\x01': 'all except ID', b'\x02': 'all except ID and Baud Rate'}
 LISTED = {0x82: Answers.LISTED, 0x92: Answers.LISTED,
           0x8A: Answers.COMBINED, 0x9A: Answers.COMBINED}
+TO_MANY = (*LISTED, 0x83, 0x93)     # sent to everybody and to nobody else
 ACKNOWLEDGED = (0x03, 0x04, 0x05, 0x06, 0x08, 0x10, 0x20)
 OPTIONS = {
     0x06: lambda params: RESETS.get(params[:1], ''),
@@ -37,7 +38,7 @@ def check(data):
 
     Never raises; nothing is made up and nothing left out: what is well formed by the e-Manual
     has accesses that spell the parameters again, its option and who must answer; what is
-    malformed has none of these; stuffing is that of fuzz/reference.py and is undone; a packet
+    malformed has none of these, but for the first writes of a Bulk Write; stuffing is that of fuzz/reference.py and is undone; a packet
     comes back as it was sent.
     """
     script = Script(data)
@@ -49,19 +50,19 @@ def check(data):
     assert (request.instruction, request.id) == (instruction, number)
     assert name_of(instruction)
     assert bool(error_text(number)) == (number > 0)
-    assert request.malformed != _WELL_FORMED.get(instruction, lambda params: True)(params)
+    is_well_formed = _WELL_FORMED.get(instruction, lambda params: True)(params) and (
+        number == 0xFE or instruction not in TO_MANY)
+    assert request.malformed != is_well_formed
     if request.malformed:
         assert request.answers is Answers.NOBODY
-        assert not request.accesses
+        assert not request.accesses or (number, instruction) == (0xFE, I.BULK_WRITE)
     else:
         assert request.answers is answers(instruction, number)
         assert request.option == OPTIONS.get(instruction, lambda params: '')(params)
         spell = _SPELL.get(instruction, lambda accesses: b'')
         assert spell(request.accesses) == (params if instruction in _SPELL else b'')
         assert instruction not in _OWN or {one.id for one in request.accesses} == {number}
-    entries = bulk_write_entries(params)
-    assert bool(entries) == _is_bulk_write(params)
-    assert not entries or _bulk_of(entries) == params
+    assert bulk_write_entries(params) == _bulk_entries(params)
     assert stuff(params) == reference.stuff(params)
     assert unstuff(params) == reference.unstuff(params)
     assert unstuff(stuff(params)) == params
@@ -140,21 +141,24 @@ def _bulk(accesses):
                     for one in accesses)
 
 
-def _bulk_of(entries):
-    return b''.join(bytes([number]) + _u16(address) + _u16(len(data)) + data
-                    for number, address, data in entries)
+def _bulk_entries(params):
+    """Return what is written by ID, address, size and so many bytes, up to what is cut."""
+    entries = []
+    while len(params) >= 5:
+        number, content = params[0], params[5:]
+        address, size = (int.from_bytes(params[at:at + 2], 'little') for at in (1, 3))
+        if size > len(content):
+            break
+        entries += [(number, address, content[:size])] * bool(size)
+        params = content[size:]
+    return entries
 
 
 def _is_bulk_write(params):
-    """Tell whether params are entries of ID, address, size and so many bytes, at least one."""
-    while params:
-        size = int.from_bytes(params[3:5], 'little')
-        if not size or len(params) < 5 + size:
-            return False
-        params = params[5 + size:]
-        if not params:
-            return True
-    return False
+    entries = _bulk_entries(params)
+    return bool(entries) and params == b''.join(
+        bytes([number]) + _u16(address) + _u16(len(data)) + data
+        for number, address, data in entries)
 
 
 def _is_sync_write(params):
