@@ -38,8 +38,8 @@ def check(data):
 
     Never raises; nothing is made up and nothing left out: what is well formed by the e-Manual
     has accesses that spell the parameters again, its option and who must answer; what is
-    malformed has none of these, but for the first writes of a Bulk Write; stuffing is that of fuzz/reference.py and is undone; a packet
-    comes back as it was sent.
+    malformed has none of these, but for a Bulk Write's writes up to where it is cut; stuffing is
+    that of fuzz/reference.py and is undone; a packet comes back as it was sent.
     """
     script = Script(data)
     kind = script.byte()
