@@ -15,13 +15,12 @@ import re
 import resource
 import shutil
 import signal
-import subprocess
-import sys
 import time
 
 from conftest import SteppedClock
 from harness import loose_contact
 from harness import no_descriptors
+from harness import starving
 from harness import wait
 from monitored_bus import BUS
 from monitored_bus import DAMAGE
@@ -94,27 +93,8 @@ def test_everything_comes_late(node, cable, recovery):
     node.told_nothing()
 
 
-@contextmanager
-def starved():
-    """Let more processes spin than there are cores, all of them by the time this is entered."""
-    spin = ('import time\nend = time.monotonic() + 120\nprint("spins", flush=True)\n'
-            'while time.monotonic() < end: pass')
-    busy = [subprocess.Popen([sys.executable, '-c', spin], stdout=subprocess.PIPE)
-            for _ in range(2 * len(os.sched_getaffinity(0)))]
-    try:
-        for one in busy:
-            assert one.stdout.readline() == b'spins\n'
-        yield
-        assert all(one.poll() is None for one in busy)
-    finally:
-        for one in busy:
-            one.kill()
-            one.wait()
-            one.stdout.close()
-
-
 def test_no_cpu_left(node, recovery):
-    with starved():
+    with starving():
         node.hears()
         node.hears()
     recovery('CPU starved', node.recovers(time.monotonic()))
