@@ -15,6 +15,7 @@ from dxl_monitor.control_table import Span
 from dxl_monitor.control_table import STRUCTS
 from dxl_monitor.models import Models
 from dxl_monitor.table import READ
+from dxl_monitor.table import size_of
 from dxl_monitor.table import Table
 
 MODELS = Models()
@@ -127,6 +128,7 @@ def test_spot(name: str, register: str, raw: float, key: str, text: str) -> None
 def test_a_meaning_hangs_on_another_register(name: str, selector: str | None, code: int,
                                              register: str, raw: int, key: str, text: str) -> None:
     model, table = named(name), Table()
+    table.limit = size_of(model)
     if selector:
         table.store(model.by_name[selector].at, bytes((code,)), 1, READ)
     field = model.by_name[register]
