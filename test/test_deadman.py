@@ -11,6 +11,7 @@ import json
 import os
 from pathlib import Path
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -184,3 +185,15 @@ def test_a_driver_that_counts_whole_transfers_is_not_flushed_in_mid_frame(monkey
     monkeypatch.setattr(deadman.termios, 'tcflush', lambda *what: flushed.append(what))
     watch._settle()
     assert not flushed
+
+
+def test_a_socket_whose_peer_confirms_nothing_gets_its_stops(monkeypatch):
+    """It cannot be flushed, and need not be: what was written before arrives before."""
+    near, far = socket.socketpair()
+    with near, far:
+        watch = deadman._Watch(memoryview(bytearray(64)).cast('Q'), None, 0)
+        watch._fd, watch._stop, watch._character_s = near.fileno(), bytes(28), 1e-5
+        monkeypatch.setattr(watch, '_pending', lambda: 28)
+        watch._act()
+        far.setblocking(False)
+        assert far.recv(64) == bytes(28)

@@ -445,6 +445,13 @@ def test_stamps_are_judged_on_both_sides(age_s, limit_s, verdict):
     assert gate.offer(DRIVE, now, stamp_age=age_s * SECOND) is verdict
 
 
+def test_a_freeze_that_is_noticed_late_does_not_shorten_what_a_suspension_refuses():
+    gate, now = opened()
+    gate.stop(now, Stop.SUSPEND)
+    gate.stop(now + 50 * MS, Stop.FROZEN)
+    assert gate.offer(DRIVE, now + SECOND - 1) is Verdict.FROZEN
+
+
 def test_before_a_suspension_no_command_is_taken():
     gate, now = opened()
     gate.stop(now, Stop.SUSPEND)

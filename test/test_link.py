@@ -309,6 +309,31 @@ def test_a_stuck_reader_costs_a_write_time_out_and_leads_to_a_stop(tmp_path):
             link.close()
 
 
+def test_suspending_waits_for_the_stop_that_is_owed_too(mcu):
+    with linked(mcu.path) as link:
+        drive(link, mcu)
+        mcu.vanish()
+        wait(lambda: not link.state().is_open)
+        mcu.receiver.arrivals.clear()
+        suspending = threading.Thread(target=link.suspend, args=(PATIENCE_S,))
+        suspending.start()
+        mcu.come_back()
+        suspending.join()
+        assert STOP in velocities(mcu)
+
+
+def test_a_mistake_in_what_is_told_ends_nothing(mcu):
+    def fail(problem):
+        raise RuntimeError('a mistake')
+
+    with linked(mcu.path, on_change=fail) as link:
+        drive(link, mcu)
+        mcu.vanish()
+        wait(lambda: not link.state().is_open)
+        mcu.come_back()
+        drive(link, mcu)
+
+
 class Sullen(Port):
     """A port that takes nothing, not even after a flush."""
 
@@ -337,6 +362,7 @@ def of_kind(kind):
 
 def test_a_port_that_stays_stuck_is_reopened_and_closing_is_bounded(mcu):
     with linked(mcu.path, opener=of_kind(Sullen), write_timeout_s=0.005) as link:
+        wait(lambda: link.state().is_open and link.state().problem is not None)
         wait(lambda: link.state().losses >= 1)
         assert 'takes no data' in link.state().last_error
         wait(lambda: link.state().openings >= 2)

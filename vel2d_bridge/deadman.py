@@ -206,19 +206,20 @@ class _Watch:
             os.write(self._fd, self._stop)
 
     def _settle(self) -> None:
-        """Wait for an idle line; what does not leave is flushed."""
-        deadline = time.monotonic() + _STUCK_S
+        """Wait for an idle line; what does not leave is flushed, but for what a socket has."""
+        deadline = time.monotonic() + max(_STUCK_S, 2 * GAP_CHARACTERS * self._character_s)
         while (pending := self._pending()) and time.monotonic() < deadline:
             time.sleep(0.001)
         if pending:
-            termios.tcflush(self._fd, termios.TCOFLUSH)
+            with suppress(termios.error):      # a socket delivers it, in order
+                termios.tcflush(self._fd, termios.TCOFLUSH)
             time.sleep(_FIFO_CHARACTERS * self._character_s)
         else:
             time.sleep(GAP_CHARACTERS * self._character_s)
 
     def _pending(self) -> int:
         count = array.array('i', [0])
-        with suppress(OSError):    # not a tty: a socket:// port
+        with suppress(OSError):    # a socket answers as well: what its peer has not confirmed
             fcntl.ioctl(self._fd, termios.TIOCOUTQ, count)
         return count[0]
 

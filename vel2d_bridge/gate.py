@@ -204,7 +204,7 @@ class Gate:
         self._forget()
         self.is_shut |= why is Stop.SHUTDOWN
         if why is Stop.FROZEN:
-            self._settled = now + SETTLE
+            self._settled = max(self._settled, now + SETTLE)
             self.hold(now + self._spacing)           # the deadman may just be writing
         if why is Stop.SUSPEND:                      # no command cuts its burst short
             self._settled = now + SECOND

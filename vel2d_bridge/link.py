@@ -21,7 +21,6 @@ from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
 from mecarover_serial.port import PortError
-from mecarover_serial.preflight import Reason
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
@@ -36,21 +35,19 @@ from vel2d_bridge.gate import Stop
 from vel2d_bridge.gate import Verdict
 from vel2d_bridge.link_state import deadman_state
 from vel2d_bridge.link_state import LinkState
+from vel2d_bridge.link_state import stuck
 from vel2d_bridge.pacer import Pacer
 from vel2d_bridge.pacer import Sent
 from vel2d_bridge.wake import Wake
 
-_STUCK_TIME_OUTS = 10              # in a row: reopening may help an adapter that hangs
+_FEW_TIME_OUTS = 2                 # in a row: no accident, it is told
+_STUCK_TIME_OUTS = 10              # reopening may help an adapter that hangs
 _SEARCH_NS = SECOND                # when closing: for a lost port to come back
-_CLOSE_NS = 2 * SECOND             # and for the last burst; the port may be stuck
-_JOIN_S = 2.5
+_CLOSE_NS = 3 * SECOND // 2        # and for the last burst; the port may be stuck
+_JOIN_S = 1.7
 _POLL_S = 0.005
 _RETRY_S = 0.5                     # at most between attempts: until then the rover may be driving
 _LAST_RETRY_S = 0.1                # while closing
-
-
-def _ignore(*_: object) -> None:
-    """Be a callback that nobody wants."""
 
 
 class Link:
@@ -60,9 +57,9 @@ class Link:
             self, name: str, baud: int, gate: Gate, *,
             crc: Callable[[bytes], int] = crc32_mpeg2, write_timeout_s: float = 0.05,
             deadman: Deadman | None = None,
-            on_sent: Callable[[Sent], None] = _ignore,
-            on_received: Callable[[bytes, int], None] = _ignore,
-            on_change: Callable[[PortError | None], None] = _ignore,
+            on_sent: Callable[[Sent], None] = lambda sent: None,
+            on_received: Callable[[bytes, int], None] = lambda chunk, stamp: None,
+            on_change: Callable[[PortError | None], None] = lambda problem: None,
             opener: Callable[[str, int], Port] = open_port,
             clock: Callable[[], int] = time.monotonic_ns) -> None:
         """
@@ -151,13 +148,15 @@ class Link:
             self._wake.close()
         if self._deadman is not None:
             self._deadman.leave()
-        return not self._owes_stop
+        return not (self._owes_stop or self.gate.stopping)
 
     def state(self) -> LinkState:
         with self._lock:
             pacer, gate = self._pacer, self.gate
             return LinkState(
-                self._port is not None, self._since, self._problem, self._last_error,
+                self._port is not None, self._since,
+                self._problem or stuck(self._name, pacer.time_outs_in_row, _FEW_TIME_OUTS),
+                self._last_error,
                 self._openings, self._losses, pacer.frames, pacer.time_outs,
                 pacer.partial_writes, pacer.freezes, self._bytes_received, pacer.last,
                 gate.driving, gate.enabled,
@@ -165,8 +164,8 @@ class Link:
 
     def _is_idle(self) -> bool:
         with self._lock, suppress(PortError):
-            return self._pacer.is_idle()
-        return True
+            return self._pacer.is_idle() and not self._owes_stop
+        return False
 
     def _acted(self) -> bool:
         return self._deadman is not None and self._deadman.acted()
@@ -230,7 +229,7 @@ class Link:
                 self._overslept = False
                 self._pacer.notice_freeze(now, True)
         self._backoff.reset()
-        self._on_change(None)
+        self._tell(None)
 
     def _is_finished(self, port: Port) -> bool:
         with self._lock:
@@ -247,9 +246,8 @@ class Link:
             if self._failure is not None:
                 raise self._failure
             self._wake_at = min(self._pacer.turn(now, acted), now + BEAT)
-            if self._pacer.time_outs_in_row >= _STUCK_TIME_OUTS:
-                raise PortError(self._name, Reason(
-                    'lost', 'takes no data', 'check flow control, cable and adapter'))
+            if error := stuck(self._name, self._pacer.time_outs_in_row, _STUCK_TIME_OUTS):
+                raise error
             sleep = self._wake_at - self._clock()
         if port.wait(max(sleep, 0) / SECOND, self._wake.fd):
             self._receive(port)
@@ -266,7 +264,7 @@ class Link:
         with self._lock:
             self._port = None
             self._since = self._clock()
-            self._owes_stop = self.gate.driving or self.gate.stopping
+            self._owes_stop |= self.gate.driving or self.gate.stopping
             self._pacer.detach()
             if error is not None:
                 self._losses += 1
@@ -278,7 +276,11 @@ class Link:
                 port.drop_output()
         port.close()
         if error is not None:
-            self._on_change(error)
+            self._tell(error)
+
+    def _tell(self, problem: PortError | None) -> None:
+        with suppress(Exception):                    # a callback's mistake ends no thread
+            self._on_change(problem)
 
     def _report(self, error: PortError) -> None:
         with self._lock:
@@ -286,7 +288,7 @@ class Link:
             self._problem = error
             self._last_error = str(error)
         if is_new:
-            self._on_change(error)
+            self._tell(error)
 
     def _doze(self, seconds: float) -> None:
         """Sleep between attempts; shutting down shortens it."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from mecarover_serial.port import Port
 from mecarover_serial.port import PortError
+from mecarover_serial.preflight import Reason
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.pacer import Sent
 
@@ -40,3 +41,11 @@ def deadman_state(deadman: Deadman | None, port: Port | None, now: int) -> str:
     if port is not None and port.fd is None:
         return NO_USE
     return READY if deadman.is_alive(now) else LOST
+
+
+def stuck(name: str, time_outs: int, many: int) -> PortError | None:
+    """Return what is wrong with a line that let out no frame so many times in a row, if it is."""
+    if time_outs < many:
+        return None
+    return PortError(name, Reason(
+        'lost', 'takes no data', 'check flow control, cable and adapter'))

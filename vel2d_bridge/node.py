@@ -73,6 +73,7 @@ class Bridge:
         self._mcu = McuLog()
         self._sent: deque[Sent] = deque(maxlen=KEPT_FRAMES)
         self._hopeless: PortError | None = None
+        self._inspection = threading.Thread()
         self._port_warnings: list[str] = []
         self._said: set[str] = set()                # complaints that still stand
         self._known_freezes = 0
@@ -174,8 +175,10 @@ class Bridge:
         if problem is None:
             self._log.info(f'{self._port}: open at {self._values["baud"]} baud; sending stops '
                            'until a command comes')
-            # Not in this thread: it looks at every process of the system.
-            threading.Thread(target=self._inspect, daemon=True).start()
+            if not self._inspection.is_alive():      # a line that is stuck is opened every second
+                # Not in this thread: it looks at every process of the system.
+                self._inspection = threading.Thread(target=self._inspect, daemon=True)
+                self._inspection.start()
         elif problem.kind in HOPELESS and not self._link.state().openings:
             self._hopeless = problem
         else:
