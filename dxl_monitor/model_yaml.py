@@ -25,7 +25,7 @@ from mecarover_serial.cli import printable
 NUMBER_LIMIT = 0xFFFF
 INTEGER_BITS = 64            # of the widest register
 FILE_LIMIT = 500_000         # bytes; our longest file has 11 000
-NODES_LIMIT = 20_000         # values, what aliases stand for counted each time; ours have 800
+NODES_LIMIT = 60_000         # values, what aliases stand for counted each time; ours have 800
 DEPTH_LIMIT = 50             # libyaml calls itself for each level: too many kill the process
 TOLD = 1000                  # characters of a part of a message, at most
 NUMBER_END = 1e100           # of no register: neither infinite nor too long for a float

@@ -55,7 +55,7 @@ from msg_defs.ros import to_time
 OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
 BEHIND_NS = 1_000_000_000   # after a freeze; else a tap is 0.3 s behind at most
 AGAIN_NS = 50_000_000       # until it is looked again whether that is over
-PATIENCE_NS = 5_000_000_000     # then it is no freeze: the tap does not listen
+PATIENCE_NS = 2_500_000_000     # then it is no freeze, its reader hangs; a dashboard waits 4 s
 
 
 class Listener:
@@ -117,8 +117,12 @@ class Listener:
         if counters.line_errors is not None:
             values += [(f'Driver: {name}', str(count))
                        for name, count in counters.line_errors._asdict().items()]
+        warning = '' if self._recorder is None else self._recorder.problem
+        if state.is_open and self._behind_since:
+            warning = (f'{self.bus.port}: who reads it says nothing, what is told here is old; '
+                       'plug the adapter in again, or restart the node')
         return PortState(self.bus.port, '' if state.is_open else state.text, tuple(values),
-                         '' if self._recorder is None else self._recorder.problem)
+                         warning)
 
 
 class JointStates:
@@ -181,6 +185,7 @@ class MonitorNode:
                 listener.tap.stop()
             if self._recorder is not None:
                 self._recorder.stop()
+                self._tell_capture()
 
     def suspend(self) -> None:
         """Nothing moves here."""

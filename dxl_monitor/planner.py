@@ -138,8 +138,9 @@ class Planner:
         plan.counted = plan.asked
         for kind in plan.oddities:
             self._evidence.counts[kind] += new
-        for slot in plan.slots.values():
-            slot.device.reads += new if slot.due is Due.READ else 0
+        for number, slot in plan.slots.items():
+            if slot.due is Due.READ and number != BROADCAST:   # of a fast read: its first device
+                slot.device.reads += new
 
     def _learn(self, body: bytes, stamp: int) -> Plan:
         request = parse(body[3], body[0], unstuff(body[4:]))

@@ -84,7 +84,10 @@ class Recorder:
     def stop(self) -> None:
         """Write what is left and close the file; give up what nobody takes, as a full pipe."""
         self._is_stopping.set()
-        self._thread.join(STOP_S)
+        size = -1
+        while self._thread.is_alive() and size != self._writer.size:     # it still gets on
+            size = self._writer.size
+            self._thread.join(STOP_S)
         if self._thread.is_alive():
             self.problem = f'capture stopped: {self.path}: takes nothing; what waited is lost'
 

@@ -15,6 +15,7 @@ import os
 import select
 import stat
 import sys
+import threading
 import time
 from typing import NamedTuple
 from urllib.parse import quote
@@ -75,7 +76,7 @@ class Player:
                 continue
             if self._speed:
                 due_s = start_s + (chunk.stamp - begin) / 1e9 / self._speed
-                time.sleep(max(0.0, due_s - time.monotonic()))
+                time.sleep(min(max(0.0, due_s - time.monotonic()), threading.TIMEOUT_MAX))
             _write(outlet, chunk.data)
             if self._speed:
                 late_s = max(late_s, time.monotonic() - due_s)

@@ -149,6 +149,8 @@ class Roster:
         take at once tells none of them apart, so each stays who it was.
         """
         device.writes += 1
+        if device.unresolved:
+            self.resolve(device)           # its model tells how much of the table is kept
         device.table.store(address, data, stamp, WRITTEN)
         if address < device.eeprom_end or address <= device.level_at < address + len(data):
             self.follow(device, address, data, stamp, alone)
@@ -226,7 +228,8 @@ class Roster:
         if number > MAX_ID or self.devices.get(device.number) is not device:
             return
         other = self.devices.get(number)
-        if other is not None and other.heard:
+        if other is device or (
+                other is not None and other.heard and not other.missed_in_a_row):
             return             # itself, or one that nobody may take for another
         if other is not None and other.expected:
             device.joint, device.expected = other.joint, True

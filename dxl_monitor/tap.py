@@ -25,10 +25,10 @@ from dxl_monitor.tap_driver import latency_timer_ms
 from dxl_monitor.tap_driver import line_errors
 from dxl_monitor.tap_driver import LineErrors
 from dxl_monitor.tap_driver import set_low_latency
+from mecarover_serial.port import as_port_error
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
-from mecarover_serial.port import PortError
 
 ERRORS_EVERY_NS = 1_000_000_000
 IDLE_S = 0.02
@@ -123,7 +123,8 @@ class Tap:
                 port = open_port(self.port, self.baud, read_only=True)
                 self._prepare(port)
                 self._listen(port)
-            except PortError as error:
+            except Exception as mistake:            # whoever's: none ends the listening
+                error = as_port_error(self.port, mistake)
                 self.state = TapState(False, error.kind, str(error), time.monotonic_ns())
             finally:
                 if port is not None:

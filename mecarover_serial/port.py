@@ -86,9 +86,12 @@ class Port:
     def read(self) -> bytes:
         """Return what is there, b'' when nothing is."""
         try:
-            if self.fd is None:
-                return bytes(self._device.read(self._device.in_waiting))
-            chunk = os.read(self.fd, _READ_SIZE)
+            if self.fd is not None:
+                chunk = os.read(self.fd, _READ_SIZE)
+            elif count := self._device.in_waiting:
+                chunk = bytes(self._device.read(count))
+            else:
+                return b''
         except BlockingIOError:
             return b''
         except (OSError, serial.SerialException) as error:

@@ -230,6 +230,15 @@ def test_an_inbox_is_bounded_in_bytes_too(monkeypatch):
         assert len(dashboard.server._inbox) == 3
 
 
+def test_a_message_beyond_all_bounds_takes_no_room_of_others():
+    from dxl_monitor.dashboard.server import INBOX_BYTES
+    with Dashboard() as dashboard:
+        dashboard.stop()
+        dashboard.server.take('/diagnostics', bytes(300))
+        dashboard.server.take('/diagnostics', bytes(INBOX_BYTES + 1))
+        assert [len(message) for _, message, _ in dashboard.server._inbox] == [300, 0]
+
+
 def test_versions_that_clients_claim_do_not_pile_up(dashboard):
     from dxl_monitor.dashboard.server import MOST_CLIENTS
     for since in range(2 * MOST_CLIENTS):

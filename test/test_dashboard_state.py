@@ -279,6 +279,19 @@ def test_what_is_kept_of_a_message_is_what_is_shown_of_it():
     assert state.table(name).facts[-1] == ('a', 'b')
 
 
+def test_the_silent_make_room_where_bytes_are_short_too(monkeypatch):
+    monkeypatch.setattr('dxl_monitor.dashboard.state.MOST_BYTES', 1_000_000)
+    state = State()
+    for at in range(20):
+        take_one(Status(f'x: timing/{at}', Level.OK, '', '', [('value (%)', '1')]), state=state)
+    before = state.refused
+    assert before
+    take_one(Status('x: timing/new', Level.OK, '', '', [('value (%)', '1')]), state=state,
+             now_s=FORGET_S + 2)
+    assert state.refused == before
+    assert len(state.changes(0)['timing']) == 1
+
+
 def test_messages_of_others_are_bounded_too():
     state = take_one(one_device(message='z' * MOST_OF_MESSAGE))
     assert state.refused == 1

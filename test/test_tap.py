@@ -161,6 +161,26 @@ def test_is_lost_and_found_ten_times(tmp_path: Path) -> None:
     assert len(os.listdir('/proc/self/fd')) == before
 
 
+def test_no_mistake_ends_the_listening(cable: Pty) -> None:
+    """Not one of ours either: the port is opened again."""
+    mistakes = [TypeError('expected str, not NoneType')]
+
+    def feed(chunk: bytes, stamp: int) -> None:
+        if mistakes:
+            raise mistakes.pop()
+        heard.append(chunk)
+
+    heard: list[bytes] = []
+    tap = Tap(str(cable.link), 2_000_000, feed)
+    tap.start()
+    wait_for(lambda: tap.state.is_open, 'open')
+    os.write(cable.master, b'x')
+    wait_for(lambda: tap.counters.openings > 1 and tap.state.is_open, 'open again')
+    os.write(cable.master, b'y')
+    wait_for(lambda: b'y' in b''.join(heard), 'a byte behind it')
+    tap.stop()
+
+
 def _plug_in_and_out(link: str, listener: Listener, byte: bytes) -> None:
     with Pty(link) as cable:
         listener.wait_open()

@@ -569,6 +569,14 @@ def test_nobody_takes_the_place_of_a_device_that_was_heard() -> None:
     assert {n: bus.device(n).joint for n in bus.roster.devices} == {1: '', 2: 'right_knee'}
 
 
+def test_who_replaces_a_dead_device_is_a_new_one_under_its_id() -> None:
+    bus = Bus()
+    bus.hear(ping(5), pong(5, MX_106), read(5), ping(1), pong(1), write(1, 7, b'\x05'), reply(1),
+             ping(5), pong(5))
+    assert set(bus.roster.devices) == {5}
+    assert bus.device(5).model.name == 'MX-64'
+
+
 def test_who_gets_the_id_of_one_that_is_listed_is_that_one() -> None:
     bus = Bus(Expected(2, 'MX-106', 'right_knee'))
     bus.hear(ping(1), pong(1, MX_106), write(1, 7, b'\x02'), reply(1))
@@ -655,6 +663,14 @@ def test_a_fast_read_fills_every_table() -> None:
     assert (bus.known(1, POSITION), bus.known(2, POSITION)) == (b'aaaa', HEADER)
     assert bus.device(2).alert
     assert [bus.device(n).missed for n in (1, 2)] == [0, 0]
+
+
+def test_a_fast_read_is_a_read_of_each_device_once() -> None:
+    bus = Bus()
+    for _ in range(3):
+        bus.hear(fast_read(1, 2), fast_reply({1: b'aaaa', 2: b'bbbb'}))
+    bus.tracker.plans()
+    assert [bus.device(n).reads for n in (1, 2)] == [3, 3]
 
 
 def test_a_cut_fast_reply_keeps_the_whole_blocks_and_names_the_first_missing() -> None:

@@ -29,15 +29,17 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 from dxl_monitor.dashboard.client import Client
 from dxl_monitor.dashboard.client import json_text
+from dxl_monitor.dashboard.state import MOST_OF_MESSAGE
 from dxl_monitor.dashboard.state import State
 
 PUSH_S = 0.2                    # changes are collected for so long
 BEAT_S = 1.0                    # at least one event in this time: the page can tell that we live
 SEND_S = 15.0                   # a client that takes nothing for so long is given up
 MOST_CLIENTS = 50
+KEEP_ALIVE_S = 75.0             # of who asks nothing more: aiohttp waits an hour
 INBOX = 400                     # messages; what does not fit was overtaken anyway
 INBOX_BYTES = 64_000_000
-MOST_CONNECTIONS = 200          # pages, files and whatever says nothing; a process has 1024 files
+MOST_CONNECTIONS = 400          # pages, files and whatever says nothing; a process has 1024 files
 
 _TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript',
           'svg': 'image/svg+xml'}
@@ -128,6 +130,8 @@ class Server:
 
     def take(self, topic: str, message: bytes) -> None:
         """Take a serialised DiagnosticArray; it is looked at with the next push."""
+        if len(message) > MOST_OF_MESSAGE:
+            message = b''                       # counted as malformed, and takes no one's room
         with self._inbox_lock:
             self._inbox.append((topic, message, time.monotonic()))
             self._inbox_bytes += len(message)
@@ -150,7 +154,8 @@ class Server:
         logger = logging.getLogger('dxl_dashboard')
         logger.addFilter(_Mistakes())
         runner = web.AppRunner(self._app(), access_log=None, handle_signals=False,
-                               shutdown_timeout=0.5, logger=logger)
+                               shutdown_timeout=0.5, logger=logger,
+                               keepalive_timeout=KEEP_ALIVE_S)
         await runner.setup()
         handlers = runner.server
         assert handlers is not None

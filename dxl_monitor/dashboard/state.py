@@ -83,7 +83,7 @@ class State:
         self.messages[topic] += 1
         self.arrived[topic] = now_s
         self.version += 1
-        if self._is_full(_ROW):
+        if self._is_full(_ROW + 2 * _POINTS):
             self._forget_the_silent(now_s)
         for status in found:
             section = rows.section(status)
@@ -156,6 +156,7 @@ class State:
             for name, entry in list(entries.items()):
                 if now_s - entry.arrived > FORGET_S:
                     self._remove(section, name)
+        self._heard = {node: at for node, at in self._heard.items() if now_s - at <= FORGET_S}
 
     def _remove(self, section: str, name: str) -> None:
         self.version += 1
