@@ -713,9 +713,10 @@ def test_behind_damage_a_fast_reply_is_life_only_cut_or_not(lost: bytes, size: i
     assert bus.device(1).missed == 0
 
 
-def test_a_glitch_does_not_spoil_a_cut_fast_reply() -> None:
+@pytest.mark.parametrize('size', [1, 3])
+def test_a_glitch_does_not_spoil_a_cut_fast_reply(size: int) -> None:
     bus = Bus()
-    bus.hear(fast_read(1, 2), b'\x00' + fast_reply({1: b'aaaa', 2: b'bbbb'})[:-1])
+    bus.hear(fast_read(1, 2), bytes(size) + fast_reply({1: b'aaaa', 2: b'bbbb'})[:-1])
     bus.idle()
     assert bus.known(1, POSITION) == b'aaaa'
 
