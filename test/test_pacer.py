@@ -143,7 +143,7 @@ def test_a_frame_is_given_the_time_it_takes_however_short_the_write_time_out_is(
     world.line.holds = FRAME_SIZE
     world.pacer.step(begin + on_the_wire)
     assert (world.line.dropped, world.pacer.time_outs) == (0, 0)
-    world.run(100 * MS)
+    world.pacer.step(begin + 2 * characters_ns(FRAME_SIZE + 2, 19200))
     assert (world.line.dropped, world.pacer.time_outs) == (1, 1)
 
 
