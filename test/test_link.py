@@ -70,6 +70,12 @@ def drive(link, mcu, velocity=DRIVE):
     wait(follows)
 
 
+def unplug(link, mcu):
+    """Take the port away and wait until the link knows."""
+    mcu.vanish()
+    wait(lambda: not link.state().is_open)
+
+
 def test_commands_arrive_and_silence_stops(mcu):
     sent = []
     with linked(mcu.path, on_sent=sent.append) as link:
@@ -140,8 +146,7 @@ def test_unplugged_and_back_ten_times(mcu):
     with linked(mcu.path, on_change=changes.append) as link:
         for _ in range(10):
             drive(link, mcu)
-            mcu.vanish()
-            wait(lambda: not link.state().is_open)
+            unplug(link, mcu)
             assert link.offer(DRIVE) is Verdict.NO_PORT
             mcu.receiver.arrivals.clear()
             mcu.come_back()
@@ -205,8 +210,7 @@ def test_frozen_while_the_port_is_closed_it_begins_anew_too(mcu, monkeypatch):
 def test_closing_while_the_port_is_lost_waits_for_it_to_send_the_stop_that_is_owed(mcu):
     with linked(mcu.path) as link:
         drive(link, mcu)
-        mcu.vanish()
-        wait(lambda: not link.state().is_open)
+        unplug(link, mcu)
         mcu.receiver.arrivals.clear()
         closing = threading.Thread(target=link.close)
         closing.start()
@@ -224,8 +228,7 @@ def test_closing_tells_whether_the_rover_may_be_driving_on(mcu, drives):
         drive(link, mcu)
         if not drives:
             wait(lambda: mcu.receiver.wheels.is_stop and not link.gate.stopping)
-        mcu.vanish()
-        wait(lambda: not link.state().is_open)
+        unplug(link, mcu)
         assert link.close() is not drives
         assert link.close()
     assert not link._thread.is_alive()
@@ -312,8 +315,7 @@ def test_a_stuck_reader_costs_a_write_time_out_and_leads_to_a_stop(tmp_path):
 def test_suspending_waits_for_the_stop_that_is_owed_too(mcu):
     with linked(mcu.path) as link:
         drive(link, mcu)
-        mcu.vanish()
-        wait(lambda: not link.state().is_open)
+        unplug(link, mcu)
         mcu.receiver.arrivals.clear()
         suspending = threading.Thread(target=link.suspend, args=(PATIENCE_S,))
         suspending.start()
@@ -328,8 +330,7 @@ def test_a_mistake_in_what_is_told_ends_nothing(mcu):
 
     with linked(mcu.path, on_change=fail) as link:
         drive(link, mcu)
-        mcu.vanish()
-        wait(lambda: not link.state().is_open)
+        unplug(link, mcu)
         mcu.come_back()
         drive(link, mcu)
 
