@@ -12,12 +12,15 @@ TOOLS = {
     'vel2d_bridge': 'vel2d_bridge.main',
     'dxl_monitor': 'dxl_monitor.main',
     'fake_mcu': 'vel2d_bridge.fake_mcu',
-    'fake_bus': 'dxl_monitor.fake_bus',
-    'dxl_dump': 'dxl_monitor.dump.main',
-    'dxl_replay': 'dxl_monitor.replay',
-    'dxl_dashboard': 'dxl_monitor.dashboard.main',
+    'fake_bus': 'dxl_monitor.fake.fake_bus',
+    'dxl_dump': 'dxl_monitor.tools.dump.main',
+    'dxl_doctor': 'dxl_monitor.tools.doctor.main',
+    'dxl_replay': 'dxl_monitor.tools.replay',
+    'dxl_tap': 'dxl_monitor.tools.tap',
+    'dxl_dashboard': 'mecarover_dashboard.main',
+    'mecarover_status': 'mecarover_dashboard.terminal',
 }
-DASHBOARD = ['aiohttp>=3.9']
+DASHBOARD = ['aiohttp>=3.9', 'prometheus-client>=0.16']
 DOCS = ['sphinx>=7']
 
 setup(
@@ -32,8 +35,11 @@ setup(
     license='Apache-2.0',
     python_requires='>=3.10',
     packages=find_packages(include=[
-        'msg_defs', NAME, 'vel2d_bridge*', 'dxl_monitor*', 'mecarover_demo']),
-    package_data={'dxl_monitor': ['models/*.yaml', 'dashboard/static/*']},
+        'msg_defs', NAME, 'vel2d_bridge*', 'dxl_monitor*', 'mecarover_dashboard',
+        'mecarover_demo']),
+    package_data={'dxl_monitor.model': ['files/*.yaml'],
+                  'dxl_monitor.tools.doctor': ['errors.yaml'],
+                  'mecarover_dashboard': ['static/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + NAME]),
         ('share/' + NAME, ['package.xml']),
@@ -47,8 +53,11 @@ setup(
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6'],
         'dashboard': DASHBOARD,
-        'test': ['pytest>=7.4', 'pytest-xdist>=3.7', 'hypothesis', 'dynamixel-sdk==4.1.0', 'ruff',
-                 'mypy', 'types-PyYAML', 'playwright', 'axe-playwright-python', *DOCS, *DASHBOARD],
+        'test': ['pytest>=7.4', 'pytest-xdist>=3.7', 'hypothesis', 'dynamixel-sdk==4.1.0',
+                 'feetech-servo-sdk==1.0.0', 'ruff', 'mypy', 'types-PyYAML', 'playwright',
+                 # wheels only where they are sure to be: else it wants a Rust compiler
+                 'rustypot==1.13.1; platform_machine == "x86_64"', 'axe-playwright-python',
+                 *DOCS, *DASHBOARD],
         'docs': DOCS,
         'fuzz': ['atheris>=2.3'],           # python -m fuzz; the tests do without
     },

@@ -18,8 +18,9 @@ from benchmark.harness import table
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 
-# Each is a module here with run(options) -> list of figures.
+# Each is a module with run(options) -> list of figures.
 PLAIN = ('parsing', 'doctor', 'node_cost', 'bridge', 'messages')
+RIGS = {'load': 'rigs', 'soak': 'rigs'}  # in another folder than this one
 ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
 NEEDS_ROS = ('node_cost', 'bridge', 'messages', *ALONE)
 
@@ -31,7 +32,7 @@ class Failed(OSError):
 def main(arguments: Sequence[str]) -> None:
     options = _parser().parse_args(arguments)
     if options.trace is not None and not options.trace.is_file():
-        raise UsageError(f'--trace: {options.trace} is no file; give the raw bytes of a bus')
+        raise UsageError(f'--trace: {options.trace} is not a file; give the raw bytes of a bus')
     settings = Options(quick=options.quick, trace=options.trace,
                        seconds=2.0 if options.quick else options.seconds,
                        soak_minutes=options.soak or 0.0, load_minutes=options.load or 0.0)
@@ -71,7 +72,7 @@ def _run(section: str, settings: Options) -> list[Figure]:
         print(f'{section}: skipped: no rclpy here; source ROS 2 first', file=sys.stderr)
         return []
     print(f'{section} ...', file=sys.stderr)
-    module = import_module(f'benchmark.{section}')
+    module = import_module(f'{RIGS.get(section, "benchmark")}.{section}')
     figures: list[Figure] = module.run(settings)
     print(getattr(module, 'layout', table)(figures), flush=True)
     if found := getattr(module, 'problems', lambda figures: [])(figures):

@@ -4,12 +4,15 @@
 From a Twist published in one process to its frame at a pty in another, through the real node.
 
 Beside it the floor: the least that a rclpy node can do, a callback that encodes and writes. Both
-get the same commands, turn by turn. The Twist carries the time of its publishing in linear.x
-(float64 and unlimited, so the frame carries it too), on the clock that all processes share.
+get the same commands, turn by turn, at several rates, steady and with jitter. The Twist carries
+the time of its publishing in linear.x (float64 and unlimited, so the frame carries it too), on the
+clock that all processes share.
 """
 
 from contextlib import ExitStack
+import json
 import os
+import random
 import select
 import sys
 import time
@@ -32,9 +35,15 @@ from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
 
 SECTION = 'bridge: Twist published to frame received'
-PERIOD_S = 0.04                 # of the commands to each node: below the bridge's max_rate
+RATES_HZ = (10, 20, 25, 29, 30, 33, 50, 100)    # of the commands to each node
+MAX_RATE_HZ = 30                # the bridge's default
+JITTERS_MS = (0, 2)
+PLANS = [(rate, jitter) for rate in RATES_HZ for jitter in JITTERS_MS]
+SHARE = 0.25                    # a plan gets this share of the seconds of an experiment
 TOPICS = {'bridge': 'cmd_vel', 'floor': 'bench_cmd_vel'}
 DISCOVERY_S = 30.0
+
+Round = dict[tuple[int, int], dict[str, list[float]]]    # plan: node: latencies in ms
 
 
 def run(options: Options) -> list[Figure]:
@@ -47,12 +56,17 @@ def run(options: Options) -> list[Figure]:
             'floor': stack.enter_context(
                 Child('benchmark.bridge', 'floor', ptys['floor'].path, env=env)),
         }
-        stack.enter_context(Child('benchmark.bridge', 'publisher', env=env))
+        publisher = stack.enter_context(Child('benchmark.bridge', 'publisher', env=env))
         receiver = Receiver({name: pty.master for name, pty in ptys.items()})
         receiver.wait_for_all(DISCOVERY_S)
         receiver.take(1.0)      # the first ones are slow
         before = {name: usage(node.pid) for name, node in nodes.items()}
-        rounds = [receiver.take(options.seconds) for _ in range(options.rounds)]
+        rounds: list[Round] = [{} for _ in range(options.rounds)]
+        for one in rounds:
+            for plan in PLANS:
+                publisher.tell(plan)
+                receiver.take(0.3)      # what the plan before it left behind
+                one[plan] = receiver.take(SHARE * options.seconds)
         after = {name: usage(node.pid) for name, node in nodes.items()}
     return _figures(rounds) + _cpu_figures(rounds, before, after)
 
@@ -101,16 +115,25 @@ class Receiver:
         return new
 
 
-def _figures(rounds: list[dict[str, list[float]]]) -> list[Figure]:
-    points = {f'Twist to frame, {name}': _points([ms for one in rounds for ms in one[name]])
-              for name in TOPICS}
-    figures = [
-        Figure(SECTION, f'{name}, p{share * 100:g}', 'ms',
-               [quantile(one[name], share) for one in rounds])
-        for share in (0.5, 0.95, 0.99) for name in TOPICS]
-    ratios = [quantile(one['bridge'], 0.5) / quantile(one['floor'], 0.5) for one in rounds]
-    figures.append(Figure(SECTION, 'bridge / floor, p50', '', ratios, 'wanted: at most 1.25',
-                          points))
+def _figures(rounds: list[Round]) -> list[Figure]:
+    figures = []
+    for plan in PLANS:
+        rate, jitter = plan
+        section = f'{SECTION}, {rate} Hz' + (f', {jitter} ms jitter' if jitter else '')
+        taken = [one[plan] for one in rounds]
+        figures += [
+            Figure(section, f'{name}, p{share * 100:g}', 'ms',
+                   [quantile(one[name], share) for one in taken])
+            for share in (0.5, 0.95) for name in TOPICS]
+        points = {f'Twist to frame, {name}': _points([ms for one in taken for ms in one[name]])
+                  for name in TOPICS}
+        wanted = 'wanted: at most 1.25' if rate <= MAX_RATE_HZ else 'commands are replaced'
+        figures.append(Figure(section, 'bridge / floor, p50', '', [
+            quantile(one['bridge'], 0.5) / quantile(one['floor'], 0.5) for one in taken],
+            wanted, points))
+        figures.append(Figure(section, 'bridge - floor, p95', 'ms', [
+            quantile(one['bridge'], 0.95) - quantile(one['floor'], 0.95) for one in taken],
+            'wanted: at most 3' if rate <= MAX_RATE_HZ else ''))
     return figures
 
 
@@ -119,24 +142,31 @@ def _points(latencies: list[float]) -> dict[str, float]:
             'p99': quantile(latencies, 0.99), 'max': max(latencies)}
 
 
-def _cpu_figures(rounds: list[dict[str, list[float]]], before: dict[str, Usage],
+def _cpu_figures(rounds: list[Round], before: dict[str, Usage],
                  after: dict[str, Usage]) -> list[Figure]:
-    """Return the CPU time per command: of all that the process does, resends and reports too."""
-    return [Figure(SECTION, f'{name}, CPU', 'ms/command', [
-        1000 * (after[name].cpu_s - before[name].cpu_s) / sum(len(one[name]) for one in rounds)])
+    """Return the CPU time per frame: of all that the process does, resends and reports too."""
+    return [Figure(SECTION, f'{name}, CPU', 'ms/frame', [
+        1000 * (after[name].cpu_s - before[name].cpu_s)
+        / sum(len(taken[name]) for one in rounds for taken in one.values())])
         for name in TOPICS]
 
 
 def publish() -> None:
-    """Be the publishing process: one command to each node in turn."""
+    """Be the publishing process: commands to each node in turn, by the plan heard last."""
     node = rclpy.create_node('bench_publisher')
     publishers = [node.create_publisher(Twist, topic, 1) for topic in TOPICS.values()]
+    chance = random.Random(1)
     twist = Twist()
+    rate, jitter_ms = PLANS[0]
     due = time.monotonic()
     while True:
+        if select.select([sys.stdin], [], [], 0)[0]:
+            rate, jitter_ms = json.loads(sys.stdin.readline())
+            due = time.monotonic()
         for publisher in publishers:
-            due += PERIOD_S / len(publishers)
-            time.sleep(max(0.0, due - time.monotonic()))
+            due += 1 / rate / len(publishers)
+            late = chance.uniform(0, jitter_ms / 1000)
+            time.sleep(max(0.0, due + late - time.monotonic()))
             twist.linear.x = time.monotonic()
             publisher.publish(twist)
 

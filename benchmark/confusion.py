@@ -1,12 +1,14 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Every fault of the simulated bus against every finding of the doctor: docs/doctor_confusion.md.
+The doctor against two generators of traffic, in simulated time.
 
-    python -m benchmark.confusion docs/doctor_confusion.md
+    python -m benchmark.confusion            both, to the terminal
+    python -m benchmark.confusion --write    both, to docs/doctor_confusion.md and doctor_scenes.md
 
-Simulated time and one seed: the table is the same on every machine, and a test holds the file to
-it. The monitor hears each burst by itself, which is finer than most adapters tell.
+The first is `fake_bus`: every fault against every finding; the monitor hears each burst by itself,
+which is finer than most adapters tell. The second, `rigs/bus`, shares nothing with it. One seed:
+the tables are the same on every machine, and tests hold the files to them.
 """
 
 from __future__ import annotations
@@ -16,19 +18,21 @@ from pathlib import Path
 import sys
 from typing import NamedTuple
 
-from dxl_monitor.devices import parse_all
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import Finding
 from dxl_monitor.doctor import RULES
+from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.faults import parse
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.traffic import PATTERNS
-from dxl_monitor.fake_bus import make_devices
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
-from dxl_monitor.report import BusReport
-from dxl_monitor.report import Finding
+from rigs.bus import page
 
+DOCS = Path(__file__).parents[1] / 'docs'
 S = 1_000_000_000
 BAUD = 2_000_000
 SEED = 1
@@ -178,7 +182,7 @@ def render(results: list[tuple[Case, Result]]) -> str:
     right = sum(set(result.told) == set(case.told) for case, result in results)
     lines = [
         '# Faults against findings', '',
-        'Made by `python -m benchmark.confusion docs/doctor_confusion.md` in simulated time; a '
+        'Made by `python -m benchmark.confusion --write` with `fake_bus` in simulated time; a '
         'test holds', 'this page to it. Each fault of `fake_bus` is played alone, on a robot of '
         'nine devices that walks;', f'this is what the doctor says {WITHIN_S:.0f} s later. '
         f'{right} of {len(results)} are told as the one cause they are, on the',
@@ -213,12 +217,14 @@ def _mark(name: str, case: Case, result: Result) -> str:
 
 
 def main() -> int:
-    """Write the page to the file that is named, or to the terminal."""
-    page = render([(case, examine(case)) for case in CASES])
-    if len(sys.argv) > 1:
-        Path(sys.argv[1]).write_text(page, encoding='utf-8')
-    else:
-        print(page, end='')
+    """Write the pages to where they belong, or to the terminal."""
+    pages = {'doctor_confusion.md': render([(case, examine(case)) for case in CASES]),
+             'doctor_scenes.md': page.render(page.results())}
+    for name, text in pages.items():
+        if sys.argv[1:] == ['--write']:
+            (DOCS / name).write_text(text, encoding='utf-8')
+        else:
+            print(text)
     return 0
 
 

@@ -15,16 +15,16 @@ from benchmark.confusion import chunks
 from benchmark.harness import Figure
 from benchmark.harness import interleaved
 from benchmark.harness import Options
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor import Doctor
+from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.faults import parse
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.traffic import PATTERNS
-from dxl_monitor.fake_bus import make_devices
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
-from dxl_monitor.report import BusReport
 
 S = 1_000_000_000
 BAUD = 2_000_000
@@ -32,7 +32,7 @@ ROBOT = ('1-20:MX-106', '100:Rhoban DXL Board')
 SECONDS, QUICK_SECONDS = 20, 5
 CASES: dict[str, tuple[str, ...]] = {
     'a healthy bus': (), 'a bus full of noise': ('noise::0',)}
-_CORE_MS = 1000.0                  # of CPU time per second
+_CORE_MS = 1000.0                  # ms of CPU time in a second
 
 
 def run(options: Options) -> list[Figure]:

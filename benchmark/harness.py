@@ -165,13 +165,13 @@ def usage(pid: int) -> Usage:
 
 
 def family(pid: int) -> list[int]:
-    """Return a process and its children, without those that have ended: a zombie has a folder."""
+    """Return a process and its descendants, without zombies, which have a folder too."""
     try:
         children = [int(child) for task in Path(f'/proc/{pid}/task').iterdir()
                     for child in (task / 'children').read_text().split()]
-        return [one for one in (pid, *children) if _is_alive(one)]
     except OSError:
         return []
+    return [pid] * _is_alive(pid) + [one for child in children for one in family(child)]
 
 
 def own_mb(pids: Sequence[int]) -> float:
@@ -195,7 +195,7 @@ def _status(path: Path, key: str) -> int:
 
 
 def ros_environment() -> dict[str, str]:
-    """Return an environment in which the nodes of this run meet nobody else."""
+    """Return an environment in which the nodes of this run meet no others."""
     return {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
             'ROS_DOMAIN_ID': str(random.SystemRandom().randrange(61, 102)),
             'PYTHONPATH': os.pathsep.join(
@@ -220,7 +220,7 @@ class Child:
         self.pid = self._process.pid
 
     def hear(self) -> Any:
-        """Return the next line that the child says, decoded; lines that are no JSON are passed."""
+        """Return the next line of JSON that the child says, decoded."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             if line.startswith(('{', '[')):

@@ -51,10 +51,10 @@ class Run(NamedTuple):
     taken: int
     overrun: int
     gap_us: list[float]                 # that there really was between packets: p50, p99
-    cpu: float                          # of a core, 0 to 1
+    cpu: float                          # share of a core, 0 to 1
     wake_ups: float                     # per second
     resident_mb: float
-    growth_mb: float                    # of the resident memory during the run
+    growth_mb: float                    # more resident memory at the end
     longest_gap_ms: float               # between two reads
     metrics: dict[str, dict[str, float]]
 
@@ -89,15 +89,15 @@ def through_node(traffic: Traffic, seconds: float, *parameters: str, module: str
             given = (f'ports:={port}', f'bauds:={traffic.baud}', *parameters)
             node = stack.enter_context(Child(
                 module, '--ros-args', *(word for one in given for word in ('-p', one)), env=env))
-            listener = _Listener()
-            listener.wait(START_S)
+            subscriber = _Subscriber()
+            subscriber.wait(START_S)
             writer.tell({'settle': settle_s, 'seconds': seconds})
             writer.hear()
-            listener.reset()
+            subscriber.reset()
             before = usage(node.pid)
             result = writer.hear()
             after = usage(node.pid)
-            metrics = listener.figures(since=time.time_ns())
+            metrics = subscriber.figures(since=time.time_ns())
             writer.tell('done')
     finally:
         rclpy.try_shutdown()
@@ -120,7 +120,7 @@ def _run(result: dict[str, Any], before: Any, after: Any, longest_gap_ms: float,
                after.resident_mb - before.resident_mb, longest_gap_ms, metrics)
 
 
-class _Listener:
+class _Subscriber:
     """Hears dxl/timing."""
 
     def __init__(self) -> None:
@@ -130,7 +130,7 @@ class _Listener:
             self._node.create_subscription(
                 DiagnosticArray, topic, lambda message: None, QUEUE_DEPTH, raw=True)
         self._service = self._node.create_client(Trigger, '/dxl_monitor/reset_statistics')
-        self._stamp = 0         # of the last message: those in the queue may be old
+        self._stamp = 0         # the last message's: those in the queue may be old
         self._metrics: dict[str, dict[str, float]] = {}
 
     def _hear(self, array: DiagnosticArray) -> None:
@@ -154,7 +154,7 @@ class _Listener:
         return self._metrics
 
     def reset(self) -> None:
-        """Let the statistics of the node begin anew."""
+        """Let the statistics of the node start at 0."""
         done = self._service.call_async(Trigger.Request())
         rclpy.spin_until_future_complete(self._node, done, timeout_sec=10.0)
 

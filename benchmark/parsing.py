@@ -24,16 +24,16 @@ from benchmark.traffic import KINDS
 from benchmark.traffic import packets
 from benchmark.traffic import TRACE
 from benchmark.traffic import trace_packets
-from dxl_monitor.models import Models
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
 
 CHUNKS = (4096, 64)
 QUICK_PACKETS = 5_000
 FULL_PACKETS = 25_000
-SDK_PACKETS = 2_000                # of the official client, which takes several times as long
+SDK_PACKETS = 2_000                # for the official client, which takes several times as long
 SDK = 'dynamixel-sdk rxPacket'
 _BYTE_NS = 10 * 10**9 // BAUD
 

@@ -11,7 +11,7 @@ from benchmark.harness import say
 
 
 def main(port: str) -> None:
-    """Read until told to report (any line); the first line starts the count anew."""
+    """Read until told to report (any line); the first line starts the count again."""
     fd = os.open(port, os.O_RDONLY | os.O_NOCTTY)
     poll = select.poll()
     poll.register(fd, select.POLLIN)

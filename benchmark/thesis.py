@@ -35,7 +35,7 @@ class Row(NamedTuple):
     processing: float
 
 
-# thesis.md part B, 216 MHz Cortex-M7
+# From the thesis, its chapter on the debug interface: 216 MHz Cortex-M7
 THESIS = {
     ('trace', 0): Row((10.1, 8.8, 8.6, 0.9), (15.0, 4.0, 6.7, 3.8), 1_600_717, 3_788_589),
     ('trace', 100): Row((9.4, 7.7, 7.6, 0.9), (13.1, 4.0, 4.3, 3.7), 313_481, 4_306_544),

@@ -9,5 +9,5 @@ from dxl_monitor import node
 from dxl_monitor.main import main
 
 if __name__ == '__main__':
-    node.Tap = partial(node.Tap, in_thread=True)      # type: ignore[misc, assignment]
+    node.Listener = partial(node.Listener, in_thread=True)      # type: ignore[misc, assignment]
     sys.exit(main())

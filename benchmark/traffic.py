@@ -8,30 +8,40 @@ trace. The first two kinds are experiments 2 and 3 of the thesis; in `moving rob
 packet is different, as with a robot that moves.
 """
 
-from itertools import islice
 from pathlib import Path
 
+from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.traffic import PATTERNS
-from dxl_monitor.fake_bus import make_devices
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
 from msg_defs.dxl_packet import HEADER
 
 BAUD = 2_000_000
-PACKETS = 25_000                # of a kind: more than 400 KiB each, as in the thesis
+PACKETS = 25_000                # for each kind: more than 400 KiB, as in the thesis
 ROBOT = ('1-4:MX-64', '5-8:MX-106', '9-12:Rhoban DXL Board', '13-16:BitFoot', '17-20:Bit-Bots IMU')
 FULL_BUS = ('0-252:MX-106',)
-KINDS = {'read/write': 'read_write', 'ping': 'ping', 'moving robot': 'moving'}
+FAST_ROBOT = ('1-10:XM430-W350', '11-20:XL430-W250')
+FAST = 'fast reads'
+KINDS = {'read/write': 'read_write', 'ping': 'ping', 'moving robot': 'moving', FAST: 'fast'}
 TRACE = 'trace'
-LONGEST = 256                   # of a trace's pieces: no packet on that robot is longer
+LONGEST = 256                   # piece of a trace: no packet on that robot is longer
 
 
-def packets(kind: str, count: int = PACKETS, devices: tuple[str, ...] = ROBOT) -> list[bytes]:
-    """Return the first packets of a kind of traffic."""
+def packets(kind: str, count: int = PACKETS, devices: tuple[str, ...] = ()) -> list[bytes]:
+    """Return the first packets of a kind of traffic; without devices, of a robot that knows it."""
+    devices = devices or (FAST_ROBOT if kind == FAST else ROBOT)
     line = Line(make_devices(list(devices), Models(), BAUD), BAUD)
     master = Master(line, PATTERNS[KINDS[kind]], rate=0, gap=0)
-    return [burst.data for burst in islice(master.bursts(), count)]
+    pieces: list[bytes] = []
+    for burst in master.bursts():
+        if burst.data.startswith(HEADER):
+            pieces.append(burst.data)
+        else:                   # a further part of a fast reply
+            pieces[-1] += burst.data
+        if len(pieces) > count:
+            break
+    return pieces[:count]
 
 
 def trace_packets(path: Path) -> list[bytes]:

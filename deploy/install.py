@@ -33,14 +33,18 @@ from device_names import MCU_LINK
 from device_names import name_rule
 from device_names import parse_bus
 from installed import command
+import usbmon
 
 HERE = Path(__file__).resolve().parent
 NAME = 'mecarover_serial'
 RULES = Path('/etc/udev/rules.d/70-mecarover_serial.rules')
 SETTINGS = Path('/etc') / NAME
+LOGS = Path('/var/log') / NAME          # systemd makes it, LogsDirectory=
 UNITS = Path('/etc/systemd/system')
 GROUP = 'dialout'
-SERVICES = {'vel2d_bridge': 'bridge', 'dxl_monitor': 'monitor'}     # unit and its settings file
+HISTORY = Path('/var/lib/mecarover_dashboard')          # systemd makes it, StateDirectory=
+SERVICES = {'vel2d_bridge': 'bridge', 'dxl_monitor': 'monitor', 'dxl_dashboard': ''}
+# ... the unit and its settings file, '' where there is none
 
 
 class Step(NamedTuple):
@@ -74,6 +78,11 @@ def _parser() -> argparse.ArgumentParser:
     add('--bus', metavar='[NAME=]DEVICE', action='append', default=[],
         help=f'an adapter that listens to a Dynamixel bus; becomes {BUS_LINK}[_NAME]. '
              'Repeat it for more buses')
+    add('--dashboard', action='store_true',
+        help='the web page at every boot, for this machine; DXL_DASHBOARD_OPTIONS in '
+             f'{SETTINGS}/environment opens it to the network')
+    add('--usbmon', action='store_true', help='hear what other programs exchange with the '
+        'adapters of --bus, through usbmon, instead of opening them; the service alone may')
     add('--user', default=os.environ.get('SUDO_USER') or getpass.getuser(),
         help='who runs the nodes (default %(default)s)')
     add('--prefix', type=Path, help='where the package is installed (default: found)')
@@ -125,13 +134,17 @@ class Site:
         """Yield what is missing."""
         services = self._services()
         if not services:
-            raise InstallError('nothing to install; give --mcu DEVICE, --bus DEVICE or both')
+            raise InstallError('nothing to install; give --mcu DEVICE, --bus DEVICE or '
+                               '--dashboard')
         rules = list(self._file(RULES, self._rules(), 'udev rules'))
         yield from rules
         yield from self._settings(services)
         units = [step for service in services for step in self._file(
             UNITS / f'{service}.service', self._unit(service), f'service {service}')]
         yield from units
+        monitor = list(self._usbmon()) if self._options.usbmon else []
+        yield from monitor
+        units += monitor
         if not self._is_live:
             return
         yield from self._join_group()
@@ -150,8 +163,24 @@ class Site:
                 yield self._run('', 'systemctl', 'restart', '--no-block', service)
 
     def _services(self) -> list[str]:
-        wanted = {'vel2d_bridge': self._options.mcu, 'dxl_monitor': self._buses}
+        wanted = {'vel2d_bridge': self._options.mcu, 'dxl_monitor': self._buses,
+                  'dxl_dashboard': self._options.dashboard}
         return [service for service in SERVICES if wanted[service]]
+
+    def _usbmon(self) -> Iterator[Step]:
+        """Yield what lets the service, and nobody else, read usbmon."""
+        if not self._buses:
+            raise InstallError('--usbmon: no adapter to hear; give --bus DEVICE')
+        print(usbmon.NOTE)
+        if self._is_live and not _has_group(usbmon.GROUP):
+            yield self._run('a group without members', 'groupadd', '--system', usbmon.GROUP)
+        files = [step for path, (why, content) in usbmon.FILES.items()
+                 for step in self._file(path, content, why)]
+        yield from files
+        if self._is_live and (files or not Path('/dev/usbmon0').exists()):
+            yield self._run('usbmon now', 'modprobe', 'usbmon')
+            yield self._run('', 'udevadm', 'control', '--reload')
+            yield self._run('', 'udevadm', 'trigger', '--subsystem-match=usbmon', '--settle')
 
     def _rules(self) -> str:
         lines = []
@@ -162,12 +191,14 @@ class Site:
         return text.replace('#@NAMES@\n', ''.join(line + '\n' for line in lines))
 
     def _settings(self, services: Sequence[str]) -> Iterator[Step]:
-        ports = [link for _, link in self._buses]
+        ports = [f'usb:{link}' if self._options.usbmon else link for _, link in self._buses]
         changes = {'vel2d_bridge': {'port': MCU_LINK},
                    'dxl_monitor': {'ports': '[' + ', '.join(map(repr, ports)) + ']'}}
+        if self._options.usbmon:                # it tells the rate, too
+            changes['dxl_monitor']['bauds'] = '[0]'
         yield from self._file(SETTINGS / 'environment', (HERE / 'environment').read_text(),
                               'environment of the services', keep=True)
-        for service in services:
+        for service in filter(SERVICES.get, services):
             name = f'{SERVICES[service]}.yaml'
             text = _template(name)
             for key, value in changes[service].items():
@@ -177,7 +208,8 @@ class Site:
             yield from self._file(SETTINGS / name, text, f'settings of {service}', keep=True)
 
     def _unit(self, service: str) -> str:
-        links = [MCU_LINK] if service == 'vel2d_bridge' else [link for _, link in self._buses]
+        links = {'vel2d_bridge': [MCU_LINK],
+                 'dxl_monitor': [link for _, link in self._buses]}.get(service, [])
         values = {
             'USER': self._options.user,
             'COMMAND': command(service, self._options.prefix, self._options.setup),
@@ -203,6 +235,8 @@ class Site:
         if _succeeds('systemctl', 'is-active', '--quiet', getty):
             yield self._run(f'no login on {tty}: it would answer the MCU',
                             'systemctl', 'disable', '--now', getty)
+            yield self._run('a getty leaves the port to root alone: back to its group',
+                            'udevadm', 'trigger', '--action=add', '--settle', f'/dev/{tty}')
         if f'console={tty}' in _read('/proc/cmdline'):
             print(f'note: the kernel writes its console to {tty}; remove console={tty} from '
                   'the kernel command line and reboot (docs/wiring.md)')
@@ -216,8 +250,12 @@ class Site:
         if present and self._is_live:
             yield self._run('stop the services', 'systemctl', 'disable', '--now',
                             *(unit.stem for unit in present))
-        for path in (*present, RULES):
+        if self._is_live:
+            self._tell_what_stays()
+        for path in (*present, RULES, *usbmon.FILES):
             yield from self._delete(path)
+        if self._is_live and _has_group(usbmon.GROUP):
+            yield self._run('no right to read usbmon any more', 'groupdel', usbmon.GROUP)
         if self._at(SETTINGS).exists():
             yield self._run('settings, kept under another name', 'mv', '--backup=numbered', '-T',
                             str(self._at(SETTINGS)), f'{self._at(SETTINGS)}.removed')
@@ -225,9 +263,26 @@ class Site:
             yield self._run('let systemd and udev forget them', 'systemctl', 'daemon-reload')
             yield self._run('', 'udevadm', 'control', '--reload')
             yield self._run('', 'udevadm', 'trigger', '--action=add', '--subsystem-match=tty')
-        if self._options.user in _members() and self._is_live:
+
+    def _tell_what_stays(self) -> None:
+        """Print what is left as it is, and the command that undoes each."""
+        if self._options.user in _members():
             print(f'note: {self._options.user} stays in group {GROUP}; '
                   f'sudo gpasswd -d {self._options.user} {GROUP} undoes that too')
+        if LOGS.exists():
+            print(f'note: the logs stay in {LOGS}; sudo rm -r {LOGS} removes them')
+        if HISTORY.exists():
+            print(f'note: the history stays in {HISTORY}; sudo rm -r {HISTORY} removes it')
+        rules = _read(str(RULES))
+        if rules:
+            print('note: an FTDI adapter keeps its latency timer of 1 ms until it is plugged in '
+                  'again')
+        named = rf'KERNEL=="(\w+)", SYMLINK\+="{os.path.basename(MCU_LINK)}"'
+        for tty in re.findall(named, rules):
+            getty = f'serial-getty@{tty}.service'
+            if not _succeeds('systemctl', 'is-active', '--quiet', getty):
+                print(f'note: {tty} stays without a login; if it had one, '
+                      f'sudo systemctl enable --now {getty}')
 
     def _delete(self, path: Path) -> Iterator[Step]:
         if self._at(path).exists():
@@ -262,6 +317,13 @@ def _members() -> list[str]:
         return grp.getgrnam(GROUP).gr_mem
     except KeyError:
         return []
+
+
+def _has_group(name: str) -> bool:
+    try:
+        return bool(grp.getgrnam(name))
+    except KeyError:
+        return False
 
 
 def _succeeds(*command: str) -> bool:

@@ -14,15 +14,16 @@ from pathlib import Path
 import sys
 
 from docs.sample import sample
-from dxl_monitor import report as words
-from dxl_monitor.models import Models
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
 from dxl_monitor.settings import PARAMETERS as MONITOR
 from dxl_monitor.status import bus_status
 from dxl_monitor.status import device_metrics
 from dxl_monitor.status import device_status
 from dxl_monitor.status import PortState
+from dxl_monitor.tools.doctor import explain
 from mecarover_serial.parameters import Parameter
 from msg_defs.dxl_packet import encode
 from msg_defs.reports import Metric
@@ -60,14 +61,16 @@ LINK = {
                'lost (ERROR)',
     'Bytes from MCU': 'text from the MCU is logged at INFO',
     'Lines from MCU': '',
-    'Garbage from MCU (B)': 'bytes that are no text',
+    'Garbage from MCU (B)': 'bytes that are not text',
+    'Refused by MCU: crc mismatch': 'frames that the MCU says it refused; WARN for 10 s',
+    'Refused by MCU: insufficient bytes': 'the same, because their length was wrong',
     'Last error': 'stays after recovery',
 }
 COMMANDS = {
     'Topic': 'with namespace and remapping',
     'Message type': 'twist or twist_stamped, as subscribed now',
     'Reliability': 'of the subscription: reliable while every publisher is',
-    'State': 'driving, stopped, disabled',
+    'State': 'driving, stopped, disabled, or unknown: no stop could be sent',
     'Enabled': 'see the service `~/enable`',
     'Commands received': 'since start',
     'Commands accepted': '',
@@ -75,6 +78,7 @@ COMMANDS = {
     'Commands replaced': 'accepted, but a newer one came before they were sent (`max_rate`)',
     'Zero stamps': 'TwistStamped without a stamp: accepted',
     'Refused: not finite': 'NaN or infinity in x, y or omega',
+    'Refused: larger than 1e6': 'm/s or rad/s; the MCU would make infinity of the largest',
     'Refused: disabled': 'while `~/enable` is off',
     'Refused: port not open': '',
     'Refused: bridge was frozen': 'in the 0.2 s after a freeze: it may have waited in a socket',
@@ -100,20 +104,21 @@ DEVICE = {
     'Answers': 'since start or reset',
     'Missed Answers': 'it was asked, and the next instruction came first',
     'Missed in a Row': 'more than `missed_limit`: disconnected',
+    'Loss in 10 s (%)': 'answers missed in the last 10 s; above `warn_loss`: WARN',
     'Not Served': 'it waits behind a silent device in a Sync Read: not its fault',
     'Damaged Answers': 'its CRC was wrong',
     'Repaired Answers': 'the first header byte was damaged, the CRC right: accepted',
     'Refused Instructions': 'answers with an error number',
     'Alert Answers': 'answers with the alert bit',
     'Writes': 'by the master',
-    'Loss (%)': 'of the answers in the last 10 s; above `warn_loss`: WARN',
     'Reply latency p50 (ms)': 'left out below 20 % resolved',
     'Reply latency p95 (ms)': '',
-    'Reply latency resolved (%)': 'share of the answers whose delay the adapter did not hide',
+    'Reply latency resolved (%)': 'share of the answers with a delay that the adapter shows',
 }
 BUS = {
     'Port': '',
     'Baud (bit/s)': '',
+    'Protocol': 'what was heard: Dynamixel 2.0, Dynamixel 1.0, Feetech (docs/dialects.md)',
     'Devices': 'all that are known or expected; a line per state follows',
     'Bytes': 'received since start or reset: the sum of the next three',
     'Packet Bytes': '',
@@ -125,7 +130,7 @@ BUS = {
     'CRC Errors': '',
     'Truncated Packets': '',
     'Bad Lengths': '',
-    'Unasked Answers': 'nobody had asked: they change no table',
+    'Unasked Answers': 'no instruction had asked for them: they change no table',
     'Unknown Instructions': '',
     'bytes (1/s)': 'over the last 10 s',
     'packets (1/s)': '',
@@ -135,7 +140,7 @@ STATES = (
     (words.CONNECTED, 'OK; WARN when degraded', 'it answers'),
     (words.DISCONNECTED, 'ERROR', 'more than `missed_limit` answers missed in a row; cleared by '
      'its first answer'),
-    (words.SILENT, 'STALE', 'nobody asked it and it said nothing for `silent_after`'),
+    (words.SILENT, 'STALE', 'not asked, and silent, for `silent_after`'),
     (words.EXPECTED, 'ERROR', 'listed in `devices`, never heard'),
     (words.ASKED, 'WARN or STALE', 'the master addresses it; never heard, not listed'),
     (words.WAITING, 'WARN', 'asked, but behind a silent device in the same Sync Read'),
@@ -196,6 +201,11 @@ def diagnostics() -> str:
         'Levels come from what happens now (the last 10 s), not from counts since start. Units '
         'stand in the key, values are bare numbers: PlotJuggler and Foxglove plot them by name '
         '([plotting.md](plotting.md)).\n',
+        'In a namespace the names and hardware IDs begin with it, because all robots of a ROS '
+        'domain share `/diagnostics`: `rover1/dxl_monitor: 011`, hardware ID `rover1/11`.\n',
+        'A report of more than 30 statuses or 60 kB is cut into equal messages, spread over the '
+        'period; each of its statuses says which one it stands in: `part` = `1 of 2`. `ros2 topic '
+        'hz` then counts so many messages more.\n',
         '## `/diagnostics`: `vel2d_bridge: link`\n', _table(('key', 'meaning'), _rows(link, LINK)),
         '## `/diagnostics`: `vel2d_bridge: commands`\n',
         _table(('key', 'meaning'), _rows(commands, COMMANDS)),
@@ -204,12 +214,14 @@ def diagnostics() -> str:
         '## `/diagnostics`, `dxl/diagnostics`: `dxl_monitor: bus [NAME]`\n',
         _table(('key', 'meaning'), _rows(bus, BUS)),
         'Then what the driver of the port tells, `finding.RULE` for each finding of the doctor '
-        'about the bus, and, on `dxl/diagnostics` only, the last 50 errors as `error 00` (the '
-        'newest) to `error 49`.\n',
+        'about the bus with `severity.RULE` (`warn` or `error`) beside it, `cannot tell.RULE` '
+        'with the reason for each rule that it cannot judge, and, on `dxl/diagnostics` only, '
+        '`Running for (s)` and the last 50 errors as `error 00` (the newest) to `error 49`, dated '
+        'in seconds since the start.\n',
         '## `/diagnostics`, `dxl/diagnostics`: `dxl_monitor: [BUS/]ID [JOINT]`\n',
         _table(('key', 'meaning'), _rows(device, DEVICE)),
-        'Then `finding.RULE` for each finding about the device ([doctor.md](doctor.md)) and, on '
-        '`dxl/diagnostics` only, '
+        'Then `finding.RULE` and `severity.RULE` for each finding about the device '
+        '([doctor.md](doctor.md)) and, on `dxl/diagnostics` only, '
         'every register that was seen on the bus, `Present Position (rad)` = `1.5708`; enums and '
         'flags in words, with `NAME (raw)` beside them; `Fields not observed`; and `observed`, '
         'JSON: age in seconds and `r` (read from the device) or `w` (written by the master) of '
@@ -219,9 +231,10 @@ def diagnostics() -> str:
         'Each metric over the last 10 s and since start (`since start ...`): mean, deviation, '
         'min, max, p50, p95, p99, count, or `value`. On `vel2d/timing` and `dxl/timing` '
         '(DiagnosticArray, a status per metric: `vel2d_bridge: timing/write`); the p95 or the '
-        'value alone as std_msgs/Float64; and, where statistics_msgs is installed, as '
+        'value alone as std_msgs/Float64. With the parameter `timing_topics` `all` they are also '
         'statistics_msgs/MetricsMessage on `vel2d/statistics/...` and '
-        '`dxl/statistics/...`. With several buses the bus name stands before the metric.\n',
+        '`dxl/statistics/...`; `off` takes all of them away. With several buses the bus name '
+        'stands before the metric.\n',
         _table(('topic (Float64)', 'unit', 'meaning'), [
             *_metric_rows('vel2d', bridge_metrics), *_metric_rows('dxl', [*bus_metrics, *own])]),
         'Per device, on `dxl/timing` only: ' + ', '.join(
@@ -267,7 +280,12 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
                    for line in lines)
 
 
-PAGES = {'parameters.md': parameters, 'diagnostics.md': diagnostics, 'sample.md': sample}
+def errors() -> str:
+    return NOTE + explain.page()
+
+
+PAGES = {'parameters.md': parameters, 'diagnostics.md': diagnostics, 'sample.md': sample,
+         'errors.md': errors}
 
 
 def main(check: bool) -> int:

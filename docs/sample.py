@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 import struct
 
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.line import Line
-from dxl_monitor.fake_bus import make_devices
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
 from dxl_monitor.status import device_status
 from msg_defs.dxl_instruction import Instruction
 

@@ -1,3 +1,3 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Listens to a Dynamixel Protocol 2.0 bus, without ever sending, and reports what it hears."""
+"""Listens to a Dynamixel or Feetech bus, without ever sending, and reports what it hears."""

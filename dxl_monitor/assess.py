@@ -9,26 +9,28 @@ Levels come from the last 10 s, never from counts since start: a fault that is o
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from dxl_monitor import report as words
-from dxl_monitor.control_table import UNKNOWN
-from dxl_monitor.device import Device
-from dxl_monitor.device import WINDOW_S
-from dxl_monitor.report import BusReport
-from dxl_monitor.report import DeviceReport
-from dxl_monitor.report import Window
-from dxl_monitor.table import Observed
-from dxl_monitor.table import Table
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.device import Device
+from dxl_monitor.bus.device import WINDOW_S
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import Counts
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.table import Observed
+from dxl_monitor.bus.table import Table
+from dxl_monitor.model.control_table import UNKNOWN
 from msg_defs.dxl_instruction import error_text
 from msg_defs.reports import Level
 from msg_defs.reports import number
 from msg_defs.reports import worst
 
 _CRC_ERRORS_PER_S = 1.0
+_LOST = (words.DISCONNECTED, words.EXPECTED)
+_NAMED = 5                     # lost devices in the message of a bus
 HARDWARE_ERROR = 'Hardware Error Status'
 
 
 class Limits(NamedTuple):
-    """The parameters that a judgement depends on (design: warn_loss in %, times in s)."""
+    """The parameters that a judgement depends on; warn_loss in %, times in s."""
 
     missed_limit: int
     warn_loss: float
@@ -48,10 +50,10 @@ class Snapshot(NamedTuple):
     table: Table
 
 
-def judge(device: Device, window: Window, quiet_s: float, limits: Limits) -> Verdict:
+def judge(device: Device, window: Counts, quiet_s: float, limits: Limits) -> Verdict:
     """Return the state of a device from what happened on the wire alone."""
-    if device.moved is not None:
-        return Verdict(words.MOVED, Level.WARN, f'moved to {device.moved} Bd by a write')
+    if device.moved_to:
+        return Verdict(words.MOVED, Level.WARN, f'moved to {device.moved_to} by a write')
     if device.missed_in_a_row > limits.missed_limit:
         return Verdict(words.DISCONNECTED, Level.ERROR,
                        f'disconnected: {device.missed_in_a_row} answers missed')
@@ -61,19 +63,19 @@ def judge(device: Device, window: Window, quiet_s: float, limits: Limits) -> Ver
         return Verdict(words.WAITING, Level.WARN,
                        f'asked but not served: waiting behind {device.waiting_behind:03}')
     if quiet_s > limits.silent_after:
-        return Verdict(words.SILENT, Level.STALE, f'silent: nobody asked it for {quiet_s:.0f} s')
+        return Verdict(words.SILENT, Level.STALE, f'silent: not asked for {quiet_s:.0f} s')
     return Verdict(words.CONNECTED, *_degraded(device, window, limits))
 
 
 def _never_heard(device: Device) -> Verdict:
     if device.expected:
         return Verdict(words.EXPECTED, Level.ERROR, 'expected, but never heard')
-    if device.missed_in_a_row or device.not_served:
+    if device.missed_in_a_row or device.counts.not_served:
         return Verdict(words.ASKED, Level.WARN, 'asked, but never heard')
     return Verdict(words.ASKED, Level.STALE, 'addressed, but never asked and never heard')
 
 
-def _degraded(device: Device, window: Window, limits: Limits) -> tuple[Level, str]:
+def _degraded(device: Device, window: Counts, limits: Limits) -> tuple[Level, str]:
     if device.alert:
         return Level.WARN, 'alert: read Hardware Error Status'
     if window.loss * 100 > limits.warn_loss:
@@ -87,25 +89,22 @@ def snapshot(device: Device, now: int, quiet_s: float, limits: Limits) -> Snapsh
     """
     Return all of a device that the table has no part in, and a copy of the table.
 
-    quiet_s: for how long somebody listened and it was neither heard nor asked.
+    quiet_s: for how long the port was open and the device was neither heard nor asked.
     """
     window = device.window()
     verdict = judge(device, window, quiet_s, limits)
-    totals = device.totals()
     report = DeviceReport(
         id=device.number, name=_name(device), joint=device.joint, model=device.model,
         model_number=device.model_number, model_name=_model_name(device),
         firmware=device.firmware, state=verdict.state, level=verdict.level,
-        message=verdict.message, counters=_counters(device, totals), totals=totals,
+        message=verdict.message, totals=device.counts.copy(),
         window=window, missed_in_a_row=device.missed_in_a_row,
         waiting_behind=device.waiting_behind,
         last_heard_s=(now - device.heard) / 1e9 if device.heard else None, alert=device.alert,
         last_error=error_text(device.last_error), status_return_level=device.return_level,
         acks=device.acks, acks_missing=device.acks_missing, observed=(),
         unobserved=len(device.model.fields),
-        latency=device.latency_report(now), errors=dict(device.errors), reads=device.reads,
-        writes=device.writes, eeprom_writes=device.eeprom_writes,
-        model_changes=device.model_changes, repaired=device.repaired, glitches=device.glitches)
+        latency=device.latency_report(now), errors=dict(device.errors))
     return Snapshot(report, device.table.copy())
 
 
@@ -127,12 +126,22 @@ def judge_bus(bus: BusReport, devices: Sequence[DeviceReport]) -> tuple[Level, s
     if not bus.counters['Bytes'] and bus.last_byte_s is None:
         return Level.STALE, 'nothing heard yet'
     connected = sum(device.state == words.CONNECTED for device in devices)
-    message = f'{connected} of {len(devices)} devices connected'
+    lost = [device.name for device in devices if device.state in _LOST]
+    message = f'{connected} of {len(devices)} devices connected' + _lost_words(lost)
     if not bus.counters['Packets']:
         return Level.WARN, 'bytes, but no packets: wrong baud rate?'
     if bus.rates['errors'] > 1:
         return Level.WARN, f'{bus.rates["errors"]:.1f} damaged packets per second; {message}'
-    return Level.OK, message
+    if devices and not connected:
+        asked = any(device.state != words.SILENT for device in devices)
+        return Level.WARN if asked else Level.STALE, message
+    return Level.WARN if lost else Level.OK, message
+
+
+def _lost_words(names: Sequence[str]) -> str:
+    """Return '; lost: 007 left_knee, 008' for the message of a bus, '' when nothing is lost."""
+    more = f' and {len(names) - _NAMED} more' if len(names) > _NAMED else ''
+    return f'; lost: {", ".join(names[:_NAMED])}{more}' if names else ''
 
 
 def _hardware_error(observed: Sequence[Observed]) -> str:
@@ -151,17 +160,3 @@ def _model_name(device: Device) -> str:
     if device.model is not UNKNOWN or device.model_number is None:
         return device.model.name
     return f'unknown ({device.model_number})'
-
-
-def _counters(device: Device, totals: Window) -> tuple[tuple[str, float], ...]:
-    return (
-        ('Answers', totals.answers),
-        ('Missed Answers', totals.missed),
-        ('Missed in a Row', device.missed_in_a_row),
-        ('Not Served', totals.not_served),
-        ('Damaged Answers', totals.damaged),
-        ('Repaired Answers', device.repaired),
-        ('Refused Instructions', sum(device.errors.values())),
-        ('Alert Answers', totals.alerts),
-        ('Writes', device.writes),
-    )

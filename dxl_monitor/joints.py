@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dxl_monitor.device import Device
-from dxl_monitor.table import Observed
+from dxl_monitor.bus.device import Device
+from dxl_monitor.bus.table import Observed
 from msg_defs.reports import Joint
 
 POSITION, VELOCITY, CURRENT = 'Present Position', 'Present Velocity', 'Present Current'

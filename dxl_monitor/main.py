@@ -12,7 +12,7 @@ from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
 
 NAME = 'dxl_monitor'
-ABOUT = ('Listens to Dynamixel Protocol 2.0 buses, without ever sending, and publishes devices, '
+ABOUT = ('Listens to Dynamixel and Feetech buses, without ever sending, and publishes devices, '
          'control tables and timing.')
 
 

@@ -15,63 +15,62 @@ from time import monotonic_ns
 from typing import NamedTuple
 
 from dxl_monitor import assess
-from dxl_monitor import evidence as ev
-from dxl_monitor.device import Device
-from dxl_monitor.devices import Device as Expected
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.conversation import Conversation
+from dxl_monitor.bus.conversation import DEFAULTS
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.device import Device
+from dxl_monitor.bus.plan import Plan
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import Cycle
 from dxl_monitor.doctor import Doctor
-from dxl_monitor.evidence import Evidence
 from dxl_monitor.joints import fresh
 from dxl_monitor.joints import Joints
-from dxl_monitor.models import Models
-from dxl_monitor.plan import Plan
-from dxl_monitor.report import BusReport
-from dxl_monitor.report import Cycle
-from dxl_monitor.roster import Roster
-from dxl_monitor.tap_driver import LineErrors
-from dxl_monitor.tracker import Tracker
-from msg_defs.dxl_packet import Frame
-from msg_defs.dxl_packet import Framer
+from dxl_monitor.model.layers import model_key
+from dxl_monitor.model.models import Models
+from dxl_monitor.port.driver import LineErrors
+from msg_defs.heard import BREAK
+from msg_defs.heard import Change
+from msg_defs.heard import FRAMING
+from msg_defs.heard import OUT
+from msg_defs.heard import OVERRUN
+from msg_defs.heard import PARITY
+from msg_defs.heard import UNKNOWN
 from msg_defs.reports import Joint
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.timing import Series
 
+# Line errors as sources tell them: the counter of LineErrors.
+_LINE_ERRORS = {OVERRUN: 'overrun', PARITY: 'parity', FRAMING: 'frame', BREAK: 'breaks'}
 WINDOW_S = 10
 TICK_NS = 1_000_000_000
-BITS_PER_BYTE = 10
 CYCLES_REPORTED = 32
-IDLE_CHARACTERS = 20
-IDLE_NS = 20_000_000               # at least, and two latency timers of a USB adapter
 LAG_NS = 200_000_000               # bytes that were read may wait for so long to be fed
-ANSWER_NS = 1_000_000_000          # a broadcast Ping may take 0.8 s; nothing pending takes longer
+SCAN = 8                           # IDs that do not answer a Ping: fewer may be lost devices
 DEAF_NS = 2_000_000_000            # a tap that listens says something far more often
 
 
-class Settings(NamedTuple):
-    """The parameters of a bus (design section 4). latency_timer_ms: of the adapter."""
+class Activity(NamedTuple):
+    """What a rate is worked out from: totals since start."""
 
-    baud: int = 2_000_000
-    devices: tuple[Expected, ...] = ()
-    missed_limit: int = 4
-    warn_loss: float = 1.0
-    silent_after: float = 5.0
-    write_acks: str = 'auto'
-    latency_timer_ms: float = 0.0
-
-
-DEFAULTS = Settings()
+    bytes: int
+    packets: int
+    errors: int
 
 
 class Monitor:
     """
     One bus under observation.
 
-    idle_is_told: by flush_if_idle(), again and again while nothing comes. Then time counts only as
-    far as somebody listened; else the stamps alone say when the line was idle.
+    idle_is_told: by flush_if_idle(), again and again while nothing comes. Then time counts only
+    while the port is open; else the stamps alone say when the line was idle. conversation: where
+    a tool needs more of each packet than a report tells.
     """
 
     def __init__(self, name: str, models: Models, settings: Settings = DEFAULTS,
-                 clock: Callable[[], int] = monotonic_ns, *, idle_is_told: bool = False) -> None:
+                 clock: Callable[[], int] = monotonic_ns, *, idle_is_told: bool = False,
+                 conversation: Conversation | None = None) -> None:
         self.name = name
         self.settings = settings
         self._clock = clock
@@ -79,14 +78,9 @@ class Monitor:
         self._lock = Lock()
         self.doctor = Doctor()
         self._examining = Lock()               # the doctor remembers from report to report
-        self._byte_ns = byte_ns = BITS_PER_BYTE * 1e9 / settings.baud
-        self.idle_ns = int(max(IDLE_NS, 2e6 * settings.latency_timer_ms,
-                               IDLE_CHARACTERS * byte_ns))
-        self._framer = Framer()
-        self._evidence = Evidence()
-        self._roster = Roster(models, settings.devices, settings.baud, self._evidence)
-        self._tracker = Tracker(self._roster, self._evidence, byte_ns, settings.missed_limit,
-                                settings.write_acks)
+        self.conversation = said = conversation or Conversation(models, settings)
+        self._tracker, self._roster, self._evidence = said.tracker, said.roster, said.evidence
+        self._line_errors: LineErrors | None = None    # told by the source beside the bytes
         self._limits = assess.Limits(settings.missed_limit, settings.warn_loss,
                                      settings.silent_after)
         self._idle_is_told = idle_is_told
@@ -96,16 +90,20 @@ class Monitor:
         self._noise_seen = 0
         self._start_statistics(0)
 
-    def feed(self, chunk: bytes, stamp: int) -> None:
-        """Take the bytes that were read at stamp, when the last of them had just come in."""
+    def feed(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
+        """
+        Take the bytes that were read at stamp, when the last of them had just come in.
+
+        side: who put them on the wire, where the source can tell; then OUT is stamped as written.
+        """
         with self._lock:
             began = self._clock()
             if self._idle_is_told:
                 self._listen_until(stamp)
             else:
-                self._flush_if_idle(stamp - int(len(chunk) * self._byte_ns))
-            framer = self._framer
-            self._track(framer.frames(chunk), stamp)
+                on_wire_ns = 0 if side == OUT else int(len(chunk) * self.conversation.byte_ns)
+                self._flush_if_idle(stamp - on_wire_ns)
+            self.conversation.hear(chunk, stamp, side)
             if stamp >= self._next_tick:
                 self._tick(stamp)
             if self._last:
@@ -114,14 +112,29 @@ class Monitor:
             self._buffer_size.add(len(chunk), stamp)
             self._time_per_buffer.add((self._clock() - began) / 1e6, stamp)
 
+    def change(self, change: Change, stamp: int) -> None:
+        """Take what the source said beside bytes (msg_defs/heard.py)."""
+        with self._lock:
+            field = _LINE_ERRORS.get(change.what)
+            if field is None:
+                self.conversation.change(change, stamp)
+            else:
+                before = self._line_errors or LineErrors()
+                self._line_errors = before._replace(
+                    **{field: getattr(before, field) + change.value})
+
     def flush_if_idle(self, now: int) -> None:
         """Decide what is pending, if the line was idle too long for more to belong to it."""
         with self._lock:
             self._listen_until(now)
             self._flush_if_idle(now)
 
+    def expect_delay(self, latency_timer_ms: float) -> None:
+        """Say how long the adapter may keep bytes back (ms)."""
+        self.conversation.expect_delay(latency_timer_ms)
+
     def reset_statistics(self, now: int) -> None:
-        """Start all counts and statistics anew; what is known of the devices stays."""
+        """Start all counts and statistics at 0; what is known of the devices stays."""
         with self._lock:
             self._start_statistics(now)
             for device in self._roster.devices.values():
@@ -135,7 +148,7 @@ class Monitor:
         Return what is known and what it means; the lock is held for less than 1 ms at a time.
 
         line_errors: what the serial driver counted, where it does. is_listening: False while there
-        is no port that could tell when the line is idle.
+        is no port to tell when the line is idle.
         """
         self._load_models()
         with self._lock:
@@ -145,14 +158,15 @@ class Monitor:
                 self._listened = now
             while now >= self._next_tick:
                 self._tick(now)
-            cycles = _cycles(self._tracker.plans())
+            cycles = _cycles(self._tracker.planner.plans())
             bus = self._bus_report(now, cycles)
         devices = tuple(assess.complete(self._snapshot(device, now), now)
-                        for device in self._by_id())
+                        for device in self._by_id() if device.number not in bus.scanned)
         level, message = assess.judge_bus(bus, devices)
         with self._examining:
             return self.doctor.examine(bus._replace(
-                devices=devices, level=level, message=message, line_errors=line_errors,
+                devices=devices, level=level, message=message,
+                line_errors=line_errors or self._line_errors,
                 metrics=self._metrics(now, bus.rates)))
 
     def _snapshot(self, device: Device, now: int) -> assess.Snapshot:
@@ -178,27 +192,23 @@ class Monitor:
     def _load_models(self) -> None:
         """Read the files of newly seen models: not under the lock, as that takes a while."""
         with self._lock:
-            said = {device.identity for device in self._roster.devices.values()
-                    if device.unresolved}
-        for identity in said:
-            self._models.get(identity[0] | identity[1] << 8)
+            said = {model_key(device.identity[0] | device.identity[1] << 8, device.protocol)
+                    for device in self._roster.devices.values() if device.is_unresolved}
+        for key in said:
+            self._models.get(key)
 
     def _start_statistics(self, now: int) -> None:
         self._started = now
         self._next_tick = 0
-        self._tracker.plans()                  # brings counts up to date that shall end here
+        self._tracker.planner.plans()          # brings counts up to date that shall end here
         self._evidence.counts.clear()
         self._base: dict[str, int] = {}
         self._base = self._counters()
-        self._base['Bytes'] -= self._base.pop('Pending Bytes')     # these are counted anew
-        self._ticks: deque[tuple[int, int, int, int]] = deque(maxlen=WINDOW_S)
+        self._base['Bytes'] -= self._base.pop('Pending Bytes')     # these are counted again
+        self._ticks: deque[tuple[int, Activity]] = deque(maxlen=WINDOW_S)
         self._time_per_buffer = Series(WINDOW_S)
         self._time_between = Series(WINDOW_S)
         self._buffer_size = Series(WINDOW_S)
-
-    def _track(self, frames: list[Frame], stamp: int) -> None:
-        """Take what the framer found in the chunk of this stamp."""
-        self._tracker.track(frames, stamp, self._framer.bytes)
 
     def _listen_until(self, now: int) -> None:
         if self._listened and now - self._listened > DEAF_NS:
@@ -206,14 +216,9 @@ class Monitor:
         self._listened = now
 
     def _flush_if_idle(self, now: int) -> None:
-        idle = now - self._last
-        if not self._last or idle <= self.idle_ns:
-            return
-        framer = self._framer
-        if framer.pending:
-            self._track(framer.flush_frames(), self._last)
-        if idle > ANSWER_NS:
-            self._tracker.settle(now)
+        said = self.conversation
+        if self._last and now - self._last > said.idle_ns:
+            said.pause(self._last, now)
 
     def _tick(self, now: int) -> None:
         """Once a second: snapshots for the last 10 s, and a look at what was no packet."""
@@ -224,63 +229,73 @@ class Monitor:
             self._started = now
         for device in self._roster.devices.values():
             device.tick()
-        framer = self._framer
-        if self._ticks and framer.noise_bytes != self._noise_seen:
-            self._evidence.look_at_noise(framer.noise, framer.noise_bytes - self._noise_seen, now)
-        self._noise_seen = framer.noise_bytes
-        self._ticks.append((now, *self._rated()))
+        said = self.conversation
+        noise_bytes = said.total('noise_bytes')
+        if self._ticks and noise_bytes != self._noise_seen:
+            self._evidence.look_at_noise(said.noise, noise_bytes - self._noise_seen, now)
+        self._noise_seen = noise_bytes
+        self._ticks.append((now, self._activity()))
 
-    def _rated(self) -> tuple[int, int, int]:
-        framer = self._framer
-        errors = framer.crc_errors + framer.truncated + framer.bad_length
-        return framer.bytes, framer.packets, errors
+    def _activity(self) -> Activity:
+        total = self.conversation.total
+        errors = sum(map(total, ('crc_errors', 'truncated', 'bad_length')))
+        return Activity(total('bytes'), total('packets'), errors)
 
     def _counters(self) -> dict[str, int]:
-        framer = self._framer
+        total = self.conversation.total
         counts = self._evidence.counts
         now = {
-            'Bytes': framer.bytes,
-            'Packet Bytes': framer.packet_bytes,
-            'Noise Bytes': framer.noise_bytes,
-            'Pending Bytes': framer.pending,
-            'Packets': framer.packets,
-            'Instructions': self._tracker.instructions(),
-            'Repaired Packets': framer.repaired,
-            'CRC Errors': framer.crc_errors,
-            'Truncated Packets': framer.truncated,
-            'Bad Lengths': framer.bad_length,
+            'Bytes': total('bytes'),
+            'Packet Bytes': total('packet_bytes'),
+            'Noise Bytes': total('noise_bytes'),
+            'Pending Bytes': total('pending'),
+            'Packets': total('packets'),
+            'Instructions': self._tracker.planner.instructions(),
+            'Repaired Packets': total('repaired'),
+            'CRC Errors': total('crc_errors'),
+            'Truncated Packets': total('truncated'),
+            'Bad Lengths': total('bad_length'),
             'Unasked Answers': counts[ev.UNASKED] + counts[ev.SECOND_ANSWER] + counts[ev.LATE],
             'Unknown Instructions': counts[ev.UNKNOWN_INSTRUCTION],
         }
         return {name: n - self._base.get(name, 0) for name, n in now.items()}
 
     def _rates(self, now: int) -> dict[str, float]:
-        if not self._ticks or now <= self._ticks[0][0]:
-            return {'bytes': 0.0, 'packets': 0.0, 'errors': 0.0}
-        since, *past = self._ticks[0]
-        seconds = (now - since) / 1e9
-        return {name: (n - before) / seconds for name, n, before
-                in zip(('bytes', 'packets', 'errors'), self._rated(), past, strict=True)}
+        since, before = self._ticks[0] if self._ticks else (now, Activity(0, 0, 0))
+        if now <= since:
+            return dict.fromkeys(Activity._fields, 0.0)
+        rates = zip(Activity._fields, self._activity(), before, strict=True)
+        return {name: (n - then) / (now - since) * 1e9 for name, n, then in rates}
 
     def _bus_report(self, now: int, cycles: tuple[Cycle, ...]) -> BusReport:
         evidence = self._evidence
         rates = self._rates(now)
         return BusReport(
-            name=self.name, stamp=now, started=self._started, baud=self.settings.baud,
+            name=self.name, stamp=now, started=self._started, baud=self.conversation.settings.baud,
             level=Level.OK, message='', devices=(), counters=self._counters(), rates=rates,
             errors=evidence.errors(), incidents=evidence.incidents(), waits=evidence.waits(),
             cycles=cycles, metrics=(),
-            noise=self._framer.noise, last_byte_s=(now - self._last) / 1e9 if self._last else None,
-            kinds=dict(evidence.counts),
+            noise=self.conversation.noise,
+            last_byte_s=(now - self._last) / 1e9 if self._last else None,
+            kinds=dict(evidence.counts), protocol=self.conversation.protocol(),
+            asked=self._tracker.asked, scanned=self._scanned(),
             chain=tuple(expected.id for expected in self.settings.devices))
+
+    def _scanned(self) -> tuple[int, ...]:
+        """Return the IDs that were only pinged and never heard: many are a scan, no devices."""
+        found = tuple(device.number for device in self._roster.devices.values()
+                      if not (device.heard or device.expected or device.counts.reads
+                              or device.counts.writes))
+        return found if len(found) >= SCAN else ()
 
     def _metrics(self, now: int, rates: dict[str, float]) -> tuple[Metric, ...]:
         series = (('time_per_buffer', 'ms', self._time_per_buffer),
                   ('time_between_buffers', 'ms', self._time_between),
                   ('bytes_per_buffer', 'B', self._buffer_size))
-        load = 100 * BITS_PER_BYTE * rates['bytes'] / self.settings.baud
-        values = (('byte_rate', 'B/s', rates['bytes']), ('packet_rate', 'Hz', rates['packets']),
-                  ('error_rate', 'Hz', rates['errors']), ('bus_load', '%', load))
+        values = [('byte_rate', 'B/s', rates['bytes']), ('packet_rate', 'Hz', rates['packets']),
+                  ('error_rate', 'Hz', rates['errors'])]
+        if self.conversation.byte_ns:          # the rate is known
+            values.append(('bus_load', '%', rates['bytes'] * self.conversation.byte_ns / 1e7))
         return (*(Metric(name, unit, one.summary(now), one.total(), bus=self.name)
                   for name, unit, one in series),
                 *(Metric(name, unit, value=value, bus=self.name) for name, unit, value in values))

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The ROS side of the monitor: parameters, one tap and one monitor per bus, timers that publish.
+The ROS side of the monitor: parameters, one listener and one monitor per bus, timers that publish.
 
 Bytes are taken in by the taps' threads; what is published is made from reports, a few statuses
 at a time, so that 253 devices neither fill a message nor hold up the executor.
@@ -21,11 +21,14 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from dxl_monitor.capture import Wire
-from dxl_monitor.models import Models
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.recorder import Recorder
-from dxl_monitor.report import BusReport
+from dxl_monitor.port.driver import adapter
+from dxl_monitor.port.listener import TAKE_EVERY_S
+from dxl_monitor.port.source_name import listener_on
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.recorder import Recorder
 from dxl_monitor.settings import Bus
 from dxl_monitor.settings import buses
 from dxl_monitor.settings import load_models
@@ -35,94 +38,112 @@ from dxl_monitor.status import bus_status
 from dxl_monitor.status import device_metrics
 from dxl_monitor.status import device_status
 from dxl_monitor.status import PortState
-from dxl_monitor.tap import TAKE_EVERY_S
-from dxl_monitor.tap import Tap
 from mecarover_serial.node import declare
+from mecarover_serial.node import overridable_publisher
 from mecarover_serial.process import resident_memory_mb
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
+from msg_defs.heard import Change
+from msg_defs.heard import UNKNOWN
 from msg_defs.reports import Metric
 from msg_defs.reports import Status
 from msg_defs.reports import topic_names
 from msg_defs.ros import DiagnosticArrays
+from msg_defs.ros import full_name
 from msg_defs.ros import joint_state
 from msg_defs.ros import QUEUE_DEPTH
-from msg_defs.ros import STATUSES_PER_MESSAGE
+from msg_defs.ros import slices
 from msg_defs.ros import TimingPublisher
 from msg_defs.ros import to_ros_time
 from msg_defs.ros import to_time
 
 OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
-BEHIND_NS = 1_000_000_000   # after a freeze; else a tap is 0.3 s behind at most
+BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s behind at most
 AGAIN_NS = 50_000_000       # until it is looked again whether that is over
-PATIENCE_NS = 2_500_000_000     # then it is no freeze, its reader hangs; a dashboard waits 4 s
+PATIENCE_NS = 2_500_000_000     # longer is not a freeze: its reader hangs; a dashboard waits 4 s
 
 
-class Listener:
-    """One bus: its tap and its monitor, and the recorder of all buses."""
+class MonitoredBus:
+    """One bus: its listener and its monitor, and the recorder of all buses."""
 
     def __init__(self, bus: Bus, models: Models, recorder: Recorder | None,
                  joint_state_rate: float) -> None:
         self.bus = bus
         self.monitor = Monitor(bus.label, models, bus.settings, idle_is_told=True)
         self._behind_since = 0
+        self._known_adapter: tuple[int, list[tuple[str, str]]] = (0, [])
         self._recorder = recorder
-        self.tap = Tap(bus.port, bus.settings.baud,
-                       self.monitor.feed if recorder is None else self._record_and_feed,
-                       self.monitor.flush_if_idle,
-                       take_every_s=min(TAKE_EVERY_S, 0.5 / (joint_state_rate or 1.0)))
+        self.listener = listener_on(
+            bus.port, bus.settings.baud,
+            self.monitor.feed if recorder is None else self._record_and_feed,
+            self.monitor.flush_if_idle, on_change=self._change,
+            take_every_s=min(TAKE_EVERY_S, 0.5 / (joint_state_rate or 1.0)))
 
     @cached_property
     def _wire(self) -> Wire:
         """What a capture says about the bus; known once there are bytes."""
-        return Wire(self.bus.name, self.bus.settings.baud, self.tap.latency_timer_ms or 0,
+        return Wire(self.bus.name, self.bus.settings.baud, self.listener.latency_timer_ms or 0,
                     self.bus.port)
 
-    def _record_and_feed(self, chunk: bytes, stamp: int) -> None:
+    def _record_and_feed(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
         if self._recorder is not None:
-            self._recorder.take(self._wire, chunk, stamp)
-        self.monitor.feed(chunk, stamp)
+            self._recorder.take(self._wire, chunk, stamp, side)
+        self.monitor.feed(chunk, stamp, side)
+
+    def _change(self, change: Change, stamp: int) -> None:
+        if self._recorder is not None:
+            self._recorder.change(self._wire, change, stamp)
+        self.monitor.change(change, stamp)
 
     def is_behind(self, now: int) -> bool:
         """Return whether a report must wait, because what came is still to be read."""
-        if not self.tap.state.is_open or now - self.tap.listened < BEHIND_NS:
+        if not self.listener.state.is_open or now - self.listener.listened < BEHIND_NS:
             self._behind_since = 0
             return False
         self._behind_since = self._behind_since or now
         return now - self._behind_since < PATIENCE_NS
 
     def report(self, now: int) -> BusReport:
-        """Return what is known; what the adapter delays is no silence."""
-        self.monitor.idle_ns = int(self.tap.idle_s * 1e9)
-        return self.monitor.report(now, self.tap.counters.line_errors,
-                                   self.tap.state.is_open and not self._behind_since)
+        """Return what is known; what the adapter delays is not silence."""
+        self.monitor.expect_delay(self.listener.latency_timer_ms or 0)
+        return self.monitor.report(now, self.listener.counters.line_errors,
+                                   self.listener.state.is_open and not self._behind_since)
 
     def port_state(self) -> PortState:
         """Return what the driver and the thread know about the port."""
-        counters, state = self.tap.counters, self.tap.state
+        counters, state = self.listener.counters, self.listener.state
         values = [
             ('Bytes read', str(counters.bytes)),
             ('Reads', str(counters.reads)),
             ('Openings', str(counters.openings)),
             ('Largest gap between reads (ms)', f'{1e3 * counters.largest_gap_s:.1f}'),
-            ('Low latency mode', str(self.tap.low_latency).lower()),
+            ('Low latency mode', str(self.listener.low_latency).lower()),
         ]
         if state.is_open:
-            values.append(('Read by', 'a process of its own' if self.tap.reader_pid
+            values.append(('Read by', 'a process of its own' if self.listener.reader_pid
                            else 'a thread of the node'))
-        if self.tap.latency_timer_ms is not None:
-            values.append(('Latency timer (ms)', str(self.tap.latency_timer_ms)))
+            values += self._adapter(counters.openings)
+        if self.listener.latency_timer_ms is not None:
+            values.append(('Latency timer (ms)', str(self.listener.latency_timer_ms)))
         if self._recorder is not None:
             values.append(('Capture', self._recorder.words))
         if counters.line_errors is not None:
             values += [(f'Driver: {name}', str(count))
                        for name, count in counters.line_errors._asdict().items()]
         warning = '' if self._recorder is None else self._recorder.problem
+        warning = warning or '; '.join(self.listener.problems())
         if state.is_open and self._behind_since:
             warning = (f'{self.bus.port}: who reads it says nothing, what is told here is old; '
                        'plug the adapter in again, or restart the node')
         return PortState(self.bus.port, '' if state.is_open else state.text, tuple(values),
                          warning)
+
+
+    def _adapter(self, openings: int) -> list[tuple[str, str]]:
+        """Return what the adapter says of itself; another one may be there after each opening."""
+        if self._known_adapter[0] != openings:
+            self._known_adapter = openings, adapter(self.bus.port)
+        return self._known_adapter[1]
 
 
 class JointStates:
@@ -131,7 +152,7 @@ class JointStates:
     def __init__(self, node: Node, monitor: Monitor, topic: str) -> None:
         self._monitor = monitor
         self._since = 0
-        self._publisher = node.create_publisher(JointState, topic, qos_profile_sensor_data)
+        self._publisher = overridable_publisher(node, JointState, topic, qos_profile_sensor_data)
 
     def publish(self, now: int, now_ros: int) -> None:
         """Publish what was read since the last time, if anything was."""
@@ -154,19 +175,20 @@ class MonitorNode:
         found = buses(values, models)
         self._recorder = make_recorder(values)
         self._capture_words = ''
-        self._listeners = [Listener(bus, models, self._recorder, values['joint_state_rate'])
+        self._buses = [MonitoredBus(bus, models, self._recorder, values['joint_state_rate'])
                            for bus in found]
         self._port_words: dict[str, str] = {}
         self._levels: list[int] = []
         self._overview_s = 0.0
-        self._waiting: deque[Status] = deque()      # of the current report, not yet published
+        self._waiting: deque[list[Status]] = deque()    # slices of the report, not yet published
         self._period_s = 1.0 / values['publish_rate']
         self._overview = self._publisher('/diagnostics')
         self._tables = self._publisher('dxl/diagnostics')
         self._overview_arrays = DiagnosticArrays()
         self._table_arrays = DiagnosticArrays()
         self._timing = TimingPublisher(
-            self.node, 'dxl', [one.bus.label for one in self._listeners])
+            self.node, 'dxl', values['timing_topics'],
+            [one.bus.label for one in self._buses])
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
         self._timer = self.node.create_timer(
             self._period_s, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -174,15 +196,15 @@ class MonitorNode:
         self._is_stopped = False
         if self._recorder is not None:
             self._recorder.start()
-        for listener in self._listeners:
-            listener.tap.start()
+        for one in self._buses:
+            one.listener.start()
 
     def stop(self) -> None:
         """Close the ports, then the capture."""
         if not self._is_stopped:
             self._is_stopped = True
-            for listener in self._listeners:
-                listener.tap.stop()
+            for one in self._buses:
+                one.listener.stop()
             if self._recorder is not None:
                 self._recorder.stop()
                 self._tell_capture()
@@ -191,7 +213,7 @@ class MonitorNode:
         """Nothing moves here."""
 
     def resume(self) -> None:
-        """Nothing to begin anew: what was not heard is missing, and counted as such."""
+        """Do nothing: what was not heard is missing, and counted as such."""
 
     def _publisher(self, topic: str) -> Any:
         return self.node.create_publisher(DiagnosticArray, topic, QUEUE_DEPTH)
@@ -202,9 +224,9 @@ class MonitorNode:
             return []
         self.node.create_timer(1.0 / rate, self._publish_joints,
                                clock=Clock(clock_type=ClockType.STEADY_TIME))
-        parts = topic_names([one.bus.label for one in self._listeners if one.bus.label])
+        parts = topic_names([one.bus.label for one in self._buses if one.bus.label])
         return [JointStates(self.node, one.monitor, '/'.join(filter(None, (
-            'dxl/joint_states', parts.get(one.bus.label))))) for one in self._listeners]
+            'dxl/joint_states', parts.get(one.bus.label))))) for one in self._buses]
 
     def _publish_joints(self) -> None:
         now, now_ros = time.monotonic_ns(), self.node.get_clock().now().nanoseconds
@@ -212,29 +234,27 @@ class MonitorNode:
             one.publish(now, now_ros)
 
     def _tick(self) -> None:
-        """Publish some of the waiting statuses; make new ones when there are none left."""
-        if self._is_stopped:            # closed ports are no fault now
+        """Publish a slice of the report; make a new report when there is none left."""
+        if self._is_stopped:            # closed ports are as they should be now
             return
         if not self._waiting:
             now = time.monotonic_ns()
-            behind = [one.is_behind(now) for one in self._listeners]
+            behind = [one.is_behind(now) for one in self._buses]
             if any(behind):
                 self._timer.timer_period_ns = AGAIN_NS
                 self._timer.reset()
                 return
             self._report(now)
-            slices = -(-len(self._waiting) // STATUSES_PER_MESSAGE)
-            self._timer.timer_period_ns = int(1e9 * self._period_s / max(1, slices))
-        some = [self._waiting.popleft()
-                for _ in range(min(STATUSES_PER_MESSAGE, len(self._waiting)))]
-        self._publish(self._tables, self._table_arrays, some)
+            self._timer.timer_period_ns = int(1e9 * self._period_s / max(1, len(self._waiting)))
+        if self._waiting:
+            self._tables.publish(self._table_arrays.array(self._waiting.popleft(), self._stamp()))
 
     def _report(self, now: int) -> None:
-        heard = [(one, one.report(now), one.port_state()) for one in self._listeners]
-        for listener, _, port in heard:
-            self._tell_port(listener.tap.state.text, port)
+        heard = [(one, one.report(now), one.port_state()) for one in self._buses]
+        for one, _, port in heard:
+            self._tell_port(one.listener.state.text, port)
         self._tell_capture()
-        self._waiting.extend(self._statuses(heard, True))
+        self._waiting.extend(slices(self._statuses(heard, True)))
         levels = [level for _, report, port in heard for level in (
             bool(port.problem), bool(port.warning), report.level,
             *(device.level for device in report.devices))]
@@ -247,21 +267,24 @@ class MonitorNode:
             self._overview_s = now_s
             self._publish_timing([report for _, report, _ in heard])
 
-    def _statuses(self, heard: list[tuple[Listener, BusReport, PortState]],
+    def _statuses(self, heard: list[tuple[MonitoredBus, BusReport, PortState]],
                   whole: bool) -> list[Status]:
-        node = self.node.get_name()
+        node = full_name(self.node)
         statuses = []
-        for listener, report, port in heard:
-            label = listener.bus.label
+        for one, report, port in heard:
+            label = one.bus.label
             statuses.append(bus_status(node, label, report, port, whole))
-            statuses += [device_status(node, label, device, report.findings, whole)
+            statuses += [device_status(node, label, device, report.findings, whole,
+                                       not port.problem)
                          for device in report.devices]
         return statuses
 
     def _publish(self, publisher: Any, arrays: DiagnosticArrays, statuses: list[Status]) -> None:
-        stamp = to_time(self.node.get_clock().now().nanoseconds)
-        for array in arrays.build(statuses, stamp):
+        for array in arrays.build(statuses, self._stamp()):
             publisher.publish(array)
+
+    def _stamp(self) -> Any:
+        return to_time(self.node.get_clock().now().nanoseconds)
 
     def _publish_timing(self, reports: list[BusReport]) -> None:
         metrics = [Metric('resident_memory', 'MB', value=resident_memory_mb())]
@@ -289,8 +312,8 @@ class MonitorNode:
                 self._log.info(self._capture_words)
 
     def _reset_statistics(self, request: Any, response: Any) -> Any:
-        for listener in self._listeners:
-            listener.monitor.reset_statistics(time.monotonic_ns())
+        for one in self._buses:
+            one.monitor.reset_statistics(time.monotonic_ns())
         response.success = True
-        response.message = 'all counts and statistics begin anew'
+        response.message = 'all counts and statistics start at 0, those of the port go on'
         return response

@@ -6,25 +6,30 @@ from __future__ import annotations
 from collections.abc import Iterable
 from collections.abc import Sequence
 from itertools import chain
-import os
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.devices import Device
-from dxl_monitor.devices import parse_all
-from dxl_monitor.model_yaml import ModelError
-from dxl_monitor.models import Models
-from dxl_monitor.monitor import Settings
-from dxl_monitor.recorder import Recorder
+from dxl_monitor.bus.conversation import PROTOCOLS
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.model.checked_yaml import ModelError
+from dxl_monitor.model.models import Models
+from dxl_monitor.port.source_name import bus_name
+from dxl_monitor.port.source_name import has_sides
+from dxl_monitor.record.recorder import Recorder
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import refuse_twice
+from mecarover_serial.parameters import TIMING_PARAMETER
 
 PARAMETERS = (
     Parameter('ports', ['/dev/ttyUSB0'], 'one port per bus: a path, best a stable one from '
-              '/dev/serial/by-id, or a pyserial URL', element=str),
-    Parameter('bauds', [2_000_000], 'rate of each bus, or one for all', 'bit/s', 9600, 4_500_000,
-              element=int),
+              '/dev/serial/by-id, a pyserial URL, usb:PORT (what another program exchanges with '
+              'it) or tap:NAME (a program started with dxl_tap)', element=str),
+    Parameter('bauds', [2_000_000], 'rate of each bus, or one for all; 0 = learn it, for usb: and '
+              'tap:, which always follow the rate that the program sets', 'bit/s', 9600, 4_500_000,
+              or_zero=True, element=int),
     Parameter('names', [], 'names of the buses; default: the base name of the port', element=str),
     Parameter('devices', [], "what is on the bus, in the order along the cable: "
               "'11:MX-106:left_knee', '1-20:MX-64', '30'; with several buses 'NAME/11:MX-106'",
@@ -34,7 +39,7 @@ PARAMETERS = (
               1000),
     Parameter('warn_loss', 1.0, 'more answers missed in the last 10 s than this: WARN', '%', 0.0,
               100.0),
-    Parameter('silent_after', 5.0, 'nobody asked it and it said nothing for so long: STALE', 's',
+    Parameter('silent_after', 5.0, 'not asked, and silent, for so long: STALE', 's',
               0.1, 3600.0),
     Parameter('model_dirs', [], 'folders with further model files; they win over the built-in '
               'ones', element=str),
@@ -45,8 +50,12 @@ PARAMETERS = (
               'and so on', 'MB', 0.001, 1e6),
     Parameter('capture_files', 9, 'older capture files to keep beside the one being written', '',
               0, 1000),
+    Parameter('protocols', ['auto'], 'what each bus speaks, or one for all: auto, 2 (Dynamixel '
+              'Protocol 2.0), 1 (Protocol 1.0), feetech; auto tells by what it hears',
+              element=str),
     Parameter('write_acks', 'auto', 'whether devices acknowledge writes; auto learns it',
               choices=('auto', 'always', 'never')),
+    TIMING_PARAMETER,
 )
 
 
@@ -85,14 +94,29 @@ def buses(values: dict[str, Any], models: Models) -> list[Bus]:
     if len(bauds) != len(ports):
         raise ParameterError(f'bauds: {len(bauds)} rates for {len(ports)} ports; '
                              'give one per port, or one for all')
+    protocols = _protocols(values['protocols'], len(ports))
+    for port, baud in zip(ports, bauds, strict=True):
+        if not baud and not has_sides(port):
+            raise ParameterError(f'bauds: 0 for {port}, which cannot learn its rate; give it, '
+                                 'e.g. bauds:=1000000')
     names = _names(values['names'], ports)
     devices = _devices_by_bus(values['devices'], names)
     check_models(chain.from_iterable(devices.values()), models)
     return [Bus(name, name if len(ports) > 1 else '', port, Settings(
         baud=baud, devices=tuple(devices[name]), missed_limit=values['missed_limit'],
         warn_loss=values['warn_loss'], silent_after=values['silent_after'],
-        write_acks=values['write_acks'])) for name, port, baud in zip(
-            names, ports, bauds, strict=True)]
+        write_acks=values['write_acks'], protocol=protocol)) for name, port, baud, protocol in zip(
+            names, ports, bauds, protocols, strict=True)]
+
+
+def _protocols(given: Sequence[str], count: int) -> list[str]:
+    for one in given:
+        if one not in PROTOCOLS:
+            raise ParameterError(f'protocols: {one!r}; use one of {", ".join(PROTOCOLS)}')
+    if len(given) not in (1, count):
+        raise ParameterError(f'protocols: {len(given)} for {count} ports; give one per port, or '
+                             'one for all')
+    return list(given) * (count if len(given) == 1 else 1)
 
 
 def _names(given: Sequence[str], ports: Sequence[str]) -> list[str]:
@@ -104,7 +128,7 @@ def _names(given: Sequence[str], ports: Sequence[str]) -> list[str]:
         return list(given)
     names: list[str] = []
     for port in ports:
-        name = base = os.path.basename(port.rstrip('/')) or port
+        name = base = bus_name(port)
         count = 2
         while name in names:
             name, count = f'{base}_{count}', count + 1
@@ -112,7 +136,7 @@ def _names(given: Sequence[str], ports: Sequence[str]) -> list[str]:
     return names
 
 
-def _devices_by_bus(entries: Sequence[str], names: Sequence[str]) -> dict[str, list[Device]]:
+def _devices_by_bus(entries: Sequence[str], names: Sequence[str]) -> dict[str, list[Expected]]:
     """Sort the entries by bus; 'NAME/...' says which, needed only where there are several."""
     texts: dict[str, list[str]] = {name: [] for name in names}
     for entry in entries:
@@ -128,7 +152,7 @@ def _devices_by_bus(entries: Sequence[str], names: Sequence[str]) -> dict[str, l
     return {name: parse_all(some) for name, some in texts.items()}
 
 
-def check_models(devices: Iterable[Device], models: Models) -> None:
+def check_models(devices: Iterable[Expected], models: Models) -> None:
     """Raise ParameterError for a device of a model that does not exist."""
     for model in {device.model for device in devices if device.model}:
         if models.by_name(model) is None:

@@ -13,9 +13,11 @@ from collections.abc import Iterable
 import json
 from typing import NamedTuple
 
-from dxl_monitor.report import BusReport
-from dxl_monitor.report import DeviceReport
-from dxl_monitor.report import Finding
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import Finding
+from msg_defs import status_keys as keys
+from msg_defs.reports import hardware_id
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import number
@@ -35,21 +37,30 @@ class PortState(NamedTuple):
 
 
 def device_status(node: str, bus: str, device: DeviceReport, findings: tuple[Finding, ...],
-                  with_table: bool) -> Status:
-    """Return the status of a device; `bus` is '' where there is only one."""
-    prefix = f'{bus}/' if bus else ''
+                  with_table: bool, is_listening: bool = True) -> Status:
+    """
+    Return the status of a device; `bus` is '' where there is only one.
+
+    While the port is closed (not is_listening) nothing can be told of a device that answered
+    before: its values are the last ones.
+    """
+    level, message = device.level, device.message
+    if not is_listening and level is not Level.ERROR:
+        level, message = Level.STALE, 'not listening: the port of its bus is closed'
     values = [
-        ('Model', device.model_name),
-        ('Firmware Version', 'unknown' if device.firmware is None else str(device.firmware)),
-        ('State', device.state),
-        *((name, number(value)) for name, value in device.counters),
+        (keys.MODEL, device.model_name),
+        (keys.FIRMWARE, 'unknown' if device.firmware is None else str(device.firmware)),
+        (keys.STATE, device.state),
+        *((key, str(count)) for key, count in device.totals.published()),
+        ('Missed in a Row', str(device.missed_in_a_row)),
+        (keys.LOSS, number(round(100 * device.window.loss, 2))),
         *_latency(device),
         *_findings(one for one in findings if one.device == device.id),
     ]
     if with_table:
         values += _table(device)
-    return Status(status_name(node, bus, device.name), device.level, device.message,
-                  f'{prefix}{device.id}', values)
+    return Status(status_name(node, bus, device.name), level, message,
+                  hardware_id(node, bus, str(device.id)), values)
 
 
 def bus_status(node: str, bus: str, report: BusReport, port: PortState,
@@ -65,8 +76,9 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
     for device in report.devices:
         by_state[device.state] = by_state.get(device.state, 0) + 1
     values = [
-        ('Port', port.port),
-        ('Baud (bit/s)', str(report.baud)),
+        (keys.PORT, port.port),
+        ('Baud (bit/s)', str(report.baud or 'not known yet')),
+        ('Protocol', report.protocol or 'not known yet'),
         ('Devices', str(len(report.devices))),
         *((f'Devices {state}', str(count)) for state, count in sorted(by_state.items())),
         *((name, str(count)) for name, count in report.counters.items()),
@@ -76,37 +88,35 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
         *_doubts(report.doubts),
     ]
     if with_log:
-        values += _errors(report)
+        values += _running(report) + _errors(report)
     return Status(status_name(node, f'bus {bus}'.strip()), level, message,
-                  bus or port.port, values)
-
-
-def bus_level(report: BusReport) -> Level:
-    """Return the worst level of a bus and its devices."""
-    return worst([report.level, *(device.level for device in report.devices)])
+                  hardware_id(node, bus or port.port), values)
 
 
 def _latency(device: DeviceReport) -> list[tuple[str, str]]:
     """Spell the reply latency; a figure only where the chunks resolve it."""
     window = device.latency.window
     return numbers([
-        ('Reply latency p50 (ms)', window and window.p50),
+        (keys.LATENCY_P50, window and window.p50),
         ('Reply latency p95 (ms)', window and window.p95),
         ('Reply latency resolved (%)', round(100 * device.latency.resolved, 1)),
     ])
 
 
 def _findings(findings: Iterable[Finding]) -> list[tuple[str, str]]:
-    return [(f'finding.{finding.rule}', finding.message) for finding in findings]
+    """Spell findings, and after each one how bad it is: a rule may be a warning or an error."""
+    return [pair for finding in findings for pair in (
+        (keys.FINDING + finding.rule, finding.message),
+        (keys.SEVERITY + finding.rule, finding.level.name.lower()))]
 
 
 def _doubts(doubts: Iterable[Finding]) -> list[tuple[str, str]]:
-    """Spell what the doctor cannot tell: one line for each rule, whoever it is about."""
+    """Spell what the doctor cannot tell: one line for each rule, for the bus and its devices."""
     by_rule: dict[str, list[str]] = {}
     for doubt in doubts:
         who = '' if doubt.device is None else f'{doubt.device:03}: '
         by_rule.setdefault(doubt.rule, []).append(who + doubt.message)
-    return [(f'cannot tell.{rule}', reasons[0] + (
+    return [(keys.DOUBT + rule, reasons[0] + (
         f' (and {len(reasons) - 1} more)' if len(reasons) > 1 else ''))
         for rule, reasons in by_rule.items()]
 
@@ -118,15 +128,23 @@ def _table(device: DeviceReport) -> list[tuple[str, str]]:
     for field, value, age_s, source in device.observed:
         values.append((field.key, value.text))
         if field.in_words:
-            values.append((f'{field.name} (raw)', number(value.raw)))
+            values.append((keys.raw(field.name), number(value.raw)))
         seen[field.name] = [round(age_s, 3), source]
-    return [*values, ('Fields not observed', str(device.unobserved)),
-            ('observed', json.dumps(seen, separators=(',', ':')))]
+    return [*values, (keys.NOT_OBSERVED, str(device.unobserved)),
+            (keys.OBSERVED, json.dumps(seen, separators=(',', ':')))]
+
+
+def _running(report: BusReport) -> list[tuple[str, str]]:
+    """Spell how old the times of the errors are, so that a reader can date them."""
+    if not report.started:
+        return []
+    return [(keys.RUNNING, number(round((report.stamp - report.started) / 1e9, 1)))]
 
 
 def _errors(report: BusReport) -> list[tuple[str, str]]:
     """Spell the last errors, the newest first, with their time since start."""
-    return [(f'error {index:02}', f'{(error.stamp - report.started) / 1e9:.3f} s: {error.text}')
+    return [(f'{keys.ERROR}{index:02}',
+             f'{(error.stamp - report.started) / 1e9:.3f} s: {error.text}')
             for index, error in enumerate(reversed(report.errors))]
 
 

@@ -6,15 +6,15 @@ from collections import Counter
 import io
 import re
 
-from dxl_monitor.capture import Chunk
-from dxl_monitor.capture import Moment
-from dxl_monitor.capture import Reader
-from dxl_monitor.capture import Wire
-from dxl_monitor.capture import Writer
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import Reader
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.capture import Writer
 from fuzz.script import Script
 
 SECOND = 1_000_000_000
-MAGIC = b'# dxl_capture 1 '
+MAGIC = b'# dxl_capture 2 '
 LINES = (
     MAGIC + b'began 2026-09-20T10:13:20.123456Z at 12345.678901234\n',
     b'# bus ttyUSB0 baud 2000000 latency_timer_ms 1 port /dev/ttyUSB0\n',
@@ -27,7 +27,7 @@ LINES = (
 BUSES = ('', 'left', 'a b', 'tty\u00e9', '-', '%2D', '#', '(', 'x' * 60)
 CHUNK = re.compile(rb'\((\d+)\.(\d+)\) ([!-~]+) ((?:[0-9a-f]{2})+)\n')
 REMARK = re.compile(rb'# (?!bus\b|dxl_capture\b)[ -~]*\n')
-BROKEN = re.compile(rb'[^(#\s][!-~]*\n|\([^) ]*\n|# bus\n|# bus \w+\n|# dxl_capture 1 \n')
+BROKEN = re.compile(rb'[^(#\s][!-~]*\n|\([^) ]*\n|# bus\n|# bus \w+\n|# dxl_capture [19] \n')
 
 
 def check(data):
@@ -36,8 +36,8 @@ def check(data):
 
     Never raises; each line is a chunk, a header, a remark, blank or counted as bad, and what is
     plainly one of these is taken for it; what was written is read again to the byte and the ns,
-    each bus with all its facts told once, behind bad lines too, and behind another capture whose
-    clock began anew.
+    each bus with all its facts told once, behind bad lines too, and behind another capture with a
+    clock began again.
     """
     script = Script(data)
     lines = [line(script) for _ in range(script.byte() % 16)]

@@ -7,13 +7,13 @@ import json
 import re
 import struct
 
-from dxl_monitor.dashboard import rows
-from dxl_monitor.dashboard.cdr import CdrError
-from dxl_monitor.dashboard.cdr import statuses
-from dxl_monitor.dashboard.server import is_ours
-from dxl_monitor.dashboard.state import State
-from dxl_monitor.dashboard.state import TOPICS
 from fuzz.script import Script
+from mecarover_dashboard import rows
+from mecarover_dashboard.cdr import CdrError
+from mecarover_dashboard.cdr import statuses
+from mecarover_dashboard.server import is_ours
+from mecarover_dashboard.state import State
+from mecarover_dashboard.state import TOPICS
 
 MOST_ROWS = 3000
 HISTORY = 300

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fast replies: one status of many devices, whole, cut, damaged, or not one at all."""
 
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from fuzz.script import fast_reply
 from fuzz.script import Script
@@ -21,8 +21,8 @@ def check(data):
     Check one combined status: as it is split, and what a bus with these devices makes of it.
 
     Never raises; a reply cut anywhere gives the blocks that are whole; after a flipped bit only
-    blocks in front of it; a block that says another ID ends it; whatever it is, no block that
-    was not asked for. Each device's table gets its own data and nobody else's.
+    blocks in front of it; a block that says another ID ends it; in no case a block that
+    was not asked for. Each device's table gets its own data and no other.
     """
     script = Script(data)
     sizes = [script.byte() % 24 for _ in range(script.byte() % 8)]
@@ -59,22 +59,22 @@ def check(data):
 
 
 def bus_holds(accesses, blocks, body):
-    """Hold that a device that spoke is known by its data; nobody else's table has anything."""
+    """Hold that a device that spoke is known by its data; no other table has anything."""
     monitor = Monitor('bus', MODELS)
     asked = b''.join(bytes([one.id]) + one.address.to_bytes(2, 'little')
                      + one.length.to_bytes(2, 'little') for one in accesses)
     monitor.feed(encode(0xFE, FAST_BULK_READ, asked), 1_000_000_000)
     monitor.feed(b'\xff\xff\xfd\x00' + body, 1_001_000_000)
-    monitor.flush_if_idle(1_900_000_000)
-    devices = monitor._roster.devices
+    monitor.flush_if_idle(2_100_000_000)
+    devices = monitor.conversation.roster.devices
     assert set(devices) == {one.id for one in accesses}
     for error, number, data in blocks:
         known = [(AT, data)] if data and not error & 0x7F else []
         assert devices[number].table.known() == known
-        assert devices[number].answers == 1
+        assert devices[number].counts.answers == 1
     for one in accesses[len(blocks):]:
         assert not devices[one.id].table.known()
-        assert not devices[one.id].answers
+        assert not devices[one.id].counts.answers
 
 
 def _error(script):

@@ -14,6 +14,7 @@ from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import packet_of
 from msg_defs.dxl_packet import stuff
 from msg_defs.dxl_packet import unstuff
 
@@ -23,7 +24,7 @@ BACKUP = {b'\x01CTRL': 'store', b'\x02CTRL': 'restore'}
 RESETS = {b'\xff': 'all', b'\x01': 'all except ID', b'\x02': 'all except ID and Baud Rate'}
 LISTED = {0x82: Answers.LISTED, 0x92: Answers.LISTED,
           0x8A: Answers.COMBINED, 0x9A: Answers.COMBINED}
-TO_MANY = (*LISTED, 0x83, 0x93)     # sent to everybody and to nobody else
+TO_MANY = (*LISTED, 0x83, 0x93)     # sent to the broadcast ID alone
 ACKNOWLEDGED = (0x03, 0x04, 0x05, 0x06, 0x08, 0x10, 0x20)
 OPTIONS = {
     0x06: lambda params: RESETS.get(params[:1], ''),
@@ -89,7 +90,7 @@ def comes_back(number, instruction, params):
     content = bytes([instruction]) + reference.stuff(params)
     head = b'\xff\xff\xfd\x00' + bytes([number]) + _u16(len(content) + 2) + content
     assert wire == head + _u16(reference.crc16(head))
-    [packet] = Framer().feed(wire, 1)
+    packet, = (packet_of(one, 1) for one in Framer().frames(wire))
     assert packet[2:] == (number, instruction, None, params, False)
 
 

@@ -11,11 +11,11 @@ from tempfile import TemporaryDirectory
 
 import yaml
 
-from dxl_monitor.model_yaml import ModelError
-from dxl_monitor.models import check_models
-from dxl_monitor.models import Models
-from dxl_monitor.table import READ
-from dxl_monitor.table import Table
+from dxl_monitor.bus.table import READ
+from dxl_monitor.bus.table import Table
+from dxl_monitor.model.checked_yaml import ModelError
+from dxl_monitor.model.models import check_models
+from dxl_monitor.model.models import Models
 from fuzz.script import Script
 
 SAMPLE = b"""model_numbers: {7: Own, 9: Other}

@@ -9,7 +9,7 @@ It sees a stream as a whole and is slow. Sources: e-Manual, Protocol 2.0; docs/f
 
 from typing import NamedTuple
 
-TAIL = b'\xff\xfd\x00'                 # of a header; its first byte may have got lost
+TAIL = b'\xff\xfd\x00'                 # a header, but for its first byte, which may have got lost
 LONGEST = 1024                         # Length of a packet
 
 
@@ -107,3 +107,47 @@ class Stream:
                 noise += self.data[done:begin]
                 done = end
         return packets, bytes(noise + self.data[done:max(done, decided)])
+
+
+class Stream1:
+    """All packets of the 1.0 family in a stream of bytes, by how much of it has come."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+
+    def found(self, size: int, idle: bool) -> tuple[list[Found], bytes]:
+        """Return packets and noise of the first `size` bytes; idle: nothing more will come."""
+        data = self.data[:size]
+        packets = []
+        noise = bytearray()
+        done = at = 0
+        while at < size:
+            fate = _fate_1(data[at:], idle)
+            if fate is None:
+                break
+            if fate:
+                packets.append(Found(at + fate, data[at + 2:at + fate - 1], False, at - done))
+                noise += data[done:at]
+                done = at = at + fate
+            else:
+                at += 1
+        return packets, bytes(noise + data[done:at])
+
+
+def _fate_1(data: bytes, idle: bool) -> int | None:
+    """Return the size of the packet at the beginning, 0 if there is none, None if undecided."""
+    if data[:2] != b'\xff\xff'[:len(data)]:
+        return 0
+    if len(data) > 2 and data[2] == 0xFF:
+        return 0 if len(data) > 3 or idle else None
+    if len(data) < 4:
+        return 0 if idle else None
+    size = data[3] + 4
+    if data[3] < 2:
+        return 0
+    if len(data) < size:
+        return 0 if idle else None
+    total = 0
+    for byte in data[2:size - 1]:
+        total += byte
+    return size if data[size - 1] == 255 - total % 256 else 0

@@ -5,7 +5,8 @@
 from functools import lru_cache
 import json
 
-from dxl_monitor.models import Models
+from dxl_monitor.bus.conversation import Conversation
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.status import bus_status
 from dxl_monitor.status import device_metrics
@@ -20,7 +21,7 @@ from msg_defs.dxl_packet import encode
 MODELS = Models()
 PAUSES_NS = (0, 0, 0, 1_000, 1_000_000, 30_000_000, 1_500_000_000, 12_000_000_000)
 LIMITS = {'errors': 50, 'incidents': 1000, 'waits': 256, 'cycles': 32, 'noise': 256}
-SLOTS = 8192 + 255                     # of all plans together, and those of the last one
+SLOTS = 8192 + 255                     # for all plans together, and those of the last one
 TABLE_END = 0x4000
 SPANS = 64
 ERRORS = 64
@@ -62,8 +63,9 @@ def flood():
 
 def run(bursts):
     """Feed bursts of chunks, each at one stamp; return what does not hang on the chunks."""
-    monitor = Monitor('bus', MODELS)
-    monitor._framer = framer = Watched()
+    conversation = Conversation(MODELS)
+    conversation.framer = framer = Watched()
+    monitor = Monitor('bus', MODELS, conversation=conversation)
     now = 1_000_000_000
     total = 0
     for chunks, pause in bursts:
@@ -80,16 +82,16 @@ def run(bursts):
     assert report.counters['Pending Bytes'] == 0
     published(report)
     kept(monitor)
-    tables = {number: one.table for number, one in monitor._roster.devices.items()}
+    tables = {number: one.table for number, one in monitor.conversation.roster.devices.items()}
     assert all(len(one._settle().data) <= TABLE_END for one in tables.values())
     return report.counters, report.kinds, [
-        (device.id, device.model_name, device.state, dict(device.counters), device.errors,
+        (device.id, device.model_name, device.state, device.totals, device.errors,
          tables[device.id].known()) for device in report.devices]
 
 
 def kept(monitor):
     """Hold that what was not looked at yet is bounded too."""
-    roster, planner = monitor._roster, monitor._tracker._planner
+    roster, planner = monitor.conversation.roster, monitor.conversation.tracker.planner
     assert sum(1 + len(plan.slots) for plan in planner.known.values()) <= SLOTS
     assert roster.devices.keys() <= set(range(253))
     for number, device in roster.devices.items():

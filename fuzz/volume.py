@@ -20,7 +20,8 @@ import time
 
 from benchmark.traffic import packets
 from benchmark.traffic import trace_packets
-from dxl_monitor.models import Models
+from dxl_monitor.bus.conversation import Conversation
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from fuzz.framer import Watched
 from fuzz.script import TRICKY
@@ -28,7 +29,7 @@ from mecarover_serial.process import resident_memory_mb
 from msg_defs.dxl_packet import HEADER
 
 BLOCK = 1 << 18
-GROWTH_MB = 30.0                    # of the resident memory, from the first block on
+GROWTH_MB = 30.0                    # more resident memory, from the first block on
 CANDIDATE = re.compile(rb'(?=\xff\xfd\x00(.(..)))', re.DOTALL)
 
 
@@ -102,8 +103,9 @@ def good_in(stream):
 
 def run(make, size, chance, traffic, sent):
     """Feed so many bytes in chunks of all sizes; check the accounts at every chunk."""
-    monitor = Monitor('bus', Models())
-    monitor._framer = framer = Watched()
+    conversation = Conversation(Models())
+    conversation.framer = framer = Watched()
+    monitor = Monitor('bus', Models(), conversation=conversation)
     now, total, false, packets_found, tried, memory = 1_000_000_000, 0, 0, 0, 0, None
     while total < size:
         block = make(chance, traffic)

@@ -6,21 +6,25 @@ Starts suite and dashboard against simulated hardware: a fake MCU and a fake Dyn
 Then drive: `ros2 run teleop_twist_keyboard teleop_twist_keyboard`; the fake MCU prints what it
 understands.
 """
+import atexit
 import os
 import shutil
 import tempfile
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
 from launch.actions import ExecuteProcess
 from launch.actions import IncludeLaunchDescription
 from launch.actions import OpaqueFunction
-from launch.actions import RegisterEventHandler
-from launch.event_handlers import OnShutdown
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
+
+from mecarover_serial.launch import declared
+from mecarover_serial.launch_arguments import Argument
+from mecarover_serial.launch_arguments import NO
+from mecarover_serial.launch_arguments import SHARED
+from mecarover_serial.launch_arguments import YES
 
 PACKAGE = 'mecarover_serial'
 SHARE = get_package_share_directory(PACKAGE)
@@ -28,21 +32,17 @@ SHARE = get_package_share_directory(PACKAGE)
 DEVICES = ['1-4:MX-106', '5-12:MX-64', '13-15:Rhoban DXL board', '16-18:BitFoot',
            '19-20:Bit-Bots IMU']
 ARGUMENTS = (
-    ('folder', '', 'for the links to the fake ports; default: a new one, removed at the end'),
-    ('fault', '', 'of the fake bus, e.g. silent:7:10:5; see fake_bus --list-faults'),
-    ('dashboard', 'true', 'serve the web page too'),
-    ('dashboard_port', '8420', 'of the web page; 0 = any free one'),
-    ('namespace', '', 'of the nodes and their topics'),
-    ('log_level', 'info', 'debug, info, warn, error'),
+    Argument('folder', '', 'for the links to the fake ports; default: a new one, removed at the '
+             'end'),
+    Argument('fault', '', 'of the fake bus, e.g. silent:7:10:5; see fake_bus --list-faults'),
+    Argument('dashboard', 'true', 'serve the web page too', YES + NO),
+    Argument('dashboard_port', '8420', 'of the web page; 0 = any free one'),
+    *SHARED,
 )
 
 
 def generate_launch_description():
-    return LaunchDescription([
-        *(DeclareLaunchArgument(name, default_value=default, description=text)
-          for name, default, text in ARGUMENTS),
-        OpaqueFunction(function=_start),
-    ])
+    return LaunchDescription([*declared(__file__, ARGUMENTS), OpaqueFunction(function=_start)])
 
 
 def _start(context):
@@ -51,8 +51,8 @@ def _start(context):
     mcu, bus = os.path.join(folder, 'mcu'), os.path.join(folder, 'bus')
     fault = ['--fault', given['fault']] if given['fault'] else []
     actions = [
-        _fake('fake_mcu', '--link', mcu),
-        _fake('fake_bus', '--link', bus, '--devices', *DEVICES, *fault),
+        _fake('fake_mcu', '--outlive', '--link', mcu),
+        _fake('fake_bus', '--outlive', '--link', bus, '--devices', *DEVICES, *fault),
         IncludeLaunchDescription(
             PythonLaunchDescriptionSource(os.path.join(SHARE, 'launch', 'suite.launch.py')),
             launch_arguments=[
@@ -60,13 +60,14 @@ def _start(context):
                 ('namespace', given['namespace']),
                 ('log_level', given['log_level'])]),
     ]
-    if given['dashboard'].lower() in ('true', '1'):
+    if given['dashboard'] in YES:
         actions.append(Node(
             package=PACKAGE, executable='dxl_dashboard', namespace=given['namespace'],
-            arguments=['--port', given['dashboard_port']], output='screen'))
+            arguments=['--port', given['dashboard_port'], '--history', 'none'],
+            output='screen'))
     if not given['folder']:
-        actions.append(RegisterEventHandler(OnShutdown(
-            on_shutdown=[OpaqueFunction(function=lambda _: shutil.rmtree(folder, True))])))
+        # Not at the event of the shutdown: the nodes still need their ports then.
+        atexit.register(shutil.rmtree, folder, True)
     return actions
 
 

@@ -88,11 +88,12 @@ class Show:
         self._table = DeviceTable()
         self._stage = stage
         devices = ','.join(DEVICES)
-        stage.start('dxl_monitor.fake_bus', '--link', bus, '--devices', devices, '--fault',
+        stage.start('dxl_monitor.fake.fake_bus', '--link', bus, '--devices', devices, '--fault',
                     f'silent:{SILENT_ID}:{SILENT_AT_S}:{SILENT_FOR_S}')
         stage.start('dxl_monitor.main', '--ros-args', '-p', f'ports:={bus}', '-p',
                     f'devices:={list(DEVICES)}')
-        self._dashboard = stage.start('dxl_monitor.dashboard.main', '--port', _page_port())
+        self._dashboard = stage.start('mecarover_dashboard.main', '--port', _page_port(),
+                                        '--history', 'none')
 
     def run(self, seconds: float | None) -> list[Verdict]:
         """Play scene after scene; with a time limit, every scene once and then until it ends."""

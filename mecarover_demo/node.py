@@ -11,6 +11,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
+from msg_defs.status_keys import COMMANDS_RECEIVED
 from msg_defs.vel2d import Vel2d
 
 
@@ -43,7 +44,7 @@ class Operator:
         """
         status = self.statuses.get('vel2d_bridge: commands')
         return status is not None and any(
-            pair.key == 'Commands received' and int(pair.value) > 0 for pair in status.values)
+            pair.key == COMMANDS_RECEIVED and int(pair.value) > 0 for pair in status.values)
 
     def forget(self) -> None:
         """Forget what the bridge reported: it was killed, the next report is of another one."""

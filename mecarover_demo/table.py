@@ -7,14 +7,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from mecarover_demo.scenes import Verdict
+from msg_defs import status_keys as keys
 from msg_defs.reports import Level
 
 _PERIOD_S = 5.0
 _COLUMNS = (            # title, width, the keys of which the first one that is there is shown
-    ('model', 19, ('Model',)),
-    ('state', 13, ('State',)),
-    ('answers', 8, ('Answers',)),
-    ('missed', 7, ('Missed Answers',)),
+    ('model', 19, (keys.MODEL,)),
+    ('state', 13, (keys.STATE,)),
+    ('answers', 8, (keys.ANSWERS,)),
+    ('missed', 7, (keys.MISSED_ANSWERS,)),
     ('position (rad)', 15, ('Present Position (rad)',)),
     ('voltage (V)', 12, ('Present Input Voltage (V)', 'Present Voltage (V)')),
 )
@@ -40,7 +41,7 @@ class DeviceTable:
         """Print what has changed, and now and then everything."""
         devices = self.devices(statuses)
         for name, status in devices.items():
-            state = _values(status).get('State', '?')
+            state = _values(status).get(keys.STATE, '?')
             seen = self._states.setdefault(name, [])
             if seen and seen[-1] != state:
                 print(f'     bus  {name}: {seen[-1]} -> {state} ({status.message})', flush=True)
@@ -51,7 +52,7 @@ class DeviceTable:
             print(_render(devices), flush=True)
 
     def verdicts(self, silenced: int) -> list[Verdict]:
-        """Judge what was seen: everybody there, the silenced one lost and found, nobody else."""
+        """Judge what was seen: all there, the silenced one lost and found, no other lost."""
         name = f'{silenced:03}'
         lost = [other for other, states in self._states.items() if 'disconnected' in states]
         states = self._states.get(name, [])
@@ -60,7 +61,7 @@ class DeviceTable:
             Verdict('all devices seen', len(self._states) == _EXPECTED,
                     f'{len(self._states)} of {_EXPECTED}'),
             Verdict(f'device {name} lost and found', back, ' -> '.join(states) or 'never seen'),
-            Verdict('nobody else lost', lost in ([name], []), ', '.join(lost)),
+            Verdict('no other device lost', lost in ([name], []), ', '.join(lost)),
         ]
 
 

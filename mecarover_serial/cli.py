@@ -21,10 +21,11 @@ from types import FrameType
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import split_ros_args
-from mecarover_serial.port import PortError
+from mecarover_serial.preflight import PortError
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
-ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+ENDING = tuple(getattr(signal, name) for name in ('SIGINT', 'SIGTERM', 'SIGHUP', 'SIGQUIT')
+               if hasattr(signal, name))       # Windows has two of them
 
 
 class UsageError(Exception):

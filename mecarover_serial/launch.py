@@ -1,15 +1,18 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the launch files of both nodes share: a node with a settings file, and arguments over it.
+What the launch files share: a node with a settings file, and arguments over it.
 
 Needs ROS's own package `launch`: imported by launch files only, never by the rest of the package.
 """
 from __future__ import annotations
 
+from collections.abc import Iterable
 from collections.abc import Sequence
 from functools import partial
 import os
+import sys
+import tempfile
 from typing import Any
 
 from ament_index_python.packages import get_package_share_directory
@@ -20,44 +23,88 @@ from launch.actions import OpaqueFunction
 from launch.events import matches_action
 from launch.events.process import ShutdownProcess
 from launch_ros.actions import Node
-import yaml
+
+from mecarover_serial.launch_arguments import Argument
+from mecarover_serial.launch_arguments import arguments_of
+from mecarover_serial.launch_arguments import Launched
+from mecarover_serial.launch_arguments import refuse_unknown
+from mecarover_serial.launch_arguments import YES
+from mecarover_serial.parameters import typed
+from mecarover_serial.settings_file import SettingsError
+from mecarover_serial.settings_file import without
 
 PACKAGE = 'mecarover_serial'
 HOPELESS = 2                # exit code of a wrong parameter
 
 
-def node_with_settings(name: str, settings: str, parameters: Sequence[tuple[str, str]], *,
-                       respawn: bool) -> LaunchDescription:
+def declared(file: str, arguments: Sequence[Argument]) -> list[Any]:
     """
-    Describe the launch of a node with a file of our folder config.
+    Return the actions that declare the arguments of a launch file `file`.
 
-    `parameters`, name and text: arguments that are parameters of the node; one that is given wins
-    over the file, one that is not leaves the file as it is.
+    When `file` is the one that the user started, an argument that it does not have is refused:
+    ROS would ignore it.
     """
-    declare = DeclareLaunchArgument
-    file = os.path.join(get_package_share_directory(PACKAGE), 'config', settings)
+    names = [one.name for one in arguments]
+
+    def check(context: Any) -> None:
+        refuse_unknown(os.path.basename(file), names, sys.argv)
+    return [OpaqueFunction(function=check), *(
+        DeclareLaunchArgument(one.name, default_value=_default(one), description=one.text,
+                              choices=list(one.choices) or None) for one in arguments)]
+
+
+def _default(argument: Argument) -> str:
+    if argument.name.endswith('config'):
+        return os.path.join(get_package_share_directory(PACKAGE), 'config', argument.default)
+    return argument.default
+
+
+def description(file: str, *nodes: Launched) -> LaunchDescription:
+    """Describe the launch of nodes by a launch file `file`."""
     return LaunchDescription([
-        *(declare(parameter, default_value='', description=f'{text}; default: from the file')
-          for parameter, text in parameters),
-        declare('config', default_value=file, description='file with parameters'),
-        declare('namespace', default_value='', description='of the node and its topics'),
-        declare('log_level', default_value='info', description='debug, info, warn, error'),
-        declare('respawn', default_value=str(respawn).lower(),
-                description='start again when it ends'),
-        OpaqueFunction(function=partial(_node, name=name, parameters=parameters)),
+        *declared(file, arguments_of(*nodes)),
+        *(OpaqueFunction(function=partial(_start, node=node, spelt=node.spelt(len(nodes) > 1)))
+          for node in nodes),
     ])
 
 
-def _node(context: Any, name: str, parameters: Sequence[tuple[str, str]]) -> list[Any]:
-    given = context.launch_configurations
-    logger = '.'.join([*filter(None, given['namespace'].split('/')), name])
+def _start(context: Any, node: Launched, spelt: dict[str, str]) -> list[Any]:
+    everything = context.launch_configurations
+    given = {name: everything[here] for name, here in spelt.items()}
+    namespace = everything['namespace']
+    logger = '.'.join([*filter(None, namespace.split('/')), given['name']])
+    texts = {one: given[one] for one, _ in node.parameters if given[one]}
     return [Node(
-        package=PACKAGE, executable=name, namespace=given['namespace'], output='screen',
-        parameters=[given['config'], {
-            one: yaml.safe_load(given[one]) for one, _ in parameters if given[one]}],
-        ros_arguments=['--log-level', f'{logger}:={given["log_level"]}'],
-        respawn=given['respawn'].lower() in ('true', '1'), respawn_delay=1.0,
-        on_exit=_give_up_if_hopeless)]
+        package=PACKAGE, executable=node.node, name=given['name'], namespace=namespace,
+        parameters=[_settings(given['config'], texts), _values(node.node, texts)],
+        remappings=[(one, given[one]) for one, _ in node.remapped if given[one] != one],
+        ros_arguments=['--log-level', f'{logger}:={everything["log_level"]}',
+                       *(['--enclave', given['enclave']] if given['enclave'] else [])],
+        respawn=given['respawn'] in YES, respawn_delay=1.0, on_exit=_give_up_if_hopeless,
+        output='screen')]
+
+
+def _values(node: str, texts: dict[str, str]) -> dict[str, Any]:
+    """Return the values of parameters as they are after -p on a command line."""
+    words = [word for name, text in texts.items() for word in ('-p', f'{name}:={text}')]
+    return typed(['--ros-args', *words], node)
+
+
+def _settings(file: str, overridden: Iterable[str]) -> str:
+    """Return a settings file without what arguments override, as rcl keeps a value per type."""
+    try:
+        with open(file, encoding='utf-8') as settings:
+            text = settings.read()
+        rest = without(text, overridden)
+    except (OSError, UnicodeDecodeError, SettingsError) as error:
+        reason = getattr(error, 'strerror', None) or error
+        raise SettingsError(f'config: {file}: {reason}; give a file with parameters') from error
+    if rest == text:
+        return os.path.abspath(file)
+    with tempfile.NamedTemporaryFile('w', prefix='launch_params_', suffix='.yaml',
+                                     delete=False, encoding='utf-8') as copy:
+        copy.write(rest)
+    return copy.name
 
 
 def _give_up_if_hopeless(event: Any, context: Any) -> list[Any]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Container
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 import gc
 import os
@@ -33,6 +34,8 @@ from rclpy.clock import ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 
 from mecarover_serial.cli import COULD_NOT_RUN
@@ -44,10 +47,14 @@ from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
-from mecarover_serial.port import PortError
+from mecarover_serial.preflight import PortError
+from mecarover_serial.relay import Relay
 from mecarover_serial.systemd import Systemd
 
 STEP_S = 1.0                    # of the system clock; less is no step
+_SHARED_MEMORY = '/dev/shm'
+_ROOM = 4_000_000               # bytes: a participant takes 0.5 MB and something for each port
+_TRANSPORTS = 'FASTDDS_BUILTIN_TRANSPORTS'
 _LARGEST = 1e9                  # stands for "no upper limit" in a range, which needs both ends
 
 
@@ -70,14 +77,9 @@ def run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None = 
     """Run a node until a signal ends it; return the exit code (0 signal, 1 failed, 2 usage)."""
     clock = _SystemClock()
     with _Signals() as signals:
-        try:
-            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        except Exception as error:      # RCLError is private; its cause is what the user typed
-            return _complain(name, f'{first_line(error)}; see ros2 run --help', WRONG_USAGE)
-        code = _run(name, start, signals, clock)
+        with Relay(name):
+            code = _run(name, start, args, signals, clock)
         if clock.went_back:
-            sys.stdout.flush()
-            sys.stderr.flush()
             os._exit(code)
         return code
 
@@ -98,10 +100,15 @@ class _SystemClock:
         return time.time() - time.monotonic() < self._ahead_s - STEP_S
 
 
-def _run(name: str, start: Callable[[], Stoppable], signals: _Signals,
-         clock: _SystemClock) -> int:
+def _run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None,
+         signals: _Signals, clock: _SystemClock) -> int:
+    _spare_shared_memory(name)
     try:
-        _spin(start(), signals, clock)
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:      # RCLError is private; its cause is what the user typed
+        return _complain(name, f'{first_line(error)}; {_remedy()}', WRONG_USAGE)
+    try:
+        _spin(_created(start), signals, clock)
         return DONE
     except ParameterError as error:
         return _complain(name, str(error), WRONG_USAGE)
@@ -114,6 +121,34 @@ def _run(name: str, start: Callable[[], Stoppable], signals: _Signals,
     finally:
         if not clock.went_back:
             rclpy.try_shutdown()
+
+
+def _created(start: Callable[[], Stoppable]) -> Stoppable:
+    """Return what `start` makes. What rcl refuses then is what the user typed or set."""
+    try:
+        return start()
+    except RuntimeError as error:
+        if type(error).__name__ != 'RCLError':      # it is private
+            raise
+        raise ParameterError(f'{first_line(error)}; {_remedy()}') from error
+
+
+def _remedy() -> str:
+    """Return where a user reads on when rcl refuses to start."""
+    if os.environ.get('ROS_SECURITY_ENABLE', '').lower() != 'true':
+        return 'see ros2 run --help'
+    return ('ROS_SECURITY_ENABLE is true: give --enclave, set ROS_SECURITY_KEYSTORE, use ROS 2 '
+            'from apt (the wheels of PyPI have no security); see docs/security.md')
+
+
+def _spare_shared_memory(name: str) -> None:
+    """Have Fast DDS do without shared memory where there is no room: it would die of SIGBUS."""
+    with suppress(OSError):
+        room = os.statvfs(_SHARED_MEMORY)
+        if room.f_bavail * room.f_frsize < _ROOM and _TRANSPORTS not in os.environ:
+            os.environ[_TRANSPORTS] = 'UDPv4'
+            print(f'{name}: {_SHARED_MEMORY}: is full, so messages go over the network only; make '
+                  'room there and start again', file=sys.stderr, flush=True)
 
 
 def _spin(app: Stoppable, signals: _Signals, clock: _SystemClock) -> None:
@@ -146,6 +181,18 @@ def _end(executor: SingleThreadedExecutor, ended: threading.Event) -> None:
     executor.create_task(lambda: None)
 
 
+def overridable_publisher(node: Node, kind: type, topic: str, profile: QoSProfile) -> Any:
+    """Return a publisher whose QoS the parameters qos_overrides.TOPIC.publisher.* change."""
+    try:
+        return node.create_publisher(
+            kind, topic, profile,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+    except (RuntimeError, ValueError) as error:     # rclpy's, and its private RCLError
+        raise ParameterError(
+            f'qos_overrides.{node.resolve_topic_name(topic)}.publisher: {first_line(error)}; '
+            'set e.g. reliability to reliable, depth to 10') from error
+
+
 def given(node: Node) -> dict[str, Any]:
     """Return the raw values that the user gave, on the command line or in a file."""
     return {name: one.value for name, one in node._parameter_overrides.items()}
@@ -160,8 +207,15 @@ def _prefer_typed(node: Node, known: Container[str]) -> None:
     """
     overrides = node._parameter_overrides
     for name, value in typed(sys.argv[1:], node.get_name()).items():
-        if name in known and name in overrides and type(value) is not type(overrides[name].value):
+        if name in known and name in overrides and _kind(value) != _kind(overrides[name].value):
             overrides[name] = rclpy.Parameter(name, value=value)
+
+
+def _kind(value: Any) -> str:
+    """Return the type of a value, of a list that of its elements."""
+    if isinstance(value, str) or not hasattr(value, '__iter__'):
+        return type(value).__name__
+    return 'list of ' + ', '.join(sorted({type(item).__name__ for item in value}))
 
 
 def declare(node: Node, parameters: Sequence[Parameter],
@@ -276,5 +330,6 @@ def first_line(error: Exception) -> str:
 
 
 def _complain(name: str, text: str, code: int) -> int:
-    print(f'{name}: {text}', file=sys.stderr)
+    with suppress(OSError):         # stderr is full, or its reader has left
+        print(f'{name}: {text}', file=sys.stderr)
     return code

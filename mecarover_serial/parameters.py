@@ -19,7 +19,11 @@ from typing import NamedTuple
 
 import yaml
 
+from msg_defs.reports import HEADLINE
 from msg_defs.reports import number
+from msg_defs.reports import TIMING_TOPICS
+
+_OF_RCLPY = ('use_sim_time', 'start_type_description_service')
 
 
 class ParameterError(Exception):
@@ -64,6 +68,11 @@ class Parameter(NamedTuple):
         return ', '.join(limits) + (' or 0' if self.or_zero and limits else '')
 
 
+TIMING_PARAMETER = Parameter(
+    'timing_topics', HEADLINE, 'headline: DiagnosticArray and a Float64 per metric; all: '
+    'statistics_msgs/MetricsMessage too; off: none', choices=TIMING_TOPICS)
+
+
 def convert(parameter: Parameter, raw: Any) -> Any:
     """Return `raw` as the parameter's type; raise ParameterError when it cannot be that."""
     if parameter.element is None:
@@ -80,11 +89,11 @@ def convert(parameter: Parameter, raw: Any) -> Any:
 
 
 def unknown(parameters: Sequence[Parameter], given: Sequence[str]) -> list[str]:
-    """Return a line for each given name that is no parameter, with the one probably meant."""
+    """Return a line for each given name that is not a parameter, with the one probably meant."""
     names = [parameter.name for parameter in parameters]
     lines = []
     for name in given:
-        if name in names or name.startswith('qos_overrides.') or name == 'use_sim_time':
+        if name in names or name.startswith('qos_overrides.') or name in _OF_RCLPY:
             continue
         near = difflib.get_close_matches(name, names, 1)
         remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'

@@ -5,7 +5,8 @@ Open a serial port the way a robot needs it, by path or pyserial URL, and say wh
 
 Exclusive (flock against other pyserial users, TIOCEXCL against everybody but root), DTR and RTS
 low, HUPCL cleared so that closing resets no board, descriptor non-blocking. pyserial sets rate
-and options; reading and writing then goes to the descriptor.
+and options; reading and writing then goes to the descriptor. What a socket could only deliver
+late, it never delivers: the connection is dropped with it.
 """
 from __future__ import annotations
 
@@ -16,6 +17,8 @@ import fcntl
 import math
 import os
 import select
+import socket
+import stat
 import struct
 import termios
 import time
@@ -23,6 +26,7 @@ from typing import Any
 
 import serial
 
+from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
 from mecarover_serial.preflight import why_not
 
@@ -30,19 +34,11 @@ _READ_SIZE = 65536
 _POLL_S = 0.005                 # ports without a descriptor (rfc2217://, loop://) are polled
 _URL_WRITE_TIMEOUT_S = 0.05     # they may block; a descriptor never does
 _BAUD_TOLERANCE = 0.03          # a UART still understands its peer 3 % off
+_UNCONFIRMED = 64               # bytes: many a peer confirms only each second frame, or 40 ms late
+_NETWORK_AWAY_MS = 1000         # the kernel drops the connection then, also of a dead process
+_DROP_AT_CLOSE = struct.pack('ii', 1, 0)    # struct linger
 _TCGETS2 = 0x802C542A
 _TERMIOS2_OSPEED = 10           # index of c_ospeed in struct termios2, in 32-bit words
-
-
-class PortError(Exception):
-    """A port that cannot be used: `str()` is one line, 'thing: reason; remedy'."""
-
-    def __init__(self, thing: str, reason: Reason) -> None:
-        super().__init__(f'{thing}: {reason.reason}; {reason.remedy}')
-        self.thing = thing
-        self.kind = reason.kind
-        self.reason = reason.reason
-        self.remedy = reason.remedy
 
 
 def as_port_error(name: str, error: Exception) -> PortError:
@@ -64,6 +60,7 @@ class Port:
         except OSError:         # io.UnsupportedOperation: a URL without a descriptor
             self.fd = None
         self.is_tty = self.fd is not None and os.isatty(self.fd)
+        self._is_socket = self.fd is not None and stat.S_ISSOCK(os.fstat(self.fd).st_mode)
 
     def wait(self, timeout_s: float, wake_fd: int | None = None) -> bool:
         """Wait until there is something to read (True), `wake_fd` is readable, or the time-out."""
@@ -112,18 +109,28 @@ class Port:
             raise self.lost(error) from error
 
     def pending(self) -> int:
-        """Return how many written bytes have not left yet; 0 where the port cannot tell."""
-        if not self.is_tty:
+        """
+        Return how many written bytes have not left yet; 0 where the port cannot tell.
+
+        Of a socket: that its peer has not confirmed, if these are more than it may be late with.
+        """
+        if not (self.is_tty or self._is_socket):
             return 0
         count = array.array('i', [0])
         try:
             fcntl.ioctl(self.fd or 0, termios.TIOCOUTQ, count)
         except OSError as error:
             raise self.lost(error) from error
-        return count[0]
+        return 0 if self._is_socket and count[0] <= _UNCONFIRMED else count[0]
 
     def drop_output(self) -> None:
-        """Throw away what was written and has not left yet."""
+        """Throw away what was written and has not left yet; a socket is lost with it."""
+        if self._is_socket:
+            with socket.socket(fileno=os.dup(self.fd or 0)) as own:
+                own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _DROP_AT_CLOSE)
+            raise PortError(self.name, Reason(
+                'lost', 'lost (its peer confirms nothing)',
+                'check the network; raise write_timeout where it is slow'))
         if self.is_tty:
             try:
                 termios.tcflush(self.fd or 0, termios.TCOFLUSH)
@@ -156,6 +163,8 @@ def open_port(path_or_url: str, baud: int, *, read_only: bool = False) -> Port:
     device = _configured(path_or_url, baud)
     try:
         port = Port(path_or_url, device)
+        if port.fd is not None and not port.is_tty:
+            _settle_socket(port.fd)
         if port.is_tty and port.fd is not None:
             _check_rate(path_or_url, port.fd, baud)
             _settle(port.fd, read_only)
@@ -205,10 +214,10 @@ def _check_rate(name: str, fd: int, baud: int) -> None:
         return
     actual = struct.unpack_from('11I', raw)[_TERMIOS2_OSPEED]
     if actual and abs(actual - baud) > _BAUD_TOLERANCE * baud:
+        # What a driver falls back to (9600, or the rate before) tells nothing of the highest one.
         raise PortError(name, Reason(
             'baud', f'asked for {baud} baud, the driver gives {actual}',
-            f'set a rate the adapter takes; its ceiling seems to be {actual}'
-            if actual < baud else 'set a rate the adapter takes'))
+            'set a rate that the adapter takes'))
 
 
 def _settle(fd: int, read_only: bool) -> None:
@@ -225,6 +234,13 @@ def _settle(fd: int, read_only: bool) -> None:
         os.close(reader)
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     fcntl.ioctl(fd, termios.TIOCEXCL)
+
+
+def _settle_socket(fd: int) -> None:
+    """Send at once, and let nothing that is old be delivered when the network is back."""
+    with suppress(OSError), socket.socket(fileno=os.dup(fd)) as own:    # not all are TCP
+        own.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        own.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _NETWORK_AWAY_MS)
 
 
 def _ready(fds: list[int], timeout_s: float) -> list[int]:

@@ -10,19 +10,22 @@ points at the debug connector, the UART of GPIO 14/15 is ttyAMA0.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 import errno
-import grp
 import os
 from pathlib import Path
-import pwd
 import re
 import stat
 from typing import NamedTuple
 
 from serial.tools import list_ports
 
-ROOT = Path('/')
+from mecarover_serial.holders import file_text
+from mecarover_serial.holders import holders
+from mecarover_serial.holders import ROOT
+
+_FOREIGN = {stat.S_IFDIR: 'a directory', stat.S_IFREG: 'a file', stat.S_IFBLK: 'a disk',
+            stat.S_IFIFO: 'a pipe', stat.S_IFSOCK: 'a socket'}
+_SCREENS = re.compile(r'tty\d*|console|ptmx')
 
 
 class Reason(NamedTuple):
@@ -33,18 +36,31 @@ class Reason(NamedTuple):
     remedy: str
 
 
-def why_not(path: str, error: Exception) -> Reason:
+class PortError(Exception):
+    """A port that cannot be used: `str()` is one line, 'thing: reason; remedy'."""
+
+    def __init__(self, thing: str, reason: Reason) -> None:
+        super().__init__(f'{thing}: {reason.reason}; {reason.remedy}')
+        self.thing = thing
+        self.kind = reason.kind
+        self.reason = reason.reason
+        self.remedy = reason.remedy
+
+
+def why_not(path: str, error: Exception, root: Path = ROOT) -> Reason:
     """Turn the error of opening `path` into words; looks at the system to be precise."""
     number = _errno(error)
+    # What it is comes before who may open it: rights to a file that is no port help no one.
+    if wrong := _wrong_kind(path, root):
+        return wrong
     if number in (errno.ENOENT, errno.ENOTDIR):
         return _absent(path)
     if number in (errno.EACCES, errno.EPERM):
-        return _permission(path)
+        return _permission(path, root)
     if number in (errno.EBUSY, errno.EAGAIN):
         return _busy(path)
-    if os.path.isdir(path) or number in (errno.ENOTTY, errno.EISDIR, errno.EINVAL):
-        what = 'a directory' if os.path.isdir(path) else 'not a serial port'
-        return Reason('not_a_port', what, f'give the port itself; {ports_here()}')
+    if number in (errno.ENOTTY, errno.EINVAL):
+        return _not_a_port('not a serial port')
     if '://' in path and number is not None:
         return _absent(path)
     if number in (errno.EMFILE, errno.ENFILE):
@@ -68,29 +84,17 @@ def warnings(path: str, root: Path = ROOT, ours: Sequence[str] = ()) -> list[Rea
             'console', 'the kernel writes its console here',
             f'remove console={name} or console=serial0 from the kernel command line and reboot'))
     others = holders(path, root)
-    logins = {who for who in others if 'getty' in who or 'login' in who} | _gettys(name, root)
-    found.extend(Reason('console', f'{who} offers a login here',
-                        f'sudo systemctl disable --now serial-getty@{name}')
-                 for who in sorted(logins))
+    found.extend(_login(who.name, path) for who in others if who.is_login)
     # TIOCEXCL does not keep root out, nor who was there before. (A pty, whose name is a number,
     # is held by its other end too.)
-    found.extend(Reason('busy', f'{who} has it open too', 'stop that program') for who in others
-                 if who not in logins and not who.startswith(tuple(ours)) and not name.isdigit())
-    if name == 'ttyAMA10' and 'Raspberry Pi 5' in _text(root / 'proc/device-tree/model'):
+    found.extend(Reason('busy', f'{who.name} has it open too', 'stop that program')
+                 for who in others if not who.is_login
+                 and not who.name.startswith(tuple(ours)) and not name.isdigit())
+    if name == 'ttyAMA10' and 'Raspberry Pi 5' in file_text(root / 'proc/device-tree/model'):
         found.append(Reason(
             'console', 'this is the 3-pin debug connector of the Pi 5, not GPIO 14/15',
             'add dtparam=uart0 to config.txt, reboot, and use /dev/ttyAMA0'))
     return found
-
-
-def holders(path: str, root: Path = ROOT) -> list[str]:
-    """Name who else has the port open, 'name (pid N)'; other users' processes only for root."""
-    try:
-        device = os.stat(path).st_rdev
-    except OSError:
-        return []
-    return [_process_name(process) for process in (root / 'proc').glob('[0-9]*')
-            if int(process.name) != os.getpid() and _has_open(process, device)]
 
 
 def ports_here() -> str:
@@ -127,13 +131,45 @@ def _absent(path: str) -> Reason:
     return Reason('absent', 'is not there', f'plug it in or set another port; {ports_here()}')
 
 
-def _permission(path: str) -> Reason:
+def _wrong_kind(path: str, root: Path) -> Reason | None:
+    """Return why a path that is there cannot be a serial port, with any rights."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    if not stat.S_ISCHR(status.st_mode):
+        return _not_a_port(_FOREIGN[stat.S_IFMT(status.st_mode)])
+    number = f'{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}'
+    known = root / 'sys/dev/char' / number          # but for ptys, which sysfs does not list
+    if known.exists() and (known / 'subsystem').resolve().name != 'tty':
+        return _not_a_port('a device, but not a serial port')
+    name = os.path.basename(os.path.realpath(path))
+    if _SCREENS.fullmatch(name):
+        return _not_a_port('a text console, not a serial port')
+    if file_text(root / 'sys/class/tty' / name / 'type').strip() == '0':     # PORT_UNKNOWN
+        return Reason('absent', 'no UART is behind this name',
+                      f'enable it in the firmware, or set another port; {ports_here()}')
+    return None
+
+
+def _not_a_port(what: str) -> Reason:
+    return Reason('not_a_port', what, f'give the port itself; {ports_here()}')
+
+
+def _permission(path: str, root: Path) -> Reason:
+    import grp  # Windows has none, and no use for what follows
+
     user = _user_name()
     try:
         status = os.stat(path)
         group, _, _, members = grp.getgrgid(status.st_gid)
     except (OSError, KeyError):
         return Reason('permission', f'user {user} may not open it', 'check its owner and mode')
+    if os.path.basename(os.path.realpath(path)).isdigit():
+        return Reason('permission', f'a pty that user {_name_of(status.st_uid)} made, and you are '
+                      f'{user}', 'run both ends as one user')
+    if group == 'tty':              # no rule of udev gives a port to it, a getty does
+        return _left_by_login(path, root)
     mine = sorted(_group_name(number) for number in os.getgroups())
     reason = (f'user {user} (groups {", ".join(mine) or "none"}) may not open it: it belongs to '
               f'group {group}, mode {stat.filemode(status.st_mode)}')
@@ -146,22 +182,50 @@ def _permission(path: str) -> Reason:
                   f'sudo usermod -aG {group} {user}, then log in again (a service: Group={group})')
 
 
+def _left_by_login(path: str, root: Path) -> Reason:
+    """Return what helps where a getty has taken the port from its group, as agetty(8) does."""
+    for who in holders(path, root):
+        if who.is_login:
+            return _login(who.name, path)
+    return Reason('permission', 'a login that ran here took it away from its group',
+                  f'{_end_login(path)} gives it back')
+
+
+def _login(who: str, path: str) -> Reason:
+    return Reason('console', f'{who} offers a login here', _end_login(path))
+
+
+def _end_login(path: str) -> str:
+    device = os.path.realpath(path)
+    return (f'sudo systemctl disable --now serial-getty@{os.path.basename(device)}; '
+            f'sudo udevadm trigger --action=add {device}')
+
+
 def _busy(path: str) -> Reason:
     who = holders(path)
     if who:
-        return Reason('busy', f'in use by {", ".join(who)}', 'stop that program')
+        return Reason('busy', f'in use by {", ".join(one.name for one in who)}',
+                      'stop that program')
     return Reason('busy', 'in use by another process',
                   f'stop that program; sudo fuser -v {path} names it')
 
 
 def _user_name() -> str:
+    return _name_of(os.geteuid())
+
+
+def _name_of(user: int) -> str:
+    import pwd
+
     try:
-        return pwd.getpwuid(os.geteuid()).pw_name
+        return pwd.getpwuid(user).pw_name
     except KeyError:                # a container with a user of its own
-        return str(os.geteuid())
+        return str(user)
 
 
 def _group_name(number: int) -> str:
+    import grp
+
     try:
         return grp.getgrgid(number).gr_name
     except KeyError:
@@ -170,37 +234,8 @@ def _group_name(number: int) -> str:
 
 def _consoles(root: Path) -> set[str]:
     """Names of the ttys that the kernel writes to."""
-    names = {line.split()[0] for line in _text(root / 'proc/consoles').splitlines() if line}
-    names |= set(re.findall(r'console=(\w+)', _text(root / 'proc/cmdline')))
+    names = {line.split()[0] for line in file_text(root / 'proc/consoles').splitlines() if line}
+    names |= set(re.findall(r'console=(\w+)', file_text(root / 'proc/cmdline')))
     if 'serial0' in names:
         names.add(os.path.basename(os.path.realpath(root / 'dev/serial0')))
     return names
-
-
-def _gettys(tty: str, root: Path) -> set[str]:
-    """Name the gettys of a tty by their command lines, which every user may read."""
-    return {_process_name(process) for process in (root / 'proc').glob('[0-9]*')
-            if 'getty' in _text(process / 'comm')
-            and {tty, f'/dev/{tty}'} & set(_text(process / 'cmdline').split('\0'))}
-
-
-def _process_name(process: Path) -> str:
-    return f'{_text(process / "comm").strip() or "a process"} (pid {process.name})'
-
-
-def _has_open(process: Path, device: int) -> bool:
-    """Tell whether a process has a descriptor of `device`; it may end while we look."""
-    with suppress(OSError):
-        for entry in (process / 'fd').iterdir():
-            with suppress(OSError):
-                status = entry.stat()
-                if stat.S_ISCHR(status.st_mode) and status.st_rdev == device:
-                    return True
-    return False
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(errors='replace')
-    except OSError:
-        return ''

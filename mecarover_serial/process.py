@@ -1,11 +1,13 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""What this process costs."""
+"""What this process costs, and what it is called."""
+from contextlib import suppress
 import math
 import os
 from pathlib import Path
 
 _PAGE_MB = os.sysconf('SC_PAGE_SIZE') / 1e6
+_ARG_START, _ARG_END = 45, 46      # fields of /proc/PID/stat behind the name; see proc(5)
 
 
 def resident_memory_mb() -> float:
@@ -14,3 +16,18 @@ def resident_memory_mb() -> float:
         return int(Path('/proc/self/statm').read_text().split()[1]) * _PAGE_MB
     except OSError:
         return math.nan
+
+
+def rename_process(name: str) -> None:
+    """
+    Be called `name` in ps, pgrep and pkill, also where these look at the command line (-f).
+
+    What the command line was is written over, in this process alone. Never raises.
+    """
+    with suppress(OSError, ValueError, IndexError):
+        Path('/proc/self/comm').write_text(name)
+        fields = Path('/proc/self/stat').read_text().rpartition(')')[2].split()
+        start, end = int(fields[_ARG_START]), int(fields[_ARG_END])
+        with open('/proc/self/mem', 'r+b', buffering=0) as memory:
+            memory.seek(start)
+            memory.write(name.encode()[:end - start - 1].ljust(end - start, b'\0'))

@@ -3,20 +3,27 @@
 """
 A raw pty with a stable name: the cable between a fake device and the node under test.
 
-The fake holds the master; whoever opens `path` (or `link`) is the host. A pty takes about 17 KiB
-and then blocks its writer, has no modem lines, and runs at any rate that is set.
+The fake holds the master; the program that opens `path` (or `link`) is the host. A pty takes about
+17 KiB and then blocks its writer, has no modem lines, and runs at any rate that is set.
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 import os
 from pathlib import Path
 import select
+import signal
+import time
 import tty
 from types import TracebackType
 from typing import NamedTuple
 
 from mecarover_serial.cli import UsageError
+from mecarover_serial.holders import holders
+
+_OUTLIVE_S = 4.0                # launch kills what has not ended after 5 s
+_LOOK_S = 0.05
 
 
 class Away(NamedTuple):
@@ -35,6 +42,20 @@ def parse_away(text: str | None) -> Away | None:
     except ValueError:
         raise UsageError(f'--vanish {text}: not AFTER:FOR; give seconds, as in 3:1.5') from None
     return Away(after, duration)
+
+
+def outlive(path: str, work: Callable[[float], object] = time.sleep) -> None:
+    """
+    Go on until no other process has the pty `path` open, for 4 s at most; signals are ignored.
+
+    Ctrl-C in a terminal ends all programs of a demo at once: a fake that ends first is a cable
+    that was pulled out, and the node says so. `work(s)` is called again and again.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    deadline = time.monotonic() + _OUTLIVE_S
+    while holders(path) and time.monotonic() < deadline:
+        work(_LOOK_S)
 
 
 class Pty:

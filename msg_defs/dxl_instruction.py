@@ -3,18 +3,20 @@
 """
 What a Dynamixel instruction addresses: who, which range, which data, and who must answer.
 
-e-Manual, Protocol 2.0, instruction packets. Takes the parameters unstuffed; whatever stands in
-them, nothing raises: what does not fit its instruction is marked malformed.
+e-Manual, Protocol 2.0, instruction packets. Takes the parameters unstuffed; nothing
+in them raises: what does not fit its instruction is marked malformed.
 """
 
 from collections.abc import Callable
 from enum import Enum
 from enum import IntEnum
+from functools import partial
 from typing import NamedTuple
 
 from msg_defs.crc import crc16
 from msg_defs.dxl_packet import body_crc
 from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import HEADER
 
 
 class Instruction(IntEnum):
@@ -37,6 +39,8 @@ class Instruction(IntEnum):
 
 
 NAMES = {code.value: code.name.replace('_', ' ').title() for code in Instruction}
+
+FEETECH_NAMES = {0x09: 'Parameter Backup', 0x0A: 'Reset', 0x0B: 'Calibrate'}
 
 ALERT = 0x80
 ERROR_NAMES = {
@@ -83,8 +87,26 @@ class Request(NamedTuple):
     id: int                        # as addressed, 254 = broadcast
     answers: Answers
     accesses: tuple[Access, ...] = ()
-    option: str = ''               # of Factory Reset, Clear and Backup; '' also if unknown
+    option: str = ''               # for Factory Reset, Clear and Backup; '' also if unknown
     malformed: bool = False
+
+
+Parse = Callable[[int, int, bytes], Request]
+
+
+class Kind(NamedTuple):
+    """
+    What is known of an instruction.
+
+    parse: instruction, ID, parameters to a Request. is_to_many: its parameters list the devices,
+    and it is sent to the broadcast ID alone. key_size: how much of the body (ID, length,
+    instruction, parameters) tells one from another where the rest is data to write; None: all.
+    """
+
+    parse: Parse
+    is_to_many: bool = False
+    has_option: bool = False
+    key_size: int | None = None
 
 
 class Block(NamedTuple):
@@ -103,40 +125,54 @@ def error_text(error: int) -> str:
 
 
 def name_of(instruction: int) -> str:
-    """Return 'Sync Read', or 'instruction 0x8B' for what the protocol does not know."""
-    return NAMES.get(instruction) or f'instruction 0x{instruction:02X}'
+    """Return 'Sync Read', or 'instruction 0x8B' for what no protocol knows."""
+    return (NAMES.get(instruction) or FEETECH_NAMES.get(instruction)
+            or f'instruction 0x{instruction:02X}')
 
 
 def parse(instruction: int, id: int, params: bytes) -> Request:
     """Return what an instruction asks for; params are unstuffed."""
-    parser = _PARSERS.get(instruction)
-    if parser is None:
+    kind = KINDS.get(instruction)
+    if kind is None:
         return Request(instruction, id, Answers.NOBODY)
-    if id != BROADCAST and instruction in _TO_MANY:
+    if id != BROADCAST and kind.is_to_many:
         return _malformed(instruction, id)
-    return parser(instruction, id, params)
+    return kind.parse(instruction, id, params)
 
 
 def split_combined(body: bytes, accesses: tuple[Access, ...]) -> list[Block]:
     """
-    Return the parts of a fast reply whose CRC holds, up to the first that does not.
+    Return the parts of a fast reply with a good CRC, up to the first with a bad one.
 
     body is all there is from the ID on, the last CRC included, cut anywhere; accesses are those
-    of the instruction. Each CRC covers the wire from the header on, earlier CRCs included.
+    of the instruction. Each CRC covers the wire from the header on, earlier CRCs included. They
+    are looked at in a good frame too: a device takes its CRC from what it heard, so the last one
+    is right also where an earlier part was damaged on the way.
     """
     blocks: list[Block] = []
-    at = 4
-    crc = body_crc(body[:at])
+    size = len(body) - 2
+    covered = 0                    # bytes that crc covers, from the ID on
+    crc = body_crc(b'')
     for access in accesses:
+        at = covered + (2 if covered else 4)
         end = at + 2 + access.length
-        crc = crc16(body[at:end], crc)
-        tail = body[end:end + 2]
-        if len(tail) < 2 or body[at + 1] != access.id or crc != tail[0] | tail[1] << 8:
+        crc = crc16(body[covered:end], crc)
+        if end > size or body[at + 1] != access.id or crc != body[end] | body[end + 1] << 8:
             break
         blocks.append(Block(access.id, body[at], body[at + 2:end]))
-        crc = crc16(tail, crc)
-        at = end + 2
+        covered = end
     return blocks
+
+
+def blocks_in(body: bytes, accesses: tuple[Access, ...]) -> int:
+    """Return how many parts of a fast reply are there, damaged or not, before another packet."""
+    end = body.find(HEADER, 4)
+    left = (len(body) if end < 0 else end) - 4
+    for number, access in enumerate(accesses):
+        left -= access.length + 4
+        if left < 0:
+            return number
+    return len(accesses)
 
 
 def bulk_write_entries(params: bytes) -> list[tuple[int, int, bytes]]:
@@ -191,31 +227,42 @@ def _write(instruction: int, id: int, params: bytes) -> Request:
 
 
 def _command(instruction: int, id: int, params: bytes) -> Request:
-    return Request(instruction, id, _acknowledged(id), option=_option(instruction, params))
+    return Request(instruction, id, _acknowledged(id))
 
 
-def _option(instruction: int, params: bytes) -> str:
-    if instruction == Instruction.FACTORY_RESET:
-        return RESET_OPTIONS.get(params[0], '') if params else ''
-    if instruction == Instruction.CLEAR:
-        return CLEAR_KEYS.get(params[1:5], '')
+def _with_option(option: Callable[[bytes], str]) -> Parse:
+    """Return the parser of a command with parameters that say which of several things to do."""
+    def parse_command(instruction: int, id: int, params: bytes) -> Request:
+        return Request(instruction, id, _acknowledged(id), option=option(params))
+    return parse_command
+
+
+def _reset_option(params: bytes) -> str:
+    return RESET_OPTIONS.get(params[0], '') if params else ''
+
+
+def _clear_option(params: bytes) -> str:
+    return CLEAR_KEYS.get(params[1:5], '')
+
+
+def _backup_option(params: bytes) -> str:
     return BACKUP_OPTIONS.get(params, '')
 
 
-def _sync_read(instruction: int, id: int, params: bytes) -> Request:
+def _sync_read(answers: Answers, instruction: int, id: int, params: bytes) -> Request:
     if len(params) < 5 or len(set(params[4:])) != len(params) - 4:
         return _malformed(instruction, id)
     address, length = _u16(params, 0), _u16(params, 2)
     accesses = tuple(Access(one, address, length, None) for one in params[4:])
-    return Request(instruction, id, _LISTED[instruction], accesses)
+    return Request(instruction, id, answers, accesses)
 
 
-def _bulk_read(instruction: int, id: int, params: bytes) -> Request:
+def _bulk_read(answers: Answers, instruction: int, id: int, params: bytes) -> Request:
     if not params or len(params) % 5 or len(set(params[::5])) != len(params) // 5:
         return _malformed(instruction, id)
     accesses = tuple(Access(params[at], _u16(params, at + 1), _u16(params, at + 3), None)
                      for at in range(0, len(params), 5))
-    return Request(instruction, id, _LISTED[instruction], accesses)
+    return Request(instruction, id, answers, accesses)
 
 
 def _sync_write(instruction: int, id: int, params: bytes) -> Request:
@@ -236,28 +283,20 @@ def _bulk_write(instruction: int, id: int, params: bytes) -> Request:
                    malformed=not is_whole_bulk_write(params, entries))
 
 
-_LISTED: dict[int, Answers] = {
-    Instruction.SYNC_READ: Answers.LISTED, Instruction.BULK_READ: Answers.LISTED,
-    Instruction.FAST_SYNC_READ: Answers.COMBINED, Instruction.FAST_BULK_READ: Answers.COMBINED,
-}
-
-# Their parameters list the devices; they are sent to everybody and to nobody else.
-_TO_MANY = (*_LISTED, Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
-
-_PARSERS: dict[int, Callable[[int, int, bytes], Request]] = {
-    Instruction.PING: _ping,
-    Instruction.READ: _read,
-    Instruction.WRITE: _write,
-    Instruction.REG_WRITE: _write,
-    Instruction.ACTION: _command,
-    Instruction.FACTORY_RESET: _command,
-    Instruction.REBOOT: _command,
-    Instruction.CLEAR: _command,
-    Instruction.CONTROL_TABLE_BACKUP: _command,
-    Instruction.SYNC_READ: _sync_read,
-    Instruction.SYNC_WRITE: _sync_write,
-    Instruction.FAST_SYNC_READ: _sync_read,
-    Instruction.BULK_READ: _bulk_read,
-    Instruction.BULK_WRITE: _bulk_write,
-    Instruction.FAST_BULK_READ: _bulk_read,
+KINDS: dict[int, Kind] = {
+    Instruction.PING: Kind(_ping),
+    Instruction.READ: Kind(_read),
+    Instruction.WRITE: Kind(_write, key_size=6),
+    Instruction.REG_WRITE: Kind(_write, key_size=6),
+    Instruction.ACTION: Kind(_command),
+    Instruction.FACTORY_RESET: Kind(_with_option(_reset_option), has_option=True),
+    Instruction.REBOOT: Kind(_command),
+    Instruction.CLEAR: Kind(_with_option(_clear_option), has_option=True),
+    Instruction.CONTROL_TABLE_BACKUP: Kind(_with_option(_backup_option), has_option=True),
+    Instruction.SYNC_READ: Kind(partial(_sync_read, Answers.LISTED), is_to_many=True),
+    Instruction.SYNC_WRITE: Kind(_sync_write, is_to_many=True, key_size=8),
+    Instruction.FAST_SYNC_READ: Kind(partial(_sync_read, Answers.COMBINED), is_to_many=True),
+    Instruction.BULK_READ: Kind(partial(_bulk_read, Answers.LISTED), is_to_many=True),
+    Instruction.BULK_WRITE: Kind(_bulk_write, is_to_many=True, key_size=4),
+    Instruction.FAST_BULK_READ: Kind(partial(_bulk_read, Answers.COMBINED), is_to_many=True),
 }

@@ -5,10 +5,12 @@ Dynamixel Protocol 2.0 packets: bytes on the wire to packets and back (e-Manual,
 
 A frame is decided by its Length and CRC alone. Inside a frame that passes, anything that looks
 like a header is data: fast replies are never stuffed, and the official Python SDK does not stuff
-what it sends. Only a failed CRC, or flush() on an idle line, searches on from the header + 1.
+what it sends. Only a failed CRC, or flush_frames() on an idle line, searches on from the header
++ 1. A pause in the delivery is not an idle line: after interrupt() the next chunk decides.
 Nothing on the wire raises; every byte ends as a packet byte or as a noise byte.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 from msg_defs.crc import crc16
@@ -17,11 +19,11 @@ from msg_defs.crc import crc16_behind
 HEADER = b'\xff\xff\xfd\x00'
 BROADCAST = 0xFE
 STATUS = 0x55
-MAX_LENGTH = 1024                  # of the Length field: the buffer of most devices, and the SDK's
+MAX_LENGTH = 1024                  # in the Length field: the buffer of most devices, and the SDK's
 MAX_FRAME = MAX_LENGTH + 7
 
 _TAIL = HEADER[1:]                 # what a header has left when the line turned round too late
-body_crc = crc16_behind(HEADER)    # of a frame from its ID on: the header is taken as good
+body_crc = crc16_behind(HEADER)    # CRC of a frame from its ID on: the header is taken as good
 _RUN = b'\xff\xff\xfd'
 NOISE_KEPT = 256
 
@@ -33,7 +35,7 @@ class Packet(NamedTuple):
     offset: int
     id: int
     instruction: int
-    error: int | None              # of a status, alert bit included
+    error: int | None              # in a status, alert bit included
     params: bytes                  # unstuffed
     repaired: bool                 # the first header byte was missing or wrong
 
@@ -44,6 +46,12 @@ class Flaw(NamedTuple):
     reason: str                    # '' for a good frame; 'crc', 'cut' (ends early) or 'length'
     repaired: bool
     noise_length: int              # bytes of noise in front of it
+
+
+@lru_cache(maxsize=64)
+def ahead(repaired: bool, noise_length: int) -> Flaw:
+    """Return the flaw of a good frame; most are alike, so they are not made each time."""
+    return Flaw('', repaired, noise_length)
 
 
 # (end, body, flaw): end is the stream offset behind the frame; body runs from the ID to the last
@@ -88,24 +96,30 @@ def packet_of(frame: Frame, stamp: int) -> Packet:
                   params, flaw is not None and flaw.repaired)
 
 
-class Framer:
-    """Finds the frames in a stream that comes in chunks of any size."""
+class StreamFramer:
+    """
+    What the framers of all protocols share: chunks of any size, bytes counted, pauses.
 
-    __slots__ = ('_buffer', '_noise_length', '_wanted', 'bad_length', 'bytes',
+    A protocol adds its header, _scan() and _ends_in().
+    """
+
+    __slots__ = ('_buffer', '_is_interrupted', '_noise_length', '_wanted', 'bad_length', 'bytes',
                  'crc_errors', 'noise', 'noise_bytes', 'packets', 'repaired', 'truncated')
+    header = b''                   # how a whole frame begins
 
     def __init__(self) -> None:
         self.bytes = 0
         self.packets = 0
-        self.repaired = 0          # of them: with a damaged first header byte
+        self.repaired = 0          # packets with a damaged first header byte
         self.crc_errors = 0
         self.truncated = 0         # another header, or silence, before the declared end
         self.bad_length = 0
         self.noise_bytes = 0
         self.noise = b''           # the last of these
-        self._buffer = b''         # not decided yet, at most MAX_FRAME
+        self._buffer = b''         # not decided yet, at most one frame
         self._wanted = 0           # bytes in the buffer before it is worth looking again
-        self._noise_length = 0     # of the run in front of the next frame
+        self._is_interrupted = False       # a pause followed what is in the buffer
+        self._noise_length = 0     # the run in front of the next frame
 
     @property
     def pending(self) -> int:
@@ -117,29 +131,70 @@ class Framer:
         """Bytes that belong to a packet."""
         return self.bytes - self.noise_bytes - len(self._buffer)
 
-    def feed(self, chunk: bytes, stamp: int) -> list[Packet]:
-        """Return the packets that this chunk completes."""
-        frames = self.frames(chunk)
-        return [packet_of(f, stamp) for f in frames if f[2] is None or not f[2].reason]
-
-    def flush(self, stamp: int = 0) -> list[Packet]:
-        """Decide what is left, because the line is idle."""
-        frames = self.flush_frames()
-        return [packet_of(f, stamp) for f in frames if f[2] is None or not f[2].reason]
-
     def frames(self, chunk: bytes) -> list[Frame]:
-        """As feed(), in the form for the hot path; damaged frames are among them, with a flaw."""
+        """Return what this chunk completes; damaged frames are among it, with a flaw."""
+        cut = self._cut_off(chunk) if self._is_interrupted and chunk else None
         self.bytes += len(chunk)
         if self._buffer:
             chunk = self._buffer + chunk
             if len(chunk) < self._wanted:
                 self._buffer = chunk
-                return []
-        return self._scan(chunk, False)
+                return cut or []
+        found = self._scan(chunk, False)
+        return cut + found if cut else found
+
+    def interrupt(self) -> None:
+        """
+        Take note of a pause: on the line, or in the delivery of what was on the line.
+
+        Which of the two, the next chunk tells: if it begins with a header, the frame that waits
+        for its end was cut off, unless it ends in this chunk after all (its CRC or sum decides).
+        """
+        self._is_interrupted = bool(self._buffer)
+
+    def _cut_off(self, chunk: bytes) -> list[Frame]:
+        """Decide what is pending, if this chunk behind a pause does not go on with it."""
+        self._is_interrupted = False
+        if not chunk.startswith(self.header) or self._ends_in(chunk):
+            return []
+        return self._scan(self._buffer, True)
 
     def flush_frames(self) -> list[Frame]:
-        """As flush(), in the form of frames()."""
+        """Decide what is left, because the line is idle; as frames()."""
+        self._is_interrupted = False
         return self._scan(self._buffer, True)
+
+    def _scan(self, data: bytes, final: bool) -> list[Frame]:
+        """Return the frames in the buffer and what follows it; final: no more will come."""
+        raise NotImplementedError
+
+    def _ends_in(self, chunk: bytes) -> bool:
+        """Tell whether a chunk completes the frame that waits for its end."""
+        raise NotImplementedError
+
+    def _give_up(self, noise: bytes) -> None:
+        if noise:
+            self.noise_bytes += len(noise)
+            self._noise_length += len(noise)
+            self.noise = (self.noise + noise)[-NOISE_KEPT:]
+
+
+class Framer(StreamFramer):
+    """Finds the frames of Protocol 2.0 in a stream that comes in chunks of any size."""
+
+    __slots__ = ()
+    header = HEADER
+    has_other = False              # whether some frame of the last chunk is of the 1.0 family
+
+    def _ends_in(self, chunk: bytes) -> bool:
+        """Tell whether a chunk completes the frame that waits for its end."""
+        data = self._buffer + chunk
+        mark = data.find(_TAIL)
+        if not 0 <= mark < len(data) - 5:
+            return False
+        end = mark + 6 + (data[mark + 4] | data[mark + 5] << 8)
+        return mark + 8 < end <= len(data) \
+            and body_crc(data[mark + 3:end - 2]) == data[end - 2] | data[end - 1] << 8
 
     def _scan(self, data: bytes, final: bool) -> list[Frame]:
         find = data.find
@@ -175,7 +230,8 @@ class Framer:
                     damaged += 1
                 mark = find(_TAIL, mark + 1)
         self.packets += len(found) - damaged
-        self._keep(data, done, size if final else _undecided(done, mark, size))
+        start = mark - 1 if mark >= 0 else size - len(_TAIL)       # it may still become a frame
+        self._keep(data, done, size if final else max(done, start))
         self._wanted = wanted - (size - len(self._buffer))
         return found
 
@@ -184,7 +240,7 @@ class Framer:
         repaired = mark == done or data[mark - 1] != 0xFF
         self.repaired += repaired
         self._give_up(data[done:max(done, mark - 1)])
-        flaw = Flaw('', repaired, self._noise_length)
+        flaw = ahead(repaired, self._noise_length)
         self._noise_length = 0
         return flaw
 
@@ -206,17 +262,6 @@ class Framer:
         return base + mark + 3 + len(body), body, Flaw(reason, False, ahead)
 
     def _keep(self, data: bytes, done: int, undecided: int) -> None:
-        self._give_up(data[done:undecided])
+        if undecided > done:
+            self._give_up(data[done:undecided])
         self._buffer = data[undecided:]
-
-    def _give_up(self, noise: bytes) -> None:
-        if noise:
-            self.noise_bytes += len(noise)
-            self._noise_length += len(noise)
-            self.noise = (self.noise + noise)[-NOISE_KEPT:]
-
-
-def _undecided(done: int, mark: int, size: int) -> int:
-    """Return where the bytes begin that may still become a frame."""
-    start = mark - 1 if mark >= 0 else size - len(_TAIL)
-    return max(done, start)

@@ -4,7 +4,8 @@
 The plain values that both nodes publish, and the rules by which these are named and spelt.
 
 Units stand in the key, bare numbers in the value: PlotJuggler and Foxglove then plot every number
-by its name. A status is known to those tools by hardware_id and name: neither ever changes.
+by its name. A status is known to those tools by hardware_id and name: neither ever changes, and
+both carry the namespace of the node, because all robots share the topic /diagnostics.
 """
 
 from collections.abc import Iterable
@@ -94,8 +95,24 @@ def numbers(pairs: Iterable[tuple[str, float | None]]) -> list[tuple[str, str]]:
 
 
 def status_name(node: str, *parts: str) -> str:
-    """Return '<node>: <part>/<part>', empty parts left out (the bus name, with a single bus)."""
+    """
+    Return '<node>: <part>/<part>', empty parts left out (the bus name, with a single bus).
+
+    `node` is the full name of the node without its first slash: 'rover1/dxl_monitor'.
+    """
     return f'{node}: {"/".join(part for part in parts if part)}'
+
+
+def namespace_of(node: str) -> str:
+    """Return the namespace in the full name of a node: 'rover1' of 'rover1/dxl_monitor'."""
+    return node.rpartition('/')[0]
+
+
+def hardware_id(node: str, *parts: str) -> str:
+    """Return '[<namespace>/]<part>/<part>', empty parts left out."""
+    namespace = namespace_of(node)
+    text = '/'.join(part for part in parts if part)
+    return f'{namespace}/{text.lstrip("/")}' if namespace else text
 
 
 def topic_names(names: Sequence[str]) -> dict[str, str]:
@@ -122,6 +139,9 @@ def topic_name(name: str) -> str:
     part = re.sub('[^A-Za-z0-9]+', '_', name).strip('_')
     return part if part[:1].isalpha() else f'bus_{part}'.rstrip('_')
 
+
+# Which timing topics a node has: none, those with plain figures, MetricsMessage too.
+OFF, HEADLINE, ALL = TIMING_TOPICS = ('off', 'headline', 'all')
 
 _UNIT_NAMES = {'%': 'percent', 'B/s': 'bytes_per_second', 'B': 'bytes'}
 

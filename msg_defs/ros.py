@@ -3,7 +3,7 @@
 """
 Reports to ROS messages: the only place that knows both.
 
-Message objects are kept and only what changed is set anew: a message is good until the next call.
+Message objects are kept and only what changed is set again: a message is good until the next call.
 Text from a wire may hold anything; what ROS cannot carry (NUL, lone surrogates) becomes U+FFFD.
 """
 
@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Sequence
 from itertools import chain
+from itertools import pairwise
 from math import nan
 import re
 from typing import Any
@@ -22,21 +23,25 @@ from diagnostic_msgs.msg import KeyValue
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from msg_defs.reports import ALL
+from msg_defs.reports import HEADLINE
 from msg_defs.reports import headline
 from msg_defs.reports import Joint
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
+from msg_defs.reports import OFF
 from msg_defs.reports import Status
 from msg_defs.reports import topic_names
 from msg_defs.reports import unit_name
+from msg_defs.status_keys import PART
 
 try:
     import statistics_msgs.msg as statistics_msgs
 except ImportError:             # part of every Jazzy install, but there is no wheel of it
     statistics_msgs = None
 
-STATUSES_PER_MESSAGE = 20
+STATUSES_PER_MESSAGE = 30
 BYTES_PER_MESSAGE = 60_000      # one UDP datagram takes less than 64 KiB
 QUEUE_DEPTH = 10                # publishers: reliable, keep last
 
@@ -60,6 +65,43 @@ def to_ros_time(stamp: int, now: int, now_ros: int) -> Time:
     return to_time(now_ros - (now - stamp))
 
 
+def full_name(node: Any) -> str:
+    """Return the name of a node as statuses carry it: with its namespace, no slash in front."""
+    return str(node.get_fully_qualified_name()).lstrip('/')
+
+
+def slices(statuses: Sequence[Status]) -> list[list[Status]]:
+    """
+    Cut a report into equal slices of at most 30 statuses and 60 kB, one for each message.
+
+    Equal, so that a single message shows as much as any other; where there are several, each
+    status says which slice it stands in, `part` = `1 of 2`. A status of more than 60 kB cannot be
+    cut: its slice may be larger.
+    """
+    sizes = [_size(status) for status in statuses]
+    count = max(-(-len(statuses) // STATUSES_PER_MESSAGE),
+                -(-sum(min(size, BYTES_PER_MESSAGE) for size in sizes) // BYTES_PER_MESSAGE))
+    cuts = _cuts(len(statuses), count)
+    while any(_is_too_large(sizes[begin:end]) for begin, end in pairwise(cuts)):
+        count += 1
+        cuts = _cuts(len(statuses), count)
+    parts = [list(statuses[begin:end]) for begin, end in pairwise(cuts)]
+    if len(parts) == 1:
+        return parts
+    return [[one._replace(values=[*one.values, (PART, f'{number} of {len(parts)}')])
+             for one in part] for number, part in enumerate(parts, start=1)]
+
+
+def _cuts(length: int, count: int) -> list[int]:
+    """Return where a list of a length is cut into so many parts, none or one longer by one."""
+    return [length * number // count for number in range(count + 1)] if count else [0]
+
+
+def _is_too_large(sizes: Sequence[int]) -> bool:
+    """Tell whether statuses of these sizes are cut once more; a single one cannot be."""
+    return len(sizes) > 1 and sum(sizes) > BYTES_PER_MESSAGE
+
+
 class DiagnosticArrays:
     """
     Builds DiagnosticArrays for one topic from lists of statuses.
@@ -71,21 +113,16 @@ class DiagnosticArrays:
     def __init__(self) -> None:
         self._kept: dict[tuple[str, str], tuple[DiagnosticStatus, list[tuple[str, str]]]] = {}
 
-    def build(self, statuses: Iterable[Status], stamp: Time) -> Iterator[DiagnosticArray]:
-        """Yield messages of at most 20 statuses and 60 kB (a larger status comes alone)."""
-        array = _empty_array(stamp)
-        size = 0
-        for status in statuses:
-            more = _size(status)
-            full = len(array.status) >= STATUSES_PER_MESSAGE or size + more > BYTES_PER_MESSAGE
-            if array.status and full:
-                yield array
-                array = _empty_array(stamp)
-                size = 0
-            array.status.append(self._message(status))
-            size += more
-        if array.status:
-            yield array
+    def build(self, statuses: Sequence[Status], stamp: Time) -> Iterator[DiagnosticArray]:
+        """Yield the messages of a report, a slice in each."""
+        for some in slices(statuses):
+            yield self.array(some, stamp)
+
+    def array(self, statuses: Iterable[Status], stamp: Time) -> DiagnosticArray:
+        """Return one message."""
+        array = DiagnosticArray(status=[self._message(status) for status in statuses])
+        array.header.stamp = stamp
+        return array
 
     def _message(self, status: Status) -> DiagnosticStatus:
         key = (status.name, status.hardware_id)
@@ -98,12 +135,6 @@ class DiagnosticArrays:
         _set_values(message.values, before, status.values)
         self._kept[key] = (message, list(status.values))
         return message
-
-
-def _empty_array(stamp: Time) -> DiagnosticArray:
-    array = DiagnosticArray(status=[])
-    array.header.stamp = stamp
-    return array
 
 
 def _size(status: Status) -> int:
@@ -169,15 +200,20 @@ def _statistics(metric: Metric) -> tuple[float, ...]:
 
 class TimingPublisher:
     """
-    The timing topics of a node below `prefix`; publishers are made when there is something to say.
+    The timing topics of a node below `prefix`, all made with the first report.
 
-    `<prefix>/timing` (DiagnosticArray, every metric), `<prefix>/timing/[<bus>/]<metric>_<unit>`
-    (Float64, the headline) and, where statistics_msgs is installed,
-    `<prefix>/statistics/[<bus>/]<metric>`; metrics of single devices on the first one only.
+    With `topics` HEADLINE `<prefix>/timing` (DiagnosticArray, every metric) and
+    `<prefix>/timing/[<bus>/]<metric>_<unit>` (Float64, the headline); with ALL also
+    `<prefix>/statistics/[<bus>/]<metric>`, where statistics_msgs is installed. Metrics of single
+    devices are on the first one only.
     """
 
-    def __init__(self, node: Any, prefix: str, buses: Sequence[str] = (),
-                 window_s: float = 10.0) -> None:
+    def __init__(self, node: Any, prefix: str, topics: str = HEADLINE,
+                 buses: Sequence[str] = (), window_s: float = 10.0) -> None:
+        self._topics = topics
+        if topics == ALL and statistics_msgs is None:
+            node.get_logger().warning('timing_topics: all needs statistics_msgs, which is not '
+                                      'here; sudo apt install ros-jazzy-statistics-msgs')
         self._node = node
         self._prefix = prefix
         self._buses = topic_names(buses)
@@ -186,7 +222,9 @@ class TimingPublisher:
         self._publishers: dict[str, Any] = {}
 
     def publish(self, metrics: Sequence[Metric], now_ros: int) -> None:
-        name = self._node.get_name()
+        if self._topics == OFF:
+            return
+        name = full_name(self._node)
         stamp = to_time(now_ros)
         statuses = [metric_status(name, metric) for metric in metrics]
         for array in self._arrays.build(statuses, stamp):
@@ -198,14 +236,15 @@ class TimingPublisher:
                 self._publish_metrics_message(metric, start, stamp)
 
     def _publish_headline(self, metric: Metric) -> None:
+        topic = self._topic('timing', metric, f'{metric.name}_{unit_name(metric.unit)}')
+        publisher = self._publisher(Float64, topic)     # a tool lists it, with data or without
         figure = headline(metric)
         if figure is not None:
-            topic = self._topic('timing', metric, f'{metric.name}_{unit_name(metric.unit)}')
-            self._publisher(Float64, topic).publish(Float64(data=float(figure)))
+            publisher.publish(Float64(data=float(figure)))
 
     def _publish_metrics_message(self, metric: Metric, start: Time, stop: Time) -> None:
-        if statistics_msgs is not None:
-            source = '/'.join(filter(None, (self._node.get_name(), metric.bus, metric.name)))
+        if self._topics == ALL and statistics_msgs is not None:
+            source = '/'.join(filter(None, (full_name(self._node), metric.bus, metric.name)))
             publisher = self._publisher(
                 statistics_msgs.MetricsMessage, self._topic('statistics', metric, metric.name))
             publisher.publish(metrics_message(metric, source, start, stop))

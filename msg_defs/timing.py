@@ -17,7 +17,7 @@ from math import sqrt
 from threading import Lock
 from typing import NamedTuple
 
-SLICES = 10                 # of a window: it slides in steps of a tenth
+SLICES = 10                 # in a window: it slides in steps of a tenth
 LIMIT = 1e12                # larger values are refused, as NaN and infinities are
 _RATIO = 1.025              # width of a bucket: bounds the error of a percentile
 _SMALLEST = 1e-6            # what is closer to zero shares one bucket on each side

@@ -61,7 +61,7 @@ class Rover:
     def __init__(self, graph, ros, mcu, running, cable=None, node='vel2d_bridge', namespace=''):
         self.graph, self.ros, self.mcu, self.running = graph, ros, mcu, running
         self.cable = cable
-        self.node = node
+        self.status_node = f'{namespace}/{node}'.lstrip('/')
         self.topic = f'{namespace}/cmd_vel'
         self.timing = f'{namespace}/vel2d/timing'
         self.graph.listen(ros.DiagnosticArray, self.timing)
@@ -83,7 +83,7 @@ class Rover:
 
     def heard(self, kind, begin=0):
         """Return what was heard of a status, its values as a dict, the newest last."""
-        name = f'{self.node}: {kind}'
+        name = f'{self.status_node}: {kind}'
         messages = self.graph.heard['/diagnostics'][max(begin, self._first):]
         return [Heard(status) for message in messages for status in message.status
                 if status.name == name]

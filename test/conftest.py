@@ -21,6 +21,7 @@ import tempfile
 from harness import Mcu
 import pytest
 
+LAUNCH_TESTS = re.compile(r'test_(launch|launch_arguments|respawn)\.py\b')
 DOMAINS = range(1, 61)          # up to 101 keep clear of the ephemeral ports; benchmarks: 61...
 
 
@@ -44,6 +45,8 @@ def pytest_configure(config):
         'FASTRTPS_DEFAULT_PROFILES_FILE': str(Path(__file__).with_name('fast_discovery.xml')),
     })
     os.environ.pop('ROS_LOCALHOST_ONLY', None)
+    if config.pluginmanager.hasplugin('launch_testing'):
+        os.environ['LAUNCH_TESTING_PLUGIN'] = 'yes'     # for test_launch.py
     # A script's background job ignores Ctrl-C, and so would every process that a test starts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -121,11 +124,26 @@ def recovery(request):
 
 
 def pytest_terminal_summary(terminalreporter):
+    tell_launch_tests(terminalreporter)
     if RECOVERIES:
         terminalreporter.section('recovery times: median (min to max) of n, in s')
     for fault, seconds in RECOVERIES.items():
         terminalreporter.write_line(f'{fault:58} {median(seconds):6.3f}  ({min(seconds):.3f} to '
                                     f'{max(seconds):.3f}) of {len(seconds)}')
+
+
+def tell_launch_tests(terminalreporter):
+    """Say how many tests of the launch files ran: left out, they look like all others."""
+    found = {outcome: [report for report in terminalreporter.stats.get(outcome, ())
+                       if LAUNCH_TESTS.search(getattr(report, 'nodeid', ''))]
+             for outcome in ('passed', 'failed', 'error', 'skipped')}
+    skipped = found.pop('skipped')
+    ran = sum(map(len, found.values()))
+    if ran or skipped:
+        why = f': {skipped[0].longrepr[2]}' if skipped else ''
+        terminalreporter.write_line(
+            f'launch tests: {ran} ran, {len(skipped)} left out{why}'
+            + ('; scripts/test --with-launch runs them' if skipped else ''))
 
 
 class SteppedClock:

@@ -11,6 +11,7 @@ Red after: from publishing a lost device to a red bar, polled each frame by the 
 import os
 from pathlib import Path
 import sys
+from tempfile import TemporaryDirectory
 import threading
 import time
 
@@ -27,7 +28,7 @@ from synthetic_robot import SyntheticRobot
 
 PREPARED = 20                   # reports, played in a loop
 WATCH_BAR = """() => { window.redAt = new Promise((resolve) => {
-    const look = () => document.querySelector('.bar')?.dataset.state === 'error'
+    const look = () => document.querySelector('.buses .buses .bar')?.dataset.state === 'error'
         ? resolve(Date.now()) : requestAnimationFrame(look);
     look(); }); }"""
 
@@ -90,8 +91,9 @@ def measure(page, session, pid, seconds):
 
 def main(seconds=10.0):
     views = {**dashboard_page.VIEWS, 'device': '#/device/dxl_monitor: 042'}
-    with Program('dxl_monitor.dashboard.main', '--port', '0') as server, Publisher() as robot, \
-            dashboard_page.browser() as browser:
+    with TemporaryDirectory() as folder, Program(
+            'mecarover_dashboard.main', '--port', '0', '--history', f'{folder}/history.sqlite',
+            ) as server, Publisher() as robot, dashboard_page.browser() as browser:
         address = server.wait_for('http://').split()[1]
         page = browser.new_page(viewport={'width': 1280, 'height': 800})
         session = page.context.new_cdp_session(page)
@@ -103,7 +105,7 @@ def main(seconds=10.0):
             print('{:10}  {:5.1f} %  {:5.1f} %'.format(
                 view, *measure(page, session, server.pid, seconds)), flush=True)
         page.goto(f'{address}/#/')
-        page.locator('.bar[data-state=ok]').wait_for()
+        page.locator('.buses .buses .bar[data-state=ok]').wait_for()
         page.evaluate(WATCH_BAR)
         robot.is_lost.set()
         red_at = page.evaluate('window.redAt')

@@ -10,9 +10,9 @@ import time
 
 from synthetic_robot import SyntheticRobot
 
-SIZES = {'desktop': (1280, 800), 'phone': (390, 844), 'touch': (480, 272)}
+SIZES = {'desktop': (1440, 900), 'phone': (390, 844), 'panel': (800, 480), 'touch': (480, 272)}
 VIEWS = {'overview': '#/', 'devices': '#/devices', 'device': '#/device/dxl_monitor: 007 left_knee',
-         'log': '#/log', 'bridge': '#/bridge'}
+         'log': '#/log', 'bridge': '#/bridge', 'history': '#/history'}
 NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
 OPTIONS = ('--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
            '--disable-background-networking', '--disable-component-update', '--disable-sync')
@@ -52,20 +52,23 @@ def browser():
 class Dashboard:
     """A server without ROS; `port` is kept over a restart."""
 
-    def __init__(self, is_open=False):
+    def __init__(self, is_open=False, history=None):
         self.port = 0
+        self._history = history
         self._is_open = is_open
         self.server = None
         self.start()
 
     def start(self):
-        from dxl_monitor.dashboard.main import facts
-        from dxl_monitor.dashboard.main import listen
-        from dxl_monitor.dashboard.server import Server
+        from mecarover_dashboard.main import facts
+        from mecarover_dashboard.main import listen
+        from mecarover_dashboard.recording import Recording
+        from mecarover_dashboard.server import Server
         listener = listen('127.0.0.1', self.port)
         self.port = listener.getsockname()[1]
         about = facts('127.0.0.1', self.port) | {'machine': 'robot'}
-        self.server = Server(listener, about, self._is_open)
+        recording = self._history and Recording(self._history)
+        self.server = Server(listener, about, self._is_open, recording)
         self.server.start()
 
     @property

@@ -31,10 +31,13 @@ ROOT = Path(__file__).parents[1]
 FOR_DOCS = ('overview-desktop-dark', 'overview-desktop-light', 'overview-phone-dark',
             'overview-phone-light', 'overview-touch-dark', 'overview-touch-light',
             'device-desktop-light', 'device-phone-dark', 'devices-desktop-dark',
-            'log-desktop-light', 'bridge-desktop-dark')
+            'log-desktop-light', 'bridge-desktop-dark', 'history-desktop-light',
+           'device-touch-dark')
 WARM_UP_S = 75                  # of plots
 LOOK_S = 20                     # at a device, so that its plot has a line
-FOLDER = Path('/tmp/dev')
+# The names of the ports are in the pictures. PORTS=/dev gives real ones: run it as root in a mount
+# namespace (unshare -m) where /dev is an overlay, so that the machine's own stays as it is.
+FOLDER = Path(os.environ.get('PORTS', '/tmp/dev'))
 SERVOS = 18
 DEVICES = [*(f'{at + 1}:{"MX-106" if at < 10 else "MX-64"}:{JOINTS[at]}' for at in range(SERVOS)),
            '100:Rhoban DXL Board:power', '101:BitFoot:left_foot', '102:BitFoot:right_foot',
@@ -44,7 +47,7 @@ DEVICES = [*(f'{at + 1}:{"MX-106" if at < 10 else "MX-64"}:{JOINTS[at]}' for at 
 DASHBOARD = """
 import socket, sys
 socket.gethostname = lambda: 'wolfgang'
-from dxl_monitor.dashboard.main import main
+from mecarover_dashboard.main import main
 sys.exit(main())
 """
 
@@ -60,10 +63,11 @@ def robot(stack, folder):
     """Start everything, return the address of the dashboard."""
     bus, mcu = folder / 'ttyUSB0', folder / 'ttyAMA0'
     start = stack.enter_context
-    start(Program('dxl_monitor.fake_bus', '--link', str(bus), '--behind-silent', 'answer',
+    start(Program('dxl_monitor.fake.fake_bus', '--link', str(bus), '--behind-silent', 'answer',
                   '--fault', f'silent:7:{WARM_UP_S}:600', '--fault', f'hot:14:{WARM_UP_S}:600'))
     start(Program('vel2d_bridge.fake_mcu', '--link', str(mcu)))
-    dashboard = start(Program('', '--port', '0', script=DASHBOARD))
+    dashboard = start(Program('', '--port', '0', '--history', str(folder / 'history.sqlite'),
+                              script=DASHBOARD))
     wait(lambda: bus.exists() and mcu.exists())
     start(Program('dxl_monitor.main', '--ros-args', '-p', f"ports:=['{bus}']",
                   '-p', f'devices:={DEVICES}'))
@@ -107,15 +111,16 @@ def main():
     everything = [f'{view}-{size}-{theme}' for view in VIEWS for size in SIZES
                   for theme in ('dark', 'light')]
     with ExitStack() as stack:
-        FOLDER.mkdir()                  # its name is in the pictures
-        stack.callback(shutil.rmtree, FOLDER)
+        if not FOLDER.exists():
+            FOLDER.mkdir()
+            stack.callback(shutil.rmtree, FOLDER)
         address = robot(stack, FOLDER)
         browser = stack.enter_context(dashboard_page.browser())
         print(f'screenshots: the robot walks for {WARM_UP_S} s first', flush=True)
         time.sleep(WARM_UP_S)
         page = browser.new_page()
         page.goto(address)
-        page.locator('.bar[data-state=error]').wait_for(timeout=120_000)
+        page.locator('.buses .buses .bar[data-state=error]').wait_for(timeout=120_000)
         page.close()
         if folder:
             folder.mkdir(parents=True, exist_ok=True)

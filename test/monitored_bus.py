@@ -27,9 +27,9 @@ from harness import LATE_S
 from harness import Program
 from harness import wait
 
-from benchmark.cable import Cable
 from msg_defs.crc import crc16
 from msg_defs.dxl_packet import STATUS
+from rigs.cable import Cable
 
 BUS, DEVICES = 'bus', ('001', '002', '003', '004')
 OK, WARN, ERROR, STALE = range(4)
@@ -48,7 +48,7 @@ COUNTERS = {
 # Five times, as a machine that is too busy may tear a packet apart.
 BUS_THAT_WAITS = """
 import os, signal
-from dxl_monitor import fake_bus
+from dxl_monitor.fake import fake_bus
 from dxl_monitor.fake import master
 once = master.start_up
 def start_up(*arguments):

@@ -9,24 +9,35 @@ what a subscription gets, so that the dashboard can be tested without ROS.
 import math
 import struct
 
-from dxl_monitor import report as words
-from dxl_monitor.devices import Device
-from dxl_monitor.models import Models
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.report import Counts
+from dxl_monitor.bus.report import Error
+from dxl_monitor.bus.report import Finding
+from dxl_monitor.bus.report import Latency
+from dxl_monitor.bus.table import Observed
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
-from dxl_monitor.report import Error
-from dxl_monitor.report import Finding
-from dxl_monitor.report import Latency
 from dxl_monitor.status import bus_status
 from dxl_monitor.status import device_metrics
 from dxl_monitor.status import device_status
 from dxl_monitor.status import PortState
-from dxl_monitor.table import Observed
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
-from msg_defs.reports import Status
 from msg_defs.timing import Summary
+from msg_defs.vel2d import Vel2d
+from vel2d_bridge.gate import Counters
+from vel2d_bridge.gate import Gate
+from vel2d_bridge.gate import Kind
+from vel2d_bridge.graph import Choice
+from vel2d_bridge.link import Link
+from vel2d_bridge.mcu_log import McuLog
+from vel2d_bridge.pacer import Sent
+from vel2d_bridge.status import Commands
+from vel2d_bridge.status import commands_status
+from vel2d_bridge.status import link_status
 
 NODE = 'dxl_monitor'
 JOINTS = ('left_hip_yaw', 'right_hip_yaw', 'left_hip_roll', 'right_hip_roll', 'left_hip_pitch',
@@ -75,16 +86,19 @@ def summary(mean, spread):
 class SyntheticRobot:
     """Buses of (id, model, joint) by name; `lost`, `warned` and so on hold device IDs."""
 
-    def __init__(self, buses=None):
+    def __init__(self, buses=None, namespace=''):
+        self._prefix = f'{namespace}/' if namespace else ''
+        self._node = f'{self._prefix}{NODE}'
+        self._bridge = f'{self._prefix}vel2d_bridge'
         self.buses = {'': HUMANOID} if buses is None else buses
         self.lost, self.warned, self.silent, self.faulty = set(), set(), set(), set()
-        self.port_problem = ''
+        self.port_problem = self.bridge_problem = ''
         self.findings = ()
         self.velocity = (0.32, 0.11, 0.6)
         self._made, self._made_s = [], None
         models = Models()
         self._blank = {bus: Monitor(bus, models, Settings(
-            devices=tuple(Device(*device) for device in devices))).report(0)
+            devices=tuple(Expected(*device) for device in devices))).report(0)
             for bus, devices in self.buses.items()}
 
     def tables(self, time_s):
@@ -100,8 +114,9 @@ class SyntheticRobot:
         for bus, report in self._reports(time_s):
             port = PortState(f'/dev/tty{bus or "USB0"}', self.port_problem,
                              (('Latency timer (ms)', '1'), ('Openings', '1')))
-            statuses.append(bus_status(NODE, bus, report, port, whole))
-            statuses += [device_status(NODE, bus, device, report.findings, whole)
+            statuses.append(bus_status(self._node, bus, report, port, whole))
+            statuses += [device_status(self._node, bus, device, report.findings, whole,
+                                       not self.port_problem)
                          for device in report.devices]
         return statuses
 
@@ -119,11 +134,12 @@ class SyntheticRobot:
                 Error(int((time_s - 20 + i) * 1e9), f'{one.id:03}: no answer to Read at 132')
                 for i, one in enumerate(lost * 3))
             yield bus, blank._replace(
-                devices=reports, errors=errors,
+                stamp=int(time_s * 1e9), started=1, devices=reports, errors=errors,
                 level=Level.ERROR if lost else Level.OK, findings=self.findings,
                 message=f'{len(lost)} of {len(reports)} devices disconnected' if lost
                 else f'{len(reports)} devices',
-                counters={'Bytes': int(time_s * 84000), 'Packets': int(time_s * 3900)},
+                counters=blank.counters | {
+                    'Bytes': int(time_s * 84000), 'Packets': int(time_s * 3900)},
                 rates={'bytes': 84000.0, 'packets': 3900.0, 'errors': 0.4 * len(lost)})
 
     def _device(self, time_s, blank):
@@ -136,16 +152,16 @@ class SyntheticRobot:
         elif number in self.faulty:
             level, message = Level.ERROR, 'hardware error: overheating'
         elif number in self.silent:
-            state, level, message = words.SILENT, Level.STALE, 'silent: nobody asked it for 9 s'
+            state, level, message = words.SILENT, Level.STALE, 'silent: not asked for 9 s'
         elif number in self.warned:
             level, message = Level.WARN, '12 of 310 answers missed'
-        loss = 3.87 if number in self.warned else 100.0 if number in self.lost else 0.0
+        missed_s = 12 if number in self.warned else 7 if number in self.lost else 0
+        answers_s = 0 if number in self.lost else 298
         latency = 0.11 + 0.01 * math.sin(time_s + number)
         return blank._replace(
             firmware=44, state=state, level=level, message=message,
-            counters=(('Answers', int(time_s * 100)), ('Missed Answers', 3 * missed),
-                      ('Missed in a Row', missed), ('Loss in 10 s (%)', loss),
-                      ('Damaged Answers', 0), ('Writes', int(time_s * 50))),
+            totals=Counts(answers=int(time_s * 100), missed=3 * missed, writes=int(time_s * 50)),
+            window=Counts(answers=answers_s, missed=missed_s), missed_in_a_row=missed,
             observed=tuple(self._observe(model, number, time_s)), unobserved=9,
             latency=Latency(summary(latency, 0.02), summary(latency, 0.05), 0.94))
 
@@ -188,30 +204,27 @@ class SyntheticRobot:
             metrics += [Metric(name, unit, value=float(value), bus=bus)
                         for name, (unit, value) in single.items()]
             metrics += [metric._replace(bus=bus) for metric in device_metrics(report)]
-        return [metric_status(NODE, metric) for metric in metrics]
+        return [metric_status(self._node, metric) for metric in metrics]
 
     def bridge(self, time_s):
         """Return what vel2d_bridge puts on /diagnostics."""
-        x, y, omega = self.velocity
-        state = 'driving' if any(self.velocity) else 'stopped'
-        link = [('Port', '/dev/ttyAMA0'), ('State', 'open'), ('In this state for (s)', '241.5'),
-                ('Frames sent', str(int(20 * time_s))), ('Last x (m/s)', str(x)),
-                ('Last y (m/s)', str(y)), ('Last omega (rad/s)', str(omega)), ('Openings', '1'),
-                ('Reopenings', '0'), ('Losses', '0'), ('Write time-outs', '0'),
-                ('Partial writes', '0'), ('Freezes', '0'), ('Deadman', 'ready'),
-                ('Bytes from MCU', '0'), ('Last error', 'none')]
-        commands = [('Topic', '/cmd_vel'), ('Message type', 'Twist'), ('State', state),
-                    ('Enabled', 'true'), ('Commands received', str(int(10 * time_s))),
-                    ('Commands accepted', str(int(10 * time_s))), ('Commands limited', '0'),
-                    ('Refused: not finite', '0'), ('Refused: stamp too old', '3'),
-                    ('Time-outs', '2'), ('Stops: port opened', '1'), ('Stops: time-out', '2')]
-        return [Status('vel2d_bridge: link', Level.OK, 'open', '/dev/ttyAMA0', link),
-                Status('vel2d_bridge: commands', Level.OK, state, '/dev/ttyAMA0', commands)]
+        now, is_driving = int(time_s * 1e9), any(self.velocity)
+        sent = Sent(now, Vel2d(*self.velocity), Kind.COMMAND, 90_000, None)
+        state = Link('/dev/ttyAMA0', 115200, Gate()).state()._replace(
+            is_open=not self.bridge_problem, problem=self.bridge_problem or None,
+            since=now - 241_500_000_000, openings=1, deadman='ready',
+            frames=int(20 * time_s), last=sent, driving=is_driving, enabled=True)
+        counters = Counters()
+        counters.received = counters.accepted = int(10 * time_s)
+        counters.time_outs = 2
+        commands = Commands('/cmd_vel', Choice('twist', True), 0.5, (), None, 0, None)
+        return [link_status(self._bridge, '/dev/ttyAMA0', state, (), McuLog(), now),
+                commands_status(self._bridge, '/dev/ttyAMA0', state, counters, commands)]
 
     def bridge_timing(self, time_s):
         """Return what goes to vel2d/timing."""
         wave = 0.04 * math.sin(time_s / 5)
-        return [metric_status('vel2d_bridge', metric) for metric in (
+        return [metric_status(self._bridge, metric) for metric in (
             Metric('callback_to_write', 'ms', summary(0.31 + wave, 0.12), summary(0.31, 0.9)),
             Metric('write', 'ms', summary(0.09, 0.02), summary(0.09, 0.3)),
             Metric('command_period', 'ms', summary(100.2, 3.0), summary(100, 9)),

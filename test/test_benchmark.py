@@ -69,7 +69,7 @@ def test_plot_is_drawn_from_a_results_file():
 def test_traffic_is_whole_packets_of_a_busy_bus(kind):
     pieces = packets(kind, 2000)
     framer = Framer()
-    framer.feed(b''.join(pieces), 1)
+    framer.frames(b''.join(pieces))
     assert len(pieces) == framer.packets == 2000
     assert framer.noise_bytes == 0
     assert packets(kind, 2000) == pieces

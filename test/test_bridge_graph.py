@@ -3,6 +3,7 @@
 """Whose cmd_vel is followed, and what a person is told about the others. No ROS here."""
 import pytest
 
+from vel2d_bridge.graph import Absence
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.graph import choose
 from vel2d_bridge.graph import complaints
@@ -18,6 +19,7 @@ STAMPED = Publisher('/planner', 'geometry_msgs/msg/TwistStamped', reliable=True)
 CHATTER = Publisher('/talker', 'std_msgs/msg/String', reliable=True)
 MISFIT = PLAIN._replace(node='/misfit', conflict='Best effort publisher, reliable subscription')
 TOPIC = '/cmd_vel'
+S = 1_000_000_000
 
 
 @pytest.mark.parametrize(('setting', 'current', 'publishers', 'choice'), [
@@ -41,7 +43,7 @@ def test_choice(setting, current, publishers, choice):
 
 
 @pytest.mark.parametrize(('publishers', 'parts'), [
-    ([], [['nobody publishes', 'teleop_twist_keyboard']]),
+    ([], []),
     ([PLAIN], []),
     ([PLAIN, STAMPED], [['/planner is not heard', 'TwistStamped', 'subscribed is twist',
                          'set message_type']]),
@@ -67,3 +69,18 @@ def test_complaints(publishers, parts):
 ])
 def test_node_name(namespace, name, full):
     assert node_name(namespace, name) == full
+
+
+def test_a_missing_publisher_is_news_after_three_seconds():
+    """Discovery takes up to 2.5 s; and who has left is told once, at once."""
+    absence = Absence(10 * S)
+    assert [absence.observe(False, 10 * S), absence.is_long(12 * S)] == [False, False]
+    assert absence.is_long(13 * S)
+    assert not absence.had_one
+    assert not absence.observe(True, 20 * S)
+    assert not absence.is_long(30 * S)
+    assert [absence.observe(False, 31 * S), absence.observe(False, 32 * S)] == [True, False]
+    assert [absence.is_long(33 * S), absence.is_long(34 * S)] == [False, True]
+    assert absence.had_one
+    line = Absence.words(TOPIC)
+    assert line.startswith(f'{TOPIC}: no node publishes it; start teleop_twist_keyboard')

@@ -92,7 +92,7 @@ def test_a_thousand_commands_at_200_hz(ros, graph, standing, cmd_vel, max_rate):
     assert [frame.velocity.x for frame in driving] == sorted(
         frame.velocity.x for frame in driving)
     seconds = (driving[-1].stamp - driving[0].stamp) / 1e9
-    assert len(driving) <= max_rate * seconds + 2
+    assert len(driving) <= 1.02 * max_rate * seconds + 2     # as docs/frame.md promises
     assert len(driving) > 0.1 * max_rate * seconds
     after = standing.totals()
     for name in ('crc_err', 'insufficient'):
@@ -130,7 +130,7 @@ def test_enable(ros, graph, standing, cmd_vel):
         switched = time.monotonic_ns()
         assert graph.call(ros.SetBool, '/vel2d_bridge/enable', data=False).success
         standing.stopped_at(switched)
-        graph.wait_status(COMMANDS, 'disabled; call ~/enable with data: true', level=1)
+        graph.wait_status(COMMANDS, 'disabled; ros2 service call /vel2d_bridge/enable ', level=1)
         wait(lambda: standing.velocity == STOP)
         zeros = standing.since(time.monotonic_ns(), 5)          # go on
         assert {frame.velocity for frame in zeros} == {STOP}

@@ -7,6 +7,10 @@ from itertools import pairwise
 import os
 from pathlib import Path
 import random
+import shutil
+import signal
+import subprocess
+import time
 
 from harness import bridge
 from harness import DEADLINE_S
@@ -17,6 +21,7 @@ import pytest
 import yaml
 
 from mecarover_serial.pty import Pty
+from msg_defs.vel2d import STOP
 from vel2d_bridge.settings import PARAMETERS
 
 pytestmark = pytest.mark.ros
@@ -119,7 +124,7 @@ def test_200_changes_while_driving_at_100_hz(ros, graph, tmp_path):
     resends, as these are frames that repeat a command on purpose.
     """
     rng = random.Random(6)
-    node, commands = '/tuned/tuned', 'tuned: commands'
+    node, commands = '/tuned/tuned', 'tuned/tuned: commands'
     count = iter(range(1, 100_000))
     with Mcu(str(tmp_path / 'mcu')).running() as mcu, bridge(
             mcu, '-r', '__ns:=/tuned', '-r', '__node:=tuned',
@@ -168,9 +173,8 @@ def test_ports_that_cannot_be_used_yet(ros, graph, tmp_path):
         locked = stack.enter_context(bridge(busy.path, '-r', '__ns:=/locked'))
         line = missing.wait_for('ERROR', f'{link}: is not there')
         assert 'plug it in or set another port; ' in line
-        line = denied.wait_for('ERROR', f'{forbidden.path}: user ')
-        assert 'may not open it: it belongs to group' in line
-        assert '; sudo ' in line
+        line = denied.wait_for('ERROR', f'{forbidden.path}: a pty that user ')
+        assert '; run both ends as one user' in line
         line = locked.wait_for('ERROR', f'{busy.path}: in use by ')
         assert f'(pid {os.getpid()}); stop that program' in line
         link.symlink_to('nowhere')
@@ -186,9 +190,25 @@ def test_ports_that_cannot_be_used_yet(ros, graph, tmp_path):
         assert len(missing.said('is not there')) <= 3           # a change is said, not each try
 
 
+SMALL = ['unshare', '--mount', 'sh', '-c', 'mount -t tmpfs -o size=64k none /dev/shm && exec "$@"',
+         'sh', 'env', '-u', 'FASTRTPS_DEFAULT_PROFILES_FILE']
+
+
+@pytest.mark.skipif(shutil.which('unshare') is None or subprocess.run(
+    [*SMALL, 'true'], capture_output=True).returncode != 0,
+    reason='skipped: not allowed to make a mount namespace')
+def test_without_room_in_shared_memory_it_stops_the_rover_all_the_same(mcu):
+    begin = time.monotonic_ns()
+    with bridge(mcu, prefix=SMALL) as running:
+        running.wait_for('/dev/shm: is full')
+        assert all(frame.velocity == STOP for frame in mcu.since(begin, 6))
+        running.signal(signal.SIGTERM)
+        assert running.exit_code() == 0, running.text
+
+
 @pytest.mark.parametrize(('options', 'code', 'line'), [
     ({'port': '/tmp'}, 1, '/tmp: a directory; give the port itself; '),
-    ({'port': '/dev/null'}, 1, '/dev/null: not a serial port; give the port itself; '),
+    ({'port': '/dev/null'}, 1, '/dev/null: a device, but not a serial port; '),
     ({'port': 'nonsense://x'}, 1, 'nonsense://x: not a URL that pyserial knows'),
     ({'baud': 3}, 2, 'baud: 3 is not possible; set an integer in bit/s'),
     ({'baud': 'fast'}, 2, "baud: 'fast' is not possible; set an integer in bit/s"),

@@ -4,10 +4,11 @@
 The safety property of the bridge, over random histories in simulated time.
 
 The wheels never turn longer than cmd_vel_timeout + 2 / resend_rate + write_timeout + 300 ms (the
-MCU's queue) after the last accepted command. Real: gate, pacer, frames, receiver. Simulated: the
-UART, the deadman's clockwork (its process is tested in test_deadman.py), and everything that
-goes wrong. Assumptions: link up (no two damaged frames in a row, no stall longer than
-write_timeout), 19200 baud or more, cmd_vel_timeout and resend_rate not 0.
+MCU's queue) after the last accepted command. Where the cable was lost, that counts from its
+return, and 0.5 s are added in which the bridge looks for it. Real: gate, pacer, frames, receiver.
+Simulated: the UART, the clockwork of link and dead man (test_link.py, test_deadman.py), and
+everything that goes wrong. Assumptions: no two damaged frames in a row, no stall longer than
+write_timeout, 19200 baud or more, cmd_vel_timeout and resend_rate not 0.
 """
 from collections import deque
 from itertools import pairwise
@@ -20,7 +21,7 @@ from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
-from vel2d_bridge import deadman
+from vel2d_bridge import watch
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import MILLISECOND as MS
@@ -35,6 +36,8 @@ from vel2d_bridge.receiver import Receiver
 FIFO = 16                                            # bytes that a flush does not reach
 LATE = 2 * MS                                        # how late the host's thread may wake
 QUEUE = 300 * MS
+PROLONGED = 600 * MS                                 # how long a longer time-out is set
+RETRY = 500 * MS                                     # at most between two looks for a lost port
 
 
 class Uart:
@@ -79,6 +82,11 @@ class Uart:
                 flight[0] = flight[0][:begun + FIFO]
         self._free = self._end(self._flights[-1]) if self._flights else self.now
 
+    def hang_up(self):
+        """Lose the cable, and what is on it."""
+        self._flights.clear()
+        self._free = self.now
+
     def settle(self, now):
         """Let pass what has left the wire by now."""
         self.now = now
@@ -110,13 +118,16 @@ class World:
             max_rate=chance.choice([2.0, 20.0, 30.0, 30.0, 100.0, 400.0]))
         self.write_timeout_s = chance.choice([0.005, 0.05, 0.2])
         self.baud = chance.choice([19200, 57600, 115200, 115200, 1_000_000])
-        self.bound = round(SECOND * (
-            self.settings.cmd_vel_timeout + 2 / self.settings.resend_rate
-            + self.write_timeout_s)) + QUEUE
+        self.bound = self.bound_of(self.settings)
         self.mcu = Receiver(baud=self.baud)
         self.uart = Uart(self.mcu, chance, chance.choice([0.0, 0.02, 0.5]))
         self.now = 0
         self.accepted = None                         # the last accepted command
+        self.back_at = self.reopen_at = NEVER        # the cable; the bridge's port
+        self.back = -SECOND                          # when the cable came back last
+        self.is_lost = False                         # the port must be opened again
+        self.is_owed = False                         # and the rover may have been driving
+        self.calm_at = NEVER                         # the settings become what they were
         self.moving = False
         self.longest = 0                             # moving after it, as a share of the bound
         self.frozen_until = 0
@@ -131,6 +142,10 @@ class World:
         self.waiting = None                          # a command that came during the freeze
         self.plan = self.commands()
         self.command_at = next(self.plan)
+
+    def bound_of(self, settings):
+        return round(SECOND * (settings.cmd_vel_timeout + 2 / settings.resend_rate
+                               + self.write_timeout_s)) + QUEUE
 
     @property
     def awake(self):
@@ -147,6 +162,10 @@ class World:
             at += self.chance.randrange(1500 * MS)
 
     def start(self):
+        if self.back_at != NEVER:
+            self.restart_at = self.back_at + self.chance.randrange(RETRY)
+            return
+        self.is_lost = self.is_owed = False
         gate = Gate(self.settings, baud=self.baud)
         self.pacer = Pacer(gate, lambda: self.now, baud=self.baud,
                            write_timeout_s=self.write_timeout_s)
@@ -157,27 +176,21 @@ class World:
     def run(self, duration, accidents):
         accidents = sorted(accidents)
         while self.now < duration:
-            event = accidents[0][0] if accidents else NEVER
-            self.now = max(self.now, min(
-                self.wake, self.command_at, self.zero_at, self.enable_at, self.restart_at,
-                self.thaw_at, self.suspend_at, event, self.now + 10 * MS))
+            happening = accidents[0][0] if accidents else NEVER
+            events = (
+                (happening, lambda: getattr(self, accidents.pop(0)[1])()),
+                (self.back_at, self.come_back), (self.restart_at, self.start),
+                (self.reopen_at, self.reopen), (self.calm_at, self.calm),
+                (self.thaw_at, self.thaw), (self.suspend_at, self.suspend_when_idle),
+                (self.enable_at, lambda: self.enable(True)), (self.zero_at, self.zero),
+                (self.wake, self.turn), (self.command_at, self.command))
+            first = min(at for at, _ in events)
+            self.now = max(self.now, min(first, self.now + 10 * MS))
             self.look()
-            if event <= self.now:
-                getattr(self, accidents.pop(0)[1])()
-            elif self.restart_at <= self.now:
-                self.start()
-            elif self.thaw_at <= self.now:
-                self.thaw()
-            elif self.suspend_at <= self.now:
-                self.suspend_when_idle()
-            elif self.enable_at <= self.now:
-                self.enable(True)
-            elif self.zero_at <= self.now:
-                self.zero()
-            elif self.wake <= self.now:
-                self.turn()
-            elif self.command_at <= self.now:
-                self.command()
+            for at, act in events:
+                if at <= self.now:
+                    act()
+                    break
 
     def look(self):
         """Check the property at every set-point that the MCU has taken by now."""
@@ -191,20 +204,24 @@ class World:
 
     def check(self, stamp):
         assert self.accepted is not None, 'moves without a command'
-        since = stamp - self.accepted
-        self.longest = max(self.longest, since / self.bound)
-        assert since <= self.bound, f'{since / 1e9} s, allowed are {self.bound / 1e9} s'
+        if self.back_at != NEVER:                    # nothing can reach it
+            return
+        since, bound = stamp - self.accepted, self.bound
+        if self.back > self.accepted:
+            since, bound = stamp - self.back, max(bound, RETRY + QUEUE + 60 * MS)
+        self.longest = max(self.longest, since / bound)
+        assert since <= bound, f'{since / 1e9} s, allowed are {bound / 1e9} s'
 
     def turn(self):
         acted, self.acted = self.acted, False
         self.beaten = self.now
         wake = self.pacer.turn(self.now, acted)
-        self.wake = max(self.now + 1, min(wake, self.now + deadman.BEAT)
+        self.wake = max(self.now + 1, min(wake, self.now + watch.BEAT)
                         + self.chance.randrange(LATE))
 
     def command(self):
         self.command_at = next(self.plan)
-        speed = self.chance.choice([0.1, 0.5, 0.5, 0.5, 0.0, math.nan])
+        speed = self.chance.choice([0.1, 0.5, 0.5, 0.5, 0.0, math.nan, 1e308])
         velocity = Vel2d(speed, self.chance.random() * bool(speed), 0.0)
         if self.now < self.frozen_until:
             self.waiting = velocity
@@ -216,6 +233,7 @@ class World:
         verdict = self.pacer.offer(velocity, self.now, waited=waited, acted=acted)
         if verdict is Verdict.ACCEPTED:
             self.accepted = self.now
+            self.bound = self.bound_of(self.settings) + PROLONGED * (self.calm_at != NEVER)
         self.rise(self.pacer.step(self.now))
 
     def rise(self, wake):
@@ -223,11 +241,14 @@ class World:
             self.wake = max(self.now + 1, min(self.wake, wake))
 
     def zero(self):
-        """Be the deadman: one zero after its gap, on a line it does not share just now."""
+        """Be the dead man: one zero after its gap, on a line that it does not share just now."""
+        if self.back_at != NEVER:                    # it looks for the port
+            self.zero_at = self.now + round(watch.STOP_PERIOD_S * SECOND)
+            return
         if not self.uart.pending():
             self.acted = True
             self.uart.write(encode(STOP))
-        period = round(deadman.STOP_PERIOD_S * SECOND) + deadman.GAP_CHARACTERS * (
+        period = round(watch.STOP_PERIOD_S * SECOND) + watch.GAP_CHARACTERS * (
             self.mcu.character)
         self.zeros_left -= 1
         is_over = self.pacer is None and self.zeros_left <= 0
@@ -238,9 +259,9 @@ class World:
         if not self.awake:
             return
         self.frozen_until = self.now + self.chance.randrange(1500 * MS)
-        if self.frozen_until - self.beaten > deadman.SILENCE:
-            self.zero_at = self.beaten + deadman.SILENCE + (
-                deadman.GAP_CHARACTERS * self.mcu.character)
+        if self.frozen_until - self.beaten > watch.SILENCE and not self.is_off_duty:
+            self.zero_at = self.beaten + watch.SILENCE + (
+                watch.GAP_CHARACTERS * self.mcu.character)
         self.wake = self.enable_at = NEVER
         self.thaw_at = self.frozen_until
 
@@ -266,6 +287,10 @@ class World:
             self.resumes = False
             self.pacer.gate.stop(self.now, Stop.FROZEN)
         self.thaw_at, self.zero_at, self.wake = NEVER, NEVER, self.now
+        if self.is_lost:
+            self.pacer.detach()
+            if self.back_at == NEVER:
+                self.reopen_at = self.now + self.chance.randrange(RETRY)
         if not self.pacer.gate.enabled:
             self.enable_at = self.now + 100 * MS
         waiting, self.waiting = self.waiting, None
@@ -277,12 +302,55 @@ class World:
         if self.pacer is None:
             return
         self.pacer = self.waiting = None
+        self.reopen_at = self.calm_at = NEVER
         self.resumes = False
         self.wake = self.enable_at = self.thaw_at = self.suspend_at = NEVER
         self.frozen_until = self.now
-        self.zero_at = self.now + deadman.GAP_CHARACTERS * self.mcu.character
-        self.zeros_left = deadman.STOP_FRAMES
+        if not self.is_off_duty:
+            self.zero_at = self.now + watch.GAP_CHARACTERS * self.mcu.character
+        self.zeros_left = watch.STOP_FRAMES
         self.restart_at = self.now + SECOND
+
+    @property
+    def is_off_duty(self):
+        """Whether the dead man has no port, and none to look for."""
+        return self.is_lost and not self.is_owed
+
+    def lose(self):
+        """Unplug the cable for a while; the rover goes on as it was told last."""
+        if self.back_at != NEVER:
+            return
+        gate = self.pacer and self.pacer.gate
+        self.is_owed |= not self.awake or gate.driving or gate.stopping
+        self.is_lost = True
+        self.uart.hang_up()
+        self.back_at, self.reopen_at = self.now + self.chance.randrange(1500 * MS), NEVER
+        if self.awake:
+            self.pacer.detach()
+
+    def come_back(self):
+        self.back_at, self.back = NEVER, self.now
+        if self.awake:
+            self.reopen_at = self.now + self.chance.randrange(RETRY)
+
+    def reopen(self):
+        self.reopen_at = NEVER
+        if self.awake:
+            self.is_lost = self.is_owed = False
+            self.pacer.attach(self.uart, self.now)
+            self.rise(self.pacer.step(self.now))
+
+    def prolong(self):
+        """Raise the time-out while a command runs, which must not run on for it."""
+        if self.awake:
+            self.pacer.gate.settings = self.settings._replace(
+                cmd_vel_timeout=self.chance.choice([0.0, 2.0, 10.0]))
+            self.calm_at = self.now + self.chance.randrange(PROLONGED)
+
+    def calm(self):
+        self.calm_at = NEVER
+        if self.pacer is not None:
+            self.pacer.gate.settings = self.settings
 
     def stall(self):
         """Stall the line, for no longer than a write may take."""
@@ -309,7 +377,8 @@ class World:
             self.rise(self.pacer.step(self.now))
 
 
-ACCIDENTS = ('freeze', 'kill', 'stall', 'stall', 'cut', 'disable', 'switch', 'suspend')
+ACCIDENTS = ('freeze', 'kill', 'stall', 'stall', 'cut', 'disable', 'switch', 'suspend', 'lose',
+             'lose', 'prolong')
 
 
 def history(seed, duration=4 * SECOND):
@@ -459,3 +528,19 @@ def test_frames_are_never_closer_than_a_gap():
         ends = [arrival.stamp for arrival in world.mcu.arrivals if arrival.size == FRAME_SIZE]
         closest = characters_ns(FRAME_SIZE + 2, world.baud) - FRAME_SIZE     # rounding
         assert all(after - before >= closest for before, after in pairwise(ends))
+
+
+def test_after_a_freeze_the_stop_that_the_dead_man_is_just_sending_is_not_cut():
+    """It is pending, and the last frame of the bridge was long ago: that is no stuck line."""
+    world = drive()
+    world.command_at = NEVER
+    world.chance.randrange = lambda *_: 205 * MS
+    world.freeze()
+    while world.zero_at != NEVER and not world.uart.pending():
+        world.run(world.now + 100_000, [])
+    world.thaw()
+    world.turn()
+    assert world.pacer.time_outs == 0
+    world.run(world.now + 100 * MS, [])
+    assert world.mcu.totals.insufficient == 0
+    assert not world.moving

@@ -17,6 +17,7 @@ from harness import LATE_S
 from harness import wait
 import pytest
 
+from benchmark.harness import family
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 
@@ -139,6 +140,20 @@ def test_killed(ros, mcu, cmd_vel):
 
 
 @pytest.mark.usefixtures('again')
+def test_every_process_that_carries_the_name_is_killed(ros, mcu, cmd_vel):
+    """`pkill -9 -f vel2d_bridge`, for this bridge alone."""
+    with driving(ros, mcu, cmd_vel) as (running, _):
+        pids = family(running.pid)
+        carry = [pid for pid in pids if b'vel2d' in Path(f'/proc/{pid}/cmdline').read_bytes()
+                 or 'vel2d' in Path(f'/proc/{pid}/comm').read_text()]
+        begin = time.monotonic_ns()
+        for pid in carry:
+            os.kill(pid, signal.SIGKILL)
+        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
+        wait(lambda: all(map(is_gone, pids)))
+
+
+@pytest.mark.usefixtures('again')
 def test_frozen(ros, mcu, cmd_vel):
     with driving(ros, mcu, cmd_vel) as (running, _):
         [deadman] = running.children()
@@ -174,9 +189,10 @@ def test_what_was_published_before_a_thaw_is_not_heard(ros, graph, mcu, number):
     graph.node.destroy_publisher(publisher)
 
 
-def test_killed_deadman_is_reported(ros, graph, mcu, cmd_vel):
+def test_a_deadman_whose_server_was_killed_too_is_reported(ros, graph, mcu, cmd_vel):
     with driving(ros, mcu, cmd_vel) as (running, _):
-        [deadman] = running.children()
+        _, server, deadman = family(running.pid)
+        os.kill(server, signal.SIGKILL)
         os.kill(deadman, signal.SIGKILL)
         graph.wait_status('vel2d_bridge: link', 'deadman: its process has gone', level=2)
         running.signal(signal.SIGINT)

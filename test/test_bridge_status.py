@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from mecarover_serial.port import PortError
+from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
 from msg_defs.reports import Level
 from msg_defs.timing import Series
@@ -18,6 +18,7 @@ from vel2d_bridge.link_state import LinkState
 from vel2d_bridge.mcu_log import McuLog
 from vel2d_bridge.settings import doubts
 from vel2d_bridge.settings import PARAMETERS
+from vel2d_bridge.settings import taken_away
 from vel2d_bridge.status import Commands
 from vel2d_bridge.status import commands_status
 from vel2d_bridge.status import link_status
@@ -27,7 +28,7 @@ PORT = '/dev/ttyAMA0'
 OPEN = LinkState(
     is_open=True, since=0, problem=None, last_error='', openings=1, losses=0, frames=7,
     time_outs=0, partial_writes=0, freezes=0, bytes_received=0, last=None, driving=True,
-    enabled=True, deadman='ready')
+    enabled=True, deadman='ready', owes_stop=False)
 HEARD = Commands('/cmd_vel', Choice('twist', True), 0.5, [], None, 0, None)
 ABSENT = PortError(PORT, Reason('absent', 'is not there', 'plug it in'))
 FIGHT = '/cmd_vel: 2 publishers overrule each other; use twist_mux'
@@ -71,7 +72,8 @@ def test_link(state, warnings, level, message):
 @pytest.mark.parametrize(('state', 'heard', 'level', 'message'), [
     (OPEN, HEARD, Level.OK, 'driving'),
     (OPEN._replace(driving=False), HEARD, Level.OK, 'stopped'),
-    (OPEN._replace(enabled=False), HEARD, Level.WARN, '/cmd_vel: disabled; call ~/enable'),
+    (OPEN._replace(enabled=False), HEARD, Level.WARN,
+     '/cmd_vel: disabled; ros2 service call /vel2d_bridge/enable std_srvs/srv/SetBool "{data: '),
     (OPEN, HEARD._replace(complaints=[FIGHT]), Level.WARN, FIGHT),
     (OPEN, HEARD._replace(refused=Verdict.NOT_FINITE), Level.WARN,
      '/cmd_vel: commands are refused: not finite; mend its publisher'),
@@ -113,7 +115,7 @@ def test_keys_are_there_from_the_beginning():
 
 @pytest.mark.parametrize('verdict', [one for one in Verdict if one is not Verdict.ACCEPTED])
 def test_every_refusal_has_a_remedy(verdict):
-    line = refusal('/cmd_vel', Vel2d(math.nan, -0.0, math.inf), verdict)
+    line = refusal('vel2d_bridge', '/cmd_vel', Vel2d(math.nan, -0.0, math.inf), verdict)
     assert line.startswith(f'/cmd_vel: command (nan, -0, inf) refused: {verdict.value}; ')
     assert commands(OPEN, HEARD._replace(refused=verdict)).level is Level.WARN
 
@@ -154,6 +156,27 @@ def test_garbage_is_counted_and_not_printed():
     assert '1 bytes' in mcu.garbage(12 * SECOND)
 
 
+def test_what_the_mcu_refuses_is_counted_and_a_complaint():
+    """As the firmware of the thesis says it, between other lines; for 10 s after the last one."""
+    mcu = McuLog()
+    mcu.feed(b'crc mismatch!\r\nboot\r\nCRC Mismatch!\r\ninsufficient bytes received\r\n')
+    assert mcu.take(SECOND) == ['boot']
+    crc, short = mcu.complaints(SECOND, 'words')
+    assert 'set crc_input to words if it refuses every frame' in crc
+    assert 'no console' in short
+    values = dict(link(mcu=mcu).values)
+    assert values['Refused by MCU: crc mismatch'] == '2'
+    assert values['Refused by MCU: insufficient bytes'] == '1'
+    mcu.feed(b'crc mismatch!\n')
+    assert mcu.complaints(9 * SECOND, 'words') == [crc, short]
+    assert mcu.complaints(12 * SECOND, 'words') == [crc]
+    assert mcu.complaints(19 * SECOND, 'words') == []
+    mcu.reset()
+    assert (mcu.lines, set(mcu.refused.values())) == (0, {0})
+    assert mcu.complaints(20 * SECOND, 'words') == []
+    assert link(warnings=[crc], mcu=mcu).level is Level.WARN
+
+
 @pytest.mark.parametrize(('name', 'value', 'begin'), [
     ('cmd_vel_timeout', 0.0, 'cmd_vel_timeout: 0 holds the last command for ever'),
     ('cmd_vel_timeout', 0.05, 'cmd_vel_timeout: 0.05 s is less than two frames at max_rate 30 Hz'),
@@ -169,3 +192,17 @@ def test_what_is_possible_and_probably_not_meant_is_doubted(name, value, begin):
     [line] = doubts({**values, name: value})
     assert line.startswith(begin)
     assert '; set ' in line
+
+
+@pytest.mark.parametrize('enabled', [True, False])
+def test_a_stop_that_is_owed_is_an_error_whatever_else_is_so(enabled):
+    status = commands(OPEN._replace(is_open=False, driving=False, owes_stop=True, enabled=enabled))
+    assert status.level == Level.ERROR
+    assert status.message.startswith('no stop could be sent, the rover may be driving')
+    assert dict(status.values)['State'] == 'unknown'
+
+
+def test_a_limit_that_is_taken_away_is_said():
+    before = {'max_linear_x': 0.5, 'max_linear_y': 0.0, 'max_angular_z': 1.0, 'max_stamp_age': 0.0}
+    assert taken_away(before, before | {'max_linear_x': 0.0, 'max_angular_z': 0.5}) == [
+        'max_linear_x: 0 takes the limit away; it was 0.5']

@@ -19,7 +19,7 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 
 pytestmark = pytest.mark.ros
-COMMANDS = 'vel2d_bridge: commands'
+COMMANDS = 'rover/vel2d_bridge: commands'
 
 
 @pytest.fixture(scope='module')
@@ -42,7 +42,7 @@ def operator(ros, graph, running):
         with ros.Graph(name) as operator:
             yield operator.publisher('/teleop/cmd_vel', kind, profile, heard=False)
 
-    graph.wait_status(COMMANDS, '/teleop/cmd_vel: nobody publishes it', level=1)
+    graph.wait_status(COMMANDS, '/teleop/cmd_vel: no node publishes it', level=1)
     return operator
 
 
@@ -148,7 +148,7 @@ def test_overridden_qos_and_a_fixed_type(ros, graph, tmp_path):
             mcu, '-p', 'qos_overrides./fixed/cmd_vel.subscription.reliability:=reliable',
             '-r', '__ns:=/fixed', '-r', '__node:=base', '--log-level', 'fixed.base:=debug',
             message_type='twist', use_sim_time='true') as running:
-        commands = 'base: commands'
+        commands = 'fixed/base: commands'
         with ros.Graph('lossy') as lossy, ros.Graph('stamping') as stamping:
             best_effort = lossy.publisher('/fixed/cmd_vel', ros.Twist, ros.qos(1, False), False)
             stamping.publisher('/fixed/cmd_vel', ros.TwistStamped, heard=False)
@@ -173,4 +173,4 @@ def test_best_effort_although_the_publisher_is_reliable(ros, graph, tmp_path):
         drives(ros, mcu, publisher, lambda: ros.twist(0.3))
         [ours] = graph.node.get_subscriptions_info_by_topic('/far/cmd_vel')
         assert ours.qos_profile.reliability == ros.qos(1, False).reliability
-        graph.wait_status('base: commands', 'Reliability=best effort')
+        graph.wait_status('far/base: commands', 'Reliability=best effort')

@@ -1,15 +1,27 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """The status of a bus: which of its troubles sets the level, and which is told first."""
+from dataclasses import fields
+from pathlib import Path
+
 import pytest
 
-from dxl_monitor.models import Models
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.report import Counts
+from dxl_monitor.bus.report import Error
+from dxl_monitor.bus.report import Finding
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.status import bus_status
+from dxl_monitor.status import device_status
 from dxl_monitor.status import PortState
+from msg_defs import status_keys as keys
 from msg_defs.reports import Level
 
+ROOT = Path(__file__).parents[1]
 REPORT = Monitor('arm', Models()).report(0)
+ONE_DEVICE = Monitor('', Models(), Settings(devices=(Expected(3, 'MX-64', ''),))).report(0)
 FULL = 'capture stopped: bus.txt: No space left on device; make room and start the node again'
 
 
@@ -31,3 +43,49 @@ def test_without_a_warning_it_is_as_heard():
     report = REPORT._replace(level=Level.OK, message='as heard')
     status = bus_status('dxl_monitor', 'arm', report, PortState('port', '', ()), False)
     assert (status.level, status.message) == (Level.OK, 'as heard')
+
+
+def test_every_counter_with_a_key_is_published_in_its_status():
+    """A new counter takes two edits: its line in Counts and the place that counts."""
+    shown = [one for one in fields(Counts) if one.metadata]
+    totals = Counts(**{one.name: 100 + n for n, one in enumerate(shown)})
+    blank = Monitor('arm', Models(), Settings(devices=(Expected(1),))).report(0)
+    device = blank.devices[0]._replace(totals=totals, window=Counts(answers=3, missed=1))
+    values = dict(device_status('dxl_monitor', '', device, (), False).values)
+    assert [values[one.metadata['key']] for one in shown] == [
+        str(100 + n) for n in range(len(shown))]
+    assert values[keys.LOSS] == '25'
+
+
+@pytest.mark.parametrize('key', [
+    value for name, value in vars(keys).items() if name.isupper()])
+def test_every_key_that_programs_read_is_documented(key):
+    assert f'`{key}' in (ROOT / 'docs' / 'diagnostics.md').read_text()
+
+
+def test_a_finding_carries_how_bad_it_is():
+    found = (Finding('noise', Level.WARN, None, 'check the cable'),
+             Finding('too_hot', Level.ERROR, 3, 'let it cool'))
+    status = bus_status('dxl_monitor', '', REPORT._replace(findings=found),
+                        PortState('port', '', ()), False)
+    assert ('severity.noise', 'warn') in status.values
+    [device] = ONE_DEVICE.devices
+    assert device_status('dxl_monitor', '', device, found, False).values[-2:] \
+        == [('finding.too_hot', 'let it cool'), ('severity.too_hot', 'error')]
+
+
+def test_behind_a_closed_port_devices_are_not_called_unasked():
+    [device] = ONE_DEVICE.devices
+    device = device._replace(level=Level.STALE, message='silent: not asked for 9 s')
+    status = device_status('dxl_monitor', '', device, (), False, is_listening=False)
+    assert (status.level, status.message) \
+        == (Level.STALE, 'not listening: the port of its bus is closed')
+    lost = device._replace(level=Level.ERROR, message='disconnected: 7 answers missed')
+    assert device_status('dxl_monitor', '', lost, (), False, False).message == lost.message
+
+
+def test_errors_can_be_dated():
+    report = REPORT._replace(stamp=20_000_000_000, started=5_000_000_000,
+                             errors=(Error(12_500_000_000, '003: no answer'),))
+    values = dict(bus_status('dxl_monitor', '', report, PortState('port', '', ()), True).values)
+    assert (values['Running for (s)'], values['error 00']) == ('15', '7.500 s: 003: no answer')

@@ -12,19 +12,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
-from dxl_monitor.capture import BUSES_LIMIT
-from dxl_monitor.capture import Chunk
-from dxl_monitor.capture import chunk_line
-from dxl_monitor.capture import LINE_LIMIT
-from dxl_monitor.capture import lines
-from dxl_monitor.capture import Moment
-from dxl_monitor.capture import open_new
-from dxl_monitor.capture import Reader
-from dxl_monitor.capture import Wire
-from dxl_monitor.capture import Writer
-from dxl_monitor.recorder import Recorder
+from dxl_monitor.record.capture import BUSES_LIMIT
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import chunk_line
+from dxl_monitor.record.capture import LINE_LIMIT
+from dxl_monitor.record.capture import lines
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import open_new
+from dxl_monitor.record.capture import Reader
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.capture import Writer
+from dxl_monitor.record.recorder import Recorder
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.pty import Pty
+from msg_defs.heard import Change
 
 NOW = Moment(1_790_000_000_123_456_000, 12_345_678_901_234)
 WIRE = Wire('ttyUSB0', 2_000_000, 1, '/dev/ttyUSB0')
@@ -34,21 +35,25 @@ def written(*chunks: Chunk, wire: Wire = WIRE) -> bytes:
     file = io.BytesIO()
     writer = Writer(file, NOW)
     for chunk in chunks:
-        writer.take(wire._replace(name=chunk.bus), chunk.data, chunk.stamp)
+        bus = wire._replace(name=chunk.bus)
+        if chunk.change is None:
+            writer.take(bus, chunk.data, chunk.stamp, chunk.side)
+        else:
+            writer.change(bus, chunk.change, chunk.stamp)
     assert writer.size == len(file.getvalue())
     return file.getvalue()
 
 
 def test_the_format_is_the_one_in_the_docs() -> None:
     assert written(Chunk(12_345_690_172_411, 'ttyUSB0', b'\xff\xff\xfd\x00\x01')) == (
-        b'# dxl_capture 1 began 2026-09-21T14:13:20.123456Z at 12345.678901234\n'
+        b'# dxl_capture 2 began 2026-09-21T14:13:20.123456Z at 12345.678901234\n'
         b'# bus ttyUSB0 baud 2000000 latency_timer_ms 1 port /dev/ttyUSB0\n'
         b'(12345.690172411) ttyUSB0 fffffd0001\n')
 
 
 @given(st.lists(st.builds(Chunk, st.integers(0, 2**62), st.text(
     st.characters(codec='utf-8'), min_size=1).filter(lambda name: name != '-'),
-    st.binary(min_size=1, max_size=50))))
+    st.binary(min_size=1, max_size=50), st.sampled_from(('', 'out', 'in')), st.none())))
 def test_what_is_written_is_read(chunks: list[Chunk]) -> None:
     reader = Reader(io.BytesIO(written(*chunks)))
     assert list(reader) == chunks
@@ -56,6 +61,19 @@ def test_what_is_written_is_read(chunks: list[Chunk]) -> None:
     assert not reader.bad_lines
     for chunk in chunks:
         assert reader.wires[chunk.bus] == WIRE._replace(name=chunk.bus)
+
+
+def test_sides_and_changes_come_back_and_old_files_stay_readable() -> None:
+    chunks = [Chunk(5, 'bus', b'\xff', 'out'), Chunk(6, 'bus', change=Change('baud', 57_600)),
+              Chunk(7, 'bus', b'\x01', 'in'), Chunk(8, 'bus', b'\x02')]
+    text = written(*chunks)
+    assert b'(0.000000005) bus out ff\n(0.000000006) bus baud 57600\n' in text
+    assert list(Reader(io.BytesIO(text))) == chunks
+    old = text.replace(b'# dxl_capture 2', b'# dxl_capture 1').splitlines(keepends=True)
+    assert list(Reader([*old[:2], old[-1]])) == chunks[-1:]
+    bad = Reader(io.BytesIO(text.replace(b'capture 2', b'capture 3') + b'(1.0) bus up ff\n'
+                            b'(1.0) bus baud x\n(1.0) bus baud 1 2\n(1.0) bus\n'))
+    assert (len(list(bad)), bad.bad_lines) == (4, 5)
 
 
 @given(st.binary(max_size=300), st.randoms())
@@ -83,12 +101,11 @@ FAR = 400 * b'9'
     b'(-1.0) bus ff', b'(1.-5) bus ff', b'(nan) bus ff', b'(1e400) bus ff', b'(1) bus ff',
     b'(1_0.0) bus ff', b'(9223372037.0) bus ff', b'(' + FAR + b'.0) bus ff', b'(1.50 bus ff',
     b'(1.0) bus fff', b'(1.0) bus 0x', b'(1.0) bus \xff', b'(1.0) bus', b'(1.0) bus ff ff',
-    b'# bus bus baud 0', b'# bus bus baud -5', b'# bus bus baud nan', b'# bus bus baud ' + FAR,
     b'# bus bus baud', b'# bus bus baud 9600 latency_timer_ms ' + FAR,
-    b'# bus bus baud 9600 latency_timer_ms -1', b'# dxl_capture 1 began',
-    b'# dxl_capture 1 began 2026-13-21T14:13:20.0Z at 1.0',
-    b'# dxl_capture 1 began 9999-12-31T23:59:59.999999Z at 1.0',
-    b'# dxl_capture 1 began 2026-09-21T14:13:20.0Z at -1.0', b'\x1b[31mred\x1b[m',
+    b'# bus bus baud 9600 latency_timer_ms -1', b'# dxl_capture 2 began',
+    b'# dxl_capture 2 began 2026-13-21T14:13:20.0Z at 1.0',
+    b'# dxl_capture 2 began 9999-12-31T23:59:59.999999Z at 1.0',
+    b'# dxl_capture 2 began 2026-09-21T14:13:20.0Z at -1.0', b'\x1b[31mred\x1b[m',
     b'(1.0) bus ' + b'f' * (LINE_LIMIT + 1)])
 def test_impossible_lines_are_told_and_left_out(line: bytes) -> None:
     text = written(Chunk(NOW.stamp + 5, 'bus', b'\x01')) + line + b'\n' \
@@ -97,7 +114,7 @@ def test_impossible_lines_are_told_and_left_out(line: bytes) -> None:
     assert [chunk.data for chunk in reader] == [b'\x01', b'\x02']
     assert reader.wires == {'bus': WIRE._replace(name='bus')}
     [problem] = reader.problems()
-    assert problem.startswith('1 lines are no lines of a capture and were left out, '
+    assert problem.startswith('1 lines are not lines of a capture and were left out, '
                               'the first is line 4: ')
     assert problem.isprintable()
     assert len(problem) < 160
@@ -141,7 +158,7 @@ def test_nothing_is_written_to_a_port_or_over_a_file_that_is_no_capture(tmp_path
     notes = tmp_path / 'notes.txt'
     notes.write_text('keep me')
     with Pty() as pty:
-        for path, reason in ((pty.path, 'is a port'), (notes, 'is there and is no capture'),
+        for path, reason in ((pty.path, 'is a port'), (notes, 'is there and is not a capture'),
                              (tmp_path, 'is a directory'),
                              (tmp_path / 'none' / 'x', 'No such file or directory')):
             with pytest.raises(ParameterError, match=f'{re.escape(str(path))}: {reason}.*; '):
@@ -224,7 +241,7 @@ def test_a_file_that_may_not_grow_ends_the_capture(tmp_path) -> None:
 
 
 def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr('dxl_monitor.recorder.WAITING_LIMIT', 100)
+    monkeypatch.setattr('dxl_monitor.record.recorder.WAITING_LIMIT', 100)
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 10**6, 2, lambda: NOW)
     for number in range(20):
@@ -240,7 +257,7 @@ def test_a_pipe_that_nobody_reads_is_refused(tmp_path) -> None:
     """Opening it waits for a reader: the node never got to its ports."""
     path = tmp_path / 'pipe'
     os.mkfifo(path)
-    with pytest.raises(ParameterError, match='pipe: is a pipe that nobody reads; '):
+    with pytest.raises(ParameterError, match='pipe: is a pipe without a reader; '):
         Recorder(str(path), 10**6, 2)
 
 
@@ -260,7 +277,7 @@ def test_a_pipe_is_not_rotated(tmp_path) -> None:
 
 
 def test_a_pipe_whose_reader_sleeps_does_not_hold_up_the_end(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr('dxl_monitor.recorder.STOP_S', 0.2)
+    monkeypatch.setattr('dxl_monitor.record.recorder.STOP_S', 0.2)
     path = tmp_path / 'pipe'
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)

@@ -7,16 +7,16 @@ import random
 
 import pytest
 
-from dxl_monitor.control_table import Bits
-from dxl_monitor.control_table import Field
-from dxl_monitor.control_table import Model
-from dxl_monitor.control_table import number_text
-from dxl_monitor.control_table import Span
-from dxl_monitor.control_table import STRUCTS
-from dxl_monitor.models import Models
-from dxl_monitor.table import READ
-from dxl_monitor.table import size_of
-from dxl_monitor.table import Table
+from dxl_monitor.bus.table import READ
+from dxl_monitor.bus.table import size_of
+from dxl_monitor.bus.table import Table
+from dxl_monitor.model.control_table import Bits
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Model
+from dxl_monitor.model.control_table import number_text
+from dxl_monitor.model.control_table import Span
+from dxl_monitor.model.control_table import STRUCTS
+from dxl_monitor.model.models import Models
 
 MODELS = Models()
 

@@ -24,7 +24,8 @@ class Running(Program):
     """A dashboard process on a free port."""
 
     def __init__(self, *arguments):
-        super().__init__('dxl_monitor.dashboard.main', '--port', '0', *arguments)
+        super().__init__('mecarover_dashboard.main', '--port', '0', '--history', 'none',
+                         *arguments)
 
     def __enter__(self):
         self.line = self.wait_for('http://')
@@ -49,7 +50,7 @@ def collect(stream, rows, condition):
 @pytest.mark.ros
 def test_the_real_monitor_on_a_fake_bus(ros, tmp_path):
     link = tmp_path / 'bus'
-    with Program('dxl_monitor.fake_bus', '--link', str(link), '--devices', '1-3:MX-106',
+    with Program('dxl_monitor.fake.fake_bus', '--link', str(link), '--devices', '1-3:MX-106',
                  '4:BitFoot', *NOW_AND_THEN), Running() as dashboard:
         wait(link.exists)
         with Program('dxl_monitor.main', '--ros-args', '-p', f"ports:=['{link}']", '-p',
@@ -83,7 +84,7 @@ def test_the_real_monitor_on_a_fake_bus(ros, tmp_path):
 @pytest.mark.skipif(bool(dashboard_page.why_not()), reason=dashboard_page.why_not() or 'runs')
 def test_every_view_of_the_real_robot(ros, tmp_path):
     link, mcu = tmp_path / 'bus', tmp_path / 'mcu'
-    with Program('dxl_monitor.fake_bus', '--link', str(link), '--devices', '1-3:MX-106',
+    with Program('dxl_monitor.fake.fake_bus', '--link', str(link), '--devices', '1-3:MX-106',
                  '4:BitFoot', *NOW_AND_THEN), \
             Program('vel2d_bridge.fake_mcu', '--link', str(mcu)), Running() as dashboard:
         wait(lambda: link.exists() and mcu.exists())
@@ -103,7 +104,7 @@ def test_every_view_of_the_real_robot(ros, tmp_path):
             see(page, '.fields tr', 'Present Position.*rad.*read')
             page.keyboard.press('3')
             see(page, '.figures tr', 'time per buffer')
-            see(page, '.errors li', '002: no answer')
+            see(page, '.errors li', '002[\\s\\S]*no answer')
             page.keyboard.press('4')
             see(page, '.axes', 'stopped')
             see(page, '.panel', 'Link.*open')
@@ -153,7 +154,7 @@ def test_signals_end_it_with_code_0(ros, number):
 
 INTERRUPTED = """
 import os, signal, sys
-from dxl_monitor.dashboard import main
+from mecarover_dashboard import main
 
 class Finder:
     def find_spec(name, *_):

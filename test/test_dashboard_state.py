@@ -8,14 +8,14 @@ from synthetic_robot import FINDINGS
 from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
-from dxl_monitor.dashboard import cdr
-from dxl_monitor.dashboard import rows
-from dxl_monitor.dashboard.state import FORGET_S
-from dxl_monitor.dashboard.state import MOST_OF_MESSAGE
-from dxl_monitor.dashboard.state import MOST_OF_STATUS
-from dxl_monitor.dashboard.state import MOST_ROWS
-from dxl_monitor.dashboard.state import State
-from dxl_monitor.dashboard.state import TABLES
+from mecarover_dashboard import cdr
+from mecarover_dashboard import rows
+from mecarover_dashboard.state import FORGET_S
+from mecarover_dashboard.state import MOST_OF_MESSAGE
+from mecarover_dashboard.state import MOST_OF_STATUS
+from mecarover_dashboard.state import MOST_ROWS
+from mecarover_dashboard.state import State
+from mecarover_dashboard.state import TABLES
 from msg_defs.reports import Level
 from msg_defs.reports import Status
 
@@ -104,6 +104,32 @@ def test_buses_are_told_apart():
     assert {row['of'] for row in changes['timing'].values()} == {'left', 'right', ''}
 
 
+def test_robots_are_told_apart():
+    robots = [SyntheticRobot(namespace=name) for name in ('rover1', 'rover2')]
+    robots[1].lost = {7}
+    everything, one = State(), State('rover1')
+    for robot in robots:
+        told(robot, everything)
+        for topic, message in robot.messages(100.0):
+            if topic == '/diagnostics' or robot is robots[0]:
+                one.take(topic, message, 100.0)
+    found = everything.changes(0)
+    assert {section: len(rows) for section, rows in found.items()} \
+        == {'devices': 48, 'buses': 2, 'bridge': 4, 'timing': 28}
+    assert found['devices'][f'rover1/{KNEE}']['state'] == 'connected'
+    assert found['devices'][f'rover2/{KNEE}']['state'] == 'disconnected'
+    assert {row['bus'] for row in found['devices'].values()} == {''}
+    assert {row['robot'] for rows in one.changes(0).values() for row in rows.values()} \
+        == {'rover1'}
+    assert len(one.changes(0)['devices']) == 24
+
+
+def test_buses_of_robots_are_told_apart():
+    robot = SyntheticRobot({'left': ((1, 'MX-64', ''),)}, namespace='fleet/rover1')
+    [device] = told(robot).changes(0)['devices'].values()
+    assert (device['robot'], device['bus'], device['id']) == ('fleet/rover1', 'left', 1)
+
+
 def test_statuses_of_others_are_none_of_ours():
     state = State()
     others = [Status('cpu_monitor: usage', Level.OK, 'fine', 'pi', [('Load', '3')]),
@@ -137,7 +163,7 @@ def test_the_short_form_keeps_what_only_the_long_one_says(robot):
     robot.lost = {7}
     state = told(robot)
     robot_bus = state.changes(0)['buses']['dxl_monitor: bus']
-    assert robot_bus['errors'][0].endswith('007: no answer to Read at 132')
+    assert robot_bus['errors'][0][1].endswith('007: no answer to Read at 132')
     assert any(field.key == 'Present Position (rad)' for field in state.table(KNEE).fields)
 
 
@@ -260,7 +286,7 @@ def test_names_cannot_fill_the_memory():
 def test_long_rows_cannot_fill_the_memory(monkeypatch):
     """Names are few here: it is the bytes that are bounded."""
     state = State()
-    monkeypatch.setattr('dxl_monitor.dashboard.state.MOST_BYTES', 4_000_000)
+    monkeypatch.setattr('mecarover_dashboard.state.MOST_BYTES', 4_000_000)
     for at in range(20):
         take_one(Status(f'x: bus {at}', Level.OK, '', '', [('Port', '')] + [
             (f'{key}' * 50, 'x' * 400) for key in range(1000)]), '/diagnostics', state)
@@ -280,7 +306,7 @@ def test_what_is_kept_of_a_message_is_what_is_shown_of_it():
 
 
 def test_the_silent_make_room_where_bytes_are_short_too(monkeypatch):
-    monkeypatch.setattr('dxl_monitor.dashboard.state.MOST_BYTES', 1_000_000)
+    monkeypatch.setattr('mecarover_dashboard.state.MOST_BYTES', 1_000_000)
     state = State()
     for at in range(20):
         take_one(Status(f'x: timing/{at}', Level.OK, '', '', [('value (%)', '1')]), state=state)

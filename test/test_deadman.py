@@ -1,12 +1,13 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The deadman against real processes: killed, frozen, woken, ended properly.
+The dead man against real processes: killed, frozen, woken, ended properly, with a lost port.
 
-The bridge here is link + deadman in a process of its own that drives at 100 Hz, without ROS.
+The bridge here is link + dead man in a process of its own that drives at 100 Hz, without ROS.
 """
 from contextlib import contextmanager
 from contextlib import suppress
+from itertools import product
 import json
 import os
 from pathlib import Path
@@ -16,12 +17,17 @@ import subprocess
 import sys
 import time
 
+from harness import LATE_S
 import pytest
 
+from benchmark.harness import family
 from mecarover_serial.port import open_port
 from msg_defs.vel2d import STOP
-from vel2d_bridge import deadman
+from vel2d_bridge import watch as watching
+from vel2d_bridge.deadman import board
 from vel2d_bridge.fake_mcu import FakeMcu
+from vel2d_bridge.watch import BEATEN
+from vel2d_bridge.watch import Watch
 
 pytestmark = pytest.mark.alone
 PATIENCE_S = 20
@@ -35,7 +41,7 @@ from vel2d_bridge.link import Link
 deadman = Deadman()
 link = Link(sys.argv[1], 115200, Gate(), deadman=deadman)
 link.start()
-print(deadman.pid, flush=True)
+print(*deadman.pids, flush=True)
 while not select.select([sys.stdin], [], [], 0.01)[0]:
     link.offer(Vel2d(0.5, 0.0, 0.0))
 link.close()
@@ -59,20 +65,25 @@ def is_alive(pid):
     return False
 
 
-@contextmanager
-def bridge(mcu):
-    """Start a bridge that drives; yield its process and the pid of its deadman."""
-    process = subprocess.Popen(
+def start(mcu):
+    return subprocess.Popen(
         [sys.executable, '-c', BRIDGE, mcu.path], cwd=Path(__file__).parents[1], text=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    pid = int(process.stdout.readline())
+
+
+@contextmanager
+def bridge(mcu):
+    """Start a bridge that drives; yield its process and the pids of dead man and server."""
+    process = start(mcu)
+    pids = [int(pid) for pid in process.stdout.readline().split()]
     try:
         wait(mcu, lambda: mcu.receiver.wheels.x == 500.0)
-        yield process, pid
+        yield process, pids
     finally:
         process.kill()
         process.communicate()
-        wait(mcu, lambda: not is_alive(pid))
+        mcu.come_back()
+        wait(mcu, lambda: not any(map(is_alive, pids)))
 
 
 @pytest.fixture
@@ -105,16 +116,129 @@ def assert_stop_burst(mcu):
     assert [arrival.velocity for arrival in ending] == [STOP] * 5
 
 
-def test_after_a_kill_the_burst_is_out_and_the_port_is_free(mcu):
-    with bridge(mcu) as (process, pid):
+@pytest.mark.usefixtures('again')
+def test_pkill_of_all_that_carry_the_name_stops_the_rover(mcu):
+    """As `pkill -9 -f vel2d_bridge`; the name is the path, which no other test has."""
+    with bridge(mcu) as (process, pids):
+        assert set(family(process.pid)) == {process.pid, *pids}
+        for pid in pids:
+            assert Path(f'/proc/{pid}/comm').read_text() == 'deadman\n'
+            assert Path(f'/proc/{pid}/cmdline').read_bytes().strip(b'\0') == b'deadman'
+        begin = time.monotonic()
+        subprocess.run(['pkill', '-9', '-f', mcu.path], check=True)
+        wait(mcu, lambda: mcu.receiver.wheels.is_stop)
+        assert mcu.receiver.wheels.stamp / 1e9 - begin <= 0.3 + LATE_S
+
+
+@pytest.mark.parametrize('victims', [[0], [1], [0, 1], [1, 0], [0, 0, 1, 1, 0]])
+def test_killed_itself_it_is_replaced_and_stops_the_rover_then(mcu, victims):
+    """0 is the dead man, 1 its server; the other one sees to it that both are there again."""
+    with bridge(mcu) as (process, pids):
+        family = pids
+        for victim in victims:
+            family = replaced(mcu, pids, family[victim])
+        assert not mcu.receiver.wheels.is_stop
+        begin = time.monotonic()
         process.kill()
-        wait(mcu, lambda: not is_alive(pid))
+        wait(mcu, lambda: mcu.receiver.wheels.is_stop)
+        assert mcu.receiver.wheels.stamp / 1e9 - begin <= 0.3 + LATE_S
+        wait(mcu, lambda: not any(map(is_alive, family)))
+
+
+def replaced(mcu, pids, victim):
+    """Kill one of the two; return both as they are when there are two again."""
+    os.kill(victim, signal.SIGKILL)
+    wait(mcu, lambda: not is_alive(victim))
+    wait(mcu, lambda: len(living(pids)) == 2 and holds_port(living(pids)[0]))
+    return living(pids)
+
+
+def living(pids):
+    """Return dead man and server as they are now: they share the session of the first server."""
+    found = []
+    for entry in Path('/proc').glob('[0-9]*'):
+        with suppress(OSError, ValueError):
+            fields = (entry / 'stat').read_text().rpartition(')')[2].split()
+            if int(fields[3]) == pids[1] and fields[0] != 'Z':
+                found.append((int(entry.name), int(fields[1])))
+    parents = {parent for _, parent in found}
+    return sorted((pid for pid, _ in found), key=lambda pid: pid in parents)
+
+
+def holds_port(pid):
+    return any('/dev/pts/' in os.readlink(link) for link in Path(f'/proc/{pid}/fd').iterdir())
+
+
+@pytest.mark.parametrize('number', [signal.SIGKILL, signal.SIGSTOP])
+def test_a_port_that_comes_back_to_a_dead_or_frozen_bridge_is_found_and_the_rover_stops(
+        mcu, number):
+    with bridge(mcu) as (process, pids):
+        mcu.vanish()
+        process.send_signal(number)
+        time.sleep(0.5)                              # the dead man looks for it, again and again
+        assert not mcu.receiver.wheels.is_stop
+        mcu.come_back()
+        wait(mcu, lambda: mcu.receiver.wheels.is_stop)
+        zeros = mcu.totals()['frames'] + 4           # and not a single one, which could be lost
+        wait(mcu, lambda: mcu.totals()['frames'] >= zeros)
+        if number == signal.SIGSTOP:
+            process.send_signal(signal.SIGCONT)
+            wait(mcu, lambda: mcu.receiver.wheels.x == 500.0)   # the bridge has it again
+            process.kill()
+            wait(mcu, lambda: mcu.receiver.wheels.is_stop)
+        wait(mcu, lambda: not any(map(is_alive, pids)))
+    open_port(mcu.path, 115200).close()
+
+
+def test_looking_for_a_port_ends_where_the_next_bridge_has_it(mcu):
+    with bridge(mcu) as (process, pids):
+        mcu.vanish()
+        process.kill()
+        process.wait()
+        with bridge_that_waits(mcu) as successor:
+            mcu.come_back()
+            wait(mcu, lambda: mcu.receiver.wheels.is_stop)
+            wait(mcu, lambda: not any(map(is_alive, pids)))
+            successor.communicate('end', timeout=PATIENCE_S)
+
+
+@contextmanager
+def bridge_that_waits(mcu):
+    """Start a bridge while its port is away."""
+    process = start(mcu)
+    process.stdout.readline()
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_half_of_a_heartbeat_is_not_believed():
+    """On a 32-bit machine the two halves of a word are written one after the other."""
+    words = board()
+    watch = Watch(words, None)
+    second = 1_000_000_000
+    now = 7 * second
+    words[BEATEN] = now - second // 20
+    assert watch._last_beat(now) == now - second // 20
+    for torn in (now + 4 * second, now - 4 * second):
+        words[BEATEN] = torn
+        assert watch._last_beat(now) == now - second // 20
+    words[BEATEN] = now
+    assert watch._last_beat(now) == now
+
+
+def test_after_a_kill_the_burst_is_out_and_the_port_is_free(mcu):
+    with bridge(mcu) as (process, pids):
+        process.kill()
+        wait(mcu, lambda: not any(map(is_alive, pids)))
     assert_stop_burst(mcu)
     open_port(mcu.path, 115200).close()
 
 
 def test_a_launcher_that_waits_for_the_end_of_output_does_not_wait_for_the_deadman(mcu):
-    with bridge(mcu) as (process, pid):
+    with bridge(mcu) as (process, [pid, _]):
         os.kill(pid, signal.SIGSTOP)
         process.kill()
         assert process.stdout.read() == ''           # returns although the child lives
@@ -136,18 +260,19 @@ def test_frozen_it_goes_on_with_zeros_and_woken_begins_anew(mcu):
 
 
 def test_it_ignores_signals(mcu):
-    with bridge(mcu) as (_, pid):
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
-                       signal.SIGTSTP, signal.SIGUSR1, signal.SIGPIPE):
+    with bridge(mcu) as (_, pids):
+        for pid, number in product(pids, (
+                signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP,
+                signal.SIGUSR1, signal.SIGPIPE)):
             os.kill(pid, number)
         mcu.pump(0.1)
-        assert is_alive(pid)
-        assert os.getsid(pid) == pid
-        assert Path(f'/proc/{pid}/comm').read_text() == 'vel2d_deadman\n'
+        assert all(map(is_alive, pids))
+        assert {os.getsid(pid) for pid in pids} == {pids[1]}
 
 
 def test_it_keeps_nothing_of_the_bridge_but_the_port(mcu):
-    with bridge(mcu) as (_, pid):
+    with bridge(mcu) as (_, [pid, server]):
+        assert len(os.listdir(f'/proc/{server}/fd')) == 4
         folder = Path(f'/proc/{pid}/fd')
         held = sorted(os.readlink(folder / name) for name in os.listdir(folder))
         assert held[:3] == ['/dev/null'] * 3
@@ -157,9 +282,9 @@ def test_it_keeps_nothing_of_the_bridge_but_the_port(mcu):
 
 
 def test_it_leaves_with_the_bridge(mcu):
-    with bridge(mcu) as (process, pid):
+    with bridge(mcu) as (process, pids):
         out, err = process.communicate('end', timeout=PATIENCE_S)
-        assert not is_alive(pid)
+        assert not any(map(is_alive, pids))
     assert (process.returncode, err) == (0, '')
     assert json.loads(out)['freezes'] == 0
     assert_stop_burst(mcu)
@@ -167,7 +292,7 @@ def test_it_leaves_with_the_bridge(mcu):
 
 
 def test_unplugged_it_lets_go_of_the_device(mcu):
-    with bridge(mcu) as (_, pid):
+    with bridge(mcu) as (_, [pid, _]):
         folder = Path(f'/proc/{pid}/fd')
         mcu.vanish()
         wait(mcu, lambda: len(os.listdir(folder)) == 4)
@@ -180,9 +305,9 @@ def test_a_driver_that_counts_whole_transfers_is_not_flushed_in_mid_frame(monkey
     """The Linux driver cdc-acm calls all of a USB transfer pending, whatever is in it."""
     flushed = []
     counts = iter([64, 64, 0])
-    watch = deadman._Watch(memoryview(bytearray(8)), None, 0)
+    watch = Watch(board(), None)
     monkeypatch.setattr(watch, '_pending', lambda: next(counts))
-    monkeypatch.setattr(deadman.termios, 'tcflush', lambda *what: flushed.append(what))
+    monkeypatch.setattr(watching.termios, 'tcflush', lambda *what: flushed.append(what))
     watch._settle()
     assert not flushed
 
@@ -191,7 +316,7 @@ def test_a_socket_whose_peer_confirms_nothing_gets_its_stops(monkeypatch):
     """It cannot be flushed, and need not be: what was written before arrives before."""
     near, far = socket.socketpair()
     with near, far:
-        watch = deadman._Watch(memoryview(bytearray(64)).cast('Q'), None, 0)
+        watch = Watch(board(), None)
         watch._fd, watch._stop, watch._character_s = near.fileno(), bytes(28), 1e-5
         monkeypatch.setattr(watch, '_pending', lambda: 28)
         watch._act()

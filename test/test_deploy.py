@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """What deploy/ puts on a robot: rules and units that their own tools accept; and its undoing."""
+import importlib
 import json
 import os
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 INSTALLER = ROOT / 'deploy/install.py'
-UNITS = ('vel2d_bridge.service', 'dxl_monitor.service')
+UNITS = ('vel2d_bridge.service', 'dxl_monitor.service', 'dxl_dashboard.service')
 USB = {'ID_BUS': 'usb', 'ID_VENDOR_ID': '0403', 'ID_MODEL_ID': '6014',
        'ID_SERIAL_SHORT': 'FT4TFSGE', 'ID_USB_INTERFACE_NUM': '00', 'ID_PATH': 'usb-0:1:1.0'}
 
@@ -73,6 +74,25 @@ class Robot:
                       for path in self.root.rglob('*') if path.is_file())
 
 
+def test_usbmon_is_for_the_service_alone(robot):
+    told = robot.install('--usbmon')
+    assert 'keyboards and disks too' in told
+    assert "ports: ['usb:/dev/mecarover_dxl']" in robot.read('etc/mecarover_serial/monitor.yaml')
+    assert 'bauds: [0]' in robot.read('etc/mecarover_serial/monitor.yaml')
+    group = re.search(r'GROUP="(\w+)", MODE="0640"', robot.read(
+        'etc/udev/rules.d/71-mecarover_usbmon.rules'))[1]
+    assert robot.read('etc/systemd/system/dxl_monitor.service.d/usbmon.conf') == (
+        f'[Service]\nSupplementaryGroups={group}\n')
+    assert robot.read('etc/modules-load.d/mecarover_usbmon.conf') == 'usbmon\n'
+    assert 'usermod' not in told
+    assert 'nothing to do' in robot.install('--usbmon')
+    robot.run('--uninstall', '--yes')
+    assert not [file for file in robot.files() if 'usbmon' in file]
+    refused = robot.run('--mcu', '/dev/ttyAMA0', '--usbmon', '--yes')
+    assert (refused.returncode, refused.stderr) == (
+        1, 'install: --usbmon: no adapter to hear; give --bus DEVICE\n')
+
+
 def test_installs_everything_and_nothing_twice(robot):
     robot.install()
     assert robot.files() == [
@@ -81,6 +101,20 @@ def test_installs_everything_and_nothing_twice(robot):
         'etc/systemd/system/vel2d_bridge.service',
         'etc/udev/rules.d/70-mecarover_serial.rules']
     assert robot.install() == 'install: nothing to do\n'
+
+
+def test_the_page_alone_and_its_undoing(robot):
+    done = robot.run('--dashboard', '--yes')
+    assert done.returncode == 0, done.stderr
+    unit = robot.read('etc/systemd/system/dxl_dashboard.service')
+    assert '\nStateDirectory=mecarover_dashboard\n' in unit
+    assert re.search(r'^ExecStart=.*/dxl_dashboard \$DXL_DASHBOARD_OPTIONS$', unit, re.M)
+    assert robot.files() == [
+        'etc/mecarover_serial/environment', 'etc/systemd/system/dxl_dashboard.service',
+        'etc/udev/rules.d/70-mecarover_serial.rules']
+    assert robot.run('--dashboard', '--yes').stdout == 'install: nothing to do\n'
+    assert robot.run('--uninstall', '--yes').returncode == 0
+    assert 'etc/systemd/system/dxl_dashboard.service' not in robot.files()
 
 
 def test_shows_and_asks_before_it_does(robot):
@@ -119,6 +153,23 @@ def test_uninstall_leaves_only_the_settings_aside(robot):
     assert {Path(name).parts[1] for name in robot.files()} == {'mecarover_serial.removed'}
     again = robot.run('--uninstall', '--yes')
     assert (again.returncode, again.stdout) == (0, 'install: nothing to do\n')
+
+
+def test_uninstall_says_what_stays_and_what_undoes_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(INSTALLER.parent))
+    install = importlib.import_module('install')
+    (tmp_path / 'log').mkdir()
+    (tmp_path / 'rules').write_text('KERNEL=="ttyAMA0", SYMLINK+="mecarover_mcu", TAG+="x"\n')
+    monkeypatch.setattr(install, 'LOGS', tmp_path / 'log')
+    monkeypatch.setattr(install, 'RULES', tmp_path / 'rules')
+    monkeypatch.setattr(install, '_members', lambda: ['robot'])
+    monkeypatch.setattr(install, '_succeeds', lambda *command: False)
+    options = install._parser().parse_args(['--uninstall', '--user', 'robot'])
+    install.Site(options, tmp_path)._tell_what_stays()
+    told = capsys.readouterr().out
+    for command in ('sudo gpasswd -d robot dialout', f'sudo rm -r {tmp_path}/log',
+                    'sudo systemctl enable --now serial-getty@ttyAMA0.service', 'latency timer'):
+        assert command in told
 
 
 @pytest.mark.parametrize('facts, rule', [
@@ -170,14 +221,15 @@ def test_the_command_line_survives_systemd(robot, tmp_path):
     [command] = re.findall('^ExecStart=(.*)$', robot.read('etc/systemd/system/' + UNITS[0]), re.M)
     done = subprocess.run(['bash', '-c', command.replace('$$', '$')], capture_output=True,
                           text=True)
-    assert done.stdout == 'yes --ros-args --params-file /etc/mecarover_serial/bridge.yaml\n'
+    assert done.stdout == ('yes --ros-args -p disabled_file:=%S/mecarover_serial/bridge_disabled '
+                           '--params-file /etc/mecarover_serial/bridge.yaml\n')
 
 
 @pytest.mark.parametrize('unit', UNITS)
 def test_units_pass_systemd_analyze(robot, unit):
     if shutil.which('systemd-analyze') is None:
         pytest.skip('skipped: no systemd-analyze here')
-    robot.install()
+    robot.install('--dashboard')
     path = robot.root / 'etc/systemd/system' / unit
     assert not re.search('@[A-Z]+@', path.read_text())
     done = subprocess.run(['systemd-analyze', 'verify', '--man=no', path], capture_output=True,

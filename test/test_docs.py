@@ -20,6 +20,8 @@ import yaml
 from docs.generate import BRIDGE
 from docs.generate import MONITOR
 from docs.generate import PAGES
+from mecarover_serial import launch_arguments
+from mecarover_serial.launch_arguments import arguments_of
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import Vel2d
@@ -30,7 +32,7 @@ SETTINGS = {'bridge.yaml': BRIDGE, 'monitor.yaml': MONITOR}
 TOOLS = {path.name for path in (ROOT / 'resource/executables').iterdir()}
 # Programs of others that our pages name.
 FOREIGN = {'cd', 'git', 'mkdir', 'source', 'rosdep', 'colcon', 'ros2', 'sudo', 'systemctl',
-           'journalctl', 'rqt_plot', 'export', 'ssh', 'pip', 'xset', 'python', 'jq'}
+           'journalctl', 'rqt_plot', 'export', 'ssh', 'pip', 'xset', 'python', 'jq', 'docker'}
 
 
 def pages():
@@ -86,9 +88,15 @@ def test_commands_name_what_exists(page):
 def check_launch(words):
     file, *given = words
     text = (ROOT / 'launch' / file).read_text()
-    for argument in given:
-        if ':=' in argument:
-            assert f"'{argument.partition(':=')[0]}'" in text, argument
+    nodes = re.search(r'description\(__file__, (.*)\)', text)
+    known = {one.name for one in arguments_of(*(
+        getattr(launch_arguments, node) for node in nodes[1].split(', ')))} if nodes else set()
+    for name in (argument.partition(':=')[0] for argument in given if ':=' in argument):
+        assert name in known or f"'{name}'" in text, name
+
+
+def known_defaults():
+    return {one.name: one.default for one in (*BRIDGE, *MONITOR)}
 
 
 def known_parameters():
@@ -167,7 +175,8 @@ def float_topics():
 def test_layouts_plot_topics_that_exist():
     xml = ElementTree.parse(ROOT / 'config/plotjuggler.xml')
     curves = {curve.get('name') for curve in xml.iter('curve')}
-    ticked = {topic.get('name') for topic in xml.iter('topic')}
+    # As PlotJuggler's ROS plugins 2.1 to 2.3.1 read it.
+    [ticked] = [one.get('value').split(';') for one in xml.iter('selected_topics')]
     assert {f'/{topic}/data' for topic in float_topics()} >= curves
     assert {f'{topic}/data' for topic in ticked} == curves
     foxglove = json.loads((ROOT / 'config/foxglove.json').read_text())
@@ -175,13 +184,18 @@ def test_layouts_plot_topics_that_exist():
     plotted = {path['value'] for panel in panels.values() for path in panel.get('paths', ())}
     assert {f'/{topic}.data' for topic in float_topics()} >= plotted
     assert set(re.findall(r'"(\w+!\w+)"', json.dumps(foxglove))) == set(panels)
+    link = panels['DiagnosticStatusPanel!link']     # it stays empty without both
+    assert (link['selectedHardwareId'], link['selectedName']) \
+        == (known_defaults()['port'], 'vel2d_bridge: link')
 
 
-def test_analyzers_group_every_status_once():
-    groups = yaml.safe_load((ROOT / 'config/analyzers.yaml').read_text())[
+@pytest.mark.parametrize(('file', 'robots'), [
+    ('analyzers', {'': ''}), ('analyzers_robots', {'rover1/': 'rover1 ', 'rover2/': 'rover2 '})])
+def test_analyzers_group_every_status_once(file, robots):
+    groups = yaml.safe_load((ROOT / f'config/{file}.yaml').read_text())[
         'analyzers']['ros__parameters']
-    analyzers = [one for group in groups.values() if isinstance(group, dict)
-                 for one in group['analyzers'].values()]
+    analyzers = [{**one, 'path': f'{group["path"]} {one["path"]}'} for group in groups.values()
+                 if isinstance(group, dict) for one in group['analyzers'].values()]
 
     def matching(name):         # as GenericAnalyzer does
         return [one['path'] for one in analyzers
@@ -192,7 +206,10 @@ def test_analyzers_group_every_status_once():
                        ('dxl_monitor: bus', 'Buses'), ('dxl_monitor: bus left', 'Buses'),
                        ('dxl_monitor: 011', 'Devices'), ('dxl_monitor: 011 knee', 'Devices'),
                        ('dxl_monitor: left/011', 'Devices'), ('dxl_monitor: bus1/011', 'Devices')):
-        assert matching(name) == [path], name
+        for robot, group in robots.items():
+            [found] = matching(robot + name)
+            assert found.startswith(group), name
+            assert found.endswith(path), name
 
 
 def policy(node):
@@ -217,7 +234,7 @@ def test_policy_allows_every_timing_topic(node, prefix):
 @pytest.mark.ros
 @pytest.mark.parametrize('node, link, fake', [
     ('vel2d_bridge', 'port', ('vel2d_bridge.fake_mcu',)),
-    ('dxl_monitor', 'ports', ('dxl_monitor.fake_bus',))])
+    ('dxl_monitor', 'ports', ('dxl_monitor.fake.fake_bus',))])
 def test_policy_allows_what_a_running_node_uses_and_little_more(
         graph, tmp_path, node, link, fake):
     publish, subscribe, reply = policy(node)

@@ -11,6 +11,9 @@ import struct
 import pytest
 
 from dxl_monitor import doctor as doctor_module
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import Cycle
 from dxl_monitor.doctor import Doctor
 from dxl_monitor.doctor import RULES
 from dxl_monitor.doctor.case import Case
@@ -21,20 +24,17 @@ from dxl_monitor.doctor.rhythm import rhythms
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import Rule
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
-from dxl_monitor.report import BusReport
-from dxl_monitor.report import Cycle
+from dxl_monitor.port.driver import LineErrors
 from dxl_monitor.status import bus_status
 from dxl_monitor.status import device_status
 from dxl_monitor.status import PortState
-from dxl_monitor.tap_driver import LineErrors
-from dxl_monitor.uart import heard_at
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.reports import Level
+from msg_defs.uart import heard_at
 
 DOCS = Path(__file__).parents[1] / 'docs'
 TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
@@ -216,11 +216,19 @@ def test_near_a_limit_and_beyond(address: int, limit: bytes, value_at: int, valu
 
 def test_without_the_limit_it_cannot_tell() -> None:
     bus = Bus()
-    bus.hear(PING, PONG, *read(146, b'\x60'))
-    report = bus.report()
+    bus.hear(PING, encode(1, STATUS, b'\xf2\x03\x29', error=0), *read(146, b'\x60'))
+    report = bus.report()          # a model whose factory limits are not known here
     assert report.findings == ()
     assert ('too_hot', '001: Temperature Limit never read') in [
         (doubt.rule, doubt.message) for doubt in report.doubts]
+
+
+def test_without_its_own_limit_that_of_its_model_counts() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, *read(146, b'\x60'))
+    [finding] = bus.report().findings
+    assert (finding.rule, finding.level) == ('too_hot', Level.ERROR)
+    assert 'its limit of 80 °C from the factory' in finding.message
 
 
 def test_a_reboot_that_was_ordered_is_no_finding() -> None:
@@ -284,7 +292,8 @@ def test_the_robot_trace() -> None:
 
 def test_findings_and_doubts_are_keys_of_their_status() -> None:
     bus = Bus()
-    bus.hear(PING, PONG, *read(146, b'\x60'), READ, encode(1, STATUS, bytes(4), error=0x80))
+    pong = encode(1, STATUS, b'\xf2\x03\x29', error=0)
+    bus.hear(PING, pong, *read(146, b'\x60'), READ, encode(1, STATUS, bytes(4), error=0x80))
     report = bus.report()
     device = dict(device_status('n', '', report.devices[0], report.findings, False).values)
     assert device['finding.hardware_error'].startswith('alert in its answers')
@@ -308,7 +317,7 @@ def test_rules_explain_rules() -> None:
     assert len(known) == len(RULES)
     for one in RULES:
         assert set(one.explains) <= known, one.name
-        assert one.needs
+        assert one.evidence
 
 
 def test_no_bytes_make_it_raise() -> None:

@@ -27,8 +27,10 @@ from dxl_monitor.fake.traffic import PATTERNS
 PAGE = Path(__file__).parents[1] / 'docs' / 'doctor_confusion.md'
 AT = '2'                           # s, when the faults begin
 LONG = 140                         # characters of a line that one reads at a glance
-# No fault of the simulated bus makes these: test_doctor.py does.
-ELSEWHERE = {'overrun', 'missed_answers'}
+# No fault of the simulated bus makes these: test_doctor.py or the scenes of rigs/bus do.
+ELSEWHERE = {'overrun', 'missed_answers', 'torque_off', 'wrong_length', 'refused', 'impossible_id',
+             'scan', 'master_stopped', 'models', 'mixed_firmware', 'calibrated_twice', 'baud_code',
+             'lock'}
 MS = 1_000_000
 
 
@@ -57,7 +59,7 @@ def test_every_fault_and_every_rule_is_among_the_cases() -> None:
 def test_the_page_is_current() -> None:
     page = render([(case, result_of(case)) for case in CASES])
     assert PAGE.read_text(encoding='utf-8') == page, \
-        'run: python -m benchmark.confusion docs/doctor_confusion.md'
+        'run: python -m benchmark.confusion --write'
 
 
 SLOW = {'read_write': 4.0, 'mixed': 10.0, 'bulk': 20.0, 'registered': 20.0}
@@ -107,7 +109,8 @@ PAIRS: tuple[tuple[str, str, tuple[Key, ...]], ...] = (
     ('two_masters', 'hot:5', (('two_masters', None), ('too_hot', 5))),
     ('latency', 'latched:3', (('latency_timer', None), ('hardware_error', 3))),
     ('overload', 'low_voltage:3', (('bus_too_slow', None), ('voltage', 3))),
-    ('jitter', 'eeprom_wear:3', (('jitter', None), ('eeprom_wear', 3))),
+    # The loop was not seen to keep time before both began, so of that nothing is said.
+    ('jitter', 'eeprom_wear:3', (('eeprom_wear', 3),)),
     ('unstuffed', 'no_ack:3', (('unstuffed', None), ('no_acks', 3))),
     ('glitch', 'wrong_map:3', (('stray_bytes', None), ('wrong_address', 3))),
     ('echo', 'hot:3', (('echo', None), ('too_hot', 3))),

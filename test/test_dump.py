@@ -20,26 +20,30 @@ import time
 from harness import DEADLINE_S
 from harness import Program
 from harness import wait
+from packets import packets_in
+from packets import packets_left
 import pytest
 
-from dxl_monitor.capture import Moment
-from dxl_monitor.capture import Reader
-from dxl_monitor.capture import Wire
-from dxl_monitor.capture import Writer
-from dxl_monitor.dump.lines import delta_text
+from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.faults import parse
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.traffic import PATTERNS
-from dxl_monitor.fake_bus import make_devices
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import Reader
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.capture import Writer
+from dxl_monitor.tools.dump.lines import delta_text
 from mecarover_serial.pty import Pty
+from msg_defs import dxl1_packet
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
 
+DUMP, FAKE_BUS = 'dxl_monitor.tools.dump.main', 'dxl_monitor.fake.fake_bus'
 ROOT = Path(__file__).parents[1]
 TRACE = ROOT.parent / 'shared' / 'data' / 'bus_trace_head.bin'
 MODELS = Models()
@@ -69,7 +73,7 @@ def trickle(file, data, size):
 def dump(*arguments, feed=b'', chunk=None, code=0, env=None):
     """Run dxl_dump on what is fed to its stdin, return stdout."""
     process = subprocess.Popen(
-        [sys.executable, '-m', 'dxl_monitor.dump.main', *map(str, arguments)], cwd=ROOT,
+        [sys.executable, '-m', DUMP, *map(str, arguments)], cwd=ROOT,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         env={**os.environ, **(env or {})})
     feeder = threading.Thread(target=trickle, args=(process.stdin, feed, chunk or len(feed) + 1))
@@ -118,7 +122,7 @@ def raw(tmp_path, run):
 def packets(data):
     """Return what the framer finds, in the terms of --json."""
     framer = Framer()
-    found = framer.feed(data, 0) + framer.flush()
+    found = packets_in(framer, data, 0) + packets_left(framer)
     return framer, [(one.offset, one.id, one.instruction, one.error, one.params.hex(),
                      one.repaired) for one in found]
 
@@ -321,7 +325,7 @@ def on_a_terminal(columns, *arguments, **env):
     plain = {name: value for name, value in os.environ.items()
              if name not in ('COLUMNS', 'LINES', 'NO_COLOR')}
     process = subprocess.Popen(
-        [sys.executable, '-m', 'dxl_monitor.dump.main', *map(str, arguments)], cwd=ROOT,
+        [sys.executable, '-m', DUMP, *map(str, arguments)], cwd=ROOT,
         stdin=subprocess.DEVNULL, stdout=slave, env={**plain, 'TERM': 'xterm', **env})
     os.close(slave)
     shown = b''
@@ -409,13 +413,13 @@ def test_stats_and_changes_of_a_file(recorded):
 @pytest.fixture
 def bus(tmp_path):
     link = tmp_path / 'live'
-    with Program('dxl_monitor.fake_bus', '--link', str(link), '--devices', '1-3:MX-106') as fake:
+    with Program(FAKE_BUS, '--link', str(link), '--devices', '1-3:MX-106') as fake:
         fake.wait_for('2000000 baud')
         yield link
 
 
 def live(*arguments):
-    return Program('dxl_monitor.dump.main', *map(str, arguments))
+    return Program(DUMP, *map(str, arguments))
 
 
 def test_a_live_bus_is_recorded_and_read_again(bus, tmp_path):
@@ -441,7 +445,7 @@ def test_ctrl_c_ends_it_and_the_summary_still_comes(bus):
 def test_a_closed_pipe_ends_it(bus):
     for source in (bus, '-'):
         done = subprocess.run(
-            f'yes | {sys.executable} -m dxl_monitor.dump.main {source} --baud 2000000 '
+            f'yes | {sys.executable} -m {DUMP} {source} --baud 2000000 '
             '| head -n 2; echo ${PIPESTATUS[1]}', shell=True, executable='/bin/bash', cwd=ROOT,
             capture_output=True, text=True, timeout=DEADLINE_S)
         assert done.stdout.splitlines()[-1] == '0'
@@ -482,14 +486,14 @@ def test_a_port_without_a_single_packet_is_asked_about(tmp_path):
             wait(lambda: tool.has_ended or not os.write(pty.master, b'Protocol 1.0'))
             assert tool.exit_code() == 0
     [line] = tool.lines
-    assert re.fullmatch(rf'dxl_dump: {link}: \d+ bytes and no packet; is it a Protocol 2\.0 bus, '
+    assert re.fullmatch(rf'dxl_dump: {link}: \d+ bytes and no packet; is it a servo bus, '
                         r'and 2000000 baud its rate\? --baud takes another', line)
 
 
 def test_a_capture_can_go_through_a_pipe(bus):
     done = subprocess.run(
-        f'{sys.executable} -m dxl_monitor.dump.main {bus} -w - --seconds 0.5 '
-        f'| {sys.executable} -m dxl_monitor.dump.main - --summary', shell=True, cwd=ROOT,
+        f'{sys.executable} -m {DUMP} {bus} -w - --seconds 0.5 '
+        f'| {sys.executable} -m {DUMP} - --summary', shell=True, cwd=ROOT,
         capture_output=True, text=True, timeout=DEADLINE_S)
     assert json.loads(done.stdout)['packets'] > 50
     assert done.stderr == ''
@@ -507,7 +511,7 @@ def test_a_capture_is_told_from_bytes_however_it_trickles_in(recorded, size):
 def shell(command, **env):
     """Run dxl_dump as a shell does, return exit code, stdout and stderr."""
     done = subprocess.run(
-        ['bash', '-c', command.replace('dxl_dump', f'{sys.executable} -m dxl_monitor.dump.main')],
+        ['bash', '-c', command.replace('dxl_dump', f'{sys.executable} -m {DUMP}')],
         cwd=ROOT, env={**os.environ, **env}, capture_output=True, timeout=DEADLINE_S)
     assert b'Traceback' not in done.stderr
     assert b'Exception ignored' not in done.stderr
@@ -561,7 +565,7 @@ def test_no_control_code_of_a_capture_reaches_the_terminal(tmp_path, run, view):
     (['/does/not/exist'], 1, '/does/not/exist: no such file or port; '),
     (['/dev/ttyNONE0'], 1, '/dev/ttyNONE0: is not there; '),
     (['loop://?x=y'], 1, 'loop://?x=y: not a URL that pyserial knows '),
-    (['/dev/null'], 1, '/dev/null: not a serial port; '),
+    (['/dev/null'], 1, '/dev/null: a device, but not a serial port; '),
     (['/'], 2, '/: a directory; '),
     (['-', '--id', 'knee'], 2, "'knee': no ID; "),
     (['-', '--id', '9-3'], 2, "'9-3': no ID; "),
@@ -602,10 +606,10 @@ def test_a_capture_with_bad_lines_is_read_and_said(recorded):
     good = dump(recorded, '--summary')
     recorded.write_bytes(recorded.read_bytes() + b'(12.5 b')
     process = subprocess.run(
-        [sys.executable, '-m', 'dxl_monitor.dump.main', str(recorded), '--summary'], cwd=ROOT,
+        [sys.executable, '-m', DUMP, str(recorded), '--summary'], cwd=ROOT,
         capture_output=True, text=True, timeout=DEADLINE_S)
     assert process.stdout == good
-    assert '1 lines are no lines of a capture' in process.stderr
+    assert '1 lines are not lines of a capture' in process.stderr
 
 
 @pytest.mark.parametrize('view', [['--summary'], ['--json'], ['--stats'], []])
@@ -616,8 +620,8 @@ def test_a_file_without_a_single_packet_is_asked_about(tmp_path, view):
     empty = tmp_path / 'empty'
     empty.write_bytes(b'')
     for path, lines in (text, [f'dxl_dump: {text}: 3200 bytes and no packet; is it a recording of '
-                               'a Protocol 2.0 bus, made at its rate?']), (empty, []):
-        done = subprocess.run([sys.executable, '-m', 'dxl_monitor.dump.main', str(path), *view],
+                               'a servo bus, made at its rate?']), (empty, []):
+        done = subprocess.run([sys.executable, '-m', DUMP, str(path), *view],
                               cwd=ROOT, capture_output=True, text=True, timeout=DEADLINE_S)
         assert done.returncode == 0
         assert done.stderr.splitlines() == lines
@@ -636,8 +640,26 @@ def test_it_never_writes_over_what_it_reads(recorded, tmp_path):
     link.symlink_to(recorded)
     before = Path(recorded).read_bytes()
     done = subprocess.run(
-        [sys.executable, '-m', 'dxl_monitor.dump.main', str(recorded), '-w', str(link)],
+        [sys.executable, '-m', DUMP, str(recorded), '-w', str(link)],
         cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
     assert 'is what is read' in done.stderr
     assert Path(recorded).read_bytes() == before
+
+
+def test_feetech_packets_are_shown_with_their_registers(tmp_path):
+    said = [dxl1_packet.encode(1, 1), dxl1_packet.encode(1, 0),
+            dxl1_packet.encode(1, 2, b'\3\2'), dxl1_packet.encode(1, 0, b'\x09\3'),
+            dxl1_packet.encode(1, 2, b'\x38\2'), dxl1_packet.encode(1, 0x20, b'\0\x08')]
+    file = tmp_path / 'arm.bin'
+    file.write_bytes(b''.join(said))
+    lines = dump(file, '--baud', '1000000').splitlines()
+    assert len(lines) == 6
+    assert 'STS3215' in lines[3]
+    assert 'Model Number 777' in lines[3]
+    assert 'Present Position (2 at 56)' in lines[4]
+    assert 'Present Position 0 rad' in lines[5]
+    assert dump(file, '--protocol', '2', '--summary').startswith('{"bytes": 44, "packets": 0')
+    begins = [sum(map(len, said[:at])) for at in range(6)]
+    assert [one['offset'] for one in objects(file)] == begins
+    assert 'Feetech' in dump(file, '--stats', '--baud', '1000000')

@@ -9,6 +9,7 @@ import struct
 from hypothesis import given
 from hypothesis import settings
 from hypothesis import strategies as st
+from packets import packets_in
 import pytest
 
 from msg_defs.crc import crc16
@@ -123,7 +124,7 @@ def test_a_bulk_write_says_what_makes_sense_of_it() -> None:
 
 def test_a_combined_reply_is_one_frame_and_splits() -> None:
     wire = combined(BLOCKS)
-    packets = Framer().feed(wire, 0)
+    packets = packets_in(Framer(), wire, 0)
     assert len(packets) == 1
     assert split_combined(wire[4:], ACCESSES) == BLOCKS
 
@@ -150,11 +151,17 @@ def test_a_block_from_another_device_ends_the_reply() -> None:
     assert split_combined(wire[4:], ACCESSES) == BLOCKS[:1]
 
 
+@pytest.mark.parametrize('count', range(len(BLOCKS) + 1))
+def test_a_good_reply_of_fewer_devices_gives_what_there_is(count: int) -> None:
+    wire = combined(BLOCKS[:count])
+    assert split_combined(wire[4:], ACCESSES) == BLOCKS[:count]
+
+
 def test_published_instructions_are_understood() -> None:
     if not VECTORS.is_file():
         pytest.skip('skipped: the published vectors are not here')
     for vector in json.loads(VECTORS.read_text())['vectors']:
-        packets = Framer().feed(bytes.fromhex(vector['hex']), 0)
+        packets = packets_in(Framer(), bytes.fromhex(vector['hex']), 0)
         if not packets or vector['direction'] != 'instruction':
             continue
         packet = packets[0]

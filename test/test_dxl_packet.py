@@ -11,6 +11,8 @@ from typing import Any
 from hypothesis import given
 from hypothesis import settings
 from hypothesis import strategies as st
+from packets import packets_in
+from packets import packets_left
 import pytest
 
 from msg_defs.crc import crc16
@@ -58,11 +60,11 @@ def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet], Fra
     found: list[Packet] = []
     at = 0
     for size in [*(sizes or []), len(data)]:
-        found += framer.feed(data[at:at + size], 0)
+        found += packets_in(framer, data[at:at + size], 0)
         at += size
         assert framer.bytes == framer.packet_bytes + framer.noise_bytes + framer.pending
         assert framer.pending < MAX_FRAME
-    found += framer.flush()
+    found += packets_left(framer)
     assert framer.pending == 0
     assert framer.bytes == framer.packet_bytes + framer.noise_bytes == len(data)
     assert framer.packets == len(found)
@@ -164,8 +166,8 @@ def test_after_a_failed_crc_the_frames_inside_are_found() -> None:
 
 def test_a_frame_that_never_ends_is_given_up_on_an_idle_line() -> None:
     framer = Framer()
-    assert framer.feed(encode(1, STATUS, bytes(900), error=0)[:-20] + PING, 0) == []
-    assert [packet.instruction for packet in framer.flush()] == [0x01]
+    assert packets_in(framer, encode(1, STATUS, bytes(900), error=0)[:-20] + PING, 0) == []
+    assert [packet.instruction for packet in packets_left(framer)] == [0x01]
     assert framer.truncated == 1
 
 
@@ -208,7 +210,7 @@ def test_impossible_lengths_do_not_stall(length: int) -> None:
     instruction = STATUS if length == 3 else 0x01
     head = HEADER + b'\x01' + length.to_bytes(2, 'little') + bytes([instruction])
     framer = Framer()
-    found = framer.feed(head + b'\x00\x00' + PING, 0)
+    found = packets_in(framer, head + b'\x00\x00' + PING, 0)
     assert [packet.instruction for packet in found] == [0x01]
     assert framer.bad_length == 1
 
@@ -236,7 +238,7 @@ def test_a_chunk_is_any_number_of_packets() -> None:
 def test_the_noise_kept_is_bounded() -> None:
     framer = Framer()
     for _ in range(100):
-        framer.feed(b'\x00\x80' * 500, 0)
+        packets_in(framer, b'\x00\x80' * 500, 0)
     assert len(framer.noise) <= 256
     assert framer.noise_bytes + framer.pending == 100_000
 
@@ -272,9 +274,9 @@ def test_every_byte_is_in_exactly_one_place(data: bytes) -> None:
 @given(streams)
 def test_the_good_packet_after_garbage_is_found(data: bytes) -> None:
     framer = Framer()
-    framer.feed(data, 0)
-    framer.flush()
-    assert framer.feed(REPLY, 0)[-1].params == b'\xa6\x00\x00\x00'
+    packets_in(framer, data, 0)
+    packets_left(framer)
+    assert packets_in(framer, REPLY, 0)[-1].params == b'\xa6\x00\x00\x00'
 
 
 def test_no_false_packets_in_random_bytes() -> None:
@@ -320,12 +322,12 @@ def test_a_fast_reply_is_never_unstuffed() -> None:
 
 def test_stamps_are_those_of_the_deciding_chunk() -> None:
     framer = Framer()
-    assert framer.feed(READ, 5)[0].stamp == 5
+    assert packets_in(framer, READ, 5)[0].stamp == 5
     begun = encode(1, 0x03, bytes(100))[:9]
-    framer.feed(begun + PING, 6)
-    assert [packet.stamp for packet in framer.flush(7)] == [7]
-    framer.feed(begun + PING, 8)
-    assert [packet.stamp for packet in framer.flush()] == [0]
+    packets_in(framer, begun + PING, 6)
+    assert [packet.stamp for packet in packets_left(framer, 7)] == [7]
+    packets_in(framer, begun + PING, 8)
+    assert [packet.stamp for packet in packets_left(framer)] == [0]
 
 
 @pytest.mark.parametrize(('wire', 'reason', 'counts'), [
@@ -364,9 +366,9 @@ def test_how_much_noise_is_ahead_of_a_damaged_frame_is_said() -> None:
 def test_the_longest_length_is_waited_for_and_judged_by_its_crc() -> None:
     framer = Framer()
     wire = HEADER + b'\x01\x00\x04\x03' + bytes(1021)
-    assert framer.feed(wire, 0) == []
+    assert packets_in(framer, wire, 0) == []
     assert (framer.pending, framer.bad_length) == (len(wire), 0)
-    framer.feed(bytes(2), 0)
+    packets_in(framer, bytes(2), 0)
     assert (framer.crc_errors, framer.bad_length) == (1, 0)
 
 
@@ -392,14 +394,14 @@ def test_a_header_that_may_be_none_is_not_counted_as_damaged() -> None:
 
 def test_a_packet_behind_noise_is_not_held_back() -> None:
     framer = Framer()
-    framer.feed(bytes(50) + READ[:8], 0)
-    assert len(framer.feed(READ[8:], 0)) == 1
+    packets_in(framer, bytes(50) + READ[:8], 0)
+    assert len(packets_in(framer, READ[8:], 0)) == 1
 
 
 @pytest.mark.parametrize('first', [b'', b'\x00'])
 def test_the_first_frame_of_a_stream_may_have_a_damaged_header_too(first: bytes) -> None:
     framer = Framer()
-    [packet] = framer.feed(first + REPLY[1:], 0)
+    [packet] = packets_in(framer, first + REPLY[1:], 0)
     assert (packet.repaired, packet.params) == (True, b'\xa6\x00\x00\x00')
     assert summary(framer) == (1, 1, 0, 0, 0, 0)
 
@@ -416,3 +418,46 @@ def test_nothing_is_said_of_good_frames_directly_behind_each_other() -> None:
     framer = Framer()
     frames = framer.frames(PING + READ + REPLY[:5]) + framer.frames(REPLY[5:])
     assert [flaw for _, _, flaw in frames] == [None, None, None]
+
+
+# --- pauses --------------------------------------------------------------------------------------
+
+FAST = encode(0xFE, STATUS, HEADER + bytes(20), error=0, stuffed=False)
+
+
+@pytest.mark.parametrize('cut', range(1, len(FAST)))
+def test_a_frame_around_a_pause_is_whole(cut: int) -> None:
+    framer = Framer()
+    assert packets_in(framer, FAST[:cut], 0) == []
+    framer.interrupt()
+    assert len(packets_in(framer, FAST[cut:], 0)) == 1
+    assert (framer.noise_bytes, framer.truncated) == (0, 0)
+
+
+def test_a_header_behind_a_pause_ends_the_frame_before_it() -> None:
+    framer = Framer()
+    packets_in(framer, FAST[:20], 0)
+    framer.interrupt()
+    assert [packet.instruction for packet in packets_in(framer, encode(1, 1), 0)] == [1]
+    assert (framer.noise_bytes, framer.truncated, framer.pending) == (20, 1, 0)
+
+
+def test_a_frame_in_three_pieces_waits_for_the_last() -> None:
+    framer = Framer()
+    packets_in(framer, FAST[:12], 0)
+    framer.interrupt()
+    assert packets_in(framer, FAST[12:30], 0) == []
+    assert len(packets_in(framer, FAST[30:], 0)) == 1
+
+
+@given(st.lists(st.one_of(st.none(), st.binary(max_size=12), st.sampled_from(
+    [HEADER, HEADER[:2], HEADER[2:], FAST, FAST[:9], encode(1, 1)])), max_size=12))
+def test_pauses_anywhere_raise_nothing_and_lose_no_byte(pieces: list[bytes | None]) -> None:
+    framer = Framer()
+    for piece in pieces:
+        if piece is None:
+            framer.interrupt()
+        else:
+            framer.frames(piece)
+    assert framer.bytes == sum(len(piece) for piece in pieces if piece)
+    assert framer.packet_bytes + framer.noise_bytes + framer.pending == framer.bytes

@@ -17,7 +17,10 @@ from typing import Any
 
 import pytest
 
-from dxl_monitor.control_table import STRUCTS
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.fake.fake_bus import DEFAULT_DEVICES
+from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.fault import Fault
 from dxl_monitor.fake.faults import KINDS
 from dxl_monitor.fake.faults import parse as parse_fault
@@ -31,16 +34,13 @@ from dxl_monitor.fake.outlet import Outlet
 from dxl_monitor.fake.shell import FakeBus
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.fake.truth import Truth
-from dxl_monitor.fake_bus import DEFAULT_DEVICES
-from dxl_monitor.fake_bus import make_devices
-from dxl_monitor.models import Models
+from dxl_monitor.model.control_table import STRUCTS
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
-from dxl_monitor.report import BusReport
-from dxl_monitor.uart import heard_at
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.pty import Away
 from msg_defs.dxl_packet import Framer
+from msg_defs.uart import heard_at
 
 MODELS = Models()
 BAUD = 2_000_000
@@ -78,7 +78,7 @@ def test_pattern_is_good_traffic_in_order_of_time(pattern: str) -> None:
     assert all(one.end <= two.start for one, two in itertools.pairwise(bursts))
     framer = Framer()
     for burst in bursts:
-        framer.feed(burst.data, burst.end)
+        framer.frames(burst.data)
     assert framer.noise_bytes == framer.pending == 0
     truth = master.truth
     assert truth.exact
@@ -109,7 +109,7 @@ def test_253_devices_fit_into_packets() -> None:
     master = make_master('mixed', devices=('0-252:XM430-W350',), baud=4_500_000, rate=0)
     framer = Framer()
     for burst in play(master, 1.0):
-        framer.feed(burst.data, burst.end)
+        framer.frames(burst.data)
     assert framer.noise_bytes == 0
     assert len(master.truth.known) == 253
     assert {known.state for known in master.truth.known.values()} == {'connected'}
@@ -419,7 +419,7 @@ def test_simulated_master_counts_what_is_sent_to_it() -> None:
 
 def run_tool(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, '-m', 'dxl_monitor.fake_bus', *arguments], check=False, text=True,
+        [sys.executable, '-m', 'dxl_monitor.fake.fake_bus', *arguments], check=False, text=True,
         capture_output=True, timeout=60, cwd=Path(__file__).parents[1])
 
 

@@ -4,7 +4,6 @@
 
 import pytest
 
-from dxl_monitor.control_table import UNKNOWN
 from dxl_monitor.fake.device import BOOT_NS
 from dxl_monitor.fake.device import Device
 from dxl_monitor.fake.line import Exchange
@@ -18,7 +17,8 @@ from dxl_monitor.fake.registers import RANGE
 from dxl_monitor.fake.registers import RESULT_FAIL
 from dxl_monitor.fake.traffic import words
 from dxl_monitor.fake.values import Sine
-from dxl_monitor.models import Models
+from dxl_monitor.model.control_table import UNKNOWN
+from dxl_monitor.model.models import Models
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_instruction import split_combined
@@ -55,7 +55,8 @@ def test_every_model_answers_for_all_its_registers_and_moves(number: int) -> Non
         raw = device.read(position.at, position.size, S).params
         number_read = position.decode(raw).number
         assert number_read == pytest.approx(Sine(amplitude=0.5).angle(1.0), abs=position.scale)
-    assert device.execute(Instruction.PING, b'', 0).params[:2] == number.to_bytes(2, 'little')
+    if model.protocol == '2':            # a Ping of the 1.0 family is answered without a number
+        assert device.execute(Instruction.PING, b'', 0).params[:2] == number.to_bytes(2, 'little')
 
 
 def test_unknown_model_is_bare_memory() -> None:

@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """The fake MCU: receiver and cable on simulated time, then the pty and the console tool."""
+from contextlib import suppress
 from itertools import pairwise
 import json
 import os
@@ -282,3 +283,23 @@ def test_tool_refuses_in_one_line(tmp_path):
         assert err.startswith('fake_mcu: ')
         assert len(err.splitlines()) == 1
     assert occupied.read_text() == 'mine'
+
+
+def test_it_says_which_frames_it_refuses():
+    both = b'crc mismatch!\r\ninsufficient bytes received\r\n'
+    for talks in (True, False):
+        mcu, heard = FakeMcu(talks=talks), bytearray()
+        fd = os.open(mcu.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+        def hear(fd=fd, heard=heard):
+            with suppress(BlockingIOError):
+                heard += os.read(fd, 100)
+            return bytes(heard)
+        for count, name in ((FRAME_SIZE, 'crc_err'), (5, 'insufficient')):
+            os.write(fd, bytes(count))
+            until(mcu, lambda name=name, mcu=mcu: getattr(mcu.receiver.totals, name))
+        if talks:
+            until(mcu, lambda hear=hear: hear() == both)
+        assert hear() == (both if talks else b'')
+        os.close(fd)
+        mcu.close()

@@ -34,7 +34,7 @@ from monitored_bus import STALE
 from monitored_bus import WARN
 import pytest
 
-from dxl_monitor.capture import Reader
+from dxl_monitor.record.capture import Reader
 
 pytestmark = pytest.mark.ros
 
@@ -168,7 +168,7 @@ def test_silence(node, cable, recovery):
     first = node.wait_report(lambda one: set(map(one.levels.get, DEVICES)) == {STALE})
     later = node.wait_report(lambda one: True)
     for name in DEVICES:
-        assert later.messages[name].startswith('silent: nobody asked it for ')
+        assert later.messages[name].startswith('silent: not asked for ')
         assert later.values[name]['State'] == 'silent'
         values, ages_s = ([one.values[name]['Present Position (rad)'] for one in (first, later)],
                           [one.fields(name)['Present Position'][0] for one in (first, later)])
@@ -227,10 +227,9 @@ def test_a_flood_of_noise(node, cable, recovery):
 
 
 def damaged_told(report):
-    """Return how many packets the doctor calls damaged, 0 if it has found no noise."""
-    found = re.match(r'(\d+) of \d+ packets damaged, .*: check termination',
-                     report.values[BUS].get('finding.noise', ''))
-    return int(found[1]) if found else 0
+    """Return whether the doctor calls packets damaged and says what to check."""
+    return bool(re.search(r'of the packets damaged, .*: check termination',
+                          report.values[BUS].get('finding.noise', '')))
 
 
 @pytest.mark.parametrize('fault', [{'drop': 0.3}, {'flip': 0.3}], ids=['drop', 'flip'])

@@ -24,9 +24,11 @@ from hypothesis.stateful import invariant
 from hypothesis.stateful import precondition
 from hypothesis.stateful import rule
 from hypothesis.stateful import RuleBasedStateMachine
+from packets import packets_in
+from packets import packets_left
 import pytest
 
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from fuzz.__main__ import CORPUS
 from fuzz.__main__ import TARGETS
@@ -48,8 +50,9 @@ from vel2d_bridge.receiver import LOOP
 from vel2d_bridge.receiver import QUEUE_DEPTH
 from vel2d_bridge.receiver import Receiver
 
-EXAMPLES = {'capture': 150, 'dashboard': 70, 'fast_reply': 120, 'framer': 150, 'instruction': 250,
-            'mcu': 150, 'model_file': 80, 'tracker': 50, 'vel2d': 200}      # a second at most
+EXAMPLES = {'capture': 150, 'dashboard': 70, 'fast_reply': 120, 'framer': 150, 'framer_1': 100,
+            'instruction': 250, 'mcu': 150, 'model_file': 80, 'tracker': 50, 'usb_file': 100,
+            'vel2d': 200}                      # a second at most
 STEADY = settings(derandomize=True, deadline=None, database=None)
 MACHINE = settings(STEADY, max_examples=50, stateful_step_count=40)
 MODELS = Models()
@@ -88,7 +91,7 @@ def test_the_corpus_stays_small():
     files = [file for file in CORPUS.rglob('*') if file.is_file()]
     assert {file.parent.name for file in files} == set(TARGETS)
     assert not [file for file in files if re.fullmatch('[0-9a-f]{10,}', file.name)], 'say what'
-    assert max(file.stat().st_size for file in files) <= 1024
+    assert max(file.stat().st_size for file in files) <= 2048
     assert len(files) <= 60 * len(TARGETS)
 
 
@@ -175,7 +178,7 @@ class FramerMachine(RuleBasedStateMachine):
     def hear(self, data, cuts):
         borders = [0, *sorted(cut % (len(data) + 1) for cut in cuts), len(data)]
         for at, end in pairwise(borders):
-            self.found += self.framer.feed(data[at:end], 1)
+            self.found += packets_in(self.framer, data[at:end], 1)
         self.total += len(data)
 
     @rule(number=st.integers(0, 255), params=PARAMS, error=st.integers(0, 255),
@@ -196,7 +199,7 @@ class FramerMachine(RuleBasedStateMachine):
 
     @rule()
     def pause(self):
-        self.found += self.framer.flush(1)
+        self.found += packets_left(self.framer, 1)
         assert self.framer.pending == 0
         if self.clean:
             assert [packet[2:5] for packet in self.found] == self.sent
@@ -230,7 +233,7 @@ class MonitorMachine(RuleBasedStateMachine):
         self.monitor.feed(data, self.now)
 
     def table(self, number):
-        return self.monitor._roster.devices[number].table
+        return self.monitor.conversation.roster.devices[number].table
 
     @rule(number=IDS, address=ADDRESSES, data=SPAN)
     def read(self, number, address, data):
@@ -251,7 +254,7 @@ class MonitorMachine(RuleBasedStateMachine):
     @rule(address=ADDRESSES, data=SPAN)
     def write_to_all(self, address, data):
         self.hear(encode(BROADCAST, 3, u16(address) + data))
-        for number in self.monitor._roster.devices:
+        for number in self.monitor.conversation.roster.devices:
             self.learn(number, address, data)
 
     @rule(number=IDS, address=ADDRESSES, error=st.integers(1, 127))

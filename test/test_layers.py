@@ -1,9 +1,12 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The house rules that a machine can hold: import layers, where ROS may be, sizes."""
+"""The house rules that a machine can hold: import layers, where ROS may be, sizes, names."""
 import ast
+import io
 from pathlib import Path
+import re
 import statistics
+import tokenize
 
 import pytest
 
@@ -13,8 +16,20 @@ LAYERS = {                              # package: what of ours it may import
     'mecarover_serial': {'msg_defs', 'mecarover_serial'},
     'vel2d_bridge': {'msg_defs', 'mecarover_serial', 'vel2d_bridge'},
     'dxl_monitor': {'msg_defs', 'mecarover_serial', 'dxl_monitor'},
+    'mecarover_dashboard': {'msg_defs', 'mecarover_serial', 'mecarover_dashboard'},
     'mecarover_demo': {'msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor',
-                       'mecarover_demo'},
+                       'mecarover_dashboard', 'mecarover_demo'},
+}
+BELOW = {'model', 'port', 'bus', 'doctor', 'record'}
+ROOMS = {                               # room of dxl_monitor ('': none): what it may import
+    'model': set(),
+    'port': set(),
+    'bus': {'model', 'port'},
+    'doctor': {'model', 'bus'},
+    'record': {'port', 'bus'},
+    'fake': {'model', 'bus'},
+    '': BELOW,
+    'tools': BELOW | {''},
 }
 ROS = ('rclpy', 'rcl_interfaces', 'launch', 'launch_ros', 'ament_index_python', 'std_srvs',
        'builtin_interfaces')
@@ -54,9 +69,36 @@ def test_imports_go_downward(path):
             assert top not in IO, f'{package} does IO or looks at a clock: {module}'
 
 
+def room_of(parts):
+    """Return the room of a module of dxl_monitor, from the parts of its name or path."""
+    return parts[1] if len(parts) > 1 and parts[1] in ROOMS else ''
+
+
+def test_arrows_between_rooms_go_downward():
+    wrong = []
+    for path in FILES:
+        here = path.relative_to(ROOT).parts
+        if here[0] != 'dxl_monitor':
+            continue
+        for module in imports(path):
+            there = module.split('.')
+            if there[0] == 'dxl_monitor' and len(there) > 1 and room_of(there) != room_of(here) \
+                    and room_of(there) not in ROOMS[room_of(here)]:
+                wrong.append(f'{path.relative_to(ROOT)} imports {module}')
+    assert wrong == []
+
+
 @pytest.mark.parametrize('path', FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_files_are_one_screenful_of_thought(path):
-    assert len(path.read_text().splitlines()) <= 300
+    assert len(path.read_text().splitlines()) <= 400
+
+
+@pytest.mark.parametrize('path', sorted(ROOT.glob('mecarover_dashboard/static/*.js')),
+                         ids=lambda path: path.name)
+def test_the_page_is_written_like_the_rest(path):
+    lines = path.read_text().splitlines()
+    assert [(at, len(line)) for at, line in enumerate(lines, 1) if len(line) > 99] == []
+    assert len(lines) <= 400
 
 
 def functions():
@@ -84,3 +126,29 @@ def test_functions_are_short():
 @pytest.mark.parametrize('path', FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_every_file_says_what_it_owns(path):
     assert ast.get_docstring(ast.parse(path.read_text()))
+
+
+FILE_NAME = re.compile(r'(?<![\w/.~*{-])[\w./-]*\w\.(?:py|md|ya?ml|js|css|html|xml|toml|svg)\b')
+MADE_LATER = {'FILE.svg'}               # a name that stands for what the user chooses
+
+
+def words_of(source):
+    """Yield the comments and docstrings of a program."""
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.string
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield ast.get_docstring(node) or ''
+
+
+def test_every_file_that_a_comment_names_exists():
+    parts = (path.relative_to(ROOT).parts for path in ROOT.rglob('*.*'))
+    listed = ['/'.join(one) for one in parts
+              if not any(part.startswith('.') or part == 'build' for part in one)]
+    known = {name[at:] for name in listed
+             for at in (0, *(slash.end() for slash in re.finditer('/', name)))} | MADE_LATER
+    missing = [f'{name}: {file}' for name in listed if name.endswith('.py')
+               for words in words_of((ROOT / name).read_text())
+               for file in FILE_NAME.findall(words) if file not in known]
+    assert missing == []

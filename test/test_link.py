@@ -133,7 +133,7 @@ def test_a_thousand_commands_at_200_hz(mcu, rate):
         frames = mcu.totals()['frames'] - before
         wait(lambda: mcu.receiver.wheels.is_stop)
         assert link.gate.counters.time_outs == 1
-    assert frames <= rate * elapsed + 2
+    assert frames <= 1.02 * rate * elapsed + 2       # the rate that docs/frame.md promises
     totals = mcu.totals()
     assert totals['crc_err'] == totals['insufficient'] == 0
     # A fake MCU that the machine holds up finds several frames at once.
@@ -368,6 +368,36 @@ def test_a_port_that_stays_stuck_is_reopened_and_closing_is_bounded(mcu):
         assert 'takes no data' in link.state().last_error
         wait(lambda: link.state().openings >= 2)
     assert not link._thread.is_alive()
+
+
+def test_a_driver_that_takes_its_time_to_close_holds_up_neither_the_news_nor_the_heart(mcu):
+    """As cdc_acm does for 30 s when a board hangs."""
+    closing, released = threading.Event(), threading.Event()
+    beats, news = [], []
+
+    class Slow(Sullen):
+        def close(self):
+            if not released.is_set():
+                closing.set()
+                released.wait(PATIENCE_S)
+            super().close()
+
+    class Heart:
+        def beat(self, now):
+            beats.append(now)
+
+        def __getattr__(self, name):
+            return lambda *_: name == 'is_alive'
+
+    with linked(mcu.path, opener=of_kind(Slow), write_timeout_s=0.005, deadman=Heart(),
+                on_change=news.append) as link:
+        wait(closing.is_set)
+        assert 'takes no data' in str(news[-1])
+        count = len(beats)
+        wait(lambda: len(beats) > count + 3)
+        assert link.state().openings == 1
+        released.set()
+        wait(lambda: link.state().openings >= 2)
 
 
 def test_a_partial_write_is_never_completed(mcu):

@@ -14,31 +14,35 @@ from typing import Any
 
 import pytest
 
-from dxl_monitor.control_table import Model
-from dxl_monitor.model_file import FIELD_KEYS
-from dxl_monitor.model_layers import FILE_KEYS
-from dxl_monitor.model_yaml import ModelError
-from dxl_monitor.model_yaml import read_yaml
-from dxl_monitor.models import BUILT_IN
-from dxl_monitor.models import check_models
-from dxl_monitor.models import Models
-from dxl_monitor.table import READ
-from dxl_monitor.table import Table
+from dxl_monitor.bus.table import READ
+from dxl_monitor.bus.table import Table
+from dxl_monitor.model.checked_yaml import ModelError
+from dxl_monitor.model.checked_yaml import read_yaml
+from dxl_monitor.model.control_table import Model
+from dxl_monitor.model.file import FIELD_KEYS
+from dxl_monitor.model.layers import FILE_KEYS
+from dxl_monitor.model.layers import model_key
+from dxl_monitor.model.models import BUILT_IN
+from dxl_monitor.model.models import check_models
+from dxl_monitor.model.models import Models
 
 SOURCE = Path(__file__).parents[2] / 'shared' / 'data' / 'dxl_models'
 DOCS = Path(__file__).parents[1] / 'docs' / 'models.md'
 MODELS = Models()
 X330 = (1190, 1200, 1210, 1220, 1230, 1240)
-TABLES = [(number, None) for number in MODELS.names()] + [(number, 52) for number in X330]
-PARTS = {231, *range(620, 626), *range(6001, 6026)}     # ranges of another device's table
-NAME = re.compile(r'[A-Z0-9][\w.\-/]*( ([A-Z0-9][\w.\-]*|\([A-Z]\w*\)))*')
-UNITS = {'', 'rad', 'rad/s', 'rad/s^2', 'A', 'V', 'V/s', '°C', '%', 's', 'Hz', 'bit/s'}
 
 
 def load(number: int, firmware: int | None = None) -> Model:
     model = MODELS.get(number, firmware)
     assert model is not None, MODELS.problems
     return model
+
+
+TABLES = [(number, None) for number in MODELS.names()] + [(number, 52) for number in X330]
+NUMBERS_2 = {number for number in MODELS.names() if load(number).protocol == '2'}
+PARTS = {231, *range(620, 626), *range(6001, 6026)}     # ranges of another device's table
+NAME = re.compile(r'[A-Z0-9][\w.\-/]*( ([A-Z0-9][\w.\-]*|\([A-Z]\w*\)))*')
+UNITS = {'', 'rad', 'rad/s', 'rad/s^2', 'A', 'V', 'V/s', '°C', '%', 's', 'Hz', 'bit/s'}
 
 
 def test_the_built_in_files_have_no_mistake() -> None:
@@ -48,7 +52,7 @@ def test_the_built_in_files_have_no_mistake() -> None:
 @pytest.mark.parametrize(('number', 'firmware'), TABLES)
 def test_a_table_is_sound(number: int, firmware: int | None) -> None:
     model = load(number, firmware)
-    assert model.number == number
+    assert model_key(model.number or 0, model.protocol) == number
     assert model.source
     for first, second in pairwise(model.fields):
         assert first.end <= second.at, (first, second)
@@ -62,7 +66,7 @@ def test_a_table_is_sound(number: int, firmware: int | None) -> None:
                for alias, name in model.aliases.items())
 
 
-@pytest.mark.parametrize('number', sorted(MODELS.names().keys() - PARTS))
+@pytest.mark.parametrize('number', sorted(NUMBERS_2 - PARTS))
 def test_common_registers_are_where_they_belong(number: int) -> None:
     model = load(number)
     assert model.by_name['Model Number'].at == 0
@@ -109,7 +113,7 @@ def _meaning(model: Model, name: str) -> tuple[object, ...]:
 
 
 def test_signs_are_as_the_quantities_are() -> None:
-    for number in MODELS.names():
+    for number in NUMBERS_2:
         for field in load(number).fields:
             quantity = re.sub(r'^(Motor\d|Swerve DXL\d) ', '', field.name)
             if re.fullmatch('(Present|Goal) (PWM|Current|Velocity|Position)|Homing Offset|'
@@ -408,7 +412,7 @@ def test_a_model_of_the_users_may_include_a_built_in_one(tmp_path: Path) -> None
 COST = """
 import time
 start = time.process_time()
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
 models = Models()
 print(time.process_time() - start)
 """
@@ -425,7 +429,7 @@ def test_loading_reads_no_file_before_it_is_asked_for(copies: int, tmp_path: Pat
         parsed.append(path)
         return read_yaml(path)
 
-    monkeypatch.setattr('dxl_monitor.model_layers.read_yaml', read)
+    monkeypatch.setattr('dxl_monitor.model.layers.read_yaml', read)
     models = Models([tmp_path] if copies else [])
     assert not [path for path in parsed if path.parent == BUILT_IN]
     assert models.get(1020) is not None
@@ -435,12 +439,13 @@ def test_loading_reads_no_file_before_it_is_asked_for(copies: int, tmp_path: Pat
 
 def test_loading_is_cheap_however_many_models_there_are(tmp_path: Path) -> None:
     """Ratio, not seconds: ten times the built-in models must not cost twice as much."""
-    folder = tmp_path / 'dxl_monitor'
-    shutil.copytree(BUILT_IN.parent, folder, ignore=shutil.ignore_patterns('__pycache__'))
+    shutil.copytree(BUILT_IN.parents[1], tmp_path / 'dxl_monitor',
+                    ignore=shutil.ignore_patterns('__pycache__'))
+    files = tmp_path / BUILT_IN.relative_to(BUILT_IN.parents[2])
     few = cost(tmp_path)
-    text = (folder / 'models' / 'xl_320.yaml').read_text(encoding='utf-8')
+    text = (files / 'xl_320.yaml').read_text(encoding='utf-8')
     for n in range(1000):
-        write(folder / 'models', text.replace('350: XL-320', f'{20_000 + n}: Copy {n}'),
+        write(files, text.replace('350: XL-320', f'{20_000 + n}: Copy {n}'),
               f'copy_{n}.yaml')
     assert cost(tmp_path) < 8 * few
 
@@ -477,3 +482,7 @@ def test_the_docs_name_every_file_and_every_key() -> None:
         assert f'`{path.stem}`' in text
     for key in (FIELD_KEYS | FILE_KEYS) - {'fields', 'show'}:
         assert f'`{key}`' in text, key
+
+
+def test_the_board_of_the_thesis_has_its_name_there_too():
+    assert Models().by_name('Core').number == 0xABBA

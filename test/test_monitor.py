@@ -11,17 +11,19 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 import pytest
 
-from dxl_monitor.devices import Device as Expected
+from dxl_monitor.bus.conversation import ANSWER_NS
+from dxl_monitor.bus.conversation import Conversation
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.faults import parse
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.traffic import PATTERNS
-from dxl_monitor.fake_bus import make_devices
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
-from dxl_monitor.report import BusReport
-from dxl_monitor.report import DeviceReport
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
@@ -46,11 +48,13 @@ def damaged(packet: bytes) -> bytes:
 class Bus:
     """A monitor and its time; what is said goes by in chunks of their own."""
 
-    def __init__(self, *expected: Expected, baud: int = 2_000_000, **others: float) -> None:
+    def __init__(self, *expected: Expected, baud: int = 2_000_000, protocol: str = 'auto',
+                 **others: float) -> None:
         limits = {'missed_limit': 4, 'warn_loss': 1.0, 'silent_after': 5.0, **others}
         self.monitor = Monitor('arm', MODELS, Settings(
             baud=baud, devices=expected, missed_limit=int(limits['missed_limit']),
-            warn_loss=limits['warn_loss'], silent_after=limits['silent_after']))
+            warn_loss=limits['warn_loss'], silent_after=limits['silent_after'],
+            protocol=protocol))
         self.now = 100 * SECOND
 
     def hear(self, *chunks: bytes, every_ms: float = 1.0) -> None:
@@ -103,6 +107,9 @@ def test_disconnected_within_six_cycles_and_back_at_once() -> None:
     bus.hear(*[READ] * 6, every_ms=10)
     assert verdict(bus.device()) == (
         'disconnected', Level.ERROR, 'disconnected: 5 answers missed')
+    report = bus.report()
+    assert (report.level, report.message) == (
+        Level.WARN, '0 of 1 devices connected; lost: 001')
     bus.hear(REPLY)
     assert bus.device().state == 'connected'
 
@@ -182,6 +189,12 @@ def test_moved_to_another_baud_rate() -> None:
     assert bus.device().message.startswith('moved to 57600 Bd by a write')
 
 
+def test_moved_to_a_rate_that_its_model_does_not_name() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, encode(1, I.WRITE, b'\x08\0\x63'), encode(1, STATUS, error=0), PING)
+    assert bus.device().message.startswith('moved to an unknown baud rate (code 99) by a write')
+
+
 def test_damage_is_told_by_device_and_by_bus() -> None:
     bus = Bus()
     bus.hear(PING, PONG)
@@ -213,7 +226,7 @@ def test_bytes_without_packets_ask_for_the_baud_rate() -> None:
 
 
 def test_packets_of_protocol_1_are_noticed() -> None:
-    bus = Bus()
+    bus = Bus(protocol='2')
     packet = b'\xff\xff\x01\x04\x02\x24\x02\xd2'
     bus.hear(*[packet] * 200, every_ms=20)
     assert any(incident.kind == 'protocol 1.0' and incident.device == 1
@@ -229,11 +242,28 @@ def test_one_packet_of_protocol_1_is_counted_once() -> None:
     assert bus.report().kinds['protocol 1.0'] == 4
 
 
-def test_an_idle_line_decides_what_is_pending() -> None:
+@pytest.mark.parametrize('cut', range(1, len(REPLY)))
+def test_a_pause_in_delivery_costs_no_answer(cut: int) -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, READ, REPLY[:cut])
+    bus.now += bus.monitor.conversation.idle_ns + 1
+    bus.monitor.flush_if_idle(bus.now)                 # a reader that sees an idle line
+    bus.hear(REPLY[cut:] + READ, every_ms=40)
+    bus.hear(REPLY)
+    counters = bus.report().counters
+    assert (counters['Packets'], counters['Noise Bytes'], counters['Truncated Packets']) == (
+        6, 0, 0)
+    assert (bus.device().totals.answers, bus.device().totals.missed) == (3, 0)
+
+
+def test_a_long_idle_line_decides_what_is_pending() -> None:
     bus = Bus()
     bus.hear(READ[:9])
     assert bus.report().counters['Pending Bytes'] == 9
-    bus.now += bus.monitor.idle_ns + 1
+    bus.now += bus.monitor.conversation.idle_ns + 1
+    bus.monitor.flush_if_idle(bus.now)
+    assert bus.report().counters['Pending Bytes'] == 9
+    bus.now += ANSWER_NS
     bus.monitor.flush_if_idle(bus.now)
     counters = bus.report().counters
     assert (counters['Pending Bytes'], counters['Noise Bytes']) == (0, 9)
@@ -324,9 +354,9 @@ def test_a_told_pause_decides_and_settles() -> None:
 
 
 def test_the_idle_time_is_that_of_the_design() -> None:
-    assert Monitor('', MODELS, Settings(baud=2_000_000)).idle_ns == 20 * MS
-    assert Monitor('', MODELS, Settings(latency_timer_ms=16)).idle_ns == 32 * MS
-    assert Monitor('', MODELS, Settings(baud=9_600)).idle_ns == 20 * 10 * SECOND // 9_600
+    assert Conversation(MODELS, Settings(baud=2_000_000)).idle_ns == 20 * MS
+    assert Conversation(MODELS, Settings(latency_timer_ms=16)).idle_ns == 32 * MS
+    assert Conversation(MODELS, Settings(baud=9_600)).idle_ns == 20 * 10 * SECOND // 9_600
 
 
 def test_rates_and_load() -> None:
@@ -350,7 +380,7 @@ def test_cycles_tell_what_the_master_repeats() -> None:
     cycle = bus.report().cycles[0]
     assert (cycle.instruction, cycle.ids, cycle.address, cycle.asked) == (I.READ, (1,), 132, 10)
     assert {after - before for before, after in pairwise(cycle.stamps)} == {10 * MS}
-    assert bus.device().reads == 10
+    assert bus.device().totals.reads == 10
 
 
 def test_reset_statistics_keeps_what_is_known() -> None:
@@ -377,12 +407,12 @@ def test_no_counter_is_below_zero_after_a_reset() -> None:
     report = bus.report()
     assert {name: count for name, count in report.counters.items() if count} == {
         'Bytes': 9, 'Pending Bytes': 9}
-    assert [(device.reads, device.writes) for device in report.devices] == [(0, 0), (0, 0)]
+    assert [(one.totals.reads, one.totals.writes) for one in report.devices] == [(0, 0), (0, 0)]
     bus.hear(READ[9:])
     report = bus.report()
     assert {name: count for name, count in report.counters.items() if count} == {
         'Bytes': len(READ), 'Packet Bytes': len(READ), 'Packets': 1, 'Instructions': 1}
-    assert report.devices[0].reads == 1
+    assert report.devices[0].totals.reads == 1
     assert not report.kinds.get('unasked answer')
 
 
@@ -477,3 +507,11 @@ def test_the_robot_trace() -> None:
         'Packets', 'Repaired Packets', 'CRC Errors', 'Truncated Packets', 'Bad Lengths')} == {
         'Packets': 8969, 'Repaired Packets': 57, 'CRC Errors': 311, 'Truncated Packets': 26,
         'Bad Lengths': 45}
+
+
+def test_a_bus_names_its_lost_devices() -> None:
+    bus = Bus(Expected(1, 'MX-64', 'knee'), *(Expected(number) for number in range(2, 9)))
+    bus.hear(encode(200, STATUS, error=0))
+    report = bus.report()
+    assert report.level is Level.WARN
+    assert report.message.endswith('; lost: 001 knee, 002, 003, 004, 005 and 3 more')

@@ -5,7 +5,6 @@ from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
-from vel2d_bridge.deadman import SILENCE
 from vel2d_bridge.gate import BURST_FRAMES
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Gate
@@ -16,6 +15,7 @@ from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.gate import Verdict
 from vel2d_bridge.pacer import Pacer
+from vel2d_bridge.watch import SILENCE
 
 START = 5 * SECOND
 DRIVE = Vel2d(0.5, -0.25, 1.0)

@@ -52,7 +52,8 @@ def test_refused_in_one_line(parameter, raw):
 
 
 def test_unknown_names():
-    assert unknown([PORT, BAUD], ['port', 'use_sim_time', 'qos_overrides./x.depth']) == []
+    assert unknown([PORT, BAUD], ['port', 'use_sim_time', 'qos_overrides./x.depth',
+                                  'start_type_description_service']) == []
     assert unknown([PORT, BAUD], ['prot']) == [
         'prot: no such parameter, ignored; did you mean port?']
     assert unknown([PORT, BAUD], ['zzz']) == [

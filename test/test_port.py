@@ -1,11 +1,14 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """Ports: how they are opened, how they are lost, and one line for each mistake of a user."""
+from contextlib import contextmanager
 import errno
 import grp
 import os
 import pathlib
 import re
+import socket
+import struct
 import subprocess
 import sys
 import termios
@@ -13,10 +16,12 @@ import termios
 import pytest
 import serial
 
+from mecarover_serial import port as port_module
 from mecarover_serial import preflight
+from mecarover_serial.holders import holders
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
-from mecarover_serial.port import PortError
+from mecarover_serial.preflight import PortError
 from mecarover_serial.pty import Pty
 
 LINE = re.compile(r'[^\n]+: [^\n]+; [^\n]+')
@@ -138,6 +143,18 @@ def test_unusable_baud(baud):
     assert str(baud) in error.reason
 
 
+def test_a_rate_that_the_driver_falls_back_to_is_no_ceiling(monkeypatch):
+    """As ftdi_sio does at 4 MBd: it gives 9600, and takes 3 MBd."""
+    def tcgets2(fd, request, raw):
+        struct.pack_into('I', raw, 40, 9600)
+
+    monkeypatch.setattr(port_module.fcntl, 'ioctl', tcgets2)
+    with Pty() as pty, pytest.raises(PortError) as caught:
+        port_module._check_rate(pty.path, 0, 4_000_000)
+    assert caught.value.reason == 'asked for 4000000 baud, the driver gives 9600'
+    assert '9600' not in caught.value.remedy
+
+
 def test_loop_url_without_a_descriptor():
     port = open_port('loop://', 9600)
     assert port.fd is None
@@ -149,7 +166,59 @@ def test_loop_url_without_a_descriptor():
     port.close()
 
 
-def test_permission_names_user_groups_and_command(tmp_path):
+@pytest.mark.parametrize(('path', 'words'), [
+    ('/etc/passwd', 'a file'), ('/etc', 'a directory'), ('/dev/null', 'not a serial port'),
+    ('/dev/tty', 'a text console')])
+def test_what_it_is_comes_before_who_may_open_it(path, words):
+    """`sudo chmod g+rw /etc/passwd` was the remedy once."""
+    reason = preflight.why_not(path, PermissionError(errno.EACCES, 'denied'))
+    assert reason.kind == 'not_a_port'
+    assert words in reason.reason
+    assert 'sudo' not in reason.remedy
+
+
+def test_a_name_without_a_uart_behind_it(tmp_path):
+    with Pty() as pty:
+        kind = tmp_path / 'sys/class/tty' / os.path.basename(pty.path) / 'type'
+        kind.parent.mkdir(parents=True)
+        for number, words in (('0', 'no UART is behind this name'), ('4', 'has gone')):
+            kind.write_text(number + '\n')
+            reason = preflight.why_not(pty.path, OSError(errno.EIO, 'error'), tmp_path)
+            assert words in reason.reason
+
+
+def port_of_group(monkeypatch, path, group):
+    """Make a file look like a port of this group: making a device takes root."""
+    path.touch()
+    monkeypatch.setattr(preflight, '_wrong_kind', lambda *_: None)
+    monkeypatch.setattr(grp, 'getgrgid', lambda number: grp.struct_group(
+        (group, 'x', number, [])))
+    return str(path)
+
+
+def test_a_port_as_a_login_leaves_it(tmp_path, monkeypatch):
+    """A getty leaves root:tty behind: joining that group would help nothing."""
+    port = port_of_group(monkeypatch, tmp_path / 'ttyS1', 'tty')
+    error = PermissionError(errno.EACCES, 'denied')
+    reason = preflight.why_not(port, error, tmp_path)
+    assert reason.kind == 'permission'
+    assert 'usermod' not in reason.remedy
+    assert f'sudo udevadm trigger --action=add {port}' in reason.remedy
+    a_process(tmp_path, 812, 'agetty', cmdline='/sbin/agetty\0-o\0-\0vt220\0',
+              cgroup='0::/system.slice/system-serial\\x2dgetty.slice/serial-getty@ttyS1.service\n')
+    reason = preflight.why_not(port, error, tmp_path)
+    assert (reason.kind, reason.reason) == ('console', 'agetty (pid 812) offers a login here')
+
+
+def test_a_pty_of_somebody_else(monkeypatch):
+    with Pty() as pty:
+        reason = preflight.why_not(pty.path, PermissionError(errno.EACCES, 'denied'))
+    assert 'a pty that user' in reason.reason
+    assert 'sudo' not in reason.remedy
+
+
+def test_permission_names_user_groups_and_command(tmp_path, monkeypatch):
+    monkeypatch.setattr(preflight, '_wrong_kind', lambda *_: None)
     port = tmp_path / 'ttyUSB0'
     port.touch()
     os.chown(port, -1, 20) if os.geteuid() == 0 else None
@@ -184,33 +253,69 @@ def test_console_on_the_port(tmp_path):
     assert preflight.warnings(str(root / 'dev/ttyUSB0'), root) == []
 
 
+def a_process(root, pid, name, **files):
+    """Put what /proc tells every user of a process below `root`."""
+    process = root / 'proc' / str(pid)
+    process.mkdir(parents=True)
+    for file, content in {'comm': name + '\n', **files}.items():
+        (process / file).write_text(content)
+    return process
+
+
 def test_login_on_the_port(tmp_path):
     with Pty() as pty:
         root = fake_system(tmp_path, 'laptop')
-        (root / 'proc/77777/fd').mkdir(parents=True)
-        (root / 'proc/77777/comm').write_text('agetty\n')
-        (root / 'proc/77777/fd/0').symlink_to(pty.path)
+        process = a_process(root, 77777, 'agetty')
+        (process / 'fd').mkdir()
+        (process / 'fd/0').symlink_to(pty.path)
         [reason] = preflight.warnings(pty.path, root)
     assert 'agetty (pid 77777)' in reason.reason
     assert 'serial-getty' in reason.remedy
 
 
-def test_login_of_root_as_a_user_sees_it(tmp_path):
-    """Its descriptors are secret then, its command line is not."""
+@pytest.mark.parametrize('shown', [
+    {'cmdline': '/sbin/agetty\0--keep-baud\0ttyAMA0\0vt220\0'},
+    {'cmdline': '/sbin/agetty\0-o\0-p -- \\u\0--keep-baud\0-\0vt220\0',      # systemd 252
+     'cgroup': '0::/system.slice/system-serial\\x2dgetty.slice/serial-getty@ttyAMA0.service\n'}])
+def test_login_of_root_as_a_user_sees_it(tmp_path, shown):
+    """Its descriptors are secret then, its command line and control group are not."""
     root = fake_system(tmp_path, 'Raspberry Pi 4')
-    (root / 'proc/812').mkdir()
-    (root / 'proc/812/comm').write_text('agetty\n')
-    (root / 'proc/812/cmdline').write_text('/sbin/agetty\0--keep-baud\0ttyAMA0\0vt220\0')
+    a_process(root, 812, 'agetty', **shown)
     [reason] = preflight.warnings('/dev/ttyAMA0', root)
     assert 'agetty (pid 812) offers a login here' in reason.reason
     assert preflight.warnings('/dev/ttyAMA1', root) == []
 
 
+def test_a_login_is_seen_by_its_controlling_terminal(tmp_path):
+    """As anybody sees it, whatever started it: field 7 of /proc/PID/stat."""
+    with Pty() as pty, Pty() as other:
+        device = os.stat(pty.path).st_rdev
+        number = os.major(device) << 8 | os.minor(device) & 0xFF | os.minor(device) >> 8 << 20
+        root = fake_system(tmp_path, 'laptop')
+        a_process(root, 90, 'agetty', stat=f'90 (a) getty) S 1 90 90 {number} 90 4194560 0\n')
+        [reason] = preflight.warnings(pty.path, root)
+        assert 'agetty (pid 90) offers a login here' in reason.reason
+        assert preflight.warnings(other.path, root) == []
+
+
+def test_a_real_process_is_seen_by_its_controlling_terminal(tmp_path):
+    """The kernel's own encoding of the number, with every descriptor of the pty closed."""
+    code = ('import os, sys; os.setsid(); f = os.open(sys.argv[1], os.O_RDWR); os.close(f); '
+            'print(flush=True); sys.stdin.read()')
+    with Pty() as pty, subprocess.Popen([sys.executable, '-c', code, pty.path],
+                                        stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        assert [one.name for one in holders(pty.path)
+                if f'(pid {process.pid})' in one.name] != []
+        process.stdin.close()
+
+
 def test_joined_the_group_after_the_session_began(tmp_path, monkeypatch):
     port = tmp_path / 'ttyUSB0'
     port.touch()
+    monkeypatch.setattr(preflight, '_wrong_kind', lambda *_: None)
     monkeypatch.setattr(preflight, '_user_name', lambda: 'robot')
-    monkeypatch.setattr(preflight.grp, 'getgrgid', lambda number: grp.struct_group(
+    monkeypatch.setattr(grp, 'getgrgid', lambda number: grp.struct_group(
         ('dialout', 'x', 20, ['robot']) if number == port.stat().st_gid else
         ('users', 'x', number, [])))
     monkeypatch.setattr(preflight.os, 'getgroups', lambda: [100])
@@ -243,3 +348,26 @@ def test_backoff():
     assert [backoff.next() for _ in range(6)] == [0.2, 0.4, 0.8, 1.6, 2.0, 2.0]
     backoff.reset()
     assert backoff.next() == 0.2
+
+
+@pytest.mark.parametrize(('size', 'pending'), [(56, 0), (84, 84)])
+def test_what_a_peer_does_not_confirm_is_pending_and_dropped_with_the_connection(size, pending):
+    """Two frames may wait: many confirm each second one only."""
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        port = open_port(f'socket://127.0.0.1:{server.getsockname()[1]}', 115200)
+        peer, _ = server.accept()
+        with peer, mute(port.fd):
+            assert port.write(bytes(size)) == size
+            assert port.pending() == pending
+            with pytest.raises(PortError, match='its peer confirms nothing'):
+                port.drop_output()
+        port.close()
+
+
+@contextmanager
+def mute(fd):
+    """Let nothing out of a socket: what is written to it waits there."""
+    with socket.socket(fileno=os.dup(fd)) as own:
+        own.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 0)
+        own.setsockopt(socket.IPPROTO_TCP, socket.TCP_CORK, 1)
+        yield

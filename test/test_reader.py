@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The process that reads for a tap: complete, ended with the node, replaced, done without."""
+"""The process that reads for a listener: complete, ended with the node, replaced, done without."""
 
 from collections.abc import Iterator
 import os
@@ -14,12 +14,12 @@ import sys
 import threading
 
 import pytest
-from test_tap import Listener
-from test_tap import wait_for
+from test_listener import Ear
+from test_listener import wait_for
 
-from dxl_monitor import reader
-from dxl_monitor import reader_process
-from dxl_monitor.tap import Tap
+from dxl_monitor.port import reader
+from dxl_monitor.port import reader_process
+from dxl_monitor.port.listener import Listener
 from mecarover_serial.pty import Pty
 
 pytestmark = pytest.mark.alone
@@ -34,12 +34,12 @@ def cable() -> Iterator[Pty]:
 
 
 @pytest.fixture
-def listener(cable: Pty) -> Iterator[Listener]:
-    listener = Listener(cable.path)
-    wait_for(lambda: listener.tap.reader_pid, 'a reader')
-    yield listener
-    if listener.tap.state.kind != 'stopped':
-        listener.tap.stop()
+def ear(cable: Pty) -> Iterator[Ear]:
+    ear = Ear(cable.path)
+    wait_for(lambda: ear.listener.reader_pid, 'a reader')
+    yield ear
+    if ear.listener.state.kind != 'stopped':
+        ear.listener.stop()
 
 
 def send(cable: Pty, data: bytes) -> None:
@@ -56,30 +56,31 @@ def is_running(pid: int) -> bool:
         return False
 
 
-def pid_of(listener: Listener) -> int:
-    wait_for(lambda: listener.tap.reader_pid, 'a reader')
-    assert listener.tap.reader_pid is not None
-    return listener.tap.reader_pid
+def pid_of(ear: Ear) -> int:
+    wait_for(lambda: ear.listener.reader_pid, 'a reader')
+    assert ear.listener.reader_pid is not None
+    return ear.listener.reader_pid
 
 
 @pytest.mark.parametrize('in_thread', [False, True], ids=['process', 'thread'])
 def test_equal_bytes_in_equal_order(cable: Pty, in_thread: bool) -> None:
     chunks: list[tuple[bytes, int]] = []
-    tap = Tap(cable.path, 2_000_000, lambda *chunk: chunks.append(chunk), in_thread=in_thread)
-    tap.start()
-    wait_for(lambda: tap.state.is_open, 'open')
+    listener = Listener(cable.path, 2_000_000, lambda *chunk: chunks.append(chunk),
+                        in_thread=in_thread)
+    listener.start()
+    wait_for(lambda: listener.state.is_open, 'open')
     sent = random.Random(4).randbytes(300_000)
     send(cable, sent)
-    wait_for(lambda: tap.counters.bytes == len(sent), 'all bytes')
-    tap.stop()
+    wait_for(lambda: listener.counters.bytes == len(sent), 'all bytes')
+    listener.stop()
     assert b''.join(chunk for chunk, _ in chunks) == sent
     stamps = [stamp for _, stamp in chunks]
     assert stamps == sorted(stamps)
-    assert tap.counters.reads == len(chunks)
+    assert listener.counters.reads == len(chunks)
 
 
-def test_only_the_process_reads_and_nobody_can_write(cable: Pty, listener: Listener) -> None:
-    pid = pid_of(listener)
+def test_only_the_process_reads_and_nobody_can_write(cable: Pty, ear: Ear) -> None:
+    pid = pid_of(ear)
     wait_for(lambda: 'dxl_reader' in Path(f'/proc/{pid}/comm').read_text(), 'its name')
     flags = {}
     for entry in Path(f'/proc/{pid}/fd').iterdir():
@@ -91,68 +92,68 @@ def test_only_the_process_reads_and_nobody_can_write(cable: Pty, listener: Liste
         cable.path, 'pipe', os.devnull}, 'it holds what is none of its business'
 
 
-def test_ends_at_once_with_its_tap(cable: Pty, listener: Listener) -> None:
-    pid = pid_of(listener)
-    listener.tap.stop()
+def test_ends_at_once_with_its_listener(cable: Pty, ear: Ear) -> None:
+    pid = pid_of(ear)
+    ear.listener.stop()
     assert not is_running(pid)
-    assert not [one for one in threading.enumerate() if one.name.startswith('tap')]
+    assert not [one for one in threading.enumerate() if one.name.startswith('listener')]
 
 
 def test_ends_when_nobody_takes_what_it_says(cable: Pty) -> None:
-    """A reader that waits for room in its pipe must not outlive the tap, nor hold it up."""
+    """A reader that waits for room in its pipe must not outlive the listener, nor hold it up."""
     entered, leave = threading.Event(), threading.Event()
-    tap = Tap(cable.path, 2_000_000, lambda *_: entered.set() or leave.wait(20.0))
-    tap.start()
-    wait_for(lambda: tap.reader_pid, 'a reader')
-    pid = tap.reader_pid or 0
+    listener = Listener(cable.path, 2_000_000, lambda *_: entered.set() or leave.wait(20.0))
+    listener.start()
+    wait_for(lambda: listener.reader_pid, 'a reader')
+    pid = listener.reader_pid or 0
     send(cable, bytes(10))
     assert entered.wait(20.0)
     while select.select([], [cable.master], [], 0.5)[1]:        # until pipe and pty are full
         os.write(cable.master, bytes(4096))
     leave.set()
-    tap.stop()
+    listener.stop()
     assert not is_running(pid)
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_leaves_endings_to_the_node(cable: Pty, listener: Listener, number: int) -> None:
-    pid = pid_of(listener)
+def test_leaves_endings_to_the_node(cable: Pty, ear: Ear, number: int) -> None:
+    pid = pid_of(ear)
     send(cable, b'ready')
-    wait_for(lambda: listener.data, 'bytes')
+    wait_for(lambda: ear.data, 'bytes')
     os.kill(pid, number)
     send(cable, b' still')
-    wait_for(lambda: listener.data == b'ready still', 'more bytes')
-    assert listener.tap.reader_pid == pid
+    wait_for(lambda: ear.data == b'ready still', 'more bytes')
+    assert ear.listener.reader_pid == pid
 
 
-def test_a_killed_one_is_replaced_and_nothing_lost(cable: Pty, listener: Listener) -> None:
+def test_a_killed_one_is_replaced_and_nothing_lost(cable: Pty, ear: Ear) -> None:
     sent = b''
     for round_ in range(3):
         sent += bytes([round_]) * 500
         send(cable, sent[-500:])
-        _wait_for_bytes(listener, len(sent))
-        _kill_reader(listener)
-        assert 'its reader ended with signal 9' in listener.tap.state.text
-        assert listener.tap.state.is_open
-    assert listener.data == sent
-    assert listener.tap.counters.openings == 1
+        _wait_for_bytes(ear, len(sent))
+        _kill_reader(ear)
+        assert 'its reader ended with signal 9' in ear.listener.state.text
+        assert ear.listener.state.is_open
+    assert ear.data == sent
+    assert ear.listener.counters.openings == 1
 
 
-def _wait_for_bytes(listener: Listener, count: int) -> None:
-    wait_for(lambda: len(listener.data) == count, f'{count} bytes')
+def _wait_for_bytes(ear: Ear, count: int) -> None:
+    wait_for(lambda: len(ear.data) == count, f'{count} bytes')
 
 
-def _kill_reader(listener: Listener) -> None:
-    pid = pid_of(listener)
+def _kill_reader(ear: Ear) -> None:
+    pid = pid_of(ear)
     os.kill(pid, signal.SIGKILL)
-    wait_for(lambda: listener.tap.reader_pid not in (pid, None), 'another')
+    wait_for(lambda: ear.listener.reader_pid not in (pid, None), 'another')
 
 
 def test_none_is_left_when_the_node_is_killed(cable: Pty) -> None:
-    program = ('import sys, time; from dxl_monitor.tap import Tap\n'
-               f'tap = Tap({cable.path!r}, 2000000, lambda *_: None); tap.start()\n'
-               'while not tap.reader_pid: time.sleep(0.01)\n'
-               'print(tap.reader_pid, flush=True); time.sleep(100)')
+    program = ('import sys, time; from dxl_monitor.port.listener import Listener\n'
+               f'listener = Listener({cable.path!r}, 2000000, lambda *_: None); listener.start()\n'
+               'while not listener.reader_pid: time.sleep(0.01)\n'
+               'print(listener.reader_pid, flush=True); time.sleep(100)')
     with subprocess.Popen([sys.executable, '-c', program], text=True, stdout=subprocess.PIPE,
                           cwd=Path(__file__).parents[1]) as node:
         assert node.stdout is not None
@@ -167,14 +168,14 @@ def test_none_is_left_when_the_node_is_killed(cable: Pty) -> None:
 def test_without_a_process_the_thread_reads_and_says_so(
         cable: Pty, monkeypatch: pytest.MonkeyPatch, program: str, reason: str) -> None:
     monkeypatch.setattr(reader_process.sys, 'executable', program)
-    listener = Listener(cable.path)
-    wait_for(lambda: 'without a process' in listener.tap.state.text, 'the reason')
-    assert reason in listener.tap.state.text
-    assert listener.tap.state.is_open
+    ear = Ear(cable.path)
+    wait_for(lambda: 'without a process' in ear.listener.state.text, 'the reason')
+    assert reason in ear.listener.state.text
+    assert ear.listener.state.is_open
     send(cable, b'heard')
-    wait_for(lambda: listener.data == b'heard', 'bytes')
-    assert listener.tap.reader_pid is None
-    listener.tap.stop()
+    wait_for(lambda: ear.data == b'heard', 'bytes')
+    assert ear.listener.reader_pid is None
+    ear.listener.stop()
 
 
 def test_few_descriptors_are_no_end_and_none_is_lost(cable: Pty) -> None:
@@ -186,27 +187,27 @@ def test_few_descriptors_are_no_end_and_none_is_lost(cable: Pty) -> None:
 
 
 def _state_with_descriptors(cable: Pty, spare: int) -> str:
-    """Return how a tap gets on that can open so many more descriptors."""
-    tap = Tap(cable.path, 2_000_000, lambda chunk, stamp: None)
+    """Return how a listener gets on that can open so many more descriptors."""
+    listener = Listener(cable.path, 2_000_000, lambda chunk, stamp: None)
 
     def state() -> str:
-        if tap.reader_pid:
+        if listener.reader_pid:
             return 'process'
-        if tap.state.is_open:
-            return 'thread' if 'without a process' in tap.state.text else ''
-        return '' if tap.state.kind == 'starting' else 'closed'
+        if listener.state.is_open:
+            return 'thread' if 'without a process' in listener.state.text else ''
+        return '' if listener.state.kind == 'starting' else 'closed'
 
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     lowest = os.dup(0)
     os.close(lowest)
     resource.setrlimit(resource.RLIMIT_NOFILE, (lowest + spare, hard))
     try:
-        tap.start()
+        listener.start()
         wait_for(state, f'a state with {spare} descriptors')
         return state()
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        tap.stop()
+        listener.stop()
 
 
 class Line:

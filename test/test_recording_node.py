@@ -9,7 +9,7 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.capture import Reader
+from dxl_monitor.record.capture import Reader
 
 pytestmark = pytest.mark.ros
 DEVICES = "['1-3:MX-106']"
@@ -24,7 +24,7 @@ def monitor(port, **parameters):
 
 
 def fake_bus(link, *arguments):
-    return Program('dxl_monitor.fake_bus', '--link', str(link), *arguments)
+    return Program('dxl_monitor.fake.fake_bus', '--link', str(link), *arguments)
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def test_a_capture_of_the_node_replayed_to_the_node(tmp_path, heard):
     assert size > 1000
     heard.statuses.clear()
     link = tmp_path / 'replayed'
-    with Program('dxl_monitor.replay', str(path), '--link', str(link), '--stay') as replay, \
+    with Program('dxl_monitor.tools.replay', str(path), '--link', str(link), '--stay') as replay, \
             monitor(link, devices=DEVICES):
         replay.wait_for('played')
         heard.wait_status('dxl_monitor: bus', f'Bytes={size}')

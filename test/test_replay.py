@@ -12,23 +12,24 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.capture import Moment
-from dxl_monitor.capture import Reader
-from dxl_monitor.capture import Wire
-from dxl_monitor.capture import Writer
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.faults import parse
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.traffic import PATTERNS
-from dxl_monitor.fake_bus import make_devices
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
-from dxl_monitor.report import BusReport
-from dxl_monitor.tap import Tap
+from dxl_monitor.port.listener import Listener
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import Reader
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.capture import Writer
 
 pytestmark = pytest.mark.alone
 
+REPLAY = 'dxl_monitor.tools.replay'
 MODELS = Models()
 SECOND = 1_000_000_000
 BAUD = 1_000_000
@@ -95,23 +96,23 @@ def judged(report: BusReport):
 
 
 class Ear:
-    """A tap and a monitor on a port, as the node has them."""
+    """A listener and a monitor on a port, as the node has them."""
 
     def __init__(self, path: Path) -> None:
         self.monitor = Monitor('bus', MODELS, Settings(baud=BAUD))
         self._last = 0
-        self.tap = Tap(str(path), BAUD, self._hear, self.monitor.flush_if_idle)
+        self.listener = Listener(str(path), BAUD, self._hear, self.monitor.flush_if_idle)
 
     def _hear(self, data: bytes, stamp: int) -> None:
         self._last = stamp
         self.monitor.feed(data, stamp)
 
     def __enter__(self) -> 'Ear':
-        self.tap.start()
+        self.listener.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.tap.stop()
+        self.listener.stop()
 
     def report(self, later: int = 2 * SECOND) -> BusReport:
         return self.monitor.report(self._last + later)
@@ -121,12 +122,12 @@ def test_the_monitor_on_a_replay_reports_what_it_reported_live(tmp_path) -> None
     chunks = run('silent:3:0.5:0.5', seconds=1.5)
     path, link = tmp_path / 'bus.txt', tmp_path / 'bus'
     path.write_bytes(capture(chunks))
-    with Program('dxl_monitor.replay', str(path), '--link', str(link)) as replay:
+    with Program(REPLAY, str(path), '--link', str(link)) as replay:
         replay.wait_for('waiting for a reader')
         with Ear(link) as ear:
             replay.wait_for('played')
             size = sum(len(data) for data, _ in chunks)
-            wait(lambda: ear.tap.counters.bytes == size)
+            wait(lambda: ear.listener.counters.bytes == size)
             heard = ear.report()
         assert replay.exit_code() == 0
     live = listen(chunks)
@@ -140,9 +141,9 @@ def test_faster_and_again_and_again(tmp_path) -> None:
     path, link = tmp_path / 'bus.txt', tmp_path / 'bus'
     path.write_bytes(capture(chunks))
     size = sum(len(data) for data, _ in chunks)
-    with Program('dxl_monitor.replay', str(path), '--link', str(link), '--speed', '0',
+    with Program(REPLAY, str(path), '--link', str(link), '--speed', '0',
                  '--loop') as replay, Ear(link) as ear:
-        wait(lambda: ear.tap.counters.bytes > 3 * size)
+        wait(lambda: ear.listener.counters.bytes > 3 * size)
         assert ear.report(later=0).counters['Noise Bytes'] == 0
         replay.signal(signal.SIGINT)
         assert replay.exit_code() == 0
@@ -157,10 +158,10 @@ def test_every_bus_has_its_pty(tmp_path) -> None:
         writer.take(Wire('left', BAUD), b'\x01', 10 + number)
         writer.take(Wire('right/arm', BAUD), b'\x02\x03', 10 + number)
     path.write_bytes(file.getvalue())
-    with Program('dxl_monitor.replay', str(path), '--link', str(link), '--stay') as replay:
+    with Program(REPLAY, str(path), '--link', str(link), '--stay') as replay:
         replay.wait_for('waiting')
         with Ear(tmp_path / 'bus_left') as left, Ear(tmp_path / 'bus_right%2Farm') as right:
-            wait(lambda: left.tap.counters.bytes == 3 and right.tap.counters.bytes == 6)
+            wait(lambda: left.listener.counters.bytes == 3 and right.listener.counters.bytes == 6)
             replay.wait_for('played 6 chunks, 9 bytes')
         replay.signal(signal.SIGTERM)
         assert replay.exit_code() == 0
@@ -170,11 +171,11 @@ def test_raw_bytes_play_at_the_speed_of_the_wire(tmp_path) -> None:
     chunks = run(seconds=0.5)
     path, link = tmp_path / 'bus.bin', tmp_path / 'bus'
     path.write_bytes(b''.join(data for data, _ in chunks))
-    with Program('dxl_monitor.replay', str(path), '--link', str(link), '-b', str(BAUD)) as replay:
+    with Program(REPLAY, str(path), '--link', str(link), '-b', str(BAUD)) as replay:
         replay.wait_for('waiting')
         with Ear(link) as ear:
             replay.wait_for('played')
-            wait(lambda: ear.tap.counters.bytes == path.stat().st_size)
+            wait(lambda: ear.listener.counters.bytes == path.stat().st_size)
             assert ear.report().counters['Noise Bytes'] == 0
 
 
@@ -197,7 +198,7 @@ def test_mistakes_are_one_line(tmp_path, arguments, line, code) -> None:
     Path(names['capture']).write_bytes(capture(run(seconds=0.1)))
     Path(names['empty']).write_bytes(capture([]))
     os.mkfifo(names['pipe'])
-    with Program('dxl_monitor.replay', *(text.format(**names) for text in arguments)) as replay:
+    with Program(REPLAY, *(text.format(**names) for text in arguments)) as replay:
         assert replay.exit_code() == code
     [said] = replay.lines
     assert said.startswith(f'dxl_replay: {line.format(**names)}')     # the name of the command
@@ -207,7 +208,7 @@ def test_a_file_in_the_place_of_the_link_stays(tmp_path) -> None:
     path, link = tmp_path / 'bus.txt', tmp_path / 'notes'
     path.write_bytes(capture(run(seconds=0.1)))
     link.write_text('keep me')
-    with Program('dxl_monitor.replay', str(path), '--link', str(link)) as replay:
+    with Program(REPLAY, str(path), '--link', str(link)) as replay:
         assert replay.exit_code() == 1
     assert link.read_text() == 'keep me'
     assert stat.S_ISREG(os.lstat(link).st_mode)

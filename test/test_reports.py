@@ -7,6 +7,7 @@ from math import nan
 
 import pytest
 
+from msg_defs.reports import hardware_id
 from msg_defs.reports import headline
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
@@ -49,6 +50,15 @@ def test_worst_level_ranks_silence_between_warning_and_error():
 def test_status_names_leave_out_the_bus_of_a_single_bus():
     assert status_name('dxl_monitor', '', '011') == 'dxl_monitor: 011'
     assert status_name('dxl_monitor', 'arm', '011') == 'dxl_monitor: arm/011'
+
+
+def test_names_and_hardware_ids_carry_the_namespace():
+    assert status_name('rover1/dxl_monitor', 'arm', '011') == 'rover1/dxl_monitor: arm/011'
+    assert hardware_id('dxl_monitor', '', '11') == '11'
+    assert hardware_id('dxl_monitor', 'arm', '11') == 'arm/11'
+    assert hardware_id('a/b/dxl_monitor', 'arm', '11') == 'a/b/arm/11'
+    assert hardware_id('vel2d_bridge', '/dev/ttyAMA0') == '/dev/ttyAMA0'
+    assert hardware_id('rover1/vel2d_bridge', '/dev/ttyAMA0') == 'rover1/dev/ttyAMA0'
 
 
 def test_topic_names_are_legal_and_kept_apart():

@@ -74,22 +74,35 @@ def test_any_text_is_made_safe(ros, text, arrives):
     assert {got.name, got.message, got.hardware_id, pair.key, pair.value} == {arrives}
 
 
-def test_at_most_twenty_statuses_and_64_kilobytes_in_a_message(ros):
+def test_equal_slices_of_at_most_thirty_statuses_and_64_kilobytes(ros):
     from rclpy.serialization import serialize_message
     values = [(f'Register {i} (rad)', 'ü' * 20) for i in range(70)]
     statuses = [status(i, values=values) for i in range(253)]
     arrays = build(ros, statuses)
     assert [item.hardware_id for array in arrays for item in array.status] == [
         str(i) for i in range(253)]
-    assert all(len(array.status) <= 20 for array in arrays)
+    assert {len(array.status) for array in arrays} == {11}
     assert all(len(serialize_message(array)) < 64_000 for array in arrays)
     small = build(ros, [status(i) for i in range(41)])
-    assert [len(array.status) for array in small] == [20, 20, 1]
+    assert [len(array.status) for array in small] == [20, 21]
+    assert [len(array.status) for array in build(ros, [status(i) for i in range(30)])] == [30]
 
 
-def test_a_status_that_is_too_large_comes_alone(ros):
+def test_a_status_says_in_which_slice_it_stands(ros):
+    [one] = build(ros, [status(i) for i in range(21)])
+    assert 'part' not in {pair.key for each in one.status for pair in each.values}
+    for count, parts in ((31, 2), (61, 3), (253, 9)):
+        arrays = build(ros, [status(i) for i in range(count)])
+        assert [[(each.values[-1].key, each.values[-1].value) for each in array.status]
+                for array in arrays] == [[('part', f'{number} of {parts}')] * len(array.status)
+                                         for number, array in enumerate(arrays, start=1)]
+        assert len(arrays) == parts
+
+
+def test_a_status_that_is_too_large_takes_nothing_from_the_others(ros):
     large = status(1, values=[('key', 'x' * 70_000)])
     assert [len(array.status) for array in build(ros, [status(0), large, status(2)])] == [1, 1, 1]
+    assert [len(array.status) for array in build(ros, [large])] == [1]
 
 
 def test_nothing_to_say_is_no_message(ros):
@@ -149,8 +162,8 @@ class RecordingNode:
         self.types = {}
         self.published = {}
 
-    def get_name(self):
-        return self.name
+    def get_fully_qualified_name(self):
+        return f'/{self.name}'
 
     def create_publisher(self, kind, topic, depth):
         assert topic not in self.types, 'a publisher is made once'
@@ -199,23 +212,25 @@ def metric(name='write', unit='ms', values=(1.0, 2.0, 3.0), **more):
     return Metric(name, unit, series.summary(0), series.total(), **more)
 
 
-def publish(ros, metrics, prefix='dxl', buses=()):
+def publish(ros, metrics, prefix='dxl', buses=(), topics='all'):
     node = RecordingNode(f'{prefix}_node')
-    publisher = ros.TimingPublisher(node, prefix, buses)
+    publisher = ros.TimingPublisher(node, prefix, topics, buses)
     publisher.publish(metrics, 100 * S)
     publisher.publish(metrics, 101 * S)
     return node
 
 
 def test_timing_topics_of_a_node_without_buses(ros, monkeypatch):
-    monkeypatch.setattr(ros, 'statistics_msgs', None)
+    monkeypatch.setattr(ros, 'statistics_msgs', STAND_IN)
     node = publish(ros, [metric(), Metric('frame_rate', 'Hz', value=20.0),
-                         Metric('stamp_age', 'ms')], prefix='vel2d')
+                         Metric('stamp_age', 'ms')], prefix='vel2d', topics='headline')
     assert {topic: kind.__name__ for topic, kind in node.types.items()} == {
         'vel2d/timing': 'DiagnosticArray',
         'vel2d/timing/write_ms': 'Float64',
         'vel2d/timing/frame_rate_hz': 'Float64',
+        'vel2d/timing/stamp_age_ms': 'Float64',
     }
+    assert node.published['vel2d/timing/stamp_age_ms'] == []
     array = over_the_wire(node.published['vel2d/timing'][1])
     assert array.header.stamp.sec == 101
     assert [item.name for item in array.status] == [
@@ -236,6 +251,10 @@ def test_timing_topics_of_several_buses_with_devices(ros, monkeypatch):
     }
     names = [item.name for item in node.published['dxl/timing'][0].status]
     assert names[2] == 'dxl_node: timing/left arm/011/reply_latency'
+
+
+def test_no_timing_topics(ros):
+    assert publish(ros, [metric()], topics='off').types == {}
 
 
 def test_metrics_message_follows_rclcpp(ros, monkeypatch):
@@ -268,6 +287,6 @@ def test_metrics_message_says_nan_where_there_is_no_data(ros, monkeypatch):
 def test_no_figure_is_published_that_is_no_number(ros, monkeypatch, value):
     monkeypatch.setattr(ros, 'statistics_msgs', STAND_IN)
     node = publish(ros, [Metric('frame_rate', 'Hz', value=value)])
-    assert 'dxl/timing/frame_rate_hz' not in node.types
+    assert node.published['dxl/timing/frame_rate_hz'] == []
     [message, _] = node.published['dxl/statistics/frame_rate']
     assert all(isnan(point.data) or point.data == 0 for point in message.statistics)

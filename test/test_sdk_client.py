@@ -14,17 +14,17 @@ from typing import Any
 
 import pytest
 
-from dxl_monitor.devices import parse_all
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.shell import FakeBus
 from dxl_monitor.fake.traffic import none
-from dxl_monitor.fake_bus import make_devices
-from dxl_monitor.models import Models
+from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
-from dxl_monitor.report import DeviceReport
-from dxl_monitor.tap import Tap
+from dxl_monitor.port.listener import Listener
 
 try:
     import dynamixel_sdk as sdk
@@ -54,9 +54,10 @@ class Bench:
         self.bus = FakeBus(Master(Line(devices, BAUD), none), tap=True)
         assert self.bus.tap is not None
         self.monitor = Monitor('bus', MODELS, Settings(BAUD, tuple(parse_all(ENTRIES))))
-        self.tap = Tap(self.bus.tap.path, BAUD, self.monitor.feed, self.monitor.flush_if_idle)
-        self.tap.start()
-        self.wait_for(lambda: self.tap.state.is_open, 'the tap')
+        self.listener = Listener(self.bus.tap.path, BAUD, self.monitor.feed,
+                                 self.monitor.flush_if_idle)
+        self.listener.start()
+        self.wait_for(lambda: self.listener.state.is_open, 'the listener')
         self.bus.start()
         self.port = sdk.PortHandler(self.bus.path)
         assert self.port.setBaudRate(BAUD)
@@ -64,7 +65,7 @@ class Bench:
 
     def close(self) -> None:
         self.port.closePort()
-        self.tap.stop()
+        self.listener.stop()
         self.bus.stop()
 
     def wait_for(self, condition: Callable[[], Any], what: str) -> None:
@@ -97,7 +98,8 @@ class Bench:
         """Return what the monitor says once it has heard all that was on the bus."""
         tap = self.bus.tap
         assert tap is not None
-        self.wait_for(lambda: self.tap.counters.bytes == tap.taken, 'the tap to have read all')
+        self.wait_for(lambda: self.listener.counters.bytes == tap.taken,
+                      'the listener to have read all')
         report = self.monitor.report(time.monotonic_ns())
         return next(device for device in report.devices if device.id == number)
 

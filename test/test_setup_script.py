@@ -46,7 +46,7 @@ def tree(tmp_path):
     return tmp_path
 
 
-def setup(tree, code=0, stdout=subprocess.PIPE, **more):
+def run_setup(tree, code=0, stdout=subprocess.PIPE, **more):
     environment = {**os.environ, **more}
     environment.pop('ROS_DISTRO', None)
     done = subprocess.run([tree / 'scripts/setup'], stdout=stdout, stderr=subprocess.STDOUT,
@@ -56,16 +56,16 @@ def setup(tree, code=0, stdout=subprocess.PIPE, **more):
 
 
 def test_a_log_gets_a_line_for_every_tenth_package(tree):
-    assert [line.partition(' (')[0] for line in setup(tree)] == [
+    assert [line.partition(' (')[0] for line in run_setup(tree)] == [
         'setup: installing dashboard ros into .venv, once',
         'setup:   10 packages found', 'setup:   20 packages found',
         'setup:   25 packages found, installing them', 'setup: done']
-    assert setup(tree) == []            # it is all there
+    assert run_setup(tree) == []            # it is all there
 
 
 def test_a_terminal_gets_one_line_that_is_written_again(tree):
     master, slave = pty.openpty()
-    setup(tree, stdout=slave, INSTALLING_S='2')
+    run_setup(tree, stdout=slave, INSTALLING_S='2')
     os.close(slave)
     text = os.read(master, 100_000).decode()
     os.close(master)
@@ -79,5 +79,5 @@ def test_a_terminal_gets_one_line_that_is_written_again(tree):
 
 
 def test_a_failure_is_one_line_at_the_end(tree):
-    lines = setup(tree, code=1, FAILS='yes')
+    lines = run_setup(tree, code=1, FAILS='yes')
     assert lines[-1] == 'setup: pip failed: ERROR: no such package; is there a network?'

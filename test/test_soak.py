@@ -47,7 +47,7 @@ def child_of(pid, module):
 
 
 def test_what_exceeds_a_limit_is_a_problem(ros):
-    from benchmark import soak
+    from rigs import soak
     names = ('growth of memory, bridge', 'faults', 'nodes ended')
     assert soak.problems([Figure('soak', name, '', [5.0]) for name in names]) == [
         'nodes ended: 5, at most 0 is right']
@@ -55,10 +55,10 @@ def test_what_exceeds_a_limit_is_a_problem(ros):
 
 
 def test_what_proves_nothing_is_a_problem(ros):
-    from benchmark import soak
+    from rigs import soak
     assert soak.problems([Figure('soak', name, '', [0.0]) for name in ('drives', 'faults')]) == [
         'drives: 0, less than 1 proves nothing']
-    from benchmark.soak_figures import figures
+    from rigs.soak_figures import figures
     assert any('growth of memory' in line for line in soak.problems(figures({}, [], {})))
 
 
@@ -96,7 +96,7 @@ def said(hearing, stamp, topic, name, level=0, **values):
 
 
 def all_said(hearing, stamp, *but):
-    from benchmark.soak_watch import WANTED
+    from rigs.soak_watch import WANTED
     for topic, name in WANTED:
         if (topic, name) not in but:
             state = {} if not name[-3:].isdigit() else {'State': 'connected'}
@@ -105,7 +105,7 @@ def all_said(hearing, stamp, *but):
 
 @pytest.fixture
 def hearing(ros):
-    from benchmark.soak_watch import Hearing
+    from rigs.soak_watch import Hearing
     return Hearing()
 
 
@@ -153,7 +153,7 @@ def test_only_a_freeze_or_a_lost_port_explains_a_late_drive(hearing):
 
 
 def test_a_machine_that_stands_still_buys_time(ros, monkeypatch):
-    from benchmark.soak_watch import Machine
+    from rigs.soak_watch import Machine
     machine = Machine([])
     machine.stop()
     monkeypatch.setattr(machine, 'held_s', lambda: 5.0)

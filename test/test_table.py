@@ -7,17 +7,17 @@ import struct
 
 import pytest
 
-from dxl_monitor.control_table import Field
-from dxl_monitor.control_table import Indirect
-from dxl_monitor.control_table import Model
-from dxl_monitor.models import Models
-from dxl_monitor.table import Observed
-from dxl_monitor.table import READ
-from dxl_monitor.table import SIZE_LIMIT
-from dxl_monitor.table import size_of
-from dxl_monitor.table import SPAN_LIMIT
-from dxl_monitor.table import Table
-from dxl_monitor.table import WRITTEN
+from dxl_monitor.bus.table import Observed
+from dxl_monitor.bus.table import READ
+from dxl_monitor.bus.table import SIZE_LIMIT
+from dxl_monitor.bus.table import size_of
+from dxl_monitor.bus.table import SPAN_LIMIT
+from dxl_monitor.bus.table import Table
+from dxl_monitor.bus.table import WRITTEN
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Indirect
+from dxl_monitor.model.control_table import Model
+from dxl_monitor.model.models import Models
 
 SECOND = 10**9
 
@@ -46,8 +46,8 @@ def test_value_age_and_source() -> None:
 def test_nothing_is_made_up() -> None:
     table, model = Table(), servo()
     assert table.observed(model, 0) == []
-    assert table.value_of(model, 'Present Position') is None
-    assert table.value_of(model, 'No Such Register') is None
+    assert table.observed_field(model, 'Present Position', 0) is None
+    assert table.observed_field(model, 'No Such Register', 0) is None
     assert table.byte(0) is None
     assert table.bytes(0, 2) is None
 
@@ -59,7 +59,7 @@ def test_a_half_observed_value_is_never_shown(missing: int) -> None:
         if n != missing:
             table.store(132 + n, b'\x01', 1, READ)
     assert seen(table, model) == {}
-    assert table.value_of(model, 'Present Position') is None
+    assert table.observed_field(model, 'Present Position', 0) is None
     table.store(132 + missing, b'\x01', 1, READ)
     assert list(seen(table, model)) == ['Present Position']
 
@@ -133,10 +133,10 @@ def test_an_indirect_read_shows_under_the_real_name(name: str, firmware: int | N
         assert (position.value.raw, position.source) == (raw, 'r')
         assert position.age_s == 5 - stamp
     assert not any(field.startswith('Indirect Data') for field in seen(table, model))
-    assert table.value_of(model, 'Present Position') == position.value
+    assert table.observed_field(model, 'Present Position', 5 * SECOND) == position
 
 
-def test_indirect_data_stay_raw_while_nobody_knows_where_they_point() -> None:
+def test_indirect_data_stay_raw_while_it_is_unknown_where_they_point() -> None:
     table, model = Table(), servo()
     table.store(224, b'\x05\x06', 1, READ)
     assert {name: o.value.text for name, o in seen(table, model).items()} == {
@@ -147,13 +147,13 @@ def test_indirect_data_older_than_their_address_are_not_taken_for_its_target() -
     table, model = Table(), servo()
     point(table, model, 1, [146], 1)
     table.store(224, b'\x2a', 2, READ)
-    assert table.value_of(model, 'Present Temperature') is not None
+    assert table.observed_field(model, 'Present Temperature', 0) is not None
     point(table, model, 1, [65], 3)
-    assert table.value_of(model, 'LED') is None
+    assert table.observed_field(model, 'LED', 0) is None
     table.store(224, b'\x01', 4, READ)
-    led = table.value_of(model, 'LED')
+    led = table.observed_field(model, 'LED', 0)
     assert led is not None
-    assert led.text == 'on'
+    assert led.value.text == 'on'
 
 
 def test_of_direct_and_indirect_the_newer_one_counts() -> None:

@@ -1,273 +1,449 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The listening port thread on real ptys and sockets: complete, read-only, found again, quick."""
+"""
+The in-process tap: masters that know nothing of it, heard to the byte, and never held up.
 
-from collections.abc import Callable
-from collections.abc import Iterator
+The oracle is the other end of the cable: a pty whose far side notes what came and what it sent.
+"""
+
+from contextlib import contextmanager
+from importlib.util import find_spec
 import os
 from pathlib import Path
-import socket
-import termios
+import select
+import signal
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+import textwrap
 import threading
 import time
-from typing import Any
 
+from packets import packets_in
 import pytest
 
-from dxl_monitor.tap import Tap
-from dxl_monitor.tap_driver import latency_timer_ms
-from dxl_monitor.tap_driver import line_errors
-from dxl_monitor.tap_driver import LineErrors
-from dxl_monitor.tap_driver import set_low_latency
+from dxl_monitor.port.tap_reader import TapReader
+from dxl_monitor.port.tap_sender import BAUD
+from dxl_monitor.port.tap_sender import CLOSED
+from dxl_monitor.port.tap_sender import folder
+from dxl_monitor.port.tap_sender import IN
+from dxl_monitor.port.tap_sender import LOST
+from dxl_monitor.port.tap_sender import NOT_SENT
+from dxl_monitor.port.tap_sender import OPENED
+from dxl_monitor.port.tap_sender import OUT
+from dxl_monitor.port.tap_sender import PURGED
+from dxl_monitor.tools.tap import environment
 from mecarover_serial.pty import Pty
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import STATUS
 
 pytestmark = pytest.mark.alone
-
+ROOT = Path(__file__).parents[1]
 DEADLINE_S = 20.0
+SCRIPT_S = 60.0
+DXL = """
+    import dynamixel_sdk as sdk
+    port = sdk.PortHandler({path!r})
+    assert port.setBaudRate(1000000)
+    port.setPacketTimeout = lambda *_: port.setPacketTimeoutMillis(5000)
+    packet = sdk.PacketHandler(2.0)
+    for _ in range({times}):
+        for servo in (1, 2, 3):
+            assert packet.ping(port, servo)[1] == 0
+    port.closePort()
+    print('done')
+"""
+FEETECH = """
+    import scservo_sdk as sdk
+    port = sdk.PortHandler({path!r})
+    assert port.setBaudRate(1000000)
+    port.setPacketTimeout = lambda *_: port.setPacketTimeoutMillis(5000)
+    packet = sdk.PacketHandler(0)
+    for _ in range({times}):
+        assert packet.read2ByteTxRx(port, 1, 56)[1] == 0
+    port.closePort()
+    print('done')
+"""
+PLAIN = """
+    import serial
+    port = serial.Serial({path!r}, 1000000, timeout=10)
+    for number in range({times}):
+        port.write(b'ping%04d' % number)
+        assert port.read(8) == b'ping%04d' % number
+    port.close()
+    print('done')
+"""
 
 
-def wait_for(condition: Callable[[], Any], what: str) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f'waited in vain for: {what}'
-        time.sleep(0.005)
+@pytest.fixture(autouse=True)
+def _meeting_place(monkeypatch):
+    """Give each test a folder of its own, with a path short enough for a Unix socket."""
+    monkeypatch.delenv('PYTHONPATH', raising=False)
+    with TemporaryDirectory(prefix='tap_') as place:
+        monkeypatch.setenv('XDG_RUNTIME_DIR', place)
+        yield
 
 
-def _wait_longer(found: list[int], than: int) -> None:
-    wait_for(lambda: len(found) > than, 'one more')
+class Peer(threading.Thread):
+    """The far end of a cable; `answer(data)` returns what it says to what it heard."""
+
+    def __init__(self, answer):
+        super().__init__(daemon=True)
+        self.pty = Pty()
+        self.got = self.sent = b''
+        self.is_over = False
+        self._answer = answer
+        self.start()
+
+    def run(self):
+        while not self.is_over:
+            if select.select([self.pty.master], [], [], 0.05)[0]:
+                data = os.read(self.pty.master, 65536)
+                self.got += data
+                answer = self._answer(data)
+                self.sent += answer
+                os.write(self.pty.master, answer)
+
+    def end(self):
+        self.is_over = True
+        self.join()
+        self.pty.close()
 
 
-class Listener:
-    """A tap, and what it hands on."""
-
-    def __init__(self, port: str, baud: int = 2_000_000) -> None:
-        self.chunks: list[tuple[bytes, int]] = []
-        self.idle: list[int] = []
-        self.tap = Tap(port, baud, lambda chunk, stamp: self.chunks.append((chunk, stamp)),
-                       self.idle.append)
-        self.tap.start()
-
-    @property
-    def data(self) -> bytes:
-        return b''.join(chunk for chunk, _ in self.chunks)
-
-    def wait_open(self) -> None:
-        wait_for(lambda: self.tap.state.is_open, f'open, but {self.tap.state.text}')
+def dynamixel():
+    framer = Framer()
+    return lambda data: b''.join(
+        encode(one.id, STATUS, bytes([0x41, 1, one.id]), error=0)
+        for one in packets_in(framer, data))
 
 
-@pytest.fixture
-def cable(tmp_path: Path) -> Iterator[Pty]:
-    with Pty(str(tmp_path / 'bus')) as pty:
-        yield pty
+def feetech():
+    heard = bytearray()
+
+    def answer(data):
+        heard.extend(data)
+        found = b''
+        while len(heard) >= 8:                 # FF FF ID 4 2 address size sum
+            number = heard[2]
+            del heard[:8]
+            body = bytes([number, 4, 0, 0x18, 5])
+            found += b'\xff\xff' + body + bytes([~sum(body) & 0xFF])
+        return found
+    return answer
 
 
-@pytest.fixture
-def listener(cable: Pty) -> Iterator[Listener]:
-    listener = Listener(str(cable.link))
-    listener.wait_open()
-    yield listener
-    listener.tap.stop()
-
-
-def test_hands_on_every_byte_in_order_with_growing_stamps(
-        cable: Pty, listener: Listener) -> None:
-    sent = b''
-    for part in range(100):
-        data = bytes([part]) * (1 + part % 7)
-        sent += data
-        os.write(cable.master, data)
-    wait_for(lambda: len(listener.data) == len(sent), 'all bytes')
-    assert listener.data == sent
-    stamps = [stamp for _, stamp in listener.chunks]
-    assert stamps == sorted(stamps)
-    assert stamps[-1] <= time.monotonic_ns()
-    counters = listener.tap.counters
-    assert counters.bytes == len(sent)
-    assert counters.reads == len(listener.chunks)
-    assert counters.openings == 1
-
-
-def test_tells_that_the_line_is_idle_and_how_far_it_listened(
-        cable: Pty, listener: Listener) -> None:
-    for _ in range(3):
-        os.write(cable.master, b'x')
-        _wait_longer(listener.idle, len(listener.idle) + 1)
-    wait_for(lambda: len(listener.data) == 3, 'all bytes')
-    wait_for(lambda: listener.idle[-1] > listener.chunks[-1][1], 'the end of the last one')
-    wait_for(lambda: listener.tap.listened == listener.idle[-1], 'what was told last')
-    assert listener.idle == sorted(listener.idle)
-
-
-def test_idle_time_covers_latency_timer_and_slow_rates(tmp_path: Path) -> None:
-    def tap(baud: int, latency: int | None) -> Tap:
-        tap = Tap(str(tmp_path / 'absent'), baud, lambda chunk, stamp: None)
-        tap.latency_timer_ms = latency
-        return tap
-    assert tap(2_000_000, None).idle_s == 0.02
-    assert tap(2_000_000, 16).idle_s == 0.032
-    assert tap(1200, None).idle_s == pytest.approx(200 / 1200)
-
-
-def test_descriptor_is_read_only(cable: Pty, listener: Listener) -> None:
-    device = os.stat(cable.path).st_rdev
-    own = {cable.master, cable._slave}
-    flags = []
-    for entry in Path('/proc/self/fd').iterdir():
-        number = int(entry.name)
-        try:
-            same = os.stat(entry).st_rdev == device
-        except OSError:
-            continue
-        if same and number not in own:
-            flags += [line.split()[1] for line in
-                      Path(f'/proc/self/fdinfo/{number}').read_text().splitlines()
-                      if line.startswith('flags')]
-    assert flags
-    assert all(int(flag, 8) & os.O_ACCMODE == os.O_RDONLY for flag in flags)
-
-
-def test_sends_nothing(cable: Pty, listener: Listener) -> None:
-    os.write(cable.master, b'hello')
-    wait_for(lambda: listener.data, 'bytes')
-    listener.tap.stop()
-    with pytest.raises(BlockingIOError):
-        os.read(cable.master, 1)
-    listener.tap = Listener(str(cable.link)).tap
-
-
-@pytest.mark.parametrize('baud', [57_600, 1_000_000, 2_000_000, 4_500_000, 1_234_567])
-def test_takes_any_rate(cable: Pty, baud: int) -> None:
-    listener = Listener(str(cable.link), baud)
+@contextmanager
+def peers(*answers):
+    some = [Peer(answer) for answer in answers]
     try:
-        listener.wait_open()
-        os.write(cable.master, b'x')
-        wait_for(lambda: listener.data == b'x', 'a byte')
+        yield some
     finally:
-        listener.tap.stop()
+        for one in some:
+            one.end()
 
 
-def test_is_lost_and_found_ten_times(tmp_path: Path) -> None:
-    link = str(tmp_path / 'bus')
-    before = len(os.listdir('/proc/self/fd'))
-    listener = Listener(link)
-    wait_for(lambda: listener.tap.state.kind == 'absent', 'absent')
-    assert 'is not there' in listener.tap.state.text
-    for round_ in range(10):
-        _plug_in_and_out(link, listener, bytes([round_]))
-    assert listener.data == bytes(range(10))
-    assert listener.tap.counters.openings == 10
-    listener.tap.stop()
-    assert listener.tap.state.kind == 'stopped'
-    assert len(os.listdir('/proc/self/fd')) == before
+@contextmanager
+def program(text, name='robot', **more):
+    """Run a tapped program."""
+    child = subprocess.Popen([sys.executable, '-c', textwrap.dedent(text)],
+                             env={**environment(name), **more}, stdout=subprocess.PIPE,
+                             stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    try:
+        yield child
+    finally:
+        child.kill()
+        child.communicate()
 
 
-def test_no_mistake_ends_the_listening(cable: Pty) -> None:
-    """Not one of ours either: the port is opened again."""
-    mistakes = [TypeError('expected str, not NoneType')]
-
-    def feed(chunk: bytes, stamp: int) -> None:
-        if mistakes:
-            raise mistakes.pop()
-        heard.append(chunk)
-
-    heard: list[bytes] = []
-    tap = Tap(str(cable.link), 2_000_000, feed)
-    tap.start()
-    wait_for(lambda: tap.state.is_open, 'open')
-    os.write(cable.master, b'x')
-    wait_for(lambda: tap.counters.openings > 1 and tap.state.is_open, 'open again')
-    os.write(cable.master, b'y')
-    wait_for(lambda: b'y' in b''.join(heard), 'a byte behind it')
-    tap.stop()
+def listen(reader, is_enough):
+    """Return what was told until it is enough."""
+    told = []
+    deadline = time.monotonic() + DEADLINE_S
+    while not is_enough(told):
+        assert time.monotonic() < deadline, told[-5:]
+        told += reader.wait(0.1)
+    return told
 
 
-def _plug_in_and_out(link: str, listener: Listener, byte: bytes) -> None:
-    with Pty(link) as cable:
-        listener.wait_open()
-        os.write(cable.master, byte)
-        wait_for(lambda: listener.data.endswith(byte), 'the byte of this round')
-    wait_for(lambda: not listener.tap.state.is_open, 'loss')
+def closed(count):
+    return lambda told: sum(one.kind == CLOSED for one in told) >= count
 
 
-def test_stops_at_once_whatever_it_is_doing(tmp_path: Path) -> None:
-    def stopping_s(listener: Listener) -> float:
-        begin = time.monotonic()
-        listener.tap.stop()
-        return time.monotonic() - begin
-
-    # The best of three: a busy machine may hold one up.
-    assert min(stopping_s(Listener(str(tmp_path / 'absent'))) for _ in range(3)) < 0.5
-    with Pty() as one, Pty() as two, Pty() as three:
-        listeners = [Listener(cable.path) for cable in (one, two, three)]
-        for listener in listeners:
-            listener.wait_open()
-        assert min(map(stopping_s, listeners)) < 0.5
-    assert not [one for one in threading.enumerate() if one.name.startswith('tap')]
+def heard(told, kind, port):
+    return b''.join(one.data for one in told if one.kind == kind and one.port == port)
 
 
-def test_stop_may_come_before_the_start_is_through(tmp_path: Path) -> None:
-    for _ in range(20):
-        Listener(str(tmp_path / 'absent')).tap.stop()
+def done(child):
+    out, err = child.communicate(timeout=SCRIPT_S)
+    assert (child.returncode, err) == (0, '')
+    return out
 
 
-def test_hears_a_socket() -> None:
-    with socket.create_server(('127.0.0.1', 0)) as server:
-        listener = Listener(f'socket://127.0.0.1:{server.getsockname()[1]}')
-        connection, _ = server.accept()
-        with connection:
-            listener.wait_open()             # pyserial drops what came before
-            connection.sendall(b'over the net')
-            wait_for(lambda: listener.data == b'over the net', 'bytes')
-            connection.setblocking(False)
-            with pytest.raises(BlockingIOError):
-                connection.recv(1)
-        wait_for(lambda: not listener.tap.state.is_open, 'loss')
-    listener.tap.stop()
+def of_sdk(module, *case):
+    return pytest.param(*case, id=module, marks=pytest.mark.skipif(
+        find_spec(module) is None, reason=f'{module} is not installed'))
 
 
-def test_hears_a_port_without_descriptor() -> None:
-    listener = Listener('loop://')
-    listener.wait_open()
-    assert listener.tap.counters.line_errors is None
-    listener.tap.stop()
+@pytest.mark.parametrize(('script', 'peer'), [of_sdk('dynamixel_sdk', DXL, dynamixel),
+                                              of_sdk('scservo_sdk', FEETECH, feetech)])
+def test_every_byte_of_an_unchanged_master(script, peer):
+    with peers(peer()) as (far,), TapReader('robot') as reader, \
+            program(script.format(path=far.pty.path, times=40)) as child:
+        told = listen(reader, closed(1))
+        assert done(child) == 'done\n'
+        assert heard(told, OUT, far.pty.path) == far.got
+        assert heard(told, IN, far.pty.path) == far.sent
+        assert [one.stamp for one in told] == sorted(one.stamp for one in told)
+        assert [one.value for one in told if one.kind == BAUD][-1] == 1_000_000
+        turns = [one.kind for one in told if one.kind in (OUT, IN)]
+        assert turns[:2] == [OUT, IN]
 
 
-def test_names_a_mistake_in_the_url() -> None:
-    listener = Listener('nonsense://somewhere')
-    wait_for(lambda: listener.tap.state.kind == 'url', 'the mistake')
-    assert 'nonsense' in listener.tap.state.text
-    listener.tap.stop()
+def test_program_of_several_processes_with_a_port_each():
+    script = """
+        import multiprocessing, sys
+        def work(path):
+            import serial
+            with serial.Serial(path, 57600, timeout=10) as port:
+                for number in range(30):
+                    port.write(b'ping%04d' % number)
+                    assert port.read(8) == b'ping%04d' % number
+        if __name__ == '__main__':
+            import serial
+            some = [multiprocessing.get_context(how).Process(target=work, args=(path,))
+                    for how, path in zip(('fork', 'fork'), sys.argv[1:] or {paths!r})]
+            for one in some: one.start()
+            for one in some: one.join()
+            work({paths!r}[2])
+            print([one.exitcode for one in some])
+    """
+    with peers(*(3 * [lambda data: data])) as far, TapReader('robot') as reader, \
+            program(script.format(paths=[one.pty.path for one in far])) as child:
+        told = listen(reader, closed(3))
+        assert done(child) == '[0, 0]\n'
+        for one in far:
+            assert heard(told, OUT, one.pty.path) == one.got != b''
+            assert heard(told, IN, one.pty.path) == one.sent
 
 
-def test_a_pty_has_no_low_latency_and_counts_no_errors(cable: Pty, listener: Listener) -> None:
-    assert line_errors(cable.master) is None
-    assert not set_low_latency(cable.master)
-    assert not listener.tap.low_latency
-    assert listener.tap.latency_timer_ms is None
-    assert listener.tap.counters.line_errors is None
+def test_child_of_a_program_is_heard_too():
+    with peers(lambda data: data) as (far,), TapReader('robot') as reader:
+        inner = textwrap.dedent(PLAIN.format(path=far.pty.path, times=5))
+        with program(f'import subprocess, sys\n'
+                     f'subprocess.run([sys.executable, "-c", {inner!r}], check=True)') as child:
+            told = listen(reader, closed(1))
+            assert done(child) == 'done\n'
+            assert heard(told, OUT, far.pty.path) == far.got != b''
 
 
-def test_latency_timer_of_an_ftdi_adapter_is_lowered_where_allowed(tmp_path: Path) -> None:
-    folder = tmp_path / 'class/tty/ttyUSB7/device'
-    folder.mkdir(parents=True)
-    (folder / 'latency_timer').write_text('16\n')
-    assert latency_timer_ms('/dev/ttyUSB7', tmp_path) == 1
-    assert latency_timer_ms('/dev/ttyUSB8', tmp_path) is None
+def test_reader_that_comes_later_hears_the_rest_and_knows_the_port():
+    with peers(lambda data: data) as (far,), \
+            program(PLAIN.format(path=far.pty.path, times=100_000_000)) as child:
+        deadline = time.monotonic() + DEADLINE_S
+        while not far.got:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        with TapReader('robot') as reader, TapReader('robot') as second:
+            told = listen(reader, lambda told: sum(one.kind == IN for one in told) > 20)
+            assert (told[0].kind, told[0].port, told[1].value) == (
+                OPENED, far.pty.path, 1_000_000)
+            assert heard(told, OUT, far.pty.path)[:4] == b'ping'
+            listen(second, lambda told: sum(one.kind == IN for one in told) > 20)
+        assert child.poll() is None
 
 
-def test_line_errors_count_from_the_opening_on() -> None:
-    begin = LineErrors(overrun=5, frame=2)
-    assert LineErrors(overrun=7, frame=2).since(begin) == LineErrors(overrun=2)
-    assert LineErrors().since(begin) == LineErrors()            # another adapter came
-    assert LineErrors(overrun=1) + LineErrors(overrun=2, breaks=1) == LineErrors(3, 0, 0, 0, 1)
+def test_master_does_not_notice_that_its_reader_is_killed_or_stopped():
+    listening = """
+        from dxl_monitor.port.tap_reader import TapReader
+        reader = TapReader('robot')
+        print('ready', flush=True)
+        while True:
+            if reader.wait(1.0): print('heard', flush=True)
+    """
+    for how in (signal.SIGKILL, signal.SIGSTOP):
+        with peers(lambda data: data) as (far,), subprocess.Popen(
+                [sys.executable, '-c', textwrap.dedent(listening)], cwd=ROOT, text=True,
+                stdout=subprocess.PIPE) as reader:
+            try:
+                assert reader.stdout.readline() == 'ready\n'
+                with program(PLAIN.format(path=far.pty.path, times=2000)) as child:
+                    assert reader.stdout.readline() == 'heard\n'
+                    reader.send_signal(how)
+                    assert done(child) == 'done\n'
+                assert len(far.got) == 2000 * 8
+            finally:
+                reader.kill()
 
 
-def test_lost_port_is_set_up_anew_at_its_rate(tmp_path: Path) -> None:
-    link = str(tmp_path / 'bus')
-    listener = Listener(link, 1_000_000)
-    for _ in range(2):
-        with Pty(link) as cable:
-            listener.wait_open()
-            assert termios.tcgetattr(cable._slave)[4] == termios.B1000000
-        wait_for(lambda: not listener.tap.state.is_open, 'loss')
-    listener.tap.stop()
+def test_what_a_dead_reader_left_is_removed():
+    with TapReader('robot') as reader:
+        os.link(reader._path, reader._path.replace('robot.', 'robot.0'))
+    assert len(os.listdir(folder())) == 1
+    with TapReader('robot') as reader:
+        assert os.listdir(folder()) == [os.path.basename(reader._path)]
+    assert os.listdir(folder()) == []
+
+
+def test_folder_that_others_can_write_to_is_refused():
+    os.mkdir(folder(), 0o777)
+    os.chmod(folder(), 0o777)
+    with pytest.raises(PermissionError, match='others may write'):
+        TapReader('robot')
+
+
+def test_what_the_program_sees_stays_as_it_is():
+    script = """
+        import serial
+        port = serial.Serial({path!r}, 9600, timeout=0.01, write_timeout=0.5)
+        assert port.write(iter([1, 2])) == 2 and port.write([3, 4]) == 2
+        assert port.write(bytearray(b'xy')) == 2 and port.write(memoryview(b'z')) == 1
+        for wrong in ('text', object(), [300]):
+            try: port.write(wrong)
+            except (TypeError, ValueError) as error: print(type(error).__name__)
+        port.baudrate = 57600
+        port.reset_input_buffer()
+        try: port.write(bytes(100_000))
+        except serial.SerialTimeoutException: print('timeout')
+        port.close()
+        try: port.read()
+        except serial.PortNotOpenError: print('closed')
+        try: serial.Serial('/dev/nothing_here')
+        except serial.SerialException: print('absent')
+        print(serial.Serial.read.__name__, serial.serial_for_url('loop://').write(b'q'))
+    """
+    with Pty() as pty, Pty() as other:         # what is written stays in there: one for each
+        with TapReader('robot') as reader, program(script.format(path=pty.path)) as child:
+            told = listen(reader, closed(1))
+            out = done(child).split()
+            told += reader.rest()
+        with program(script.format(path=other.path), MECAROVER_TAP='') as plain:
+            assert done(plain).split() == out
+        mine = [one for one in told if one.port == pty.path]
+        assert heard(told, OUT, pty.path)[:7] == b'\1\2\3\4xyz'
+        assert [one.value for one in mine if one.kind == BAUD] == [9600, 57600]
+        assert [one.value for one in mine if one.kind == PURGED] == [1]
+        assert [one.value for one in mine if one.kind == NOT_SENT] == [100_000]
+
+
+def test_queue_is_bounded_and_what_is_lost_is_told():
+    script = """
+        import sys, serial
+        sender = next(one for one in sys.meta_path if hasattr(one, '_sender'))._sender
+        port = serial.serial_for_url('loop://')
+        sender._send = lambda: None
+        for _ in range(30_000): sender.put(4, 1, b'x')
+        assert len(sender.queue) <= 20_000
+        del sender._send
+        import time
+        time.sleep(0.1)
+        while sender.queue or any(one.is_behind for one in sender._readers.values()):
+            time.sleep(0.1)
+    """
+    with TapReader('robot') as reader, program(script) as child:
+        told = listen(reader, lambda told: any(one.kind == LOST for one in told))
+        done(child)
+        lost = sum(one.value for one in told if one.kind == LOST)
+        assert sum(one.kind == IN for one in told) + lost == 30_000
+
+
+def test_the_other_sitecustomize_is_run(tmp_path):
+    other = tmp_path / 'other'
+    other.mkdir()
+    (other / 'sitecustomize.py').write_text('print("the other one")\n')
+    with program('import sitecustomize; print(sitecustomize.__file__)') as child:
+        path = environment('robot')['PYTHONPATH']
+        done(child)
+    with program('import sitecustomize; print(sitecustomize.__file__)',
+                 PYTHONPATH=os.pathsep.join((path, str(other)))) as child:
+        assert done(child) == f'the other one\n{other / "sitecustomize.py"}\n'
+
+
+def tap(*arguments, **more):
+    return subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.tap', *arguments],
+                          capture_output=True, text=True, cwd=ROOT, check=False,
+                          timeout=SCRIPT_S, env={**os.environ, **more})
+
+
+def test_command_line():
+    with peers(lambda data: data) as (far,), TapReader('arm') as reader:
+        script = textwrap.dedent(PLAIN.format(path=far.pty.path, times=3))
+        done = tap('arm', '--', sys.executable, '-c', script)
+        assert (done.returncode, done.stdout, done.stderr) == (0, 'done\n', '')
+        assert heard(listen(reader, closed(1)), OUT, far.pty.path) == far.got
+    silent = tap('arm', '--', sys.executable, '-c', 'raise SystemExit(7)')
+    assert silent.returncode == 7
+    assert 'opened no port through pyserial' in silent.stderr
+    assert 'usb:/dev/ttyUSB0' in silent.stderr
+    for arguments, words in ((('arm',), 'COMMAND: none given'),
+                             (('a/b', '--', 'true'), "'a/b' is no name for a tap")):
+        wrong = tap(*arguments)
+        assert wrong.returncode == 2
+        assert words in wrong.stderr
+    absent = tap('arm', '--', 'no_such_program')
+    assert (absent.returncode, absent.stderr) == (
+        1, 'dxl_tap: no_such_program: No such file or directory; check the name of the program\n')
+
+
+def test_signal_reaches_the_program():
+    script = "import signal, time; signal.signal(signal.SIGTERM, lambda *_: exit(5)); " \
+             "print('ready', flush=True); time.sleep(60)"
+    with subprocess.Popen([sys.executable, '-m', 'dxl_monitor.tools.tap', 'arm', '--',
+                           sys.executable, '-c', script], cwd=ROOT, stdout=subprocess.PIPE,
+                          stderr=subprocess.DEVNULL, text=True) as child:
+        assert child.stdout.readline() == 'ready\n'
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(SCRIPT_S) == 5
+
+
+def test_runs_where_only_the_standard_library_of_windows_is(tmp_path):
+    """A program, the tap and its reader without fcntl, termios, pty and Unix sockets."""
+    package = tmp_path / 'elsewhere' / 'serial'
+    package.mkdir(parents=True)
+    (package / '__init__.py').write_text('from serial.serialwin32 import Serial\n')
+    (package / 'serialutil.py').write_text('class SerialBase: pass\n')
+    (package / 'serialwin32.py').write_text(textwrap.dedent("""
+        from serial.serialutil import SerialBase
+        class Serial(SerialBase):
+            def __init__(self, port, baudrate):
+                self.port, self._baudrate, self.kept = port, baudrate, b''
+                self.open()
+            def open(self): pass
+            def close(self): pass
+            def write(self, data): self.kept += data; return len(data)
+            def read(self, size): data, self.kept = self.kept[:size], self.kept[size:]; return data
+    """))
+    lacking = tmp_path / 'elsewhere' / 'sitecustomize.py'
+    lacking.write_text('')
+    without = textwrap.dedent("""
+        import os, socket, sys
+        for name in ('fcntl', 'termios', 'pty', 'tty', 'pwd', 'grp', 'resource'):
+            sys.modules[name] = None
+        del socket.AF_UNIX, os.getuid, os.geteuid
+    """)
+    site = environment('robot')['PYTHONPATH']
+    begin = without + 'import runpy; runpy.run_path(sys.argv[1]); exec(sys.argv[2])'
+    work = "import serial; port = serial.Serial('COM7', 1000000); port.write(b'hello'); " \
+           'port.read(3); port.close()'
+    reading = without + textwrap.dedent("""
+        from dxl_monitor.port.tap_reader import TapReader
+        import dxl_monitor.tools.tap
+        with TapReader('robot') as reader:
+            print('ready', flush=True)
+            told = []
+            while not any(one.kind == 2 for one in told): told += reader.wait(0.1)
+            print([(one.port, one.kind, one.data, one.value) for one in told])
+    """)
+    with subprocess.Popen([sys.executable, '-c', reading], cwd=ROOT, text=True,
+                          stdout=subprocess.PIPE) as reader:
+        try:
+            assert reader.stdout.readline() == 'ready\n'
+            subprocess.run([sys.executable, '-c', begin, os.path.join(site, 'sitecustomize.py'),
+                            work], check=True, timeout=SCRIPT_S, env={
+                                **os.environ, 'MECAROVER_TAP': 'robot',
+                                'PYTHONPATH': str(tmp_path / 'elsewhere')})
+            assert reader.stdout.readline() == (
+                "[('COM7', 1, b'', 0), ('COM7', 5, b'', 1000000), ('COM7', 3, b'hello', 0), "
+                "('COM7', 4, b'hel', 0), ('COM7', 2, b'', 0)]\n")
+        finally:
+            reader.kill()

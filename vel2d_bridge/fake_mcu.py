@@ -13,6 +13,7 @@ import argparse
 from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextlib import suppress
 import json
 import os
 import select
@@ -22,6 +23,7 @@ import time
 
 from mecarover_serial.cli import run_tool
 from mecarover_serial.pty import Away
+from mecarover_serial.pty import outlive
 from mecarover_serial.pty import parse_away
 from mecarover_serial.pty import Pty
 from msg_defs.crc import crc32_mpeg2
@@ -35,6 +37,8 @@ from vel2d_bridge.receiver import SetPoint
 _READ_SIZE = 146 * FRAME_SIZE      # whole frames; a pty gives at most 4095 bytes
 _GAP_CHARACTERS = 2
 _PUMP_S = 0.01
+# What the firmware of the thesis says on its line when it refuses a frame.
+REFUSALS = {'crc_err': b'crc mismatch!\r\n', 'insufficient': b'insufficient bytes received\r\n'}
 
 
 class FakeMcu:
@@ -42,12 +46,14 @@ class FakeMcu:
 
     def __init__(self, link: str | None = None, *, baud: int = 115200,
                  crc: Callable[[bytes], int] = crc32_mpeg2, cable: Cable | None = None,
-                 clock: Callable[[], int] = time.monotonic_ns) -> None:
+                 talks: bool = False, clock: Callable[[], int] = time.monotonic_ns) -> None:
         self.link = link
         self.merged = 0                              # reads that held more than one frame
         self._clock = clock
         self._lock = threading.Lock()                # `running` pumps, the test unplugs
         self._cable = cable or Cable()
+        self._talks = talks                          # says why it refuses a frame, as firmware
+        self._said = {'crc_err': 0, 'insufficient': 0}
         self._pty: Pty | None = Pty(link)
         self._read = clock()                         # up to when the line has been read
         self.receiver = Receiver(self._read, baud=baud, crc=crc)
@@ -65,7 +71,18 @@ class FakeMcu:
             elif select.select([self._pty.master], [], [], timeout_s)[0]:
                 self._receive(self._pty.master)
             self._read = self._clock()
-            return self.receiver.advance(self._read)
+            taken = self.receiver.advance(self._read)
+        self._say_refusals()
+        return taken
+
+    def _say_refusals(self) -> None:
+        totals = self.receiver.totals
+        for name, text in REFUSALS.items():
+            new = getattr(totals, name) - self._said[name]
+            self._said[name] += new
+            if self._talks:
+                with suppress(OSError):              # no one reads, or the cable is out
+                    self.say(text * new)
 
     def say(self, text: bytes) -> None:
         """Send something to the host, as firmware does that logs to the same UART."""
@@ -139,11 +156,16 @@ def _main(arguments: list[str]) -> int:
     away = parse_away(options.vanish)
     cable = Cable(drop=options.drop, flip=options.flip, deaf_after=options.deaf_after,
                   seed=options.seed)
-    mcu = FakeMcu(options.link, baud=options.baud, crc=CRC_INPUTS[options.crc_input], cable=cable)
+    mcu = FakeMcu(options.link, baud=options.baud, crc=CRC_INPUTS[options.crc_input], cable=cable,
+                  talks=not options.silent)
     printer = _Printer(mcu, as_json=options.json, frames=options.frames)
     printer.begin(options.baud, options.crc_input)
     try:
         _serve(mcu, printer, options.seconds, away)
+    except KeyboardInterrupt:
+        if options.outlive:
+            outlive(mcu.path, lambda seconds: printer.show(mcu.pump(seconds)))
+        raise
     finally:
         printer.end()
         mcu.close()
@@ -227,6 +249,8 @@ def _parser() -> argparse.ArgumentParser:
     add('--flip', type=int, default=0, metavar='N', help='flip a bit in each Nth frame')
     add('--deaf-after', type=int, default=0, metavar='N', help='be overrun after N frames')
     add('--vanish', metavar='AFTER:FOR', help='be unplugged after so many seconds, for so long')
+    add('--silent', action='store_true', help='do not tell the host which frames are refused')
+    add('--outlive', action='store_true', help='at Ctrl-C wait until the host has closed the port')
     add('--seed', type=int, default=0, help='of the faults (default %(default)s)')
     return parser
 

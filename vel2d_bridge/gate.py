@@ -28,7 +28,17 @@ GAP_CHARACTERS = 2                 # the MCU realigns after one idle character; 
 BURST_FRAMES = 6                   # one more than needed: the last may be late at the reader
 BURST_PERIOD = 50 * MILLISECOND    # 5 frames in this distance got through a full queue, always
 STOP_GAP = 30 * MILLISECOND        # the MCU takes one set-point in that time
+LARGEST = 1e6                      # m/s, rad/s: an MCU that multiplies it does not overflow
 SETTLE = 200 * MILLISECOND         # after a freeze, for what waited in the sockets
+
+# The rate: slots a little closer than 1 / max_rate, and a frame may take its slot a little early.
+# So a publisher at max_rate whose clock is 0.1 % fast and whose period varies finds its slot free,
+# and 40 frames together still keep to 1.02 x max_rate.
+SLOTS_PER_COMMAND = 1.012
+EARLY_SLOTS = 0.3
+EARLY_MOST = 10 * MILLISECOND
+MCU_PERIOD = 30_030_000            # a slot this long never fills the MCU's queue: 33.3 Hz
+MCU_RATE = 33.3
 
 
 class Verdict(Enum):
@@ -36,6 +46,7 @@ class Verdict(Enum):
 
     ACCEPTED = 'accepted'
     NOT_FINITE = 'not finite'
+    TOO_LARGE = 'larger than 1e6'
     DISABLED = 'disabled'
     NO_PORT = 'port not open'
     FROZEN = 'bridge was frozen'
@@ -106,23 +117,25 @@ def characters_ns(count: int, baud: int) -> int:
 class Gate:
     """Commands in, due frames out. The owner serialises the calls."""
 
-    def __init__(self, settings: Settings | None = None, *, baud: int = 115200) -> None:
+    def __init__(self, settings: Settings | None = None, *, baud: int = 115200,
+                 enabled: bool = True) -> None:
         self.counters = Counters()
         self.velocity = STOP                         # the set-point
-        self.enabled = True
+        self.enabled = enabled
         self.is_open = False
         self.is_shut = False
         self._spacing = characters_ns(FRAME_SIZE + GAP_CHARACTERS, baud)
-        self._accepted: int | None = None            # the last accepted command, until it expires
-        self._fresh: int | None = None               # when the not yet written command was offered
-        self._zeros = 0                              # left of the stop burst
-        self._bursting = False                       # its first zero is out
-        self._last = -SECOND                         # the last frame
-        self._free = 0                               # when the rate allows the next
-        self._sent = Kind.STOP                       # what the last frame was
-        self._earliest = 0                           # nothing is written before
-        self._settled = 0                            # commands are refused before
-        self._is_lowered = False                     # the set-point was, and is not written yet
+        self._accepted_at: int | None = None         # None once that command has expired
+        self._expires_at = NEVER
+        self._offered_at: int | None = None          # of a command that is not written yet
+        self._burst_zeros_left = 0
+        self._burst_began = False                    # by writing its first zero
+        self._last_frame_at = -SECOND
+        self._slot_begins_at = 0                     # the next slot of the rate
+        self._last_kind = Kind.STOP
+        self._hold_until = 0                         # writing nothing
+        self._refuse_until = 0                       # refusing commands
+        self._lowered_not_sent = False               # a limit lowered the set-point
         self.settings = settings or Settings()
 
     @property
@@ -131,21 +144,22 @@ class Gate:
 
     @settings.setter
     def settings(self, settings: Settings) -> None:
-        """Take effect at once: time-out and lower limits for the running command too."""
+        """Take effect at once; but a longer time-out counts from the next command on."""
         self._settings = settings
         self._timeout = round(settings.cmd_vel_timeout * SECOND)
-        self._interval = max(math.ceil(SECOND / settings.max_rate), self._spacing)
+        if self._accepted_at is not None:
+            self._expires_at = min(self._expires_at, self._expiry_of(self._accepted_at))
+        slot = math.ceil(SECOND / (SLOTS_PER_COMMAND * settings.max_rate))
+        if settings.max_rate <= MCU_RATE:
+            slot = max(slot, MCU_PERIOD)
+        self._interval = max(slot, self._spacing)
+        self._early = min(round(EARLY_SLOTS * self._interval), EARLY_MOST)
         rate = settings.resend_rate                  # never so fast that it fills the MCU's queue
         self._resend = max(math.ceil(SECOND / rate), self._interval, STOP_GAP) if rate > 0 else 0
         self._limits = Vel2d(
             settings.max_linear_x, settings.max_linear_y, settings.max_angular_z)
         before, self.velocity = self.velocity, limit(self.velocity, self._limits)
-        self._is_lowered |= self.velocity != before
-
-    @property
-    def frame_rate(self) -> float:
-        """Frames per second at most: max_rate, or what the baud carries with gaps."""
-        return SECOND / self._interval
+        self._lowered_not_sent |= self.velocity != before
 
     @property
     def driving(self) -> bool:
@@ -154,7 +168,7 @@ class Gate:
     @property
     def stopping(self) -> bool:
         """Whether zeros of a stop burst are still to be written."""
-        return self._zeros > 0
+        return self._burst_zeros_left > 0
 
     def offer(
             self, velocity: Vel2d, now: int, *,
@@ -174,10 +188,11 @@ class Gate:
         oldest = round(self._settings.max_stamp_age * SECOND)
         reasons = (
             (not all(map(math.isfinite, velocity)), Verdict.NOT_FINITE),
+            (max(map(abs, velocity)) > LARGEST, Verdict.TOO_LARGE),
             (self.is_shut, Verdict.SHUTDOWN),
             (not self.enabled, Verdict.DISABLED),
             (not self.is_open, Verdict.NO_PORT),
-            (now < self._settled, Verdict.FROZEN),
+            (now < self._refuse_until, Verdict.FROZEN),
             (0 < self._timeout < waited, Verdict.WAITED),
             (stamp_age is not None and 0 < oldest < stamp_age, Verdict.STAMP_OLD),
             (stamp_age is not None and 0 < oldest < -stamp_age, Verdict.STAMP_AHEAD),
@@ -186,34 +201,36 @@ class Gate:
 
     def _accept(self, velocity: Vel2d, now: int) -> None:
         self.counters.accepted += 1
-        self.counters.replaced += self._fresh is not None
+        self.counters.replaced += self._offered_at is not None
         limited = limit(velocity, self._limits)
         self.counters.limited += limited != velocity
         was_driving, self.velocity = self.driving, limited
-        self._accepted = self._fresh = now
+        self._accepted_at = self._offered_at = now
+        self._expires_at = self._expiry_of(now)
         if self.driving:
-            self._zeros = int(self.stopping and not self._bursting)      # a stop is never skipped
+            # A stop is never skipped.
+            self._burst_zeros_left = int(self.stopping and not self._burst_began)
         elif was_driving:
             self._begin_burst(Stop.COMMAND)
-        elif self._zeros:
-            self._fresh = None                       # the zeros of the burst are this command
+        elif self._burst_zeros_left:
+            self._offered_at = None                       # the zeros of the burst are this command
 
     def stop(self, now: int, why: Stop) -> None:
         """Forget the command and begin a stop burst; driving again takes a new command."""
-        self.counters.replaced += self._fresh is not None
+        self.counters.replaced += self._offered_at is not None
         self._forget()
         self.is_shut |= why is Stop.SHUTDOWN
         if why is Stop.FROZEN:
-            self._settled = max(self._settled, now + SETTLE)
+            self._refuse_until = max(self._refuse_until, now + SETTLE)
             self.hold(now + self._spacing)           # the deadman may just be writing
         if why is Stop.SUSPEND:                      # no command cuts its burst short
-            self._settled = now + SECOND
+            self._refuse_until = now + SECOND
         self._begin_burst(why)
 
     def _begin_burst(self, why: Stop) -> None:
         self.counters.stops[why] += 1
-        self._zeros = BURST_FRAMES if self.is_open else 0
-        self._bursting = False
+        self._burst_zeros_left = BURST_FRAMES if self.is_open else 0
+        self._burst_began = False
 
     def enable(self, on: bool, now: int) -> None:
         """Off: stop, and refuse commands until it is on again; zeros go on."""
@@ -230,15 +247,15 @@ class Gate:
     def closed(self) -> None:
         self.is_open = False
         self._forget()
-        self._zeros = 0
+        self._burst_zeros_left = 0
 
     def _forget(self) -> None:
         self.velocity = STOP
-        self._accepted = self._fresh = None
+        self._accepted_at = self._offered_at = None
 
     def hold(self, until: int) -> None:
         """Let nothing be written before `until`: the line needs its gap."""
-        self._earliest = max(self._earliest, until)
+        self._hold_until = max(self._hold_until, until)
 
     def next_frame(self, now: int) -> Frame | None:
         """Return the frame that is due, the newest command; say `sent` once it is written."""
@@ -247,19 +264,22 @@ class Gate:
             return None
         kind = self._kind()
         if kind is Kind.STOP:
-            return Frame(STOP, kind, None if self.driving else self._fresh)
-        return Frame(self.velocity, kind, self._fresh)
+            return Frame(STOP, kind, None if self.driving else self._offered_at)
+        return Frame(self.velocity, kind, self._offered_at)
 
     def sent(self, now: int) -> None:
         """Take note that the due frame was written, `now` being the end of the write."""
-        self._last = now
-        self._free = self._interval + (now if self._zeros else max(now, self._free))
-        self._sent = self._kind()
-        self._is_lowered = False
-        if not (self._zeros and self.driving):
-            self._fresh = None
-        self._bursting = self._zeros > 0
-        self._zeros -= self._bursting
+        self._last_frame_at = now
+        slot = max(now, self._slot_begins_at)
+        if self._burst_zeros_left:  # a burst costs the next command one slot
+            slot = min(slot, now + self._early)
+        self._slot_begins_at = slot + self._interval
+        self._last_kind = self._kind()
+        self._lowered_not_sent = False
+        if not (self._burst_zeros_left and self.driving):
+            self._offered_at = None
+        self._burst_began = self._burst_zeros_left > 0
+        self._burst_zeros_left -= self._burst_began
         self.hold(now + self._spacing)
 
     def next_deadline(self, now: int) -> int:
@@ -271,28 +291,41 @@ class Gate:
             return NEVER
         kind = self._kind()
         if kind is Kind.STOP:
-            due = self._last + (BURST_PERIOD if self._bursting else STOP_GAP)
-        elif kind is Kind.COMMAND:                   # at once after a resend; the rate is repaid
-            due = self._free if self._sent is not Kind.RESEND else self._last
-        elif self._is_lowered:
-            due = self._free
-        elif self._resend:                           # later, not to get in the way of a stream
-            late = self._resend // 2 if self._sent is Kind.COMMAND else 0
-            due = max(self._last + self._resend + late, self._free)
+            due = self._last_frame_at + (BURST_PERIOD if self._burst_began else STOP_GAP)
+        elif kind is Kind.COMMAND:                   # a resend used a slot that was left over
+            due = (self._last_frame_at if self._last_kind is Kind.RESEND
+                   else self._slot_begins_at - self._early)
+        elif self._lowered_not_sent:
+            due = self._slot_begins_at
+        elif self._resend:
+            due = self._resend_due()
         else:
             return NEVER
-        return max(due, self._earliest)
+        return max(due, self._hold_until)
+
+    def _resend_due(self) -> int:
+        """
+        Return when the set-point is sent again.
+
+        After a command later, and only once a whole slot has passed unused: the next command must
+        find its slot free.
+        """
+        if self._last_kind is Kind.COMMAND:
+            return max(self._last_frame_at + self._resend + self._resend // 2,
+                       self._slot_begins_at + self._interval)
+        return max(self._last_frame_at + self._resend, self._slot_begins_at)
 
     def _kind(self) -> Kind:
         """Return what the next frame is."""
-        if self._zeros:
+        if self._burst_zeros_left:
             return Kind.STOP
-        return Kind.RESEND if self._fresh is None else Kind.COMMAND
+        return Kind.RESEND if self._offered_at is None else Kind.COMMAND
+
+    def _expiry_of(self, accepted: int) -> int:
+        return accepted + self._timeout if self._timeout else NEVER
 
     def _expiry(self) -> int:
-        if self._accepted is None or not self._timeout or not self.driving:
-            return NEVER
-        return self._accepted + self._timeout
+        return NEVER if self._accepted_at is None or not self.driving else self._expires_at
 
     def _expire(self, now: int) -> None:
         if now >= self._expiry():

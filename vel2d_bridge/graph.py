@@ -15,6 +15,7 @@ from vel2d_bridge.settings import AUTO
 from vel2d_bridge.settings import TWIST
 from vel2d_bridge.settings import TWIST_STAMPED
 
+_NEWS_NS = 3_000_000_000
 TYPE_NAMES = {
     'geometry_msgs/msg/Twist': TWIST,
     'geometry_msgs/msg/TwistStamped': TWIST_STAMPED,
@@ -28,6 +29,36 @@ class Publisher(NamedTuple):
     type: str                   # as ROS spells it
     reliable: bool
     conflict: str = ''
+
+
+class Absence:
+    """
+    For how long cmd_vel has had no publisher.
+
+    After a start discovery takes up to 2.5 s to find one that is there: less is no news.
+    """
+
+    def __init__(self, now: int) -> None:
+        self.had_one = False
+        self._since: int | None = now
+
+    def observe(self, is_there: bool, now: int) -> bool:
+        """Take what the graph says; return whether the last publisher has left just now."""
+        left = not is_there and self._since is None
+        self.had_one = self.had_one or is_there
+        if is_there:
+            self._since = None
+        elif left:
+            self._since = now
+        return left
+
+    def is_long(self, now: int) -> bool:
+        return self._since is not None and now - self._since >= _NEWS_NS
+
+    @staticmethod
+    def words(topic: str) -> str:
+        """Return what a person is told: the thing, the reason, the remedy."""
+        return f'{topic}: no node publishes it; start teleop_twist_keyboard or your planner'
 
 
 class Choice(NamedTuple):
@@ -64,8 +95,6 @@ def choose(setting: str, current: Choice, publishers: Sequence[Publisher]) -> Ch
 def complaints(choice: Choice, publishers: Sequence[Publisher], topic: str) -> list[str]:
     """Say in a line each what keeps commands from arriving or makes them fight."""
     lines = []
-    if not publishers:
-        lines.append(f'{topic}: nobody publishes it; start teleop_twist_keyboard or your planner')
     for one in publishers:
         if TYPE_NAMES.get(one.type) != choice.message_type:
             lines.append(

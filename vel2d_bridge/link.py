@@ -20,14 +20,12 @@ from mecarover_serial.port import as_port_error
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
-from mecarover_serial.port import PortError
+from mecarover_serial.preflight import PortError
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
-from vel2d_bridge.deadman import BEAT
 from vel2d_bridge.deadman import Deadman
-from vel2d_bridge.deadman import SILENCE
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Settings
@@ -39,6 +37,8 @@ from vel2d_bridge.link_state import stuck
 from vel2d_bridge.pacer import Pacer
 from vel2d_bridge.pacer import Sent
 from vel2d_bridge.wake import Wake
+from vel2d_bridge.watch import BEAT
+from vel2d_bridge.watch import SILENCE
 
 _FEW_TIME_OUTS = 2                 # in a row: no accident, it is told
 _STUCK_TIME_OUTS = 10              # reopening may help an adapter that hangs
@@ -88,7 +88,7 @@ class Link:
         self._failure: PortError | None = None       # of a write in a callback's thread
         self._wake_at = 0                            # until when the thread sleeps
         self._closing: int | None = None             # since when
-        self._owes_stop = False                      # lost while driving: the MCU may do so still
+        self._owed: int | None = None                # lost while driving: frames sent until then
         self._overslept = False                      # frozen while the port was closed
         self._since = clock()
         self._problem: PortError | None = None
@@ -160,12 +160,19 @@ class Link:
                 self._openings, self._losses, pacer.frames, pacer.time_outs,
                 pacer.partial_writes, pacer.freezes, self._bytes_received, pacer.last,
                 gate.driving, gate.enabled,
-                deadman_state(self._deadman, self._port, self._clock()))
+                deadman_state(self._deadman, self._port, self._clock()),
+                self._owes_stop or (
+                    gate.stopping and pacer.time_outs_in_row >= _FEW_TIME_OUTS))
 
     def _is_idle(self) -> bool:
         with self._lock, suppress(PortError):
             return self._pacer.is_idle() and not self._owes_stop
         return False
+
+    @property
+    def _owes_stop(self) -> bool:
+        """Whether the MCU may drive still; the first frames after an opening are stops."""
+        return self._owed == self._pacer.frames
 
     def _acted(self) -> bool:
         return self._deadman is not None and self._deadman.acted()
@@ -216,14 +223,14 @@ class Link:
 
     def _begin(self, port: Port) -> None:
         if self._deadman is not None and port.fd is not None:
-            self._deadman.hold(port.fd, self._stop_frame, self._baud)
+            path = '' if '://' in self._name else self._name
+            self._deadman.hold(port.fd, self._stop_frame, self._baud, path)
         with self._lock:
             now = self._clock()
             self._port = port
             self._failure = self._problem = None
             self._since = now
             self._openings += 1
-            self._owes_stop = False
             self._pacer.attach(port, now)
             if self._overslept:
                 self._overslept = False
@@ -264,19 +271,35 @@ class Link:
         with self._lock:
             self._port = None
             self._since = self._clock()
-            self._owes_stop |= self.gate.driving or self.gate.stopping
+            if self.gate.driving or self.gate.stopping:
+                self._owed = self._pacer.frames
             self._pacer.detach()
             if error is not None:
                 self._losses += 1
                 self._problem, self._last_error = error, str(error)
         if self._deadman is not None:
-            self._deadman.release()
+            self._deadman.release(self._owes_stop)
         with suppress(PortError):
-            if port.pending():     # the kernel waits up to 30 s for it
+            if error is not None or port.pending():
                 port.drop_output()
-        port.close()
         if error is not None:
             self._tell(error)
+        self._close(port)
+
+    def _close(self, port: Port) -> None:
+        """
+        Close a port, with a beating heart, and return when it is; while closing, do not wait long.
+
+        Drivers of USB adapters cannot drop what they have taken: the kernel waits up to 30 s for
+        a board that hangs. The name is busy until then.
+        """
+        closer = threading.Thread(target=port.close, name='closer', daemon=True)
+        closer.start()
+        closer.join(BEAT / SECOND)
+        while closer.is_alive() and self._closing is None:
+            if self._deadman is not None:
+                self._deadman.beat(self._clock())
+            closer.join(BEAT / SECOND)
 
     def _tell(self, problem: PortError | None) -> None:
         with suppress(Exception):                    # a callback's mistake ends no thread
@@ -291,10 +314,15 @@ class Link:
             self._tell(error)
 
     def _doze(self, seconds: float) -> None:
-        """Sleep between attempts; shutting down shortens it."""
-        deadline = time.monotonic() + seconds
-        while self._closing is None and (left := deadline - time.monotonic()) > 0:
-            self._wake.sleep(left)
-        self._overslept |= time.monotonic() >= deadline + SILENCE / SECOND
+        """Sleep between attempts, with a beating heart; shutting down shortens it."""
+        now = time.monotonic()
+        deadline = now + seconds
+        while self._closing is None and now < deadline:
+            if self._deadman is not None:
+                self._deadman.beat(time.monotonic_ns())
+            before = now
+            self._wake.sleep(min(deadline - now, BEAT / SECOND))
+            now = time.monotonic()
+            self._overslept |= now - before >= SILENCE / SECOND
         if self._closing is not None and not self._is_over():
             time.sleep(_LAST_RETRY_S)

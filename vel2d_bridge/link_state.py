@@ -6,11 +6,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mecarover_serial.port import Port
-from mecarover_serial.port import PortError
+from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.pacer import Sent
 
+NO_STOP = 'no stop could be sent, the rover may be driving'
 OFF, READY, LOST, NO_USE = 'off', 'ready', 'lost', 'no use'    # how the deadman stands
 
 
@@ -32,6 +33,7 @@ class LinkState(NamedTuple):
     driving: bool
     enabled: bool
     deadman: str                   # OFF, READY, LOST or NO_USE
+    owes_stop: bool                # none has left since it drove: it may do so still
 
 
 def deadman_state(deadman: Deadman | None, port: Port | None, now: int) -> str:

@@ -1,9 +1,10 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The process of the bridge: its deadman is forked first, while there is one thread and no ROS.
+The process of the bridge: its dead man is forked first, while there is one thread and no ROS.
 
 What the child inherits is then small and clean, and it is ready before the port is opened.
+In a container a supervisor comes before both.
 """
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.settings import PARAMETERS
+from vel2d_bridge.supervisor import supervise
 
 NAME = 'vel2d_bridge'
 ABOUT = 'Subscribes cmd_vel and writes checked set-points to the MCU of a rover over a UART.'
@@ -26,6 +28,9 @@ def main(args: Sequence[str] | None = None) -> int:
     if code is not None:
         return code
     hold_signals()
+    code = supervise()
+    if code is not None:
+        return code
     deadman = Deadman()
     try:
         from mecarover_serial.node import run

@@ -4,7 +4,8 @@
 What the MCU says on the line back, as lines fit for a log.
 
 Text is cut into lines; what is no text is counted, never printed. Bounded: a babbling MCU costs
-no memory and a few lines per second. Pure; `now` is monotonic ns.
+no memory and a few lines per second. The two lines by which the firmware of the mecarover thesis
+refuses a frame are counted instead of logged. Pure; `now` is monotonic ns.
 """
 from __future__ import annotations
 
@@ -15,6 +16,9 @@ _LONGEST = 200                  # bytes of a line
 _KEPT = 5                       # lines between two that are taken
 _SECOND = 1_000_000_000
 _GARBAGE_PERIOD = 10 * _SECOND  # between complaints
+_REFUSED_FOR = 10 * _SECOND     # after its last word a refusal is a complaint for so long
+CRC_MISMATCH = 'crc mismatch'
+INSUFFICIENT = 'insufficient bytes'
 _COLOUR = re.compile(rb'\x1b\[[0-9;]*[A-Za-z]')
 
 
@@ -22,14 +26,21 @@ class McuLog:
     """Fed by the port's thread, emptied by the node's."""
 
     def __init__(self) -> None:
-        self.bytes = 0
-        self.lines = 0
-        self.garbage_bytes = 0
+        self.reset()
+        self._refused_at: dict[str, int] = {}
         self._partial = b''
         self._kept: deque[str] = deque()
         self._skipped = 0
         self._taken = -_SECOND
         self._complained = -_GARBAGE_PERIOD
+
+    def reset(self) -> None:
+        """Start all counts at 0."""
+        self.bytes = 0
+        self.lines = 0
+        self.garbage_bytes = 0
+        self.refused = {CRC_MISMATCH: 0, INSUFFICIENT: 0}   # frames, as the MCU says
+        self._known_refused = dict(self.refused)
         self._known_garbage = 0
 
     def feed(self, chunk: bytes) -> None:
@@ -48,6 +59,10 @@ class McuLog:
             self.garbage_bytes += len(line)
             return
         self.lines += 1
+        for words in self.refused:
+            if words in text.lower():
+                self.refused[words] += 1
+                return
         if len(self._kept) < _KEPT:
             self._kept.append(text[:_LONGEST])
         else:
@@ -65,6 +80,25 @@ class McuLog:
             lines.append(f'... and {self._skipped} lines more')
             self._skipped = 0
         return lines
+
+    def complaints(self, now: int, crc_input: str) -> list[str]:
+        """
+        Return why the MCU refuses frames, as far as it said so in the last 10 s.
+
+        `crc_input` is the value of the parameter that the bridge does not have now.
+        """
+        for words, count in self.refused.items():
+            if count != self._known_refused[words]:
+                self._known_refused[words] = count
+                self._refused_at[words] = now
+        remedies = {
+            CRC_MISMATCH: f'set crc_input to {crc_input} if it refuses every frame, else check '
+                          'cable and ground',
+            INSUFFICIENT: 'check the cable, and that no console, login or other program writes '
+                          'to the port',
+        }
+        return [f'the MCU refuses frames, it says "{words}"; {remedies[words]}'
+                for words, stamp in self._refused_at.items() if now - stamp < _REFUSED_FOR]
 
     def garbage(self, now: int) -> str:
         """Return a complaint about new garbage, '' when there is none or it was just said."""

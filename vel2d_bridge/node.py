@@ -19,11 +19,12 @@ from rclpy.clock import Clock
 from rclpy.clock import ClockType
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
 from mecarover_serial.node import declare
-from mecarover_serial.port import PortError
+from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import warnings as port_warnings
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.crc import CRC_IS_FAST
@@ -31,27 +32,34 @@ from msg_defs.crc import SLOW_CRC_WARNING
 from msg_defs.reports import Level
 from msg_defs.reports import Status
 from msg_defs.ros import DiagnosticArrays
+from msg_defs.ros import full_name
 from msg_defs.ros import QUEUE_DEPTH
 from msg_defs.ros import TimingPublisher
 from msg_defs.ros import to_time
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.deadman import Deadman
+from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.gate import Verdict
 from vel2d_bridge.link import Link
+from vel2d_bridge.link_state import NO_STOP
 from vel2d_bridge.mcu_log import McuLog
 from vel2d_bridge.pacer import Sent
 from vel2d_bridge.settings import doubts
 from vel2d_bridge.settings import gate_settings
 from vel2d_bridge.settings import PARAMETERS
+from vel2d_bridge.settings import taken_away
 from vel2d_bridge.status import Commands
 from vel2d_bridge.status import commands_status
 from vel2d_bridge.status import link_status
 from vel2d_bridge.status import refusal
 from vel2d_bridge.subscriber import Subscriber
+from vel2d_bridge.switch import is_kept_off
+from vel2d_bridge.switch import keep
 from vel2d_bridge.timing import Timing
+from vel2d_bridge.watch import NAME as DEADMAN_NAME
 
 WATCH_S = 0.25              # between looks at the graph, logs and levels
 REPORT_S = 1.0
@@ -80,16 +88,21 @@ class Bridge:
         self._refused: tuple[Verdict, int] | None = None
         self._told: dict[Verdict, int] = {}         # when a reason was last logged
         self._levels: list[Level] = []
+        self._not_kept = ''                         # why switching off would not outlast a restart
         self._reported = 0.0
         self._link = self._make_link(deadman)
+        if not self._link.gate.enabled:             # the file has said so: it is one switch
+            self.node.set_parameters([Parameter('enabled', value=False)])
         self._subscriber = Subscriber(
-            self.node, self._values['message_type'], self._on_command, self._on_type)
+            self.node, self._values['message_type'], self._on_command, self._on_type,
+            self._on_left)
         self.node.create_service(SetBool, '~/enable', self._enable)
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
         self._diagnostics = self.node.create_publisher(
             DiagnosticArray, '/diagnostics', QUEUE_DEPTH)
         self._arrays = DiagnosticArrays()
-        self._timing_topics = TimingPublisher(self.node, 'vel2d')
+        self._timing_topics = TimingPublisher(
+            self.node, 'vel2d', self._values['timing_topics'])
         steady = Clock(clock_type=ClockType.STEADY_TIME)    # use_sim_time must not stop it
         self.node.create_timer(WATCH_S, self._watch, clock=steady)
         if not CRC_IS_FAST:
@@ -100,8 +113,7 @@ class Bridge:
     def stop(self) -> None:
         """Stop the rover, close the port, end the deadman."""
         if not self._link.close():
-            self._log.error(f'{self._port}: no stop could be sent, the rover may be driving on; '
-                            'switch it off')
+            self._log.error(f'{self._port}: {NO_STOP} on; switch it off')
 
     def suspend(self) -> None:
         """Stop the rover; the process is about to be suspended."""
@@ -116,18 +128,38 @@ class Bridge:
         values = self._values
         if not values['deadman']:
             deadman.leave()
+        gate = Gate(gate_settings(values), baud=values['baud'], enabled=self._starts_enabled())
         return Link(
-            values['port'], values['baud'], Gate(gate_settings(values), baud=values['baud']),
+            values['port'], values['baud'], gate,
             crc=CRC_INPUTS[values['crc_input']], write_timeout_s=values['write_timeout'],
             deadman=deadman if values['deadman'] else None, on_sent=self._on_sent,
             on_received=lambda chunk, stamp: self._mcu.feed(chunk), on_change=self._on_change)
 
+    def _starts_enabled(self) -> bool:
+        path = self._values['disabled_file']
+        if is_kept_off(path):
+            self._log.warning(f'{path}: is there, so commands are refused as when the last bridge '
+                              'ended; call ~/enable with data: true')
+            return False
+        return bool(self._values['enabled'])
+
     def _apply(self, changes: dict[str, Any]) -> None:
         """Take parameters that changed at run time."""
-        before = doubts(self._values)
+        before = dict(self._values)
         self._values |= changes
+        if 'enabled' in changes:
+            self._switch(changes['enabled'])
         self._link.apply(gate_settings(self._values), self._values['write_timeout'])
-        self._warn([line for line in doubts(self._values) if line not in before])
+        known = doubts(before)
+        self._warn([*taken_away(before, self._values),
+                    *(line for line in doubts(self._values) if line not in known)])
+
+    def _switch(self, is_on: bool) -> None:
+        """Take commands, or stop and refuse them; first the rover, then the disk."""
+        self._link.enable(is_on)
+        self._not_kept = keep(self._values['disabled_file'], is_on)
+        if self._not_kept:
+            self._log.error(self._not_kept)
 
     def _warn(self, lines: Sequence[str]) -> None:
         for line in lines:
@@ -145,7 +177,8 @@ class Bridge:
             self._refused = verdict, now
             if now - self._told.get(verdict, -THROTTLE_NS) >= THROTTLE_NS:
                 self._told[verdict] = now
-                self._log.warning(refusal(self._subscriber.topic, velocity, verdict))
+                self._log.warning(refusal(
+                    full_name(self.node), self._subscriber.topic, velocity, verdict))
         if twist.linear.z or twist.angular.x or twist.angular.y:
             self._log.warning(
                 f'{self._subscriber.topic}: linear.z, angular.x and angular.y are ignored, the '
@@ -163,6 +196,9 @@ class Bridge:
         """Stop before another type is subscribed: its publisher is somebody else."""
         self._link.stop(Stop.TYPE_SWITCH)
         self._log.info(f'{self._subscriber.topic} carries {message_type} now, following')
+
+    def _on_left(self) -> None:
+        self._log.info(f'{self._subscriber.topic}: its publisher has left')
 
     # The port's thread calls these
 
@@ -187,7 +223,7 @@ class Bridge:
     def _inspect(self) -> None:
         """Find what disturbs the port although it is open; says nothing, it may outlive ROS."""
         self._port_warnings = [f'{self._port}: {found.reason}; {found.remedy}'
-                               for found in port_warnings(self._port, ours=['vel2d_deadman'])]
+                               for found in port_warnings(self._port, ours=[DEADMAN_NAME])]
 
     # Looking around and reporting
 
@@ -200,7 +236,7 @@ class Bridge:
         self._report()
 
     def _write_logs(self) -> None:
-        self._say_new([*self._port_warnings, *self._subscriber.complaints])
+        self._say_new([*self._link_warnings(), *self._subscriber.warnings])
         crc = CRC_INPUTS[self._values['crc_input']]
         while self._sent:
             velocity = self._sent.popleft().velocity
@@ -212,6 +248,13 @@ class Bridge:
             self._log.info(f'MCU: {line}')
         if garbage := self._mcu.garbage(now):
             self._log.warning(f'{self._port}: {garbage}')
+
+    def _link_warnings(self) -> list[str]:
+        """Return what disturbs the link: what the port shows, and what the MCU says."""
+        [other] = [one for one in CRC_INPUTS if one != self._values['crc_input']]
+        return [*self._port_warnings, *(
+            f'{self._port}: {line}'
+            for line in self._mcu.complaints(time.monotonic_ns(), other))]
 
     def _say_new(self, complaints: Sequence[str]) -> None:
         """Warn of a complaint when it comes up, not for as long as it stands."""
@@ -236,26 +279,34 @@ class Bridge:
 
     def _statuses(self) -> list[Status]:
         now = time.monotonic_ns()
-        name, state, subscriber = self.node.get_name(), self._link.state(), self._subscriber
+        name, state, subscriber = full_name(self.node), self._link.state(), self._subscriber
         verdict, refused_at = self._refused or (None, 0)
         commands = Commands(
             subscriber.topic, subscriber.subscribed, self._values['cmd_vel_timeout'],
             subscriber.complaints, self._timing.command_period.summary(now),
             subscriber.zero_stamps, verdict if now - refused_at < REFUSED_NS else None)
-        return [link_status(name, self._port, state, self._port_warnings, self._mcu, now),
+        return [link_status(name, self._port, state, self._link_warnings(), self._mcu, now),
                 commands_status(name, self._port, state, self._link.gate.counters, commands)]
 
     # Services
 
     def _enable(self, request: Any, response: Any) -> Any:
-        self._link.enable(request.data)
-        response.success = True
-        response.message = 'commands are taken' if request.data \
-            else 'stopped; commands are refused until enabled'
+        # By way of the parameter, so that the two cannot disagree.
+        self.node.set_parameters([Parameter('enabled', value=request.data)])
+        problems = [self._not_kept] if self._not_kept else []
+        if not request.data and self._link.state().owes_stop:
+            problems.insert(0, NO_STOP)
+        response.success = not problems
+        response.message = '; '.join(problems) or (
+            'commands are taken' if request.data else
+            'stopped; commands are refused until enabled')
         return response
 
     def _reset_statistics(self, request: Any, response: Any) -> Any:
         self._timing.reset()
+        self._link.gate.counters = Counters()
+        self._mcu.reset()
+        self._subscriber.zero_stamps = 0
         response.success = True
-        response.message = 'timing statistics begin anew'
+        response.message = 'all counts and statistics start at 0, those of the port go on'
         return response

@@ -20,7 +20,6 @@ from msg_defs.crc import crc32_mpeg2
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
-from vel2d_bridge.deadman import SILENCE
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Frame
 from vel2d_bridge.gate import GAP_CHARACTERS
@@ -31,6 +30,7 @@ from vel2d_bridge.gate import NEVER
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.gate import Verdict
+from vel2d_bridge.watch import SILENCE
 
 RETRY = 2 * MILLISECOND
 FIFO_CHARACTERS = 128              # the longest transmit FIFO of common UARTs and adapters
@@ -81,19 +81,19 @@ class Pacer:
         self._gap = characters_ns(GAP_CHARACTERS, baud)
         self._drain = characters_ns(FIFO_CHARACTERS + GAP_CHARACTERS, baud)
         self._line: Line | None = None
-        self._written = 0                            # when the line last took a frame
-        self._under_way = False                      # and it is not known to have left
-        self._is_slow = False                        # and had it still when it should have left
-        self._refused: int | None = None             # since when it takes none
-        self._beaten = 0                             # the last turn of the owner's thread
-        self._frozen = -1                            # the last turn before a counted freeze
+        self._last_written_at = 0
+        self._frame_under_way = False                # it is not known to have left
+        self._frame_is_late = False                  # it had not left when it should have
+        self._refused_since: int | None = None       # the line takes no frame
+        self._last_turn_at = 0                       # the owner's thread called turn()
+        self._turn_before_freeze = -1                # a freeze is counted once
 
     def attach(self, line: Line, now: int) -> None:
         """Begin on a newly opened line, with a stop."""
         self._line = line
-        self._beaten = self._written = now
-        self._refused = None
-        self._under_way = self._is_slow = False
+        self._last_turn_at = self._last_written_at = now
+        self._refused_since = None
+        self._frame_under_way = self._frame_is_late = False
         self.time_outs_in_row = 0
         self.gate.opened(now)
 
@@ -113,7 +113,7 @@ class Pacer:
     def turn(self, now: int, acted: bool = False) -> int:
         """Be called by the owner's thread, at least every BEAT; `acted`: the deadman did."""
         self.notice_freeze(now, acted)
-        self._beaten = now
+        self._last_turn_at = now
         return self.step(now)
 
     def offer(
@@ -125,16 +125,17 @@ class Pacer:
 
     def notice_freeze(self, now: int, acted: bool) -> None:
         """
-        Begin anew when the thread was silent for so long that the deadman acts, or it did.
+        Begin with a stop when the thread was silent for so long that the deadman acts, or it did.
 
-        Comes before whatever else is done: the first `step` after a freeze must not write what
+        Comes before all else: the first `step` after a freeze must not write what
         was commanded before it.
         """
-        if self._line is None or not (acted or now - self._beaten >= SILENCE):
+        if self._line is None or not (acted or now - self._last_turn_at >= SILENCE):
             return
-        if self._frozen != self._beaten:             # counted once, whoever notices first
-            self._frozen = self._beaten
+        if self._turn_before_freeze != self._last_turn_at:             # counted once
+            self._turn_before_freeze = self._last_turn_at
             self.freezes += 1
+        self._last_written_at = now  # what is pending may be the deadman's stop
         self.gate.stop(now, Stop.FROZEN)
 
     def step(self, now: int) -> int:
@@ -142,25 +143,25 @@ class Pacer:
         if self._line is None:
             return NEVER
         pending = self._line.pending()
-        busy_since = self._written if pending else self._refused
+        busy_since = self._last_written_at if pending else self._refused_since
         if busy_since is not None and now - busy_since >= self._patience:
             self.time_outs += 1
             self.time_outs_in_row += 1
             self._clear(self._line, now)
         elif not pending:
-            if self._under_way:                      # what the kernel took has left, too
-                self._under_way = False
+            if self._frame_under_way:                      # what the kernel took has left, too
+                self._frame_under_way = False
                 self.time_outs_in_row = 0
-            if self._is_slow:                        # it may have left only now
-                self._is_slow = False
+            if self._frame_is_late:                        # it may have left only now
+                self._frame_is_late = False
                 self.gate.hold(now + self._gap)
             frame = self.gate.next_frame(now)
             if frame is not None:
                 self._write(self._line, frame)
-        elif now - self._written >= self._spacing:
-            self._is_slow = True
+        elif now - self._last_written_at >= self._spacing:
+            self._frame_is_late = True
         wake = self.gate.next_deadline(now)
-        return max(wake, now + RETRY) if pending or self._refused is not None else wake
+        return max(wake, now + RETRY) if pending or self._refused_since is not None else wake
 
     def _write(self, line: Line, frame: Frame) -> None:
         data = encode(frame.velocity, self._crc)
@@ -168,14 +169,14 @@ class Pacer:
         taken = line.write(data)
         end = self._clock()
         if not taken:
-            self._refused = begin if self._refused is None else self._refused
+            self._refused_since = begin if self._refused_since is None else self._refused_since
         elif taken < len(data):
             self.partial_writes += 1
             self._clear(line, end)
         else:
-            self._refused = None
-            self._written = end
-            self._under_way = True
+            self._refused_since = None
+            self._last_written_at = end
+            self._frame_under_way = True
             self._took(frame, begin, end)
 
     def _took(self, frame: Frame, begin: int, end: int) -> None:
@@ -188,8 +189,8 @@ class Pacer:
     def _clear(self, line: Line, now: int) -> None:
         """Throw away what is pending, and stop when the rest has left the FIFO."""
         line.drop_output()
-        self._refused = None
-        self._under_way = False
-        self._written = now
+        self._refused_since = None
+        self._frame_under_way = False
+        self._last_written_at = now
         self.gate.stop(now, Stop.WRITE)
         self.gate.hold(now + self._drain)

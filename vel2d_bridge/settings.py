@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from mecarover_serial.parameters import Parameter
+from mecarover_serial.parameters import TIMING_PARAMETER
 from msg_defs.crc import CRC_INPUTS
 from vel2d_bridge.gate import Settings
 
@@ -38,14 +39,26 @@ PARAMETERS = (
               'stop follows; never less than the time of two frames on the wire', 's', 0.005,
               1.0, run_time=True),
     Parameter('crc_input', 'bytes', 'how the MCU feeds its CRC unit', choices=tuple(CRC_INPUTS)),
+    Parameter('enabled', True, 'whether commands are taken; if not, the rover stands and stops go '
+              'on. ~/enable sets it too', run_time=True),
+    Parameter('disabled_file', '', 'a file that is there while commands are switched off; a start '
+              'that finds it begins switched off. Empty: a restart forgets it'),
     Parameter('deadman', True, 'a child process stops the rover when this one is killed or '
               'frozen'),
+    TIMING_PARAMETER,
 )
 
 
 def gate_settings(values: dict[str, Any]) -> Settings:
     """Pick what the gate needs; its names are the parameters'."""
     return Settings(**{name: values[name] for name in Settings._fields})
+
+
+def taken_away(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
+    """Say which limits a change at run time takes away, a line each."""
+    return [f'{name}: 0 takes the limit away; it was {before[name]:g}'
+            for name in ('max_linear_x', 'max_linear_y', 'max_angular_z', 'max_stamp_age')
+            if before[name] and not after[name]]
 
 
 def doubts(values: dict[str, Any]) -> list[str]:

@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from msg_defs import status_keys as keys
+from msg_defs.reports import hardware_id
 from msg_defs.reports import Level
 from msg_defs.reports import number
 from msg_defs.reports import Status
@@ -23,6 +25,7 @@ from vel2d_bridge.gate import Verdict
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.link_state import LinkState
 from vel2d_bridge.link_state import LOST
+from vel2d_bridge.link_state import NO_STOP
 from vel2d_bridge.link_state import NO_USE
 from vel2d_bridge.mcu_log import McuLog
 
@@ -30,7 +33,8 @@ _STUTTER_SAMPLES = 3            # periods of commands that tell a rate
 _STREAM_S = 5.0                 # what is slower is a person who taps a key
 _REMEDIES = {
     Verdict.NOT_FINITE: 'mend its publisher',
-    Verdict.DISABLED: 'call ~/enable with data: true',
+    Verdict.TOO_LARGE: 'mend its publisher',
+    Verdict.DISABLED: 'ros2 service call /NODE/enable std_srvs/srv/SetBool "{data: true}"',
     Verdict.NO_PORT: 'see the status of the link',
     Verdict.FROZEN: 'commands that come now are taken again',
     Verdict.WAITED: 'the network or this machine is too slow for cmd_vel_timeout',
@@ -52,11 +56,15 @@ class Commands(NamedTuple):
     refused: Verdict | None     # why the newest command was refused, if that is not long ago
 
 
-def refusal(topic: str, velocity: Vel2d, verdict: Verdict) -> str:
+def refusal(node: str, topic: str, velocity: Vel2d, verdict: Verdict) -> str:
     """Say why a command was not taken, and what helps."""
     x, y, omega = velocity
     return (f'{topic}: command ({x:g}, {y:g}, {omega:g}) refused: {verdict.value}; '
-            f'{_REMEDIES[verdict]}')
+            f'{_remedy(verdict, node)}')
+
+
+def _remedy(verdict: Verdict, node: str) -> str:
+    return _REMEDIES[verdict].replace('NODE', node)
 
 
 def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str], mcu: McuLog,
@@ -77,9 +85,9 @@ def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str],
     elif complaints:
         level, message = Level.WARN, _first(complaints)
     velocity = state.last.velocity if state.last else STOP
-    return Status(status_name(node, 'link'), level, message, port, [
-        ('Port', port),
-        ('State', 'open' if state.is_open else 'closed'),
+    return Status(status_name(node, 'link'), level, message, hardware_id(node, port), [
+        (keys.PORT, port),
+        (keys.STATE, 'open' if state.is_open else 'closed'),
         ('In this state for (s)', number(round((now - state.since) / 1e9, 1))),
         ('Frames sent', str(state.frames)),
         ('Last x (m/s)', number(velocity.x)),
@@ -95,6 +103,7 @@ def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str],
         ('Bytes from MCU', str(mcu.bytes)),
         ('Lines from MCU', str(mcu.lines)),
         ('Garbage from MCU (B)', str(mcu.garbage_bytes)),
+        *((f'Refused by MCU: {words}', str(count)) for words, count in mcu.refused.items()),
         ('Last error', state.last_error or 'none'),
         *_numbered(complaints),
     ])
@@ -103,16 +112,19 @@ def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str],
 def commands_status(node: str, port: str, state: LinkState, counters: Counters,
                     commands: Commands) -> Status:
     """Are commands heard, taken, and frequent enough."""
-    complaints = _complaints(state, commands)
+    complaints = _complaints(node, state, commands)
     level = Level.WARN if complaints else Level.OK
+    if state.owes_stop:
+        level = Level.ERROR
     message = _first(complaints) if complaints else _state_word(state)
-    return Status(status_name(node, 'commands'), level, message, port, [
-        ('Topic', commands.topic),
-        ('Message type', commands.choice.message_type),
+    name = status_name(node, 'commands')
+    return Status(name, level, message, hardware_id(node, port), [
+        (keys.TOPIC, commands.topic),
+        (keys.MESSAGE_TYPE, commands.choice.message_type),
         ('Reliability', 'reliable' if commands.choice.reliable else 'best effort'),
-        ('State', _state_word(state)),
+        (keys.STATE, _state_word(state)),
         ('Enabled', str(state.enabled).lower()),
-        ('Commands received', str(counters.received)),
+        (keys.COMMANDS_RECEIVED, str(counters.received)),
         ('Commands accepted', str(counters.accepted)),
         ('Commands limited', str(counters.limited)),
         ('Commands replaced', str(counters.replaced)),
@@ -125,14 +137,16 @@ def commands_status(node: str, port: str, state: LinkState, counters: Counters,
     ])
 
 
-def _complaints(state: LinkState, commands: Commands) -> list[str]:
+def _complaints(node: str, state: LinkState, commands: Commands) -> list[str]:
     """Return what keeps the rover from doing as it is told, the most telling first."""
     lines = []
+    if state.owes_stop:
+        lines.append(f'{NO_STOP}; switch it off, or see the status of the link')
     if not state.enabled:
-        lines.append(f'{commands.topic}: disabled; {_REMEDIES[Verdict.DISABLED]}')
+        lines.append(f'{commands.topic}: disabled; {_remedy(Verdict.DISABLED, node)}')
     elif commands.refused is not None:
         lines.append(f'{commands.topic}: commands are refused: {commands.refused.value}; '
-                     f'{_REMEDIES[commands.refused]}')
+                     f'{_remedy(commands.refused, node)}')
     lines += commands.complaints
     period = commands.period
     if period is not None and _stutters(period, commands.timeout_s):
@@ -154,6 +168,8 @@ def _stutters(period: Summary, timeout_s: float) -> bool:
 
 
 def _state_word(state: LinkState) -> str:
+    if state.owes_stop:
+        return 'unknown'
     if not state.enabled:
         return 'disabled'
     return 'driving' if state.driving else 'stopped'

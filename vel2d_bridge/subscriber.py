@@ -26,6 +26,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from mecarover_serial.node import first_line
 from mecarover_serial.node import given
 from mecarover_serial.parameters import ParameterError
+from vel2d_bridge.graph import Absence
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.graph import choose
 from vel2d_bridge.graph import complaints
@@ -43,20 +44,24 @@ class Subscriber:
     Hears cmd_vel.
 
     `on_command(twist, waited, stamp_age)`: ns in the middleware, ns since the stamp (None: the
-    type has none, or it is zero). `on_type(message_type)` comes before a switch.
+    type has none, or it is zero). `on_type(message_type)` comes before a switch, `on_left()` when
+    the last publisher has left. `complaints` are all that stand, `warnings` those for the log.
     """
 
     def __init__(self, node: Node, setting: str,
                  on_command: Callable[[Any, int, int | None], object],
-                 on_type: Callable[[str], object]) -> None:
+                 on_type: Callable[[str], object], on_left: Callable[[], object]) -> None:
         self.topic = node.resolve_topic_name('cmd_vel')
         self.choice = choose(setting, Choice(TWIST, True), [])
         self.complaints: list[str] = []
+        self.warnings: list[str] = []
         self.zero_stamps = 0
         self._node = node
         self._setting = setting
         self._on_command = on_command
         self._on_type = on_type
+        self._on_left = on_left
+        self._absence = Absence(time.monotonic_ns())
         self._wall = WallClock()
         self._overrides = _overridden(node, self.topic)
         self._subscription = self._subscribe()
@@ -69,7 +74,7 @@ class Subscriber:
 
     def look(self) -> None:
         """Look at the graph and follow it; to be called several times a second."""
-        self._wall.observe(time.time_ns(), time.monotonic_ns())
+        self._wall.observe(*_clocks())
         ours = self._subscription.qos_profile
         publishers = [
             Publisher(node_name(one.node_namespace, one.node_name), one.topic_type,
@@ -78,9 +83,19 @@ class Subscriber:
             for one in self._node.get_publishers_info_by_topic(self.topic)]
         choice = choose(self._setting, self.choice, publishers)
         if choice == self.choice:
-            self.complaints = complaints(choice, publishers, self.topic)
+            self._judge(publishers)
         else:                           # who conflicts with the new one, the next look tells
             self._follow(choice)
+
+    def _judge(self, publishers: list[Publisher]) -> None:
+        now = time.monotonic_ns()
+        if self._absence.observe(bool(publishers), now):
+            self._on_left()
+        self.warnings = complaints(self.choice, publishers, self.topic)
+        alone = [Absence.words(self.topic)] if self._absence.is_long(now) else []
+        self.complaints = self.warnings + alone
+        if not self._absence.had_one:
+            self.warnings = self.complaints
 
     def renew(self) -> None:
         """
@@ -124,7 +139,12 @@ class Subscriber:
         self._on_command(message.twist, self._waited(info), age)
 
     def _waited(self, info: Any) -> int:
-        return self._wall.waited(info['received_timestamp'], time.time_ns(), time.monotonic_ns())
+        return self._wall.waited(info['received_timestamp'], *_clocks())
+
+
+def _clocks() -> tuple[int, int]:
+    """Return the system clock, and one that is not stepped and goes on during a suspend (ns)."""
+    return time.time_ns(), time.clock_gettime_ns(time.CLOCK_BOOTTIME)
 
 
 def _overridden(node: Node, topic: str) -> list[QoSPolicyKind]:

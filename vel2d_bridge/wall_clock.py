@@ -4,7 +4,8 @@
 Wall clock: how long a message waited in the middleware, told by a clock that may be stepped.
 
 The middleware stamps reception with the system clock. A step of that clock (NTP, a Pi without a
-battery) must neither refuse good commands nor let old ones pass for long. Pure; all times ns.
+battery) must neither refuse good commands nor let old ones pass for long. A suspend of the machine
+is no step: `now` is CLOCK_BOOTTIME, which goes on meanwhile. Pure; all times ns.
 """
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ _STEP = 100_000_000
 
 
 class WallClock:
-    """Compares system time (`wall`) with monotonic time (`now`) and distrusts it after a step."""
+    """Compares system time (`wall`) with time since boot (`now`), distrusts it after a step."""
 
     def __init__(self) -> None:
         self.steps = 0

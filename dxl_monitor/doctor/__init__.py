@@ -10,28 +10,39 @@ for is not said. Time comes with the report; no IO, no clock.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import Finding
 from dxl_monitor.doctor import configuration
 from dxl_monitor.doctor import damage
+from dxl_monitor.doctor import feetech
 from dxl_monitor.doctor import health
 from dxl_monitor.doctor import presence
 from dxl_monitor.doctor import timing
+from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import History
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
+from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import MODEL
 from dxl_monitor.doctor.rule import Rule
-from dxl_monitor.report import BusReport
-from dxl_monitor.report import DeviceReport
-from dxl_monitor.report import Finding
+from dxl_monitor.model.control_table import UNKNOWN
 from msg_defs.reports import Level
 from msg_defs.reports import worst
 
 S = 1_000_000_000
+HUSH_S = 0.5                       # no byte for so long: there is nothing to judge
 HOLD_NS = 3 * S                    # a claim stands so much longer than its evidence
 
 # In the order in which they are told where levels are equal: the causes of others first.
 RULES: tuple[Rule, ...] = (
-    *damage.RULES, *presence.RULES, *health.RULES, *timing.RULES, *configuration.RULES)
+    *damage.RULES, *presence.RULES, *health.RULES, *timing.RULES, *configuration.RULES,
+    *feetech.RULES)
 _RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
+# What can be told of a bus on which nothing happens any more.
+_AT_REST = ('sync_read_stops', 'no_answer', configuration.STOPPED)
 
 _Key = tuple[str, int | None]
 
@@ -43,14 +54,18 @@ class Doctor:
         self._history = History()
         self._standing: dict[_Key, tuple[Claim, int]] = {}
         self._since: dict[_Key, int] = {}          # claimed without a break
+        self._doubts: tuple[Finding, ...] = ()
 
     def examine(self, report: BusReport) -> BusReport:
         """Return the report with findings, and with the levels and messages they call for."""
         case = self._history.take(report)
+        if case.quiet_s and (report.last_byte_s or 0.0) > HUSH_S:
+            findings = self._last_told(case)
+            return _with(report, findings, self._doubts or _lost_from(case))
         doubts: list[Finding] = []
         since: dict[_Key, int] = {}
         for rule in RULES:
-            for found in rule.check(case):
+            for found in _allowed(rule, case):
                 if isinstance(found, Claim):
                     key = rule.name, found.device
                     since[key] = self._since.get(key, case.now)
@@ -63,8 +78,16 @@ class Doctor:
                           if 0 <= case.now - stamp <= _hold_ns(key[0])}
         findings = self._told()
         claimed = {(finding.rule, finding.device) for finding in findings}
-        doubts = [doubt for doubt in doubts if (doubt.rule, doubt.device) not in claimed]
-        return _with(report, findings, tuple(doubts))
+        self._doubts = tuple(one for one in doubts if (one.rule, one.device) not in claimed)
+        return _with(report, findings, self._doubts)
+
+    def _last_told(self, case: Case) -> tuple[Finding, ...]:
+        """Return what was known when the master asked last: nothing new can be judged."""
+        for name in _AT_REST:
+            for found in RULES[_RANK[name]].check(case):
+                if isinstance(found, Claim):
+                    self._standing[name, found.device] = found, case.now
+        return self._told()
 
     def _told(self) -> tuple[Finding, ...]:
         """Return the standing claims that no other accounts for, the worst first."""
@@ -73,6 +96,20 @@ class Doctor:
                     if not any(_explains(other, by, name, claim)
                                for (other, _), by in claims.items())]
         return tuple(sorted(findings, key=lambda one: (-one.level, _RANK[one.rule])))
+
+
+def _allowed(rule: Rule, case: Case) -> Iterator[Found]:
+    """Yield what a rule finds, where what it needs is known."""
+    for found in rule.check(case):
+        device = None if found.device is None else case.devices.get(found.device)
+        if MODEL not in rule.needs or device is None or device.model is not UNKNOWN:
+            yield found
+
+
+def _lost_from(case: Case) -> tuple[Finding, ...]:
+    """Return what cannot be told of a bus that fell silent before the first report."""
+    return tuple(Finding('noise', Level.OK, found.device, found.reason)
+                 for found in damage.source_lost(case))
 
 
 def _hold_ns(name: str) -> int:
@@ -102,6 +139,8 @@ def _with(report: BusReport, findings: tuple[Finding, ...],
     bus = first.get(None)
     if bus is not None and bus.level is not Level.OK:
         report = report._replace(level=worst((report.level, bus.level)), message=bus.message)
+    elif any(doubt.rule == configuration.MODELS for doubt in doubts):
+        report = report._replace(message=f'{report.message}; not all models known: set `devices`')
     return report._replace(devices=devices, findings=findings, doubts=doubts)
 
 

@@ -12,24 +12,31 @@ from collections import deque
 from functools import cached_property
 from typing import NamedTuple
 
-from dxl_monitor import evidence as ev
-from dxl_monitor import report as words
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import Counts
+from dxl_monitor.bus.report import Cycle
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import Incident
+from dxl_monitor.bus.table import Observed
 from dxl_monitor.doctor.rhythm import Rhythm
 from dxl_monitor.doctor.rhythm import rhythms
-from dxl_monitor.report import BusReport
-from dxl_monitor.report import Cycle
-from dxl_monitor.report import DeviceReport
-from dxl_monitor.report import Incident
-from dxl_monitor.table import Observed
 
 S = 1_000_000_000
 WINDOW_NS = 10 * S
 KEPT = 1000                        # incidents of a kind; and as many marks of time
 RHYTHM_NS = S // 2 + S // 4        # between two looks at the rhythms: they cost most
+QUIET_NS = S // 2 + S // 8         # without an instruction: nothing new is judged
+PAUSES_NS = 60 * S                 # so far back pauses of the master are usual ones
 GONE_S = 1.5                       # unanswered for so long: gone, rather than starting again
 
 _DAMAGE = (ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH)
 _FOLLOWED = ('Goal Position', 'Present Position', 'Realtime Tick', 'Present Input Voltage')
+
+
+Counted = tuple[int, dict[int, Counts]]        # stamp, the totals of each device
+Key = tuple[int, tuple[int, ...], int | None]  # of a cycle: instruction, IDs, address
 
 
 class Mark(NamedTuple):
@@ -40,6 +47,7 @@ class Mark(NamedTuple):
     packet_bytes: int
     packets: int
     instructions: int
+    answers: int                   # of all devices
     glitches: int
     overruns: int
     framing: int                   # errors that the driver counted
@@ -60,9 +68,12 @@ class Case:
 
     def __init__(self, report: BusReport, seen: dict[str, deque[Incident]], marks: deque[Mark],
                  samples: dict[int, deque[Sample]], repeats: dict[int, int],
-                 rhythms: list[Rhythm]) -> None:
+                 rhythms: list[Rhythm], counts: deque[Counted], steady: set[Key]) -> None:
         self.report = report
         self.now = report.stamp
+        self.quiet_s = 0.0             # since the last instruction, where that is unusual
+        self.steady = steady           # instructions that kept time, once
+        self._counts = counts
         self.marks = marks
         self.samples = samples
         self.repeats = repeats         # stamp and instruction: asked again at once
@@ -97,6 +108,12 @@ class Case:
         return sum(self.count(kind) for kind in _DAMAGE)
 
     @cached_property
+    def damage_s(self) -> float:
+        """For how long the damage has gone on, s."""
+        stamps = [one.stamp for kind in _DAMAGE for one in self.incidents(kind)]
+        return (max(stamps) - min(stamps)) / S if stamps else 0.0
+
+    @cached_property
     def spoilt(self) -> int:
         """How many answers were missed where there was damage or noise."""
         return sum(device.window.spoilt for device in self.report.devices)
@@ -121,6 +138,13 @@ class Case:
         return any(begin <= stamp <= end for cycle in self.report.cycles if cycle is not but
                    for stamp in cycle.stamps)
 
+    def lately(self, device: DeviceReport, seconds: float) -> Counts:
+        """Return what happened to a device since so long ago, or since it is known."""
+        before = self.now - int(seconds * S)
+        past = next((counts for stamp, counts in reversed(self._counts) if stamp <= before),
+                    self._counts[0][1])
+        return device.totals.since(past.get(device.id, Counts()))
+
     def mark(self, seconds: float) -> Mark:
         """Return the counts of so long ago, or the oldest there are."""
         before = self.now - int(seconds * S)
@@ -137,11 +161,18 @@ class Case:
         return [wait for wait in self.report.waits if wait[0] >= before]
 
 
+def key_of(cycle: Cycle) -> Key:
+    """Return what tells one repeated instruction from another."""
+    return cycle.instruction, cycle.ids, cycle.address
+
+
 def is_gone(device: DeviceReport) -> bool:
     """Tell whether a device is asked and gives no sign of life for longer than a start takes."""
     silent = device.state == words.DISCONNECTED or (
         device.state in (words.EXPECTED, words.ASKED) and device.missed_in_a_row > 4)
-    return silent and (device.last_heard_s is None or device.last_heard_s > GONE_S)
+    speaks = device.last_heard_s is not None \
+        and 2 * device.window.garbled > device.window.missed       # damaged is not silent
+    return silent and not speaks and (device.last_heard_s is None or device.last_heard_s > GONE_S)
 
 
 def is_waiting(device: DeviceReport) -> bool:
@@ -163,6 +194,10 @@ class History:
         self._samples: dict[int, deque[Sample]] = {}
         self._repeats: dict[int, int] = {}
         self._rhythms: tuple[int, list[Rhythm]] = (0, [])
+        self._counts: deque[Counted] = deque(maxlen=KEPT)
+        self._steady: set[Key] = set()
+        self._asked = self._pause = 0  # stamp of the last instruction, and how old it was
+        self._pauses: deque[tuple[int, int]] = deque(maxlen=KEPT)
 
     def take(self, report: BusReport) -> Case:
         """Remember a report; return it with what belongs to it."""
@@ -172,15 +207,19 @@ class History:
         self._take_incidents(report.incidents)
         before = report.stamp - WINDOW_NS
         self._marks.append(mark)
+        self._counts.append((report.stamp, {one.id: one.totals for one in report.devices}))
         while self._marks[0].stamp < before:
             self._marks.popleft()
+            self._counts.popleft()
         for kind in [kind for kind, many in self._seen.items() if _age(many, before)]:
             del self._seen[kind]
         fresh = report.stamp - self._rhythms[0] >= RHYTHM_NS
         if fresh:
             self._rhythms = (report.stamp, rhythms(report.cycles, report.stamp, report.baud))
+            self._steady |= {key_of(one.cycle) for one in self._rhythms[1] if one.is_even}
         case = Case(report, self._seen, self._marks, self._samples, self._repeats,
-                    self._rhythms[1])
+                    self._rhythms[1], self._counts, self._steady)
+        case.quiet_s = self._quiet_s(report)
         self._sample(case, before)
         for rhythm in case.rhythms if fresh else ():
             self._repeats.update(
@@ -189,6 +228,21 @@ class History:
         for stamp in [stamp for stamp in self._repeats if stamp < before]:
             del self._repeats[stamp]
         return case
+
+    def _quiet_s(self, report: BusReport) -> float:
+        """Return for how long the master has asked nothing, 0 if it often pauses like that."""
+        if not report.asked:
+            return 0.0
+        pause = report.stamp - report.asked
+        if report.asked != self._asked:
+            if self._asked:
+                self._pauses.append((report.stamp, self._pause))
+            self._asked = report.asked
+        self._pause = pause
+        while self._pauses and self._pauses[0][0] < report.stamp - PAUSES_NS:
+            self._pauses.popleft()
+        usual = max((one for _, one in self._pauses), default=0)
+        return pause / S if pause > max(QUIET_NS, 2 * usual) else 0.0
 
     def _take_incidents(self, incidents: tuple[Incident, ...]) -> None:
         new = []
@@ -227,6 +281,8 @@ def _age(incidents: deque[Incident], before: int) -> bool:
 def _mark(report: BusReport) -> Mark:
     counters, errors = report.counters, report.line_errors
     return Mark(report.stamp, counters['Bytes'], counters['Packet Bytes'], counters['Packets'],
-                counters['Instructions'], report.kinds.get(ev.GLITCH, 0),
+                counters['Instructions'],
+                sum(device.totals.answers for device in report.devices),
+                report.kinds.get(ev.GLITCH, 0),
                 errors.overrun + errors.buf_overrun if errors else 0,
                 errors.frame + errors.breaks if errors else 0)

@@ -7,7 +7,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from dxl_monitor import evidence as ev
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.report import Cycle
+from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
@@ -15,11 +17,13 @@ from dxl_monitor.doctor.rule import each
 from dxl_monitor.doctor.rule import each_with
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
+from dxl_monitor.doctor.rule import MODEL
 from dxl_monitor.doctor.rule import Rule
-from dxl_monitor.report import DeviceReport
+from dxl_monitor.model.control_table import UNKNOWN
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
+from msg_defs.dxl_packet import BROADCAST
 from msg_defs.reports import Level
 
 S = 1_000_000_000
@@ -30,7 +34,17 @@ POLLED = 20                        # reads of a device that was never written
 POLLED_S = 3.0
 ACKS_LEARNED = 3
 FAST = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
-ALWAYS_CUT = 0.8
+OTHERWISE_S = 2.0                  # an answer to something else, so lately: it is there
+STOPPED = 'master_stopped'
+MODELS = 'models'
+STOPPED_S = 1.2
+WORKED_S = 3.0                     # a program that ran so long has stopped; a command is done
+NO_IDS = (0xFD, 0xFF)
+SCANS = 15                         # broadcast Pings in 10 s: each needs 0.8 s
+PINGS_NS = 10 * S
+# Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
+_FAST_SINCE = (((30, 311, 321), 256), (range(1190, 1250), 46), (range(1000, 1400), 45),
+               (range(2000, 2130), 12))
 
 # Addresses of other series that programs use by mistake (e-Manual, PRO): what stands there.
 _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: 'Goal Torque',
@@ -97,6 +111,8 @@ def _eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _no_acks(case: Case, device: DeviceReport) -> Found | None:
+    if not case.lately(device, OTHERWISE_S).answers or device.missed_in_a_row > ACKS_LEARNED:
+        return None                            # it answers nothing at present
     unanswered = case.count(ev.ACKS_STOPPED, device.id) or device.acks_missing >= ACKS_LEARNED
     if device.acks and not unanswered:
         return None
@@ -108,35 +124,42 @@ def _no_acks(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _fast_reads(case: Case) -> Iterator[Found]:
-    if any(cycle.instruction in FAST for cycle in case.report.cycles):
-        yield from each(_fast_read)(case)
+    """Look at the first device of each fast read that never gave its part of one."""
+    told = set()
+    for cycle in case.report.cycles:
+        if cycle.instruction not in FAST or not cycle.stamps or cycle.asked < FEW \
+                or case.now - cycle.stamps[-1] > 2 * S:
+            continue
+        first = next((number for number in cycle.ids if number in case.devices
+                      and not case.devices[number].totals.fast_answers), None)
+        found = None if first is None or first in told else \
+            _fast_read(case, case.devices[first], cycle)
+        if found is not None and first is not None:
+            told.add(first)
+            yield found
 
 
-def _fast_read(case: Case, device: DeviceReport) -> Found | None:
-    cuts = case.incidents(ev.FAST_CUT)
-    own = case.count(ev.FAST_CUT, device.id)
-    missed = sum(one.detail[0] in FAST for one in case.incidents(ev.MISSED, device.id))
+def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
     refused = sum(one.detail[0] in FAST and one.detail[2] == UNKNOWN_TO_IT
                   for one in case.incidents(ev.REFUSED, device.id))
-    failing = own if cuts and own >= ALWAYS_CUT * len(cuts) else 0
-    count = max(failing, refused, 0 if cuts else missed)
-    if count < FEW or not device.window.answers or not _never_fast(case, device):
-        return None
+    answers = case.lately(device, OTHERWISE_S).answers
+    known = _lacks_fast_reads(device) and device.totals.answers
+    if refused < FEW and answers < FEW and not known:
+        return None                            # perhaps it is not there
     firmware = '' if device.firmware is None else f', firmware {device.firmware}'
-    return Claim(device.id, f'answers, but no fast reads ({device.model_name}{firmware}): update '
-                 'it or use plain Sync Read; devices behind it get no turn',
-                 (('fast reads failed', str(count)),))
+    behind = cycle.ids[cycle.ids.index(device.id):]
+    return Claim(device.id, f'answers, but never a fast read ({device.model_name}{firmware}): '
+                 'update it or use plain Sync Read; devices behind it get no turn',
+                 (('fast reads', str(cycle.asked)),), covers=tuple(behind))
 
 
-def _never_fast(case: Case, device: DeviceReport) -> bool:
-    """Tell whether no fast read that names it has succeeded lately."""
-    for cycle in case.report.cycles:
-        if cycle.instruction in FAST and device.id in cycle.ids and cycle.stamps:
-            fails = len(case.incidents(ev.FAST_CUT)) + case.count(ev.MISSED, device.id)
-            recent = sum(stamp > case.now - 2 * S for stamp in cycle.stamps)
-            if fails < min(recent, FEW):
-                return False
-    return True
+def _lacks_fast_reads(device: DeviceReport) -> bool:
+    """Tell whether its firmware is older than fast reads (e-Manual, Fast Sync Read)."""
+    if device.firmware is None or device.model_number is None:
+        return False
+    since = next((firmware for numbers, firmware in _FAST_SINCE if device.model_number in numbers),
+                 0)
+    return device.firmware < since
 
 
 def _unstuffed(case: Case) -> Iterator[Found]:
@@ -149,28 +172,94 @@ def _unstuffed(case: Case) -> Iterator[Found]:
 
 
 def _never_written(case: Case, device: DeviceReport) -> Found | None:
-    if device.writes or device.reads < POLLED or 'Goal Position' not in device.model.by_name \
+    if device.totals.writes or device.totals.reads < POLLED \
+            or 'Goal Position' not in device.model.by_name \
             or (case.now - case.report.started) / S < POLLED_S or not device.window.answers:
         return None
     written = [one.id for one in case.report.devices if one.window.writes]
     if not written:
         return Doubt(device.id, 'polled and never written, as all others: perhaps this master '
                      'only looks')
-    return Claim(device.id, f'polled {device.reads} times and never written, others are '
+    return Claim(device.id, f'polled {device.totals.reads} times and never written, others are '
                  f'({listed(written, 2)}): forgotten in the program?',
-                 (('reads', str(device.reads)),))
+                 (('reads', str(device.totals.reads)),))
+
+
+def _refusals(case: Case, device: DeviceReport) -> Found | None:
+    """Say what is refused where the model is not known, which would tell more."""
+    if device.model is not UNKNOWN:
+        return None
+    for (instruction, address, error), count in _refused(case, device).most_common(1):
+        if count >= FEW and address >= 0:
+            return Claim(device.id, f'refuses {name_of(instruction)} at {address} '
+                         f'({error_text(error)}): name its model in `devices` to learn what '
+                         'stands there', (('refused', str(count)),))
+    return None
+
+
+def _master_stopped(case: Case) -> Iterator[Found]:
+    report = case.report
+    if case.quiet_s < STOPPED_S or (report.last_byte_s or 0.0) < STOPPED_S:
+        return
+    since = (report.asked - report.started) / S
+    if since < WORKED_S:
+        return                                 # a command, and it is done
+    yield Claim(None, f'the master stopped {since:.1f} s after listening began: look at its '
+                'program; what is said of devices is from then',
+                (('stopped after (s)', f'{since:.1f}'),))
+
+
+def _impossible_id(case: Case) -> Iterator[Found]:
+    for cycle in case.report.cycles:
+        number = cycle.ids[0] if cycle.ids else 0
+        asked = sum(stamp > case.now - PINGS_NS for stamp in cycle.stamps)
+        if number in NO_IDS and asked >= FEW:
+            yield Claim(None, f'the master asks ID {number}, which no device can have (0 to 252): '
+                        'correct the ID in its program', (('asked in 10 s', str(asked)),))
+            return
+
+
+def _scan(case: Case) -> Iterator[Found]:
+    pings = sum(stamp > case.now - PINGS_NS for cycle in case.report.cycles
+                for stamp in cycle.stamps
+                if cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,))
+    if pings >= SCANS and case.damage >= FEW:
+        yield Claim(None, 'the master sends one broadcast Ping after the other, and the answers '
+                    'collide: let it wait 0.8 s after each',
+                    (('broadcast Pings in 10 s', str(pings)),), Level.WARN)
+    elif case.report.scanned:
+        yield Claim(None, f'a scan: {len(case.report.scanned)} IDs were pinged and do not answer, '
+                    f'{len(case.report.devices)} devices are known',
+                    (('without an answer', listed(case.report.scanned)),))
+
+
+def _models(case: Case) -> Iterator[Found]:
+    unknown = [device.id for device in case.report.devices
+               if device.model is UNKNOWN and device.last_heard_s is not None]
+    if unknown and (case.now - case.report.started) / S >= POLLED_S:
+        yield Doubt(None, f'{listed(unknown, 3)}: model not known, so registers have no names and '
+                    'some causes are not looked for; set `devices`, or let the master Ping')
 
 
 RULES = (
     Rule('eeprom_locked', Level.WARN, 'writes to EEPROM answered with Access, torque not known '
-         'to be off', each_with(ev.REFUSED, _eeprom_locked)),
+         'to be off', each_with(ev.REFUSED, _eeprom_locked), needs=(MODEL,)),
     Rule('wrong_address', Level.WARN, 'the same address refused again and again: Access, Data '
-         'Length or Data Range', each_with(ev.REFUSED, _wrong_address)),
+         'Length or Data Range', each_with(ev.REFUSED, _wrong_address), needs=(MODEL,)),
+    Rule('refused', Level.WARN, 'as wrong_address, of a device whose model is not known',
+         each_with(ev.REFUSED, _refusals)),
+    Rule('impossible_id', Level.WARN, 'questions to ID 253 or 255', _impossible_id),
+    Rule(STOPPED, Level.WARN, 'no instruction for far longer than usual', _master_stopped,
+         holds=False),
+    Rule('scan', Level.OK, 'Pings to many IDs, or one broadcast Ping after the other', _scan,
+         ('noise', 'damaged_answers', 'stray_bytes', 'turnaround', 'jitter'), holds=False),
+    Rule(MODELS, Level.OK, 'devices that answer and whose model is not known', _models),
     Rule('eeprom_wear', Level.WARN, f'{WORN} accepted writes to EEPROM in 10 s',
-         each(_eeprom_wear)),
-    Rule('fast_read_unsupported', Level.WARN, 'fast reads that end at a device which answers '
-         'other instructions', _fast_reads,
-         ('noise', 'damaged_answers', 'missed_answers', 'jitter', 'wrong_address')),
+         each(_eeprom_wear), ('torque_off',)),
+    Rule('fast_read_unsupported', Level.WARN, 'fast reads that always ended at a device which '
+         'answers other instructions, or has too old a firmware', _fast_reads,
+         ('no_answer', 'sync_read_stops', 'all_silent', 'broken_cable', 'noise',
+          'damaged_answers', 'missed_answers', 'jitter', 'wrong_address')),
     Rule('unstuffed', Level.WARN, 'a whole instruction with FF FF FD and no stuffing behind it',
          _unstuffed),
     Rule('no_acks', Level.OK, 'writes without an acknowledgement from a device that answers reads',

@@ -6,10 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dxl_monitor import evidence as ev
-from dxl_monitor import report as words
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rate import likely_rate
+from dxl_monitor.doctor.rule import about
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import each
@@ -18,7 +20,6 @@ from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import share
-from dxl_monitor.report import DeviceReport
 from msg_defs.dxl_instruction import NAMES
 from msg_defs.reports import Level
 
@@ -33,6 +34,7 @@ BOTH_WAYS = 0.2                    # of the damage: in instructions
 GARBLED = 0.05                     # no more than this share of the bytes are packets
 BYTES_NEEDED = 300
 ECHO_US = 100
+ONSET_S = 1.0                      # by then it has shown whether something else does it
 
 _OF_THE_WIRE = ('noise', 'damaged_answers', 'turnaround', 'stray_bytes', 'missed_answers',
                 'duplicate_id', 'foreign_answers', 'dropout')
@@ -46,6 +48,8 @@ def _wrong_baud(case: Case) -> Iterator[Found]:
     report, before = case.report, case.mark(2.0)
     got = report.counters['Bytes'] - before.bytes
     good = report.counters['Packet Bytes'] - before.packet_bytes
+    if not report.baud:                # it is still to be learned
+        return
     if got < BYTES_NEEDED or good > GARBLED * got or case.count(ev.PROTOCOL_1):
         return
     rate = likely_rate(report.noise, report.baud)
@@ -73,15 +77,16 @@ def _overrun(case: Case) -> Iterator[Found]:
 
 def _noise(case: Case) -> Iterator[Found]:
     packets = case.report.counters['Packets'] - case.mark(10).packets
-    if case.damage < SOME or case.damage < NOISY * packets:
+    if case.damage < SOME or case.damage < NOISY * packets or case.damage_s < ONSET_S:
         return
     hit = [device.id for device in case.report.devices if device.window.spoilt]
     asked = _asked_damaged(case)
     if asked < BOTH_WAYS * case.damage and _most_hit(case) is not None:
         return
     way = 'in both directions' if asked >= BOTH_WAYS * case.damage else 'in answers'
-    yield Claim(None, f'{case.damage} of {packets + case.damage} packets damaged, {way}, '
-                f'{len(hit)} devices: check termination, ground, shielding and motor cables',
+    share_of = about(case.damage, packets + case.damage)
+    yield Claim(None, f'{share_of} of the packets damaged, {way}, of '
+                'several devices: check termination, ground, shielding and motor cables',
                 (('share', share(case.damage, packets + case.damage)),
                  ('damaged instructions', str(asked)), ('devices', listed(hit, 99))))
 
@@ -106,9 +111,10 @@ def _damaged_answers(case: Case) -> Iterator[Found]:
             BOTH_WAYS * max(case.damage, case.spoilt):
         return
     window = worst.window
-    yield Claim(worst.id, f'{window.spoilt} of {window.asked} answers damaged, others whole: '
-                'cannot tell a bad cable from a second device with its ID; unplug it and ping',
-                (('share', share(window.spoilt, window.asked)),))
+    yield Claim(worst.id, f'{about(window.spoilt, window.asked)} of its answers damaged, others '
+                'whole: cannot tell a bad cable from a second device with its ID; unplug it and '
+                'ping', (('share', share(window.spoilt, window.asked)),
+                         ('damaged', f'{window.spoilt} of {window.asked}')))
 
 
 def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
@@ -161,10 +167,14 @@ def _stray_bytes(case: Case) -> Iterator[Found]:
 
 
 def _echo(case: Case) -> Iterator[Found]:
+    heard_back = case.report.kinds.get(ev.ECHO, 0)
+    if heard_back >= SOME and heard_back > 0.5 * case.report.counters['Instructions']:
+        yield Claim(None, 'what the master sends comes back to it: its adapter echoes; switch the '
+                    'echo off, or let the program skip it', (('echoes', str(heard_back)),))
+        return
     again = [one for one in case.incidents(ev.REPEATED) if one.detail[1] < ECHO_US]
     answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
-    if len(again) >= SOME and answered and len({one.detail[0] for one in again}) and \
-            len(again) > 0.5 * case.count(ev.REPEATED):
+    if len(again) >= SOME and answered and len(again) > 0.5 * case.count(ev.REPEATED):
         yield Claim(None, 'every instruction is heard twice: the adapter echoes what its master '
                     'sends; switch the echo off, losses counted here are not real',
                     (('echoes', str(len(again))),))
@@ -187,9 +197,18 @@ def _protocol_1(case: Case) -> Iterator[Found]:
                     (('packets', str(case.count(ev.PROTOCOL_1))),))
 
 
+def source_lost(case: Case) -> Iterator[Doubt]:
+    """Say how much the source could not hand over."""
+    lost = sum(one.detail[0] for one in case.incidents(ev.SOURCE_LOST))
+    if lost:
+        yield Doubt(None, f'{lost} USB events or bytes were not heard: what is missing cannot be '
+                    'told from what was not said; take other devices off this USB bus')
+
+
 def _elsewhere(case: Case) -> Iterator[Found]:
-    """Say where frames are damaged too rarely for a claim."""
+    """Say where frames are damaged too rarely for a claim, or were not heard at all."""
     yield from _noise(case)
+    yield from source_lost(case)
     if 0 < case.damage < SOME:
         yield Doubt(None, f'{case.damage} damaged packets in 10 s are too few to name a cause')
 
@@ -211,13 +230,16 @@ RULES = (
          ('noise', 'damaged_answers', 'turnaround', 'missed_answers', 'dropout', 'stray_bytes',
           'late_answers', 'jitter', 'rebooted')),
     Rule('foreign_answers', Level.WARN, 'statuses that no instruction asked for',
-         each_with(ev.UNASKED, _foreign_answers), ('duplicate_id', 'missed_answers')),
+         each_with(ev.UNASKED, _foreign_answers),
+         ('duplicate_id', 'missed_answers', 'noise', 'damaged_answers', 'stray_bytes',
+          'turnaround')),
     Rule('turnaround', Level.WARN, 'statuses that are whole but for their first header byte',
          _turnaround,
          ('turnaround', 'stray_bytes', 'damaged_answers', 'missed_answers', 'dropout')),
     Rule('noise', Level.WARN, 'damaged frames of many devices or in both directions', _elsewhere,
          ('damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')),
     Rule('damaged_answers', Level.WARN, "one device's answers damaged, and those of others not",
-         _damaged_answers, ('missed_answers', 'dropout', 'stray_bytes', 'jitter')),
+         _damaged_answers, ('missed_answers', 'dropout', 'stray_bytes', 'jitter'),
+         onset_s=ONSET_S),
     Rule('stray_bytes', Level.OK, 'one to three bytes of noise ahead of packets', _stray_bytes),
 )

@@ -6,21 +6,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dxl_monitor import evidence as ev
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.table import Observed
 from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.limits import FACTORY
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import each
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
-from dxl_monitor.report import DeviceReport
-from dxl_monitor.table import Observed
 from msg_defs.reports import Level
 
 RECENT_S = 10.0                    # older values say nothing of now
 NEAR_DEGREES = 5.0
 NEAR_VOLTS = 0.3
+ALIVE_VOLTS = 1.0                  # a device with less does not answer: the register is not it
 TRIPPED = (0xFF, -1)
 RANGE = 4
 FEW = 3
@@ -59,58 +61,74 @@ def _is_off(torque: Observed | None) -> bool:
     return torque is not None and torque.source == 'r' and not torque.value.raw
 
 
+def _limit(case: Case, device: DeviceReport, name: str, factory: str) -> tuple[float | None, str]:
+    """Return a limit and where it is from: the device, or its model's factory values."""
+    own = _known(case, device, name)
+    if own is not None:
+        return own, ''
+    values = FACTORY.get(device.model_number or -1)
+    return (None, '') if values is None else (getattr(values, factory), ' from the factory')
+
+
 def _too_hot(case: Case) -> Iterator[Found]:
     unknown = []
     for device in case.report.devices:
         temperature = _fresh(case, device, 'Present Temperature')
         if temperature is None:
             continue
-        limit = _known(case, device, 'Temperature Limit')
+        limit, source = _limit(case, device, 'Temperature Limit', 'degrees')
         if limit is None:
             unknown.append(device.id)
         elif temperature >= limit - NEAR_DEGREES:
-            yield _hot_claim(device, temperature, limit)
+            yield _hot_claim(device, temperature, limit, source)
     if unknown:
         yield Doubt(None, f'{listed(unknown, 3)}: Temperature Limit never read')
 
 
-def _hot_claim(device: DeviceReport, temperature: float, limit: float) -> Claim:
+def _hot_claim(device: DeviceReport, temperature: float, limit: float, source: str) -> Claim:
     level = Level.ERROR if temperature >= limit else Level.WARN
-    what = 'it shuts down' if level is Level.ERROR else 'near shut-down'
-    return Claim(device.id, f'{temperature:.0f} degC, its limit is {limit:.0f}: {what}; reduce '
-                 'load or holding torque, let it cool',
-                 (('temperature (degC)', f'{temperature:.0f}'), ('limit (degC)', f'{limit:.0f}')),
+    what = 'above' if level is Level.ERROR else 'near'
+    return Claim(device.id, f'{what} its limit of {limit:.0f} °C{source}, where it shuts down: '
+                 'reduce load or holding torque, let it cool',
+                 (('temperature (°C)', f'{temperature:.0f}'), ('limit (°C)', f'{limit:.0f}')),
                  level)
 
 
 def _voltage(case: Case) -> Iterator[Found]:
     unknown = []
+    found = []
     for device in case.report.devices:
         volts = _fresh(case, device, 'Present Input Voltage')
-        if volts is None:
+        if volts is None or volts < ALIVE_VOLTS:
             continue
-        low = _known(case, device, 'Min Voltage Limit')
-        high = _known(case, device, 'Max Voltage Limit')
+        low, source = _limit(case, device, 'Min Voltage Limit', 'low')
+        high, _ = _limit(case, device, 'Max Voltage Limit', 'high')
         if low is None and high is None:
             unknown.append(device.id)
         if low is not None and volts < low + NEAR_VOLTS:
-            yield _low_claim(device, volts, low)
-        if high is not None and volts > high - NEAR_VOLTS:
-            yield _high_claim(device, volts, high)
+            found.append(_low_claim(device, volts, low, source))
+        elif high is not None and volts > high - NEAR_VOLTS:
+            found.append(_high_claim(device, volts, high, source))
+    yield from found
+    if len(found) >= FEW:
+        worst = Level.ERROR if any(one.level is Level.ERROR for one in found) else Level.WARN
+        yield Claim(None, f'{len(found)} devices near or beyond a voltage limit: it is the '
+                    'supply; measure it, charge the battery, check cable gauge',
+                    (('devices', listed([one.device for one in found if one.device], 99)),), worst)
     if unknown:
         yield Doubt(None, f'{listed(unknown, 3)}: voltage limits never read')
 
 
-def _low_claim(device: DeviceReport, volts: float, low: float) -> Claim:
-    return Claim(device.id, f'{volts:.1f} V, its lower limit is {low:.1f}: charge the battery, '
-                 'check cable gauge and the load on the chain', (('voltage (V)', f'{volts:.1f}'),),
-                 Level.ERROR if volts < low else Level.WARN)
+def _low_claim(device: DeviceReport, volts: float, low: float, source: str) -> Claim:
+    return Claim(device.id, f'its supply is near or below its limit of {low:.1f} V{source}: '
+                 'charge the battery, check cable gauge and the load on the chain',
+                 (('voltage (V)', f'{volts:.1f}'),), Level.ERROR if volts < low else Level.WARN)
 
 
-def _high_claim(device: DeviceReport, volts: float, high: float) -> Claim:
-    return Claim(device.id, f'{volts:.1f} V, its upper limit is {high:.1f}: lower the supply, or '
-                 'give braking current somewhere to go', (('voltage (V)', f'{volts:.1f}'),),
-                 Level.ERROR if volts > high else Level.WARN)
+def _high_claim(device: DeviceReport, volts: float, high: float, source: str) -> Claim:
+    return Claim(device.id, f'its supply is near or above its limit of {high:.1f} V{source}: '
+                 'lower the supply, or give braking current somewhere to go',
+                 (('voltage (V)', f'{volts:.1f}'),), Level.ERROR if volts > high else Level.WARN)
 
 
 def _watchdog(case: Case, device: DeviceReport) -> Found | None:
@@ -135,11 +153,11 @@ def _is_goal(device: DeviceReport, address: int) -> bool:
 
 RULES = (
     Rule('hardware_error', Level.ERROR, 'the alert bit in its answers; Hardware Error Status for '
-         'the name', each(_hardware_error), holds=False),
+         'the name', each(_hardware_error), ('torque_off',), holds=False),
     Rule('watchdog', Level.ERROR, 'Bus Watchdog reads -1, or is set and goals are answered with '
-         'Data Range', each(_watchdog), ('wrong_address',)),
+         'Data Range', each(_watchdog), ('wrong_address', 'refused', 'torque_off')),
     Rule('too_hot', Level.ERROR, 'Present Temperature and Temperature Limit of the device',
          _too_hot),
     Rule('voltage', Level.ERROR, 'Present Input Voltage and the voltage limits of the device',
-         _voltage),
+         _voltage, ('voltage',)),
 )

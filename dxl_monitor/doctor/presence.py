@@ -7,31 +7,36 @@ from __future__ import annotations
 from collections.abc import Iterator
 from statistics import median
 
-from dxl_monitor import evidence as ev
-from dxl_monitor import report as words
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import Incident
+from dxl_monitor.bus.table import IDENTITY
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import GONE_S
 from dxl_monitor.doctor.case import is_waiting
 from dxl_monitor.doctor.case import Sample
+from dxl_monitor.doctor.rule import about
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import each
 from dxl_monitor.doctor.rule import each_with
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
+from dxl_monitor.doctor.rule import longer_than
+from dxl_monitor.doctor.rule import MODEL
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import share
-from dxl_monitor.report import DeviceReport
-from dxl_monitor.report import Incident
-from dxl_monitor.table import IDENTITY
 from msg_defs.reports import Level
 
 S = 1_000_000_000
 MS = 1_000_000
 AWAY_MS = 100                      # shorter than any start; longer than an answer or two lost
 DIP = 0.9                          # of the voltage now: the supply sagged
-MOVES, STANDS = 20, 2              # raw steps of a goal, of a position: it does not follow
+MOVES, STANDS = 20, 6              # raw steps of a goal, of a position: it does not follow
 STOPPED_S = 1.0                    # of standing still, before that means anything
+FOLLOW_S = 4.0                     # of samples, to tell whether it follows
+STANDS_S = 2.5                     # of them it stands, without a word of its torque
 SETTLED_S = 2.0                    # after a return: by then a restart has shown
 TICK_TURN_S = 32.768               # Realtime Tick begins anew (e-Manual)
 TICK_SLACK_S = 0.5
@@ -42,12 +47,14 @@ LOSS = 0.01
 def _all_silent(case: Case) -> Iterator[Found]:
     before = case.mark(GONE_S)
     asked = case.report.counters['Instructions'] - before.instructions
-    heard = case.report.counters['Packets'] - before.packets - asked
+    heard = sum(device.totals.answers for device in case.report.devices) - before.answers
     missing = [device.id for device in case.report.devices
                if device.missed_in_a_row or is_waiting(device)]
     if len(missing) > 1 and asked >= 5 and heard <= 0 and case.gone:
+        first = case.gone[0] if len(case.gone) == 1 else None
+        alone = '' if first is None else f'; or {first:03} alone is dead, for which they all wait'
         yield Claim(None, f'the master asks and none of {len(missing)} devices answers: switch '
-                    'their power on, check the first cable, or listen on both directions',
+                    f'their power on, check the first cable{alone}; or listen on both directions',
                     (('instructions', str(asked)),))
 
 
@@ -62,9 +69,12 @@ def _gone(case: Case, blocking: bool) -> Iterator[Found]:
 def _claim_gone(case: Case, number: int) -> Claim:
     device = case.devices[number]
     since = 'never heard' if device.last_heard_s is None \
-        else f'silent for {device.last_heard_s:.0f} s'
-    return Claim(number, f'{device.missed_in_a_row} questions unanswered, {since}, others answer: '
-                 'check its power, cable and ID', _waiting(case, number))
+        else f'silent for {longer_than(device.last_heard_s)}'
+    others = ', others answer' if any(
+        case.lately(other, GONE_S).answers for other in case.report.devices) else ''
+    return Claim(number, f'no answer, {since}{others}: check its power, cable and ID',
+                 (('questions without an answer', str(device.missed_in_a_row)),
+                  *_waiting(case, number)))
 
 
 def _claim_blocking(case: Case, number: int, behind: list[int]) -> Claim:
@@ -143,11 +153,15 @@ def _rebooted(case: Case, device: DeviceReport) -> Found | None:
 
 def _brown_out(case: Case) -> Iterator[Found]:
     absences = _absences(case)
-    if len({one.device for one in absences}) < 2:
+    if not absences:
         return
     last = max(absences, key=lambda one: one.stamp)
     begin = last.stamp - last.detail[0] * MS
     together = [one for one in absences if one.stamp > begin]
+    if len({one.device for one in together}) == 1:     # others waited behind it, unasked
+        together += [other for number, device in case.devices.items()
+                     if number != last.device and device.window.not_served and not device.alert
+                     and _restart_proof(case, other := last._replace(device=number))]
     ids = sorted({one.device for one in together})
     proofs = [proof for one in together if (proof := _restart_proof(case, one) or
                                             _dip(case, one.device))]
@@ -192,6 +206,31 @@ def _stands(samples: list[Sample]) -> bool:
         and max(positions) - min(positions) <= STANDS
 
 
+def _torque_off(case: Case, device: DeviceReport) -> Found | None:
+    samples = [one for one in case.samples.get(device.id, ())
+               if one.stamp > case.now - FOLLOW_S * S]
+    place = case.values[device.id].get('Present Position')
+    if place is None or place.source != 'r' or place.age_s > STOPPED_S or not _stands(samples):
+        return None
+    torque = case.values[device.id].get('Torque Enable')
+    is_off = torque is not None and torque.source == 'r' and not torque.value.raw \
+        and torque.age_s < FOLLOW_S
+    if is_off:
+        return Claim(device.id, 'goals are sent to it and its torque is off: switch it on '
+                     '(Torque Enable 1), after a restart with all its settings')
+    if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not any(
+            _follows([one for one in case.samples[other] if one.stamp > case.now - FOLLOW_S * S])
+            for other in case.samples if other != device.id):
+        return None
+    return Claim(device.id, 'its goal moves and it stands, others follow: its torque is off or it '
+                 'is blocked; read Torque Enable, switch it on')
+
+
+def _follows(samples: list[Sample]) -> bool:
+    positions = [one.position for one in samples if one.position is not None]
+    return len(positions) > 1 and max(positions) - min(positions) >= MOVES
+
+
 def _dip(case: Case, number: int) -> str:
     voltages = [one.voltage for one in case.samples.get(number, ()) if one.voltage]
     if voltages and min(voltages) < DIP * voltages[-1]:
@@ -202,31 +241,30 @@ def _dip(case: Case, number: int) -> str:
 # --- partly there ------------------------------------------------------------------------------
 
 def _is_ping_only(case: Case, device: DeviceReport) -> bool:
-    """Tell whether it answers, but no data come from it any more."""
-    window = device.window
-    if case.count(ev.RETURNED, device.id) < 2 or window.missed < FEW or window.spoilt:
-        return False
-    youngest = min(_data_ages(device), default=GONE_S + 1)
-    return device.last_heard_s is not None and device.last_heard_s < GONE_S < youngest
+    """Tell whether it answers Pings, and nothing but Pings, while data are asked for."""
+    lately = case.lately(device, GONE_S)
+    return lately.pongs >= 2 and lately.answers == lately.pongs and lately.data_missed >= FEW \
+        and not lately.spoilt
 
 
 def _ping_only(case: Case, device: DeviceReport) -> Found | None:
     if not _is_ping_only(case, device):
         return None
-    return Claim(device.id, 'answers Pings, but no reads: set Status Return Level to 1 or 2 '
-                 f'({device.window.missed} of {device.window.asked} answers missed)')
+    return Claim(device.id, 'answers Pings, but no reads: set Status Return Level to 1 or 2',
+                 (('missed', f'{device.window.missed} of {device.window.asked}'),))
 
 
 def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
     window = device.window
     lost = window.missed - window.spoilt
     if lost < FEW or lost <= LOSS * window.asked or device.id in case.gone \
-            or device.missed_in_a_row > FEW or _absences(case, device.id) \
+            or device.missed_in_a_row > FEW or case.count(ev.MISSED, device.id) < FEW \
             or case.count(ev.REBOOTED, device.id):
         return None
-    return Claim(device.id, f'{lost} of {window.asked} answers missing without a trace: cannot '
-                 'tell a loose plug from a device that did not understand; check its plugs',
-                 (('loss', share(lost, window.asked)),))
+    return Claim(device.id, f'{about(lost, window.asked)} of its answers missing, with nothing in '
+                 'their place: check its plugs; a device that did not understand looks the same',
+                 (('loss', share(lost, window.asked)),
+                  ('missed', f'{lost} of {window.asked}')))
 
 
 def _expected(case: Case, device: DeviceReport) -> Found | None:
@@ -243,7 +281,7 @@ def _no_answer(case: Case) -> Iterator[Found]:
 RULES = (
     Rule('brown_out', Level.ERROR, 'absences of several devices at the same time, and a proof of '
          'restart or a voltage dip of one of them', _brown_out,
-         ('rebooted', 'dropout', 'missed_answers', 'voltage', 'jitter')),
+         ('rebooted', 'dropout', 'missed_answers', 'voltage', 'jitter', 'torque_off')),
     Rule('all_silent', Level.ERROR, 'instructions for several devices and no status at all',
          _all_silent, ('no_answer', 'sync_read_stops', 'broken_cable', 'jitter'), holds=False),
     Rule('broken_cable', Level.ERROR, '`devices` in chain order, and the last of them silent',
@@ -254,9 +292,12 @@ RULES = (
     Rule('no_answer', Level.ERROR, 'more answers missed in a row than missed_limit, and no sign '
          f'of life for {GONE_S} s', _no_answer, ('missed_answers', 'jitter'), holds=False),
     Rule('rebooted', Level.ERROR, 'an absence without an instruction to reboot, and a proof of '
-         'restart', each_with(ev.RETURNED, _rebooted), ('dropout', 'missed_answers', 'jitter')),
+         'restart', each_with(ev.RETURNED, _rebooted),
+         ('dropout', 'missed_answers', 'jitter', 'torque_off')),
+    Rule('torque_off', Level.WARN, 'goals that move, and Torque Enable that reads 0, or a '
+         'position that stands while those of others follow', each(_torque_off), needs=(MODEL,)),
     Rule('ping_only', Level.WARN, 'answers, but no data read from it any more',
-         each_with(ev.RETURNED, _ping_only),
+         each(_ping_only),
          ('dropout', 'rebooted', 'no_answer', 'sync_read_stops', 'missed_answers', 'no_acks',
           'jitter')),
     Rule('dropout', Level.WARN, 'disconnected, and back', each_with(ev.RETURNED, _dropout),

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from dxl_monitor.uart import heard_at
 from msg_defs.dxl_packet import HEADER
+from msg_defs.uart import heard_at
 
 RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 ENOUGH = 3                         # headers

@@ -15,8 +15,9 @@ from itertools import pairwise
 from operator import sub
 from typing import NamedTuple
 
-from dxl_monitor.report import Cycle
+from dxl_monitor.bus.report import Cycle
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.uart import byte_ns
 
 S = 1_000_000_000
 WRITES = (Instruction.WRITE, Instruction.REG_WRITE, Instruction.SYNC_WRITE,
@@ -26,13 +27,14 @@ MOST = 8                           # instructions looked at
 FRESH_NS = 2 * S
 SHORT = 0.35                       # of the period: asked again before its time
 AGREE = 0.15                       # of the period: the same
+EVEN = 0.25                        # spread of a loop that a clock paces
 MOSTLY = 0.8                       # of the periods
 RARELY = 0.3                       # more often, and it is part of the cycle
 AT_ONCE_NS = 1_500_000             # behind the answers; chunks of 2 ms blur it
 STATUS_SIZE = 11                   # bytes, without parameters
-BITS_PER_BYTE = 10
 INSIDE = 8                         # repetitions of one rhythm while the other went on
 BINS = 16
+ALTERNATE = 0.9                    # of the periods with just one of the other in it
 UNEVEN = 0.05                      # from the next whole number
 
 
@@ -62,6 +64,11 @@ class Rhythm(NamedTuple):
                 found.append((self.cycle.stamps[at], self.cycle.stamps[at + 1]))
         regular = 2 * len(found) + sum(whole) >= MOSTLY * len(whole)
         return found if regular and len(found) <= RARELY * len(whole) else []
+
+    @property
+    def is_even(self) -> bool:
+        """Whether its periods hardly differ: a clock makes them, not the work between them."""
+        return self.spread < EVEN
 
     @property
     def is_steady(self) -> bool:
@@ -100,7 +107,7 @@ def answer_ns(cycle: Cycle, baud: int) -> float:
     """Return how long the answers to an instruction take on the wire."""
     if cycle.instruction in WRITES[2:]:
         return 0.0
-    return len(cycle.ids) * (STATUS_SIZE + cycle.length) * BITS_PER_BYTE * S / baud
+    return len(cycle.ids) * (STATUS_SIZE + cycle.length) * byte_ns(baud)
 
 
 def _rhythm(cycle: Cycle, baud: int) -> Rhythm:
@@ -128,9 +135,14 @@ def is_independent(one: Rhythm, other: Rhythm) -> bool:
     """
     Tell whether one rhythm knows nothing of another.
 
-    What one program asks stands in few places of its cycle; another's falls anywhere in it.
+    What one program asks stands in few places of its cycle; another's falls anywhere in it. Where
+    the two alternate strictly, one program asks both.
     """
     stamps = one.cycle.stamps
+    between = [bisect_right(stamps, end) - bisect_right(stamps, begin)
+               for begin, end in pairwise(other.cycle.stamps) if begin >= stamps[0]]
+    if between and between.count(1) >= ALTERNATE * len(between):
+        return False
     bins = set()
     inside = 0
     for stamp in other.cycle.stamps:

@@ -10,13 +10,14 @@ of time before the case: how long a claim stands is the Doctor's.
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
+from math import log
 from typing import NamedTuple
 
+from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
-from dxl_monitor.report import DeviceReport
 from msg_defs.reports import Level
 
-EVERYWHERE = -1
+MODEL = 'its model'                # a need: what stands where in its control table
 
 
 class Claim(NamedTuple):
@@ -36,6 +37,9 @@ class Doubt(NamedTuple):
     reason: str
 
 
+_PERCENT = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
+_SECONDS = (1, 5, 10, 30, 60, 300, 600, 1800, 3600)
+
 Found = Claim | Doubt
 Check = Callable[[Case], Iterable[Found]]
 
@@ -45,16 +49,18 @@ class Rule(NamedTuple):
     One cause. name: as in the key finding.<name> and in docs/doctor.md.
 
     explains: rules whose claims are consequences of this one, on its device and those it covers,
-    and of the bus; a claim about the bus explains those of all devices.
+    and of the bus; a claim about the bus explains those of all devices. needs: what must be known
+    of a device before the rule may say anything of it; the Doctor sees to that.
     """
 
     name: str
     level: Level
-    needs: str                     # evidence, in words
+    evidence: str                  # in words
     check: Check
     explains: tuple[str, ...] = ()
     onset_s: float = 0.0           # claimed without a break for so long, before it is told
     holds: bool = True             # some seconds longer than its evidence; not: it is a state
+    needs: tuple[str, ...] = ()    # without it the rule is silent about a device
 
 
 def each(check: Callable[[Case, DeviceReport], Found | None]) -> Check:
@@ -84,6 +90,19 @@ def share(part: float, whole: float) -> str:
     """Spell a share: '12 %'."""
     percent = 100 * part / whole if whole else 0.0
     return f'{percent:.0f} %' if percent >= 9.95 else f'{percent:.1f} %'
+
+
+def about(part: float, whole: float) -> str:
+    """Spell a share in steps, so that the words stand still: 'about 5 %'."""
+    percent = 100 * part / whole if whole else 0.0
+    nearest = min(_PERCENT, key=lambda step: abs(log(step / max(percent, 0.05))))
+    return f'about {nearest:g} %' if percent > _PERCENT[0] else f'less than {_PERCENT[0]:g} %'
+
+
+def longer_than(seconds: float) -> str:
+    """Spell a time in steps, so that the words stand still: 'more than 10 s'."""
+    step = max((one for one in _SECONDS if one <= seconds), default=1)
+    return f'more than {step} s' if step < 60 else f'more than {step // 60} min'
 
 
 def listed(numbers: Iterable[int], most: int = 6) -> str:

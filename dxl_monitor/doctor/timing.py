@@ -14,27 +14,30 @@ from collections.abc import Iterator
 from itertools import pairwise
 from operator import attrgetter
 
-from dxl_monitor import evidence as ev
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import Incident
 from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.case import key_of
 from dxl_monitor.doctor.rhythm import answer_ns
 from dxl_monitor.doctor.rhythm import is_independent
 from dxl_monitor.doctor.rhythm import is_multiple
 from dxl_monitor.doctor.rhythm import Rhythm
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
+from dxl_monitor.doctor.rule import each_with
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
-from dxl_monitor.report import DeviceReport
-from dxl_monitor.report import Incident
 from msg_defs.dxl_instruction import name_of
 from msg_defs.reports import Level
+from msg_defs.uart import byte_ns
 
 S = 1_000_000_000
 MS = 1_000_000
-BITS_PER_BYTE = 10
 FEW = 3
 TOGETHER_NS = 3 * MS               # late answers closer than this belong to one
+FOREIGN_ENOUGH = 3               # instructions of another master that came to this one
 LOADED = 80.0                      # % of the wire time
 LOAD_S = 3.0
 BLURRED = 3                        # times the resolution: what is narrower is no finding
@@ -44,7 +47,9 @@ SAMPLES = 5
 JITTERY = 0.5                      # spread of the cycle
 JITTER_ONSET_S = 3.0               # a computer that is busy for a moment is no finding
 LATENCY_MS = (15.0, 18.5)          # a latency timer of 16 ms, and what its host adds
-SLOW_PER_S = 80                    # instructions; with 16 ms each there cannot be more
+SLOW_PER_S = 70                    # answers; with 16 ms each there cannot be more
+RESOLVED_MS = 4.0                  # between chunks; else all gaps count, not those behind answers
+GRID_NS = 16 * MS                  # exactly that is made by the adapter that we hear through
 LATENT = 0.6                       # of the gaps
 WAITED_S = 3.0
 
@@ -76,8 +81,7 @@ def _hidden_repeats(case: Case) -> list[Incident]:
 
 
 def _late_answers(case: Case) -> Iterator[Found]:
-    late = sorted(case.incidents(ev.LATE) + case.incidents(ev.WRONG_SIZE),
-                  key=lambda one: one.stamp)
+    late = case.incidents(ev.LATE)
     first: Counter[int] = Counter()
     before = 0
     for one in late:
@@ -92,27 +96,46 @@ def _late_answers(case: Case) -> Iterator[Found]:
                         covers=tuple(case.devices))
 
 
+def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
+    wrong = case.incidents(ev.WRONG_SIZE, device.id)
+    if len(wrong) < FEW or case.count(ev.LATE, device.id):
+        return None
+    size, asked = wrong[-1].detail
+    return Claim(device.id, f'answers {size} bytes to a read of {asked}: its firmware is at '
+                 'fault, or a second device has its ID; update it, and ping its ID without it',
+                 (('answers', str(len(wrong))),))
+
+
 def _wait(case: Case) -> str:
     waits = sorted(us for _, us, _ in case.report.waits)
     return f'{waits[len(waits) // 2] / 1000:.1f} ms' if waits else 'unknown'
 
 
 def _latency_timer(case: Case) -> Iterator[Found]:
-    seconds = (case.now - case.mark(2.0).stamp) / S
-    asked = case.report.counters['Instructions'] - case.mark(2.0).instructions
-    if not asked or asked > SLOW_PER_S * seconds:
+    answers = [answer_ns(cycle, case.report.baud) for cycle in case.report.cycles]
+    # In one chunk a write comes first: a question would have had to wait for its answer.
+    stamps = sorted((stamp, answers[number], number)
+                    for number, cycle in enumerate(case.report.cycles)
+                    for stamp in cycle.stamps if stamp > case.now - S)
+    is_coarse = _blur_ms(case) > RESOLVED_MS
+    gaps = [((number, following), two - one, answer)
+            for (one, answer, number), (two, _, following) in pairwise(stamps)
+            if answer or is_coarse]
+    if len(gaps) > SLOW_PER_S:
         return
-    stamps = sorted((stamp, number) for number, cycle in enumerate(case.report.cycles)
-                    for stamp in cycle.stamps if stamp > case.now - 2 * S)
-    gaps = []
-    for (one, number), (two, _) in pairwise(stamps):
-        cycle = case.report.cycles[number]
-        gaps.append((number, (two - one - answer_ns(cycle, case.report.baud)) / MS))
-    slow = [number for number, gap in gaps if LATENCY_MS[0] <= gap <= LATENCY_MS[1]]
-    if len(slow) >= 10 and len(slow) >= LATENT * len(gaps) and len(set(slow)) > 1:
-        yield Claim(None, f'{len(slow)} of {len(gaps)} instructions come 16 ms after the answer '
-                    "before: the latency timer of the master's adapter; set it to 1 ms",
-                    (('instructions per second', f'{asked / seconds:.0f}'),))
+    latent = [(kinds, gap) for kinds, gap, answer in gaps if _is_latent(gap, answer)]
+    if is_coarse and all(abs(gap - GRID_NS) < GRID_NS // 1000 for _, gap in latent):
+        return
+    slow = [kinds for kinds, _ in latent]
+    other = any(number != following for number, following in slow)
+    if len(slow) >= 10 and len(slow) >= LATENT * len(gaps) and other:
+        yield Claim(None, 'most instructions come 16 ms after the answer before: the latency '
+                    "timer of the master's adapter; set it to 1 ms",
+                    (('16 ms later', f'{len(slow)} of {len(gaps)}'),))
+
+
+def _is_latent(gap: int, answer: float) -> bool:
+    return any(LATENCY_MS[0] <= rest / MS <= LATENCY_MS[1] for rest in (gap, gap - answer))
 
 
 def _return_delay(case: Case) -> Iterator[Found]:
@@ -144,7 +167,7 @@ def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
     known = delay_ms if delay_ms is not None else measured or 0.0
     how = 'Return Delay Time' if delay_ms is not None else 'reply latency'
     seconds = (case.now - case.report.started) / S
-    rate = device.reads / seconds if seconds > 0 else 0.0
+    rate = device.totals.reads / seconds if seconds > 0 else 0.0
     return Claim(device.id, f'waits {known:.1f} ms before each answer ({how}): write 0 to Return '
                  f'Delay Time, that saves {known * rate:.0f} ms of bus time per second',
                  (('delay (ms)', f'{known:.2f}'), ('read', 'yes' if delay_ms else 'measured')))
@@ -156,18 +179,25 @@ def _bus_too_slow(case: Case) -> Iterator[Found]:
     got = case.report.counters['Bytes'] - before.bytes
     if seconds < 1.0:
         return
-    load = 100 * got * BITS_PER_BYTE / seconds / case.report.baud
+    load = 100 * got * byte_ns(case.report.baud) / S / seconds
     if load > LOADED:
         steady = next(iter(case.rhythms), None)
         per_cycle = f', {got / seconds * steady.period / S:.0f} bytes per cycle' if steady else ''
-        yield Claim(None, f'bus load {load:.0f} %{per_cycle}: no room for a retry; raise the baud '
-                    'rate, read less, or read slow things less often',
-                    (('load (%)', f'{load:.0f}'), ('bytes per second', f'{got / seconds:.0f}')))
+        harm = case.damage or any(device.window.missed for device in case.report.devices)
+        yield Claim(None, f'the line is busy for more than {LOADED:.0f} % of the time{per_cycle}: '
+                    'no room for a retry; raise the baud rate, or read less',
+                    (('load (%)', f'{load:.0f}'), ('bytes per second', f'{got / seconds:.0f}')),
+                    Level.WARN if harm else Level.OK)
 
 
 def _two_masters(case: Case) -> Iterator[Found]:
+    foreign = case.count(ev.FOREIGN)
+    if foreign >= FOREIGN_ENOUGH:
+        yield Claim(None, f'{foreign} instructions came to the master that it did not send: '
+                    'another program is on this bus; stop one', (('instructions', str(foreign)),))
+        return
     one = min(case.rhythms, key=lambda rhythm: rhythm.base, default=None)
-    if one is not None and one.is_steady:
+    if one is not None and one.is_steady and one.base > max(BLURRED * _blur_ms(case), 1.0) * MS:
         for other in case.rhythms:
             if other is not one and not is_multiple(other, one) and other.is_steady \
                     and is_independent(one, other) and is_independent(other, one):
@@ -196,10 +226,12 @@ def _jitter(case: Case) -> Iterator[Found]:
     ordered = sorted(best.periods)
     edge = len(ordered) // 10
     low, high = ordered[edge] / MS, ordered[-1 - edge] / MS
-    if best.jitter > JITTERY and high - low > BLURRED * _blur_ms(case):
-        yield Claim(None, f"the master's cycle takes {low:.1f} to {high:.1f} ms, "
-                    f'{best.period / MS:.1f} ms as a rule: give its loop a higher priority',
-                    (('spread', f'{best.spread:.2f}'),))
+    if best.jitter > JITTERY and high - low > BLURRED * _blur_ms(case) \
+            and key_of(best.cycle) in case.steady:
+        yield Claim(None, "the master's cycle was regular and is not any more: its computer is "
+                    'busy, or its loop does too much; give it a higher priority',
+                    (('spread', f'{best.spread:.2f}'),
+                     ('cycle (ms)', f'{low:.1f} to {high:.1f}, {best.period / MS:.1f} as a rule')))
 
 
 def _blur_ms(case: Case) -> float:
@@ -222,6 +254,8 @@ RULES = (
          'of the one before', _late_answers,
          ('duplicate_id', 'missed_answers', 'dropout', 'jitter', 'damaged_answers', 'noise',
           'foreign_answers', 'turnaround', 'stray_bytes')),
+    Rule('wrong_length', Level.WARN, 'answers with more or fewer bytes than were asked for',
+         each_with(ev.WRONG_SIZE, _wrong_length)),
     Rule('latency_timer', Level.WARN, 'most instructions 16 ms behind the answer before, of '
          'different kinds', _latency_timer, ('jitter',)),
     Rule('bus_too_slow', Level.WARN, f'more than {LOADED:.0f} % of the time with bytes on the '

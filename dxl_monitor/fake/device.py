@@ -14,8 +14,6 @@ from collections.abc import Callable
 import struct
 from typing import NamedTuple
 
-from dxl_monitor.control_table import Field
-from dxl_monitor.control_table import Model
 from dxl_monitor.fake.registers import ACCESS
 from dxl_monitor.fake.registers import INSTRUCTION
 from dxl_monitor.fake.registers import LENGTH
@@ -30,6 +28,8 @@ from dxl_monitor.fake.values import Sine
 from dxl_monitor.fake.values import State
 from dxl_monitor.fake.values import TEMPERATURE
 from dxl_monitor.fake.values import VOLTAGE
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Model
 from msg_defs.dxl_instruction import Instruction
 
 ALERT = 0x80

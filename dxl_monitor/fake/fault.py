@@ -3,8 +3,8 @@
 """
 What a fault of the simulated bus is: Fault (when, where) and Effect (what it does to the scene).
 
-The effects themselves are in fake_fault_device.py, fake_fault_wire.py and fake_fault_master.py,
-the catalogue by name in faults.py.
+The effects themselves are in fault_device.py, fault_wire.py and fault_master.py, the catalogue by
+name in faults.py.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ class Pace:
     __slots__ = ('gap', 'jitter', 'patience', 'pause', 'period')
 
     def __init__(self, period: int, gap: int, patience: int) -> None:
-        self.period = period         # of a cycle; 0: the next at once
+        self.period = period         # ns for a cycle; 0: the next at once
         self.gap = gap               # between the end of a reply and the next instruction
         self.patience = patience     # beyond the wire time of the answers
-        self.jitter = 0.0            # of the period, as a share of it
+        self.jitter = 0.0            # as a share of the period
         self.pause = 0               # once, before the next instruction
 
 

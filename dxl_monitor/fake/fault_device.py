@@ -168,7 +168,7 @@ class NoAck(Effect):
 class PingOnly(NoAck):
     """Status Return Level 0: only Pings are answered."""
 
-    exact = False                # nobody can hear why it does not answer reads
+    exact = False                # a listener cannot know why it does not answer reads
     level = 0
 
 

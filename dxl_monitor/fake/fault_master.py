@@ -18,9 +18,9 @@ from dxl_monitor.fake.traffic import words
 from dxl_monitor.fake.traffic import write
 from msg_defs.dxl_instruction import Instruction
 
-LATENCY_NS = 16 * MS             # of an FTDI adapter as delivered
+LATENCY_NS = 16 * MS             # an FTDI adapter as delivered
 RIVAL_PERIOD_NS = 37 * MS
-PRO_TORQUE_ENABLE = 562          # of the PRO series; an X device has nothing there
+PRO_TORQUE_ENABLE = 562          # in the PRO series; an X device has nothing there
 HEADER_LIKE = b'\xff\xff\xfd\x00'
 
 

@@ -13,10 +13,10 @@ from dxl_monitor.fake.line import Burst
 from dxl_monitor.fake.line import Exchange
 from dxl_monitor.fake.line import STRAY
 from dxl_monitor.fake.line import wire_ns
-from dxl_monitor.uart import heard_at
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
+from msg_defs.uart import heard_at
 
 OFTEN, SOMETIMES, RARELY = 0.2, 0.05, 0.01       # shares of bursts or exchanges
 WRONG_BAUD = 2.0                 # what the listener is set to, as a multiple of the real rate
@@ -125,7 +125,7 @@ class WrongBaud(Effect):
 
 
 class Foreign(Effect):
-    """A status that nobody asked for."""
+    """A status that no instruction asked for."""
 
     exact = False
 

@@ -3,8 +3,8 @@
 """
 The simulated RS-485 line: an instruction goes in, bytes of master and devices come out, timed.
 
-Times are ns of an arbitrary clock that the caller owns. Who answers when: dynamixel.md 1.3 to
-1.6 of the e-Manual's protocol page; combined replies are sent piece by piece, one per device.
+Times are ns of an arbitrary clock that the caller owns. Which device answers when: e-Manual,
+Protocol 2.0, instruction packets; combined replies are sent piece by piece, one per device.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from dxl_monitor.fake.device import Device
 from dxl_monitor.fake.device import WATCHDOG_UNIT_NS
+from msg_defs import dxl1_packet
 from msg_defs.crc import crc16
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
@@ -23,11 +24,15 @@ from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
+from msg_defs.dxl_packet import stuff
+from msg_defs.dxl_packet import unstuff
 
 MASTER = -1
-STRAY = -2                       # bytes that nobody meant to send
+STRAY = -2                       # bytes that were not sent on purpose
+AnyFramer = Framer | dxl1_packet.Framer
 BITS_PER_BYTE = 10               # 8N1
 
 
@@ -100,7 +105,7 @@ class Line:
         self._index()
 
     def add(self, device: Device) -> None:
-        """Connect one more device, also one whose ID is taken."""
+        """Connect one more device, also one with an ID that is taken."""
         self.chain.append(device)
         self._index()
 
@@ -118,16 +123,42 @@ class Line:
         """
         Put an instruction on the line at `start` and let the devices do and answer it.
 
-        `heard` False: nobody understands it (it was damaged).
+        `heard` False: no device understands it (it was damaged).
         """
-        frame = encode(number, instruction, params, stuffed=stuffed)
+        frame = self.instruction_wire(number, instruction, params, stuffed)
         asked = Burst(start, frame, MASTER, self.baud)
-        request = parse(instruction, number, params)
+        request = self.understood(instruction, number, params)
         exchange = Exchange(request, params, [asked], self._due(request), [])
         if heard:
             self._watch(asked.end)
             _ANSWERING[_way(request)](self, exchange, asked.end)
         return exchange
+
+    # --- what is of Protocol 2.0 alone ------------------------------------------------------
+
+    def instruction_wire(self, number: int, instruction: int, params: bytes,
+                         stuffed: bool) -> bytes:
+        """Return an instruction as it stands on the wire."""
+        return encode(number, instruction, params, stuffed=stuffed)
+
+    def status_wire(self, number: int, error: int, params: bytes) -> bytes:
+        """Return a status as it stands on the wire."""
+        return encode(number, STATUS, params, error)
+
+    def understood(self, instruction: int, number: int, params: bytes) -> Request:
+        """Return what an instruction asks for."""
+        return parse(instruction, number, params)
+
+    def listener(self) -> AnyFramer:
+        """Return what finds the instructions of a real master in its bytes."""
+        return Framer()
+
+    def heard(self, body: bytes) -> tuple[int, int, bytes, bool]:
+        """Return a frame's ID, instruction, parameters, and whether it was stuffed."""
+        params = unstuff(body[4:])
+        return body[0], body[3], params, stuff(unstuff(body[3:])) == body[3:]
+
+    # ---------------------------------------------------------------------------------------
 
     def _index(self) -> None:
         self._by_id.clear()
@@ -147,7 +178,7 @@ class Line:
     def _due(self, request: Request) -> tuple[int, ...]:
         """Return who must answer, Status Return Level considered; a stranger must."""
         if request.answers is Answers.EVERYBODY:
-            return ()            # nobody knows who is there before
+            return ()            # nothing is known of the devices before
         if request.answers in (Answers.LISTED, Answers.COMBINED):
             return tuple(access.id for access in request.accesses
                          if self._answers(access.id, request.instruction))
@@ -180,7 +211,7 @@ class Line:
     def _send(self, exchange: Exchange, number: int, error: int, params: bytes,
               start: int) -> int:
         """Put a status on the line; return when it ends."""
-        burst = Burst(start, encode(number, STATUS, params, error), number, self.baud)
+        burst = Burst(start, self.status_wire(number, error, params), number, self.baud)
         exchange.bursts.append(burst)
         exchange.answers.append(Answer(number, error, params, burst))
         return burst.end

@@ -32,7 +32,7 @@ from msg_defs.dxl_instruction import Answers
 
 PATIENCE_NS = 34_000_000         # SDK: two latency timers of 16 ms, and 2 ms
 GAP_NS = 100_000
-ENDLESS_NS = 100_000_000         # of exchanges that run into each other
+ENDLESS_NS = 100_000_000         # exchanges that run into each other for so long
 STATUS_SIZE = 11                 # bytes of a status without parameters
 BROADCAST_PING_NS = 3_000_000    # a master cannot know who will come last
 QUIET_NS = 10_000_000            # what an empty cycle of endless rate lasts
@@ -58,7 +58,7 @@ class Master:
         self._rng = Random(seed)
         self._faults = Faults(list(faults), Scene(line, self._fleet, self._pace, self._rng))
         self._backlog: list[Exchange] = []
-        self._pending: list[Burst] = []        # of them and around them: not yet decided
+        self._pending: list[Burst] = []        # not yet decided, with what is around them
         self._busy_until = 0
         self._strays_until = 0
         self._until: int | None = None

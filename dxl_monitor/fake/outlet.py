@@ -59,7 +59,7 @@ class Outlet:
     def write(self, data: bytes) -> None:
         """Pass bytes on as far as there is room; the rest is lost."""
         outstanding = self.outstanding()
-        # Nobody reads as long as this only grows, and no more than fits was ever accepted.
+        # As long as this only grows, nothing reads, and no more than fits was ever accepted.
         self._is_heard |= outstanding < self._outstanding \
             or self._passed_on - outstanding > CAPACITY
         self._outstanding = outstanding

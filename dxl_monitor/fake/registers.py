@@ -8,16 +8,16 @@ Error numbers are those of a status (e-Manual, Protocol 2.0): access, range, len
 
 from __future__ import annotations
 
-from dxl_monitor.control_table import Field
-from dxl_monitor.control_table import Model
 from dxl_monitor.fake.values import initial_image
 from dxl_monitor.fake.values import pack_raw
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Model
 
 OK, RESULT_FAIL, INSTRUCTION, RANGE, LENGTH, ACCESS = 0, 1, 2, 4, 5, 7
 WATCHDOG_TRIPPED = 0xFF
 _LIMITS = {'ID': (0, 252), 'Baud Rate': (0, 7), 'Return Delay Time': (0, 254),
            'Torque Enable': (0, 1), 'Status Return Level': (0, 2)}
-_SMALLEST_TABLE = 256            # of a model without a file
+_SMALLEST_TABLE = 256            # for a model without a file
 
 
 class Registers:
@@ -39,7 +39,7 @@ class Registers:
         field = self.field(name)
         if field is None:
             return default
-        return int.from_bytes(self.image[field.at:field.end], 'little')
+        return field.code_of(bytes(self.image[field.at:field.end]))
 
     def set(self, name: str, raw: float) -> None:
         """Put a raw number into a register, by no instruction; nothing where it has none."""

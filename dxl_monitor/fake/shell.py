@@ -26,10 +26,8 @@ from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.outlet import Outlet
 from dxl_monitor.fake.traffic import Ask
 from dxl_monitor.fake.traffic import none
+from dxl_monitor.fake.usb_outlet import UsbOutlet
 from mecarover_serial.pty import Away
-from msg_defs.dxl_packet import Framer
-from msg_defs.dxl_packet import stuff
-from msg_defs.dxl_packet import unstuff
 
 S = 1_000_000_000
 TICK_NS = 200_000                # shortest time between two writes, longest is
@@ -40,10 +38,14 @@ LATE_BYTES = 2048                # half of what a reader may leave
 
 
 class FakeBus:
-    """The bus of `master` on a pty, and a copy of it on a second one if `tap` is given."""
+    """
+    The bus of `master` on a pty, and a copy of it on a second one if `tap` is given.
+
+    usb: what shows it as the events of a USB adapter, too.
+    """
 
     def __init__(self, master: Master, *, link: str | None = None, tap: str | bool = False,
-                 away: Away | None = None,
+                 away: Away | None = None, usb: UsbOutlet | None = None,
                  clock: Callable[[], int] = time.monotonic_ns) -> None:
         self.master = master
         self.outlet = Outlet(link)
@@ -51,9 +53,10 @@ class FakeBus:
         self.stood_still_ns = 0
         self._outlets = [self.outlet] if self.tap is None else [self.outlet, self.tap]
         self._away = away
+        self._usb = usb
         self._clock = clock
         self._origin = 0
-        self._framer = Framer()
+        self._framer = master.line.listener()
         self._answers: deque[Burst] = deque()
         self._is_stopping = False
         self._wake_read, self._wake_write = os.pipe()
@@ -87,6 +90,8 @@ class FakeBus:
         self.join()
         for outlet in self._outlets:
             outlet.close()
+        if self._usb is not None:
+            self._usb.close()
         os.close(self._wake_read)
         os.close(self._wake_write)
 
@@ -132,6 +137,7 @@ class FakeBus:
                 end = len(burst.data) if self._is_stopping else min(passed, len(burst.data))
                 if end > done:
                     due += burst.data[done:end]
+                    self._tell_usb(burst, done, end)
                     done = end
                 if done < len(burst.data):
                     self._hand_over(due)
@@ -139,6 +145,15 @@ class FakeBus:
                     self._sleep(min(max(wait, TICK_NS), IDLE_NS))
                     self.outlet.read()           # counted, not heard: this master is simulated
         self._hand_over(due)
+
+    def _tell_usb(self, burst: Burst, done: int, end: int) -> None:
+        """Show a part of a burst on USB: a master hands over the whole of it, at once."""
+        if self._usb is None:
+            return
+        if burst.sender != MASTER:
+            self._usb.received(burst.data[done:end])
+        elif not done:
+            self._usb.sent(burst.data)
 
     def _catch_up(self, due: int) -> int:
         """Return the time on the bus; it stands still while we are too late for what is due."""
@@ -168,14 +183,14 @@ class FakeBus:
         """Yield what the chunk leads to on the line, as soon as it holds a whole instruction."""
         for _, body, flaw in self._framer.frames(chunk) if chunk else ():
             if flaw is None or not flaw.reason:
-                params = unstuff(body[4:])
-                stuffed = stuff(unstuff(body[3:])) == body[3:]
-                yield from self.master.respond(Ask(body[0], body[3], params, stuffed), self._now())
+                ask = Ask(*self.master.line.heard(body))
+                yield from self.master.respond(ask, self._now())
 
     def _send_due(self) -> None:
         now = self._now()
         while self._answers and self._answers[0].end <= now:
             burst = self._answers.popleft()
+            self._tell_usb(burst, 0, len(burst.data))
             if self.tap is not None:             # first: who drives us may ask the listener next
                 self.tap.write(burst.data)
             if burst.sender != MASTER:

@@ -16,9 +16,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 from typing import TypeVar
 
-from dxl_monitor.control_table import Field
 from dxl_monitor.fake.device import Device
 from dxl_monitor.fake.values import pack
+from dxl_monitor.model.control_table import Field
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import BROADCAST
 
@@ -123,7 +123,7 @@ def bulk_read(spans: list[Span], instruction: int = Instruction.BULK_READ) -> It
 
 
 def _batches(items: list[T], size: Callable[[T], int]) -> Iterator[list[T]]:
-    """Yield the items in batches whose sizes add up to no more than a packet takes."""
+    """Yield the items in batches, each no larger than a packet takes."""
     batch: list[T] = []
     room = ROOM
     for item in items:

@@ -35,9 +35,9 @@ class Known:
 
     def __init__(self) -> None:
         self.asked = 0               # answers that were due
-        self.answered = 0            # of them: came undamaged
-        self.missed = 0              # of them: did not come, or damaged
-        self.waiting = 0             # of them: behind a silent device, never had their turn
+        self.answered = 0            # came undamaged
+        self.missed = 0              # did not come, or damaged
+        self.waiting = 0             # behind a silent device, never had their turn
         self.missed_in_a_row = 0
         self.statuses = 0            # undamaged ones, due or not
         self.errors: dict[int, int] = {}
@@ -127,7 +127,7 @@ class Truth:
     def _judge(self, exchange: Exchange, heard: set[int]) -> None:
         sent = {answer.id for answer in exchange.answers}
         if exchange.request.answers is Answers.EVERYBODY:
-            for number in heard:     # nobody knows who else is there
+            for number in heard:     # more devices may be there
                 self.of(number).asked += 1
                 self.of(number).answered += 1
         in_line = exchange.request.answers in (Answers.LISTED, Answers.COMBINED)

@@ -3,7 +3,7 @@
 """
 What the registers of a simulated device hold: from the factory, as configured, and in motion.
 
-Values are in the units of the model files (rad, rad/s, A, V, degC) and become raw numbers through
+Values are in the units of the model files (rad, rad/s, A, V, °C) and become raw numbers through
 each field's own scale, so any model with the usual register names moves.
 """
 
@@ -13,9 +13,9 @@ from collections.abc import Callable
 import math
 from typing import NamedTuple
 
-from dxl_monitor.control_table import Field
-from dxl_monitor.control_table import Model
-from dxl_monitor.control_table import STRUCTS
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Model
+from dxl_monitor.model.control_table import STRUCTS
 
 RANGES = {'u8': (0, 0xFF), 'i8': (-0x80, 0x7F), 'u16': (0, 0xFFFF), 'i16': (-0x8000, 0x7FFF),
           'u32': (0, 0xFFFFFFFF), 'i32': (-0x80000000, 0x7FFFFFFF)}
@@ -82,7 +82,10 @@ def pack_raw(field: Field, number: float) -> bytes:
     """Return the bytes of a register for a raw number, limited to its range."""
     if field.type in RANGES:
         low, high = RANGES[field.type]
-        return STRUCTS[field.type].pack(min(max(round(number), low), high))
+        if field.sign_bit is not None and number < 0:      # direction and magnitude apart
+            number = min(round(-number), (1 << field.sign_bit) - 1) | 1 << field.sign_bit
+        raw = STRUCTS[field.type].pack(min(max(round(number), low), high))
+        return raw if field.byte_order == 'little' else raw[::-1]
     return STRUCTS[field.type].pack(number if field.type[0] == 'f' else round(number))
 
 

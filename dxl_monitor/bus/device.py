@@ -1,0 +1,178 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Device: all that is kept of one device on the bus. Changed by the tracker only.
+
+Counters are bare attributes, because some change with each packet; what a rule of time needs (the
+last 10 s) is had from a snapshot per second, so that it costs nothing on the packet path.
+"""
+
+from collections import Counter
+from collections import deque
+from functools import lru_cache
+
+from dxl_monitor.bus.report import Counts
+from dxl_monitor.bus.report import Latency
+from dxl_monitor.bus.table import size_of
+from dxl_monitor.bus.table import Table
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Model
+from dxl_monitor.model.control_table import UNKNOWN
+from msg_defs.dxl1_instruction import Dialect
+from msg_defs.timing import Series
+
+WINDOW_S = 10
+RESOLVED_NEEDED = 0.2              # the share of answers that makes a latency worth a figure
+_ERRORS_KEPT = 64                  # distinct (instruction, address, error)
+RETURN_LEVEL = 'Status Return Level'
+_SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
+_NUMBER_SIZE = 2                   # of Model Number
+
+
+class Device:
+    """
+    One device. `odd`: the next answer needs more than storing (it was away, or had an alert).
+
+    `acks`: whether it acknowledges writes, None while unknown; `dialect`: that of the 1.0 family
+    that it speaks, None with Protocol 2.0; `is_unresolved`: it said what it
+    is, and its model was not looked up yet; `moved_to`: the baud rate that was written to it, in
+    words; `followed_end`: no write from this address on changes what the device is or does;
+    `waiting_behind`: the silent device in front of it in a Sync or Bulk Read.
+    """
+
+    __slots__ = (
+        '_eeprom_end', '_level_at', '_special', 'acks', 'acks_missing', 'alert', 'asked_first',
+        'asked_stamp', 'counts', 'dialect', 'errors', 'expected', 'firmware', 'followed_end',
+        'heard', 'identity', 'identity_stamp', 'is_unresolved', 'joint', 'last_error', 'latency',
+        'latency_resolved', 'missed_in_a_row', 'model', 'model_number', 'moved_to', 'number',
+        'odd', 'registered', 'return_level', 'snapshots', 'table', 'waiting_behind')
+
+    def __init__(self, number: int, joint: str = '', expected: bool = False) -> None:
+        self.number = number                       # its ID
+        self.joint = joint
+        self.expected = expected
+        self.table = Table()
+        self.dialect: Dialect | None = None
+        self.identity = b''                        # model number, firmware: as it said, as bytes
+        self.identity_stamp = 0
+        self.is_unresolved = False
+        self.model_number: int | None = None
+        self.firmware: int | None = None
+        self.registered: tuple[int, bytes, bool] | None = None     # as Roster.write() takes it
+        self.moved_to = ''
+        self.waiting_behind: int | None = None
+        self.alert = False
+        self.last_error = 0
+        self.missed_in_a_row = 0
+        self.heard = 0                             # stamp of the last status, 0 = never
+        self.asked_stamp = 0                       # when it last did not answer
+        self.odd = True
+        self.forget_return_level()
+        self.reset_statistics()
+        self.become(UNKNOWN)
+
+    def reset_statistics(self) -> None:
+        """Start all counts at 0; what is known of the device and its state stay."""
+        self.counts = Counts()
+        self.errors: Counter[tuple[int, int, int]] = Counter()
+        self.latency = Series(WINDOW_S)
+        self.latency_resolved = 0
+        self.asked_first = 0                       # answers that could tell a latency
+        self.snapshots: deque[Counts] = deque([Counts()], WINDOW_S)
+
+    def become(self, model: Model) -> None:
+        """Take on a model; what was seen of the table stays, and may tell the return level."""
+        self.model = model
+        self._special, self._eeprom_end, self._level_at = _special_of(model)
+        self.followed_end = max(self._eeprom_end, self._level_at + 1)
+        self.table.limit = size_of(model)
+        level = self.table.bytes(self._level_at, 1) if self._level_at >= 0 else None
+        for _, value in self.special_values(self._level_at, level or b''):
+            self.set_return_level(value)
+
+    def is_told_by(self, address: int, size: int) -> bool:
+        """Return whether these bytes, read, may tell what the device is or does."""
+        return (address <= self.identity_at <= address + size - _NUMBER_SIZE
+                or address <= self._level_at < address + size)
+
+    @property
+    def identity_at(self) -> int:
+        """The address of Model Number, -1 while that is not known."""
+        return self.dialect.identity_at if self.dialect is not None else 0
+
+    @property
+    def protocol(self) -> str:
+        """What it speaks, as model files call it."""
+        return self.dialect.protocol if self.dialect is not None else '2'
+
+    def is_changed_by(self, address: int, size: int) -> bool:
+        """Return whether these bytes, written, may change what the device is or does."""
+        return address < self._eeprom_end or address <= self._level_at < address + size
+
+    def special_values(self, address: int, data: bytes) -> list[tuple[str, int]]:
+        """Return what these bytes say of ID, Baud Rate and Status Return Level: (name, raw)."""
+        end = address + len(data)
+        return [(field.name, _special_value(field, data[field.at - address:field.end - address]))
+                for field in self._special if address <= field.at and field.end <= end]
+
+    def forget_return_level(self) -> None:
+        """Forget what it answers: it is another device, or was never heard."""
+        self.return_level: int | None = None
+        self.acks: bool | None = None
+        self.acks_missing = 0
+
+    def set_return_level(self, level: int) -> None:
+        """Note what its Status Return Level is."""
+        self.return_level = level
+        self.acks = level == 2
+        self.acks_missing = 0
+
+    def acknowledged(self) -> None:
+        """Note that it answered a write."""
+        self.acks = True
+        self.acks_missing = 0
+
+    def miss(self, now: int, doubtful: bool) -> None:
+        """Count an answer that did not come, or perhaps came damaged."""
+        self.counts.missed += 1
+        self.counts.spoilt += doubtful
+        self.missed_in_a_row += 1
+        self.asked_stamp = now
+        self.waiting_behind = None
+        self.odd = True
+
+    def note_error(self, instruction: int, address: int, error: int) -> None:
+        self.counts.refused += 1
+        key = (instruction, address, error)
+        if key in self.errors or len(self.errors) < _ERRORS_KEPT:
+            self.errors[key] += 1
+
+    def tick(self) -> None:
+        """Take the snapshot of a second."""
+        self.snapshots.append(self.counts.copy())
+
+    def window(self) -> Counts:
+        """Return what happened in the last 10 s (up to a second less)."""
+        return self.counts.since(self.snapshots[0])
+
+    def latency_report(self, now: int) -> Latency:
+        resolved = self.latency_resolved / self.asked_first if self.asked_first else 0.0
+        if resolved < RESOLVED_NEEDED:
+            return Latency(None, None, resolved)
+        return Latency(self.latency.summary(now), self.latency.total(), resolved)
+
+
+@lru_cache(maxsize=256)
+def _special_of(model: Model) -> tuple[list[Field], int, int]:
+    """Return the registers to follow; where those in EEPROM end; where Status Return Level is."""
+    special = [field for name in _SPECIAL if (field := model.by_name.get(name)) is not None]
+    ends = [field.end for field in special if field.name != RETURN_LEVEL]
+    ends += [field.end for field in model.fields if field.memory == 'eeprom']
+    level_at = next((field.at for field in special if field.name == RETURN_LEVEL), -1)
+    return special, max(ends, default=0), level_at
+
+
+def _special_value(field: Field, raw: bytes) -> int:
+    """Return the code; of a return level that counts otherwise: that of Dynamixel."""
+    number = field.decode(raw).number if field.name == RETURN_LEVEL else None
+    return field.code_of(raw) if number is None else int(number)

@@ -1,0 +1,48 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Duty: which device really had to answer, so that only a loss counts as one.
+
+Status Return Level decides (e-Manual): 0 answers Pings, 1 reads too, 2 acknowledges writes as
+well. It is known where the register was seen; else a device that acknowledged once is taken to do
+so always, until it stops while it goes on answering reads.
+"""
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.evidence import Evidence
+from dxl_monitor.bus.plan import Due
+from dxl_monitor.bus.plan import Slot
+from dxl_monitor.bus.roster import Roster
+
+ACKS_LEARNED = 3                   # writes without an answer, from a device that answers reads
+
+
+class Duty:
+    """write_acks: 'auto', 'always' or 'never', as the parameter."""
+
+    __slots__ = ('_evidence', '_roster', '_write_acks')
+
+    def __init__(self, write_acks: str, roster: Roster, evidence: Evidence) -> None:
+        self._write_acks = write_acks
+        self._roster = roster
+        self._evidence = evidence
+
+    def is_due(self, slot: Slot) -> bool:
+        """Return whether this status, which did not come, had to come."""
+        device = slot.device
+        if device.is_unresolved:
+            self._roster.resolve(device)       # its model tells where its level stands
+        if slot.due is Due.READ:
+            return device.return_level != 0
+        if slot.due is Due.ALWAYS or self._write_acks == 'always':
+            return True
+        if self._write_acks == 'never' or device.acks is False:
+            return False
+        device.acks_missing += 1
+        if device.acks is None:
+            return False
+        if device.acks_missing >= ACKS_LEARNED and device.missed_in_a_row < ACKS_LEARNED - 1:
+            device.acks = False                # it answers reads, so it is there
+            self._evidence.note(device.asked_stamp, ev.ACKS_STOPPED, device.number,
+                                device.acks_missing)
+        return bool(device.acks)

@@ -1,0 +1,167 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Rare things seen on a bus, kept for the error log and for the doctor; bounded in every way.
+
+The tracker notes what happened, never why: causes are the doctor's.
+What happens with each packet is a counter of the device, not an incident.
+"""
+
+from collections import Counter
+from collections import deque
+from collections.abc import Callable
+
+from dxl_monitor.bus.report import Error
+from dxl_monitor.bus.report import Incident
+from msg_defs.dxl_instruction import error_text
+from msg_defs.dxl_instruction import name_of
+
+NOBODY = -1
+
+# Kinds of incidents, each with what its detail holds.
+DAMAGED_STATUS = 'damaged status'              # instruction byte as read, length as read
+DAMAGED_INSTRUCTION = 'damaged instruction'    # instruction byte as read, length as read
+BAD_LENGTH = 'bad length'                      # length
+CUT = 'cut'                                    # instruction byte, length: it ends too early
+REPAIRED = 'repaired header'                   # instruction byte
+GLITCH = 'glitch'                              # counted only: a byte or two of noise ahead
+MISSED = 'missed'                              # instruction, address; the first of a row
+DISCONNECTED = 'disconnected'                  # missed in a row
+RETURNED = 'returned'                          # ms of silence, Torque Enable before (-1 unknown)
+REFUSED = 'refused'                            # instruction, address, error number
+ALERT = 'alert'                                # it began
+SECOND_ANSWER = 'second answer'                # instruction: already answered by this ID
+ANEW = 'answered anew'                         # instruction; behind damage that hid another
+UNASKED = 'unasked answer'                     # instruction that ran, error byte
+LATE = 'late answer'                           # us after its instruction was given up
+WRONG_SIZE = 'wrong size'                      # bytes, bytes asked for
+FAST_CUT = 'fast reply cut'                    # blocks that came, blocks asked for
+REPEATED = 'repeated'                          # instruction, us after the first (an echo: 0)
+UNSTUFFED = 'unstuffed'                        # instruction: FF FF FD without its FD
+MODEL = 'model changed'                        # number before, number now
+ID_WRITTEN = 'ID written'                      # new ID
+BAUD_WRITTEN = 'Baud Rate written'             # code
+OPEN = 'undecided packet'                      # code byte: an instruction or a status (1.0)
+CALIBRATED = 'calibrated'                      # nothing: the present position became the middle
+REBOOTED = 'rebooted'                          # instruction
+ACKS_STOPPED = 'acks stopped'                  # writes without an answer
+UNKNOWN_INSTRUCTION = 'unknown instruction'    # instruction
+MALFORMED = 'malformed'                        # instruction, parameter bytes
+BAD_ID = 'bad id'                              # ID of a status, or of an instruction
+PROTOCOL_1 = 'protocol 1.0'                    # instruction byte
+ECHO = 'echo'                                  # counted only: the master's own, heard back
+FOREIGN = 'foreign instruction'                # instruction: it came to the master
+NOT_SENT = 'not sent'                          # instruction
+SOURCE_LOST = 'source lost'                    # events or bytes
+QUIET = 'quiet'                                # ms without any byte on the bus
+
+_KEPT = 1000
+_APART_NS = 100_000_000             # between two that are kept, where each packet may be one
+_ERRORS_KEPT = 50
+_WAITS_KEPT = 256
+
+# The lines of the error log; what is not listed here is no error.
+_TEXTS: dict[str, Callable[[tuple[int, ...]], str]] = {
+    DAMAGED_STATUS: lambda d: 'status with a wrong CRC',
+    DAMAGED_INSTRUCTION: lambda d: f'{name_of(d[0])} with a wrong CRC',
+    BAD_LENGTH: lambda d: f'packet with Length {d[0]}',
+    CUT: lambda d: f'{name_of(d[0])} that ends before its Length of {d[1]}',
+    MISSED: lambda d: f'no answer to {name_of(d[0])}' + (f' at {d[1]}' if d[1] >= 0 else ''),
+    DISCONNECTED: lambda d: f'disconnected: {d[0]} answers missed',
+    REFUSED: lambda d: f'{name_of(d[0])} at {d[1]} refused: {error_text(d[2])}',
+    ALERT: lambda d: 'alert',
+    SECOND_ANSWER: lambda d: f'second answer to one {name_of(d[0])}',
+    UNASKED: lambda d: 'answer that nobody asked for',
+    LATE: lambda d: f'answer {d[0]} us too late',
+    WRONG_SIZE: lambda d: f'answer of {d[0]} bytes to a read of {d[1]}',
+    FAST_CUT: lambda d: f'fast reply ends after {d[0]} of {d[1]} devices',
+    UNKNOWN_INSTRUCTION: lambda d: f'unknown {name_of(d[0])}',
+    MALFORMED: lambda d: f'{name_of(d[0])} that makes no sense ({d[1]} bytes)',
+    BAD_ID: lambda d: f'packet with ID {d[0]}',
+    FOREIGN: lambda d: f'{name_of(d[0])} of another master',
+    NOT_SENT: lambda d: f'{name_of(d[0])} that did not leave the adapter',
+    SOURCE_LOST: lambda d: f'{d[0]} events or bytes that were not heard',
+}
+
+
+class Evidence:
+    """What was noted on one bus."""
+
+    __slots__ = ('_errors', '_incidents', '_kept', '_waits', 'counts', 'noted')
+
+    def __init__(self) -> None:
+        self._incidents: deque[Incident] = deque(maxlen=_KEPT)
+        self._errors: deque[Incident] = deque(maxlen=_ERRORS_KEPT)
+        self._waits: deque[tuple[int, int, int]] = deque(maxlen=_WAITS_KEPT)
+        self.counts: Counter[str] = Counter()          # by kind, since start
+        self._kept: dict[str, int] = {}                # stamp of the last that note_often() kept
+        self.noted = 0                                 # incidents so far
+
+    def note(self, stamp: int, kind: str, device: int = NOBODY, *detail: int) -> None:
+        incident = Incident(stamp, kind, device, detail)
+        self._incidents.append(incident)
+        self.counts[kind] += 1
+        self.noted += 1
+        if kind in _TEXTS:
+            self._errors.append(incident)
+
+    def note_often(self, stamp: int, kind: str, device: int, *detail: int) -> None:
+        """Note what may come with each packet: counted each time, kept once in a while."""
+        if stamp - self._kept.get(kind, -_APART_NS) >= _APART_NS:
+            self._kept[kind] = stamp
+            self.note(stamp, kind, device, *detail)
+        else:
+            self.counts[kind] += 1
+
+    def note_wait(self, stamp: int, wait_us: int, device: int) -> None:
+        """Keep how long the master waited for an answer before it went on."""
+        self._waits.append((stamp, wait_us, device))
+
+    def look_at_noise(self, noise: bytes, fresh: int, stamp: int) -> None:
+        """Look for packets of Protocol 1.0 that end in the last `fresh` bytes of noise."""
+        for at, end in _protocol_1(noise):
+            if end > len(noise) - fresh:
+                self.note(stamp, PROTOCOL_1, noise[at + 2], noise[at + 4])
+
+    def newest(self, count: int) -> tuple[Incident, ...]:
+        """Return the last incidents, oldest first."""
+        count = min(count, len(self._incidents))
+        return tuple(self._incidents[index] for index in range(-count, 0))
+
+    def incidents(self) -> tuple[Incident, ...]:
+        return tuple(self._incidents)
+
+    def waits(self) -> tuple[tuple[int, int, int], ...]:
+        return tuple(self._waits)
+
+    def errors(self) -> tuple[Error, ...]:
+        return tuple(Error(incident.stamp, _line(incident)) for incident in self._errors)
+
+
+def text_of(incident: Incident) -> str:
+    """Return what happened in words, without whom it happened to; '' for what is no error."""
+    text = _TEXTS.get(incident.kind)
+    return text(incident.detail) if text is not None else ''
+
+
+def _line(incident: Incident) -> str:
+    text = text_of(incident)
+    return text if incident.device < 0 else f'{incident.device:03}: {text}'
+
+
+def _protocol_1(data: bytes) -> list[tuple[int, int]]:
+    """
+    Return where packets of Protocol 1.0 begin and end.
+
+    They are FF FF, ID, length, instruction, parameters, checksum.
+    """
+    found = []
+    at = data.find(b'\xff\xff')
+    while 0 <= at < len(data) - 5:
+        end = at + 4 + data[at + 3]
+        if (data[at + 2] < 0xFD and 2 <= data[at + 3] <= 0x40 and end <= len(data)
+                and sum(data[at + 2:end]) & 0xFF == 0xFF):
+            found.append((at, end))
+            at = end - 1
+        at = data.find(b'\xff\xff', at + 1)
+    return found

@@ -1,0 +1,60 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What is on a bus, as a person writes it: '11:MX-106:left_knee', '1-20:MX-64', '30'.
+
+The one home of this syntax; the order of the entries is the order along the cable. Whether a
+model of that name exists is decided by Models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+import re
+from typing import NamedTuple
+
+from mecarover_serial.parameters import ParameterError
+from mecarover_serial.parameters import refuse_twice
+
+MAX_ID = 252
+_ENTRY = re.compile(r'\s*(\d+)\s*(?:-\s*(\d+)\s*)?(?::([^:]*))?(?::([^:]*))?')
+_EXAMPLES = "write ID:MODEL:JOINT, e.g. '11:MX-106:left_knee', '1-20:MX-64' or '30'"
+
+
+class Expected(NamedTuple):
+    """One device that the user listed; model and joint are '' where the entry leaves them out."""
+
+    id: int
+    model: str = ''
+    joint: str = ''
+
+
+def parse(text: str) -> list[Expected]:
+    """Return the devices of one entry, or of several behind commas."""
+    return [device for entry in text.split(',') for device in _parse_entry(entry)]
+
+
+def parse_all(entries: Iterable[str]) -> list[Expected]:
+    """Return the devices of all entries in their order; an ID twice is a mistake."""
+    devices = [device for entry in entries for device in parse(entry)]
+    refuse_twice('devices: ID', [device.id for device in devices])
+    refuse_twice('devices: joint', [device.joint for device in devices if device.joint])
+    return devices
+
+
+def _parse_entry(entry: str) -> list[Expected]:
+    match = _ENTRY.fullmatch(entry)
+    if match is None:
+        raise ParameterError(f'devices: {entry!r} is not a device; {_EXAMPLES}')
+    first = int(match[1])
+    last = first if match[2] is None else int(match[2])
+    model, joint = ((part or '').strip() for part in match.group(3, 4))
+    if last > MAX_ID:
+        raise ParameterError(f'devices: {entry!r}: an ID is at most {MAX_ID}; {_EXAMPLES}')
+    if last < first:
+        raise ParameterError(f'devices: {entry!r}: the range runs backwards; '
+                             f'write {last}-{first}')
+    if joint and last > first:
+        raise ParameterError(f'devices: {entry!r}: one joint name for {last - first + 1} devices; '
+                             'name the joints one by one')
+    return [Expected(number, model, joint) for number in range(first, last + 1)]

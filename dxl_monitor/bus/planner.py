@@ -1,0 +1,309 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Planner: instruction packets to Plans, each kind worked out once; and what they do once accepted.
+
+A write to one device takes effect when the device acknowledges it, or does not refuse it: what
+the device refuses never gets into its table. Where no answer is due it takes effect at once.
+"""
+
+from collections.abc import Callable
+from collections.abc import Container
+from functools import partial
+from itertools import islice
+from typing import Any
+from typing import NamedTuple
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.device import Device
+from dxl_monitor.bus.evidence import Evidence
+from dxl_monitor.bus.plan import Action
+from dxl_monitor.bus.plan import Begin
+from dxl_monitor.bus.plan import combined_slot
+from dxl_monitor.bus.plan import Due
+from dxl_monitor.bus.plan import Effect
+from dxl_monitor.bus.plan import Plan
+from dxl_monitor.bus.plan import Slot
+from dxl_monitor.bus.plan import Take
+from dxl_monitor.bus.plan import take_nothing
+from dxl_monitor.bus.roster import MAX_ID
+from dxl_monitor.bus.roster import Roster
+from dxl_monitor.bus.table import WRITTEN
+from msg_defs.dxl1_instruction import CALIBRATE
+from msg_defs.dxl1_instruction import understood
+from msg_defs.dxl1_packet import FAMILY
+from msg_defs.dxl_instruction import Access
+from msg_defs.dxl_instruction import Answers
+from msg_defs.dxl_instruction import bulk_write_entries
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import is_whole_bulk_write
+from msg_defs.dxl_instruction import KINDS
+from msg_defs.dxl_instruction import NAMES
+from msg_defs.dxl_instruction import parse
+from msg_defs.dxl_instruction import Request
+from msg_defs.dxl_instruction import RESET_ALL
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import unstuff
+
+PLANS_LOOKED_AT = 64               # a master repeats fewer
+TARGETS_KEPT = 64                  # different lists of IDs in Sync Writes
+SLOTS_KEPT = 32_768                # the size of all plans together: 3000 different reads
+BYTES_PER_SLOT = 32                # so many bytes of a plan's key count as one slot
+NO_IDS = (0xFD, 0xFF)
+NO_PLAN = Plan(Request(0, 0xFF, Answers.NOBODY), {})
+
+_KEY_SIZE = {code: kind.key_size for code, kind in KINDS.items()}
+_RUN = b'\xff\xff\xfd'
+
+
+class Target(NamedTuple):
+    """One device of a Sync Write; is_changed: the write may change what the device is or does."""
+
+    device: Device
+    store: Take
+    is_changed: bool
+
+
+class Planner:
+    """The plans of one bus. on_ack: called with the device and its status when it acknowledges."""
+
+    __slots__ = ('_actions', '_evidence', '_makers', '_on_ack', '_retired', '_roster', '_size',
+                 '_targets', 'known')
+
+    def __init__(self, roster: Roster, evidence: Evidence,
+                 on_ack: Callable[..., object]) -> None:
+        self._roster = roster
+        self._evidence = evidence
+        self._on_ack = on_ack
+        self.known: dict[bytes, Plan] = {}     # by what tells one from another
+        self._size = 0                 # size of all plans, in slots
+        self._targets: dict[bytes, list[Target]] = {}  # by address, size and IDs of a Sync Write
+        self._retired = 0              # instructions of forgotten plans
+        roster.changed = self.forget_plans
+        self._actions: dict[int, Action] = {
+            Instruction.WRITE: roster.write,
+            Instruction.SYNC_WRITE: roster.write,
+            Instruction.BULK_WRITE: roster.write,
+            Instruction.REG_WRITE: roster.register,
+            Instruction.ACTION: roster.act,
+            Instruction.REBOOT: roster.reboot,
+            Instruction.FACTORY_RESET: roster.factory_reset,
+            Instruction.CLEAR: roster.clear,
+            Instruction.CONTROL_TABLE_BACKUP: roster.restore,
+            CALIBRATE: roster.calibrate,
+        }
+        self._makers: dict[Answers, Callable[[Request], list[Slot]]] = {
+            Answers.NOBODY: lambda request: [],
+            Answers.EVERYBODY: lambda request: [],
+            Answers.PING: self._ping_slots,
+            Answers.DATA: self._read_slots,
+            Answers.LISTED: self._read_slots,
+            Answers.COMBINED: self._read_slots,
+            Answers.ACK: self._ack_slots,
+        }
+
+    def plan_for(self, body: bytes, stamp: int) -> Plan:
+        """Return the plan of an instruction, from the body of its frame."""
+        key = body[:_KEY_SIZE.get(body[3])]
+        plan = self.known.get(key)
+        if plan is None:
+            plan = self._learn(body, stamp)
+            if plan.request.malformed:
+                key = body             # another one of this key may well make sense
+            size = plan.size + len(key) // BYTES_PER_SLOT
+            if self._size + size > SLOTS_KEPT:
+                self.forget_plans()
+            self._size += size
+            self.known[key] = plan
+        return plan
+
+    def plans(self) -> list[Plan]:
+        """Return the plans in use, with what is counted of them elsewhere brought up to date."""
+        for plan in self.known.values():
+            self._count(plan)
+        return list(self.known.values())
+
+    def has_answer(self, number: int, size: int) -> bool:
+        """Return whether an instruction of this master has an answer of this size (its body)."""
+        return any(number in plan.slots and plan.slots[number].size == size
+                   for plan in islice(self.known.values(), PLANS_LOOKED_AT))
+
+    def instructions(self) -> int:
+        """Return how many instructions there were since start."""
+        return self._retired + sum(plan.asked for plan in self.known.values())
+
+    def forget_plans(self) -> None:
+        """Begin again: there are too many, or a device has another ID or model now."""
+        self.plans()
+        self._retired = self.instructions()
+        self.known.clear()
+        self._targets.clear()
+        self._size = 0
+
+    def _count(self, plan: Plan) -> None:
+        new = plan.asked - plan.counted
+        plan.counted = plan.asked
+        for kind in plan.oddities:
+            self._evidence.counts[kind] += new
+        for number, slot in plan.slots.items():
+            if slot.due is Due.READ and number != BROADCAST:   # a fast read: its first device
+                slot.device.counts.reads += new
+
+    def _learn(self, body: bytes, stamp: int) -> Plan:
+        if body[2] < FAMILY:
+            request = parse(body[3], body[0], unstuff(body[4:]))
+        else:
+            request = understood(body, self._roster.dialect)
+            for number in {request.id, *(access.id for access in request.accesses)} - {BROADCAST}:
+                self._roster.speaks(self._roster.device(number))
+        plan = self._plan_of(request)
+        oddities = _oddities(request, body, NAMES if body[2] < FAMILY
+                             else self._roster.dialect.entries)
+        if oddities:
+            plan.oddities = tuple(kind for kind, *_ in oddities)
+            plan.counted = 1               # noted here, and it has no reads
+            for kind, *what in oddities:
+                self._evidence.note(stamp, kind, *what)
+        return plan
+
+    def _plan_of(self, request: Request) -> Plan:
+        if request.id in NO_IDS:
+            return Plan(request, {})
+        slots = {slot.device.number: slot for slot in self._makers[request.answers](request)}
+        if request.answers is Answers.COMBINED and slots:
+            first = next(iter(slots.values())).device
+            slots = {BROADCAST: combined_slot(first), **slots}
+        return Plan(request, slots, self._beginner(request))
+
+    def _ping_slots(self, request: Request) -> list[Slot]:
+        device = self._roster.device(request.id)
+        if device.dialect is not None:     # the 1.0 family answers without data
+            return [Slot(device, Due.ALWAYS, -1, 0, take_nothing)]
+        return [Slot(device, Due.ALWAYS, -1, 3, partial(self._roster.pinged, device))]
+
+    def _read_slots(self, request: Request) -> list[Slot]:
+        return [self._read_slot(access) for access in request.accesses if access.id <= MAX_ID]
+
+    def _read_slot(self, access: Access) -> Slot:
+        device = self._roster.device(access.id)
+        take: Take = device.table.store
+        if device.is_told_by(access.address, access.length):
+            take = partial(self._roster.read_special, device)
+        return Slot(device, Due.READ, access.address, access.length, take)
+
+    def _ack_slots(self, request: Request) -> list[Slot]:
+        device = self._roster.device(request.id)
+        address = request.accesses[0].address if request.accesses else -1
+        return [Slot(device, Due.ACK, address, 0, partial(self._on_ack, device))]
+
+    def _beginner(self, request: Request) -> Begin | None:
+        """Return what a repetition of this instruction starts, None for one that only asks."""
+        if request.instruction == Instruction.BULK_WRITE and request.accesses:
+            return partial(self._bulk_write, request.malformed)
+        action = self._actions.get(request.instruction)
+        if action is None or request.malformed:
+            return None
+        if request.instruction == Instruction.SYNC_WRITE:
+            return self._sync_write
+        if request.id != BROADCAST:
+            device = self._roster.device(request.id)
+            if request.accesses:
+                return partial(self._defer_write, action, device, request.accesses[0].address)
+            return partial(self._defer_command, action, device, _arguments(request))
+        if request.accesses:
+            return partial(self._write_all, action, request.accesses[0].address)
+        return partial(self._command_all, action, request)
+
+    def _defer_write(self, action: Action, device: Device, address: int, body: bytes,
+                     stamp: int) -> Effect:
+        return action, (device, address, self._content(body, 6, stamp), stamp)
+
+    def _defer_command(self, action: Action, device: Device, arguments: tuple[str, ...],
+                       body: bytes, stamp: int) -> Effect:
+        return action, (device, *arguments, stamp)
+
+    def _sync_write(self, body: bytes, stamp: int) -> None:
+        """Write to many. Robots send this most of all, so it is not parsed each time."""
+        params = self._content(body, 4, stamp)
+        address = params[0] | params[1] << 8
+        size = params[2] | params[3] << 8
+        ids = params[4::size + 1]
+        if 4 + len(ids) * (size + 1) != len(params):
+            self._note_malformed(body, stamp)      # once it is unstuffed
+            return
+        key = params[:4] + ids
+        targets = self._targets.get(key)
+        if targets is None:
+            targets = self._find_targets(key, address, size, ids)
+        at = 5
+        for device, store, is_changed in targets:  # as Roster.write(), which costs a call more
+            data = params[at:at + size]
+            at += size + 1
+            device.counts.writes += 1
+            store(address, data, stamp, WRITTEN)
+            if is_changed or device.is_unresolved:
+                self._roster.follow(device, address, data, stamp)
+
+    def _find_targets(self, key: bytes, address: int, size: int, ids: bytes) -> list[Target]:
+        if len(self._targets) >= TARGETS_KEPT:
+            self._targets.clear()
+        devices = [self._roster.device(number) for number in ids]
+        targets = self._targets[key] = [
+            Target(one, one.table.store, one.is_changed_by(address, size)) for one in devices]
+        return targets
+
+    def _bulk_write(self, is_known: bool, body: bytes, stamp: int) -> None:
+        """Write what makes sense; is_known: that not all of it does is noted already."""
+        params = self._content(body, 4, stamp)
+        entries = bulk_write_entries(params)
+        for number, address, data in entries:
+            self._roster.write(self._roster.device(number), address, data, stamp)
+        if not is_known and not is_whole_bulk_write(params, entries):
+            self._note_malformed(body, stamp)
+
+    def _note_malformed(self, body: bytes, stamp: int) -> None:
+        self._evidence.note(stamp, ev.MALFORMED, body[0], body[3], len(body) - 4)
+
+    def _content(self, body: bytes, at: int, stamp: int) -> bytes:
+        """Return what is written, unstuffed; a master that does not stuff is worth a note."""
+        data = body[at:]
+        if _RUN not in data:
+            return data
+        if data.count(_RUN) != data.count(_RUN + b'\xfd'):
+            self._evidence.note(stamp, ev.UNSTUFFED, body[0], body[3])
+        return unstuff(data)
+
+    def _write_all(self, action: Action, address: int, body: bytes, stamp: int) -> None:
+        data = self._content(body, 6, stamp)
+        devices = list(self._roster.devices.values())
+        heard = [device for device in devices if device.heard]
+        for device in devices:
+            action(device, address, data, stamp, heard == [device])
+
+    def _command_all(self, action: Action, request: Request, body: bytes, stamp: int) -> None:
+        if request.option == RESET_ALL:
+            return             # X and MX ignore that one, lest all get the same ID
+        for device in list(self._roster.devices.values()):
+            action(device, *_arguments(request), stamp)
+
+
+def _oddities(request: Request, body: bytes, names: Container[int]) -> list[tuple[Any, ...]]:
+    """
+    Return what is odd about an instruction: the kinds of incident, each with its details.
+
+    names: the instructions that the protocol knows.
+    """
+    number, instruction = request.id, request.instruction
+    found: list[tuple[Any, ...]] = []
+    if instruction not in names:
+        found.append((ev.UNKNOWN_INSTRUCTION, number, instruction))
+    if request.malformed:
+        found.append((ev.MALFORMED, number, instruction, len(body) - 4))
+    if number in NO_IDS:
+        found.append((ev.BAD_ID, ev.NOBODY, number))
+    return found
+
+
+def _arguments(request: Request) -> tuple[str, ...]:
+    kind = KINDS.get(request.instruction)
+    return (request.option,) if kind is not None and kind.has_option else ()

@@ -1,0 +1,199 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a bus monitor knows at one moment: plain values, safe to use without any lock.
+
+Made by Monitor.report(now); published by node.py, judged by doctor.py, shown by the dashboard and
+the terminal. Keys of counters are spelt as a user reads them, unit in the key.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from dataclasses import field
+from dataclasses import fields
+from typing import NamedTuple
+
+from dxl_monitor.bus.table import Observed
+from dxl_monitor.model.control_table import Model
+from dxl_monitor.port.driver import LineErrors
+from msg_defs import status_keys as keys
+from msg_defs.reports import Level
+from msg_defs.reports import Metric
+from msg_defs.timing import Summary
+
+# State words of a device.
+CONNECTED = 'connected'
+DISCONNECTED = 'disconnected'      # more answers missed in a row than missed_limit
+SILENT = 'silent'                  # not asked, and silent, for silent_after
+EXPECTED = 'expected'              # listed in `devices`, never heard
+ASKED = 'asked'                    # addressed by the master, never heard, not listed
+WAITING = 'waiting'                # asked, but behind a silent device in the same Sync Read
+MOVED = 'moved'                    # its Baud Rate was written: not on this bus any more
+
+
+class Error(NamedTuple):
+    """One line of the error log; stamp in monotonic ns."""
+
+    stamp: int
+    text: str
+
+
+class Finding(NamedTuple):
+    """A named cause, from the doctor; device None = the bus."""
+
+    rule: str
+    level: Level
+    device: int | None
+    message: str                   # what a person does about it
+    evidence: tuple[tuple[str, str], ...] = ()
+
+
+class Incident(NamedTuple):
+    """A rare event for the doctor; kinds are in evidence.py; device -1 = none in particular."""
+
+    stamp: int
+    kind: str
+    device: int
+    detail: tuple[int, ...]
+
+
+def _shown(key: str) -> int:
+    """Return a counter that starts at 0 and is published under this key."""
+    count: int = field(default=0, metadata={'key': key})
+    return count
+
+
+@dataclass(slots=True)
+class Counts:
+    """
+    What happened to a device: since start or reset, or in the last 10 s.
+
+    A new counter is one more line here, and the place that counts.
+    """
+
+    answers: int = _shown(keys.ANSWERS)
+    missed: int = _shown(keys.MISSED_ANSWERS)
+    not_served: int = _shown('Not Served')         # the master gave up before its turn
+    damaged: int = _shown('Damaged Answers')       # they failed their CRC
+    repaired: int = _shown('Repaired Answers')     # their first header byte was damaged
+    refused: int = _shown('Refused Instructions')
+    alerts: int = _shown('Alert Answers')          # answers with the alert bit
+    writes: int = _shown('Writes')
+    reads: int = 0
+    eeprom_writes: int = 0
+    spoilt: int = 0                # missed answers with damage or noise in their place
+    glitches: int = 0              # answers with a byte or two of noise in front
+    model_changes: int = 0         # how often it said to be another model
+    garbled: int = 0               # damage where its answer was due
+    fast_answers: int = 0          # its parts of fast replies
+    pongs: int = 0                 # answers to Pings
+    data_missed: int = 0           # of the missed: data that it was asked for
+
+    @property
+    def asked(self) -> int:
+        """How many answers were due."""
+        return self.answers + self.missed
+
+    @property
+    def loss(self) -> float:
+        """The share of answers that were missed, 0 to 1."""
+        return self.missed / self.asked if self.asked else 0.0
+
+    def copy(self) -> Counts:
+        return Counts(*(getattr(self, name) for name in _COUNTS))
+
+    def since(self, past: Counts) -> Counts:
+        """Return what was counted after `past`, an earlier copy."""
+        return Counts(*(getattr(self, name) - getattr(past, name) for name in _COUNTS))
+
+    def published(self) -> list[tuple[str, int]]:
+        """Return the counters that a status shows: (key, count)."""
+        return [(key, getattr(self, name)) for name, key in _KEYS]
+
+
+_COUNTS = [one.name for one in fields(Counts)]
+_KEYS = [(one.name, one.metadata['key']) for one in fields(Counts) if one.metadata]
+
+
+class Latency(NamedTuple):
+    """
+    reply_latency (ms): end of the instruction to start of the status.
+
+    resolved: the share of answers of which the chunks tell it, 0 to 1; below 0.2 window and total
+    are None.
+    """
+
+    window: Summary | None
+    total: Summary | None
+    resolved: float
+
+
+class DeviceReport(NamedTuple):
+    """One device. level and message say the worst about it in a few words."""
+
+    id: int
+    name: str                      # '011', with the joint name where `devices` gives one
+    joint: str                     # '' if none
+    model: Model                   # control_table.UNKNOWN until it is learned
+    model_number: int | None
+    model_name: str                # 'MX-106', or 'unknown', or 'unknown (1234)'
+    firmware: int | None
+    state: str                     # one of the words above
+    level: Level
+    message: str
+    totals: Counts                 # since start or reset
+    window: Counts                 # the last 10 s
+    missed_in_a_row: int
+    waiting_behind: int | None     # ID of the silent device in front of it
+    last_heard_s: float | None     # age of its last answer
+    alert: bool                    # the alert bit of its last answer
+    last_error: str                # in its last answer: 'Access'; '' if none
+    status_return_level: int | None
+    acks: bool | None              # whether it acknowledges writes, None while unknown
+    acks_missing: int              # writes without an acknowledgement, in a row
+    observed: tuple[Observed, ...]
+    unobserved: int                # fields of the model that were never seen
+    latency: Latency
+    errors: dict[tuple[int, int, int], int]     # (instruction, address, error number): how often
+
+
+class Cycle(NamedTuple):
+    """An instruction that the master repeats: what, to whom, its recent periods."""
+
+    instruction: int
+    ids: tuple[int, ...]
+    address: int | None
+    length: int
+    asked: int                     # since start
+    missed: int                    # answers to it that were missed
+    stamps: tuple[int, ...]        # the last 64, monotonic ns
+
+
+class BusReport(NamedTuple):
+    """One bus at one moment."""
+
+    name: str
+    stamp: int                     # now, monotonic ns
+    started: int                   # stamp of the first chunk (0: none yet) or of the reset
+    baud: int
+    level: Level
+    message: str
+    devices: tuple[DeviceReport, ...]           # by ID
+    counters: dict[str, int]                    # since start or reset
+    rates: dict[str, float]                     # per s, last 10 s: bytes, packets, errors
+    errors: tuple[Error, ...]                   # the last 50, oldest first
+    incidents: tuple[Incident, ...]             # the last 1000, oldest first
+    waits: tuple[tuple[int, int, int], ...]     # vain ones of the master: stamp, us, device
+    cycles: tuple[Cycle, ...]                   # the 32 instructions asked most
+    metrics: tuple[Metric, ...]                 # about the bus; per device: DeviceReport.latency
+    noise: bytes                                # the last 256 bytes of noise
+    last_byte_s: float | None                   # age of the last chunk
+    kinds: dict[str, int]                       # incidents by kind, since start or reset
+    protocol: str = ''                          # what the bus speaks, in words; '' unheard
+    asked: int = 0                              # stamp of the last instruction (0: none yet)
+    scanned: tuple[int, ...] = ()               # IDs that were pinged and never heard, if many
+    chain: tuple[int, ...] = ()                 # the IDs of `devices`, in the order of the cable
+    line_errors: LineErrors | None = None       # since start, where the driver counts them
+    findings: tuple[Finding, ...] = ()
+    doubts: tuple[Finding, ...] = ()            # what the doctor cannot tell, and why

@@ -1,0 +1,256 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Table: what is known of one device's memory, byte by byte: the value, when and how it was seen.
+
+store() is on the packet path and only notes the latest data of a span; the bytes are put in
+place when somebody looks. Nothing is decoded before it is asked for. No clock, no locks: the
+caller stamps (ns, monotonic) and keeps store() and the look apart.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Literal
+from typing import NamedTuple
+
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Indirect
+from dxl_monitor.model.control_table import Model
+from dxl_monitor.model.control_table import Value
+
+READ = 1        # the device said so
+WRITTEN = 2     # the master wrote it and the device did not refuse
+SOURCES = {READ: 'r', WRITTEN: 'w'}
+# What lies beyond is not kept: the tables of nearly all devices end before the first of them, and
+# none that is known reaches 10600.
+USUAL_LIMIT = 0x800
+SIZE_LIMIT = 0x4000
+SPAN_LIMIT = 64         # spans waiting to be put in place; a master uses a handful
+LONG = 256              # bytes of a span that does not wait
+Data = bytes            # the built-in: Table.bytes hides its name
+IDENTITY = ('Model Number', 'Model Information', 'Firmware Version')
+
+
+class Observed(NamedTuple):
+    """A field that was seen in full; age_s of its oldest byte, source 'r' or 'w'."""
+
+    field: Field
+    value: Value
+    age_s: float
+    source: str
+
+
+@lru_cache(maxsize=8192)           # most registers hold at this look what they held at the last
+def _decoded(field: Field, raw: bytes) -> Value:
+    return field.decode(raw)
+
+
+class Image:
+    """Bytes with a stamp and a source each; source 0 = never seen."""
+
+    __slots__ = ('data', 'sources', 'stamps')
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.stamps = array('q')
+        self.sources = bytearray()
+
+    def copy(self) -> Image:
+        twin = Image()
+        twin.data[:] = self.data
+        twin.stamps = self.stamps[:]
+        twin.sources[:] = self.sources
+        return twin
+
+    def grow(self, size: int) -> None:
+        more = size - len(self.data)
+        if more > 0:
+            self.data.extend(bytes(more))
+            self.stamps.frombytes(bytes(8 * more))
+            self.sources.extend(bytes(more))
+
+    def put(self, address: int, data: bytes, stamp: int, source: int, limit: int) -> None:
+        data = data[:max(0, limit - address)]
+        end = address + len(data)
+        if not data:
+            return
+        self.grow(end)
+        self.data[address:end] = data
+        self.stamps[address:end] = array('q', (stamp,)) * len(data)
+        self.sources[address:end] = bytes((source,)) * len(data)
+
+    def knows(self, at: int, end: int) -> bool:
+        return end <= len(self.data) and 0 not in self.sources[at:end]
+
+    def observed(self, field: Field, now_ns: int) -> Observed:
+        at, end = field.at, field.end
+        source = WRITTEN if WRITTEN in self.sources[at:end] else READ
+        age_s = (now_ns - min(self.stamps[at:end])) / 1e9
+        return Observed(field, _decoded(field, bytes(self.data[at:end])), age_s, SOURCES[source])
+
+
+class Table:
+    """The memory image of one device, up to the address `limit`."""
+
+    __slots__ = ('_image', '_latest', 'limit')
+
+    def __init__(self) -> None:
+        self.limit = USUAL_LIMIT
+        self._latest: dict[tuple[int, int], tuple[Data, int, int]] = {}
+        self._image = Image()
+
+    def store(self, address: int, data: Data, stamp: int, source: int) -> None:
+        """Note that the bytes from `address` on were seen at `stamp`, READ or WRITTEN."""
+        latest = self._latest
+        key = (address, len(data))
+        # Taken out and put back, so that the dict stays in order of arrival (stamps may be equal).
+        before = latest.pop(key, None)
+        latest[key] = (data, stamp, source)
+        if before is None and (len(latest) > SPAN_LIMIT or len(data) > LONG):
+            self._settle()
+
+    def _settle(self) -> Image:
+        if self._latest:
+            put = self._image.put
+            for (address, _), (data, stamp, source) in self._latest.items():
+                put(address, data, stamp, source, self.limit)
+            self._latest.clear()
+        return self._image
+
+    def copy(self) -> Table:
+        """Take a snapshot that later stores do not touch: a few microseconds."""
+        twin = Table()
+        twin._image = self._settle().copy()
+        return twin
+
+    def byte(self, address: int) -> int | None:
+        """Return the byte at `address`, None if never seen. Indirect data are not resolved."""
+        image = self._settle()
+        return image.data[address] if image.knows(address, address + 1) else None
+
+    def bytes(self, address: int, size: int) -> Data | None:
+        """`size` bytes from `address` on, None unless all of them were seen."""
+        image = self._settle()
+        end = address + size
+        return bytes(image.data[address:end]) if image.knows(address, end) else None
+
+    def known(self) -> list[tuple[int, Data]]:
+        """Return what was seen as (address, data) runs: all there is without a model."""
+        image = self._settle()
+        runs = bytes(min(source, 1) for source in image.sources).split(b'\0')
+        found, at = [], 0
+        for run in runs:
+            if run:
+                found.append((at, bytes(image.data[at:at + len(run)])))
+            at += len(run) + 1
+        return found
+
+    def observed(self, model: Model, now_ns: int) -> list[Observed]:
+        """
+        Every field of `model` that is wholly known, in order of address.
+
+        What was read or written through indirect addresses counts for the registers they point
+        at; indirect data stay `Indirect Data N` while it is unknown where they point.
+        """
+        image = self._resolved(model)
+        sources = image.sources
+        reach = len(sources)
+        # The first byte alone rules out most fields of a table of which a part was seen.
+        return [image.observed(_in_force(field, model, image), now_ns) for field in model.fields
+                if field.end <= reach and sources[field.at] and image.knows(field.at, field.end)]
+
+    def in_force(self, field: Field, model: Model) -> Field:
+        """Return the field with the meaning that another register gives it at present."""
+        return _in_force(field, model, self._settle())
+
+    def observed_field(self, model: Model, name: str, now_ns: int) -> Observed | None:
+        """Do as observed(), for one field."""
+        return self.observed_of(model, (name,), now_ns)[0]
+
+    def observed_of(self, model: Model, names: Iterable[str],
+                    now_ns: int) -> list[Observed | None]:
+        """Do as observed(), for these fields; None for what is not known or not there."""
+        image = self._resolved(model)
+        found = [model.by_name.get(name) for name in names]
+        return [image.observed(_in_force(field, model, image), now_ns)
+                if field is not None and image.knows(field.at, field.end) else None
+                for field in found]
+
+    def clear(self) -> None:
+        """Forget everything: this is another device."""
+        self._latest.clear()
+        if self._image.data:
+            self._image = Image()
+
+    def forget(self, memory: Literal['ram', 'all'], model: Model,
+               keep: Iterable[str] = IDENTITY) -> None:
+        """
+        Forget what a Reboot ('ram') or a Factory Reset ('all') has changed.
+
+        'ram' keeps the fields that `model` has in EEPROM, 'all' none; both keep those named by
+        `keep`. Bytes the model does not know are forgotten.
+        """
+        names = set(keep)
+        old = self._settle()
+        new = Image()
+        for field in model.fields:
+            kept = field.name in names or (memory == 'ram' and field.memory == 'eeprom')
+            if kept and field.at < len(old.data):
+                end = min(field.end, len(old.data))
+                new.grow(end)
+                new.data[field.at:end] = old.data[field.at:end]
+                new.stamps[field.at:end] = old.stamps[field.at:end]
+                new.sources[field.at:end] = old.sources[field.at:end]
+        self._image = new
+
+    def _resolved(self, model: Model) -> Image:
+        image = self._settle()
+        if len(image.data) <= model.indirect_from:
+            return image
+        resolved = image.copy()
+        for indirect in model.indirect:
+            _resolve(image, indirect, resolved)
+        return resolved
+
+
+@lru_cache(maxsize=256)
+def size_of(model: Model) -> int:
+    """Return up to which address bytes of this model are kept."""
+    ends = [field.end for field in model.fields[-1:]]
+    ends += [one.data + one.size for one in model.indirect]
+    return min(max(USUAL_LIMIT, *ends), SIZE_LIMIT) if ends else USUAL_LIMIT
+
+
+def _in_force(field: Field, model: Model, image: Image) -> Field:
+    """Pick the meaning that another register gives; as long as that is unknown: the raw one."""
+    if field.cases is None:
+        return field
+    other = model.by_name[field.cases.by]
+    if not image.knows(other.at, other.end):
+        return field
+    code = int.from_bytes(image.data[other.at:other.end], 'little') & field.cases.mask
+    return field.cases.fields.get(code, field)
+
+
+def _resolve(image: Image, indirect: Indirect, resolved: Image) -> None:
+    """
+    Move indirect data to the registers they stand for (one level); the newer byte wins.
+
+    Data older than the address they lie under were read when it pointed elsewhere.
+    """
+    for n in range(indirect.size):
+        here, address = indirect.data + n, indirect.address + 2 * n
+        if not (image.knows(here, here + 1) and image.knows(address, address + 2)):
+            continue
+        target = image.data[address] | image.data[address + 1] << 8
+        stamp = image.stamps[here]
+        if target < SIZE_LIMIT and stamp >= max(image.stamps[address:address + 2]):
+            resolved.grow(target + 1)
+            if stamp >= resolved.stamps[target] or not resolved.sources[target]:
+                resolved.data[target] = image.data[here]
+                resolved.stamps[target] = stamp
+                resolved.sources[target] = image.sources[here]
+            resolved.sources[here] = 0

@@ -1,0 +1,400 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Tracker: pairs every status with the instruction it answers.
+
+Rules: an instruction closes the one before, and a device that had to answer that one and did not
+is missed; any status is life; only a status that surely answers the pending instruction touches a
+table. After a damaged packet, or noise long enough to hide one, nothing is sure until the next
+instruction.
+Nothing on the wire raises, and nothing here grows with what is on the wire.
+
+Where the side of a frame is known, damage on the way to the master hides no instruction: what the
+next answers belong to stays certain. An instruction from that side is an echo, or of another
+master.
+"""
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.device import Device
+from dxl_monitor.bus.dialogue import OPEN
+from dxl_monitor.bus.duty import Duty
+from dxl_monitor.bus.evidence import Evidence
+from dxl_monitor.bus.plan import Due
+from dxl_monitor.bus.plan import Effect
+from dxl_monitor.bus.plan import Plan
+from dxl_monitor.bus.plan import Slot
+from dxl_monitor.bus.planner import NO_PLAN
+from dxl_monitor.bus.planner import Planner
+from dxl_monitor.bus.roster import MAX_ID
+from dxl_monitor.bus.roster import Roster
+from dxl_monitor.bus.table import READ
+from msg_defs.dxl1_packet import begin_of
+from msg_defs.dxl1_packet import FAMILY
+from msg_defs.dxl_instruction import ALERT
+from msg_defs.dxl_instruction import Answers
+from msg_defs.dxl_instruction import blocks_in
+from msg_defs.dxl_instruction import NAMES
+from msg_defs.dxl_instruction import split_combined
+from msg_defs.dxl_packet import body_crc
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import Flaw
+from msg_defs.dxl_packet import Frame
+from msg_defs.dxl_packet import STATUS
+from msg_defs.dxl_packet import unstuff
+from msg_defs.heard import IN
+from msg_defs.heard import UNKNOWN
+
+# A line that turns round leaves a byte or two of noise, on a real robot in front of one packet in
+# thirteen. The shortest instruction has 10 bytes: 3 cannot hide one.
+GLITCH = 3
+_NO_SLOTS: dict[int, Slot] = {}
+_PING_SIZE = 8                     # the body of the answer to a Ping
+_BARE_PING_SIZE = 5                # and that of the 1.0 family
+
+
+class Tracker:
+    """Follows one bus. Feed it what the Framer finds, in order."""
+
+    __slots__ = ('_asked', '_deferred', '_duty', '_evidence', '_given_up', '_is_cut',
+                 '_is_spoilt', '_known', '_last', '_missed_limit', '_plan', '_roster',
+                 '_slots', '_spoke', '_unresolved', 'byte_ns', 'is_doubtful', 'planner')
+
+    def __init__(self, roster: Roster, evidence: Evidence, byte_ns: float,
+                 missed_limit: int, write_acks: str) -> None:
+        self._roster = roster
+        self.planner = Planner(roster, evidence, self._acknowledged)
+        self._known = self.planner.known
+        self._evidence = evidence
+        self.byte_ns = byte_ns
+        self._missed_limit = missed_limit
+        self._duty = Duty(write_acks, roster, evidence)
+        self.is_doubtful = True                # an answer may not belong to what is pending
+        self._is_spoilt = False                # there was damage since what is pending
+        self._is_cut = False                   # a fast reply to it broke off, whole up to there
+        # The pending instruction:
+        self._plan: Plan = NO_PLAN
+        self._last = b''                       # its body
+        self._asked = (0, 0, 0)                # its end, the end of its chunk, the stamp
+        self._deferred: Effect | None = None   # what it does once it is accepted
+        self._slots: dict[int, Slot] = {}      # the statuses that are still to come
+        self._unresolved = False               # no status yet: the first one tells a latency
+        self._spoke: set[int] = set()          # the devices that answered it with damage
+        self._given_up = _NO_SLOTS             # the statuses to the one before that did not come
+
+    def track(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
+        """
+        Take the frames of one chunk; received is the stream offset behind the chunk.
+
+        side: of the chunk. Each side is a stream of its own; call in the order of time.
+        """
+        slots = self._slots
+        for end, body, flaw in frames:
+            if flaw is not None and self._flawed(body, flaw, stamp, side):
+                continue
+            if body[3] != STATUS:
+                if side == IN and self._is_echo(body, stamp):
+                    continue
+                slots = self._instruct(body, end, received, stamp)
+                continue
+            slot = slots.pop(body[0], None)
+            if slot is None:
+                self._unasked(body, stamp)
+                continue
+            device = slot.device
+            if self._unresolved:
+                self._unresolved = False
+                device.asked_first += 1
+                if side or end > self._asked[1]:
+                    began = end - len(body) - 6 if body[2] < FAMILY else begin_of(end, body)
+                    if side or began >= self._asked[1]:
+                        self._sample_latency(device, began, received, stamp)
+            if len(body) != slot.size or body[4] or device.odd or self.is_doubtful:
+                self._unusual(slot, body, stamp)
+            else:
+                device.counts.answers += 1
+                device.heard = stamp
+                slot.take(slot.address, body[5:], stamp, READ)
+
+    def _is_echo(self, body: bytes, stamp: int) -> bool:
+        """Take an instruction that came to the master; return whether it is its own."""
+        if body == self._last:
+            self._evidence.counts[ev.ECHO] += 1
+            return True
+        self._evidence.note(stamp, ev.FOREIGN, body[0], body[3])
+        return False
+
+    def not_sent(self, stamp: int) -> None:
+        """Take note that the pending instruction did not get to the bus, or not all of it."""
+        if self._plan is not NO_PLAN:
+            self._evidence.note(stamp, ev.NOT_SENT, self._last[0], self._last[3])
+        self._forget()
+
+    def lose_track(self, stamp: int, lost: int) -> None:
+        """Judge nothing that is pending: `lost` events were not heard, or the port was closed."""
+        if lost:
+            self._evidence.note(stamp, ev.SOURCE_LOST, ev.NOBODY, lost)
+        self._forget()
+        self.is_doubtful = True
+
+    def _forget(self) -> None:
+        self._plan = NO_PLAN
+        self._slots = {}
+        self._given_up = _NO_SLOTS
+        self._deferred = None
+
+    def settle(self, stamp: int) -> None:
+        """Give up waiting: the line is idle for longer than any answer takes."""
+        if self._slots or self._deferred is not None:
+            self._close(b'', 0, 0, stamp)
+        self._plan = NO_PLAN
+        self._slots = {}
+
+    @property
+    def asked(self) -> int:
+        """The stamp of the last instruction, 0 before the first."""
+        return self._asked[2]
+
+    @property
+    def pending(self) -> Plan:
+        """The instruction that answers belong to now."""
+        return self._plan
+
+    def _instruct(self, body: bytes, end: int, received: int, stamp: int) -> dict[int, Slot]:
+        if self._slots or self._deferred is not None:
+            began = end - len(body) - 6 if body[2] < FAMILY else begin_of(end, body)
+            self._close(body, began, received, stamp)
+        else:
+            self._given_up = _NO_SLOTS
+        if self._spoke:
+            self._spoke.clear()
+        self._is_cut = False
+        plan = self._known.get(body) or self.planner.plan_for(body, stamp)
+        self._plan = plan
+        self._last = body
+        plan.asked += 1
+        plan.stamps.append(stamp)
+        self._deferred = None if plan.begin is None else plan.begin(body, stamp)
+        self._asked = end, received, stamp
+        self._unresolved = True
+        self.is_doubtful = self._is_spoilt = False
+        self._slots = slots = plan.slots.copy()
+        return slots
+
+    # --- answers that need more than storing -----------------------------------------------
+
+    def _unusual(self, slot: Slot, body: bytes, stamp: int) -> None:
+        """Take an awaited status that is damaged in its context, stuffed, an error or a return."""
+        if body[0] == BROADCAST:
+            self._combined(body + body_crc(body).to_bytes(2, 'little'), stamp)
+        else:
+            self._answer(slot, body[4], unstuff(body[5:]), stamp)
+
+    def _answer(self, slot: Slot, error: int, data: bytes, stamp: int) -> None:
+        device = slot.device
+        device.counts.answers += 1
+        self._roster.heard(device, error, stamp)
+        if self.is_doubtful:
+            return
+        device.last_error = code = error & ~ALERT
+        if code:
+            self._refused(slot, code, stamp)
+        elif len(data) != slot.size - 5:
+            if self.planner.has_answer(device.number, 5 + len(data)):
+                self._evidence.note(stamp, ev.LATE, device.number, self._since_asked(stamp))
+                return
+            self._evidence.note(stamp, ev.WRONG_SIZE, device.number, len(data), slot.size - 5)
+        else:
+            slot.take(slot.address, data, stamp, READ)
+
+    def _acknowledged(self, device: Device, address: int, data: bytes, stamp: int,
+                      source: int) -> None:
+        device.acks = True
+        device.acks_missing = 0
+        self._carry_out()
+
+    def _carry_out(self) -> None:
+        """Do what the pending instruction asked for: it was accepted."""
+        effect = self._deferred
+        if effect is not None:
+            self._deferred = None
+            action, arguments = effect
+            action(*arguments)
+
+    def _refused(self, slot: Slot, code: int, stamp: int) -> None:
+        instruction = self._plan.request.instruction
+        if slot.due is Due.ACK:
+            self._deferred = None
+            slot.device.acknowledged()
+        slot.device.note_error(instruction, slot.address, code)
+        self._evidence.note(stamp, ev.REFUSED, slot.device.number, instruction, slot.address, code)
+
+    def _combined(self, body: bytes, stamp: int) -> bool:
+        """Take the parts of a fast reply; return whether it breaks off behind a whole one."""
+        accesses = self._plan.request.accesses
+        blocks = split_combined(body, accesses)        # each part that holds proves itself
+        there = len(blocks)
+        if there < len(accesses):
+            there = max(there, blocks_in(body, accesses))
+        for block in blocks:
+            slot = self._slots.pop(block.id, None)
+            if slot is not None:
+                slot.device.counts.fast_answers += 1
+                self._answer(slot, block.error, block.data, stamp)
+        if len(blocks) < there:
+            damaged, unknown = self._plan.failed(there, blocks[-1].id if blocks else -1,
+                                                 self._slots)
+            for slot in damaged:
+                self._speak_damaged(slot)
+            for number in unknown:
+                del self._slots[number]
+        if there < len(accesses) and not self._is_spoilt:
+            self._evidence.note(stamp, ev.FAST_CUT, accesses[there].id, there, len(accesses))
+        return len(blocks) == there < len(accesses)
+
+    def _unasked(self, body: bytes, stamp: int) -> None:
+        """Take a status that was not due: a sign of life, no more."""
+        number = body[0]
+        if number > MAX_ID:
+            self._evidence.note(stamp, ev.BAD_ID, ev.NOBODY, number)
+            return
+        device = self._roster.device(number)
+        self._roster.heard(device, body[4], stamp)
+        request = self._plan.request
+        if request.answers is Answers.EVERYBODY and len(body) == (
+                _PING_SIZE if body[2] < FAMILY else _BARE_PING_SIZE):
+            device.counts.answers += 1
+            if body[2] >= FAMILY:
+                self._roster.speaks(device)
+            elif not self.is_doubtful:
+                self._roster.pinged(device, 0, body[5:], stamp, READ)
+        elif self.is_doubtful:       # it may well have been asked, by what was damaged
+            if number in self._plan.slots:
+                self._evidence.note(stamp, ev.ANEW, number, request.instruction)
+        elif number in self._plan.slots:
+            self._evidence.note(stamp, ev.SECOND_ANSWER, number, request.instruction)
+        elif not self._plan.is_understood and request.id in (number, BROADCAST):
+            pass                   # it may have asked for this answer
+        elif number in self._given_up:
+            self._evidence.note(stamp, ev.LATE, number, self._since_asked(stamp))
+        else:
+            self._evidence.note(stamp, ev.UNASKED, number, request.instruction, body[4])
+
+    # --- damage --------------------------------------------------------------------------------
+
+    def _flawed(self, body: bytes, flaw: Flaw, stamp: int, side: str) -> bool:
+        """Note what is wrong about a frame; return whether it is lost."""
+        if flaw.reason:
+            self._spoil(flaw.noise_length > GLITCH, side)
+            self._spoil(self._damaged(body, flaw.reason, stamp), side)
+            return True
+        device = self._roster.devices.get(body[0]) if body[3] == STATUS else None
+        if flaw.noise_length > GLITCH:
+            self._spoil(not self._is_cut, side)        # what a fast reply left is no noise
+            self._is_cut = False
+        elif flaw.noise_length:
+            self._evidence.counts[ev.GLITCH] += 1
+            if device is not None:
+                device.counts.glitches += 1
+        if flaw.repaired and device is not None:
+            device.counts.repaired += 1
+            self._spoke.add(device.number)     # whether the others understood it, is not known
+        return False
+
+    def _spoil(self, is_damaged: bool, side: str) -> None:
+        """Take note of damage; where the side is not known it may have hidden an instruction."""
+        self._is_spoilt |= is_damaged
+        self.is_doubtful |= is_damaged and side != IN
+
+    def _damaged(self, body: bytes, reason: str, stamp: int) -> bool:
+        """Note a damaged frame; return whether it leaves a doubt about what else is answered."""
+        number, length, instruction = body[0], body[1] | body[2] << 8, (body[3:4] or b'\0')[0]
+        is_status = instruction == STATUS
+        if is_status and number == BROADCAST and BROADCAST in self._slots:
+            del self._slots[BROADCAST]
+            self._is_cut = self._combined(body, stamp)
+            if self._is_cut:                   # nothing is damaged: the next one is silent
+                return False
+        if reason == OPEN:
+            self._evidence.note(stamp, ev.OPEN, number, instruction)
+        elif reason == 'length':
+            self._evidence.note(stamp, ev.BAD_LENGTH, ev.NOBODY, length)
+        elif reason == 'cut':
+            self._evidence.note(stamp, ev.CUT, ev.NOBODY, instruction, length)
+        else:
+            kind = ev.DAMAGED_STATUS if is_status else ev.DAMAGED_INSTRUCTION
+            self._evidence.note(stamp, kind, number, instruction, length)
+        if is_status and number == BROADCAST:
+            return True
+        slot = self._plan.slots.get(number) if is_status else None
+        if slot is not None:
+            self._speak_damaged(slot)
+        elif self._slots and (is_status or instruction not in NAMES):
+            self._speak_damaged(next(iter(self._slots.values())), 0)           # it is its turn
+        return True
+
+    def _speak_damaged(self, slot: Slot, surely: int = 1) -> None:
+        self._spoke.add(slot.device.number)
+        slot.device.counts.garbled += 1
+        slot.device.counts.damaged += surely
+
+    # --- answers that did not come -------------------------------------------------------------
+
+    def _close(self, following: bytes, began: int, received: int, stamp: int) -> None:
+        """
+        End the pending instruction and judge the devices that did not answer.
+
+        following is the body of the next one, began the stream offset at which it begins.
+        """
+        slots = self._given_up = self._slots
+        slots.pop(BROADCAST, None)
+        due = [slot for slot in slots.values() if self._duty.is_due(slot)]
+        if due:
+            now = int(self._on_wire(began, received, stamp))
+            if self._is_spoilt and not self._spoke:
+                self._speak_damaged(due[0], 0)         # noise came in the place of its answer
+            self._judge(due, now)
+            if following == self._last:
+                self._evidence.note(now, ev.REPEATED, due[0].device.number, following[3],
+                                    self._since_asked(now))
+        if not due or self._is_spoilt:
+            self._carry_out()
+        self._deferred = None
+
+    def _judge(self, due: list[Slot], now: int) -> None:
+        """Count the missed, and those not served because the master gave up before them."""
+        served, behind = self._plan.served(due, self._spoke)
+        for slot in due[:served]:
+            self._miss(slot, now)
+        for slot in due[served:]:
+            device = slot.device
+            device.counts.not_served += 1
+            device.asked_stamp = now
+            device.waiting_behind = behind
+            device.odd = True
+        self._evidence.note_wait(now, self._since_asked(now), due[0].device.number)
+
+    def _miss(self, slot: Slot, now: int) -> None:
+        device = slot.device
+        self._plan.missed += 1
+        device.miss(now, self._is_spoilt or device.number in self._spoke)
+        device.counts.data_missed += slot.due is Due.READ
+        if device.missed_in_a_row == 1:
+            self._evidence.note(now, ev.MISSED, device.number, self._plan.request.instruction,
+                                slot.address)
+        elif device.missed_in_a_row == self._missed_limit + 1:
+            self._evidence.note(now, ev.DISCONNECTED, device.number, device.missed_in_a_row)
+
+    def _since_asked(self, now: int) -> int:
+        """Return the us since the end of the pending instruction."""
+        return int(now - self._on_wire(*self._asked)) // 1000
+
+    def _on_wire(self, offset: int, received: int, stamp: int) -> float:
+        """Return when this offset was on the wire, from the end and the stamp of its chunk."""
+        return stamp - (received - offset) * self.byte_ns
+
+    def _sample_latency(self, device: Device, began: int, received: int, stamp: int) -> None:
+        if self.is_doubtful or device is not next(iter(self._plan.slots.values())).device:
+            return                             # another device had its turn before it
+        device.latency_resolved += 1
+        wait = self._on_wire(began, received, stamp) - self._on_wire(*self._asked)
+        device.latency.add(max(0.0, wait / 1e6), stamp)

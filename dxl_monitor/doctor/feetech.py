@@ -1,0 +1,87 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rules about Feetech servos: what is peculiar to their EEPROM, baud codes and calibration."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import each
+from dxl_monitor.doctor.rule import each_with
+from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import listed
+from dxl_monitor.doctor.rule import Rule
+from msg_defs.reports import Level
+
+FEETECH = 'feetech'
+# What LeRobot takes these codes for (its tables of Feetech motors, commit 7427f31).
+LEROBOT_BAUDS = {5: 57_600, 6: 38_400, 7: 19_200}
+LOCKED_S = 10.0                    # so long ago: not the lock behind the writes of the window
+TWICE = 2
+
+
+def _baud_code(case: Case, device: DeviceReport) -> Found | None:
+    if device.model.protocol != FEETECH:
+        return None
+    code = case.incidents(ev.BAUD_WRITTEN, device.id)[-1].detail[0]
+    taken_for = LEROBOT_BAUDS.get(code)
+    if taken_for is None:
+        return None
+    field = device.model.by_name['Baud Rate']
+    meant = field.decode(field.bytes_of(code)).text
+    return Claim(device.id, f'Baud Rate {code} was written: that is {meant} for Feetech and '
+                 f'{taken_for} in LeRobot; look for the servo at {meant} Bd',
+                 (('code', str(code)),))
+
+
+def _locked(case: Case, device: DeviceReport) -> Found | None:
+    lock = case.values[device.id].get('Lock')
+    if device.model.protocol != FEETECH or lock is None or lock.value.raw != 1 \
+            or lock.age_s < LOCKED_S or not device.window.eeprom_writes:
+        return None
+    return Claim(device.id, f'{device.window.eeprom_writes} writes to EEPROM while Lock is 1: the '
+                 'servo forgets them at power-off; write 0 to Lock first, and 1 behind',
+                 (('writes', str(device.window.eeprom_writes)),))
+
+
+def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
+    times = case.count(ev.CALIBRATED, device.id)
+    if times < TWICE:
+        return None
+    return Claim(device.id, f'calibrated {times} times within 10 s: each time the position it has '
+                 'then becomes the middle; do it once, with the joint in the middle',
+                 (('times', str(times)),))
+
+
+def _mixed_firmware(case: Case) -> Iterator[Found]:
+    by_model: defaultdict[str, dict[int, str]] = defaultdict(dict)
+    for device in case.report.devices:
+        if device.model.protocol == FEETECH:
+            seen = case.values[device.id]
+            parts = [seen[name].value.text for name in (
+                'Firmware Version', 'Firmware Version Minor') if name in seen]
+            if len(parts) == 2:
+                by_model[device.model_name][device.id] = '.'.join(parts)
+    for name, versions in by_model.items():
+        if len(set(versions.values())) > 1:
+            least = min(set(versions.values()), key=list(versions.values()).count)
+            odd = sorted(number for number, one in versions.items() if one == least)
+            yield Claim(None, f'{name} with different firmware, {least} in {listed(odd)}: LeRobot '
+                        "refuses that; bring them to one version with Feetech's debugger",
+                        (('versions', ', '.join(sorted(set(versions.values())))),))
+
+
+RULES = (
+    Rule('baud_code', Level.WARN, 'a write to Baud Rate of a Feetech servo',
+         each_with(ev.BAUD_WRITTEN, _baud_code)),
+    Rule('lock', Level.WARN, 'Lock and writes to EEPROM of a Feetech servo', each(_locked)),
+    Rule('calibrated_twice', Level.WARN, 'Calibrate (0x0B) of Feetech, seen twice',
+         each_with(ev.CALIBRATED, _calibrated_twice)),
+    Rule('mixed_firmware', Level.WARN, 'Firmware Version, major and minor, of Feetech servos',
+         _mixed_firmware),
+)

@@ -1,0 +1,98 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a serial driver can do for a listener beyond reading: hand bytes over soon, count errors.
+
+Every function copes with a driver that cannot (pty, socket, most others): None or False. None of
+them sends anything to the bus.
+"""
+
+from __future__ import annotations
+
+import array
+from contextlib import suppress
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+TIOCGSERIAL = 0x541E
+TIOCSSERIAL = 0x541F
+TIOCGICOUNT = 0x545D
+ASYNC_LOW_LATENCY = 0x2000
+_FLAGS = 4                       # struct serial_struct, in ints
+_SERIAL_STRUCT_INTS = 32
+_ICOUNT_INTS = 20                # cts dsr rng dcd rx tx frame overrun parity brk buf_overrun ...
+SYS = Path('/sys')
+
+
+class LineErrors(NamedTuple):
+    """Errors that the driver counted on the line since the port was first opened."""
+
+    overrun: int = 0             # the UART's FIFO was full
+    buf_overrun: int = 0         # the kernel's buffer was full: we were too late
+    frame: int = 0
+    parity: int = 0
+    breaks: int = 0
+
+    def __add__(self, other: tuple[int, ...]) -> LineErrors:  # type: ignore[override]
+        return LineErrors(*(mine + its for mine, its in zip(self, other, strict=True)))
+
+    def since(self, begin: LineErrors) -> LineErrors:
+        """Return what came on top of `begin`."""
+        return LineErrors(*(max(0, now - then) for now, then in zip(self, begin, strict=True)))
+
+
+def line_errors(fd: int) -> LineErrors | None:
+    """Return the driver's counters (TIOCGICOUNT), None where it keeps none."""
+    import fcntl  # not at the top: files are read where there is none, too
+
+    counts = array.array('i', [0] * _ICOUNT_INTS)
+    try:
+        fcntl.ioctl(fd, TIOCGICOUNT, counts)
+    except OSError:
+        return None
+    frame, overrun, parity, breaks, buf_overrun = counts[6:11]
+    return LineErrors(overrun, buf_overrun, frame, parity, breaks)
+
+
+def set_low_latency(fd: int) -> bool:
+    """Ask the driver to hand over each byte at once; tell whether it will."""
+    import fcntl
+
+    settings = array.array('i', [0] * _SERIAL_STRUCT_INTS)
+    with suppress(OSError):
+        fcntl.ioctl(fd, TIOCGSERIAL, settings)
+        if not settings[_FLAGS] & ASYNC_LOW_LATENCY:
+            settings[_FLAGS] |= ASYNC_LOW_LATENCY
+            fcntl.ioctl(fd, TIOCSSERIAL, settings)
+        return True
+    return False
+
+
+def adapter(path: str, root: Path = SYS) -> list[tuple[str, str]]:
+    """Return what a USB adapter says of itself, 'Adapter' and 'Adapter Serial Number'."""
+    tty = os.path.basename(os.path.realpath(path))
+    device = Path(os.path.realpath(root / 'class/tty' / tty / 'device'))
+    usb = next((one for one in (device, *device.parents) if (one / 'idVendor').exists()), None)
+    if usb is None:
+        return []
+    found = []
+    for key, name in (('Adapter', 'product'), ('Adapter Serial Number', 'serial')):
+        with suppress(OSError):
+            found.append((key, (usb / name).read_text(errors='replace').strip()))
+    return [(key, text) for key, text in found if text]
+
+
+def latency_timer_ms(path: str, root: Path = SYS) -> int | None:
+    """
+    Return the latency timer of an FTDI adapter (ms), set to 1 where we may; None without one.
+
+    At 16 ms, the driver's default, an adapter hides every delay on the bus below that.
+    """
+    file = root / 'class/tty' / os.path.basename(os.path.realpath(path)) / 'device/latency_timer'
+    with suppress(OSError):
+        file.write_text('1')
+    try:
+        return int(file.read_text())
+    except (OSError, ValueError):
+        return None

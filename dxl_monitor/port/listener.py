@@ -1,0 +1,250 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The read-only port thread: opens the port, has it read, hands on stamped chunks.
+
+Never writes, and the kernel holds it to that: the descriptor is O_RDONLY. A lost port is opened
+again for ever, and its path is looked up each time. A small process does the reading (reader.py);
+the thread itself reads only where there is no descriptor to share, or where no process can be
+started. The stamp of a chunk is the time at which it was read (ns, monotonic): its first byte came
+earlier by the wire time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import os
+import select
+import threading
+import time
+from typing import NamedTuple
+
+from dxl_monitor.port import reader
+from dxl_monitor.port.driver import latency_timer_ms
+from dxl_monitor.port.driver import line_errors
+from dxl_monitor.port.driver import LineErrors
+from dxl_monitor.port.driver import set_low_latency
+from dxl_monitor.port.reader_process import ReaderProcess
+from dxl_monitor.port.reader_process import Record
+from mecarover_serial.port import as_port_error
+from mecarover_serial.port import Backoff
+from mecarover_serial.port import open_port
+from mecarover_serial.port import Port
+from msg_defs.heard import Change
+from msg_defs.heard import UNKNOWN
+from msg_defs.uart import idle_s
+
+ERRORS_EVERY_NS = 1_000_000_000
+# The process stamps, so its records can wait: many at a time cost a quarter less than a few.
+TAKE_EVERY_S = 0.05
+
+
+class ListenerState(NamedTuple):
+    """Whether the port is open; if not, why: `kind` for programs, `text` is a line for people."""
+
+    is_open: bool
+    kind: str = ''
+    text: str = ''
+    since: int = 0               # ns, monotonic
+
+
+class ListenerCounters(NamedTuple):
+    """Totals since the start."""
+
+    bytes: int
+    reads: int
+    openings: int
+    largest_gap_s: float         # between two reads while bytes were waiting
+    line_errors: LineErrors | None       # None: the driver counts none
+
+
+class Listener:
+    """
+    A listener on one port; both callbacks come from its thread.
+
+    on_chunk(bytes, stamp[, side]) for what was read; on_idle(stamp) when nothing came until then,
+    a few times a second while it lasts. Without either, the port was not read. on_change(change,
+    stamp): what the source said beside bytes; only some do (usb_listener.py, tap_listener.py).
+    """
+
+    def __init__(self, port: str, baud: int, on_chunk: Callable[..., object],
+                 on_idle: Callable[[int], object] = lambda now: None, *,
+                 on_change: Callable[[Change, int], object] = lambda change, stamp: None,
+                 gather_s: float = reader.GATHER_S, take_every_s: float = TAKE_EVERY_S,
+                 in_thread: bool = False) -> None:
+        self.port = port
+        self.baud = baud
+        self.state = ListenerState(False, 'starting', f'{port}: not opened yet',
+                                   time.monotonic_ns())
+        self.latency_timer_ms: int | None = None     # an FTDI adapter's
+        self.low_latency = False
+        self.reader_pid: int | None = None           # the process that reads at present
+        self.listened = 0            # stamp (ns) up to which all that came was handed on
+        self._on_chunk = on_chunk
+        self._on_idle = on_idle
+        self._on_change = on_change
+        self._gather_s = gather_s
+        self._take_every_s = take_every_s
+        self._in_thread = in_thread
+        self._bytes = self._reads = self._openings = self._largest_gap = 0
+        self._backoff = Backoff()
+        self._fd: int | None = None                  # the open port's, if it is a serial one
+        self._errors_at = 0          # when the driver's counters were read
+        self._errors_now: LineErrors | None = None
+        self._errors_before = LineErrors()           # before this opening
+        self._errors_at_opening: LineErrors | None = None
+        self._stopping = False
+        self._wake_read, self._wake_write = os.pipe()
+        self._thread = threading.Thread(target=self._run, name=f'listener {port}', daemon=True)
+
+    @property
+    def counters(self) -> ListenerCounters:
+        """The totals, from any thread."""
+        return ListenerCounters(self._bytes, self._reads, self._openings, self._largest_gap * 1e-9,
+                           self._errors_now)
+
+    @property
+    def idle_s(self) -> float:
+        """For how long the line must be silent before what is left can be judged."""
+        return idle_s(self.baud, self.latency_timer_ms or 0)
+
+    def problems(self) -> list[str]:
+        """Return what a person should know at the end, beside what the counters say."""
+        return []
+
+    def start(self) -> None:
+        """Begin to listen; the port may be absent."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Close the port and end the thread; no callback comes after this returns."""
+        self._stopping = True
+        os.write(self._wake_write, b'x')
+        self._thread.join()
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+
+    def _run(self) -> None:
+        while not self._stopping:
+            try:
+                self._listen_once()
+            except Exception as mistake:            # no mistake ends the listening
+                error = as_port_error(self.port, mistake)
+                self.state = ListenerState(False, error.kind, str(error), time.monotonic_ns())
+            self._pause(self._backoff.next())
+        self.state = ListenerState(False, 'stopped', f'{self.port}: closed', time.monotonic_ns())
+
+    def _listen_once(self) -> None:
+        """Open the port and listen until it is lost, which raises, or we are stopped."""
+        port = open_port(self.port, self.baud, read_only=True)
+        try:
+            self._prepare(port)
+            self._listen(port)
+        finally:
+            port.close()
+
+    def _prepare(self, port: Port) -> None:
+        self._openings += 1
+        self._errors_before = self._errors_now or LineErrors()
+        self._errors_at_opening = None
+        self._fd = port.fd if port.is_tty else None
+        if self._fd is not None:
+            self._errors_at_opening = line_errors(self._fd)
+            self.low_latency = set_low_latency(self._fd)
+            self.latency_timer_ms = latency_timer_ms(self.port)
+        self._say_open()
+
+    def _say_open(self, remark: str = '') -> None:
+        self.state = ListenerState(True, '', f'{self.port}: open at {self.baud} baud{remark}',
+                              time.monotonic_ns())
+
+    def _listen(self, port: Port) -> None:
+        """Have the port read until it is lost (PortError) or we are stopped."""
+        self.listened = time.monotonic_ns()
+        if port.fd is not None and not self._in_thread:
+            problem = self._listen_by_process(port, port.fd)
+            if problem:
+                self._say_open(f', but without a process that reads it ({problem}): '
+                               'bytes may be lost under load')
+        self._listen_in_thread(port)
+
+    def _listen_in_thread(self, port: Port) -> None:
+        def wait(seconds: float) -> bool:
+            return port.wait(seconds, self._wake_read)
+
+        def hear(chunk: bytes, stamp: int) -> None:
+            self._largest_gap = max(self._largest_gap, loop.largest_gap)
+            self._hear(chunk, stamp)
+
+        loop = reader.Loop(wait, port.read, hear, self._idle,
+                           idle_s=self.idle_s, gather_s=self._gather_s)
+        loop.run(lambda: self._stopping)
+
+    def _listen_by_process(self, port: Port, fd: int) -> str:
+        """Have a process read until we are stopped; return why that cannot be, if so."""
+        while not self._stopping:
+            try:
+                process = ReaderProcess(fd, self.idle_s, self._gather_s, self._wake_read)
+            except OSError as error:
+                return error.strerror or str(error)
+            with process:
+                was_ready = self._follow(process, port)
+                if not was_ready and not self._stopping:
+                    return f'it ends at once, with {process.end()}'
+            if not self._stopping:
+                self._say_open(f'; its reader ended with {process.end()}, the next one reads on')
+        return ''
+
+    def _follow(self, process: ReaderProcess, port: Port) -> bool:
+        """Take what the process says until it ends or we are stopped; return whether it spoke."""
+        was_ready = False
+        self.reader_pid = process.pid
+        try:
+            while not self._stopping and not process.is_over:
+                if process.wait():
+                    for record in process.records():
+                        was_ready = True
+                        self._take(record, port)
+                    time.sleep(self._take_every_s)
+        finally:
+            self.reader_pid = None
+        return was_ready
+
+    def _take(self, record: Record, port: Port) -> None:
+        self._largest_gap = max(self._largest_gap, record.largest_gap)
+        if record.kind == reader.CHUNK:
+            self._hear(record.data, record.stamp)
+        elif record.kind == reader.IDLE:
+            self._idle(record.stamp)
+        elif record.kind == reader.LOST:
+            raise port.lost(OSError(int(record.data), ''))
+
+    def _hear(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
+        """Count and hand on what was read."""
+        self._bytes += len(chunk)
+        self._reads += 1
+        self._backoff.reset()
+        if side:
+            self._on_chunk(chunk, stamp, side)
+        else:
+            self._on_chunk(chunk, stamp)
+        self.listened = stamp
+        if stamp - self._errors_at > ERRORS_EVERY_NS:
+            self._errors_at = stamp
+            self._count_errors()
+
+    def _idle(self, stamp: int) -> None:
+        self._on_idle(stamp)
+        self.listened = stamp
+
+    def _count_errors(self) -> None:
+        """Refresh the driver's counters: what it counted before we came is not ours."""
+        if self._errors_at_opening is not None and self._fd is not None:
+            counted = line_errors(self._fd)
+            if counted is not None:
+                self._errors_now = self._errors_before + counted.since(self._errors_at_opening)
+
+    def _pause(self, seconds: float) -> None:
+        """Wait, but not when we are stopped."""
+        if not self._stopping:
+            select.select([self._wake_read], [], [], seconds)

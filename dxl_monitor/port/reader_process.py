@@ -1,0 +1,108 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The node's side of the reader process: start it on an open port, take its records, end it.
+
+The process shares the descriptor of the port, which is O_RDONLY. As long as it lives, nothing else
+reads that, and the port must not be closed: end the process first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from collections.abc import Sequence
+from contextlib import ExitStack
+from contextlib import suppress
+import fcntl
+import os
+import select
+import subprocess
+import sys
+from types import TracebackType
+from typing import NamedTuple
+
+from dxl_monitor.port import reader
+
+PIPE_SIZE = 1 << 20              # two seconds at 4.5 MBd; what root's limit allows everybody
+READ_SIZE = 65_536
+END_S = 0.1                      # how long it may take to end by itself
+
+
+class Record(NamedTuple):
+    """What the process says; kinds are in reader.py, times are ns."""
+
+    kind: bytes
+    stamp: int
+    largest_gap: int
+    data: bytes
+
+
+class ReaderProcess:
+    """A running reader; OSError when it cannot be started. Leaving the context ends it."""
+
+    def __init__(self, port: int, idle_s: float, gather_s: float, wake: int,
+                 usb: Sequence[int] = ()) -> None:
+        """
+        Start; port and wake are descriptors, the latter interrupts `wait`.
+
+        usb: where the port is /dev/usbmonN, what of it is read (reader.py).
+        """
+        self.is_over = False             # it ended, by itself or by force; all it said was taken
+        self._rest = b''
+        with ExitStack() as ours, ExitStack() as its:
+            self._pipe, pipe = os.pipe()
+            ours.callback(os.close, self._pipe)
+            its.callback(os.close, pipe)
+            control, lifeline = os.pipe()
+            ours.callback(os.close, lifeline)
+            its.callback(os.close, control)
+            null = its.enter_context(open(os.devnull, 'wb', 0))
+            with suppress(OSError):      # too many large pipes: then it has the usual 64 KiB
+                fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, PIPE_SIZE)
+            self._process = subprocess.Popen(
+                # -I -S: none of the environment's Python paths and hooks, no site-packages.
+                [sys.executable, '-I', '-S', reader.__file__, str(port), str(pipe), str(idle_s),
+                 str(gather_s), *map(str, usb)],
+                pass_fds=(port, pipe), stdin=control, stdout=null, stderr=null, cwd='/',
+                start_new_session=True)
+            self._ours = ours.pop_all()
+        self.pid = self._process.pid
+        self._poll = select.poll()
+        self._poll.register(self._pipe, select.POLLIN)
+        self._poll.register(wake, select.POLLIN)
+
+    def wait(self) -> bool:
+        """Wait until there is something to take (True), or `wake` is readable."""
+        return any(fd == self._pipe for fd, _ in self._poll.poll())
+
+    def records(self) -> Iterator[Record]:
+        """Take the whole records that are there; to be used up."""
+        data = os.read(self._pipe, READ_SIZE)
+        self.is_over = not data
+        data = self._rest + data
+        at = 0
+        while len(data) - at >= reader.HEAD.size:
+            kind, stamp, gap, size = reader.HEAD.unpack_from(data, at)
+            begin = at + reader.HEAD.size
+            if begin + size > len(data):
+                break
+            at = begin + size
+            yield Record(kind, stamp, gap, data[begin:at])
+        self._rest = data[at:]
+
+    def __enter__(self) -> ReaderProcess:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.end()
+
+    def end(self) -> str:
+        """End it, unless it has ended, and return how it did: 'signal 9', 'exit code 0'."""
+        self._ours.close()
+        try:
+            code = self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = self._process.wait()
+        return f'signal {-code}' if code < 0 else f'exit code {code}'

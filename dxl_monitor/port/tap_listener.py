@@ -1,0 +1,82 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The listener on `tap:NAME` or `tap:NAME/PORT`: a Python master that dxl_tap started."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Any
+
+from dxl_monitor.port import tap_sender as sent
+from dxl_monitor.port.listener import Listener
+from dxl_monitor.port.listener import ListenerState
+from dxl_monitor.port.reader import SILENT_S
+from dxl_monitor.port.source_name import TAP
+from dxl_monitor.port.tap_reader import HOLD_S
+from dxl_monitor.port.tap_reader import TapReader
+from dxl_monitor.port.tap_reader import Told
+from dxl_monitor.port.tap_reader import why_no_name
+from mecarover_serial.preflight import PortError
+from mecarover_serial.preflight import Reason
+
+
+class TapListener(Listener):
+    """
+    A listener on a tapped program; its stamps are the program's own.
+
+    One port is heard: the one that is named, or the first that the program opens. `others` are
+    the ports that were opened beside it.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.others: set[str] = set()
+
+    def problems(self) -> list[str]:
+        others = ', '.join(sorted(self.others))
+        return [f'the program opened {others} too, which was not heard; name the port, as in '
+                f'tap:NAME/{os.path.basename(others)}'] if others else []
+
+    def _listen_once(self) -> None:
+        name, _, self._wanted = self.port.removeprefix(TAP).partition('/')
+        problem = why_no_name(name)
+        if problem:
+            raise PortError(self.port, Reason('other', problem, 'write tap:NAME or tap:NAME/PORT'))
+        self._heard_port = ''
+        with TapReader(name, self._wake_read) as reader:
+            self._openings += 1
+            self._say_waiting(name)
+            last = time.monotonic_ns()
+            while not self._stopping:
+                told = reader.wait(SILENT_S)
+                for one in told:
+                    self._take_told(one)
+                now = time.monotonic_ns()
+                if told:
+                    last = told[-1].stamp
+                elif now - last > self.idle_s * 1e9 + HOLD_S * 1e9:
+                    self._idle(now - int(HOLD_S * 1e9))
+
+    def _say_waiting(self, name: str) -> None:
+        self.state = ListenerState(True, '', f'{self.port}: listening; start the program with '
+                                   f'dxl_tap {name} -- COMMAND', time.monotonic_ns())
+
+    def _take_told(self, told: Told) -> None:
+        if told.kind == sent.OPENED and self._is_wanted(told.port):
+            self._heard_port = told.port
+            self.state = ListenerState(True, '', f'{self.port}: hears {told.port}', told.stamp)
+        if told.kind == sent.OPENED and told.port != self._heard_port:
+            self.others.add(told.port)
+        if told.port and told.port != self._heard_port:
+            return
+        change = told.change
+        if told.side:
+            self._hear(told.data, told.stamp, told.side)
+        elif change is not None:
+            self._on_change(change, told.stamp)
+
+    def _is_wanted(self, port: str) -> bool:
+        if self._wanted:
+            return self._wanted in (port, os.path.basename(port))
+        return not self._heard_port or port == self._heard_port

@@ -1,0 +1,181 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The wrappers around pyserial in a tapped program; loaded by file, as tap_sender.py.
+
+Nothing here raises into the program, and what a call of pyserial returns or raises stays as it is.
+"""
+
+from __future__ import annotations
+
+import atexit
+from collections.abc import Callable
+from contextlib import suppress
+import os
+import sys
+from typing import Any
+
+# Kinds of records, as in tap_sender.py, which is not importable by name here.
+CLOSED, OUT, IN, PURGED, NOT_SENT = 2, 3, 4, 6, 7
+
+_PORT = '_mecarover_tap_port'                  # attribute of an open Serial: its number
+_PLAIN = (bytes, bytearray, memoryview, list, tuple)
+_MODULES = ('serial.serialposix', 'serial.serialwin32', 'serial.serialcli')
+_HANDLERS = 'serial.urlhandler.protocol_'
+_Method = Callable[..., Any]
+
+
+def _wrap_read(sender: Any, original: _Method) -> _Method:
+    put = sender.put
+
+    def read(self: Any, *args: Any, **kwargs: Any) -> Any:
+        data = original(self, *args, **kwargs)
+        if data:
+            try:                               # noqa: SIM105 - a `with` costs more on this path
+                put(IN, getattr(self, _PORT), bytes(data))
+            except Exception:
+                pass
+        return data
+    return read
+
+
+def _wrap_write(sender: Any, original: _Method) -> _Method:
+    put = sender.put
+
+    def write(self: Any, data: Any, *args: Any, **kwargs: Any) -> Any:
+        size = port = 0
+        try:
+            if not isinstance(data, _PLAIN):   # it may be one that can be gone through once
+                data = bytearray(data)
+            whole = bytes(data)
+            port = getattr(self, _PORT)
+            size = len(whole)
+            put(OUT, port, whole)
+        except Exception:
+            pass
+        try:
+            written = original(self, data, *args, **kwargs)
+        except BaseException:
+            _not_sent(sender, port, size)
+            raise
+        if size and isinstance(written, int) and written < size:
+            _not_sent(sender, port, size - written)
+        return written
+    return write
+
+
+def _not_sent(sender: Any, port: int, size: int) -> None:
+    with suppress(Exception):
+        if size:
+            sender.number(NOT_SENT, port, size)
+
+
+def _wrap_open(sender: Any, original: _Method) -> _Method:
+    def open(self: Any, *args: Any, **kwargs: Any) -> Any:
+        result = original(self, *args, **kwargs)
+        with suppress(Exception):
+            setattr(self, _PORT, sender.opened(str(self.port), int(self._baudrate)))
+        return result
+    return open
+
+
+def _wrap_after(told: Callable[[Any, Any, int], object]) -> Callable[[Any, _Method], _Method]:
+    """Return a wrapper that tells of a call when it is done, where the port is open."""
+    def wrap(sender: Any, original: _Method) -> _Method:
+        def call(self: Any, *args: Any, **kwargs: Any) -> Any:
+            result = original(self, *args, **kwargs)
+            with suppress(Exception):
+                port = getattr(self, _PORT, None)
+                if port is not None:
+                    told(sender, self, port)
+            return result
+        return call
+    return wrap
+
+
+def _tell_closed(sender: Any, serial: Any, port: int) -> None:
+    delattr(serial, _PORT)
+    sender.closed(port)
+
+
+_WRAPPERS: dict[str, Callable[[Any, _Method], _Method]] = {
+    'read': _wrap_read,
+    'write': _wrap_write,
+    'open': _wrap_open,
+    'close': _wrap_after(_tell_closed),
+    '_reconfigure_port': _wrap_after(
+        lambda sender, serial, port: sender.rate(port, int(serial._baudrate))),
+    'reset_input_buffer': _wrap_after(
+        lambda sender, serial, port: sender.number(PURGED, port, 1)),
+    'reset_output_buffer': _wrap_after(
+        lambda sender, serial, port: sender.number(PURGED, port, 2)),
+}
+
+
+def wrap_classes(sender: Any, module: Any) -> None:
+    """Wrap the ports that a module of pyserial defines; those that hand on to another stay."""
+    base = sys.modules['serial.serialutil'].SerialBase
+    for one in list(vars(module).values()):
+        if not (isinstance(one, type) and issubclass(one, base)
+                and one.__module__ == module.__name__):
+            continue
+        if module.__name__.startswith(_HANDLERS) and base not in one.__bases__:
+            continue
+        for name, wrap in _WRAPPERS.items():
+            if name in vars(one):
+                setattr(one, name, wrap(sender, vars(one)[name]))
+
+
+class _Loader:
+    """Loads a module as its own loader does, and wraps what is in it."""
+
+    def __init__(self, loader: Any, sender: Any) -> None:
+        self._loader = loader
+        self._sender = sender
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._loader, name)
+
+    def create_module(self, spec: Any) -> Any:
+        return self._loader.create_module(spec)
+
+    def exec_module(self, module: Any) -> None:
+        self._loader.exec_module(module)
+        with suppress(Exception):
+            wrap_classes(self._sender, module)
+
+
+class _Finder:
+    """Finds the modules of pyserial as the others do, and has them wrapped."""
+
+    def __init__(self, sender: Any) -> None:
+        self._sender = sender
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
+        if name not in _MODULES and not name.startswith(_HANDLERS):
+            return None
+        for finder in sys.meta_path:
+            spec: Any = None
+            if finder is not self and hasattr(finder, 'find_spec'):
+                spec = finder.find_spec(name, path, target)
+            if spec is not None:
+                if hasattr(spec.loader, 'exec_module'):
+                    spec.loader = _Loader(spec.loader, self._sender)
+                return spec
+        return None
+
+
+def install(sender: Any) -> None:
+    """Have everything told that this process does through pyserial."""
+    sys.meta_path.insert(0, _Finder(sender))
+    atexit.register(sender.end)
+    leave = os._exit                           # how children of multiprocessing end
+
+    def _exit(status: int) -> Any:
+        with suppress(Exception):
+            sender.end()
+        leave(status)
+
+    os._exit = _exit
+    if hasattr(os, 'register_at_fork'):
+        os.register_at_fork(after_in_child=sender.after_fork)

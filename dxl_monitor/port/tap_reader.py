@@ -1,0 +1,242 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The listening end of the in-process tap: what tapped programs of one name read and write.
+
+Any number of readers and of programs, started in any order. What processes say is put in the
+order of its stamps, so it comes HOLD_S late. tap_sender.py says what is sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+import heapq
+import json
+import os
+import secrets
+import select
+import socket
+import time
+from typing import NamedTuple
+
+from dxl_monitor.port import tap_sender as sent
+from msg_defs.heard import BAUD
+from msg_defs.heard import Change
+from msg_defs.heard import CLOSED
+from msg_defs.heard import IN
+from msg_defs.heard import LOST
+from msg_defs.heard import NOT_SENT
+from msg_defs.heard import OUT
+from msg_defs.heard import PURGED
+
+HOLD_S = 0.06                              # three times what a sender lets gather
+SIZE_LIMIT = 1 << 24                       # bytes of a record: more is none of ours
+CONNECTIONS_LIMIT = 64
+_NAME_CHARACTERS = frozenset('abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-')
+_SIDES = {sent.OUT: OUT, sent.IN: IN}
+_CHANGES = {sent.BAUD: BAUD, sent.PURGED: PURGED, sent.NOT_SENT: NOT_SENT, sent.LOST: LOST,
+            sent.CLOSED: CLOSED}
+_NAME_LIMIT = 40                           # the path of a Unix socket has 107 characters
+_READ_SIZE = 1 << 16
+
+
+class Told(NamedTuple):
+    """One record; port: as the program opened it, '' for what is about no port."""
+
+    stamp: int                             # ns, monotonic: of the call in the program
+    port: str
+    kind: int                              # of tap_sender
+    data: bytes                            # of OUT and IN
+    value: int                             # of the others
+
+    @property
+    def side(self) -> str:
+        """Who put the bytes on the wire, '' where there are none."""
+        return _SIDES.get(self.kind, '')
+
+    @property
+    def change(self) -> Change | None:
+        """What happened to the line, None where there are bytes."""
+        what = _CHANGES.get(self.kind)
+        return None if what is None else Change(what, self.value or int(what == CLOSED))
+
+
+def why_no_name(name: str) -> str:
+    """Return what is wrong with the name of a tap, '' for nothing."""
+    if name and set(name) <= _NAME_CHARACTERS and len(name) <= _NAME_LIMIT:
+        return ''
+    return (f'{name!r} is no name for a tap; take 1 to {_NAME_LIMIT} letters, digits, '
+            '_ or -')
+
+
+class _Program:
+    """A connection to a tapped process."""
+
+    def __init__(self, connection: socket.socket, secret: str) -> None:
+        self.socket = connection
+        self.ports: dict[int, str] = {}
+        self._secret = secret
+        self._is_trusted = not secret
+        self._rest = b''
+
+    def told(self, data: bytes) -> Iterator[Told]:
+        """Yield what these bytes complete; ValueError for what is none of ours."""
+        data = self._rest + data
+        at = 0
+        while len(data) - at >= sent.HEAD.size:
+            kind, number, stamp, size = sent.HEAD.unpack_from(data, at)
+            if kind > sent.LOST or size > SIZE_LIMIT or stamp < 0:
+                raise ValueError(kind)
+            begin = at + sent.HEAD.size
+            if begin + size > len(data):
+                break
+            at = begin + size
+            one = self._one(kind, number, stamp, data[begin:at])
+            if one is not None:
+                yield one
+        self._rest = data[at:]
+
+    def _one(self, kind: int, number: int, stamp: int, data: bytes) -> Told | None:
+        if kind == sent.HELLO:
+            self._is_trusted |= secrets.compare_digest(
+                str(json.loads(data).get('secret', '')).encode(), self._secret.encode())
+            return None
+        if not self._is_trusted:
+            raise ValueError('no secret')
+        if kind == sent.OPENED:
+            self.ports[number] = data.decode(errors='replace')
+        port = self.ports.pop(number, '') if kind == sent.CLOSED else self.ports.get(number, '')
+        if kind in (sent.OUT, sent.IN):
+            return Told(stamp, port, kind, data, 0)
+        value = sent.NUMBER.unpack(data)[0] if len(data) == sent.NUMBER.size else 0
+        return Told(stamp, port, kind, b'', value)
+
+
+class TapReader:
+    """
+    Listens for programs tapped as `name`; OSError where that cannot be.
+
+    programs: how many are connected. wake: a descriptor that ends a wait.
+    """
+
+    def __init__(self, name: str, wake: int | None = None) -> None:
+        self._secret = ''
+        self._programs: dict[int, _Program] = {}
+        self._held: list[tuple[int, int, Told]] = []
+        self._count = 0
+        self._wake = wake
+        place = sent.folder()
+        os.makedirs(place, 0o700, exist_ok=True)
+        if not sent.is_private(place):
+            raise PermissionError(1, 'others may write there; remove it, or chmod 700', place)
+        self._remove_dead(place, name)
+        self._path = os.path.join(place, f'{name}.{secrets.token_hex(4)}{sent.SUFFIX}')
+        self._listener = self._listen()
+        self._listener.setblocking(False)
+
+    @property
+    def programs(self) -> int:
+        return len(self._programs)
+
+    def _listen(self) -> socket.socket:
+        if hasattr(socket, 'AF_UNIX'):
+            listener = socket.socket(socket.AF_UNIX)
+            listener.bind(self._path)
+        else:
+            listener = socket.socket(socket.AF_INET)
+            listener.bind(('127.0.0.1', 0))
+            self._secret = secrets.token_hex(32)
+            file = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            os.write(file, f'{listener.getsockname()[1]} {self._secret}'.encode())
+            os.close(file)
+        listener.listen()
+        return listener
+
+    @staticmethod
+    def _remove_dead(place: str, name: str) -> None:
+        """Remove what readers left that were killed."""
+        for file in os.listdir(place):
+            path = os.path.join(place, file)
+            if not (file.startswith(f'{name}.') and file.endswith(sent.SUFFIX)
+                    and hasattr(socket, 'AF_UNIX')):
+                continue
+            with socket.socket(socket.AF_UNIX) as probe:
+                try:
+                    probe.connect(path)
+                except ConnectionRefusedError:
+                    with suppress(OSError):
+                        os.unlink(path)
+                except OSError:
+                    pass
+
+    def wait(self, seconds: float) -> list[Told]:
+        """Return what was told until HOLD_S ago, in order; wait for more no longer than this."""
+        if self._held:
+            due_s = (self._held[0][0] - time.monotonic_ns()) / 1e9 + HOLD_S
+            seconds = min(seconds, max(0.0, due_s))
+        watched: list[int | socket.socket] = [self._listener,
+                                              *(one.socket for one in self._programs.values())]
+        if self._wake is not None:
+            watched.append(self._wake)
+        for ready in select.select(watched, [], [], seconds)[0]:
+            if ready is self._listener:
+                self._accept()
+            elif isinstance(ready, socket.socket):
+                self._read(ready)
+        return self._due(time.monotonic_ns() - int(HOLD_S * 1e9))
+
+    def rest(self) -> list[Told]:
+        """Return all that was told and is held back."""
+        return self._due(1 << 63)
+
+    def _due(self, until: int) -> list[Told]:
+        found = []
+        while self._held and self._held[0][0] <= until:
+            found.append(heapq.heappop(self._held)[2])
+        return found
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            connection, _ = self._listener.accept()
+            if len(self._programs) >= CONNECTIONS_LIMIT:
+                connection.close()
+                return
+            connection.setblocking(False)
+            self._programs[connection.fileno()] = _Program(connection, self._secret)
+
+    def _read(self, ready: socket.socket) -> None:
+        number = ready.fileno()
+        program = self._programs[number]
+        try:
+            data = ready.recv(_READ_SIZE)
+            for told in program.told(data):
+                self._hold(told)
+        except BlockingIOError:
+            return
+        except (OSError, ValueError):
+            data = b''
+        if not data:
+            now = time.monotonic_ns()
+            for port in program.ports.values():        # it ended without closing them
+                self._hold(Told(now, port, sent.CLOSED, b'', 0))
+            ready.close()
+            del self._programs[number]
+
+    def _hold(self, told: Told) -> None:
+        self._count += 1
+        heapq.heappush(self._held, (told.stamp, self._count, told))
+
+    def close(self) -> None:
+        """Stop to listen; the programs go on."""
+        for program in self._programs.values():
+            program.socket.close()
+        self._listener.close()
+        with suppress(OSError):
+            os.unlink(self._path)
+
+    def __enter__(self) -> TapReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

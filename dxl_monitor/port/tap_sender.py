@@ -1,0 +1,247 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The tap inside of a Python master: what passes through pyserial is told to who listens.
+
+Loaded by file, by port/site/sitecustomize.py, into a program that knows nothing of this package.
+So it takes only what the standard library has on every system. It never blocks the program: calls
+put a record into a queue, a thread sends. What a slow reader does not take is counted and left
+out. tap_pyserial.py calls this, tap_reader.py is the other end.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from contextlib import suppress
+import json
+import os
+import socket
+import stat
+import struct
+import sys
+import tempfile
+import threading
+import time
+
+TAP_NAME = 'MECAROVER_TAP'                 # environment: the name that the user gave
+TAP_MARK = 'MECAROVER_TAP_MARK'            # and a file that grows when a port is opened
+SUFFIX = '.tap'                            # of the places where somebody listens
+
+# A record: its kind, the number of the port, a stamp (ns, monotonic), the size of what follows.
+HEAD = struct.Struct('<BHqI')
+HELLO, OPENED, CLOSED, OUT, IN, BAUD, PURGED, NOT_SENT, LOST = range(9)
+NUMBER = struct.Struct('<q')               # what follows BAUD, PURGED, NOT_SENT and LOST
+
+QUEUE_LIMIT = 20_000                       # records that wait for the thread
+PENDING_LIMIT = 4_000_000                  # bytes that wait for a reader
+POLL_S = 0.02
+LOOK_S = 0.2                               # between two looks for new readers
+END_S = 0.3                                # how long the end of the program waits for a reader
+READERS_LIMIT = 8
+_NO_SIGNAL = getattr(socket, 'MSG_NOSIGNAL', 0)
+
+
+def folder() -> str:
+    """Return where readers and masters of one user meet."""
+    runtime = os.environ.get('XDG_RUNTIME_DIR')
+    if runtime:
+        return os.path.join(runtime, 'mecarover_serial')
+    user = os.getuid() if hasattr(os, 'getuid') else 'user'
+    return os.path.join(tempfile.gettempdir(), f'mecarover_serial-{user}')
+
+
+def is_private(path: str) -> bool:
+    """Tell whether a folder belongs to this user alone, where a system knows such a thing."""
+    status = os.lstat(path)
+    return stat.S_ISDIR(status.st_mode) and (
+        not hasattr(os, 'getuid')
+        or (status.st_uid == os.geteuid() and not status.st_mode & 0o077))
+
+
+def record(kind: int, port: int, stamp: int, data: bytes) -> bytes:
+    return HEAD.pack(kind, port, stamp, len(data)) + data
+
+
+class _Reader:
+    """One who listens."""
+
+    def __init__(self, path: str) -> None:
+        secret = ''
+        if hasattr(socket, 'AF_UNIX'):
+            self._socket = socket.socket(socket.AF_UNIX)
+            address: object = path
+        else:
+            with open(path) as file:
+                port, secret = file.read().split()
+            self._socket = socket.socket(socket.AF_INET)
+            address = ('127.0.0.1', int(port))
+        self._socket.settimeout(0.1)
+        try:
+            self._socket.connect(address)      # type: ignore[arg-type]
+        except OSError:
+            self._socket.close()
+            raise
+        self._socket.setblocking(False)
+        hello = json.dumps({'pid': os.getpid(), 'program': sys.argv[0] if sys.argv else '',
+                            'secret': secret}).encode()
+        self._pending = bytearray(record(HELLO, 0, time.monotonic_ns(), hello))
+        self._lost = 0
+
+    def send(self, records: list[bytes]) -> bool:
+        """Send what it takes without waiting; return whether it is still there."""
+        if len(self._pending) > PENDING_LIMIT:
+            self._lost += len(records)
+        else:
+            if self._lost:
+                self._pending += record(LOST, 0, time.monotonic_ns(), NUMBER.pack(self._lost))
+                self._lost = 0
+            self._pending += b''.join(records)
+        try:
+            while self._pending:
+                sent = self._socket.send(self._pending[:65_536], _NO_SIGNAL)
+                del self._pending[:sent]
+        except (BlockingIOError, InterruptedError):
+            pass
+        except OSError:
+            self._socket.close()
+            return False
+        return True
+
+    @property
+    def is_behind(self) -> bool:
+        return bool(self._pending)
+
+
+class Sender:
+    """The records of this process, and the thread that sends them."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.queue: deque[tuple[int, int, int, bytes]] = deque()
+        self.lost = 0                          # records that found the queue full
+        self._ports: dict[int, tuple[str, int]] = {}       # number: name, rate
+        self._told: set[int] = set()           # ports whose opening is behind the queue
+        self._numbers = 0
+        self._lock = threading.Lock()
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin as after a fork: the thread and the connections are the parent's."""
+        self.queue.clear()
+        self._readers: dict[str, _Reader] = {}
+        self._looked = float('-inf')
+        self._is_ending = False
+        self._thread: threading.Thread | None = None
+        self._lock = threading.Lock()
+
+    def after_fork(self) -> None:
+        """Go on in a child."""
+        self._forget()
+        self._told.update(self._ports)
+        if self._ports:
+            self._begin()
+
+    def put(self, kind: int, port: int, data: bytes) -> None:
+        """Take a record, at once; called within the program's reads and writes."""
+        if len(self.queue) < QUEUE_LIMIT:
+            self.queue.append((kind, port, time.monotonic_ns(), data))
+        else:
+            self.lost += 1
+
+    def number(self, kind: int, port: int, value: int) -> None:
+        self.put(kind, port, NUMBER.pack(value))
+
+    def opened(self, name: str, baud: int) -> int:
+        """Take note of an open port; return its number."""
+        with self._lock:
+            self._numbers = number = self._numbers % 0xFFFF + 1
+            self._ports[number] = (name, baud)
+            self._begin()
+        self.put(OPENED, number, name.encode('utf-8', 'replace'))
+        self.number(BAUD, number, baud)
+        self._mark()
+        return number
+
+    def rate(self, port: int, baud: int) -> None:
+        name, before = self._ports.get(port, ('', 0))
+        if baud != before:
+            self._ports[port] = (name, baud)
+            self.number(BAUD, port, baud)
+
+    def closed(self, port: int) -> None:
+        self._ports.pop(port, None)
+        self.put(CLOSED, port, b'')
+
+    def end(self) -> None:
+        """Let readers have what they did not get yet, but not for long."""
+        thread = self._thread
+        self._is_ending = True
+        if thread is not None:
+            thread.join(END_S)
+
+    def _mark(self) -> None:
+        """Tell dxl_tap that there was something to hear."""
+        path = os.environ.get(TAP_MARK)
+        if path:
+            with suppress(OSError), open(path, 'ab') as file:
+                file.write(b'x')
+
+    def _begin(self) -> None:
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name='mecarover_tap', daemon=True)
+            self._thread.start()
+
+    def _run(self) -> None:
+        until = float('inf')
+        while True:
+            with suppress(Exception):          # of any kind: the program must not see it
+                self._look()
+                self._send()
+            if self._is_ending:
+                until = min(until, time.monotonic() + END_S)
+                if time.monotonic() >= until or not (
+                        self.queue or any(one.is_behind for one in self._readers.values())):
+                    return
+            time.sleep(POLL_S if not self._is_ending else POLL_S / 10)
+
+    def _look(self) -> None:
+        """Connect to who began to listen; each first learns what is open."""
+        now = time.monotonic()
+        if now - self._looked < LOOK_S:
+            return
+        self._looked = now
+        place = folder()
+        if not os.path.isdir(place) or not is_private(place):
+            return
+        for file in os.listdir(place):
+            path = os.path.join(place, file)
+            name = file.rpartition('.')[0].rpartition('.')[0]
+            if (name == self.name and file.endswith(SUFFIX) and path not in self._readers
+                    and len(self._readers) < READERS_LIMIT):
+                try:
+                    reader = _Reader(path)
+                except (OSError, ValueError):
+                    continue
+                self._readers[path] = reader
+                reader.send(self._state())
+
+    def _state(self) -> list[bytes]:
+        """Return what a new reader missed: the ports that were opened before."""
+        now = self.queue[0][2] if self.queue else time.monotonic_ns()
+        return [part for number, (name, baud) in list(self._ports.items()) if number in self._told
+                for part in (record(OPENED, number, now, name.encode('utf-8', 'replace')),
+                             record(BAUD, number, now, NUMBER.pack(baud)))]
+
+    def _send(self) -> None:
+        records: list[bytes] = []
+        while self.queue and len(records) < QUEUE_LIMIT:
+            one = self.queue.popleft()
+            records.append(record(*one))
+            if one[0] == OPENED:
+                self._told.add(one[1])
+        if self.lost:
+            lost, self.lost = self.lost, 0
+            records.append(record(LOST, 0, time.monotonic_ns(), NUMBER.pack(lost)))
+        for path, reader in list(self._readers.items()):
+            if not reader.send(records):
+                del self._readers[path]

@@ -1,0 +1,139 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Where a serial adapter is on USB: from the name of its tty, of its socket, or of its number.
+
+Everything comes from /sys; the tty is not opened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+import os
+from pathlib import Path
+import re
+from typing import NamedTuple
+
+from dxl_monitor.port.adapters import Adapter
+from dxl_monitor.port.driver import SYS
+from dxl_monitor.port.usb_port import adapter_of
+from dxl_monitor.port.usb_port import Place
+from mecarover_serial.preflight import PortError
+from mecarover_serial.preflight import Reason
+from msg_defs.heard import IN
+from msg_defs.heard import OUT
+
+_SOCKET = re.compile(r'\d+-\d+(\.\d+)*')               # bus and the numbers of sockets: 1-1.2
+_NUMBER = re.compile(r'(\d+)\.(\d+)')                  # bus and device: 1.7
+_DATA_CLASS = 0x0A
+
+
+class Target(NamedTuple):
+    """An adapter that is plugged in; words: its name for a person."""
+
+    place: Place
+    adapter: Adapter
+    latency_timer_ms: int | None
+    words: str
+
+
+def find(name: str, root: Path = SYS) -> Target:
+    """Return the adapter of `/dev/ttyUSB0`, `1-1.2` or `1.7`; raise PortError without one."""
+    interface = _interface(name, root)
+    device = interface.parent
+    vendor, product = _hex(device / 'idVendor'), _hex(device / 'idProduct')
+    ends = _bulk(interface)
+    if IN not in ends or OUT not in ends:
+        raise _refused(name, 'has no pair of bulk endpoints', 'give the name of its tty')
+    adapter = adapter_of(vendor, product, _hex(device / 'bcdDevice'),
+                         _hex(interface / 'bInterfaceClass'), ends[IN][1])
+    if adapter is None:
+        raise _refused(name, f'is a USB device {vendor:04x}:{product:04x}, and not a serial '
+                       'adapter that is understood', 'FTDI, CDC-ACM, CH340/341 and CP210x are')
+    place = Place(int(_text(device / 'busnum')), int(_text(device / 'devnum')),
+                  ends[IN][0] & 0x7F, ends[OUT][0])
+    return Target(place, adapter, _latency(interface),
+                  f'{adapter.name} {vendor:04x}:{product:04x} at {device.name}')
+
+
+def _interface(name: str, root: Path) -> Path:
+    """Return the folder of the interface that carries the bytes."""
+    devices = root / 'bus/usb/devices'
+    number = _NUMBER.fullmatch(name)
+    if number:
+        for device in sorted(devices.glob('[0-9]*-*')):
+            if (':' not in device.name and _text(device / 'busnum') == number[1]
+                    and _text(device / 'devnum') == number[2]):
+                return _data_interface(device.resolve(), 0)
+        raise _absent(name)
+    if _SOCKET.fullmatch(name):
+        if not (devices / name).is_dir():
+            raise _absent(name)
+        return _data_interface((devices / name).resolve(), 0)
+    tty = root / 'class/tty' / os.path.basename(os.path.realpath(name))
+    if not tty.exists():
+        raise _absent(name)
+    place = (tty / 'device').resolve()
+    while not (place / 'bInterfaceNumber').exists():
+        if place == place.parent or not place.is_relative_to(root.resolve()):
+            raise _refused(name, 'is not on USB', 'only USB adapters can be heard so; open the '
+                           'port itself, or use dxl_tap')
+        place = place.parent
+    return _data_interface(place.parent, _hex(place / 'bInterfaceNumber'))
+
+
+def _data_interface(device: Path, number: int) -> Path:
+    """Return this interface of a device, or behind it the one that holds a modem's data."""
+    interfaces = sorted(device.glob(f'{device.name}:*'),
+                        key=lambda one: _hex(one / 'bInterfaceNumber'))
+    behind = [one for one in interfaces if _hex(one / 'bInterfaceNumber') >= number]
+    data = [one for one in behind if len(_bulk(one)) == 2]
+    if not data:
+        raise _refused(device.name, 'has no pair of bulk endpoints', 'give the name of its tty')
+    return data[0]
+
+
+def _bulk(interface: Path) -> dict[str, tuple[int, int]]:
+    """Return address and packet size of the bulk endpoints by side."""
+    found: dict[str, tuple[int, int]] = {}
+    for folder in _endpoints(interface):
+        if _hex(folder / 'bmAttributes') & 3 == 2:
+            address = _hex(folder / 'bEndpointAddress')
+            found.setdefault(IN if address & 0x80 else OUT,
+                             (address, _hex(folder / 'wMaxPacketSize') & 0x7FF))
+    return found
+
+
+def _endpoints(interface: Path) -> Iterator[Path]:
+    return (one for one in sorted(interface.glob('ep_*')) if one.is_dir())
+
+
+def _latency(interface: Path) -> int | None:
+    for file in interface.glob('tty*/latency_timer'):
+        with suppress(OSError, ValueError):
+            return int(file.read_text())
+    return None
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text().strip()
+    except OSError:
+        return ''
+
+
+def _hex(file: Path) -> int:
+    try:
+        return int(_text(file), 16)
+    except ValueError:
+        return 0
+
+
+def _refused(name: str, reason: str, remedy: str) -> PortError:
+    return PortError(f'usb:{name}', Reason('other', reason, remedy))
+
+
+def _absent(name: str) -> PortError:
+    return PortError(f'usb:{name}', Reason('absent', 'is not there', 'plug the adapter in, or '
+                                           'check the name (ls /dev/serial/by-id; lsusb)'))

@@ -1,0 +1,187 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The listener on `usb:NAME`: what any program exchanges with a USB adapter, as usbmon shows it.
+
+NAME is a tty, a socket (1-1.2), a number (1.7), or a Unix socket that gives events as /dev/usbmonN
+does (fake_bus --usbmon). The tty itself is never opened. A plugged-in adapter is looked up each
+time, so that one that comes back under another number is followed.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+import time
+from typing import Any
+
+from dxl_monitor.port import reader
+from dxl_monitor.port.adapters import Ftdi
+from dxl_monitor.port.listener import Listener
+from dxl_monitor.port.listener import ListenerState
+from dxl_monitor.port.reader_process import ReaderProcess
+from dxl_monitor.port.reader_process import Record
+from dxl_monitor.port.source_name import USB
+from dxl_monitor.port.usb_find import find
+from dxl_monitor.port.usb_port import Place
+from dxl_monitor.port.usb_port import UsbPort
+from dxl_monitor.port.usb_survey import Survey
+from dxl_monitor.port.usbmon import Event
+from dxl_monitor.port.usbmon import INPUT
+from dxl_monitor.port.usbmon import Records
+from mecarover_serial.preflight import PortError
+from mecarover_serial.preflight import Reason
+from msg_defs.heard import BAUD
+from msg_defs.heard import Change
+from msg_defs.heard import GONE
+from msg_defs.heard import LATENCY_TIMER
+from msg_defs.heard import LOST
+
+_MONITOR = '/dev/usbmon{}'
+_STATUS_BYTES = 2                  # of FTDI: a transfer of no more says nothing
+
+
+class UsbListener(Listener):
+    """A listener on one adapter; dropped: events that the kernel had no room for."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.dropped = 0
+        self._place: Place | None = None           # None: a stream says itself what is there
+
+    def problems(self) -> list[str]:
+        return [f'the kernel dropped {self.dropped} USB events: what is on the bus beside them '
+                'was too much; what is missing cannot be told from what was not said'] \
+            if self.dropped else []
+
+    def _listen_once(self) -> None:
+        self._records = Records()
+        self._usb: UsbPort | None = None
+        self._newest = 0
+        self._last = time.monotonic_ns()           # when the line said something
+        name = self.port.removeprefix(USB)
+        if _is_socket(name):
+            self._survey = Survey()
+            with socket.socket(socket.AF_UNIX) as stream:
+                stream.connect(name)
+                self._openings += 1
+                self._words = 'hears a stream of USB events'
+                self._say_open()
+                self._read(stream.fileno(), ())
+        else:
+            self._listen_to_bus(name)
+
+    def _listen_to_bus(self, name: str) -> None:
+        target = find(name)
+        self._place = place = target.place
+        path = _MONITOR.format(place.bus)
+        fd = _open(self.port, path)
+        try:
+            self._usb = UsbPort(place, target.adapter)
+            self._openings += 1
+            self.latency_timer_ms = target.latency_timer_ms
+            self._words = f'hears {target.words} through {path}'
+            self._say_open()
+            idle = _STATUS_BYTES if isinstance(target.adapter, Ftdi) else 0
+            self._read(fd, (place.device, idle, place.bulk_in | INPUT, place.bulk_out))
+        finally:
+            os.close(fd)
+
+    def _say_open(self, remark: str = '') -> None:
+        self.state = ListenerState(True, '', f'{self.port}: {self._words}{remark}',
+                                   time.monotonic_ns())
+
+    def _read(self, fd: int, usb: tuple[int, ...]) -> None:
+        """Have a process read; raise PortError when the adapter or the stream has gone."""
+        while not self._stopping:
+            with ReaderProcess(fd, self.idle_s, self._gather_s, self._wake_read,
+                               usb) as process:
+                self._follow_process(process)
+                if not self._stopping:
+                    self._say_open(f'; its reader ended with {process.end()}, the next one reads '
+                                   'on')
+
+    def _follow_process(self, process: ReaderProcess) -> None:
+        self.reader_pid = process.pid
+        try:
+            while not self._stopping and not process.is_over:
+                if process.wait():
+                    for record in process.records():
+                        self._take_record(record)
+                    time.sleep(self._take_every_s)
+        finally:
+            self.reader_pid = None
+
+    def _take_record(self, record: Record) -> None:
+        self._largest_gap = max(self._largest_gap, record.largest_gap)
+        if record.kind == reader.CHUNK:
+            self._take_events(record.data, record.stamp)
+        elif record.kind == reader.DROPPED:
+            self.dropped += int(record.data)
+            self._on_change(Change(LOST, int(record.data)), max(record.stamp, self._newest))
+        elif record.kind == reader.LOST:
+            raise self._gone()
+        if record.kind == reader.IDLE or record.stamp - self._last > self.idle_s * 1e9:
+            self._idle(record.stamp)
+        if record.kind == reader.IDLE and self._place is not None:
+            self._check_place(self._place)
+
+    def _check_place(self, place: Place) -> None:
+        """Raise PortError when the adapter has gone while no program used it."""
+        if find(self.port.removeprefix(USB)).place != place:
+            raise self._gone()
+
+    def _take_events(self, data: bytes, read_at: int) -> None:
+        """Take what was read at this moment; the events have stamps of the wall-clock."""
+        to_monotonic = time.monotonic_ns() - time.time_ns()
+        for event in self._records.events(data):
+            usb = self._usb or self._known_by(event)
+            heard = usb.take(event) if usb is not None else None
+            if heard is None:
+                continue
+            self._newest = max(self._newest, min(read_at, heard.stamp + to_monotonic))
+            for change in heard.changes:
+                self._change(change)
+            if heard.data:
+                self._last = self._newest
+                self._hear(heard.data, self._newest, heard.side)
+            if any(change.what == GONE for change in heard.changes):
+                raise self._gone()
+
+    def _change(self, change: Change) -> None:
+        if change.what == BAUD:
+            self.baud = change.value
+        elif change.what == LATENCY_TIMER:
+            self.latency_timer_ms = change.value
+        self._on_change(change, self._newest)
+
+    def _known_by(self, event: Event) -> UsbPort | None:
+        """Find the port in a stream that says itself what is plugged in."""
+        self._survey.take(event)
+        for one in self._survey.ports():
+            self._usb = UsbPort(one.place, one.adapter)
+        return self._usb
+
+    def _gone(self) -> PortError:
+        return PortError(self.port, Reason('lost', 'the adapter was unplugged',
+                                           'plug it in again; it is looked for'))
+
+
+def _is_socket(name: str) -> bool:
+    try:
+        return stat.S_ISSOCK(os.stat(name).st_mode)
+    except OSError:
+        return False
+
+
+def _open(name: str, path: str) -> int:
+    try:
+        return os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except FileNotFoundError:
+        raise PortError(name, Reason('absent', f'there is no {path}: the kernel module is not '
+                                     'loaded', 'sudo modprobe usbmon')) from None
+    except PermissionError:
+        raise PortError(name, Reason(
+            'permission', f'{path} belongs to root, because it shows keyboards too',
+            'use sudo for one session, or deploy/install.py --usbmon for the service')) from None

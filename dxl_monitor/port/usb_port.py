@@ -1,0 +1,187 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+One serial port on USB: events of the bus become bytes with a side, and changes. Pure.
+
+Bytes to the line are told when the host handed them over, bytes from the line when they came to
+the host. Neither is the time on the wire: an adapter gathers what it receives.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dxl_monitor.port.adapters import Adapter
+from dxl_monitor.port.adapters import CdcAcm
+from dxl_monitor.port.adapters import Ch341
+from dxl_monitor.port.adapters import Cp210x
+from dxl_monitor.port.adapters import Ftdi
+from dxl_monitor.port.adapters import Setup
+from dxl_monitor.port.usbmon import BULK
+from dxl_monitor.port.usbmon import CONTROL
+from dxl_monitor.port.usbmon import Event
+from dxl_monitor.port.usbmon import INPUT
+from dxl_monitor.port.usbmon import INTERRUPT
+from dxl_monitor.port.usbmon import KILLED
+from dxl_monitor.port.usbmon import UNPLUGGED
+from msg_defs.heard import Change
+from msg_defs.heard import CLOSED
+from msg_defs.heard import GONE
+from msg_defs.heard import IN
+from msg_defs.heard import LOST
+from msg_defs.heard import NOT_SENT
+from msg_defs.heard import OUT
+from msg_defs.heard import UNKNOWN
+
+PENDING_LIMIT = 256                # transfers under way; a driver has 16 at most
+
+FTDI_VENDOR = 0x0403
+_FTDI_MULTI = (0x0500, 0x0700, 0x0800, 0x2800, 0x2900, 0x3300)     # bcdDevice: several ports
+_CH341 = ((0x1A86, 0x7523), (0x1A86, 0x7522), (0x1A86, 0x5523), (0x4348, 0x5523),
+          (0x1A86, 0xE523), (0x2184, 0x0057), (0x9986, 0x7523))
+_CP210X_VENDOR = 0x10C4
+_COMMUNICATION, _COMMUNICATION_DATA = 0x02, 0x0A       # classes of interfaces
+
+
+class Heard(NamedTuple):
+    """What one event said; stamp as of the event. data is of one side, or there is none."""
+
+    stamp: int
+    side: str
+    data: bytes
+    changes: list[Change]
+
+
+class Place(NamedTuple):
+    """Where a port is on USB; bulk endpoints without the bit of the direction, 0: any."""
+
+    bus: int
+    device: int
+    bulk_in: int = 0
+    bulk_out: int = 0
+
+    @property
+    def words(self) -> str:
+        """How a person names it: '1.7', and with the endpoint where the chip has several."""
+        return f'{self.bus}.{self.device}' + (f':{self.bulk_in}' if self.bulk_in > 1 else '')
+
+
+def adapter_of(vendor: int, product: int, version: int = 0, interface_class: int | None = None,
+               packet_size: int = 64) -> Adapter | None:
+    """
+    Return what speaks the language of this device, None where it is no serial adapter we know.
+
+    version: bcdDevice. interface_class: of the interface that holds the bulk endpoints.
+    """
+    size = packet_size or 64
+    if vendor == FTDI_VENDOR:
+        return Ftdi(size, version in _FTDI_MULTI)
+    if interface_class == _COMMUNICATION_DATA:
+        return CdcAcm(size)
+    if (vendor, product) in _CH341:
+        return Ch341(size)
+    return Cp210x(size) if vendor == _CP210X_VENDOR else None
+
+
+def adapter_by_request(setup: Setup, data: bytes) -> type[Adapter] | None:
+    """Return which adapter is set up with this control transfer, if any surely is."""
+    kind, request = setup.kind, setup.request
+    if kind == 0x40 and request in (3, 9) and setup.target & 0xFF < 8:
+        return Ftdi
+    if kind == 0x21 and request == 0x20 and len(data) == 7:
+        return CdcAcm
+    if kind == 0x40 and request == 0x9A and setup.value == 0x1312:
+        return Ch341
+    return Cp210x if kind == 0x41 and request == 0x1E and len(data) == 4 else None
+
+
+class UsbPort:
+    """
+    The port at one place. Give it every event of the bus, or those of its device.
+
+    reads_interrupts: the interrupt endpoint is this port's own, and no other's.
+    """
+
+    def __init__(self, place: Place, adapter: Adapter, reads_interrupts: bool = True) -> None:
+        self.place = place
+        self.adapter = adapter
+        self._bus, self._device = place.bus, place.device
+        self._bulk = {place.bulk_in | INPUT: IN, place.bulk_out: OUT} if place.bulk_in else None
+        self._reads_interrupts = reads_interrupts
+        self._setups: dict[int, bytes] = {}            # of control transfers under way
+        self._sizes: dict[int, int] = {}               # of what is on its way to the adapter
+
+    def take(self, event: Event) -> Heard | None:
+        """Return what an event says about the port, None for nothing."""
+        if event.device != self._device or event.bus != self._bus:
+            return None
+        if event.transfer == BULK:
+            return self._bulk_event(event)
+        if event.transfer == CONTROL:
+            return self._heard(event, self._control(event))
+        if event.transfer == INTERRUPT and event.is_done:
+            return self._heard(event, self._interrupt(event))
+        return None
+
+    def _bulk_event(self, event: Event) -> Heard | None:
+        if self._bulk is not None and event.endpoint not in self._bulk:
+            return None
+        if event.is_input:
+            if not event.is_done:
+                return None
+            changes = self._cut(event)
+            if event.status:
+                changes += self._end_words(event)
+            data, more = self.adapter.received(event.data)
+            changes += more
+            return Heard(event.stamp, IN, data, changes) if data or changes else None
+        if not event.is_done:
+            if len(self._sizes) >= PENDING_LIMIT:
+                del self._sizes[next(iter(self._sizes))]
+            self._sizes[event.number] = event.size
+            data = self.adapter.sent(event.data)
+            return Heard(event.stamp, OUT, data, self._cut(event)) if data or event.size else None
+        missing = self._sizes.pop(event.number, event.size) - event.size
+        if not event.status:
+            return None
+        is_lost = event.status != 0 and missing > 0
+        return self._heard(event, [Change(NOT_SENT, missing)] * is_lost + self._end_words(event))
+
+    @staticmethod
+    def _cut(event: Event) -> list[Change]:
+        missing = event.size - len(event.data)
+        return [Change(LOST, missing)] if missing > 0 else []
+
+    @staticmethod
+    def _end_words(event: Event) -> list[Change]:
+        if event.status in UNPLUGGED[:1]:
+            return [Change(GONE, 1)]
+        return [Change(CLOSED, 1)] if event.status in KILLED else []
+
+    def _control(self, event: Event) -> list[Change]:
+        """Join a control transfer: the setup comes first, what the device answers at the end."""
+        if event.setup:
+            _remember(self._setups, event.number, event.setup)
+            setup = Setup.of(event.setup)
+            return [] if setup.kind & INPUT else self.adapter.control(setup, event.data)
+        packet = self._setups.get(event.number)
+        if packet is None or not event.data:
+            return []
+        return self.adapter.control(Setup.of(packet), event.data)
+
+    def _interrupt(self, event: Event) -> list[Change]:
+        changes = self._end_words(event)
+        if self._reads_interrupts and event.is_input:
+            changes += self.adapter.interrupt(event.data)
+        return changes
+
+    @staticmethod
+    def _heard(event: Event, changes: list[Change]) -> Heard | None:
+        return Heard(event.stamp, UNKNOWN, b'', changes) if changes else None
+
+
+def _remember(memory: dict[int, bytes] | dict[int, int], number: int, what: object) -> None:
+    """Keep something by the number of its transfer, and not more than can be under way."""
+    memory[number] = what                              # type: ignore[assignment]
+    if len(memory) > PENDING_LIMIT:
+        del memory[next(iter(memory))]

@@ -1,0 +1,193 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which serial ports there are in a stream of USB events, from what the events say. Pure.
+
+Best is what the devices tell when they are plugged in: descriptors (USB 2.0, 9.6). Without these
+the requests of the drivers tell, and at last the bytes: FTDI's status bytes, headers of servos.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dxl_monitor.port.adapters import Adapter
+from dxl_monitor.port.adapters import CdcAcm
+from dxl_monitor.port.adapters import Ftdi
+from dxl_monitor.port.adapters import Setup
+from dxl_monitor.port.usb_port import adapter_by_request
+from dxl_monitor.port.usb_port import adapter_of
+from dxl_monitor.port.usb_port import Place
+from dxl_monitor.port.usbmon import BULK
+from dxl_monitor.port.usbmon import CONTROL
+from dxl_monitor.port.usbmon import Event
+from dxl_monitor.port.usbmon import INPUT
+
+_GET_DESCRIPTOR = (0x80, 6)
+_DEVICE, _CONFIGURATION, _INTERFACE, _ENDPOINT = 1, 2, 4, 5
+_BULK_KIND = 2                     # of an endpoint's attributes
+_SMALL, _LARGE = 64, 512           # packets of a full-speed and of a high-speed device
+_SMALL_MARK, _LARGE_MARK = 1, 2    # low half of FTDI's first status byte: the size of packets
+_HEADER = b'\xff\xff'              # what every packet of a servo begins with
+_TOLD_NOTHING = (0, 0, 0)
+PENDING_LIMIT = 256
+DEVICES_LIMIT = 4096               # what a damaged file may invent
+
+
+class Found(NamedTuple):
+    """A serial port in a stream; size: bytes of its bulk transfers so far."""
+
+    place: Place
+    adapter: Adapter
+    vendor: int
+    product: int
+    size: int
+
+    @property
+    def words(self) -> str:
+        """One line for a person who has to choose."""
+        identity = f' {self.vendor:04x}:{self.product:04x}' if self.vendor else ''
+        return f'{self.place.words} {self.adapter.name}{identity}, {self.size} bytes'
+
+
+class _Endpoint(NamedTuple):
+    address: int
+    packet_size: int
+    interface: int
+    interface_class: int
+
+
+class _Device:
+    """What is known of one device."""
+
+    def __init__(self) -> None:
+        self.identity = _TOLD_NOTHING          # vendor, product, version
+        self.endpoints: list[_Endpoint] = []   # bulk ones, as it described them
+        self.seen: dict[int, int] = {}         # bulk endpoint: bytes
+        self.by_request: type[Adapter] | None = None
+        self.is_ftdi: bool | None = None       # from its status bytes; None: nothing came yet
+        self.is_large = False                  # no status bytes where a small packet begins
+        self.has_header = False
+
+    def describe(self, data: bytes) -> None:
+        """Take in a descriptor of the device, or those of a configuration."""
+        if len(data) >= 18 and data[1] == _DEVICE:
+            self.identity = (_word(data, 8), _word(data, 10), _word(data, 12))
+        if data[1:2] == bytes([_CONFIGURATION]):
+            endpoints = _endpoints(data)
+            self.endpoints = endpoints or self.endpoints
+
+    def bulk(self, event: Event) -> None:
+        data = event.data
+        self.seen[event.endpoint] = self.seen.get(event.endpoint, 0) + len(data)
+        if not event.is_input:
+            self.has_header |= _HEADER in data
+        elif data:
+            self.is_ftdi = self.is_ftdi is not False and _is_status(data, 0)
+            self.is_large |= data[0] & 0x0F == _LARGE_MARK or not all(
+                _is_status(data, at) for at in range(0, len(data), _SMALL))
+
+    def ports(self, bus: int, device: int) -> list[Found]:
+        vendor, product, _ = self.identity
+        found = []
+        for incoming, outgoing in self._pairs():
+            adapter = self._adapter(incoming)
+            if adapter is not None:
+                size = self.seen.get(incoming.address, 0) + self.seen.get(outgoing, 0)
+                found.append(Found(Place(bus, device, incoming.address & ~INPUT, outgoing),
+                                   adapter, vendor, product, size))
+        return found
+
+    def _pairs(self) -> list[tuple[_Endpoint, int]]:
+        """Return the bulk endpoints that belong together: of one interface, or in order."""
+        told = self.endpoints or [_Endpoint(one, 0, 0, -1) for one in sorted(self.seen)]
+        pairs = []
+        for number in sorted({one.interface for one in told}):
+            mine = [one for one in told if one.interface == number]
+            incoming = [one for one in mine if one.address & INPUT]
+            outgoing = [one.address for one in mine if not one.address & INPUT]
+            pairs += list(zip(incoming, outgoing, strict=False))
+        return pairs
+
+    def _adapter(self, incoming: _Endpoint) -> Adapter | None:
+        vendor, product, version = self.identity
+        if self.endpoints:
+            return adapter_of(vendor, product, version, incoming.interface_class,
+                              incoming.packet_size)
+        size = _LARGE if self.is_large else _SMALL
+        known = adapter_of(vendor, product, version, None, size)
+        if known is not None:
+            return known
+        if self.by_request is not None:
+            return self.by_request(size)
+        if self.is_ftdi and self.has_header:
+            return Ftdi(size)
+        return CdcAcm(size) if self.has_header and vendor == 0 else None
+
+
+class Survey:
+    """Give it all events; `ports` tells at any time what was found."""
+
+    def __init__(self) -> None:
+        self._devices: dict[tuple[int, int], _Device] = {}
+        self._setups: dict[tuple[int, int, int], bytes] = {}
+
+    def take(self, event: Event) -> None:
+        """Look at an event."""
+        if event.transfer not in (BULK, CONTROL):
+            return
+        if event.transfer == BULK and not event.data:
+            return
+        key = event.bus, event.device
+        device = self._devices.get(key)
+        if device is None:
+            if len(self._devices) >= DEVICES_LIMIT:
+                return
+            device = self._devices[key] = _Device()
+        if event.transfer == BULK:
+            device.bulk(event)
+        else:
+            self._control(device, event)
+
+    def ports(self) -> list[Found]:
+        """Return the serial ports, by bus and device."""
+        return [found for (bus, number), device in sorted(self._devices.items())
+                for found in device.ports(bus, number)]
+
+    def _control(self, device: _Device, event: Event) -> None:
+        key = event.bus, event.device, event.number
+        if event.setup:
+            if len(self._setups) >= PENDING_LIMIT:
+                del self._setups[next(iter(self._setups))]
+            self._setups[key] = event.setup
+        packet = event.setup or self._setups.get(key)
+        if not packet or len(packet) < 8:
+            return
+        setup = Setup.of(packet)
+        if (setup.kind, setup.request) == _GET_DESCRIPTOR:
+            device.describe(event.data)
+        else:
+            device.by_request = adapter_by_request(setup, event.data) or device.by_request
+
+
+def _word(data: bytes, at: int) -> int:
+    return int.from_bytes(data[at:at + 2], 'little')
+
+
+def _is_status(data: bytes, at: int) -> bool:
+    """Tell whether FTDI's two status bytes may stand here."""
+    return len(data) - at >= 2 and data[at] & 0x0F in (_SMALL_MARK, _LARGE_MARK)
+
+
+def _endpoints(data: bytes) -> list[_Endpoint]:
+    """Return the bulk endpoints that a configuration describes."""
+    found: list[_Endpoint] = []
+    number, kind, at = 0, -1, 0
+    while at + 2 <= len(data) and (size := data[at]) >= 2:
+        part = data[at:at + size]
+        at += size
+        if part[1] == _INTERFACE and len(part) >= 6:
+            number, kind = part[2], part[5]
+        elif part[1] == _ENDPOINT and len(part) >= 6 and part[3] & 3 == _BULK_KIND:
+            found.append(_Endpoint(part[2], _word(part, 4) & 0x7FF, number, kind))
+    return found

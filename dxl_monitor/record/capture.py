@@ -1,0 +1,327 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The capture file: every chunk of bytes as it was read, with its stamp, one line of text each.
+
+    # dxl_capture 2 began 2026-09-21T14:13:20.123456Z at 12345.678901234
+    # bus ttyUSB0 baud 2000000 latency_timer_ms 1 port /dev/ttyUSB0
+    (12345.690172411) ttyUSB0 fffffd0001030001194e
+    (12345.701230000) left out fffffd0001030001194e
+    (12345.801230000) left baud 1000000
+
+docs/captures.md is the reference. Stamps are monotonic ns, kept exactly, as are the borders of the
+chunks: a replay leads to the same report.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable
+from collections.abc import Iterator
+from datetime import datetime
+from datetime import timedelta
+from datetime import timezone
+import errno
+import os
+from pathlib import Path
+import stat
+from typing import BinaryIO
+from typing import NamedTuple
+from urllib.parse import quote
+from urllib.parse import unquote
+
+from mecarover_serial.cli import printable
+from mecarover_serial.parameters import ParameterError
+from msg_defs.heard import Change
+from msg_defs.heard import CHANGES
+from msg_defs.heard import IN
+from msg_defs.heard import OUT
+from msg_defs.heard import UNKNOWN
+
+MAGIC = b'# dxl_capture '            # a number follows: 1 is 2 without sides and changes
+VERSIONS = (b'1', b'2')
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_WALL = '%Y-%m-%dT%H:%M:%S.%f'
+_PLAIN = '/:._-+@'                  # stay as they are in a bus name, as letters and digits do
+_SECOND = 1_000_000_000
+STAMP_END = 1 << 63                 # ns: 292 years; longer than any time since a boot
+BAUD_LIMIT = 100_000_000
+LATENCY_LIMIT_MS = 10_000
+BUSES_LIMIT = 256
+DIGITS_LIMIT = 18                   # of the value of a change
+LINE_LIMIT = 1 << 20                # bytes: many times the longest line that is ever written
+_SHOWN = 60                         # characters of a bad line in a message
+
+
+class Wire(NamedTuple):
+    """
+    What a capture says about a bus.
+
+    baud: 0 while it is to be learned. latency_timer_ms: of its adapter, 0 where it has none.
+    """
+
+    name: str
+    baud: int
+    latency_timer_ms: int = 0
+    port: str = ''
+
+
+class Chunk(NamedTuple):
+    """
+    Bytes that were read at once; stamp: when, monotonic ns.
+
+    side: who put them on the wire (msg_defs/heard.py). Where there is a change there are no bytes.
+    """
+
+    stamp: int
+    bus: str
+    data: bytes = b''
+    side: str = UNKNOWN
+    change: Change | None = None
+
+
+class Moment(NamedTuple):
+    """One moment on two clocks, ns: since 1970, and monotonic."""
+
+    wall: int
+    stamp: int
+
+
+def seconds(stamp: int) -> str:
+    """Spell ns as seconds with all nine decimals: exact, and of one width."""
+    return f'{stamp // _SECOND}.{stamp % _SECOND:09}'
+
+
+def chunk_line(stamp: int, bus: str, data: bytes, side: str = UNKNOWN) -> bytes:
+    front = f'({seconds(stamp)}) {_word(bus)} {side}'
+    return f'{front} {data.hex()}\n'.encode() if side else f'{front}{data.hex()}\n'.encode()
+
+
+def _word(name: str) -> str:
+    """Spell the name of a bus without blanks; '-' stands for none."""
+    return '%2D' if name == '-' else quote(name, _PLAIN) or '-'
+
+
+class Writer:
+    """Writes to a file that somebody else opened, and flushes and closes."""
+
+    def __init__(self, file: BinaryIO, now: Moment) -> None:
+        self.size = 0
+        self._file = file
+        self._told: set[str] = set()
+        wall = (_EPOCH + timedelta(microseconds=now.wall // 1000)).strftime(_WALL)
+        self._put(MAGIC + f'2 began {wall}Z at {seconds(now.stamp)}\n'.encode())
+
+    def take(self, wire: Wire, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
+        """Write a chunk, and before the first one of a bus what is known of that."""
+        self._introduce(wire)
+        self._put(chunk_line(stamp, wire.name, data, side))
+
+    def change(self, wire: Wire, change: Change, stamp: int) -> None:
+        """Write what the source said beside bytes."""
+        self._introduce(wire)
+        self._put(f'({seconds(stamp)}) {_word(wire.name)} {change.what} {change.value}\n'.encode())
+
+    def _introduce(self, wire: Wire) -> None:
+        if wire.name not in self._told:
+            self._told.add(wire.name)
+            self._put(f'# bus {_word(wire.name)} baud {wire.baud} latency_timer_ms '
+                      f'{wire.latency_timer_ms} port {quote(wire.port, _PLAIN)}\n'.encode())
+
+    def remark(self, text: str) -> None:
+        """Write a line for people."""
+        self._put(f'# {text}\n'.encode())
+
+    def _put(self, line: bytes) -> None:
+        self._file.write(line)
+        self.size += len(line)
+
+
+class Reader:
+    """
+    The chunks of a capture, from its lines. Other lines are left out and counted.
+
+    Several captures behind each other are one: where the clock began again (another boot), stamps
+    go on by the wall-clock. `began` is of the first header. `is_cut`: the last line has no end.
+    """
+
+    def __init__(self, lines: Iterable[bytes]) -> None:
+        self.began = Moment(0, 0)
+        self.wires: dict[str, Wire] = {}
+        self.bad_lines = 0
+        self.first_bad_line = 0
+        self.first_bad_text = ''
+        self.is_cut = False
+        self._lines = lines
+        self._names: dict[bytes, str] = {}
+        self._shift = 0
+        self._last = 0
+
+    def __iter__(self) -> Iterator[Chunk]:
+        for number, line in enumerate(self._lines, 1):
+            chunk = self._parse(line, number)
+            if chunk is not None:
+                yield chunk
+
+    def _parse(self, line: bytes, number: int) -> Chunk | None:
+        """Return the chunk of a line, None for any other line."""
+        try:
+            if line[:1] == b'(':
+                stamp, bus, *words = line.split()
+                if stamp[-1:] != b')':
+                    raise ValueError(line)
+                chunk = Chunk(_bounded(_stamp(stamp[1:-1]) + self._shift), self._name(bus),
+                              *_content(words))
+                self._last = chunk.stamp
+                self.is_cut = line[-1:] != b'\n'
+                return chunk
+            if line.strip():
+                self._header(line)
+        except (ValueError, LookupError):
+            self.bad_lines += 1
+            if not self.first_bad_line:
+                self.first_bad_line = number
+                self.first_bad_text = printable(line.decode(errors='replace').strip(), _SHOWN)
+        return None
+
+    def problems(self) -> list[str]:
+        """Return what a person should know at the end, a line each."""
+        found = []
+        if self.bad_lines:
+            found.append(f'{self.bad_lines} lines are not lines of a capture and were left out, '
+                         f'the first is line {self.first_bad_line}: {self.first_bad_text}')
+        if self.is_cut:
+            found.append('the last line has no end; is the capture still written, or cut off?')
+        return found
+
+    def _name(self, word: bytes) -> str:
+        name = self._names.get(word)
+        if name is None:
+            if len(self._names) >= BUSES_LIMIT:
+                raise ValueError(word)
+            name = self._names[word] = '' if word == b'-' else unquote(word.decode())
+        return name
+
+    def _header(self, line: bytes) -> None:
+        """Take in a line that starts with '#'; one that we do not know is a remark."""
+        sign, *words = line.split()
+        if sign != b'#':
+            raise ValueError(line)
+        if line.startswith(MAGIC):
+            if words[1] not in VERSIONS:
+                raise ValueError(line)
+            now = Moment(_wall(words[3].decode()), _stamp(words[5]))
+            if not self.began.wall:
+                self.began = now
+            if now.stamp + self._shift < self._last:
+                since = now.wall - self.began.wall + self.began.stamp
+                if since < self._last - _SECOND:       # the wall-clock was set back
+                    since = self._last
+                self._shift = _bounded(since) - now.stamp
+        elif words[:1] == [b'bus']:
+            name = self._name(words[1])
+            facts = dict(zip(words[2::2], words[3::2], strict=False))
+            baud = int(facts[b'baud'])
+            latency_ms = int(facts.get(b'latency_timer_ms', 0))
+            if not (0 <= baud <= BAUD_LIMIT and 0 <= latency_ms <= LATENCY_LIMIT_MS):
+                raise ValueError(line)
+            self.wires[name] = Wire(name, baud, latency_ms,
+                                    unquote(facts.get(b'port', b'').decode()))
+
+
+def _content(words: list[bytes]) -> tuple[bytes, str, Change | None]:
+    """Return the bytes, the side and the change of a chunk's line, from what is behind its bus."""
+    if len(words) == 1:
+        return bytes.fromhex(words[0].decode()), UNKNOWN, None
+    name, value = (word.decode() for word in words)
+    if name in (OUT, IN):
+        return bytes.fromhex(value), name, None
+    if name not in CHANGES or not value.isdecimal() or len(value) > DIGITS_LIMIT:
+        raise ValueError(name)
+    return b'', UNKNOWN, Change(name, int(value))
+
+
+def lines(file: BinaryIO) -> Iterator[bytes]:
+    """Yield the lines of a file; one that is too long to be a line of a capture as a '?'."""
+    while line := file.readline(LINE_LIMIT):
+        if len(line) == LINE_LIMIT and line[-1:] != b'\n':
+            while line and line[-1:] != b'\n':
+                line = file.readline(LINE_LIMIT)
+            line = b'?\n'
+        yield line
+
+
+def _stamp(text: bytes) -> int:
+    whole, fraction = text.split(b'.')
+    if not (whole.isdigit() and fraction.isdigit()):       # int takes -1, and 1_0
+        raise ValueError(text)
+    return _bounded(int(whole) * _SECOND + int(fraction.ljust(9, b'0')[:9]))
+
+
+def _bounded(stamp: int) -> int:
+    if not 0 <= stamp < STAMP_END:
+        raise ValueError(stamp)
+    return stamp
+
+
+def _wall(text: str) -> int:
+    since = datetime.strptime(text, _WALL + 'Z').replace(tzinfo=_EPOCH.tzinfo) - _EPOCH
+    return since // timedelta(microseconds=1) * 1000
+
+
+def check_new(path: str | Path) -> None:
+    """
+    Raise ParameterError for what must not be written to.
+
+    That is a port, above all, and any file that is not a capture.
+    """
+    try:
+        status = os.stat(path)
+        is_file = stat.S_ISREG(status.st_mode) and status.st_size > 0
+        if is_file and not is_capture(path):
+            raise _refusal(path, 'is there and is not a capture')
+        if stat.S_ISDIR(status.st_mode):
+            raise _refusal(path, 'is a directory')
+        if stat.S_ISCHR(status.st_mode) and _is_port(path):
+            raise _refusal(path, 'is a port, and nothing must be sent to one')
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise _refusal(path, error.strerror or str(error)) from error
+
+
+def open_new(path: str | Path, waits: bool = True) -> BinaryIO:
+    """
+    Open a file to write a capture to; an older capture of that name is lost.
+
+    waits: for somebody to read, where it is a pipe; else that is a ParameterError.
+    """
+    check_new(path)
+    try:
+        return open(path, 'wb', opener=None if waits else _without_waiting)
+    except OSError as error:
+        if error.errno == errno.ENXIO:
+            raise _refusal(path, 'is a pipe without a reader') from error
+        raise _refusal(path, error.strerror or str(error)) from error
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    descriptor = os.open(path, flags | os.O_NONBLOCK, 0o666)
+    os.set_blocking(descriptor, True)
+    return descriptor
+
+
+def is_capture(path: str | Path) -> bool:
+    """Tell whether a file begins as a capture does."""
+    with open(path, 'rb') as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def _is_port(path: str | Path) -> bool:
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        return os.isatty(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _refusal(path: str | Path, reason: str) -> ParameterError:
+    return ParameterError(f'capture: {path}: {reason}; give another file name')

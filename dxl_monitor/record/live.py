@@ -1,0 +1,90 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A port as a source of a tool: its own adapter, or that of another program (usb:, tap:)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import queue
+import sys
+import time
+
+from dxl_monitor.port.source_name import bus_name
+from dxl_monitor.port.source_name import has_sides
+from dxl_monitor.port.source_name import listener_on
+from dxl_monitor.port.source_name import rate_of
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.recorder import moment
+from dxl_monitor.record.source import Source
+from msg_defs.heard import BAUD
+from msg_defs.heard import Change
+from msg_defs.heard import UNKNOWN
+
+TICK_S = 0.1
+QUEUED_LIMIT = 100_000             # chunks that wait because our output is not taken
+
+
+class LivePort(Source):
+    """A live source, listened to by a thread, so that a slow terminal loses nothing."""
+
+    is_live = True
+
+    def __init__(self, name: str, baud: int | None) -> None:
+        super().__init__()
+        self.began = moment()
+        self._bus = bus_name(name)
+        self._overrides = baud is not None             # what the source says of the rate
+        baud = rate_of(name, baud)
+        self._queue: queue.SimpleQueue[Chunk] = queue.SimpleQueue()
+        self._lost = 0
+        self._words = ''
+        self._listener = listener_on(name, baud, self._take, on_change=self._change)
+        self._listener.start()
+        while self._listener.state.kind == 'starting':
+            time.sleep(0.005)
+        if not self._listener.state.is_open:
+            words = self._listener.state.text
+            self._listener.stop()
+            raise ConnectionError(words)
+        if has_sides(name) and sys.stderr.isatty():    # what is heard, or waited for
+            print(f'dxl_dump: {self._listener.state.text}', file=sys.stderr)
+        self.wires[self._bus] = Wire(self._bus, baud, self._listener.latency_timer_ms or 0, name)
+
+    def _take(self, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
+        if self._queue.qsize() > QUEUED_LIMIT:
+            self._lost += len(data)
+        else:
+            self._queue.put(Chunk(stamp, self._bus, data, side))
+
+    def _change(self, change: Change, stamp: int) -> None:
+        if change.what != BAUD or not self._overrides:
+            self._queue.put(Chunk(stamp, self._bus, change=change))
+
+    def chunks(self) -> Iterator[Chunk | None]:
+        while True:
+            yield self._next()
+
+    def _next(self) -> Chunk | None:
+        try:
+            return self._queue.get(timeout=TICK_S)
+        except queue.Empty:
+            self._tell_state()
+            return None
+
+    def problems(self) -> list[str]:
+        errors = self._listener.counters.line_errors
+        lost = errors.buf_overrun + errors.overrun if errors is not None else 0
+        return [text for count, text in (
+            (self._lost, f'{self._lost} bytes were not shown: the output was too slow'),
+            (lost, f'the driver lost bytes {lost} times (overrun)')) if count] \
+            + self._listener.problems()
+
+    def close(self) -> None:
+        self._listener.stop()
+
+    def _tell_state(self) -> None:
+        words = '' if self._listener.state.is_open else self._listener.state.text
+        if words != self._words:
+            print(f'dxl_dump: {words or "the port is open again"}', file=sys.stderr)
+            self._words = words

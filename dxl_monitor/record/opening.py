@@ -1,0 +1,86 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+One function that opens any source by its name: a port, usb:, tap:, a file, or stdin.
+
+Files are told apart by content: captures, USB events (pcap, pcapng, usbmon), raw bytes.
+"""
+
+from __future__ import annotations
+
+from io import BufferedReader
+import os
+import stat
+import sys
+
+from dxl_monitor.port.source_name import is_live
+from dxl_monitor.record.capture import MAGIC
+from dxl_monitor.record.source import CaptureFile
+from dxl_monitor.record.source import File
+from dxl_monitor.record.source import RawFile
+from dxl_monitor.record.source import Source
+from dxl_monitor.record.usb_events import is_usb
+from dxl_monitor.record.usb_events import may_be_usb
+from dxl_monitor.record.usb_source import UsbFile
+from mecarover_serial.cli import UsageError
+from mecarover_serial.preflight import PortError
+from mecarover_serial.preflight import why_not
+
+HEAD_SIZE = 64
+_PACKED = {b'\x1f\x8b\x08': 'gzip', b'\xfd7zXZ': 'xz', b'\x28\xb5\x2f\xfd': 'zstd',
+           b'BZh': 'bzip2', b'PK\x03\x04': 'zip'}
+
+
+def open_source(name: str, baud: int | None, adapter: str | None = None) -> Source:
+    """
+    Return the source of this name, open; raise PortError, OSError or UsageError.
+
+    baud: overrides what the source says; None for what it says, or else 2 MBd. adapter: which one
+    in a file of USB events, needed where it holds several.
+    """
+    if name == '-':
+        if sys.stdin.isatty():
+            raise UsageError('-: nothing comes from a terminal; pipe bytes or a capture into it')
+        return _file(name, open(sys.stdin.fileno(), 'rb', closefd=False), baud, adapter)
+    if is_live(name) or _is_device(name):
+        from dxl_monitor.record.live import LivePort  # needs fcntl, and files do not
+
+        return LivePort(name, baud)
+    return open_file(name, baud, adapter)
+
+
+def open_file(name: str, baud: int | None, adapter: str | None = None) -> File:
+    """Return a capture, a file of USB events or a file of bytes as a source."""
+    return _file(name, open(name, 'rb'), baud, adapter)
+
+
+def _is_device(name: str) -> bool:
+    try:
+        mode = os.stat(name).st_mode
+    except OSError as error:
+        if isinstance(error, FileNotFoundError) and not name.startswith('/dev/'):
+            raise FileNotFoundError(error.errno, 'no such file or port; check the name',
+                                    name) from error
+        raise PortError(name, why_not(name, error)) from error
+    if stat.S_ISDIR(mode):
+        raise UsageError(f'{name}: a directory; give a port, a capture or a file of bytes')
+    return stat.S_ISCHR(mode)
+
+
+def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None) -> File:
+    head = b''
+    # A pipe gives what is there, at least a byte: that is too few to tell.
+    while len(head) < HEAD_SIZE and (more := file.read1(HEAD_SIZE - len(head))):
+        head += more
+        if not MAGIC.startswith(head[:len(MAGIC)]) and not may_be_usb(head):
+            break
+    packed = next((kind for front, kind in _PACKED.items() if head.startswith(front)), None)
+    if packed is not None:
+        file.close()
+        raise UsageError(f'{name}: packed with {packed}; unpack it first')
+    if is_usb(head):
+        return UsbFile(name, file, head, baud, adapter)
+    if adapter is not None:
+        file.close()
+        raise UsageError(f'--adapter {adapter}: {name} is no file of USB events; leave it out')
+    return (CaptureFile if head.startswith(MAGIC) else RawFile)(name, file, head, baud)

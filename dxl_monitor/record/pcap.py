@@ -1,0 +1,198 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Files of packets, as tcpdump and Wireshark write them: pcap and pcapng. Reading only.
+
+Sources: IETF drafts opsawg-pcap and opsawg-pcapng. A damaged or cut file gives what is readable in
+front of the damage, and a problem in words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import struct
+from typing import NamedTuple
+from typing import Protocol
+
+LINK_USB_LINUX, LINK_USB_LINUX_MMAPPED, LINK_USBPCAP = 189, 220, 249
+
+_PCAP_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}        # ns in a unit of the fraction
+_SECTION, _SECTION_MAGIC = 0x0A0D0D0A, 0x1A2B3C4D
+_INTERFACE, _OLD_PACKET, _SIMPLE, _ENHANCED = 1, 2, 3, 6
+_RESOLUTION, _OFFSET = 9, 14       # options of an interface
+_NS = 1_000_000_000
+MAGIC_SIZE = 4
+BLOCK_LIMIT = 1 << 26              # bytes: no packet of USB is near that
+INTERFACES_LIMIT = 4096
+
+
+class Packet(NamedTuple):
+    """One packet; stamp: ns since 1970 (0 where the file has none). order: '<' or '>'."""
+
+    link: int
+    stamp: int
+    order: str
+    data: bytes
+    is_whole: bool                 # False: the capture cut it
+
+
+class _Reads(Protocol):
+    def read(self, size: int, /) -> bytes: ...
+
+
+class _Interface(NamedTuple):
+    link: int
+    snap_length: int
+    units_per_second: int
+    offset_s: int
+
+
+class _Damaged(Exception):
+    """The file is not as it should be from here on: in words."""
+
+
+def is_pcap(head: bytes) -> bool:
+    """Tell whether a file that begins so is a pcap or pcapng file."""
+    return len(head) >= MAGIC_SIZE and (
+        int.from_bytes(head[:4], 'big') == _SECTION
+        or any(int.from_bytes(head[:4], order) in _PCAP_MAGIC for order in ('little', 'big')))
+
+
+class PcapReader:
+    """The packets of a file; `problem` tells at the end why it was not read to its end."""
+
+    def __init__(self, file: _Reads) -> None:
+        self.problem = ''
+        self.position = 0          # bytes read
+        self._file = file
+        self._order = '<'
+        self._interfaces: list[_Interface] = []
+
+    def __iter__(self) -> Iterator[Packet]:
+        try:
+            magic = self._exactly(MAGIC_SIZE, 'the magic number')
+            if int.from_bytes(magic, 'big') == _SECTION:
+                yield from self._pcapng()
+            else:
+                yield from self._pcap(magic)
+        except _Damaged as damage:
+            self.problem = f'{damage}; read up to byte {self.position}'
+
+    # --- pcap ----------------------------------------------------------------------------------
+
+    def _pcap(self, magic: bytes) -> Iterator[Packet]:
+        self._order = '<' if int.from_bytes(magic, 'little') in _PCAP_MAGIC else '>'
+        unit = _PCAP_MAGIC.get(struct.unpack(self._order + 'I', magic)[0])
+        if unit is None:
+            raise _Damaged('no pcap file')
+        *_, link = struct.unpack(self._order + 'HHiIII', self._exactly(20, 'its header'))
+        link &= 0xFFFF             # above: length of a checksum
+        head = struct.Struct(self._order + 'IIII')
+        while front := self._some(head.size, 'the header of a packet'):
+            seconds, fraction, kept, size = head.unpack(front)
+            if kept > BLOCK_LIMIT:
+                raise _Damaged(f'a packet of {kept} bytes: damaged')
+            data = self._exactly(kept, 'a packet')
+            yield Packet(link, seconds * _NS + fraction * unit, self._order, data, kept >= size)
+
+    # --- pcapng --------------------------------------------------------------------------------
+
+    def _pcapng(self) -> Iterator[Packet]:
+        self._section()
+        while front := self._some(8, 'the header of a block'):
+            kind, size = struct.unpack(self._order + 'II', front)
+            if kind == _SECTION:               # its length is in the order of the new section
+                self._section(front[4:])
+                continue
+            body = self._body(size)
+            if kind == _INTERFACE:
+                self._interface(body)
+            elif kind in (_ENHANCED, _OLD_PACKET, _SIMPLE):
+                packet = self._packet(kind, body)
+                if packet is not None:
+                    yield packet
+
+    def _section(self, length: bytes = b'') -> None:
+        length = length or self._exactly(4, 'the header of a section')
+        magic = self._exactly(4, 'the header of a section')
+        for order in '<>':
+            if struct.unpack(order + 'I', magic)[0] == _SECTION_MAGIC:
+                self._order = order
+                break
+        else:
+            raise _Damaged('a section without its byte-order magic: damaged')
+        self._interfaces = []
+        self._body(struct.unpack(self._order + 'I', length)[0], 12)
+
+    def _body(self, size: int, done: int = 8) -> bytes:
+        """Read the rest of a block of which `done` bytes were read, and check its end."""
+        if size % 4 or not done + 4 <= size <= BLOCK_LIMIT:
+            raise _Damaged(f'a block of {size} bytes: damaged')
+        body = self._exactly(size - done, 'a block')
+        if struct.unpack(self._order + 'I', body[-4:])[0] != size:
+            raise _Damaged('a block that ends with another length: damaged')
+        return body[:-4]
+
+    def _interface(self, body: bytes) -> None:
+        if len(body) < 8 or len(self._interfaces) >= INTERFACES_LIMIT:
+            raise _Damaged('an interface that is none: damaged')
+        link, _, snap_length = struct.unpack_from(self._order + 'HHI', body)
+        units, offset_s = 1_000_000, 0
+        for code, value in self._options(body[8:]):
+            if code == _RESOLUTION and value:
+                base, power = (2, value[0] & 0x7F) if value[0] & 0x80 else (10, value[0])
+                units = base ** min(power, 64)
+            elif code == _OFFSET and len(value) == 8:
+                offset_s = struct.unpack(self._order + 'q', value)[0]
+        self._interfaces.append(_Interface(link, snap_length, units, offset_s))
+
+    def _options(self, body: bytes) -> Iterator[tuple[int, bytes]]:
+        at = 0
+        while at + 4 <= len(body):
+            code, size = struct.unpack_from(self._order + 'HH', body, at)
+            if code == 0:
+                return
+            yield code, body[at + 4:at + 4 + size]
+            at += 4 + size + -size % 4
+
+    def _packet(self, kind: int, body: bytes) -> Packet | None:
+        if kind == _SIMPLE:
+            return self._simple(body)
+        if len(body) < 20:
+            raise _Damaged('a packet without its header: damaged')
+        if kind == _ENHANCED:
+            number, high, low, kept, size = struct.unpack_from(self._order + 'IIIII', body)
+        else:
+            number, _, high, low, kept, size = struct.unpack_from(self._order + 'HHIIII', body)
+        if number >= len(self._interfaces) or kept > len(body) - 20:
+            raise _Damaged('a packet of no interface, or cut: damaged')
+        one = self._interfaces[number]
+        stamp = (high << 32 | low) * _NS // one.units_per_second + one.offset_s * _NS
+        return Packet(one.link, stamp, self._order, body[20:20 + kept], kept >= size)
+
+    def _simple(self, body: bytes) -> Packet | None:
+        if not self._interfaces or len(body) < 4:
+            raise _Damaged('a packet of no interface: damaged')
+        one = self._interfaces[0]
+        size = struct.unpack_from(self._order + 'I', body)[0]
+        kept = min(size, one.snap_length or size, len(body) - 4)
+        return Packet(one.link, 0, self._order, body[4:4 + kept], kept >= size)
+
+    # --- bytes ---------------------------------------------------------------------------------
+
+    def _some(self, size: int, what: str) -> bytes:
+        """Read so many bytes, or nothing at the end of the file."""
+        data = self._file.read(size)
+        self.position += len(data)
+        while data and len(data) < size and (more := self._file.read(size - len(data))):
+            data += more
+            self.position += len(more)
+        if data and len(data) < size:
+            raise _Damaged(f'it ends within {what}: cut off, or still written')
+        return data
+
+    def _exactly(self, size: int, what: str) -> bytes:
+        data = self._some(size, what) if size else b''
+        if len(data) < size:
+            raise _Damaged(f'it ends before {what}: cut off, or still written')
+        return data

@@ -1,0 +1,124 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Where a tool gets its bytes from: what all sources have in common, and files.
+
+All give Chunks, in order; a live source (live.py) gives None too whenever nothing came for a
+moment, so that a screen can be painted and time can end. opening.py opens one by its name.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from io import BufferedReader
+from io import BytesIO
+from itertools import chain
+import os
+import stat
+
+from dxl_monitor.port.source_name import DEFAULT_BAUD
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import lines
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import Reader
+from dxl_monitor.record.capture import Wire
+
+READ_SIZE = 65_536
+_BYTE_NS = 10_000_000_000          # over the baud rate
+
+
+class Source:
+    """
+    What all sources have in common, and a silent one.
+
+    began: a moment on the wall-clock and on that of the stamps (wall 0: unknown). is_timed: the
+    stamps are of a clock; else they count bytes at the baud rate. total: bytes, 0: unknown.
+    """
+
+    is_live = False
+    is_timed = True
+    total = 0
+
+    def __init__(self) -> None:
+        self.began = Moment(0, 0)
+        self.wires: dict[str, Wire] = {}
+
+    def chunks(self) -> Iterator[Chunk | None]:
+        """Yield what comes; ends at the end of a file."""
+        return iter(())
+
+    def wire(self, bus: str) -> Wire:
+        """Return what is known of a bus."""
+        return self.wires.get(bus) or Wire(bus, DEFAULT_BAUD)
+
+    def position(self) -> int:
+        """Return how many bytes of `total` are behind us."""
+        return 0
+
+    def problems(self) -> list[str]:
+        """Return what a person should know at the end."""
+        return []
+
+    def close(self) -> None:
+        """Give up the port or the file."""
+
+
+class File(Source):
+    """A file or a pipe; `head` is what was read of it already."""
+
+    def __init__(self, name: str, file: BufferedReader, head: bytes) -> None:
+        super().__init__()
+        self._name = name
+        self._file = file
+        self._head = head
+        status = os.fstat(file.fileno())
+        self.total = status.st_size if stat.S_ISREG(status.st_mode) else 0
+
+    def position(self) -> int:
+        return self._file.tell() if self.total else 0
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class CaptureFile(File):
+    """A capture; baud overrides what it says."""
+
+    def __init__(self, name: str, file: BufferedReader, head: bytes, baud: int | None) -> None:
+        super().__init__(name, file, head)
+        self._baud = baud
+        begin = BytesIO(head + file.readline(READ_SIZE))
+        self._reader = Reader(chain(begin, lines(file)))
+        self.wires = self._reader.wires
+
+    def chunks(self) -> Iterator[Chunk | None]:
+        for chunk in self._reader:
+            self.began = self._reader.began
+            yield chunk
+
+    def wire(self, bus: str) -> Wire:
+        wire = super().wire(bus)
+        return wire if self._baud is None else wire._replace(baud=self._baud)
+
+    def problems(self) -> list[str]:
+        return [f'{self._name}: {problem}' for problem in self._reader.problems()]
+
+
+class RawFile(File):
+    """Bytes as they were on the wire, taken as sent without a pause."""
+
+    is_timed = False
+    read_size = READ_SIZE
+
+    def __init__(self, name: str, file: BufferedReader, head: bytes, baud: int | None) -> None:
+        super().__init__(name, file, head)
+        bus = 'stdin' if name == '-' else os.path.basename(name).partition('.')[0]
+        self._wire = self.wires[bus] = Wire(bus, baud or DEFAULT_BAUD, port=name)
+
+    def chunks(self) -> Iterator[Chunk | None]:
+        name, baud, *_ = self._wire
+        received = 0
+        head, self._head = self._head, b''
+        while data := head or self._file.read1(self.read_size):
+            head = b''
+            received += len(data)
+            yield Chunk(1 + received * _BYTE_NS // baud, name, data)

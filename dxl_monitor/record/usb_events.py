@@ -1,0 +1,89 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The USB events of a file: pcap or pcapng of usbmon or USBPcap, or what /dev/usbmonN gave.
+
+Problems are told in words at the end; what is readable is used.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import BinaryIO
+
+from dxl_monitor.port.usbmon import decode
+from dxl_monitor.port.usbmon import decode_usbpcap
+from dxl_monitor.port.usbmon import Event
+from dxl_monitor.port.usbmon import HEADER_SIZE
+from dxl_monitor.port.usbmon import kept_size
+from dxl_monitor.port.usbmon import OLD_HEADER_SIZE
+from dxl_monitor.port.usbmon import Records
+from dxl_monitor.record.pcap import is_pcap
+from dxl_monitor.record.pcap import LINK_USB_LINUX
+from dxl_monitor.record.pcap import LINK_USB_LINUX_MMAPPED
+from dxl_monitor.record.pcap import LINK_USBPCAP
+from dxl_monitor.record.pcap import Packet
+from dxl_monitor.record.pcap import PcapReader
+
+READ_SIZE = 1 << 16
+
+
+def is_usb(head: bytes) -> bool:
+    """Tell whether a file that begins so (64 bytes, or all of it) holds USB events."""
+    return is_pcap(head) or kept_size(head) is not None
+
+
+def may_be_usb(head: bytes) -> bool:
+    """Tell whether more bytes may show that a file that begins so holds USB events."""
+    return is_pcap(head) or (len(head) < HEADER_SIZE and head[8:9] in (b'', b'S', b'C', b'E'))
+
+
+class UsbEvents:
+    """The events of an open file, from where it stands on."""
+
+    def __init__(self, file: BinaryIO, head: bytes) -> None:
+        """Begin; head: the first bytes of the file, which were not yet taken from it."""
+        self.problems: list[str] = []
+        self._file = file
+        self._is_pcap = is_pcap(head)
+
+    def __iter__(self) -> Iterator[Event]:
+        return self._from_packets() if self._is_pcap else self._from_records()
+
+    def _from_packets(self) -> Iterator[Event]:
+        others: Counter[int] = Counter()
+        reader = PcapReader(self._file)
+        bad = 0
+        for packet in reader:
+            if packet.link not in (LINK_USB_LINUX, LINK_USB_LINUX_MMAPPED, LINK_USBPCAP):
+                others[packet.link] += 1
+                continue
+            event = _event(packet)
+            if event is None:
+                bad += 1
+            else:
+                yield event
+        if reader.problem:
+            self.problems.append(reader.problem)
+        if bad:
+            self.problems.append(f'{bad} packets are no events of USB and were left out')
+        for link, count in others.items():
+            self.problems.append(f'{count} packets of link type {link} were left out; usbmon has '
+                                 '189 and 220, USBPcap 249')
+
+    def _from_records(self) -> Iterator[Event]:
+        records = Records()
+        while piece := self._file.read(READ_SIZE):
+            yield from records.events(piece)
+        if records.skipped:
+            self.problems.append(f'{records.skipped} bytes are no events of USB and were left out')
+        if records.pending:
+            self.problems.append('it ends within an event: cut off, or still written')
+
+
+def _event(packet: Packet) -> Event | None:
+    if packet.link == LINK_USBPCAP:
+        return decode_usbpcap(packet.data, packet.stamp)
+    size = OLD_HEADER_SIZE if packet.link == LINK_USB_LINUX else HEADER_SIZE
+    return decode(packet.data, packet.order, size)

@@ -1,0 +1,103 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A file of USB events as a source: the bytes of one serial adapter in it, with their sides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from io import BufferedReader
+import os
+import shutil
+from tempfile import TemporaryFile
+from typing import BinaryIO
+
+from dxl_monitor.port.usb_port import UsbPort
+from dxl_monitor.port.usb_survey import Found
+from dxl_monitor.port.usb_survey import Survey
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.source import File
+from dxl_monitor.record.usb_events import UsbEvents
+from mecarover_serial.cli import UsageError
+from msg_defs.heard import BAUD
+
+
+class UsbFile(File):
+    """
+    The chunks of a file of USB events; baud overrides what the file says, None learns it.
+
+    adapter: as `Place.words` spells it; needed where several adapters carried bytes. Raises
+    UsageError, which lists them. The file is read twice: a pipe goes through a temporary file.
+    """
+
+    def __init__(self, name: str, file: BufferedReader, head: bytes, baud: int | None,
+                 adapter: str | None) -> None:
+        super().__init__(name, file, head)
+        self._baud = baud
+        self._usb = _seekable(file, head)
+        self.total = self._usb.seek(0, os.SEEK_END)
+        self._events = self._from_the_start()
+        survey = Survey()
+        for event in self._events:
+            survey.take(event)
+        found = _chosen(name, survey.ports(), adapter)
+        self._port = UsbPort(found.place, found.adapter)
+        bus = 'stdin' if name == '-' else os.path.basename(name).partition('.')[0]
+        self._wire = Wire(bus, baud or 0, port=name)
+        self.wires = {bus: self._wire}
+
+    def _from_the_start(self) -> UsbEvents:
+        self._usb.seek(0)
+        return UsbEvents(self._usb, self._head)
+
+    def chunks(self) -> Iterator[Chunk | None]:
+        """Yield what was heard, in the order of its stamps: those of the file, ns since 1970."""
+        self._events = self._from_the_start()
+        newest = 0
+        for event in self._events:
+            heard = self._port.take(event)
+            if heard is None:
+                continue
+            newest = max(newest, heard.stamp)
+            if not self.began.stamp:
+                self.began = Moment(newest, newest)
+            if heard.data:
+                yield Chunk(newest, self._wire.name, heard.data, heard.side)
+            for change in heard.changes:
+                if change.what != BAUD or self._baud is None:
+                    yield Chunk(newest, self._wire.name, change=change)
+
+    def position(self) -> int:
+        return self._usb.tell()
+
+    def problems(self) -> list[str]:
+        return [f'{self._name}: {problem}' for problem in self._events.problems]
+
+    def close(self) -> None:
+        self._usb.close()
+        super().close()
+
+
+def _seekable(file: BufferedReader, head: bytes) -> BinaryIO:
+    if file.seekable():
+        return file
+    copy = TemporaryFile()                             # noqa: SIM115 - closed with the source
+    copy.write(head)
+    shutil.copyfileobj(file, copy)
+    return copy
+
+
+def _chosen(name: str, ports: list[Found], adapter: str | None) -> Found:
+    """Return the port that was asked for, or the only one with bytes."""
+    named = [one for one in ports if one.place.words == adapter]
+    used = named or [one for one in ports if one.size]
+    if len(used) == 1 and (named or adapter is None):
+        return used[0]
+    if not ports:
+        raise UsageError(f'{name}: no serial adapter is in it; was the right bus recorded, from '
+                         'before the port was used?')
+    known = '; '.join(one.words for one in used or ports)
+    problem = f'--adapter {adapter}: is not in it' if adapter else 'several adapters are in it'
+    raise UsageError(f'{name}: {problem}: {known}; choose with --adapter '
+                     f'{(used or ports)[0].place.words}')

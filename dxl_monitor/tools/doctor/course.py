@@ -1,0 +1,60 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the doctor said of one bus while it listened, from the first report to the last. Pure.
+
+A fault of two seconds is still worth a word at the end. What a later finding accounts for is not.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import Finding
+from dxl_monitor.doctor import RULES
+
+_RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
+_EXPLAINS = {rule.name: rule.explains for rule in RULES}
+
+_Key = tuple[str, int | None]
+
+
+class Told(NamedTuple):
+    """A finding; first_s and last_s: when it was told, from the first byte; stands: at the end."""
+
+    finding: Finding
+    first_s: float
+    last_s: float
+    stands: bool
+
+
+class Course:
+    """The findings of one bus over time; takes its reports in order."""
+
+    def __init__(self) -> None:
+        self._told: dict[_Key, Told] = {}
+        self.last: BusReport | None = None
+
+    def take(self, report: BusReport) -> None:
+        """Remember what this report says."""
+        now_s = max(0, report.stamp - report.started) / 1e9 if report.started else 0.0
+        said = {(finding.rule, finding.device): finding for finding in report.findings}
+        self._told = {key: one._replace(stands=False) for key, one in self._told.items()}
+        for key, finding in said.items():
+            before = self._told.get(key)
+            self._told[key] = Told(finding, before.first_s if before else now_s, now_s, True)
+        self.last = report
+
+    def told(self) -> list[Told]:
+        """Return the findings: the worst first, then those that still stand, causes first."""
+        return sorted((one for one in self._told.values() if not self._is_explained(one)),
+                      key=lambda one: (-one.finding.level, not one.stands,
+                                       _RANK.get(one.finding.rule, len(_RANK))))
+
+    def _is_explained(self, one: Told) -> bool:
+        """Tell whether another finding accounts for one that is over."""
+        rule, device = one.finding.rule, one.finding.device
+        return not one.stands and any(
+            rule in _EXPLAINS.get(by.finding.rule, ()) and by is not one
+            and by.finding.device in (None, device) for by in self._told.values())

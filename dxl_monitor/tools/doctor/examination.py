@@ -1,0 +1,115 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A run of dxl_doctor: a monitor per bus, a report twice a second, until there is enough.
+
+Time is that of the stamps; a live source tells in between that nothing came.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dxl_monitor.bus.conversation import ANSWER_NS
+from dxl_monitor.bus.conversation import DEFAULTS
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.tools.doctor.course import Course
+from dxl_monitor.tools.doctor.excerpt import Excerpt
+from dxl_monitor.tools.doctor.verdict import Bus
+from msg_defs.reports import Level
+
+S = 1_000_000_000
+REPORT_NS = S // 2
+TRAFFIC_S, SILENCE_S = 10.0, 5.0   # of a live source, where --seconds does not say else
+_PAUSE_NS = 12 * S                 # a longer pause of a file is passed over: all is forgotten then
+
+
+class Examination:
+    """What was heard so far; stamps are monotonic ns."""
+
+    def __init__(self, models: Models, devices: Sequence[str] = (),
+                 protocol: str = DEFAULTS.protocol) -> None:
+        self.bytes = 0
+        self.first = self.last = 0             # stamps of chunks; 0: none yet
+        self.excerpt = Excerpt()
+        self._models = models
+        self._devices = devices
+        self._protocol = protocol
+        self._monitors: dict[str, Monitor] = {}
+        self._courses: dict[str, Course] = {}
+        self._due = 0
+
+    def take(self, chunk: Chunk, wire: Wire) -> None:
+        """Take a chunk of a bus; wire: what the source knows of that bus."""
+        self.pass_time(chunk.stamp)
+        self._due = self._due or chunk.stamp + REPORT_NS
+        self.excerpt.take(chunk, wire)
+        monitor = self._monitors.get(chunk.bus) or self._begin(chunk.bus, wire)
+        if chunk.change is not None:
+            monitor.change(chunk.change, chunk.stamp)
+            return
+        self.first = self.first or chunk.stamp
+        self.last = chunk.stamp
+        self.bytes += len(chunk.data)
+        monitor.feed(chunk.data, chunk.stamp, chunk.side)
+
+    def _begin(self, bus: str, wire: Wire) -> Monitor:
+        mine = [text.rpartition('/')[2] for text in self._devices
+                if text.rpartition('/')[0] in ('', bus)]
+        settings = Settings(baud=wire.baud, devices=tuple(parse_all(mine)),
+                            latency_timer_ms=wire.latency_timer_ms, protocol=self._protocol)
+        self._courses[bus] = Course()
+        self._monitors[bus] = Monitor(bus, self._models, settings)
+        return self._monitors[bus]
+
+    def pass_time(self, now: int) -> None:
+        """Look at every bus as often as is due until now."""
+        if self._due and now - self._due > _PAUSE_NS:
+            self._look(self._due)
+            self._due = now
+        while self._due and self._due <= now:
+            self._look(self._due)
+            self._due += REPORT_NS
+
+    def _look(self, now: int) -> None:
+        for bus, monitor in self._monitors.items():
+            report = monitor.report(now)
+            self._courses[bus].take(report)
+            if report.findings and not self.excerpt.first_error and any(
+                    finding.level > Level.OK for finding in report.findings):
+                self.excerpt.first_error = now
+
+    @property
+    def seconds(self) -> float:
+        """How long there was traffic, from the first byte to the last (s)."""
+        return (self.last - self.first) / S
+
+    def finish(self, now: int, is_over: bool) -> None:
+        """Look for the last time; is_over: nothing more will come, what is pending is judged."""
+        if is_over:
+            for monitor in self._monitors.values():
+                monitor.flush_if_idle(now + 2 * ANSWER_NS)
+        self._look(now)
+
+    def summary(self) -> str:
+        """Return what is heard at this moment, in a line."""
+        if not self.bytes:
+            return 'nothing heard yet'
+        reports = [course.last for course in self._courses.values() if course.last is not None]
+        packets = sum(report.counters['Packets'] for report in reports)
+        devices = sum(device.last_heard_s is not None for report in reports
+                      for device in report.devices)
+        rules = [one.finding.rule.replace('_', ' ') for course in self._courses.values()
+                 for one in course.told() if one.stands]
+        return '; '.join([f'{packets} packets, {devices} devices', *rules[:3]])
+
+    def buses(self, is_timed: bool) -> list[Bus]:
+        """Return each bus as it is told at the end."""
+        found = [(name, course, course.last) for name, course in self._courses.items()]
+        return [Bus.of(name if len(found) > 1 else '', last, course, is_timed)
+                for name, course, last in found if last is not None]

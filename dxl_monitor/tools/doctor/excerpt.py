@@ -1,0 +1,69 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The bytes around the first error of a run, for a report: bounded in time and size.
+
+Until something is wrong the newest are kept; then those that come for half of the time more.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections import deque
+from collections.abc import Iterator
+from collections.abc import Mapping
+import io
+import textwrap
+import zlib
+
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.capture import Writer
+
+SECONDS = 30
+SIZE_LIMIT = 1_500_000             # bytes of the bus; as text in a report about half of that
+BLOCK_SIZE = 200_000               # of text that is packed at once: damage costs one block
+_HALF_NS = SECONDS * 500_000_000
+_COLUMNS = 100
+
+
+class Excerpt:
+    """Takes all chunks of a run; first_error: the stamp of the first finding, once there is."""
+
+    def __init__(self) -> None:
+        self.first_error = 0
+        self._chunks: deque[tuple[Chunk, Wire]] = deque()
+        self._size = 0
+
+    def take(self, chunk: Chunk, wire: Wire) -> None:
+        """Keep a chunk, if it is near enough to the first error, or to now."""
+        if self.first_error and (chunk.stamp > self.first_error + _HALF_NS
+                                 or self._size > SIZE_LIMIT):
+            return
+        self._chunks.append((chunk, wire))
+        self._size += len(chunk.data)
+        before = self.first_error - _HALF_NS if self.first_error else chunk.stamp - 2 * _HALF_NS
+        while self._chunks[0][0].stamp < before or (
+                self._size > SIZE_LIMIT and not self.first_error):
+            self._size -= len(self._chunks.popleft()[0].data)
+
+    def capture(self, names: Mapping[str, str]) -> bytes:
+        """Return it as a capture, with the buses renamed and without their ports."""
+        file = io.BytesIO()
+        writer = Writer(file, Moment(0, self._chunks[0][0].stamp if self._chunks else 0))
+        for chunk, wire in self._chunks:
+            plain = wire._replace(name=names.get(chunk.bus, 'bus'), port='')
+            if chunk.change is None:
+                writer.take(plain, chunk.data, chunk.stamp, chunk.side)
+            else:
+                writer.change(plain, chunk.change, chunk.stamp)
+        return file.getvalue()
+
+
+def packed(capture: bytes) -> Iterator[str]:
+    """Yield a capture as lines of text, a blank line behind each block of it."""
+    for at in range(0, len(capture), BLOCK_SIZE):
+        text = b64encode(zlib.compress(capture[at:at + BLOCK_SIZE], 9)).decode()
+        yield from textwrap.wrap(text, _COLUMNS)
+        yield ''

@@ -1,0 +1,122 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the texts mean that programs print: dxl_doctor --explain TEXT, and docs/errors.md.
+
+errors.yaml is the one home of both. Texts are found within what a person pasted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from difflib import SequenceMatcher
+from functools import cache
+from importlib import resources
+import textwrap
+from typing import NamedTuple
+
+import yaml
+
+_FILE = 'errors.yaml'
+_SHORTEST = 5                      # characters of a pasted part that may stand for a text
+_NEAR = 0.6                        # alike enough for a guess, 0 to 1
+_WIDTH = 80
+_PAGE_WIDTH = 110
+
+
+class Explanation(NamedTuple):
+    """One text. findings: names of rules, the likeliest first; do: what else helps, or ''."""
+
+    text: str
+    says: tuple[str, ...]
+    also: tuple[str, ...]
+    means: str
+    findings: tuple[str, ...]
+    do: str
+
+
+@cache
+def explanations() -> tuple[Explanation, ...]:
+    """Return all texts, in the order of the file."""
+    file = resources.files('dxl_monitor.tools.doctor') / _FILE
+    return tuple(Explanation(one['text'], tuple(one['says']), tuple(one.get('also', ())),
+                             one['means'], tuple(one['findings']), one.get('do', ''))
+                 for one in yaml.safe_load(file.read_text(encoding='utf-8')))
+
+
+def find(pasted: str) -> list[Explanation]:
+    """
+    Return what the text means that a person pasted.
+
+    A known text within it counts, and it within a known text; where there are several, in the
+    order in which they stand in it.
+    """
+    wanted = _plain(pasted)
+    found = [(at, one) for one in explanations() if (at := _place(one, wanted)) is not None]
+    return [one for _, one in sorted(found, key=lambda pair: pair[0])]
+
+
+def _place(one: Explanation, wanted: str) -> int | None:
+    """Return where a text stands in what is wanted; None where it does not."""
+    places = []
+    for text in map(_plain, (one.text, *one.also)):
+        if text in wanted:
+            places.append(wanted.index(text))
+        elif len(wanted) >= _SHORTEST and wanted in text:
+            places.append(0)
+    return min(places, default=None)
+
+
+def nearest(pasted: str) -> str:
+    """Return the known text that is most like what was pasted, '' if none is."""
+    def likeness(text: str) -> float:
+        return SequenceMatcher(None, _plain(text), _plain(pasted)).ratio()
+    best = max((one.text for one in explanations()), key=likeness)
+    return best if likeness(best) >= _NEAR else ''
+
+
+def _plain(text: str) -> str:
+    return ' '.join(text.casefold().split())
+
+
+def lines(found: Sequence[Explanation]) -> list[str]:
+    """Return what is printed."""
+    text: list[str] = []
+    for one in found:
+        text += [*([''] if text else []), one.text, f'  printed by {", ".join(one.says)}', '',
+                 *_paragraph(one.means)]
+        if one.findings:
+            names = ', '.join(name.replace('_', ' ') for name in one.findings)
+            text += ['', *_paragraph(f'What can be behind it, the likeliest first: {names}.')]
+        text += ['', *_paragraph(one.do)] if one.do else []
+    listen = 'dxl_doctor run -- COMMAND listens, and says which it is.'
+    return [*text, '', *_paragraph(listen)]
+
+
+def _paragraph(text: str) -> list[str]:
+    return textwrap.wrap(text, _WIDTH, initial_indent='  ', subsequent_indent='  ')
+
+
+def page() -> str:
+    """Return docs/errors.md."""
+    text = ['# What programs print, and what it means on the wire', '', *_filled(
+        'The texts are word for word, so that a search finds them. `dxl_doctor --explain "TEXT"` '
+        'prints the same in a terminal, and `dxl_doctor run -- COMMAND` listens and says which '
+        'cause it is ([dxl_doctor](dxl_doctor.md)).')]
+    for one in explanations():
+        text += [f'## {_heading(one.text)}', '', '```text', one.text, *one.also, '```', '',
+                 *_filled(f'Printed by {", ".join(one.says)}. {one.means}')]
+        if one.findings:
+            links = ', '.join(f'[{name}](doctor.md#{name})' for name in one.findings)
+            text += _filled(f'What can be behind it, the likeliest first: {links}.')
+        text += _filled(one.do) if one.do else []
+    return '\n'.join(text)
+
+
+def _filled(text: str) -> list[str]:
+    return [*textwrap.wrap(text, _PAGE_WIDTH, break_on_hyphens=False), '']
+
+
+def _heading(text: str) -> str:
+    """Return a text as a heading of Markdown takes it."""
+    return text.replace('[', '').replace(']', ':', 1).rstrip(':')

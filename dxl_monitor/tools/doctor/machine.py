@@ -1,0 +1,89 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The machine behind a source, for a report: versions, system, adapter. It looks only.
+
+What tells who somebody is (host and user name, serial number, paths, command line) comes from
+host() alone, for those who ask for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+import getpass
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version
+import os
+from pathlib import Path
+import platform
+import re
+import shlex
+import socket
+
+from serial.tools import list_ports
+
+_PACKAGES = ('mecarover_serial', 'pyserial', 'crcmod-plus', 'dynamixel-sdk', 'feetech-servo-sdk',
+             'lerobot', 'pypot')
+_SYS = Path('/sys')
+
+
+def system() -> list[str]:
+    """Return versions and the kind of machine."""
+    found = [f'{platform.system()} {platform.release()}, {platform.machine()}, '
+             f'Python {platform.python_version()}']
+    for name in _PACKAGES:
+        with suppress(PackageNotFoundError):
+            found.append(f'{name} {version(name)}')
+    return found
+
+
+def device(source: str) -> str:
+    """Return the port of a source, '' if it has none: of usb:/dev/ttyUSB0 the part behind usb:."""
+    path = source.removeprefix('usb:')
+    is_port = path.startswith('/dev/') or re.fullmatch(r'COM\d+', path) is not None
+    return path if is_port else ''
+
+
+def plain_name(source: str, is_program: bool) -> str:
+    """Return what a source is without saying whose: no path, serial number or command line."""
+    if is_program:
+        return 'a program that was run'
+    port = device(source)
+    if port:
+        prefix = 'usb:' if source.startswith('usb:') else ''
+        return prefix + os.path.basename(os.path.realpath(port))
+    for kind in ('tap:', 'usb:'):
+        if source.startswith(kind):
+            return kind
+    return f'{source.partition("://")[0]}://' if '://' in source else 'a file'
+
+
+def adapters(ports: Sequence[str], with_serial: bool = False, root: Path = _SYS) -> list[str]:
+    """Return maker, product, driver and latency timer of the adapters behind these ports."""
+    known = {one.device: one for one in list_ports.comports()}
+    return [_adapter(os.path.realpath(port), known, with_serial, root) for port in ports]
+
+
+def _adapter(port: str, known: dict[str, list_ports.ListPortInfo], with_serial: bool,
+             root: Path) -> str:
+    name = os.path.basename(port)
+    tty = root / 'class/tty' / name / 'device'
+    parts = []
+    info = known.get(port)
+    if info is not None and info.vid is not None:
+        parts.append(f'USB {info.vid:04x}:{info.pid:04x} {info.manufacturer or ""} '
+                     f'{info.product or ""}'.strip())
+        if with_serial and info.serial_number:
+            parts.append(f'serial number {info.serial_number}')
+    if (tty / 'driver').exists():
+        parts.append(f'driver {(tty / "driver").resolve().name}')
+    with suppress(OSError):
+        parts.append(f'latency timer {(tty / "latency_timer").read_text().strip()} ms')
+    return f'{name}: {", ".join(parts) or "no USB adapter"}'
+
+
+def host(source: str, command: Sequence[str]) -> list[str]:
+    """Return what is personal: who and where this is."""
+    return [f'host {socket.gethostname()}, user {getpass.getuser()}',
+            f'source {source}', *([f'command {shlex.join(command)}'] if command else [])]

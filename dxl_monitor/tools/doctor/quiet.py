@@ -1,0 +1,67 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Why nothing was heard: the usual reasons, the likeliest first, as far as can be told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import os
+
+from mecarover_serial.preflight import ports_here
+from mecarover_serial.preflight import warnings
+
+_OURS = ('dxl_doctor', 'dxl_reader')
+_NOT_BAUD = 'It is not the baud rate: at a wrong one there would be bytes that make no sense.'
+_NO_MASTER = 'No program asks the servos now: start it, and listen while it runs.'
+_WIRE = ('The adapter is not on the data line: D+, D- and ground (TTL: data and ground) go to the '
+         'bus that the master uses. Without supply a bus is silent too.')
+
+
+def of_port(name: str) -> list[str]:
+    """Return why a port that is open heard no byte."""
+    found = []
+    for reason in warnings(name, ours=_OURS) if os.path.exists(name) else ():
+        remedy = f'then this is its own port; listen with usb:{name}' if reason.kind == 'busy' \
+            else reason.remedy
+        found.append(f'{name}: {reason.reason}; {remedy}.')
+    return [*found, _NO_MASTER, _WIRE, f'It is another port: {ports_here()}.', _NOT_BAUD]
+
+
+def of_usb(name: str) -> list[str]:
+    """Return why usb:PORT heard no byte."""
+    return [f'No program uses {name.partition(":")[2]} now: start it, and listen while it runs.',
+            'The program was started on another adapter: see what it says of its port.', _NOT_BAUD]
+
+
+def of_file(name: str) -> list[str]:
+    return [f'{name} holds no byte of a bus; was anything running while it was recorded?']
+
+
+def of_tap(name: str) -> list[str]:
+    """Return why tap:NAME heard no byte."""
+    program = name.partition(':')[2].partition('/')[0]
+    return [f'No program said anything: start it with dxl_tap {program} -- COMMAND, and listen '
+            'while it runs.', 'The tap hears programs that use pyserial; others are heard with '
+            'usb:/dev/ttyUSB0.']
+
+
+def of_program(command: Sequence[str], ports: Sequence[str], code: int) -> list[str]:
+    """Return why a program said nothing; ports: those that it opened; code: its exit code."""
+    ended = f'{command[0]} ended with exit code {code}' if code else f'{command[0]} ended'
+    if ports:
+        return [f'{ended}; it opened {", ".join(ports)} and sent nothing.']
+    found = [f'{ended} and opened no port through pyserial.']
+    if code:
+        found.append('What it printed says why it ended: often the port is absent, busy, or '
+                     f'needs rights; {ports_here()}.')
+    return [*found, 'A program that does not use pyserial (C++, Rust) is heard with '
+            'usb:/dev/ttyUSB0.']
+
+
+def reasons(name: str, is_live: bool) -> list[str]:
+    """Return why a source of this name gave no byte."""
+    if not is_live:
+        return of_file(name)
+    if name.startswith('usb:'):
+        return of_usb(name)
+    return of_tap(name) if name.startswith('tap:') else of_port(name)

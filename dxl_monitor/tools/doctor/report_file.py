@@ -1,0 +1,163 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A report of somebody else, read again: what was said then, and what its capture says now.
+
+Nothing in it is trusted, and nothing is refused: what is damaged or cut off is left out and told.
+Packed files are unpacked, up to a limit.
+"""
+
+from __future__ import annotations
+
+from base64 import b64decode
+from binascii import Error as Base64Error
+import bz2
+from collections.abc import Callable
+import gzip
+import io
+import json
+import lzma
+from typing import Any
+from typing import NamedTuple
+import zipfile
+import zlib
+
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import lines
+from dxl_monitor.record.capture import Reader
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.tools.doctor import report
+from dxl_monitor.tools.doctor.verdict import Entry
+from dxl_monitor.tools.doctor.verdict import Heard
+from dxl_monitor.tools.doctor.verdict import Verdict
+from mecarover_serial.cli import printable
+from msg_defs.reports import Level
+
+SIZE_LIMIT = 16_000_000            # bytes that are read of a file, and of what is packed in it
+_BLOCK_LIMIT = 4_000_000           # bytes of one block of the capture, unpacked
+_HEAD_SIZE = 4096                  # a report begins within so much
+_TEXT_LIMIT, _LIST_LIMIT = 500, 300
+_PACKED: tuple[tuple[bytes, Callable[[io.BytesIO], Any]], ...] = (
+    (b'\x1f\x8b\x08', lambda file: gzip.GzipFile(fileobj=file)), (b'BZh', bz2.BZ2File),
+    (b'\xfd7zXZ', lzma.LZMAFile), (b'PK\x03\x04', lambda file: _first_of_zip(file)))
+
+
+class Report(NamedTuple):
+    """What was left of a report. said: None where that part is damaged; problems: a line each."""
+
+    said: Verdict | None
+    as_json: dict[str, Any] | None
+    devices: tuple[str, ...]
+    protocol: str
+    chunks: tuple[Chunk, ...]
+    wires: dict[str, Wire]
+    problems: tuple[str, ...]
+
+
+def load(path: str) -> Report | None:
+    """Return the report in a file, None where it is something else; OSError as of open."""
+    with open(path, 'rb') as file:
+        data = _unpacked(file.read(SIZE_LIMIT))
+    begin = data.find(report.MAGIC.encode(), 0, _HEAD_SIZE)
+    if begin < 0:
+        return None
+    parts = _parts(data[begin:].decode('utf-8', 'replace'))
+    problems = [] if report.END in parts else ['the report is cut off: its end is missing']
+    stored = _stored(parts.get(report.VERDICT, []))
+    if stored is None:
+        problems.append('what was said then cannot be read; this is from the capture')
+    capture, lost = _capture(parts.get(report.CAPTURE, []))
+    if lost:
+        problems.append(f'{lost} blocks of the capture are damaged and were left out')
+    reader = Reader(lines(io.BytesIO(capture)))
+    chunks = tuple(reader)
+    stored = stored or {}
+    as_json = stored.get('json')
+    return Report(_verdict(stored), as_json if isinstance(as_json, dict) else None,
+                  tuple(_texts(stored.get('devices'))), str(stored.get('protocol', '')),
+                  chunks, reader.wires, tuple(problems))
+
+
+def _unpacked(data: bytes) -> bytes:
+    for front, opener in _PACKED:
+        if data.startswith(front):
+            unpacked = bytearray()
+            try:
+                with opener(io.BytesIO(data)) as file:
+                    while len(unpacked) < SIZE_LIMIT and (part := file.read1(1 << 16)):
+                        unpacked += part
+            except (OSError, EOFError, ValueError, zlib.error, lzma.LZMAError,
+                    zipfile.BadZipFile, NotImplementedError, RuntimeError):
+                pass                   # what came until then counts
+            return bytes(unpacked)
+    return data
+
+
+def _first_of_zip(file: io.BytesIO) -> Any:
+    archive = zipfile.ZipFile(file)
+    names = [one for one in archive.namelist() if not one.endswith('/')]
+    return archive.open(names[0]) if names else io.BytesIO()
+
+
+def _parts(text: str) -> dict[str, list[str]]:
+    """Return the lines behind each mark."""
+    parts: dict[str, list[str]] = {}
+    part: list[str] = []
+    for line in map(str.strip, text.splitlines()):
+        if line in (report.VERDICT, report.CAPTURE, report.END):
+            part = parts.setdefault(line, [])
+        else:
+            part.append(line)
+    return parts
+
+
+def _stored(part: list[str]) -> dict[str, Any] | None:
+    try:
+        found = json.loads(''.join(part))
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and isinstance(found.get('verdict'), dict) else None
+
+
+def _capture(part: list[str]) -> tuple[bytes, int]:
+    """Return the blocks of a capture that are sound, and how many are not."""
+    found = bytearray()
+    lost = 0
+    for block in '\n'.join(part).split('\n\n'):
+        if not block.strip():
+            continue
+        unpacker = zlib.decompressobj()
+        try:
+            found += unpacker.decompress(b64decode(''.join(block.split())), _BLOCK_LIMIT)
+            lost += not unpacker.eof
+        except (Base64Error, ValueError, zlib.error):
+            lost += 1
+        if len(found) > SIZE_LIMIT:
+            break
+    return bytes(found), lost
+
+
+# --- what was said then ----------------------------------------------------------------------
+
+def _verdict(stored: dict[str, Any]) -> Verdict | None:
+    said = stored.get('verdict')
+    if said is None:
+        return None
+    try:
+        return Verdict(
+            _text(said['source']), tuple(_texts(said['head'])),
+            tuple(Heard(_text(who), _text(what), Level(level))
+                  for who, what, level in said['heard'][:_LIST_LIMIT]),
+            tuple(Entry(Level(level), _text(who), _text(rule), _text(message), _text(evidence))
+                  for level, who, rule, message, evidence in said['wrong'][:_LIST_LIMIT]),
+            tuple(_texts(said['unknown'])), tuple(_texts(said['quiet'])))
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _text(value: object) -> str:
+    return printable(str(value), _TEXT_LIMIT)
+
+
+def _texts(values: object) -> list[str]:
+    return [_text(one) for one in values[:_LIST_LIMIT]] if isinstance(values, list) else []

@@ -1,0 +1,226 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What dxl_doctor says of a run: what was heard, what is wrong, what cannot be told. Pure.
+
+From the last report of each bus and the course of its findings; screen.py and as_json() show it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import Any
+from typing import NamedTuple
+
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.doctor import timing
+from dxl_monitor.tools.doctor.course import Course
+from dxl_monitor.tools.doctor.course import Told
+from mecarover_serial.cli import printable
+from msg_defs.reports import Level
+
+WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
+_CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
+_NEEDS_TIMES = frozenset(rule.name for rule in timing.RULES)
+_STATES = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard',
+           words.ASKED: 'asked, never heard', words.SILENT: 'not asked at present'}
+_NO_PACKETS = ('bytes, but no packet: listen at the rate of the bus (-b), and check that it is a '
+               'servo bus, with D+ and D- not swapped')
+_UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
+
+
+class Entry(NamedTuple):
+    """One thing that is wrong. who: a device by name, or the bus; rule '': no rule names it."""
+
+    level: Level
+    who: str
+    rule: str
+    message: str
+    evidence: str
+
+
+class Heard(NamedTuple):
+    """Devices alike, beside each other. level: the worst of what is said of them."""
+
+    who: str
+    what: str
+    level: Level
+
+
+class Verdict(NamedTuple):
+    """All that is shown. head: what of the source is known, in parts; quiet: why no byte came."""
+
+    source: str
+    head: tuple[str, ...]
+    heard: tuple[Heard, ...]
+    wrong: tuple[Entry, ...]
+    unknown: tuple[str, ...]
+    quiet: tuple[str, ...]
+
+    @property
+    def code(self) -> int:
+        """The exit code that this is worth."""
+        if self.quiet:
+            return NOTHING_HEARD
+        return max((_CODES.get(entry.level, WELL) for entry in self.wrong), default=WELL)
+
+
+class Bus(NamedTuple):
+    """One bus at the end of a run; name '' where there is only one."""
+
+    name: str
+    report: BusReport
+    told: tuple[Told, ...]
+
+    @classmethod
+    def of(cls, name: str, report: BusReport, course: Course, is_timed: bool) -> Bus:
+        """Return what is told of a bus; without times nothing is that needs them."""
+        return cls(name, report, tuple(one for one in course.told()
+                                       if is_timed or one.finding.rule not in _NEEDS_TIMES))
+
+    def who(self, number: int | None) -> str:
+        """Return a device as a person knows it: '003 left_knee, MX-64'."""
+        place = f'{self.name}/' if self.name else ''
+        if number is None:
+            return f'bus {self.name}' if self.name else 'the bus'
+        device = next((one for one in self.report.devices if one.id == number), None)
+        if device is None:
+            return f'{place}{number:03}'
+        model = '' if device.model_name == 'unknown' else f', {device.model_name}'
+        return printable(f'{place}{device.name}{model}')
+
+
+def verdict(source: str, buses: Sequence[Bus], seconds: float, is_timed: bool,
+            quiet: Sequence[str] = ()) -> Verdict:
+    """Return what is said of a run of so many seconds; quiet: why nothing was heard, if so."""
+    unknown = [] if is_timed or quiet else [_UNTIMED]
+    for bus in buses:
+        unknown += [f'{doubt.rule.replace("_", " ")}, {bus.who(doubt.device)}: {doubt.message}'
+                    for doubt in bus.report.doubts if is_timed or doubt.rule not in _NEEDS_TIMES]
+    wrong = [entry for bus in buses for entry in _wrong(bus)]
+    return Verdict(printable(source), _head(buses, seconds, is_timed),
+                   tuple(one for bus in buses for one in _heard(bus)),
+                   tuple(sorted(wrong, key=lambda entry: -entry.level)), tuple(unknown),
+                   tuple(quiet))
+
+
+def _head(buses: Sequence[Bus], seconds: float, is_timed: bool) -> tuple[str, ...]:
+    reports = [bus.report for bus in buses]
+    rates = sorted({report.baud for report in reports})
+    parts = [f'{" and ".join(map(str, rates))} baud'] if any(rates) else []
+    if is_timed:
+        parts.append(f'{seconds:.1f} s')
+    packets = sum(report.counters['Packets'] for report in reports)
+    parts.append(f'{packets} packets')
+    loads = [metric.value or 0.0 for report in reports for metric in report.metrics
+             if metric.name == 'bus_load'] if is_timed else []
+    return (*parts, *([f'load {max(loads):.0f} %'] if loads else []))
+
+
+# --- heard ---------------------------------------------------------------------------------------
+
+def _heard(bus: Bus) -> list[Heard]:
+    """Return the devices, those alike in one line."""
+    found = []
+    for kind, many in groupby(bus.report.devices, key=_kind):
+        devices = list(many)
+        place = f'{bus.name}/' if bus.name else ''
+        who = ', '.join(f'{place}{span}' for span in _spans(devices))
+        if len(devices) == 1 and devices[0].joint:
+            who = f'{place}{devices[0].name}'
+        found.append(Heard(printable(who), printable(kind[0]), kind[1]))
+    return found
+
+
+def _kind(device: DeviceReport) -> tuple[str, Level]:
+    firmware = f', firmware {device.firmware}' if device.firmware is not None else ''
+    model = device.model_name if device.model_name != 'unknown' else 'model unknown'
+    return f'{model}{firmware}: {_STATES.get(device.state, device.state)}', device.level
+
+
+def _spans(devices: Sequence[DeviceReport]) -> list[str]:
+    """Spell the IDs of devices that stand beside each other: '001-003', '005'."""
+    runs: list[list[int]] = []
+    for device in devices:
+        if runs and runs[-1][-1] == device.id - 1:
+            runs[-1].append(device.id)
+        else:
+            runs.append([device.id])
+    return [f'{run[0]:03}' if len(run) == 1 else f'{run[0]:03}-{run[-1]:03}' for run in runs]
+
+
+# --- wrong ---------------------------------------------------------------------------------------
+
+def _wrong(bus: Bus) -> list[Entry]:
+    found = [_entry(bus, alike) for alike in _alike(bus.told)]
+    if any(entry.level is Level.ERROR for entry in found):
+        return found                   # that of other devices follows from it, as a rule
+    report = bus.report
+    named = {finding.device for finding in report.findings}
+    named |= {one.finding.device for one in bus.told}
+    found += [Entry(device.level, bus.who(device.id), '', printable(device.message), '')
+              for device in report.devices
+              if device.id not in named and device.level in _CODES]
+    if report.level in _CODES and not found and None not in named:
+        message = report.message if report.counters['Packets'] else _NO_PACKETS
+        found.append(Entry(report.level, bus.who(None), '', printable(message), ''))
+    return found
+
+
+def _alike(told: Sequence[Told]) -> list[list[Told]]:
+    """Return findings of several devices that say the same together, the others alone."""
+    groups: dict[tuple[str, Level, str, bool], list[Told]] = {}
+    for one in told:
+        rule, level, _, message, _ = one.finding
+        groups.setdefault((rule, level, message, one.stands), []).append(one)
+    return list(groups.values())
+
+
+def _entry(bus: Bus, alike: Sequence[Told]) -> Entry:
+    first = alike[0].finding
+    who = bus.who(first.device)
+    if len(alike) > 1:
+        numbers = {one.finding.device for one in alike}
+        place = f'{bus.name}/' if bus.name else ''
+        who = ', '.join(place + span for span in _spans(
+            [device for device in bus.report.devices if device.id in numbers]))
+    return Entry(first.level, who, first.rule, printable(first.message), _evidence(alike[0]))
+
+
+def _evidence(one: Told) -> str:
+    """Return the figures behind a finding, and its time, as one sentence."""
+    figures = [f'{key} {value}' for key, value in one.finding.evidence]
+    when = f'seen from {one.first_s:.1f} s on' if one.stands \
+        else f'seen from {one.first_s:.1f} to {one.last_s:.1f} s, and not since'
+    return printable('; '.join([when, *figures]))
+
+
+def as_json(said: Verdict, buses: Sequence[Bus], seconds: float) -> dict[str, Any]:
+    """Return a run for programs: seconds from the first byte on, levels in words."""
+    return {
+        'source': said.source, 'seconds': round(seconds, 3), 'exit': said.code,
+        'nothing_heard': list(said.quiet), 'cannot_tell': list(said.unknown),
+        'buses': [{
+            'name': bus.report.name, 'baud': bus.report.baud,
+            'level': bus.report.level.name, 'message': bus.report.message,
+            'counters': bus.report.counters,
+            'devices': [_device_json(device) for device in bus.report.devices],
+            'findings': [_told_json(one, bus) for one in bus.told]} for bus in buses]}
+
+
+def _device_json(device: DeviceReport) -> dict[str, Any]:
+    return {'id': device.id, 'name': device.name, 'model': device.model_name,
+            'firmware': device.firmware, 'state': device.state, 'level': device.level.name,
+            'message': device.message, 'answers': device.totals.answers,
+            'missed': device.totals.missed, 'damaged': device.totals.damaged}
+
+
+def _told_json(one: Told, bus: Bus) -> dict[str, Any]:
+    finding = one.finding
+    return {'rule': finding.rule, 'level': finding.level.name, 'device': finding.device,
+            'who': bus.who(finding.device), 'message': finding.message,
+            'evidence': dict(finding.evidence), 'first_s': round(one.first_s, 3),
+            'last_s': round(one.last_s, 3), 'stands': one.stands}

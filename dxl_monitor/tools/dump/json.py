@@ -1,0 +1,61 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A packet as a JSON object, for `dxl_dump --json`; docs/dump.md describes it. Pure."""
+
+from collections.abc import Sequence
+import json
+from typing import Any
+
+from dxl_monitor.bus.evidence import text_of
+from dxl_monitor.model.control_table import UNKNOWN
+from dxl_monitor.tools.dump.listing import Entry
+from dxl_monitor.tools.dump.listing import NO_REQUEST
+from dxl_monitor.tools.dump.meaning import Identity
+from dxl_monitor.tools.dump.meaning import Part
+from dxl_monitor.tools.dump.words import error_words
+from msg_defs.dxl_instruction import name_of
+from msg_defs.dxl_packet import Packet
+
+DECIMALS = 9                       # finer than any register
+
+
+def json_line(bus: str, stamp_us: int, packet: Packet, entry: Entry, parts: Sequence[Part],
+              identity: Identity | None) -> str:
+    """Return one packet; stamp_us as it is to be shown."""
+    record: dict[str, Any] = {
+        'stamp': stamp_us / 1e6, 'offset': packet.offset, 'bus': bus, 'id': packet.id,
+        'code': packet.instruction, 'instruction': name_of(packet.instruction),
+        'error': packet.error, 'params': packet.params.hex(), 'repaired': packet.repaired,
+        'model': entry.device.model.name
+        if entry.device is not None and entry.device.model is not UNKNOWN else None,
+    }
+    if entry.side:
+        record['side'] = entry.side
+    if packet.error is not None and entry.request is not NO_REQUEST:
+        record['answer_to'] = name_of(entry.request.instruction)
+        record['sure'] = entry.is_sure
+    if packet.error:
+        record['error_text'] = error_words(packet.error)
+    if identity is not None:
+        record['identity'] = identity._asdict()
+    if entry.request.option and packet.error is None:
+        record['option'] = entry.request.option
+    if parts:
+        record['registers'] = [_registers(part) for part in parts]
+    if entry.notes:
+        record['notes'] = [text_of(note) for note in entry.notes]
+    return json.dumps(record)
+
+
+def _registers(part: Part) -> dict[str, Any]:
+    found: dict[str, Any] = {'id': part.id, 'address': part.address, 'length': part.length}
+    if part.error:
+        found['error'] = part.error
+    if part.data is None:
+        found['names'] = [field.name for field in part.fields]
+    else:
+        found['data'] = part.data.hex()
+        found['values'] = {
+            field.key: value.text if value.number is None else round(value.number, DECIMALS)
+            for field, value in zip(part.fields, part.values, strict=True)}
+    return found

@@ -1,0 +1,177 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Listing: a conversation that also hands on each frame, with what the tracker made of it.
+
+For tools that show packets. An entry is handed on while the bus is locked and its devices are as
+they were at this frame: what takes it reads what it needs at once and does not call back.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.conversation import Conversation
+from dxl_monitor.bus.conversation import DEFAULTS
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.device import Device
+from dxl_monitor.bus.plan import Plan
+from dxl_monitor.bus.planner import NO_PLAN
+from dxl_monitor.bus.report import Incident
+from dxl_monitor.bus.tracker import GLITCH
+from dxl_monitor.model.models import Models
+from msg_defs.dxl1_packet import begin_of
+from msg_defs.dxl1_packet import FAMILY
+from msg_defs.dxl_instruction import Block
+from msg_defs.dxl_instruction import Request
+from msg_defs.dxl_instruction import split_combined
+from msg_defs.dxl_packet import body_crc
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import Frame
+from msg_defs.dxl_packet import Packet
+from msg_defs.dxl_packet import packet_of
+from msg_defs.dxl_packet import STATUS
+from msg_defs.heard import UNKNOWN
+from msg_defs.uart import BITS_PER_BYTE
+
+PACKET = 'packet'
+DAMAGED = 'damaged'
+MISSED = 'missed'                  # an answer that did not come
+NOISE = 'noise'
+NOISE_TOLD = 4096                  # bytes without any packet, until that is worth an entry
+NO_REQUEST = NO_PLAN.request
+
+_ABOUT_A_STATUS = (ev.UNASKED, ev.LATE, ev.SECOND_ANSWER, ev.WRONG_SIZE, ev.BAD_ID)
+_FRONT = 4                         # bytes of a frame in front of its body
+_CRC_SIZE = 2
+
+
+class Entry(NamedTuple):
+    """
+    One thing that happened on a bus. stamp: when its first byte was on the wire, back-dated.
+
+    request: the instruction itself, or the one that a status answers, or that was not answered;
+    else NO_REQUEST. data: the body of what is damaged, or the last bytes of noise.
+    """
+
+    kind: str
+    stamp: int
+    packet: Packet | None = None
+    request: Request = NO_REQUEST
+    device: Device | None = None
+    blocks: tuple[Block, ...] = ()         # the parts of a combined status
+    notes: tuple[Incident, ...] = ()
+    data: bytes = b''
+    reason: str = ''                       # why it is damaged: 'crc', 'cut', 'length'
+    length: int = 0                        # bytes of noise
+    is_sure: bool = True                   # nothing was damaged between instruction and status
+    side: str = UNKNOWN                    # who put it on the wire, where that is known
+
+
+class Listing(Conversation):
+    """
+    A conversation that hands its entries to `on_entry`.
+
+    is_timed: False for bytes without a time of their own; they are taken as sent without a pause.
+    """
+
+    def __init__(self, models: Models, on_entry: Callable[[Entry], object],
+                 settings: Settings = DEFAULTS, is_timed: bool = True) -> None:
+        super().__init__(models, settings)
+        self._is_timed = is_timed
+        self._on_entry = on_entry
+        self._newest = 0                       # stamp of the last entry
+        self._noise_told = 0
+        self._is_told = False                  # what was damaged since the last good packet is
+
+    def device(self, number: int) -> Device | None:
+        """Return a device with the model that it said it is. Only while an entry is taken."""
+        device = self.roster.devices.get(number)
+        if device is not None:
+            self.roster.resolve(device)
+        return device
+
+    def take(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
+        for frame in frames:
+            end, body, flaw = frame
+            is_damaged = flaw is not None and bool(flaw.reason)
+            start = end - len(body) - (_FRONT if is_damaged else _FRONT + _CRC_SIZE)
+            if body[2] >= FAMILY:
+                start = begin_of(end, body)
+            self._newest = max(self._newest, self._began(start, stamp, received))
+            if is_damaged:
+                self._damaged(frame, stamp, received, side)
+            else:
+                self._good(frame, stamp, received, side)
+        self._tell_much_noise(bool(frames), stamp, side)
+
+    def _began(self, start: int, stamp: int, received: int) -> int:
+        """Return when the byte at this offset was on the wire."""
+        if not self._is_timed:
+            return start * BITS_PER_BYTE * 1_000_000_000 // self.settings.baud
+        return stamp - int((received - start) * self.byte_ns)
+
+    def pause(self, last: int, now: int) -> None:
+        plan, counts = self.tracker.pending, _missed(self.tracker.pending)
+        super().pause(last, now)
+        self._tell_missed(plan, counts, now)
+
+    def _damaged(self, frame: Frame, stamp: int, received: int, side: str) -> None:
+        _, body, flaw = frame
+        super().take([frame], stamp, received, side)
+        self._is_told = True
+        self._on_entry(Entry(DAMAGED, self._newest, device=self.device(body[0]) if body else None,
+                             data=body, reason=flaw.reason if flaw is not None else '',
+                             side=side))
+
+    def _good(self, frame: Frame, stamp: int, received: int, side: str) -> None:
+        flaw = frame[2]
+        if flaw is not None and flaw.noise_length > GLITCH and not self._is_told:
+            self._on_entry(Entry(NOISE, self._newest, length=flaw.noise_length, side=side))
+        self._is_told = False
+        before = self.evidence.noted
+        plan = self.tracker.pending
+        if frame[1][3] == STATUS:
+            super().take([frame], stamp, received, side)
+        else:
+            counts = _missed(plan)
+            super().take([frame], stamp, received, side)
+            self._tell_missed(plan, counts, self._newest)
+        self._heard(frame, self.evidence.newest(self.evidence.noted - before), side)
+
+    def _heard(self, frame: Frame, incidents: tuple[Incident, ...], side: str) -> None:
+        packet = packet_of(frame, self._newest)
+        if frame[1][2] >= FAMILY:
+            packet = packet._replace(offset=begin_of(frame[0], frame[1]))
+        notes = tuple(one for one in incidents if one.kind in _ABOUT_A_STATUS)
+        request = self.tracker.pending.request
+        blocks: tuple[Block, ...] = ()
+        if packet.error is not None:
+            if notes or packet.id not in self.tracker.pending.slots:
+                request = NO_REQUEST
+            elif packet.id == BROADCAST:
+                wire = frame[1] + body_crc(frame[1]).to_bytes(_CRC_SIZE, 'little')
+                blocks = tuple(split_combined(wire, request.accesses))
+        is_sure = packet.error is None or not self.tracker.is_doubtful
+        self._on_entry(Entry(PACKET, self._newest, packet, request, self.device(packet.id),
+                             blocks, notes, is_sure=is_sure, side=side))
+
+    def _tell_much_noise(self, has_frames: bool, stamp: int, side: str) -> None:
+        """Tell of noise without any packet behind it, as at a wrong baud rate."""
+        noise = self.total('noise_bytes')
+        if has_frames:
+            self._noise_told = noise
+        elif noise - self._noise_told > NOISE_TOLD:
+            self._on_entry(Entry(NOISE, stamp, data=self.framers[side].noise[-16:],
+                                 length=noise - self._noise_told, side=side))
+            self._noise_told = noise
+            self._is_told = True
+
+    def _tell_missed(self, plan: Plan, counts: dict[Device, int], stamp: int) -> None:
+        for device, count in counts.items():
+            if device.counts.missed > count:
+                self._on_entry(Entry(MISSED, stamp, request=plan.request, device=device))
+
+
+def _missed(plan: Plan) -> dict[Device, int]:
+    return {slot.device: slot.device.counts.missed for slot in plan.slots.values()}

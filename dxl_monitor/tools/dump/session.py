@@ -1,0 +1,274 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+One run of dxl_dump: from the source through a monitor per bus to what was asked for.
+
+Several views may share a run (--json with --summary, -w with --stats). Ctrl-C ends the run as
+the end of a file does: what comes at the end still comes.
+"""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextlib import suppress
+from functools import partial
+import json
+import os
+import sys
+import time
+from types import TracebackType
+from typing import BinaryIO
+
+from dxl_monitor.bus.conversation import ANSWER_NS
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import open_new
+from dxl_monitor.record.capture import Writer
+from dxl_monitor.record.opening import open_source
+from dxl_monitor.settings import check_models
+from dxl_monitor.settings import load_models
+from dxl_monitor.tools.dump.filter import Filter
+from dxl_monitor.tools.dump.json import json_line
+from dxl_monitor.tools.dump.lines import Lines
+from dxl_monitor.tools.dump.listing import Entry
+from dxl_monitor.tools.dump.listing import Listing
+from dxl_monitor.tools.dump.meaning import Interpreter
+from dxl_monitor.tools.dump.screen import Changes
+from dxl_monitor.tools.dump.screen import Screen
+from dxl_monitor.tools.dump.stats import stats
+from dxl_monitor.tools.dump.stats import summary
+from mecarover_serial.cli import printable
+from mecarover_serial.cli import UsageError
+
+PAINT_S = {'changes': 0.2, 'stats': 1.0}
+PROGRESS_S = 0.5
+PAINT_SHARE = 5                    # at most one part in so many of the time goes into painting
+
+
+class Session:
+    """options: those of main.py, understood."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._options = options
+        self._lists = options.json or not (
+            options.summary or options.changes or options.stats or options.write)
+        for text in options.devices:
+            if not text.isprintable():
+                raise UsageError(f'--devices {text!r}: control codes; give plain text')
+        self._models = load_models(options.model_dirs)
+        check_models(parse_all(text.rpartition('/')[2] for text in options.devices), self._models)
+        self._source = open_source(options.source, options.baud, options.adapter)
+        self._file = _output(options)
+        self._writer: Writer | None = None
+        self._monitors: dict[str, Monitor] = {}
+        self._filter = Filter(options)
+        self._screen = Screen(sys.stdout, options.colours)
+        self._changes = Changes(options.colours)
+        self._lines: Lines | None = None
+        self._shown = 0
+        self._bytes = 0
+        self._first: int | None = None
+        self._last = 0
+        self._started_s = self._next_paint_s = time.monotonic()
+        self._next_progress_s = self._started_s + PROGRESS_S
+        self._has_progress = False
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self._source.close()
+        if self._file is not None:
+            with suppress(OSError) if error is not None else self._naming_the_file():
+                self._file.close()
+
+    def run(self) -> None:
+        """Run to the end of the source, the limits that were set, or Ctrl-C."""
+        try:
+            for chunk in self._source.chunks():
+                if chunk is not None:
+                    self._take(chunk)
+                if self._is_over():
+                    break
+                self._paint()
+        except KeyboardInterrupt:
+            pass
+        self._finish()
+
+    def _take(self, chunk: Chunk) -> None:
+        if self._first is None:
+            self._first = chunk.stamp
+        self._last = chunk.stamp
+        self._bytes += len(chunk.data)
+        if self._file is not None:
+            self._record(self._file, chunk)
+        monitor = self._monitors.get(chunk.bus) or self._new_monitor(chunk.bus)
+        if chunk.change is None:
+            monitor.feed(chunk.data, chunk.stamp, chunk.side)
+        else:
+            monitor.change(chunk.change, chunk.stamp)
+        if self._source.is_live and self._lists:
+            sys.stdout.flush()
+
+    def _new_monitor(self, bus: str) -> Monitor:
+        wire = self._source.wire(bus)
+        mine = [text.rpartition('/')[2] for text in self._options.devices
+                if text.rpartition('/')[0] in ('', bus)]
+        settings = Settings(baud=wire.baud, devices=tuple(parse_all(mine)),
+                            protocol=self._options.protocol,
+                            latency_timer_ms=wire.latency_timer_ms)
+        shown = printable(bus)
+        listing = None
+        if self._lists:
+            listing = Listing(self._models, lambda entry: show(entry), settings,
+                              self._source.is_timed)
+            show = partial(self._show, shown, Interpreter(listing))
+        monitor = Monitor(shown, self._models, settings, conversation=listing)
+        self._monitors[bus] = monitor
+        return monitor
+
+    def _show(self, bus: str, interpreter: Interpreter, entry: Entry) -> None:
+        """Show an entry, if it is wanted."""
+        if not self._filter.wants(entry) or self._has_enough():
+            return
+        began = self._source.began
+        stamp = entry.stamp - began.stamp + began.wall
+        parts = interpreter.parts(entry)
+        identity = interpreter.identity(entry)
+        if not self._options.json:
+            line = self._columns().line(bus, stamp, entry, parts, identity)
+        elif entry.packet is not None:
+            line = json_line(bus, stamp // 1000, entry.packet, entry, parts, identity)
+        self._shown += entry.packet is not None
+        sys.stdout.write(line + '\n')
+
+    def _columns(self) -> Lines:
+        """Return what makes lines, for the terminal as wide as it is now."""
+        if self._lines is None:
+            self._lines = Lines(None, self._options.colours, False, self._options.time)
+        is_cut = self._screen.is_terminal and not self._options.full
+        self._lines.width = self._screen.width if is_cut else None
+        self._lines.show_bus = len(self._source.wires) > 1
+        return self._lines
+
+    def _has_enough(self) -> bool:
+        count: int | None = self._options.count
+        return count is not None and self._shown >= count
+
+    def _is_over(self) -> bool:
+        limit_s: float | None = self._options.seconds
+        if self._has_enough() or limit_s is None:
+            return self._has_enough()
+        if self._source.is_live:
+            return time.monotonic() - self._started_s >= limit_s
+        return self._first is not None and self._last - self._first >= 1e9 * limit_s
+
+    # --- recording -------------------------------------------------------------------------
+
+    def _record(self, file: BinaryIO, chunk: Chunk) -> None:
+        with self._naming_the_file():
+            if self._writer is None:
+                self._writer = Writer(file, self._source.began)
+            wire = self._source.wire(chunk.bus)
+            if chunk.change is None:
+                self._writer.take(wire, chunk.data, chunk.stamp, chunk.side)
+            else:
+                self._writer.change(wire, chunk.change, chunk.stamp)
+            if self._source.is_live:
+                file.flush()
+
+    @contextmanager
+    def _naming_the_file(self) -> Iterator[None]:
+        """Give an error of writing the name of the file; a pipe that is closed has none."""
+        try:
+            yield
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise OSError(error.errno, f'{error.strerror}; make room, or give another file',
+                          self._options.write) from error
+
+    # --- what is painted on the way, and at the end ----------------------------------------
+
+    def _reports(self, now: int) -> list[BusReport]:
+        return [monitor.report(now) for monitor in self._monitors.values()]
+
+    def _paint(self) -> None:
+        now_s = time.monotonic()
+        kinds = [PAINT_S[kind] for kind in PAINT_S if getattr(self._options, kind)]
+        if self._source.is_live and kinds and now_s >= self._next_paint_s:
+            self._paint_screen(self._reports(time.monotonic_ns()))
+            cost_s = time.monotonic() - now_s
+            self._next_paint_s = now_s + max(min(kinds), PAINT_SHARE * cost_s)
+        elif not kinds and now_s >= self._next_progress_s:
+            self._next_progress_s = now_s + PROGRESS_S
+            self._progress(now_s)
+
+    def _paint_screen(self, reports: list[BusReport], is_last: bool = False) -> None:
+        lines = []
+        width = self._screen.width
+        if self._options.changes:
+            lines += self._changes.lines(reports, width)
+        if self._options.stats:
+            lines += stats(reports, width, self._options.colours, self._source.is_timed)
+        if lines:
+            self._screen.paint(lines, is_last)
+
+    def _progress(self, now_s: float) -> None:
+        """Say how far we are, where that does not disturb."""
+        if not sys.stderr.isatty() or (self._lists and self._screen.is_terminal):
+            return
+        total = self._source.total
+        text = f'{100 * self._source.position() // total} % of {total / 1e6:.0f} MB' if total \
+            else f'{now_s - self._started_s:.0f} s, {self._bytes} bytes; Ctrl-C ends'
+        print(f'\r{text}\033[K', end='', file=sys.stderr, flush=True)
+        self._has_progress = True
+
+    def _finish(self) -> None:
+        if self._has_progress:
+            print('\r\033[K', end='', file=sys.stderr, flush=True)
+        is_live = self._source.is_live
+        now = time.monotonic_ns() if is_live else self._last
+        if not is_live:            # nothing more will come
+            for monitor in self._monitors.values():
+                monitor.flush_if_idle(now + 2 * ANSWER_NS)
+        reports = self._reports(now)
+        self._paint_screen(reports, is_last=True)
+        if self._options.summary:
+            print(json.dumps(summary(reports)))
+        sys.stdout.flush()
+        if self._writer is not None and sys.stderr.isatty():
+            print(f'dxl_dump: recorded {self._bytes} bytes of the bus to {self._options.write}',
+                  file=sys.stderr)
+        for problem in [*self._doubts(reports), *self._source.problems(),
+                        *self._models.problems]:
+            print(f'dxl_dump: {printable(problem)}', file=sys.stderr)
+
+    def _doubts(self, reports: list[BusReport]) -> list[str]:
+        """Ask about bytes without a single packet: of no bus, or heard at another rate."""
+        if not self._bytes or any(report.counters['Packets'] for report in reports):
+            return []
+        question = 'is it a recording of a servo bus, made at its rate?'
+        if self._source.is_live:
+            question = (f'is it a servo bus, and {reports[0].baud} baud its rate? '
+                        '--baud takes another') if reports[0].baud else 'is it a servo bus?'
+        return [f'{self._options.source}: {self._bytes} bytes and no packet; {question}']
+
+
+def _output(options: argparse.Namespace) -> BinaryIO | None:
+    """Open the capture to write; checked before anything is read."""
+    if options.write != '-':
+        if options.write and os.path.exists(options.write) \
+                and os.path.exists(options.source) \
+                and os.path.samefile(options.write, options.source):
+            raise UsageError(f'{options.write}: is what is read, writing would destroy it; '
+                             'give another file name')
+        return open_new(options.write) if options.write else None
+    if options.json or options.summary or options.changes or options.stats:
+        raise UsageError('-w -: the capture goes to stdout; nothing else can, give a file name')
+    return open(sys.stdout.fileno(), 'wb', closefd=False)

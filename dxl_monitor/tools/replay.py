@@ -1,0 +1,215 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+dxl_replay: plays a capture into a pty, chunk by chunk with the original timing.
+
+It waits for a reader before it begins, and for a slow one on the way: it is late rather than
+losing a byte. A listener that has left hears nothing, as on a bus.
+"""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import suppress
+import os
+import select
+import stat
+import sys
+import threading
+import time
+from typing import NamedTuple
+from urllib.parse import quote
+
+from dxl_monitor.record.capture import BAUD_LIMIT
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import is_capture
+from dxl_monitor.record.capture import lines
+from dxl_monitor.record.capture import Reader
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.opening import open_file
+from dxl_monitor.record.source import File
+from dxl_monitor.record.source import RawFile
+from mecarover_serial.cli import DONE
+from mecarover_serial.cli import printable
+from mecarover_serial.cli import run_tool
+from mecarover_serial.cli import UsageError
+from mecarover_serial.pty import Pty
+from msg_defs.heard import IN
+from msg_defs.heard import OUT
+
+SLOWEST = 1e-6                     # times the original speed
+SETTLE_S = 0.5                     # a reader has opened the port, and sets it up
+QUIET_S = 1.5                      # at the end: until the last instruction is given up
+LOOP_PAUSE_NS = 100_000_000
+POLL_S = 0.05
+RAW_SIZE = 200                     # bytes of a raw file that are sent at once
+
+
+class Played(NamedTuple):
+    chunks: int
+    bytes: int
+    late_s: float                  # at most
+
+
+class Player:
+    """Plays chunks to the ptys of their buses. speed 0: as fast as the readers take them."""
+
+    def __init__(self, outlets: dict[str, Pty], speed: float) -> None:
+        self._outlets = outlets
+        self._speed = speed
+
+    def wait_for_readers(self) -> None:
+        """Wait until somebody listens to every bus."""
+        for outlet in self._outlets.values():
+            while not outlet.is_open:
+                time.sleep(POLL_S)
+        time.sleep(SETTLE_S)
+
+    def play(self, chunks: Iterator[Chunk]) -> Played:
+        """Play to the end."""
+        begin: int | None = None
+        count = size = 0
+        late_s = 0.0
+        for chunk in chunks:
+            outlet = self._outlets.get(chunk.bus)
+            if begin is None:
+                begin, start_s = chunk.stamp, time.monotonic()
+            if outlet is None:
+                continue
+            if self._speed:
+                due_s = start_s + (chunk.stamp - begin) / 1e9 / self._speed
+                time.sleep(min(max(0.0, due_s - time.monotonic()), threading.TIMEOUT_MAX))
+            _write(outlet, chunk.data)
+            if self._speed:
+                late_s = max(late_s, time.monotonic() - due_s)
+            count += 1
+            size += len(chunk.data)
+        return Played(count, size, late_s)
+
+
+def _write(outlet: Pty, data: bytes) -> None:
+    """Write all of it, unless the last listener has left."""
+    while data and outlet.is_open:
+        if select.select([], [outlet.master], [], POLL_S)[1]:
+            with suppress(BlockingIOError):
+                data = data[os.write(outlet.master, data):]
+
+
+def main() -> int:
+    """Run the command `dxl_replay`."""
+    return run_tool('dxl_replay', _run)
+
+
+def _run(arguments: list[str]) -> int:
+    options = _parser().parse_args(arguments)
+    if options.speed and not SLOWEST <= options.speed < float('inf'):
+        raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '
+                         'timing, 0 for as fast as it is read')
+    if options.baud is not None and not 1 <= options.baud <= BAUD_LIMIT:
+        raise UsageError(f'--baud {options.baud}: not possible; give 1 to {BAUD_LIMIT}')
+    wires = _wires(options)
+    outlets: dict[str, Pty] = {}
+    try:
+        for name in wires:
+            outlets[name] = Pty(_link(options.link, name, len(wires)))
+            outlets[name].let_go()
+        _play(options, wires, outlets)
+    finally:
+        for outlet in outlets.values():
+            outlet.close()
+    return DONE
+
+
+def _play(options: argparse.Namespace, wires: dict[str, Wire], outlets: dict[str, Pty]) -> None:
+    for name, outlet in outlets.items():
+        rate = f'{wires[name].baud} baud' if wires[name].baud else 'at the rate it was used with'
+        print(f'{outlet.link or outlet.path} is {printable(name)}, {rate}')
+    print('waiting for a reader', flush=True)
+    player = Player(outlets, options.speed)
+    player.wait_for_readers()
+    print('playing', flush=True)
+    while True:
+        file = open_file(options.capture, options.baud, options.adapter)
+        try:
+            played = player.play(_chunks(file, options.side))
+        finally:
+            file.close()
+        print(f'played {played.chunks} chunks, {played.bytes} bytes, '
+              f'at most {1e3 * played.late_s:.1f} ms late', flush=True)
+        for problem in file.problems():
+            print(f'dxl_replay: {printable(problem)}', file=sys.stderr)
+        if not options.loop:
+            break
+        time.sleep(LOOP_PAUSE_NS / 1e9)
+    time.sleep(QUIET_S)
+    while options.stay:
+        time.sleep(POLL_S)
+
+
+def _chunks(file: File, side: str | None) -> Iterator[Chunk]:
+    """Return what is to be played: both sides as they were on the wire, or one of them."""
+    if isinstance(file, RawFile):
+        file.read_size = RAW_SIZE
+    return (chunk for chunk in file.chunks()
+            if chunk is not None and chunk.data and side in (None, chunk.side))
+
+
+def _wires(options: argparse.Namespace) -> dict[str, Wire]:
+    """Return the buses to play, by name; looks through the whole capture for them."""
+    mode = os.stat(options.capture).st_mode
+    if stat.S_ISDIR(mode):
+        raise UsageError(f'{options.capture}: a directory; give a capture')
+    if not stat.S_ISREG(mode):
+        raise UsageError(f'{options.capture}: no file; it is read more than once: give a file')
+    source = open_file(options.capture, options.baud, options.adapter)
+    wires = dict(source.wires)
+    source.close()
+    if is_capture(options.capture):
+        with open(options.capture, 'rb') as file:
+            reader = Reader(line for line in lines(file) if line.startswith(b'#'))
+            list(reader)
+        wires = {name: wire if options.baud is None else wire._replace(baud=options.baud)
+                 for name, wire in reader.wires.items()}
+    if options.bus is not None:
+        if options.bus not in wires:
+            raise UsageError(f'--bus {options.bus}: not in this capture; there are: '
+                             f'{", ".join(wires)}')
+        return {options.bus: wires[options.bus]}
+    if not wires:
+        raise UsageError(f'{options.capture}: nothing was recorded; give another capture')
+    return wires
+
+
+def _link(link: str | None, bus: str, count: int) -> str | None:
+    """Return the link of a bus: the one given, with the bus behind it where there are several."""
+    return link if link is None or count == 1 else f'{link}_{quote(bus, "")}'
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='dxl_replay', formatter_class=argparse.RawDescriptionHelpFormatter,
+        description='Plays a capture (or a file of raw bytes) into a pty, as it was on the bus.',
+        epilog="""examples:
+  dxl_replay bus.txt --link /tmp/bus
+  ros2 run mecarover_serial dxl_monitor --ros-args -p ports:=/tmp/bus
+
+  dxl_replay bus.txt --link /tmp/bus --loop        for as long as you like
+  dxl_replay bus.txt --speed 0 --link /tmp/bus     as fast as it is read""")
+    add = parser.add_argument
+    add('capture', metavar='CAPTURE', help='made by dxl_dump -w, or by the monitor')
+    add('--link', metavar='PATH', help='make this symlink to the pty; with several buses '
+        'PATH_BUS for each')
+    add('--speed', type=float, default=1.0, metavar='X',
+        help='times the original speed, 0: as fast as it is read (default 1)')
+    add('--loop', action='store_true', help='begin again at the end')
+    add('--stay', action='store_true', help='keep the pty at the end, until Ctrl-C')
+    add('--bus', metavar='NAME', help='play this bus only')
+    add('--side', choices=(OUT, IN), help='play only what the master said (out), or what it heard '
+        '(in), where the capture tells them apart')
+    add('--adapter', metavar='BUS.DEVICE', help='which one, where a pcap file holds several')
+    add('-b', '--baud', type=int, help='of raw bytes (default 2000000)')
+    return parser
+
+
+if __name__ == '__main__':
+    sys.exit(main())

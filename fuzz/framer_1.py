@@ -1,0 +1,99 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Framer of the Protocol 1.0 family: any bytes, in any split."""
+
+from fuzz import reference
+from fuzz.framer import pieces
+from fuzz.script import Script
+from msg_defs.dxl1_packet import encode
+from msg_defs.dxl1_packet import Framer
+from msg_defs.dxl1_packet import HEADER
+from msg_defs.dxl1_packet import MAX_FRAME
+from msg_defs.dxl1_packet import packet_of
+
+GOOD = encode(1, 0, b'good')
+TRICKY = (b'\xff\xff', b'\xff', b'\xff\xff\xff', b'\x00', b'\xfd', b'\xff\xff\xfd\x00',
+          b'\xff\xff\x01\x02', b'\xff\xff\x01\x00', b'\xff\xff\xfe\xff', b'\x01\x02\x01\xfb')
+NOISE_KEPT = 256
+
+
+def check(data):
+    """
+    Check one stream, whole, in pieces and byte by byte.
+
+    Never raises; memory bounded; every byte in exactly one counter; any split finds the same, a
+    packet as soon as its last byte is there; a good packet behind garbage is found: all as in
+    fuzz/reference.py.
+    """
+    script = Script(data)
+    seed = script.word()
+    stream = b''.join(traffic(script))
+    sent = reference.Stream1(stream)
+    whole = feed([stream], sent)
+    assert feed(pieces(stream, seed), sent) == whole
+    if len(stream) < 300:
+        assert feed((stream[at:at + 1] for at in range(len(stream))), sent) == whole
+    good_is_found_behind(stream)
+
+
+def traffic(script):
+    """Yield pieces of traffic until the script is over: frames, damaged ones, noise."""
+    last = b''
+    while script:
+        kind = script.byte() % 8
+        if kind < 2:
+            last = script.take(script.byte() % 40)
+        elif kind < 4:
+            last = script.pick(TRICKY)
+        elif kind < 6:
+            last = encode(script.byte(), script.byte(), script.take(script.byte() % 24))
+        elif kind == 6 and last:
+            at = script.byte() % len(last)
+            last = last[:at] + bytes([last[at] ^ 1 << script.byte() % 8]) + last[at + 1:]
+        else:
+            last = last[:script.byte() % 30]
+        yield last
+
+
+def feed(chunks, sent):
+    """Return what is found in chunks and a flush; compare with the reference on the way."""
+    framer = Framer()
+    total = 0
+    good = []
+    damaged = []
+    for chunk in [*chunks, None]:
+        for frame in framer.flush_frames() if chunk is None else framer.frames(chunk):
+            (damaged if frame[2] is not None and frame[2].reason else good).append(frame)
+        total += len(chunk or b'')
+        packets, noise = sent.found(total, chunk is None)
+        assert [as_found(frame) for frame in good] == packets
+        assert framer.noise_bytes == len(noise)
+        assert framer.noise == noise[-NOISE_KEPT:]
+        assert framer.packet_bytes == sum(packet_of(one, 0).params.__len__() + 6 for one in good)
+        assert framer.bytes == total == framer.packet_bytes + len(noise) + framer.pending
+        assert framer.packets == len(packets)
+        assert framer.pending < MAX_FRAME
+    assert framer.pending == 0
+    assert framer.crc_errors + framer.truncated + framer.bad_length == len(damaged)
+    for end, body, _ in good:
+        assert sent.data[end - body[1] - 4:end] == encode(body[0], body[3], body[4:])
+    return good, damaged
+
+
+def as_found(frame):
+    end, body, flaw = frame
+    return reference.Found(end, body[:2] + body[3:], False,
+                           flaw.noise_length if flaw is not None else 0)
+
+
+def good_is_found_behind(stream):
+    """Hold that a good packet is found, or lies in a frame that the sum takes for good."""
+    framer = Framer()
+    frames = framer.frames(stream + GOOD) + framer.flush_frames()
+    end = len(stream) + len(GOOD)
+    assert any((one == end and body[3:] == GOOD[4:-1]) or one - body[1] - 4 < len(stream) < one
+               for one, body, flaw in frames if flaw is None or not flaw.reason)
+    framer.frames(stream)
+    framer.flush_frames()
+    assert [body[3:] for _, body, _ in framer.frames(GOOD)] == [GOOD[4:-1]]
+    assert GOOD[:2] == HEADER

@@ -1,0 +1,133 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The statuses in a serialised DiagnosticArray, without ROS: read what is looked at, skip the rest.
+
+A dashboard looks at one table out of 253; leaving the others as bytes costs a seventh of letting
+rclpy make objects of them. And text that is no UTF-8 is shown with U+FFFD: rclpy would raise in
+the executor. Source: OMG CDR (XCDR1), alignment counted from behind the four bytes in front.
+"""
+from __future__ import annotations
+
+from contextlib import suppress
+from struct import error as StructError
+from struct import Struct
+from typing import NamedTuple
+
+TEXT_LIMIT = 500            # characters of one text that reach the page
+PAIRS_LIMIT = 4096          # of one status: the longest control table has a few hundred
+STATUSES_LIMIT = 5000       # of one message: ten full buses have half of it
+_FRONT = 4                  # representation and options
+_STAMP = 8
+
+
+class CdrError(ValueError):
+    """Bytes that are no DiagnosticArray."""
+
+
+class RawStatus(NamedTuple):
+    """
+    A status whose values are still bytes: `count` pairs in `data` from `at` on.
+
+    `data` are its own: whoever keeps one status must not keep the message it came in.
+    """
+
+    level: int
+    name: str
+    message: str
+    hardware_id: str
+    data: bytes
+    at: int
+    count: int  # type: ignore[assignment]      # the field's name, not tuple.count
+
+    def pairs(self, first: int | None = None, limit: int = TEXT_LIMIT) -> list[tuple[str, str]]:
+        """Return the first so many (key, value) pairs, by default all, long texts cut."""
+        count = self.count if first is None else min(first, self.count)
+        texts = iter(_Reader(self.data, self.at).texts(2 * count, limit))
+        return list(zip(texts, texts, strict=True))
+
+    def find(self, start: bytes) -> tuple[str, str] | None:
+        """Return the first pair whose key begins with ASCII text; None if there is none."""
+        data, at = self.data, self.at
+        while (at := data.find(start, at)) >= 0:
+            if at % 4 == 0:                     # a text begins behind its aligned length
+                with suppress(StructError, IndexError):
+                    key, value = _Reader(data, at - 4).texts(2)
+                    if key.startswith(start.decode()):
+                        return key, value
+            at += 1
+        return None
+
+
+def statuses(data: bytes) -> list[RawStatus]:
+    """Return the statuses of a serialised DiagnosticArray; raise CdrError if it is none."""
+    try:
+        reader = _Reader(data, _FRONT + _STAMP)
+        reader.skip(1)                          # frame_id
+        return [reader.status() for _ in range(min(reader.number(), STATUSES_LIMIT))]
+    except (StructError, IndexError) as error:
+        raise CdrError(f'no DiagnosticArray: {error}') from error
+
+
+class _Reader:
+    """Walks through serialised data; `at` is the offset of what comes next."""
+
+    __slots__ = ('_number', 'at', 'data')
+
+    def __init__(self, data: bytes, at: int) -> None:
+        self.data = data
+        self.at = at
+        self._number = Struct('<I' if data[1] & 1 else '>I').unpack_from
+
+    def number(self) -> int:
+        at = (self.at + 3) & -4
+        self.at = at + 4
+        return int(self._number(self.data, at)[0])
+
+    def texts(self, count: int, limit: int = TEXT_LIMIT) -> list[str]:
+        """Return the next so many texts; this is the hot loop, and so is skip."""
+        number, data, at = self._number, self.data, self.at
+        found = []
+        for _ in range(count):
+            at = (at + 3) & -4                  # _FRONT is a multiple of 4 itself
+            size = number(data, at)[0]
+            at += 4
+            if size <= limit:
+                found.append(str(data[at:at + size - 1], 'utf-8', 'replace'))
+            else:
+                found.append(_cut(data[at:at + min(size - 1, 4 * limit)], size - 1, limit))
+            at += size
+        if at > len(data):
+            raise IndexError('text ends behind the message')
+        self.at = at
+        return found
+
+    def skip(self, texts: int) -> None:
+        """Go behind so many texts."""
+        number, data, at = self._number, self.data, self.at
+        for _ in range(texts):
+            at = (at + 3) & -4
+            at += 4 + number(data, at)[0]
+        if at > len(data):
+            raise IndexError('text ends behind the message')
+        self.at = at
+
+    def status(self) -> RawStatus:
+        level = self.data[self.at]
+        self.at += 1
+        name, message, hardware_id = self.texts(3)
+        count = self.number()
+        at = self.at
+        self.skip(2 * count)
+        begin = at & -4                     # alignment goes on as it was
+        return RawStatus(level, name, message, hardware_id,
+                         self.data[:_FRONT] + self.data[begin:self.at],
+                         at - begin + _FRONT, min(count, PAIRS_LIMIT))
+
+
+def _cut(data: bytes, size: int, limit: int) -> str:
+    """Decode the beginning of a text of `size` bytes and say so where there is more."""
+    text = data.decode('utf-8', 'replace')
+    if len(text) <= limit and len(data) >= size:
+        return text
+    return f'{text[:limit]}\u2026 ({size} bytes)'

@@ -1,0 +1,245 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The record of the last day in an SQLite file: windows of values, and events.
+
+A value is stored in thousandths, as an integer of few bytes, and only where it differs from the
+window before: what is missing is carried forward. Each source has a whole window every 10 minutes,
+so that reading can begin anywhere. WAL with synchronous=FULL: what is committed survives kill -9
+and a power failure (sqlite.org, "Write-Ahead Logging", "PRAGMA synchronous").
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+import sqlite3
+
+from mecarover_dashboard.recorder import Event
+from mecarover_dashboard.recorder import Source
+from mecarover_dashboard.recorder import VALUES
+from mecarover_dashboard.recorder import Window
+from mecarover_dashboard.recorder import WINDOW_S
+
+VERSION = 1
+KEPT_S = 24 * 3600
+MOST_BYTES = 200_000_000
+WHOLE_S = 600                   # a window at a multiple of this is stored whole
+_ROOM = 0.9                     # of MOST_BYTES is left when the oldest had to go
+_WIDTH = max(map(len, VALUES.values()))
+_COLUMNS = [f'{end}{at}' for at in range(_WIDTH) for end in ('low', 'high')]
+_SCHEMA = f"""
+    CREATE TABLE sources(id INTEGER PRIMARY KEY, name TEXT UNIQUE NOT NULL, kind TEXT NOT NULL,
+                         robot TEXT NOT NULL, unit TEXT NOT NULL);
+    CREATE TABLE windows(at INTEGER NOT NULL, source INTEGER NOT NULL, level INTEGER NOT NULL,
+                         {', '.join(f'{name} INTEGER' for name in _COLUMNS)},
+                         PRIMARY KEY(at, source)) WITHOUT ROWID;
+    CREATE TABLE events(at REAL NOT NULL, source INTEGER NOT NULL, kind TEXT NOT NULL,
+                        level INTEGER NOT NULL, text TEXT NOT NULL);
+    CREATE INDEX events_at ON events(at);
+    PRAGMA user_version = {VERSION};
+"""
+_FAR = 1e12                     # beyond this a value is no measurement
+
+
+_UNKNOWN = (1, 0)               # low above high: the value is not known, and not carried forward
+_Pairs = tuple[tuple[int, int], ...]
+
+
+class DamagedError(Exception):
+    """The file is not a history that this version can read."""
+
+
+class Writer:
+    """The one that writes a history; used by one thread."""
+
+    def __init__(self, path: Path) -> None:
+        """Open or make the file; raise DamagedError, or sqlite3.Error where it cannot be."""
+        self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+        try:
+            self._prepare()
+        except sqlite3.OperationalError:
+            self._database.close()
+            raise
+        except (sqlite3.DatabaseError, DamagedError) as error:
+            self._database.close()
+            raise DamagedError(str(error)) from error
+        self._sources: dict[str, tuple[int, str]] = {
+            name: (number, unit) for number, name, unit in self._database.execute(
+                'SELECT id, name, unit FROM sources')}
+        self._written: dict[int, tuple[int, _Pairs, _Pairs | None]] = {}
+
+    def _prepare(self) -> None:
+        run = self._database.execute
+        version = run('PRAGMA user_version').fetchone()[0]
+        tables = run('SELECT count(*) FROM sqlite_master').fetchone()[0]
+        if version > VERSION or (tables and not version):
+            raise DamagedError(f'version {version} of the format is not known here')
+        run('PRAGMA journal_mode = WAL')
+        run('PRAGMA synchronous = FULL')
+        run('PRAGMA journal_size_limit = 4000000')
+        if not tables:
+            self._database.executescript(f'BEGIN; {_SCHEMA} COMMIT;')
+        elif (found := run('PRAGMA quick_check(1)').fetchone()[0]) != 'ok':
+            raise DamagedError(found)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def errors_until(self) -> dict[str, float]:
+        """Return by source when its last recorded error was (Unix s)."""
+        return dict(self._database.execute(
+            "SELECT name, max(at) FROM events JOIN sources ON sources.id = source "
+            "WHERE events.kind = 'error' GROUP BY source"))
+
+    def write(self, windows: Iterable[Window], events: Iterable[Event]) -> None:
+        """Write and commit; raise sqlite3.Error where the disk does not take it."""
+        run = self._database.execute
+        run('BEGIN')
+        try:
+            marks = ', '.join('?' * (3 + len(_COLUMNS)))
+            for window in windows:
+                run(f'INSERT OR REPLACE INTO windows VALUES ({marks})', self._row(window))
+            self._database.executemany('INSERT INTO events VALUES (?, ?, ?, ?, ?)', (
+                (round(event.at, 2), self._number(event.source), event.kind, event.level,
+                 event.text) for event in events))
+            run('COMMIT')
+        except BaseException:
+            with suppress(sqlite3.Error):
+                run('ROLLBACK')
+            self._written.clear()
+            raise
+
+    def _number(self, source: Source) -> int:
+        """Return the number of a source, a new one where it has none."""
+        number, unit = self._sources.get(source.name, (0, ''))
+        if not number:
+            made = self._database.execute(
+                'INSERT INTO sources(name, kind, robot, unit) VALUES (?, ?, ?, ?)',
+                (source.name, source.kind, source.robot, source.unit))
+            number = made.lastrowid or 0
+        elif source.unit and unit != source.unit:
+            self._database.execute('UPDATE sources SET unit = ? WHERE id = ?',
+                                   (source.unit, number))
+        else:
+            return number
+        self._sources[source.name] = (number, source.unit)
+        return number
+
+    def _row(self, window: Window) -> list[int | None]:
+        """Return what is stored of a window: what differs from the one before."""
+        number = self._number(window.source)
+        at, pairs, before = self._written.get(number, (0, (), None))
+        if at != window.at:
+            follows = at == window.at - WINDOW_S and window.at % WHOLE_S
+            before = pairs if follows else None
+            if window.at < at:
+                self._make_room(number, window.at)
+        new = tuple(map(_stored, window.lows, window.highs))
+        self._written[number] = window.at, new, before
+        kept = new if before is None else [
+            (None, None) if pair == old else pair for pair, old in zip(new, before, strict=True)]
+        row = [end for pair in kept for end in pair]
+        return [window.at, number, window.level, *row, *[None] * (len(_COLUMNS) - len(row))]
+
+    def _make_room(self, number: int, at: int) -> None:
+        """Where the clock was set back: drop what is told relative to a window that changes."""
+        self._database.execute('DELETE FROM windows WHERE source = ? AND at BETWEEN ? AND ?',
+                               (number, at, (at // WHOLE_S + 1) * WHOLE_S - 1))
+
+    def limit(self, now_s: float) -> None:
+        """Drop what is older than a day, and the oldest where the file is too large."""
+        run = self._database.execute
+        until = now_s - KEPT_S
+        if self.bytes() > MOST_BYTES:
+            oldest = run('SELECT min(at) FROM windows').fetchone()[0] or now_s
+            until = max(until, oldest + (1 - _ROOM) * (now_s - oldest))
+        run('DELETE FROM windows WHERE at < ?', (until,))
+        run('DELETE FROM events WHERE at < ?', (until,))
+
+    def bytes(self) -> int:
+        """Return how much of the file is in use."""
+        size, pages, free = (self._database.execute(f'PRAGMA {name}').fetchone()[0]
+                             for name in ('page_size', 'page_count', 'freelist_count'))
+        return int(size * (pages - free))
+
+
+class Reader:
+    """Reads a history that another connection may write; made for one question."""
+
+    def __init__(self, path: Path) -> None:
+        self._database = sqlite3.connect(f'{path.absolute().as_uri()}?mode=ro', uri=True,
+                                         check_same_thread=False)
+        self._sources = {number: Source(*rest) for number, *rest in self._database.execute(
+            'SELECT id, name, kind, robot, unit FROM sources')}
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def events(self, from_s: float, to_s: float, of: Iterable[str] = (), robot: str | None = None,
+               most: int = 1000) -> list[Event]:
+        """Return the newest events of some sources (by name; none = all), the newest first."""
+        wanted = self._numbers(of, robot)
+        marks = ', '.join(map(str, wanted))
+        return [Event(at, self._sources[source], kind, level, text)
+                for at, source, kind, level, text in self._database.execute(
+                    f'SELECT * FROM events WHERE at BETWEEN ? AND ? AND source IN ({marks}) '
+                    'ORDER BY at DESC LIMIT ?', (from_s, to_s, most))]
+
+    def windows(self, from_s: float, to_s: float, of: Iterable[str] = (),
+                robot: str | None = None) -> Iterator[Window]:
+        """Return the windows of some sources (none = all) in the order of time."""
+        wanted = self._numbers(of, robot)
+        held: dict[int, tuple[int, ...]] = {}
+        first, last = self._database.execute('SELECT min(at), max(at) FROM windows').fetchone()
+        begin = max(int(from_s) // WHOLE_S * WHOLE_S, first or 0)
+        for at, number, level, *stored in self._rows(begin, min(int(to_s), last or 0), wanted):
+            count = 2 * len(VALUES[self._sources[number].kind])
+            before = held.get(number, _UNKNOWN * (count // 2))
+            pairs = tuple(old if new is None else new
+                          for new, old in zip(stored[:count], before, strict=True))
+            held[number] = pairs
+            if at >= int(from_s) // WINDOW_S * WINDOW_S:
+                known = [low <= high for low, high in zip(pairs[::2], pairs[1::2], strict=True)]
+                yield Window(at, self._sources[number], level, *(
+                    tuple(value / 1000 if is_known else None
+                          for value, is_known in zip(ends, known, strict=True))
+                    for ends in (pairs[::2], pairs[1::2])))
+
+    def _rows(self, begin: int, end: int, wanted: list[int]) -> Iterator[tuple[int, ...]]:
+        marks = ', '.join(map(str, wanted))
+        if len(wanted) > 3:
+            return self._database.execute(
+                f'SELECT * FROM windows WHERE at BETWEEN ? AND ? AND source IN ({marks}) '
+                'ORDER BY at', (begin, end))
+        # Few of many sources: to look each up is faster than to go through all.
+        return self._database.execute(
+            'WITH RECURSIVE times(t) AS (SELECT ?1 UNION ALL SELECT t + ?2 FROM times '
+            'WHERE t + ?2 <= ?3) '
+            f'SELECT windows.* FROM times CROSS JOIN windows ON at = t AND source IN ({marks})',
+            (begin, WINDOW_S, end))
+
+    def _numbers(self, of: Iterable[str], robot: str | None) -> list[int]:
+        names = set(of)
+        return [number for number, source in self._sources.items()
+                if (not names or source.name in names)
+                and (robot is None or source.robot == robot)]
+
+
+def _stored(low: float | None, high: float | None) -> tuple[int, int]:
+    """Return a range in thousandths."""
+    if low is None or high is None or max(-low, high) > _FAR:
+        return _UNKNOWN
+    return round(1000 * low), round(1000 * high)
+
+
+def set_aside(path: Path, now_s: float) -> Path:
+    """Rename a damaged history, and what belongs to it; return its new name."""
+    aside = path.with_name(f'{path.name}.damaged-{int(now_s)}')
+    for end in ('', '-wal', '-shm'):
+        with suppress(FileNotFoundError):
+            path.with_name(path.name + end).rename(aside.with_name(aside.name + end))
+    return aside

@@ -1,0 +1,139 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The process of the dashboard: its options, its address, and what it says about both."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import errno
+import ipaddress
+import os
+from pathlib import Path
+import socket
+import sys
+from typing import Any
+
+from mecarover_dashboard.recording import default_path
+from mecarover_dashboard.recording import Recording
+from mecarover_dashboard.recording import RecordingError
+from mecarover_serial.cli import COULD_NOT_RUN
+from mecarover_serial.cli import hold_signals
+from mecarover_serial.cli import no_ros
+from mecarover_serial.parameters import split_ros_args
+
+NAME = 'dxl_dashboard'
+NONE = 'none'
+HOST, PORT = '127.0.0.1', 8420
+_REMEDIES = {
+    errno.EADDRINUSE: 'in use; stop the other dashboard, or choose another port with --port',
+    errno.EACCES: 'permission denied; choose a port above 1023 with --port',
+    errno.EADDRNOTAVAIL: 'not an address of this machine; --host 0.0.0.0 takes them all',
+}
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the dashboard; return the exit code."""
+    arguments = list(sys.argv[1:] if args is None else args)
+    options = _parser().parse_args(split_ros_args(arguments)[1])
+    hold_signals()
+    try:
+        listener = listen(options.host, options.port)
+    except OSError as error:
+        remedy = _REMEDIES.get(error.errno or 0, f'{error.strerror}; see --help')
+        print(f'{NAME}: {options.host}:{options.port}: {remedy}', file=sys.stderr)
+        return COULD_NOT_RUN
+    try:
+        from mecarover_dashboard.server import Server
+    except ImportError as error:
+        print(f'{NAME}: {error.name} is not here; sudo apt install python3-aiohttp, '
+              "or pip install 'mecarover_serial[dashboard]'", file=sys.stderr)
+        return COULD_NOT_RUN
+    try:
+        from mecarover_dashboard.subscriber import Subscriber
+        from mecarover_serial.node import run
+    except ImportError as error:
+        return no_ros(NAME, error)
+    host, port = listener.getsockname()[:2]
+    is_open = not is_loopback(host)
+    print(announcement(host, port, is_open), flush=True)
+    recording = _recording(options.history)
+    if recording is None and options.history not in (None, NONE):
+        return COULD_NOT_RUN
+    server = Server(listener, facts(host, port), is_open, recording, options.name)
+    return run(NAME, lambda: Subscriber(server), ['dxl_dashboard', *arguments])
+
+
+def _recording(wanted: str | None) -> Recording | None:
+    """Return what records the history; None where it is not wanted or cannot be, and say so."""
+    if wanted == NONE:
+        return None
+    try:
+        recording = Recording(default_path() if wanted is None else Path(wanted))
+    except RecordingError as error:
+        print(f'{NAME}: no history: {error}', file=sys.stderr)
+        return None
+    if recording.notice:
+        print(f'{NAME}: {recording.notice}', file=sys.stderr)
+    return recording
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens on an address (or a name); raise OSError with its errno."""
+    try:
+        family, _, _, _, address = socket.getaddrinfo(
+            host or '0.0.0.0', port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+    except UnicodeError:                        # two dots, or a label of more than 63 letters
+        raise OSError(errno.EINVAL, 'not a name') from None
+    return socket.create_server(address[:2], family=family)
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether only this machine reaches an address."""
+    return ipaddress.ip_address(host.partition('%')[0]).is_loopback
+
+
+def announcement(host: str, port: int, is_open: bool) -> str:
+    """Return what the terminal says: where the page is and who can see it."""
+    if not is_open:
+        return (f'{NAME}: http://{_bracketed(host)}:{port} '
+                '(this machine only; --host 0.0.0.0 opens it to the network)')
+    shown = socket.gethostname() if ipaddress.ip_address(host).is_unspecified else host
+    return (f'{NAME}: http://{_bracketed(shown)}:{port}\n'
+            f'{NAME}: OPEN TO THE NETWORK: everybody who reaches {host} can read all of it; '
+            'there is no password and no encryption. Nothing can be changed from there.')
+
+
+def facts(host: str, port: int) -> dict[str, Any]:
+    """Return what the page says about where it comes from."""
+    return {'machine': socket.gethostname(), 'address': f'{_bracketed(host)}:{port}',
+            'domain': os.environ.get('ROS_DOMAIN_ID') or '0'}
+
+
+def _bracketed(host: str) -> str:
+    return f'[{host}]' if ':' in host else host
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=NAME, description='Web page of devices, registers, timing and the bridge: shows '
+        'what dxl_monitor and vel2d_bridge publish, live or from ros2 bag play. Read-only.')
+    parser.add_argument('--host', default=HOST, help='address to listen on; default %(default)s '
+                        '(this machine only), 0.0.0.0 or :: = open to the network')
+    parser.add_argument('--port', type=_port, default=PORT,
+                        help='default %(default)s; 0 = any free one')
+    parser.add_argument('--name', default='', help='another name under which this machine is '
+                        'asked, e.g. rover1.example.org')
+    parser.add_argument('--history', metavar='FILE', help='where the last 24 hours are kept; '
+                        f'default {default_path()}, {NONE} = nowhere')
+    return parser
+
+
+def _port(text: str) -> int:
+    port = int(text)
+    if not 0 <= port <= 65535:
+        raise argparse.ArgumentTypeError('a port is 0 to 65535')
+    return port
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,175 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What is known now as metrics for Prometheus, through prometheus_client.
+
+Gauges for states and values, counters for what the nodes count since their start. Labels: robot
+(the namespace), bus, id, model, joint. A device has about ten series and the state keeps at most
+3000 rows, so that no name on a topic can fill a Prometheus. What is not reported any more has its
+level (3, stale) and no values.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable
+from collections.abc import Iterator
+
+from prometheus_client import CollectorRegistry
+from prometheus_client.core import CounterMetricFamily
+from prometheus_client.core import GaugeMetricFamily
+from prometheus_client.core import Metric
+from prometheus_client.exposition import choose_encoder
+
+from mecarover_dashboard import rows
+from mecarover_dashboard.rows import Row
+from mecarover_dashboard.state import Report
+from mecarover_dashboard.state import State
+from msg_defs import status_keys as keys
+from msg_defs.reports import Level
+
+MOST_FINDINGS = 1000            # series, of all robots
+_LABEL = 100                    # characters
+_DEVICE = ('robot', 'bus', 'id', 'model', 'joint')
+_BUS = ('robot', 'bus')
+
+
+def exposition(state: State, accept: str) -> tuple[bytes, str]:
+    """Return what a scrape gets, in the format that it accepts, and its content type."""
+    registry = CollectorRegistry()
+    registry.register(_Snapshot(state))
+    encode, content_type = choose_encoder(accept)
+    return encode(registry), content_type
+
+
+class _Snapshot:
+    """A collector over a State, for one scrape."""
+
+    def __init__(self, state: State) -> None:
+        self._state = state
+
+    def collect(self) -> Iterator[Metric]:
+        yield from self._devices()
+        yield from self._buses()
+        yield from self._bridges()
+        yield self._findings()
+        yield _counter('dashboard_statuses_refused', 'Statuses that the dashboard had no room for',
+                       (), [((), self._state.refused)])
+        yield _counter('dashboard_messages_malformed', 'Messages that could not be read',
+                       (), [((), self._state.malformed)])
+
+    def _devices(self) -> Iterator[Metric]:
+        found = [(_labels(one.row, _DEVICE), one) for one in self._state.reports('devices')]
+        fresh = [(labels, one) for labels, one in found if 'quiet_since' not in one.row]
+        yield _gauge('device_level', 'Level of a device: 0 ok, 1 warning, 2 error, 3 stale',
+                     _DEVICE, ((labels, _level(one.row)) for labels, one in found))
+        yield _gauge('device_connected', 'Whether a device answers', _DEVICE, (
+            (labels, float(one.row['state'] == 'connected')) for labels, one in fresh))
+        for name, text, read, scale in (
+                ('temperature_celsius', 'Temperature', _temperature, 1.0),
+                ('voltage_volts', 'Input voltage', _voltage, 1.0),
+                ('load_ratio', 'Load, of what the device can do', _load, 0.01),
+                ('current_amperes', 'Current', _current, 1.0),
+                ('loss_ratio', 'Answers missed in the last 10 s, of those asked for', _loss, 0.01),
+                ('reply_latency_seconds', 'Reply latency, median of 10 s', _latency, 0.001)):
+            yield _gauge(f'device_{name}', text, _DEVICE, (
+                (labels, _scaled(read(one), scale)) for labels, one in fresh))
+        for name, text, key in (('answers', 'Answers heard since the start', keys.ANSWERS),
+                                ('missed_answers', 'Answers missed', keys.MISSED_ANSWERS)):
+            yield _counter(f'device_{name}', text, _DEVICE, (
+                (labels, rows.finite(self._state.fact(one.row_name, key)))
+                for labels, one in fresh))
+
+    def _buses(self) -> Iterator[Metric]:
+        found = [(_labels(one.row, _BUS), one.row) for one in self._state.reports('buses')]
+        yield _gauge('bus_level', 'Level of a bus: 0 ok, 1 warning, 2 error, 3 stale', _BUS,
+                     ((labels, _level(row)) for labels, row in found))
+        fresh = [(labels, row) for labels, row in found if 'quiet_since' not in row]
+        for name, text, metric, scale in (
+                ('load_ratio', 'Share of the time in which the wire is used', 'bus_load', 0.01),
+                ('packets_per_second', 'Packets, over 10 s', 'packet_rate', 1.0),
+                ('errors_per_second', 'Damaged packets, over 10 s', 'error_rate', 1.0)):
+            yield _gauge(f'bus_{name}', text, _BUS, (
+                (labels, _scaled(self._state.figure(row['node'], row['bus'], metric), scale))
+                for labels, row in fresh))
+        yield _counter('bus_packets', 'Packets since the start', _BUS, (
+            (labels, _value(row, 'Packets')) for labels, row in fresh))
+
+    def _bridges(self) -> Iterator[Metric]:
+        found = [(one.row['robot'][:_LABEL], one.row) for one in self._state.reports('bridge')]
+        yield _gauge('bridge_level', 'Level of a bridge: 0 ok, 1 warning, 2 error, 3 stale',
+                     ('robot', 'part'),
+                     (((robot, row['part'][:_LABEL]), _level(row)) for robot, row in found))
+        for name, text, part, key in (
+                ('frames', 'Frames sent to the MCU', 'link', 'Frames sent'),
+                ('losses', 'How often the port was lost', 'link', 'Losses'),
+                ('commands', 'Commands received', 'commands', keys.COMMANDS_RECEIVED),
+                ('time_outs', 'Stops because no command came', 'commands', 'Time-outs')):
+            yield _counter(f'bridge_{name}', text, ('robot',), (
+                ((robot,), _value(row, key)) for robot, row in found
+                if row['part'] == part and 'quiet_since' not in row))
+
+    def _findings(self) -> Metric:
+        found = [((*_labels(one.row, ('robot', 'bus')), str(one.row.get('id', '')),
+                   rule[:_LABEL], severity), 1.0)
+                 for kind in ('buses', 'devices') for one in self._state.reports(kind)
+                 if 'quiet_since' not in one.row for rule, _, severity in one.row['findings']]
+        return _gauge('finding', 'A finding of the doctor that holds now',
+                      ('robot', 'bus', 'id', 'rule', 'severity'), found[:MOST_FINDINGS])
+
+
+def _labels(row: Row, names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(str(row[name])[:_LABEL] for name in names)
+
+
+def _level(row: Row) -> float:
+    return float(Level.STALE if 'quiet_since' in row else row['level'])
+
+
+def _value(row: Row, key: str) -> float | None:
+    return rows.finite(dict(row['values']).get(key, ''))
+
+
+def _scaled(value: float | None, scale: float) -> float | None:
+    return None if value is None else value * scale
+
+
+def _temperature(one: Report) -> float | None:
+    return rows.finite(one.values.temperature)
+
+
+def _voltage(one: Report) -> float | None:
+    return rows.finite(one.values.voltage)
+
+
+def _load(one: Report) -> float | None:
+    return rows.finite(one.values.load) if one.values.unit == '%' else None
+
+
+def _current(one: Report) -> float | None:
+    return rows.finite(one.values.load) if one.values.unit == 'A' else None
+
+
+def _loss(one: Report) -> float | None:
+    return rows.finite(one.row['loss'])
+
+
+def _latency(one: Report) -> float | None:
+    return rows.finite(one.row['latency'])
+
+
+_Samples = Iterable[tuple[tuple[str, ...], float | None]]
+
+
+def _gauge(name: str, text: str, labels: tuple[str, ...], samples: _Samples) -> Metric:
+    return _filled(GaugeMetricFamily(f'mecarover_{name}', text, labels=labels), samples)
+
+
+def _counter(name: str, text: str, labels: tuple[str, ...], samples: _Samples) -> Metric:
+    return _filled(CounterMetricFamily(f'mecarover_{name}', text, labels=labels), samples)
+
+
+def _filled(family: GaugeMetricFamily | CounterMetricFamily, samples: _Samples) -> Metric:
+    """Add the samples that are known; two devices of the same labels count once."""
+    for labels, value in dict(samples).items():
+        if value is not None:
+            family.add_metric(labels, value)
+    return family

@@ -1,0 +1,200 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The history over HTTP: /history/values and /history/events, as JSON or CSV, of any time span.
+
+Query: `from`, `to` (Unix s; default the last hour), `of` (names of statuses, several; none = all),
+`robot`, `format` = json | csv, `points` (values in JSON: at most about so many of each source).
+"""
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
+import csv
+from datetime import datetime
+from datetime import timezone
+import io
+from itertools import islice
+import math
+from pathlib import Path
+import sqlite3
+import time
+from typing import Any
+from typing import NamedTuple
+
+from aiohttp import web
+
+from mecarover_dashboard.client import json_text
+from mecarover_dashboard.history import Reader
+from mecarover_dashboard.recorder import Event
+from mecarover_dashboard.recorder import VALUES
+from mecarover_dashboard.recorder import Window
+from mecarover_dashboard.recorder import WINDOW_S
+from msg_defs.reports import Level
+from msg_defs.reports import worst
+
+MOST_AT_ONCE = 4                # questions; a day of 253 devices takes seconds of a core
+_POINTS = 600
+_MOST_EVENTS = 1000             # on the page; a CSV has them all
+_ALL_EVENTS = 10_000_000
+_ROWS = 2000                    # of a CSV, written at a time
+_CSV_VALUES = tuple(dict.fromkeys(name for names in VALUES.values() for name in names))
+
+
+class Question(NamedTuple):
+    """What is asked for; times in Unix s."""
+
+    from_s: float
+    to_s: float
+    of: tuple[str, ...]
+    robot: str | None
+    points: int
+
+
+class Past:
+    """Answers questions about a history file."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._free = asyncio.Semaphore(MOST_AT_ONCE)
+
+    async def values(self, request: web.Request) -> web.StreamResponse:
+        """Answer /history/values."""
+        return await self._answer(request, _values_json, _values_csv)
+
+    async def events(self, request: web.Request) -> web.StreamResponse:
+        """Answer /history/events."""
+        return await self._answer(request, _events_json, _events_csv)
+
+    async def _answer(self, request: web.Request, as_json: Callable[[Reader, Question], Any],
+                      as_csv: Callable[[Reader, Question], Iterator[list[str]]],
+                      ) -> web.StreamResponse:
+        if self._path is None:
+            return web.Response(status=404, text='No history is recorded: --history none.\n')
+        try:
+            question = _question(request)
+        except ValueError as error:
+            return web.Response(status=400, text=f'{error}\n')
+        async with self._free:
+            try:
+                reader = await asyncio.to_thread(Reader, self._path)
+            except sqlite3.Error as error:
+                return web.Response(status=503, text=f'{self._path.name}: {error}\n')
+            try:
+                if request.query.get('format') == 'csv':
+                    return await _stream(request, as_csv(reader, question))
+                answer = await asyncio.to_thread(as_json, reader, question)
+            finally:
+                reader.close()
+        response = web.Response(text=json_text(answer), content_type='application/json')
+        response.enable_compression()
+        return response
+
+
+async def _stream(request: web.Request, lines: Iterator[list[str]]) -> web.StreamResponse:
+    """Send a CSV piece by piece; reading happens outside of the loop."""
+    name = f'{request.path.rpartition("/")[2]}.csv'
+    response = web.StreamResponse(headers={
+        'Content-Type': 'text/csv; charset=utf-8',
+        'Content-Disposition': f'attachment; filename="mecarover-{name}"'})
+    await response.prepare(request)
+    while some := await asyncio.to_thread(lambda: list(islice(lines, _ROWS))):
+        text = io.StringIO()
+        csv.writer(text).writerows(some)
+        await response.write(text.getvalue().encode())
+    return response
+
+
+def _question(request: web.Request) -> Question:
+    """Read the query; raise ValueError with what is wrong and what is wanted."""
+    query = request.query
+    to_s = _time(query.get('to'), time.time(), 'to')
+    from_s = _time(query.get('from'), to_s - 3600, 'from')
+    if from_s > to_s:
+        raise ValueError('from: is after to; swap them')
+    points = query.get('points', str(_POINTS))
+    if not points.isdecimal() or not 1 <= int(points[:9]) <= 10_000:
+        raise ValueError('points: a number from 1 to 10000')
+    return Question(from_s, to_s, tuple(query.getall('of', ())), query.get('robot'), int(points))
+
+
+def _time(text: str | None, default: float, name: str) -> float:
+    if text is None:
+        return default
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < 1e11:
+        raise ValueError(f'{name}: {text[:40]!r} is no time; give Unix seconds')
+    return value
+
+
+def _values_json(reader: Reader, question: Question) -> dict[str, Any]:
+    """Return by source its level and its values: [[s, low, high], ...], thinned out."""
+    span_s = question.to_s - question.from_s
+    step_s = max(1, math.ceil(span_s / question.points / WINDOW_S)) * WINDOW_S
+    sources: dict[str, Any] = {}
+    for window in reader.windows(question.from_s, question.to_s, question.of, question.robot):
+        source = sources.setdefault(window.source.name, {
+            'kind': window.source.kind, 'robot': window.source.robot, 'unit': window.source.unit,
+            'levels': [], 'values': {name: [] for name in VALUES[window.source.kind]}})
+        _merge(source, window, window.at // step_s * step_s)
+    return {'from': question.from_s, 'to': question.to_s, 'step': step_s, 'sources': sources}
+
+
+def _merge(source: dict[str, Any], window: Window, at: int) -> None:
+    """Put a window into the points of its source; those of one step become one."""
+    levels = source['levels']
+    if levels and levels[-1][0] == at:
+        levels[-1][1] = worst([Level(levels[-1][1]), Level(window.level)])
+    else:
+        levels.append([at, window.level])
+    for points, low, high in zip(source['values'].values(), window.lows, window.highs,
+                                 strict=True):
+        if low is None or high is None:
+            continue
+        if points and points[-1][0] == at:
+            points[-1][1:] = min(points[-1][1], low), max(points[-1][2], high)
+        else:
+            points.append([at, low, high])
+
+
+def _values_csv(reader: Reader, question: Question) -> Iterator[list[str]]:
+    yield ['time', 'robot', 'name', 'level', 'load unit',
+           *(f'{name} {end}' for name in _CSV_VALUES for end in ('min', 'max'))]
+    for window in reader.windows(question.from_s, question.to_s, question.of, question.robot):
+        names = VALUES[window.source.kind]
+        ends = dict(zip(names, zip(window.lows, window.highs, strict=True), strict=True))
+        yield [_iso(window.at), _cell(window.source.robot), _cell(window.source.name),
+               Level(window.level).name, window.source.unit,
+               *('' if end is None else f'{end:g}'
+                 for name in _CSV_VALUES for end in ends.get(name, (None, None)))]
+
+
+def _events_json(reader: Reader, question: Question) -> dict[str, Any]:
+    found = reader.events(question.from_s, question.to_s, question.of, question.robot,
+                          _MOST_EVENTS)
+    return {'from': question.from_s, 'to': question.to_s, 'most': _MOST_EVENTS, 'events': [
+        [event.at, event.source.name, event.source.robot, event.kind, event.level, event.text]
+        for event in found]}
+
+
+def _events_csv(reader: Reader, question: Question) -> Iterator[list[str]]:
+    yield ['time', 'robot', 'name', 'kind', 'level', 'text']
+    events: Iterable[Event] = reader.events(question.from_s, question.to_s, question.of,
+                                            question.robot, _ALL_EVENTS)
+    for event in events:
+        yield [_iso(event.at), _cell(event.source.robot), _cell(event.source.name), event.kind,
+               Level(event.level).name, _cell(event.text)]
+
+
+def _iso(unix_s: float) -> str:
+    return datetime.fromtimestamp(unix_s, timezone.utc).isoformat(timespec='seconds')
+
+
+def _cell(text: str) -> str:
+    """Return text from a topic so that a spreadsheet does not take it for a formula."""
+    return f"'{text}" if text[:1] in ('=', '+', '-', '@', '\t', '\r') else text

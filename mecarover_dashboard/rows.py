@@ -1,0 +1,275 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Statuses to the rows that the page shows.
+
+Pure. Knows the keys of dxl_monitor/status.py and vel2d_bridge/status.py; the nodes may have any
+name, and their namespace is the name of the robot. Values stay the text they arrived as: a page
+that shows text cannot stumble over NaN.
+"""
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+from typing import NamedTuple
+
+from mecarover_dashboard.cdr import RawStatus
+from msg_defs import status_keys as keys
+from msg_defs.reports import Level
+from msg_defs.reports import namespace_of
+from msg_defs.reports import number
+
+Row = dict[str, Any]
+
+HEAD = 32                          # pairs in front of the table: facts, counters, findings
+_LISTED = (keys.FINDING, keys.SEVERITY, keys.ERROR, keys.DOUBT)
+_NAMING = 3                         # Model, Firmware Version, State
+_ASIDE = (keys.RUNNING, keys.PART)      # of a bus: shown elsewhere, or nowhere
+_LEVELS = frozenset(Level)
+_OBSERVED_LIMIT = 100_000           # characters of its JSON
+_JITTER_S = 0.3                     # "seen at" that differs by less is the same time
+_BRIDGE = {'link': {keys.PORT, keys.STATE},
+           'commands': {keys.TOPIC, keys.MESSAGE_TYPE}}
+_DEVICE = re.compile(r'\d{3}(?: |$)')
+_FIGURES = ('p50', 'p95', 'max')
+_ERROR = re.compile(r'(\d+\.\d+) s: (.*)', re.DOTALL)
+_VALUES = ((b'Present Position (',), (b'Present Temperature (', b'Present Motor Temperature ('),
+           (b'Present Input Voltage (', b'Present Voltage ('),
+           (b'Present Load (', b'Present Current ('))
+_NO_MODEL = ('model unknown, its registers cannot be read; '
+             "name it in `devices`: '{id}:MODEL', or let the master ping it")
+_NO_FILE = 'no file for this model, its registers cannot be read; add one to `model_dirs`'
+
+
+class Field(NamedTuple):
+    """A field of a control table; seen: monotonic s, None if unknown; source 'r' or 'w'."""
+
+    key: str
+    value: str
+    raw: str
+    seen: float | None
+    source: str
+
+
+class Values(NamedTuple):
+    """Health of a device, as text: rad, °C, V, and load or current in `unit`; '' = not known."""
+
+    position: str
+    temperature: str
+    voltage: str
+    load: str
+    unit: str
+
+
+NOTHING = Values('', '', '', '', '')
+
+
+class Table(NamedTuple):
+    """What is known of one device: facts and counters, then its fields."""
+
+    facts: list[tuple[str, str]]
+    fields: list[Field]
+
+
+def split(status: RawStatus) -> tuple[str, str]:
+    """Return the node and what it speaks of; ('', ...) where a name is of another kind."""
+    node, colon, rest = status.name.partition(': ')
+    return (node, rest) if colon else ('', status.name)
+
+
+def section(status: RawStatus) -> str:
+    """Return where a status belongs: devices, buses, bridge or timing; '' if it is not ours."""
+    _, rest = split(status)
+    if rest.startswith('timing/'):
+        return 'timing'
+    names = {key for key, _ in status.pairs(3)}
+    if rest in _BRIDGE and names >= _BRIDGE[rest]:
+        return 'bridge'
+    if rest.partition(' ')[0] == 'bus' and keys.PORT in names:
+        return 'buses'
+    if _DEVICE.match(_own_name(status, rest)) and {keys.MODEL, keys.STATE} <= names:
+        return 'devices'
+    return ''
+
+
+def _bus_of(status: RawStatus) -> str:
+    """Return the bus of a device, '' where its node has only one."""
+    robot = namespace_of(split(status)[0])
+    return status.hardware_id.removeprefix(f'{robot}/').rpartition('/')[0]
+
+
+def _own_name(status: RawStatus, rest: str) -> str:
+    """Return the name of a device without its bus."""
+    bus = _bus_of(status)
+    return rest.removeprefix(f'{bus}/') if bus else rest
+
+
+def metric_of(status: RawStatus) -> str:
+    """Return what a timing status is about: a bus, [bus/]device, or '' (a node, its only bus)."""
+    return split(status)[1].removeprefix('timing/').rpartition('/')[0]
+
+
+def is_device(of: str) -> bool:
+    """Tell whether a name, with or without a bus in front, is written like that of a device."""
+    return _DEVICE.match(of.rpartition('/')[2]) is not None
+
+
+def row(kind: str, status: RawStatus) -> Row:
+    """Return what the page knows of a status at all times (tables come on demand)."""
+    node, rest = split(status)
+    level = status.level if status.level in _LEVELS else Level.STALE
+    common = {'robot': namespace_of(node), 'node': node, 'level': int(level),
+              'message': status.message}
+    return common | _MAKERS[kind](status, rest)
+
+
+def _device(status: RawStatus, rest: str) -> Row:
+    pairs = status.pairs(HEAD)
+    values = dict(reversed(pairs))      # a field of the table may be called like a fact
+    id_, _, joint = _own_name(status, rest).partition(' ')
+    return _blind(status, values[keys.MODEL], int(id_)) | {
+        'bus': _bus_of(status),
+        'id': int(id_),
+        'joint': joint,
+        'model': values[keys.MODEL],
+        'firmware': values.get(keys.FIRMWARE, ''),
+        'state': values[keys.STATE],
+        'loss': values.get(keys.LOSS, ''),
+        'latency': calm(values.get(keys.LATENCY_P50, '')),
+        'findings': _findings(pairs),
+    }
+
+
+def _blind(status: RawStatus, model: str, device: int) -> Row:
+    """Return what stands above a device whose registers nobody can name: it only looks well."""
+    if status.level != Level.OK or not model.startswith('unknown'):
+        return {}
+    text = _NO_MODEL.format(id=device) if model == 'unknown' else _NO_FILE
+    return {'level': int(Level.WARN), 'message': text}
+
+
+def _bus(status: RawStatus, rest: str) -> Row:
+    pairs = status.pairs()
+    return {
+        'bus': rest.partition(' ')[2],
+        'values': [pair for pair in pairs
+                   if not pair[0].startswith(_LISTED) and pair[0] not in _ASIDE],
+        'running': finite(dict(pairs).get(keys.RUNNING, '')),
+        'errors': [value for key, value in pairs if key.startswith(keys.ERROR)],
+        'findings': _findings(pairs),
+        'doubts': _findings(pairs, keys.DOUBT),
+    }
+
+
+def _bridge(status: RawStatus, rest: str) -> Row:
+    return {'part': rest, 'values': status.pairs()}
+
+
+def _timing(status: RawStatus, rest: str) -> Row:
+    return {'of': metric_of(status), 'metric': rest.rpartition('/')[2], 'values': status.pairs()}
+
+
+_MAKERS = {'devices': _device, 'buses': _bus, 'bridge': _bridge, 'timing': _timing}
+
+
+def _findings(pairs: list[tuple[str, str]],
+              prefix: str = keys.FINDING) -> list[tuple[str, str, str]]:
+    """Return (rule, message, severity) of each; 'warn' where no severity is told."""
+    severities = {key.removeprefix(keys.SEVERITY): value for key, value in pairs
+                  if key.startswith(keys.SEVERITY)}
+    found = ((key.removeprefix(prefix), value) for key, value in pairs if key.startswith(prefix))
+    return [(rule, text, 'error' if severities.get(rule) == 'error' else 'warn')
+            for rule, text in found]
+
+
+def date(bus: Row, arrived_s: float, before: Row) -> Row:
+    """Return the row of a bus with its errors as (monotonic s or None, text)."""
+    started_s = None
+    if bus['running'] is not None:
+        started_s = _steady(arrived_s - bus['running'], before.get('started'))
+    return bus | {'running': None, 'started': started_s,
+                  'errors': [_dated(line, started_s) for line in bus['errors']]}
+
+
+def _dated(line: str, started_s: float | None) -> tuple[float | None, str]:
+    found = _ERROR.match(line)
+    if found is None or started_s is None:
+        return None, line
+    return round(started_s + float(found[1]), 2), found[2]
+
+
+def figures(values: list[tuple[str, str]]) -> list[float | None]:
+    """Return what of a metric is plotted: [p50, p95, max] of the window, or [value]."""
+    by_name = {key.partition(' (')[0]: value for key, value in values}
+    names = _FIGURES if 'p50' in by_name else ('value',)
+    return [finite(by_name.get(name, '')) for name in names]
+
+
+def calm(text: str, digits: int = 2) -> str:
+    """Round a number: what only jitters is no change."""
+    value = finite(text)
+    return text if value is None else number(float(f'{value:.{digits}g}'))
+
+
+def finite(text: str) -> float | None:
+    """Return the number in a text; None for NaN, infinity and other text."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if abs(value) < 1e300 else None        # False for NaN, too
+
+
+def table(status: RawStatus, arrived_s: float, before: Table | None = None) -> Table:
+    """Return facts and fields of a device status; `observed` decides which keys are fields."""
+    pairs = status.pairs(limit=_OBSERVED_LIMIT)
+    seen = _seen(dict(pairs).get(keys.OBSERVED, ''))
+    old = {field.key: field.seen for field in before.fields} if before else {}
+    facts: list[tuple[str, str]] = []
+    fields: list[Field] = []
+    for at, (key, value) in enumerate(status.pairs()):
+        name = key if key in seen else key.rpartition(' (')[0]
+        if name not in seen or at < _NAMING:
+            if key not in (keys.OBSERVED, keys.PART) and not key.startswith(_LISTED):
+                facts.append((key, value))
+        elif key == keys.raw(name) and fields:
+            fields[-1] = fields[-1]._replace(raw=value)
+        else:
+            age_s, source = seen[name]
+            when = None if age_s is None else _steady(arrived_s - age_s, old.get(key))
+            fields.append(Field(key, value, '', when, source))
+    return Table(facts, fields)
+
+
+def values(status: RawStatus) -> Values:
+    """Return what the registers of a device say of its health, as far as they were read."""
+    (_, position), (_, temperature), (_, voltage), (key, load) = (
+        _first(status, names) for names in _VALUES)
+    return Values(position, temperature, voltage, load, key.rpartition(' (')[2].rstrip(')'))
+
+
+def _first(status: RawStatus, names: tuple[bytes, ...]) -> tuple[str, str]:
+    return next(filter(None, map(status.find, names)), ('', ''))
+
+
+def _steady(when_s: float, before_s: float | None) -> float:
+    if before_s is not None and abs(when_s - before_s) < _JITTER_S:
+        return before_s
+    return round(when_s, 2)
+
+
+def _seen(text: str) -> dict[str, tuple[float | None, str]]:
+    """Read the value of `observed`; whatever is not as it should be is left out."""
+    try:
+        entries = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    result: dict[str, tuple[float | None, str]] = {}
+    for name, entry in entries.items() if isinstance(entries, dict) else ():
+        if isinstance(entry, list) and len(entry) == 2:
+            age_s, source = entry
+            known = isinstance(age_s, int | float) and 0 <= age_s < 1e9
+            result[name] = (float(age_s) if known else None,
+                            source if source in ('r', 'w') else '')
+    return result

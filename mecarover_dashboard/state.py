@@ -1,0 +1,284 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the dashboard knows, and what of it changed since a client was told last.
+
+Pure: serialised messages in, plain values out; time is an argument (monotonic s, of arrival:
+what a bag plays back has old stamps). Each row carries the version at which it changed, so that
+a client gets the same changes whether it lags, reconnects or is new (version 0).
+"""
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+from typing import NamedTuple
+
+from mecarover_dashboard import rows
+from mecarover_dashboard.cdr import CdrError
+from mecarover_dashboard.cdr import RawStatus
+from mecarover_dashboard.cdr import statuses
+from mecarover_dashboard.rows import Row
+from mecarover_dashboard.rows import Table
+from msg_defs.reports import status_name
+
+TABLES = 'dxl/diagnostics'
+OVERVIEW = '/diagnostics'
+TOPICS = (TABLES, OVERVIEW, 'dxl/timing', 'vel2d/timing')
+SECTIONS = ('devices', 'buses', 'bridge', 'timing')
+QUIET_S = 4.0                # without a report for so long, or 2.5 times the usual: old values
+TABLE_S = 30.0               # after so long without a whole table the short form has to do
+FORGET_S = 60.0              # ... while its node reports others: it is no more
+MOST_ROWS = 3000             # of all kinds: what is published cannot fill the memory
+MOST_BYTES = 128_000_000     # ... however long it is; six full buses at which somebody looked
+MOST_OF_MESSAGE = 16_000_000         # bytes; a full bus takes 3 million
+MOST_OF_STATUS = 4_000_000   # bytes; a full table takes 20 000
+HISTORY = 300                # points kept of each timing metric
+_ROW = 2000                  # about what a row takes in itself, and in the list of removed ones
+_PAIR = 200                  # ... and each of its pairs, besides their bytes
+_POINTS = 60_000             # ... and its history
+
+_ONLY_LONG: Row = {'errors': [], 'running': None, 'started': None}
+
+Point = list[float | None]
+
+
+class Entry:
+    """One row; `arrived` is when it was reported last, `whole` its last status with a table."""
+
+    __slots__ = ('arrived', 'cost', 'period_s', 'points', 'row', 'values', 'version', 'whole',
+                 'whole_arrived')
+
+    def __init__(self) -> None:
+        self.row: Row = {}
+        self.version = 0
+        self.cost = 0               # bytes, about
+        self.arrived = 0.0
+        self.period_s = 0.0         # between reports: the longest of late
+        self.whole: RawStatus | None = None
+        self.whole_arrived = 0.0
+        self.values = rows.NOTHING
+        self.points: deque[tuple[int, Point]] = deque(maxlen=HISTORY)
+
+
+class Report(NamedTuple):
+    """A row as it was reported last."""
+
+    row_name: str
+    row: Row
+    values: rows.Values
+    arrived: float
+
+
+class State:
+    """
+    Rows by section and name. One thread uses it.
+
+    In a `namespace` only the robots below it are taken from /diagnostics, which all robots share.
+    """
+
+    def __init__(self, namespace: str = '') -> None:
+        self.namespace = namespace
+        self.version = 0
+        self.messages: dict[str, int] = dict.fromkeys(TOPICS, 0)
+        self.arrived: dict[str, float] = {}         # by topic
+        self.malformed = 0
+        self.refused = 0                            # what would be too much to keep
+        self.bytes = 0                              # about, of all that is kept
+        self._entries: dict[str, dict[str, Entry]] = {name: {} for name in SECTIONS}
+        self._removed: deque[tuple[int, str, str]] = deque(maxlen=MOST_ROWS)
+        self._heard: dict[str, float] = {}          # by node
+        self._latencies: dict[str, deque[Point]] = {}       # by device
+        self._tables: dict[str, tuple[RawStatus, Table]] = {}
+
+    def take(self, topic: str, message: bytes, now_s: float) -> None:
+        """Take a serialised DiagnosticArray; whatever it holds, this does not raise."""
+        if len(message) > MOST_OF_MESSAGE:
+            self.refused += 1
+            return
+        try:
+            found = statuses(message)
+        except CdrError:
+            self.malformed += 1
+            return
+        self.messages[topic] += 1
+        self.arrived[topic] = now_s
+        self.version += 1
+        if self._is_full(_ROW + 2 * _POINTS):
+            self._forget_the_silent(now_s)
+        for status in found if topic != OVERVIEW else filter(self._is_ours, found):
+            section = rows.section(status)
+            if section == 'timing' and self._is_of_device(status):
+                self._take_latency(status, now_s)
+            elif section:
+                self._take_status(topic, section, status, now_s)
+
+    def _is_ours(self, status: RawStatus) -> bool:
+        return not self.namespace or status.name.startswith(f'{self.namespace}/')
+
+    def _is_of_device(self, status: RawStatus) -> bool:
+        of = rows.metric_of(status)
+        bus = f'{rows.split(status)[0]}: bus {of}'
+        return rows.is_device(of) and bus not in self._entries['buses']
+
+    def _take_latency(self, status: RawStatus, now_s: float) -> None:
+        name = f'{rows.split(status)[0]}: {rows.metric_of(status)}'
+        if name in self._entries['devices']:
+            points = self._latencies.get(name)
+            if points is None:
+                if self.bytes + _POINTS > MOST_BYTES:
+                    self.refused += 1
+                    return
+                self.bytes += _POINTS
+                points = self._latencies[name] = deque(maxlen=HISTORY)
+            points.append([round(now_s, 2), *rows.figures(status.pairs())])
+
+    def _take_status(self, topic: str, section: str, status: RawStatus, now_s: float) -> None:
+        entry = self._entry(section, status)
+        if entry is None:
+            return
+        row = rows.row(section, status)
+        if entry.arrived:
+            entry.period_s = max(now_s - entry.arrived, entry.period_s / 2)
+        entry.arrived = self._heard[row['node']] = now_s
+        if section == 'devices' and (topic == TABLES or entry.whole is None
+                                     or now_s - entry.whole_arrived > TABLE_S):
+            entry.whole, entry.whole_arrived = status, now_s
+            if topic == TABLES:
+                entry.values = rows.values(status)
+        if section == 'buses':
+            row = (rows.date(row, now_s, entry.row) if topic == TABLES
+                   else row | {name: entry.row.get(name, empty)     # the short form has none
+                               for name, empty in _ONLY_LONG.items()})
+        if section == 'timing':
+            entry.points.append((self.version, [round(now_s, 2), *rows.figures(row['values'])]))
+        if row != entry.row or section == 'timing':
+            entry.row, entry.version = row, self.version
+
+    def _entry(self, section: str, status: RawStatus) -> Entry | None:
+        """Return the row of a status, None where there is no room for it."""
+        entries = self._entries[section]
+        entry = entries.get(status.name)
+        cost = _cost(section, status)
+        old = 0 if entry is None else entry.cost
+        if len(status.data) > MOST_OF_STATUS or (
+                self._is_full(cost) if entry is None
+                else cost > old and self.bytes + cost - old > MOST_BYTES):
+            self.refused += 1
+            return None
+        if entry is None:
+            entry = entries[status.name] = Entry()
+        # A short form does not take the room of the table that is kept beside it.
+        entry.cost = max(old, cost)
+        self.bytes += entry.cost - old
+        return entry
+
+    def _is_full(self, more: int) -> bool:
+        """Tell whether one more row of so many bytes is too much."""
+        return (self.bytes + more > MOST_BYTES
+                or sum(map(len, self._entries.values())) >= MOST_ROWS)
+
+    def _forget_the_silent(self, now_s: float) -> None:
+        """Make room: drop what nobody has reported for long, whether its node lives or not."""
+        for section, entries in self._entries.items():
+            for name, entry in list(entries.items()):
+                if now_s - entry.arrived > FORGET_S:
+                    self._remove(section, name)
+        self._heard = {node: at for node, at in self._heard.items() if now_s - at <= FORGET_S}
+
+    def _remove(self, section: str, name: str) -> None:
+        self.version += 1
+        self.bytes -= self._entries[section].pop(name).cost
+        if section == 'devices':
+            self._tables.pop(name, None)
+            if self._latencies.pop(name, None) is not None:
+                self.bytes -= _POINTS
+        self._removed.append((self.version, section, name))
+
+    def expire(self, now_s: float) -> None:
+        """Mark what nobody reports any more; drop what its own node does not know any more."""
+        for section, entries in self._entries.items():
+            for name, entry in list(entries.items()):
+                quiet_s = now_s - entry.arrived
+                if quiet_s <= max(QUIET_S, 2.5 * entry.period_s):
+                    continue
+                if 'quiet_since' not in entry.row:
+                    self.version += 1
+                    entry.version = self.version
+                    entry.row = entry.row | {'quiet_since': round(entry.arrived, 2)}
+                if quiet_s > FORGET_S and now_s - self._heard[entry.row['node']] < QUIET_S:
+                    self._remove(section, name)
+
+    def changes(self, since: int) -> dict[str, Any]:
+        """Return rows that changed after a version, None for removed ones; 0 = everything."""
+        changed: dict[str, dict[str, Row | None]] = {name: {} for name in SECTIONS}
+        if since:
+            for version, section, name in self._removed:
+                if version > since and name not in self._entries[section]:
+                    changed[section][name] = None
+        for section, entries in self._entries.items():
+            for name, entry in entries.items():
+                if entry.version > since:
+                    changed[section][name] = _with_points(entry, since)
+        return {section: found for section, found in changed.items() if found}
+
+    def table(self, name: str) -> Table | None:
+        """Return the table of a device as last reported; None if there is no such device."""
+        entry = self._entries['devices'].get(name)
+        if entry is None or entry.whole is None:
+            return None
+        status, before = self._tables.get(name, (None, None))
+        if status is entry.whole and before is not None:
+            return before
+        table = rows.table(entry.whole, entry.whole_arrived, before)
+        self._tables[name] = (entry.whole, table)
+        return table
+
+    def reports(self, section: str) -> Iterator[Report]:
+        """Return the rows of a section as they were reported last."""
+        for name, entry in self._entries[section].items():
+            if entry.row:
+                yield Report(name, entry.row, entry.values, entry.arrived)
+
+    def figure(self, node: str, of: str, metric: str) -> float | None:
+        """Return the newest figure of a timing metric: p50, or its value; None if unknown."""
+        entry = self._entries['timing'].get(status_name(node, 'timing', of, metric))
+        return entry.points[-1][1][1] if entry is not None and entry.points else None
+
+    def fact(self, name: str, key: str) -> str:
+        """Return a value in the newest status of a device; '' if there is none."""
+        entry = self._entries['devices'].get(name)
+        found = entry.whole.find(key.encode()) if entry is not None and entry.whole else None
+        return found[1] if found is not None and found[0] == key else ''
+
+    def values(self) -> dict[str, rows.Values]:
+        """Return the values of all devices that told any."""
+        return {name: entry.values for name, entry in self._entries['devices'].items()
+                if entry.values is not rows.NOTHING}
+
+    def latency(self, name: str, after_s: float) -> list[Point]:
+        """Return the points [s, p50, p95, max] of a device's reply latency after a time."""
+        return [point for point in self._latencies.get(name, ()) if (point[0] or 0) > after_s]
+
+    def keep_tables(self, names: set[str]) -> None:
+        """Forget the decoded tables of devices that nobody looks at."""
+        for name in self._tables.keys() - names:
+            del self._tables[name]
+
+    def topics(self, now_s: float) -> dict[str, Any]:
+        """Return by topic how many messages came, and how long ago the last one, in s."""
+        return {topic: [count, round(now_s - self.arrived[topic], 1) if count else None]
+                for topic, count in self.messages.items()}
+
+
+def _cost(section: str, status: RawStatus) -> int:
+    """Return about how many bytes a row takes; texts are kept as bytes and decoded."""
+    pairs = min(status.count, rows.HEAD) if section == 'devices' else status.count
+    return (_ROW + 2 * len(status.data) + _PAIR * pairs
+            + (_POINTS if section == 'timing' else 0))
+
+
+def _with_points(entry: Entry, since: int) -> Row:
+    if not entry.points:
+        return entry.row
+    return entry.row | {'points': [point for version, point in entry.points if version > since]}

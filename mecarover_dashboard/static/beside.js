@@ -1,0 +1,52 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// Around the buses of the overview: the bridge at a glance, what was found, load, latest errors.
+
+import {bridgeState} from './bridge.js';
+import {Command} from './command.js';
+import {h, icon, set, setIcon} from './dom.js';
+import {ErrorList, errorsOf} from './errors.js';
+import {path} from './place.js';
+import {showFindings} from './parts.js';
+import {Plot} from './plot.js';
+
+const MOST_ERRORS = 6;
+
+const heading = (to, ...children) => h('a', {class: 'more', href: path(to)}, ...children);
+const panel = (kind, title, content) =>
+  h('section', {class: `panel ${kind}`}, h('h2', {}, title), content);
+
+export class Beside {
+  constructor() {
+    this.plot = new Plot('Bus load', 300);
+    this.command = new Command();
+    this.symbol = icon('ok');
+    this.bridge = panel('', heading('bridge', this.symbol, 'Bridge'), this.command.element);
+    this.load = panel('low', heading('log', 'Bus load'), this.plot.element);
+    this.findings = h('ul', {class: 'findings'});
+    this.found = panel('', heading('log', 'Findings'), this.findings);
+    this.errors = new ErrorList(heading('log', 'Last errors'), {most: MOST_ERRORS});
+    this.element = h('div', {class: 'aside'}, this.bridge, this.found);
+    this.below = h('div', {class: 'below'}, this.load, this.errors.element);
+  }
+
+  close() { this.plot.close(); }
+
+  /** groups carry the alerts that stand beside: a finding that says the same is left out. */
+  update(store, groups) {
+    const state = bridgeState(store);
+    this.bridge.hidden = state === null;
+    set(this.bridge.firstChild.firstChild, 'data-state', state);
+    setIcon(this.symbol, state ?? 'stale');
+    this.command.update(store.bridgeParts());
+    const isMany = groups.length > 1;
+    const series = groups.map((group) => ({name: isMany ? group.label : 'load', unit: '%',
+      points: store.metrics(group.node, group.bus).get('bus_load')?.points ?? []}));
+    this.load.hidden = !series.some(({points}) => points.length);
+    if (!this.load.hidden) this.plot.update(series, store.now(), {low: 0});
+    this.errors.element.hidden = !this.errors.update(errorsOf(groups, store), isMany);
+    const isSaid = (text, device) => device ? device.message === text
+      : groups.some(({headline}) => headline === text);
+    this.found.hidden = !showFindings(this.findings, groups, store, isSaid);
+  }
+}

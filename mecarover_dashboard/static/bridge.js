@@ -1,0 +1,95 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// View 5: the bridge: its last command, its link, what was refused, how long a command takes.
+
+import {Command, COMMAND_KEYS} from './command.js';
+import {each, h, icon, say, set, setIcon} from './dom.js';
+import {short, splitUnit} from './format.js';
+import {fillEmpty, metricsHead, metricToPlot, seriesOf, showMetrics} from './parts.js';
+import {Plot} from './plot.js';
+import {isQuiet, stateOf, worst} from './store.js';
+
+export class BridgeView {
+  constructor() {
+    this.title = 'Bridge';
+    this.metric = null;        // chosen by hand
+    this.plot = new Plot('Timing', 60);
+    this.command = new Command();
+    this.cards = {link: card('Link'), commands: card('Commands')};
+    this.rows = h('tbody');
+    this.empty = h('div', {class: 'empty'});
+    this.body = h('div', {class: 'columns'},
+      h('div', {},
+        h('section', {class: 'panel'}, h('h2', {}, 'Last command'), this.command.element),
+        this.cards.link.element),
+      h('div', {},
+        h('section', {class: 'panel'}, h('h2', {}, 'Timing'), this.plot.element,
+          h('table', {class: 'figures'},
+            h('caption', {class: 'unseen'}, 'Timing over the last 10 s'), metricsHead(),
+            this.rows)),
+        this.cards.commands.element));
+    this.element = h('div', {}, h('h1', {class: 'unseen', tabindex: -1}, 'Bridge'), this.empty,
+      this.body);
+  }
+
+  close() { this.plot.close(); }
+
+  update(store) {
+    const {link, commands, timing} = store.bridgeParts();
+    const known = Boolean(link || commands || timing.size);
+    this.empty.hidden = known;
+    this.body.hidden = !known;
+    if (!known) {
+      fillEmpty(this.empty, store, 'vel2d/timing');
+      return;
+    }
+    this.cards.link.update(link, store.now());
+    this.cards.commands.update(commands, store.now());
+    this.command.update({link, commands});
+    const metric = this.metric ?? metricToPlot(timing, 'callback_to_write');
+    showMetrics(this.rows, [...timing.values()], metric, (name) => {
+      this.metric = name;
+      this.update(store);
+    });
+    this.plot.label = metric.replaceAll('_', ' ');
+    this.plot.update(seriesOf(timing.get(metric)), store.now());
+  }
+}
+
+/** The worst state of the bridge, null where there is none. */
+export function bridgeState(store) {
+  const {link, commands} = store.bridgeParts();
+  const rows = [link, commands].filter(Boolean);
+  return rows.length ? worst(rows.map(stateOf)) : null;
+}
+
+function card(title) {
+  const badge = h('p', {class: 'message'}, icon('stale'), h('span'));
+  const rows = h('tbody');
+  const element = h('section', {class: 'panel'}, h('h2', {}, title), badge,
+    h('table', {class: 'fields facts'}, h('caption', {class: 'unseen'}, title), rows));
+  return {element, update(row, now) {
+    const state = stateOf(row);
+    set(badge, 'data-state', state);
+    setIcon(badge.firstChild, state);
+    say(badge.lastChild, sentence(row, now));
+    const shown = (row?.values ?? []).filter(([key]) => !COMMAND_KEYS.has(key));
+    each(rows, shown, ([key]) => key, makeFact, (line, [key, value]) => {
+      say(line.children[1], short(value, 6));
+      set(line, 'data-zero', value === '0' && !/Frames|received|accepted/.test(key));
+    });
+  }};
+}
+
+function sentence(row, now) {
+  if (!row) return 'no status yet';
+  if (!isQuiet(row)) return row.message;
+  return `no report for ${Math.round(now - row.quiet_since)} s; last: ${row.message}`;
+}
+
+/** A row for one value of a status: name, value, unit. */
+export function makeFact([key]) {
+  const [name, unit] = splitUnit(key);
+  return h('tr', {}, h('th', {scope: 'row'}, name), h('td', {class: 'value'}),
+    h('td', {class: 'unit'}, unit));
+}

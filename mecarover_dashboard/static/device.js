@@ -1,0 +1,202 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// View 3: one device: every observed field, what was missed, a plot of any field that is a number.
+
+import {each, h, icon, say, set, setIcon} from './dom.js';
+import {ErrorList, errorsOf} from './errors.js';
+import {Fields} from './fields.js';
+import {id3, numberOf, splitUnit} from './format.js';
+import {makeFinding, showCrumbs, showFinding, wasTrue} from './parts.js';
+import {path} from './place.js';
+import {Past} from './past.js';
+import {Plot} from './plot.js';
+import {deviceName, isQuiet, stateOf, wordOf} from './store.js';
+
+const LATENCY = 'Reply latency';
+const MOST_SERIES = 4;
+const FIRST = ['Present Position', 'Goal Position'];
+const LIMITS = new Map(Object.entries({
+  'Present Temperature': ['Temperature Limit'],
+  'Present Input Voltage': ['Min Voltage Limit', 'Max Voltage Limit'],
+  'Present Voltage': ['Min Voltage Limit', 'Max Voltage Limit'],
+  'Present Position': ['Min Position Limit', 'Max Position Limit'],
+  'Present Current': ['Current Limit'], 'Present Velocity': ['Velocity Limit'],
+}));
+
+export class DeviceView {
+  constructor([name]) {
+    this.name = name;
+    this.watch = name;
+    this.plotted = null;
+    this.fields = new Fields((key) => this.#choose(key));
+    this.crumbs = h('nav', {class: 'crumbs', ariaLabel: 'Place'});
+    this.heading = h('h1', {tabindex: -1}, name);
+    this.badge = h('p', {class: 'badge'}, icon('stale'), h('span'));
+    this.about = h('p', {class: 'about'});
+    this.message = h('p', {class: 'message'});
+    this.before = h('a', {class: 'button', ariaLabel: 'Device before'}, '\u2039');
+    this.after = h('a', {class: 'button', ariaLabel: 'Device after'}, '\u203a');
+    this.findings = h('ul', {class: 'findings'});
+    this.latency = h('button', {type: 'button', class: 'button',
+      onclick: () => this.#choose(LATENCY)}, LATENCY);
+    this.plot = new Plot('Plot', 60, this.latency,
+      h('span', {class: 'quiet hint'}, 'or press any number; drag to zoom'));
+    this.errors = new ErrorList('Error history',
+      {empty: 'None among the last 50 of this bus.', ofOne: true});
+    this.siblings = h('ul', {class: 'siblings'});
+    this.past = new Past(name);
+    this.element = this.#lay();
+  }
+
+  #lay() {
+    const head = h('div', {class: 'head'}, this.badge, this.heading, this.about,
+      h('span', {class: 'steps'}, this.before, this.after));
+    this.errors.element.classList.add('device-errors');
+    return h('div', {class: 'device-view'},
+      h('nav', {class: 'beside', ariaLabel: 'Devices'}, this.siblings),
+      h('div', {class: 'device-head'}, this.crumbs, head, this.message, this.findings),
+      this.fields.element,
+      h('section', {class: 'panel device-plot', ariaLabel: 'Plot'}, this.plot.element),
+      this.errors.element,
+      h('section', {class: 'panel device-past'},
+        h('h2', {}, h('a', {class: 'more', href: path('history', this.name)}, 'History')),
+        this.past.element));
+  }
+
+  get title() { return this.name; }
+
+  close() {
+    this.plot.close();
+    this.past.close();
+  }
+
+  up() {
+    return this.device ? path('devices', this.group.key, this.device.model) : path('devices');
+  }
+
+  step(by) {
+    const list = this.group?.devices ?? [];
+    const at = list.findIndex((device) => device.name === this.name);
+    return at < 0 || !list[at + by] ? null : path('device', list[at + by].name);
+  }
+
+  /** Add a field to the plot, or take it away; other units make place. */
+  #choose(key) {
+    const unit = splitUnit(key)[1];
+    const same = (this.plotted ?? []).filter((one) =>
+      one !== LATENCY && splitUnit(one)[1] === unit);
+    if (key === LATENCY) this.plotted = [LATENCY];
+    else if (same.includes(key)) this.plotted = same.filter((one) => one !== key);
+    else this.plotted = [...same, key].slice(-MOST_SERIES);
+    this.update(this.store);
+  }
+
+  update(store) {
+    this.store = store;
+    const device = this.device = store.devices.get(this.name);
+    this.group = store.groups().find((group) => group.devices.includes(device));
+    const table = store.table?.name === this.name ? store.table : null;
+    this.#head(device);
+    this.past.update(store);
+    if (!device) return;
+    this.plotted ??= firstPlot(table);
+    this.fields.update(device, table, this.plotted ?? [], store.now());
+    set(this.latency, 'aria-pressed', this.plotted?.includes(LATENCY) ?? false);
+    this.plot.update(this.#series(table), store.now(),
+      {limits: limitsOf(table, this.plotted ?? [])});
+    each(this.findings, device.findings, ([rule]) => rule, () => makeFinding('warn', null),
+      (item, finding) => showFinding(item, finding, wasTrue(device, store)));
+    this.errors.update(errorsOf([this.group], store).filter((one) => one.device === device));
+    each(this.siblings, this.group.devices, (one) => one.name, makeSibling,
+      (item, one) => showSibling(item, one, this.name));
+  }
+
+  #head(device) {
+    const state = stateOf(device);
+    set(this.badge, 'data-state', state);
+    setIcon(this.badge.firstChild, state);
+    say(this.badge.lastChild, device ? wordOf(device) : 'not known');
+    say(this.message, device ? sentence(device, this.store.now()) : '');
+    set(this.message, 'data-state', state === 'ok' ? null : state);
+    this.message.hidden = !this.message.textContent;
+    say(this.heading, device ? deviceName(device) : this.name);
+    say(this.about, device ? aboutOf(device)
+      : 'No node reports this device. It is shown as soon as one does.');
+    for (const [link, by] of [[this.before, -1], [this.after, 1]]) {
+      const to = this.step(by);
+      set(link, 'href', to);
+      set(link, 'aria-disabled', to === null);
+    }
+    showCrumbs(this.crumbs, device
+      ? [['Overview', path()],
+        [device.bus ? `bus ${device.bus}` : 'Devices', path('devices', this.group.key)],
+        [device.model, this.up()]]
+      : [['Overview', path()], ['Devices', path('devices')]]);
+  }
+
+  #series(table) {
+    if (!table || !this.plotted) return [];
+    return this.plotted.flatMap((key) => {
+      const [name, unit] = splitUnit(key);
+      return key === LATENCY ? latencySeries(table.latency)
+        : [{name, unit, points: table.history.get(key) ?? []}];
+    });
+  }
+}
+
+const latencySeries = (points) => [[1, 'p50'], [2, 'p95'], [3, 'max']].map(([at, name]) => ({
+  name: `latency ${name}`, unit: 'ms',
+  points: points.map((point) => [point[0], point[at] ?? null])}));
+
+function aboutOf({model, firmware, bus}) {
+  return [model, `firmware ${firmware || 'unknown'}`, ...bus ? [`bus ${bus}`] : []]
+    .join(' \u00b7 ');
+}
+
+/** What the badge and the findings do not say yet. */
+function sentence(device, now) {
+  if (isQuiet(device)) {
+    return `no report for ${Math.round(now - device.quiet_since)} s; last: ${device.message}`;
+  }
+  const isSaid = device.message === device.state
+    || device.findings.some(([, text]) => text === device.message);
+  return isSaid ? '' : device.message;
+}
+
+/** What is plotted at first: position, else latency, else the first number. */
+function firstPlot(table) {
+  if (!table) return null;
+  const keys = [...table.history.keys()];
+  const named = FIRST.map((name) => keys.find((key) => splitUnit(key)[0] === name))
+    .filter(Boolean);
+  const units = new Set(named.map((key) => splitUnit(key)[1]));
+  if (named.length) return units.size === 1 ? named : named.slice(0, 1);
+  if (table.latency.some((point) => Number.isFinite(point[1]))) return [LATENCY];
+  const field = table.fields.find(({key}) => table.history.has(key));
+  return field ? [field.key] : null;
+}
+
+/** The limits of what is plotted, as the device says them: [[name, value], ...]. */
+function limitsOf(table, plotted) {
+  return plotted.flatMap((key) => {
+    const [name, unit] = splitUnit(key);
+    const wanted = LIMITS.get(name) ?? [];
+    return (table?.fields ?? []).filter((field) => wanted.includes(splitUnit(field.key)[0])
+      && splitUnit(field.key)[1] === unit && Number.isFinite(numberOf(field.value)))
+      .map((field) => [splitUnit(field.key)[0], numberOf(field.value)]);
+  });
+}
+
+const makeSibling = (device) =>
+  h('li', {}, h('a', {href: path('device', device.name)}, icon('ok'), h('b'), h('span')));
+
+function showSibling(item, device, here) {
+  const link = item.firstChild;
+  const state = stateOf(device);
+  set(link, 'data-state', state);
+  set(link, 'aria-current', device.name === here ? 'page' : null);
+  setIcon(link.children[0], state);
+  say(link.children[1], id3(device.id));
+  say(link.children[2], device.joint || device.model);
+  set(link, 'aria-label', `${deviceName(device)}, ${wordOf(device)}`);
+}

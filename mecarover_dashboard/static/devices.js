@@ -1,0 +1,156 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// View 2: devices by ID: of one model, of one bus, or all; as a table of values or as cards; a
+// search and a choice by state.
+
+import {DeviceTable, ORDERS} from './table.js';
+import {each, h, icon, say, set, setIcon} from './dom.js';
+import {id3, plural, short} from './format.js';
+import {fillEmpty, showCrumbs} from './parts.js';
+import {keepFilters, path} from './place.js';
+import {isQuiet, LEVELS, stateOf, wordOf, WORDS} from './store.js';
+
+const FORMS = {table: 'Table', cards: 'Cards'};
+
+export class Devices {
+  wantsValues = true;
+
+  constructor([bus, model], filters) {
+    this.bus = bus;
+    this.model = model;
+    this.title = model ?? 'Devices';
+    this.only = LEVELS.includes(filters.get('only')) ? filters.get('only') : null;
+    this.form = filters.get('as') === 'cards' ? 'cards' : 'table';
+    this.table = new DeviceTable((order, isUp) => this.#sort(order, isUp));
+    const [order, direction] = (filters.get('by') ?? '').split('.');
+    if (Object.hasOwn(ORDERS, order)) this.table.sort(order, direction === 'up');
+    this.heading = h('h1', {tabindex: -1}, this.title);
+    this.crumbs = h('nav', {class: 'crumbs', ariaLabel: 'Place'});
+    this.search = h('input', {type: 'search', placeholder: 'ID, joint, model',
+      ariaLabel: 'Search devices', oninput: () => this.#changed()});
+    this.search.value = filters.get('find') ?? '';
+    this.chips = h('div', {class: 'choice', role: 'group', ariaLabel: 'Show only'},
+      ...[null, ...LEVELS].map((state) => this.#chip(state)));
+    this.forms = h('div', {class: 'choice', role: 'group', ariaLabel: 'Show as'},
+      ...Object.keys(FORMS).map((form) => this.#form(form)));
+    this.empty = h('div', {class: 'empty'});
+    this.none = h('p', {class: 'empty'}, 'No device fits.');
+    this.lists = h('div');
+    this.element = h('div', {}, this.crumbs,
+      h('div', {class: 'head'}, this.heading, this.search, this.chips, this.forms), this.empty,
+      this.none, this.table.element, this.lists);
+  }
+
+  #chip(state) {
+    const count = h('b');
+    const button = h('button', {type: 'button', onclick: () => {
+      this.only = state;
+      this.#changed();
+    }}, state ? icon(state) : null, h('span', {}, state ? WORDS[state] : 'All'), count);
+    Object.assign(button, {state, count});
+    return button;
+  }
+
+  #form(form) {
+    return h('button', {type: 'button', 'data-form': form, onclick: () => {
+      this.form = form;
+      this.#changed();
+    }}, FORMS[form]);
+  }
+
+  #sort(order, isUp) {
+    this.table.sort(order, isUp);
+    this.#changed();
+  }
+
+  #changed() {
+    keepFilters({find: this.search.value, only: this.only,
+      as: this.form === 'cards' ? 'cards' : '', by: this.table.order});
+    this.update(this.store);
+  }
+
+  close() { this.table.close(); }
+
+  update(store) {
+    this.store = store;
+    const all = store.groups();
+    const isOurs = (device) => !this.model || device.model === this.model;
+    const groups = all.filter((group) => !this.bus || group.key === this.bus)
+      .map((group) => ({...group, devices: group.devices.filter(isOurs)}));
+    this.#place(groups, all.length);
+    this.#chips(groups.flatMap((group) => group.devices));
+    const words = this.search.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const fits = (device) => (!this.only || stateOf(device) === this.only)
+      && words.every((word) => textOf(device).includes(word));
+    const shown = groups.map((group) => ({...group, devices: group.devices.filter(fits)}))
+      .filter((group) => group.devices.length);
+    this.empty.hidden = all.some((group) => group.devices.length);
+    if (!this.empty.hidden) fillEmpty(this.empty, store);
+    this.none.hidden = shown.length > 0 || !this.empty.hidden;
+    this.#list(shown, store);
+  }
+
+  #list(shown, store) {
+    const isTable = this.form === 'table';
+    for (const button of this.forms.children) {
+      set(button, 'aria-pressed', button.dataset.form === this.form);
+    }
+    this.table.element.hidden = !isTable || !shown.length;
+    if (isTable) this.table.update(shown, store);
+    each(this.lists, isTable ? [] : shown, (group) => group.key, makeGroup,
+      (element, group) => updateGroup(element, group, shown.length > 1));
+  }
+
+  #chips(devices) {
+    for (const chip of this.chips.children) {
+      const {state} = chip;
+      const some = state ? devices.filter((device) => stateOf(device) === state) : devices;
+      say(chip.count, String(some.length));
+      set(chip, 'aria-pressed', state === this.only);
+      set(chip, 'data-state', some.length ? state : null);
+    }
+  }
+
+  #place(groups, count) {
+    const label = this.bus ? groups[0]?.label ?? this.bus : '';
+    const links = [['Overview', path()], ['Devices', this.bus ? path('devices') : null]];
+    if (this.bus && count > 1) {
+      links.push([`bus ${label}`, this.model ? path('devices', this.bus) : null]);
+    }
+    if (this.model) links.push([this.model, null]);
+    showCrumbs(this.crumbs, links);
+    say(this.heading, this.model ?? (this.bus && count > 1 ? `Bus ${label}` : 'Devices'));
+  }
+}
+
+const textOf = (device) => [id3(device.id), device.id, device.joint, device.model, device.bus,
+  device.state, device.message].join(' ').toLowerCase();
+
+function makeGroup() {
+  return h('section', {}, h('h2', {class: 'group'}), h('ul', {class: 'grid'}));
+}
+
+function updateGroup(element, group, several) {
+  const [heading, grid] = element.children;
+  heading.hidden = !several;
+  say(heading, `bus ${group.label}, ${plural(group.devices.length, 'device')}`);
+  each(grid, group.devices, (device) => device.name, makeDevice, updateDevice);
+}
+
+function makeDevice(device) {
+  return h('li', {}, h('a', {class: 'device', href: path('device', device.name)},
+    icon('ok'), h('b', {class: 'device-id'}), h('span', {class: 'device-joint'}),
+    h('span', {class: 'device-text'}), h('span', {class: 'device-figures'})));
+}
+
+function updateDevice(item, device) {
+  const [symbol, id, joint, text, figures] = item.firstChild.children;
+  const state = stateOf(device);
+  set(item.firstChild, 'data-state', state);
+  setIcon(symbol, state);
+  say(id, id3(device.id));
+  say(joint, device.joint || device.model);
+  say(text, state === 'ok' || isQuiet(device) ? wordOf(device) : device.message);
+  say(figures, [device.loss && device.loss !== '0' && `loss ${short(device.loss, 2)} %`,
+    device.latency && `${short(device.latency, 3)} ms`].filter(Boolean).join(' \u00b7 '));
+}

@@ -1,0 +1,216 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// The drawing of a plot: scale, grid, limits, lines. It knows no events and no time but its own.
+
+import {clock, figure, isInRange, span} from './format.js';
+import {GAP_S} from './store.js';
+
+const LEFT = 52, RIGHT = 10, TOP = 8, BOTTOM = 20;
+const STEPS = [1, 2, 2.5, 5, 10];
+const DASHES = [[], [6, 3], [2, 3], [9, 3, 2, 3]];
+const LIMIT_DASH = [4, 4];
+
+/** Draw series into a canvas; return where the lines are, {left, width}; null: it is not seen. */
+export function drawPlot(canvas, shown, view) {
+  const {clientWidth: width, clientHeight: height} = canvas;
+  if (!width || !height) return null;
+  const scale = devicePixelRatio || 1;
+  const size = [Math.round(width * scale), Math.round(height * scale)];
+  if (canvas.width !== size[0]) canvas.width = size[0];
+  if (canvas.height !== size[1]) canvas.height = size[1];
+  const pen = canvas.getContext('2d');
+  const colours = coloursOf(canvas);
+  pen.setTransform(scale, 0, 0, scale, 0, 0);
+  pen.clearRect(0, 0, width, height);
+  const area = {left: LEFT, top: TOP, width: width - LEFT - RIGHT, height: height - TOP - BOTTOM};
+  const ticks = ticksOf(...rangeOf(shown, view), Math.max(4, Math.floor(area.height / 30)));
+  const at = {
+    x: (s) => area.left + area.width * (s - view.from) / (view.to - view.from),
+    y: (value) => area.top + area.height
+      * (1 - (bounded(value, ticks) - ticks.low) / (ticks.high - ticks.low)),
+  };
+  drawGrid(pen, area, at, ticks, view, colours);
+  pen.save();
+  pen.beginPath();
+  pen.rect(area.left, 0, area.width + RIGHT, height);
+  pen.clip();
+  for (const [name, value] of view.limits ?? []) drawLimit(pen, area, at, name, value, ticks,
+    colours);
+  shown.forEach((one, index) => drawLine(pen, one.points, at,
+    {colour: colours.lines[index % 4], dash: DASHES[index % 4]}, view));
+  pen.restore();
+  if (view.drag) drawDrag(pen, area, at, view.drag, colours);
+  if (view.cursor !== null) drawCursor(pen, area, at, shown, view, colours);
+  return area;
+}
+
+/** A value that no scale can hold goes to the edge. */
+function bounded(value, {low, high}) {
+  const margin = high - low;
+  return Math.min(high + margin, Math.max(low - margin, value));
+}
+
+function coloursOf(canvas) {
+  const style = getComputedStyle(canvas);
+  const get = (name) => style.getPropertyValue(name).trim();
+  return {grid: get('--line'), label: get('--muted'), text: get('--text'), limit: get('--error'),
+    lines: ['--plot-0', '--plot-1', '--plot-2', '--plot-3'].map(get)};
+}
+
+/** What is known at a time, [low, high]; at the end where the time is null; null: nothing. */
+export function readAt(points, s, gap = GAP_S) {
+  let best = null;
+  for (const point of points) {
+    if (point[1] === null) {
+      if (s === null) best = null;
+    } else if (s === null || !best || Math.abs(point[0] - s) < Math.abs(best[0] - s)) {
+      best = point;
+    }
+  }
+  if (!best || (s !== null && Math.abs(best[0] - s) > gap)) return null;
+  return [best[1], best[2] ?? best[1]];
+}
+
+function rangeOf(shown, {low: wanted, limits = []}) {
+  let low = Infinity;
+  let high = -Infinity;
+  for (const {points} of shown) {
+    for (const [, one, other = one] of points) {
+      if (one === null || !isInRange(one) || !isInRange(other)) continue;
+      low = Math.min(low, one);
+      high = Math.max(high, other);
+    }
+  }
+  if (low > high) return [0, 1];
+  // A limit is shown where it costs little: where the line is not flat for its sake.
+  const reach = Math.max(high - low, 0.25 * Math.abs(high));
+  for (const [, value] of limits) {
+    if (value > high && value - high < 2 * reach) high = value;
+    if (value < low && low - value < 2 * reach) low = value;
+  }
+  if (wanted !== undefined && low >= wanted) low = wanted;
+  else if (low >= 0 && low < 0.6 * high) low = 0;         // from zero, where that costs little
+  const pad = high > low ? 0.06 * (high - low) : Math.max(Math.abs(high) * 0.1, 0.5);
+  return [low === 0 || low === wanted ? low : low - pad, high + pad];
+}
+
+/** Round ticks that cover a range: {low, high, step}. */
+export function ticksOf(low, high, count) {
+  const raw = (high - low) / count;
+  const size = 10 ** Math.floor(Math.log10(raw));
+  const step = size * STEPS.find((one) => one * size >= raw * 0.999);
+  return {low, high, step, first: Math.ceil(low / step) * step};
+}
+
+function drawGrid(pen, area, at, ticks, view, colours) {
+  pen.font = '11px system-ui, sans-serif';
+  pen.strokeStyle = colours.grid;
+  pen.fillStyle = colours.label;
+  pen.lineWidth = 1;
+  pen.textAlign = 'right';
+  pen.textBaseline = 'middle';
+  pen.beginPath();
+  for (let value = ticks.first; value <= ticks.high + ticks.step * 1e-6; value += ticks.step) {
+    const y = Math.round(at.y(value)) + 0.5;
+    const round = Math.abs(value) < ticks.step * 1e-6 ? 0 : Number(value.toPrecision(6));
+    pen.moveTo(area.left, y);
+    pen.lineTo(area.left + area.width, y);
+    pen.fillText(figure(round, 5).replace('-', '\u2212'), area.left - 6, y);
+  }
+  pen.textBaseline = 'alphabetic';
+  drawTimes(pen, area, at, view);
+  pen.stroke();
+}
+
+function drawTimes(pen, area, at, {from, to, now, unix}) {
+  const parts = area.width > 420 ? 6 : 3;
+  const isClock = Boolean(unix);
+  for (let part = 0; part <= parts; part++) {
+    const s = to - (to - from) * part / parts;
+    const x = Math.round(at.x(s)) + 0.5;
+    const text = isClock ? clock(unix(s)) : now - s < 0.05 ? 'now' : `\u2212${span(now - s)}`;
+    pen.moveTo(x, area.top + area.height);
+    pen.lineTo(x, area.top + area.height + 4);
+    pen.textAlign = part === 0 ? 'right' : 'center';
+    if (isClock && part === parts) continue;        // a time of day is wider than the margin
+    pen.fillText(text, part === 0 ? x + RIGHT - 2 : x, area.top + area.height + 16);
+  }
+}
+
+function drawLimit(pen, area, at, name, value, ticks, colours) {
+  if (!(value >= ticks.low && value <= ticks.high)) return;
+  const y = Math.round(at.y(value)) + 0.5;
+  pen.strokeStyle = pen.fillStyle = colours.limit;
+  pen.lineWidth = 1;
+  pen.setLineDash(LIMIT_DASH);
+  pen.beginPath();
+  pen.moveTo(area.left, y);
+  pen.lineTo(area.left + area.width, y);
+  pen.stroke();
+  pen.setLineDash([]);
+  pen.textAlign = 'left';
+  pen.fillText(`${name} ${figure(value)}`, area.left + 4, y - 4 < 12 ? y + 12 : y - 4);
+}
+
+function drawLine(pen, points, at, {colour, dash}, view) {
+  const {now, to, isLive, unix, gap = GAP_S} = view;
+  pen.strokeStyle = pen.fillStyle = colour;
+  pen.lineWidth = 1.6;
+  pen.lineJoin = 'round';
+  pen.setLineDash(dash);
+  const before = strokeLine(pen, points, at, gap);
+  const isHeld = before && isLive && !unix && now - before[0] > gap;
+  if (isHeld) drawHeld(pen, at, before, Math.min(now, to));
+  pen.setLineDash([]);
+}
+
+/** Draw what is not interrupted; return the last point, null behind a gap. */
+function strokeLine(pen, points, at, gap) {
+  let before = null;
+  pen.beginPath();
+  for (const point of points) {
+    if (point[1] !== null) {
+      const x = at.x(point[0]);
+      if (before && point[0] - before[0] < gap) pen.lineTo(x, at.y(point[1]));
+      else pen.moveTo(x, at.y(point[1]));
+      if (point[2] !== undefined && point[2] !== point[1]) pen.lineTo(x, at.y(point[2]));
+    }
+    before = point[1] === null ? null : point;
+  }
+  pen.stroke();
+  return before;
+}
+
+/** A value that was not seen since: still the last one known, but no measurement. */
+function drawHeld(pen, at, [s, value], to) {
+  pen.setLineDash([1, 5]);
+  pen.lineWidth = 1.2;
+  pen.beginPath();
+  pen.moveTo(at.x(s), at.y(value));
+  pen.lineTo(at.x(to), at.y(value));
+  pen.stroke();
+}
+
+function drawDrag(pen, area, at, [from, to], colours) {
+  pen.fillStyle = colours.text;
+  pen.globalAlpha = 0.12;
+  pen.fillRect(at.x(from), area.top, at.x(to) - at.x(from), area.height);
+  pen.globalAlpha = 1;
+}
+
+function drawCursor(pen, area, at, shown, {cursor, gap}, colours) {
+  pen.strokeStyle = colours.text;
+  pen.lineWidth = 1;
+  pen.beginPath();
+  pen.moveTo(at.x(cursor), area.top);
+  pen.lineTo(at.x(cursor), area.top + area.height);
+  pen.stroke();
+  shown.forEach(({points}, index) => {
+    const found = readAt(points, cursor, gap);
+    if (!found) return;
+    pen.fillStyle = colours.lines[index % 4];
+    pen.beginPath();
+    pen.arc(at.x(cursor), at.y(found[1]), 3.5, 0, 7);
+    pen.fill();
+  });
+}

@@ -1,0 +1,79 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// The last errors of buses, merged by time: a list that can be stopped, because it moves.
+
+import {each, h, say, set} from './dom.js';
+import {clock} from './format.js';
+import {path} from './place.js';
+import {deviceName, isQuiet} from './store.js';
+
+const OF_DEVICE = /^(\d{3}): ([^]*)$/;
+const CALM_S = 1.5;            // a list that is read does not change more often
+
+/** The errors of buses, the newest first: [{at (Unix s or null), bus, device or null, text}]. */
+export function errorsOf(groups, store) {
+  const found = groups.flatMap((group) => (group.row?.errors ?? []).map(([at, line]) => {
+    const [, id, text] = OF_DEVICE.exec(line) ?? [null, null, line];
+    const device = id === null ? null : group.devices.find((one) => one.id === Number(id)) ?? null;
+    return {at: store.wall(at), bus: group.label, device, text: device ? text : line,
+      isOld: isQuiet(group.row)};
+  }));
+  return found.sort((a, b) => (b.at ?? 0) - (a.at ?? 0));
+}
+
+export class ErrorList {
+  #shown = 0;
+  #waiting = [];
+
+  /** A heading (an element) above the list; `most` lines are shown. */
+  constructor(heading, {most = 50, empty = 'No errors.', ofOne = false} = {}) {
+    this.most = most;
+    this.ofOne = ofOne;
+    this.isPaused = false;
+    this.pause = h('button', {type: 'button', class: 'button small', ariaPressed: false,
+      onclick: () => this.#press()}, 'Pause');
+    this.none = h('p', {class: 'quiet'}, empty);
+    this.list = h('ol', {class: 'errors', tabindex: 0, ariaLabel: 'Errors'});
+    this.element = h('section', {class: 'panel'},
+      h('div', {class: 'head'}, h('h2', {}, heading), this.pause), this.none, this.list);
+  }
+
+  #press() {
+    this.isPaused = !this.isPaused;
+    set(this.pause, 'aria-pressed', this.isPaused);
+    say(this.pause, this.isPaused ? 'Paused' : 'Pause');
+    if (!this.isPaused) this.#show();
+  }
+
+  /** Take lines of errorsOf; return how many there are. */
+  update(lines, several = false) {
+    this.#waiting = lines.slice(0, this.most);
+    this.several = several;
+    const now = performance.now() / 1000;
+    const isDue = now - this.#shown > CALM_S || !this.list.childElementCount;
+    if (!this.isPaused && isDue) this.#show();
+    return lines.length;
+  }
+
+  /** Change the texts of lines that stay where they are: nothing jumps. */
+  #show() {
+    this.#shown = performance.now() / 1000;
+    const lines = this.#waiting;
+    this.none.hidden = lines.length > 0;
+    this.list.hidden = !lines.length;
+    this.pause.hidden = !lines.length;
+    each(this.list, lines.map((line, index) => ({...line, index})), ({index}) => index,
+      () => h('li', {}, h('time'), h('a'), h('span')), (item, line) => this.#fill(item, line));
+  }
+
+  #fill(item, {at, bus, device, text, isOld}) {
+    const [time, link, words] = item.children;
+    say(time, at === null ? '' : clock(at));
+    set(item, 'data-old', isOld);
+    const hasLink = device && !this.ofOne;
+    link.hidden = !hasLink;
+    set(link, 'href', hasLink ? path('device', device.name) : null);
+    say(link, hasLink ? deviceName(device) : '');
+    say(words, this.several ? `${bus}: ${text}` : text);
+  }
+}

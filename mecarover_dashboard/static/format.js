@@ -1,0 +1,78 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// How numbers, ages and counts are written.
+
+/** 'Present Position (rad)' -> ['Present Position', 'rad']. */
+export function splitUnit(key) {
+  const found = /^(.*\S)\s+\(([^()]{1,12})\)$/.exec(key);
+  return found ? [found[1], found[2]] : [key, ''];
+}
+
+/** A number from the text of a value; NaN for other text. */
+export function numberOf(text) {
+  return typeof text === 'string' && text.trim() !== '' && text.length < 40 ? Number(text) : NaN;
+}
+
+/** An age in seconds, short. */
+export function age(seconds) {
+  if (!(seconds >= 0)) return '';
+  if (seconds < 1) return 'now';
+  if (seconds < 100) return `${Math.floor(seconds)} s`;
+  if (seconds < 6000) return `${Math.floor(seconds / 60)} min`;
+  return seconds < 360000 ? `${Math.floor(seconds / 3600)} h` : `${Math.floor(seconds / 86400)} d`;
+}
+
+/** A length of time in seconds, in the unit a person would use: '30 s', '5 min', '8 h'. */
+export function span(seconds) {
+  if (seconds < 100) return `${figure(seconds, 3)} s`;
+  if (seconds < 6000) return `${figure(seconds / 60, 3)} min`;
+  return `${figure(seconds / 3600, 3)} h`;
+}
+
+/** A number with so many significant digits, never in exponents where a person would not. */
+export function figure(value, digits = 4) {
+  if (!Number.isFinite(value)) return String(value);
+  if (value === 0) return '0';
+  const size = Math.abs(value);
+  if (size >= 1e7 || size < 1e-4) return value.toExponential(digits - 2);
+  if (size >= 10 ** (digits - 1)) {
+    return Math.round(value).toLocaleString('en').replaceAll(',', '\u202f');
+  }
+  return String(Number(value.toPrecision(digits)));
+}
+
+const FAR = 1e12;              // beyond this a value cannot be a measurement
+
+/** Whether a number can be drawn: finite, and no 1e308. */
+export const isInRange = (value) => Number.isFinite(value) && Math.abs(value) < FAR;
+
+/** A time of day from Unix seconds, with the day where it is not today. */
+export function clock(unix, now = Date.now() / 1000) {
+  if (unix == null) return '';
+  const at = new Date(unix * 1000);
+  const time = at.toLocaleTimeString('en-GB');
+  const isToday = at.toDateString() === new Date(now * 1000).toDateString();
+  return isToday ? time : `${at.toLocaleDateString('en-CA')} ${time}`;
+}
+
+/** Text from a topic inside a sentence of ours: its writing direction ends where it ends. */
+export function isolate(text) {
+  return DIRECTED.test(text) ? `\u2068${text}\u2069` : text;
+}
+
+const DIRECTED = /[\u0590-\u08ff\u200e\u200f\u202a-\u202e\u2066-\u2069\ufb1d-\ufeff]/;
+
+/** Figures in a text of a topic: '0.0312345 ' -> '0.03123'; other text stays. */
+export function short(text, digits = 4) {
+  const value = numberOf(text);
+  return Number.isFinite(value) ? figure(value, digits) : text;
+}
+
+/** 'a, b, c and 4 more'. */
+export function list(names, most = 4) {
+  if (names.length <= most) return names.join(', ');
+  return `${names.slice(0, most).join(', ')} and ${names.length - most} more`;
+}
+
+export const plural = (count, word) => `${count} ${word}${count === 1 ? '' : 's'}`;
+export const id3 = (id) => String(id).padStart(3, '0');

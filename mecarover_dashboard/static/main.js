@@ -1,0 +1,158 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// The frame around the views: which one is shown, what the header says, the lost connection.
+
+import {BridgeView, bridgeState} from './bridge.js';
+import {DeviceView} from './device.js';
+import {Devices} from './devices.js';
+import {say, set, setIcon} from './dom.js';
+import {figure, plural} from './format.js';
+import {HistoryView} from './history.js';
+import {listenToKeys} from './keys.js';
+import {LogView} from './log.js';
+import {Overview} from './overview.js';
+import {path, readPlace, setRobot} from './place.js';
+import {Robots} from './robots.js';
+import {bridgeHeadline, Store, worst} from './store.js';
+import {Stream} from './stream.js';
+
+const VIEWS = {'': Overview, devices: Devices, device: DeviceView, log: LogView,
+  bridge: BridgeView, history: HistoryView, robots: Robots};
+const TAB = {'': 'overview', device: 'devices', robots: ''};
+const TICK_MS = 1000;          // ages go on while nothing is pushed
+
+const store = new Store();
+const at = (id) => document.getElementById(id);
+const main = at('main');
+let view = null;
+let shown = '';                // the view on the page, with its robot
+let live = true;
+let lostText = '';
+
+const stream = new Stream(take, showConnection);
+
+function take(event) {
+  const page = store.facts?.page;
+  store.apply(event);
+  if (page && event.facts && event.facts.page !== page) location.reload();
+  if (event.facts) showFacts(event.facts);
+  if (wanted().key !== shown) go(true);            // a second robot has come
+  showAll();
+}
+
+/** What the address asks for, as far as it can be shown. */
+function wanted() {
+  const place = readPlace(location.hash);
+  const robots = store.robots();
+  const robot = place.robot ?? (robots.length === 1 ? robots[0] : null);
+  let name = Object.hasOwn(VIEWS, place.view) && place.view !== 'robots' ? place.view : '';
+  if (name === 'device' && !place.rest[0]) name = '';
+  if (robot === null && robots.length > 1) name = 'robots';
+  return {...place, name, robot, isOne: robots.length < 2 && place.robot === null,
+    key: `${name}@${robots.length > 1 || place.robot !== null ? robot : ''}`};
+}
+
+function go(isFirst) {
+  const {name, robot, rest, filters, isOne, key} = wanted();
+  shown = key;
+  view?.close?.();
+  setRobot(isOne ? null : robot);
+  store.show(isOne ? null : robot);
+  view = new VIEWS[name](rest, filters);
+  stream.watch(view.watch ?? '', view.wantsValues ?? false);
+  main.replaceChildren(view.element);
+  const tab = TAB[name] ?? name;
+  document.body.dataset.view = name || 'overview';
+  for (const link of document.querySelectorAll('.views a')) {
+    const to = link.dataset.view;
+    set(link, 'href', path(...to === 'overview' ? [] : [to]));
+    set(link, 'aria-current', to === tab ? 'page' : null);
+    link.hidden = name === 'robots';
+  }
+  say(at('robot'), isOne || robot === null ? '' : robot || 'no namespace');
+  scrollTo(0, 0);
+  if (!isFirst) (main.querySelector('h1') ?? main).focus({preventScroll: true});
+  showAll();
+}
+
+function showAll() {
+  if (!store.facts) return;
+  view.update(store);
+  const groups = store.groups();
+  const lost = groups.flatMap((group) => group.lost).length;
+  pip('overview', groups.length ? worst(groups.map((group) => group.state)) : null);
+  pip('bridge', bridgeState(store));
+  const bridge = bridgeHeadline(store.bridgeParts(), store.now());
+  showTitle(lost, bridge);
+  showRefused();
+  at('history').hidden = !store.history;
+  say(at('history'), store.history ? `History: ${store.history}` : '');
+  announce([lost ? groups.map((group) => group.headline).join('. ') : '',
+    bridge?.isLost ? `Bridge: ${bridge.text}` : ''].filter(Boolean).join('. '));
+}
+
+/** The tab says what is wrong, too: somebody may look at another one. */
+function showTitle(lost, bridge) {
+  const wrong = [lost && `${lost} lost`, bridge?.isLost && 'bridge lost'].filter(Boolean);
+  document.title = [
+    ...!live ? ['no connection'] : wrong.length ? [`\u2716 ${wrong.join(', ')}`] : [],
+    view.title, store.robot || store.facts.machine].join(' \u00b7 ');
+}
+
+/** Tell a screen reader what is lost, when that changes; ages in it are no change. */
+function announce(text) {
+  const key = text.replace(/\d+ s\b/g, '');
+  if (key !== announce.last && announce.last !== undefined) {
+    say(at('said'), text || 'Nothing is lost any more');
+  }
+  announce.last = key;
+}
+
+function pip(name, state) {
+  const element = document.querySelector(`[data-pip=${name}]`);
+  set(element, 'data-state', state && state !== 'ok' ? state : null);
+  set(element, 'title', state && state !== 'ok' ? state : null);
+}
+
+function showFacts(facts) {
+  say(at('machine'), facts.machine);
+  const open = facts.open
+    ? `Open to the network: everybody who reaches ${facts.address} can read this page. ` : '';
+  say(at('foot-text'), `${open}Read-only. ROS domain ${facts.domain}. Press ? for keys.`);
+  set(at('foot'), 'data-open', facts.open);
+}
+
+/** What could not be shown is told where everything else is. */
+function showRefused() {
+  const {refused, malformed} = store;
+  at('refused').hidden = !refused && !malformed;
+  const lines = [refused && `${plural(refused, 'status').replace('statuss', 'statuses')} `
+    + 'refused: more or longer than this page can keep.',
+  malformed && `${plural(malformed, 'message')} could not be read.`].filter(Boolean);
+  say(at('refused'), lines.join(' ').replace(/^\d+/, (text) => figure(Number(text), 9)));
+}
+
+function showConnection(isLive, seconds, why) {
+  live = isLive;
+  const [symbol, text] = at('live').children;
+  const isFirst = !store.facts && !why;
+  set(at('live'), 'data-state', isLive ? 'ok' : isFirst ? 'stale' : 'error');
+  setIcon(symbol, isLive ? 'ok' : isFirst ? 'stale' : 'error');
+  say(text, isLive ? 'live' : 'lost');
+  set(document.documentElement, 'data-lost', !isLive);
+  at('banner').hidden = isLive;
+  const words = store.facts ? 'What you see is old' : 'Nothing was received yet';
+  const next = isLive ? ''
+    : `${why || 'No connection to the dashboard.'} ${words}; trying again.`;
+  if (next !== lostText) at('banner').textContent = lostText = next;
+  set(at('banner'), 'title', isLive ? null : `for ${Math.round(seconds)} s`);
+  if (view) showAll();
+}
+
+listenToKeys({step: (by) => view.step?.(by), up: () => view.up?.(),
+  search: () => main.querySelector('input[type=search]')});
+addEventListener('hashchange', () => go(false));
+at('theme').addEventListener('click', () => window.toggleTheme());
+at('skip').addEventListener('click', () => main.focus());
+setInterval(() => { if (!document.hidden && live) showAll(); }, TICK_MS);
+go(true);

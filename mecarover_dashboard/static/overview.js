@@ -1,0 +1,169 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// View 1: a bar that tells the worst for the bridge and each bus, a cell per device, what needs a
+// look, a tile per model.
+
+import {Beside} from './beside.js';
+import {each, h, icon, say, set, setIcon} from './dom.js';
+import {id3, isolate, list, plural, short} from './format.js';
+import {path} from './place.js';
+import {fillEmpty} from './parts.js';
+import {bridgeHeadline, deviceName, isLost, isQuiet, stateOf, valueOf, WORDS, worst}
+  from './store.js';
+
+const MOST_ALERTS = 8;
+
+export class Overview {
+  constructor() {
+    this.title = 'Overview';
+    this.empty = h('div', {class: 'empty'});
+    this.bridge = h('section', {class: 'bus'}, makeBar(path('bridge')));
+    this.buses = h('div', {class: 'buses'});
+    this.beside = new Beside();
+    this.element = h('div', {}, h('h1', {class: 'unseen', tabindex: -1}, 'Overview'), this.empty,
+      h('div', {class: 'overview'},
+        h('div', {class: 'buses'}, this.bridge, this.buses, this.beside.below),
+        this.beside.element));
+  }
+
+  close() { this.beside.close(); }
+
+  update(store) {
+    const groups = store.groups();
+    const bridge = bridgeHeadline(store.bridgeParts(), store.now());
+    this.empty.hidden = groups.length > 0;
+    if (!groups.length) fillEmpty(this.empty, store);
+    this.bridge.hidden = !bridge;
+    if (bridge) showBridge(this.bridge, bridge);
+    const shown = groups.map((group) => ({...group, alerts: alertsOf(group)}));
+    each(this.buses, shown, (group) => group.key, makeBus, updateBus);
+    this.beside.update(store, shown);
+  }
+}
+
+const makeBar = (href) => h('a', {class: 'bar', href}, icon('ok'), h('span', {class: 'bar-text'}),
+  h('span', {class: 'bar-sum'}), h('span', {class: 'bar-bus'}), h('b', {class: 'bar-count'}));
+
+function showBridge(element, {state, text}) {
+  const bar = element.firstChild;
+  set(element, 'data-state', state);
+  set(bar, 'data-state', state);
+  set(bar, 'data-bridge', true);
+  setIcon(bar.children[0], state);
+  say(bar.children[1], text);
+  say(bar.children[3], 'Bridge');
+  set(bar, 'aria-label', `Bridge: ${WORDS[state]}. ${text}. Show the bridge`);
+}
+
+function makeBus(group) {
+  return h('section', {class: 'bus'}, makeBar(path('devices', group.key)),
+    h('div', {class: 'strip', 'aria-hidden': 'true'}),
+    h('ul', {class: 'alerts'}),
+    h('div', {class: 'tiles'}),
+    h('p', {class: 'bus-line'}));
+}
+
+function updateBus(element, group) {
+  const [bar, strip, alerts, tiles, line] = element.children;
+  const total = group.devices.length;
+  set(bar, 'data-state', group.state);
+  setIcon(bar.children[0], group.state);
+  say(bar.children[1], group.headline);
+  say(bar.children[2], sums(group));
+  say(bar.children[3], group.bus ? `bus ${group.bus}` : '');
+  say(bar.children[4], `${group.there}/${total}`);
+  set(bar, 'aria-label', `${group.label}: ${group.there} of ${plural(total, 'device')} `
+    + `connected. ${group.headline}. Show devices`);
+  set(strip, 'data-many', total > 60);
+  each(strip, group.devices, (device) => device.name, makeCell, updateCell);
+  each(alerts, group.alerts, (alert) => alert.key, makeAlert, updateAlert);
+  each(tiles, group.models, (model) => model.model, (model) => makeTile(group, model),
+    updateTile);
+  say(line, busLine(group));
+}
+
+/** '2 lost, 1 silent, 1 warning'; nothing where the headline says it all. */
+function sums({devices, lost}) {
+  const count = (state) => devices.filter((device) => stateOf(device) === state).length;
+  const parts = [[lost.length, 'lost'], [count('error') - lost.length, 'error'],
+    [count('stale'), 'silent'], [count('warn'), 'warning']].filter(([number]) => number);
+  return parts.length > 1
+    ? parts.map(([number, word]) => `${number} ${word}`).join(' \u00b7 ') : '';
+}
+
+const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
+const byUrgency = (a, b) => RANK[stateOf(a)] - RANK[stateOf(b)] || a.id - b.id;
+
+// The table of devices and the list of alerts reach the same places by key.
+const makeCell = (device) =>
+  h('a', {class: 'cell', tabindex: -1, href: path('device', device.name)});
+
+function updateCell(cell, device) {
+  set(cell, 'data-state', stateOf(device));
+  set(cell, 'title', deviceName(device));
+  say(cell, String(device.id));
+}
+
+/** Who needs a look: [{key, state, names, message, href}]; devices that say the same share one. */
+function alertsOf(group) {
+  const found = new Map();
+  for (const device of group.devices.filter((one) => stateOf(one) !== 'ok').sort(byUrgency)) {
+    const message = isQuiet(device) ? 'no report' : device.message;
+    const key = `${stateOf(device)} ${message}`;
+    if (!found.has(key)) found.set(key, {state: stateOf(device), message, devices: []});
+    found.get(key).devices.push(device);
+  }
+  const all = [...found.values()];
+  if (all.length <= MOST_ALERTS) return all.map((alert) => alertOf(group, alert));
+  const hidden = all.slice(MOST_ALERTS - 1);
+  const count = hidden.flatMap(({devices}) => devices).length;
+  return [...all.slice(0, MOST_ALERTS - 1).map((alert) => alertOf(group, alert)),
+    {state: worst(hidden.map(({state}) => state)), message: 'see all devices', key: '',
+      names: `${count} more`, href: path('devices', group.key)}];
+}
+
+function alertOf(group, {state, message, devices}) {
+  const [first] = devices;
+  const isMany = devices.length > 1;
+  return {state, message: isolate(message), key: `${first.name} ${isMany}`,
+    names: list(devices.map(isMany ? ({id}) => id3(id) : deviceName)),
+    href: isMany ? path('devices', group.key) : path('device', first.name)};
+}
+
+const makeAlert = ({href}) => h('li', {},
+  h('a', {class: 'alert', href}, icon('warn'), h('p', {}, h('b'), ' ', h('span'))));
+
+function updateAlert(item, alert) {
+  const [symbol, text] = item.firstChild.children;
+  set(item.firstChild, 'data-state', alert.state);
+  setIcon(symbol, alert.state);
+  say(text.firstChild, alert.names);
+  say(text.lastChild, alert.message);
+}
+
+function makeTile(group, model) {
+  return h('a', {class: 'tile', href: path('devices', group.key, model.model)},
+    h('span', {class: 'tile-name'}, model.model), icon('ok'),
+    h('b', {class: 'tile-count'}), h('span', {class: 'tile-of'}), h('span', {class: 'tile-text'}));
+}
+
+function updateTile(tile, model) {
+  const lost = model.devices.filter(isLost).length;
+  const word = model.state === 'ok' ? 'connected' : WORDS[model.state].toLowerCase();
+  set(tile, 'data-state', model.state);
+  setIcon(tile.children[1], model.state);
+  say(tile.children[2], String(model.there));
+  say(tile.children[3], `of ${model.devices.length}`);
+  say(tile.children[4], lost ? `${lost} lost` : word);
+}
+
+function busLine(group) {
+  const {row} = group;
+  if (!row) return '';
+  const rate = (key, unit) => {
+    const value = valueOf(row, key);
+    return value ? `${short(value, 3)} ${unit}` : null;
+  };
+  return [valueOf(row, 'Port'), rate('Baud (bit/s)', 'Bd'), rate('packets (1/s)', 'packets/s'),
+    rate('errors (1/s)', 'errors/s')].filter(Boolean).join('  \u00b7  ');
+}

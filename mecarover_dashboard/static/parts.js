@@ -1,0 +1,119 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// What more than one view shows: findings, figures of timing, crumbs, and what to do meanwhile.
+
+import {each, h, icon, say, set, setIcon} from './dom.js';
+import {clock, plural, short, splitUnit} from './format.js';
+import {path} from './place.js';
+import {deviceName, isQuiet} from './store.js';
+
+const COLUMNS = ['mean', 'p50', 'p95', 'max'];
+
+/** What to do while nothing has come yet. */
+export function fillEmpty(element, store, wanted = 'dxl/diagnostics') {
+  const heard = Object.values(store.topics).some(([count]) => count);
+  const publishers = store.publishers[wanted] ?? 0;
+  const domain = store.facts?.domain ?? '?';
+  const isLooking = !publishers && !heard && store.isNew;
+  const words = publishers ? `${plural(publishers, 'publisher')} of ${wanted}, no message yet.`
+    : isLooking ? `Looking for ${wanted} in ROS domain ${domain}\u2026`
+      : heard ? `Nothing on ${wanted} yet.`
+        : `There is no publisher of ${wanted} in ROS domain ${domain}.`;
+  const command = wanted.startsWith('vel2d') ? 'vel2d_bridge' : 'dxl_monitor';
+  each(element, [words], (text) => text, (text) => h('div', {},
+    h('p', {class: 'empty-head'}, text),
+    ...isLooking ? [] : [h('p', {}, 'Start the node, or play a recording:'),
+      h('pre', {}, `ros2 run mecarover_serial ${command}\nros2 bag play RECORDING`)]));
+}
+
+/** Links to where this view belongs, the last one being here. */
+export function showCrumbs(element, links) {
+  each(element, links, ([text, href]) => `${href}|${text}`,
+    ([text, href]) => href ? h('a', {href}, text) : h('span', {'aria-current': 'page'}, text));
+}
+
+/** An item for one finding of the doctor: icon, rule, message, and a link to its device. */
+export const makeFinding = (name, device) => h('li', {}, icon(name), h('b'), h('span'),
+  device ? h('a', {href: path('device', device.name)}, deviceName(device)) : null);
+
+/** Fill an item made by makeFinding; `old` says when it was true, '' while it is. */
+export function showFinding(item, [rule, message, severity], old = '') {
+  set(item, 'data-state', severity);
+  set(item, 'data-old', old !== '');
+  setIcon(item.children[0], severity);
+  say(item.children[1], rule.replaceAll('_', ' '));
+  say(item.children[2], old ? `${message} (${old})` : message);
+}
+
+/** 'at 14:02:11, no report since' of a row that nobody reports any more; '' of others. */
+export const wasTrue = (row, store) => isQuiet(row)
+  ? `at ${clock(store.wall(row.quiet_since))}, no report since` : '';
+
+const RANK = {error: 0, warn: 1};
+
+/**
+ * List the findings of buses and their devices, errors first; return how many.
+ * isSaid(text, device) leaves out what stands elsewhere in the view.
+ */
+export function showFindings(element, groups, store, isSaid = () => false) {
+  const found = groups.flatMap(({row, devices}) => [
+    ...(row?.findings ?? []).map((finding) => ({finding, row, device: null})),
+    ...devices.flatMap((device) => device.findings
+      .map((finding) => ({finding, row: device, device})))])
+    .filter(({finding, device}) => !isSaid(finding[1], device))
+    .sort((a, b) => RANK[a.finding[2]] - RANK[b.finding[2]]);
+  each(element, found, ({finding, row}) => `${finding[0]}|${row.name}`,
+    ({device}) => makeFinding('warn', device),
+    (item, {finding, row}) => showFinding(item, finding, wasTrue(row, store)));
+  return found.length;
+}
+
+/** What the columns of `showMetrics` are. */
+export const metricsHead = () => h('thead', {}, h('tr', {},
+  ...['last 10 s', ...COLUMNS, 'max ever'].map((text) => h('th', {scope: 'col'}, text)),
+  h('th', {scope: 'col'}, h('span', {class: 'unseen'}, 'unit'))));
+
+/** A table of timing metrics; pressing a name plots it. */
+export function showMetrics(body, rows, plotted, choose) {
+  each(body, rows, (row) => row.metric, (row) => makeMetric(row, choose),
+    (line, row) => showMetric(line, row, row.metric === plotted));
+}
+
+function makeMetric(row, choose) {
+  const button = h('button', {type: 'button', class: 'field', onclick: () => choose(row.metric)},
+    h('i', {class: 'swatch'}), h('span', {}, row.metric.replaceAll('_', ' ')));
+  return h('tr', {}, h('th', {scope: 'row'}, button), ...COLUMNS.map(() => h('td')), h('td'),
+    h('td', {class: 'unit'}));
+}
+
+function showMetric(line, row, isPlotted) {
+  const button = line.firstChild.firstChild;
+  set(button, 'aria-pressed', isPlotted);
+  set(button.firstChild, 'data-line', isPlotted ? 0 : null);
+  const figures = new Map(row.values.map(([key, value]) => [splitUnit(key)[0], value]));
+  COLUMNS.forEach((name, at) => {
+    const single = name === 'mean' ? figures.get('value') : undefined;
+    say(line.children[at + 1], short(figures.get(name) ?? single ?? '', 3));
+  });
+  say(line.children[COLUMNS.length + 1], short(figures.get('since start max') ?? '', 3));
+  say(line.lastChild, unitOf(row));
+}
+
+const unitOf = (row) => splitUnit(row.values[0]?.[0] ?? '')[1];
+
+/** The series of a metric: p50, p95 and max of the window, or its value. */
+export function seriesOf(row) {
+  if (!row?.points?.length) return [];
+  const names = row.points.at(-1).length > 2 ? ['p50', 'p95', 'max']
+    : [row.metric.replaceAll('_', ' ')];
+  return names.map((name, at) => ({name, unit: unitOf(row),
+    points: row.points.map((point) => [point[0], point[at + 1] ?? null])}));
+}
+
+const hasValues = (row) => row?.points?.some((point) => point.slice(1).some(Number.isFinite));
+
+/** The metric to plot until one is chosen: the wanted one, or else the first that has values. */
+export function metricToPlot(metrics, wanted) {
+  if (hasValues(metrics.get(wanted))) return wanted;
+  return [...metrics.keys()].find((name) => hasValues(metrics.get(name))) ?? wanted;
+}

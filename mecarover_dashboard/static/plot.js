@@ -1,0 +1,200 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// A small plot on a canvas: time to the left, one unit, up to a handful of series, a cursor, and a
+// part of the time that is chosen by dragging.
+
+import {drawPlot, readAt} from './draw.js';
+import {clock, figure, isInRange, span as spanText} from './format.js';
+import {each, h, say, set} from './dom.js';
+
+const SPANS = [[10, '10 s'], [60, '1 min'], [300, '5 min']];
+const LEAST_DRAG = 12;         // px; less is a touch
+
+export class Plot {
+  #series = [];
+  #now = 0;
+  #options = {};
+  #cursor = null;              // s before the right edge
+  #drag = null;                // where it began, px
+  #zoom = null;                // [from, to] in s; null: up to now
+  #drawn = '';
+
+  /** `extra` are elements that stand below the plot, before the choice of time. */
+  constructor(label, span = 60, ...extra) {
+    this.span = span;
+    this.label = label;
+    this.canvas = h('canvas', {tabindex: 0, role: 'img', ariaLabel: label});
+    this.legend = h('ul', {class: 'legend'});
+    this.back = h('button', {type: 'button', class: 'button', onclick: () => this.#zoomTo(null)},
+      'Live');
+    this.spans = h('div', {class: 'choice', role: 'group', ariaLabel: 'Time shown'},
+      ...SPANS.map(([s, text]) =>
+        h('button', {type: 'button', 'data-span': s, onclick: () => this.#show(s)}, text)));
+    this.element = h('div', {class: 'plot'}, this.legend, this.canvas,
+      h('div', {class: 'plot-foot'}, ...extra, this.back, this.spans));
+    this.#listen();
+    this.#show(span);
+  }
+
+  #listen() {
+    const {canvas} = this;
+    const on = (name, act) => canvas.addEventListener(name, act);
+    on('pointerdown', (event) => {
+      this.#drag = event.offsetX;
+      this.#point(event.offsetX);
+    });
+    on('pointermove', (event) => this.#point(event.offsetX));
+    on('pointerup', (event) => this.#choose(event.offsetX));
+    on('pointercancel', () => { this.#drag = null; });
+    on('dblclick', () => this.#zoomTo(null));
+    on('pointerleave', (event) => {
+      this.#drag = null;
+      if (event.pointerType === 'mouse') this.#move(null);
+    });
+    on('blur', () => this.#move(null));
+    on('keydown', (event) => this.#key(event));
+    this.observer = new ResizeObserver(() => this.draw());
+    this.observer.observe(canvas);
+    this.redraw = () => this.draw();
+    addEventListener('theme', this.redraw);
+  }
+
+  close() {
+    this.observer.disconnect();
+    removeEventListener('theme', this.redraw);
+  }
+
+  /**
+   * Show series [{name, unit, points: [[s, value or null] or [s, low, high], ...]}] up to now (s).
+   * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
+   * point that break the line; `unix(s)`, the Unix time of a time.
+   */
+  update(series, now, options = {}) {
+    this.#series = series;
+    this.#now = now;
+    this.#options = options;
+    this.draw();
+  }
+
+  /** Show so many seconds; no choice of time where the view has one of its own. */
+  cover(span) {
+    this.spans.hidden = true;
+    this.span = span;
+    this.draw();
+  }
+
+  #show(span) {
+    this.span = span;
+    for (const button of this.spans.children) {
+      set(button, 'aria-pressed', Number(button.dataset.span) === span);
+    }
+    this.#zoomTo(null);
+  }
+
+  #zoomTo(zoom) {
+    if (zoom && this.onZoom) {
+      this.onZoom(zoom);
+      return;
+    }
+    this.#zoom = zoom;
+    this.back.hidden = !zoom;
+    this.draw();
+  }
+
+  /** What the plot covers: [from, to] in s. */
+  get range() { return this.#zoom ?? [this.#now - this.span, this.#now]; }
+
+  #at(x) {
+    const {left, width} = this.#area ?? {left: 0, width: 1};
+    const [from, to] = this.range;
+    return from + (to - from) * Math.min(1, Math.max(0, (x - left) / width));
+  }
+
+  #area = null;
+  onZoom = null;               // who shows another time instead, given [from, to]
+
+  #point(x) { this.#move(this.range[1] - this.#at(x)); }
+
+  #choose(x) {
+    const from = this.#drag;
+    this.#drag = null;
+    if (from !== null && Math.abs(x - from) >= LEAST_DRAG) {
+      this.#zoomTo([this.#at(Math.min(x, from)), this.#at(Math.max(x, from))]);
+    } else {
+      this.draw();
+    }
+  }
+
+  #move(cursor) {
+    const [from, to] = this.range;
+    this.#cursor = cursor === null ? null : Math.min(to - from, Math.max(0, cursor));
+    this.draw();
+  }
+
+  #key(event) {
+    const step = {ArrowLeft: 1, ArrowRight: -1}[event.key];
+    const [from, to] = this.range;
+    if (step) this.#move((this.#cursor ?? 0) + step * (to - from) / 60);
+    else if (event.key === 'Escape') this.#zoomTo(null);
+    else return;
+    event.preventDefault();
+  }
+
+  draw() {
+    const [from, to] = this.range;
+    const s = this.#cursor === null ? null : to - this.#cursor;
+    const drag = this.#drag === null || s === null ? null : [this.#at(this.#drag), s].sort(
+      (a, b) => a - b);
+    const shown = this.#series.map((one) => ({...one, points: within(one.points, from, to)}));
+    const drawn = drawPlot(this.canvas, shown, {...this.#options, from, to, cursor: s, drag,
+      isLive: !this.#zoom, now: this.#now});
+    if (!drawn) return;
+    this.#area = drawn;
+    this.#tell(shown, s);
+  }
+
+  #tell(shown, s) {
+    const {gap, unix} = this.#options;
+    const rows = shown.map((one, index) => ({...one, index,
+      value: readAt(one.points, s, gap)}));
+    const when = s === null ? '' : unix ? ` at ${clock(unix(s))}`
+      : ` at \u2212${spanText(this.#now - s)}`;
+    each(this.legend, rows, (row) => row.name,
+      () => h('li', {}, h('i', {class: 'swatch'}), h('span'), h('b')), (item, row) => {
+        set(item.firstChild, 'data-line', row.index % 4);
+        say(item.children[1], row.name);
+        say(item.lastChild, written(row) + (row.value ? when : ''));
+      });
+    const text = rows.map((row) => `${row.name} ${written(row)}`).join(', ');
+    if (text !== this.#drawn) {
+      set(this.canvas, 'aria-label', `${this.label}: ${this.#drawn = text}`);
+    }
+  }
+}
+
+function written({value, unit}) {
+  if (!value) return 'no data';
+  const [low, high] = value;
+  if (!isInRange(low) || !isInRange(high)) return 'out of range';
+  const number = low === high ? figure(low) : `${figure(low)} to ${figure(high)}`;
+  return unit ? `${number} ${unit}` : number;
+}
+
+/** The points from one time to another, and one more on either side. */
+function within(points, from, to) {
+  const first = before(points, from);
+  const last = before(points, to);
+  return points.slice(Math.max(0, first - 1), last + 1);
+}
+
+/** How many points are before a time. */
+function before(points, s) {
+  let low = 0;
+  let high = points.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (points[middle][0] < s) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}

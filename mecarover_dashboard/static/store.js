@@ -1,0 +1,252 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// What the page knows: rows by section and name, and what follows from them for a bus and a robot.
+
+import {id3, isolate, list, numberOf, plural} from './format.js';
+
+const HISTORY_S = 320;
+const SAMPLE_S = 0.4;
+const LOOK_S = 6;                     // so long ROS may need to find who publishes
+export const GAP_S = 3.5;             // without a value for so long: a gap
+const AWAY = new Set(['disconnected', 'expected']);
+const SECTIONS = ['devices', 'buses', 'bridge', 'timing'];
+export const LEVELS = ['ok', 'warn', 'error', 'stale'];
+export const WORDS = {ok: 'OK', warn: 'Warning', error: 'Error', stale: 'Silent'};
+const SEVERITY = {ok: 0, warn: 1, stale: 2, error: 3};
+
+export const worst = (states) =>
+  states.reduce((a, b) => SEVERITY[b] > SEVERITY[a] ? b : a, 'ok');
+export const isQuiet = (row) => row?.quiet_since !== undefined;
+export const stateOf = (row) => !row || isQuiet(row) ? 'stale' : LEVELS[row.level] ?? 'stale';
+export const isLost = (device) => stateOf(device) === 'error' && AWAY.has(device.state);
+export const isThere = (device) => !isQuiet(device)
+  && (device.state === 'connected' || device.state === 'waiting');
+export const deviceName = (device) =>
+  device.joint ? `${id3(device.id)} ${isolate(device.joint)}` : id3(device.id);
+
+/** What is said of a device: the word of its level first, then its state. */
+export function wordOf(device) {
+  if (isQuiet(device)) return 'no report';
+  const state = stateOf(device);
+  return state === 'ok' ? device.state : `${WORDS[state]}: ${device.state}`;
+}
+
+export class Store {
+  devices = new Map();
+  buses = new Map();
+  bridge = new Map();
+  timing = new Map();
+  values = new Map();        // of devices, where asked for: [temperature, voltage, load, unit]
+  facts = null;
+  topics = {};
+  publishers = {};
+  robot = null;              // whose rows are shown; null: of all
+  table = null;              // of the device looked at: {name, facts, fields, latency, history}
+  #offset = 0;
+  #wall = 0;                 // Unix time where the server's clock is 0
+  #groups = null;
+
+  /** Seconds on the server's clock, now. */
+  now() { return performance.now() / 1000 + this.#offset; }
+
+  /** Unix time of a time on the server's clock. */
+  wall(seconds) { return seconds == null ? null : this.#wall + seconds; }
+
+  /** Whether ROS may still be looking for publishers. */
+  get isNew() { return !this.facts || this.up < LOOK_S; }
+
+  apply(event) {
+    this.#offset = event.now - performance.now() / 1000;
+    this.#wall = event.wall - event.now;
+    this.#groups = null;
+    if (event.facts) {
+      for (const section of SECTIONS) this[section].clear();
+      this.facts = event.facts;
+    }
+    for (const name of ['topics', 'publishers', 'malformed', 'refused', 'up', 'history']) {
+      this[name] = event[name];
+    }
+    for (const section of SECTIONS) {
+      for (const [name, row] of Object.entries(event[section] ?? {})) {
+        this.#put(this[section], name, row);
+      }
+    }
+    for (const [name, values] of Object.entries(event.values ?? {})) this.values.set(name, values);
+    if (event.table) this.#take(event.table);
+    this.#sample(event.now);
+  }
+
+  #put(rows, name, row) {
+    if (row === null) {
+      rows.delete(name);
+      return;
+    }
+    row.name = name;
+    if (row.points) row.points = add(rows.get(name)?.points ?? [], row.points, this.now());
+    rows.set(name, row);
+  }
+
+  #take(change) {
+    if (this.table?.name !== change.name) {
+      this.table = {name: change.name, facts: [], fields: [], latency: [], history: new Map()};
+    }
+    const {table} = this;
+    if (change.facts) table.facts = change.facts;
+    if (change.fields) {
+      table.fields = change.fields.map((field) => ({...named(field), changed: 0}));
+    }
+    for (const [at, field] of Object.entries(change.some ?? {})) {
+      const old = table.fields[at];
+      const differs = old.value !== field[1];
+      table.fields[at] = {...named(field), changed: differs ? this.now() : old.changed};
+    }
+    if (change.latency) table.latency = add(table.latency, change.latency, this.now());
+  }
+
+  /** Keep what can be plotted of the device looked at, also while it does not change. */
+  #sample(now) {
+    const {table} = this;
+    if (!table || isQuiet(this.devices.get(table.name))) return;
+    for (const {key, value, raw, seen} of table.fields) {
+      const isOld = seen !== null && now - seen > GAP_S;       // not measured: no point
+      if (!isOld) this.#point(key, numberOf(raw || value), now);
+      else if (!table.history.has(key)) this.#point(key, numberOf(raw || value), seen);
+    }
+    for (const [key, value] of table.facts) this.#point(key, numberOf(value), now);
+  }
+
+  #point(key, value, now) {
+    if (!Number.isFinite(value)) return;
+    const {history} = this.table;
+    if (!history.has(key)) history.set(key, []);
+    const points = history.get(key);
+    const last = points.at(-1);
+    if (last && last[1] === value && now - last[0] < SAMPLE_S) return;
+    points.push([now, value]);
+    if (points[0][0] < now - HISTORY_S) points.shift();
+  }
+
+  /** Show one robot, by its namespace; null: all of them. */
+  show(robot) {
+    this.robot = robot;
+    this.#groups = null;
+  }
+
+  /** The namespaces of all robots, in order. */
+  robots() {
+    const names = new Set();
+    for (const section of SECTIONS) for (const row of this[section].values()) names.add(row.robot);
+    return [...names].sort();
+  }
+
+  #of(rows) {
+    const all = [...rows.values()];
+    return this.robot === null ? all : all.filter((row) => row.robot === this.robot);
+  }
+
+  /** Buses with their devices, counts and worst state. */
+  groups() { return this.#groups ??= this.#group(); }
+
+  #group() {
+    const groups = new Map();
+    const group = (row) => {
+      const key = `${row.node}/${row.bus}`;
+      if (!groups.has(key)) {
+        groups.set(key, {key, node: row.node, robot: row.robot, bus: row.bus, row: null,
+          devices: []});
+      }
+      return groups.get(key);
+    };
+    for (const bus of this.#of(this.buses)) group(bus).row = bus;
+    for (const device of this.#of(this.devices)) group(device).devices.push(device);
+    const sorted = [...groups.values()].sort((a, b) => a.key < b.key ? -1 : 1);
+    for (const one of sorted) sum(one, this.now());
+    return sorted;
+  }
+
+  /** The rows of the bridge, {link, commands}, and its timing by metric. */
+  bridgeParts() {
+    const parts = {};
+    for (const row of this.#of(this.bridge)) parts[row.part] = row;
+    const node = (parts.link ?? parts.commands)?.node;
+    return {...parts, timing: this.metrics(node ?? 'vel2d_bridge', '')};
+  }
+
+  /** Timing rows of a node about one bus ('' = the node itself), by metric. */
+  metrics(node, of) {
+    const found = new Map();
+    for (const row of this.timing.values()) {
+      if (row.node === node && row.of === of) found.set(row.metric, row);
+    }
+    return found;
+  }
+}
+
+function sum(group, now) {
+  const {devices} = group;
+  devices.sort((a, b) => a.id - b.id || (a.name < b.name ? -1 : 1));
+  group.label = group.bus || valueOf(group.row, 'Port')?.split('/').pop() || group.node;
+  group.lost = devices.filter(isLost);
+  group.there = devices.filter(isThere).length;
+  const bus = group.row ? stateOf(group.row) : 'ok';
+  group.state = worst([...devices.map(stateOf), bus]);
+  group.models = [...byModel(devices)]
+    .map(([model, some]) => ({model, devices: some, state: worst(some.map(stateOf)),
+      there: some.filter(isThere).length, lost: some.filter(isLost).length}))
+    .sort((a, b) => b.devices.length - a.devices.length || (a.model < b.model ? -1 : 1));
+  group.headline = headline(group, now);
+}
+
+function byModel(devices) {
+  const found = new Map();
+  for (const device of devices) {
+    found.set(device.model, [...found.get(device.model) ?? [], device]);
+  }
+  return found;
+}
+
+function add(old, fresh, now) {
+  const last = old.at(-1)?.[0] ?? -1;
+  const points = [...old, ...fresh.filter((point) => point[0] > last)];
+  const from = points.findIndex((point) => point[0] > now - HISTORY_S);
+  return from > 0 ? points.slice(from) : points;
+}
+
+const named = ([key, value, raw, seen, source]) => ({key, value, raw, seen, source});
+
+/** The value of a key in a row, undefined if there is none. */
+export const valueOf = (row, key) => row?.values?.find(([name]) => name === key)?.[1];
+
+/** What is wrong with the bridge: {state, text}; null where there is no bridge. */
+export function bridgeHeadline({link, commands}, now) {
+  const rows = [link, commands].filter(Boolean);
+  if (!rows.length) return null;
+  const state = worst(rows.map(stateOf));
+  const row = rows.find((one) => stateOf(one) === state);
+  const text = isQuiet(row)
+    ? `No report from ${isolate(row.node)} for ${Math.round(now - row.quiet_since)} s`
+    : isolate(row.message);
+  return {state, text, isLost: stateOf(link) === 'error'};
+}
+
+/** The one sentence about a bus, worst first. */
+function headline(group, now) {
+  const {devices, row} = group;
+  const names = (some) => list(some.map(deviceName));
+  if (isQuiet(row)) {
+    return `No report from ${isolate(group.node)} for ${Math.round(now - row.quiet_since)} s`;
+  }
+  if (row?.level === 2 && !devices.some((one) => one.level === 2)) return isolate(row.message);
+  if (group.lost.length === 1) {
+    return `Lost: ${names(group.lost)}, ${isolate(group.lost[0].message)}`;
+  }
+  if (group.lost.length) return `Lost: ${names(group.lost)}`;
+  for (const [state, word] of [['error', 'Error'], ['stale', 'Silent'], ['warn', 'Warning']]) {
+    const some = devices.filter((device) => stateOf(device) === state);
+    if (some.length === 1) return `${word}: ${deviceName(some[0])}, ${isolate(some[0].message)}`;
+    if (some.length) return `${word}: ${names(some)}`;
+  }
+  if (row && row.level > 0) return isolate(row.message);
+  return devices.length ? `All ${plural(devices.length, 'device')} connected`
+    : 'No device heard yet';
+}

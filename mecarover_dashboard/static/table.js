@@ -1,0 +1,147 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// Devices as a table of values: the worst first, or by any column.
+
+import {each, h, icon, say, set, setIcon} from './dom.js';
+import {id3, isolate, numberOf, short} from './format.js';
+import {path} from './place.js';
+import {isQuiet, stateOf, wordOf} from './store.js';
+
+const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
+const worstFirst = (a, b) => RANK[stateOf(a)] - RANK[stateOf(b)] || a.id - b.id;
+const figureOf = (text) => {
+  const value = numberOf(text ?? '');
+  return Number.isFinite(value) ? value : null;
+};
+
+// Column: heading, class, what stands in it, what it is sorted by (null: nothing is known).
+const COLUMNS = [
+  ['state', 'State', (device) => wordOf(device), null],
+  ['id', 'Device', null, (device) => device.id],
+  ['model', 'Model', (device) => device.model, (device) => device.model],
+  ['temperature', '\u00b0C', (device, [value]) => value, (_, [value]) => figureOf(value)],
+  ['voltage', 'V', (device, [, value]) => value, (_, [, value]) => figureOf(value)],
+  ['load', 'Load', (device, [, , value, unit]) => value && `${value} ${unit}`,
+    (_, [, , value]) => value ? Math.abs(figureOf(value)) : null],
+  ['loss', 'Loss %', (device) => short(device.loss, 2), (device) => figureOf(device.loss)],
+  ['latency', 'ms', (device) => short(device.latency, 3), (device) => figureOf(device.latency)],
+];
+export const ORDERS = Object.fromEntries(COLUMNS.map(([name, , , by]) => [name, by]));
+const CALM_S = 0.95;
+const NONE = ['', '', '', ''];
+const TITLES = {latency: 'Reply latency (ms)', loss: 'Answers missed in 10 s (%)',
+  temperature: 'Temperature (\u00b0C)', voltage: 'Voltage (V)',
+  load: 'Load, or current: what the model has'};
+
+export class DeviceTable {
+  #by = 'state';
+  #isUp = false;
+  #drawn = -Infinity;          // when, s of the page
+  #states = '';
+
+  /** choose(order, isUp) is called when a heading is pressed. */
+  constructor(choose) {
+    this.heads = COLUMNS.map(([name, text]) => h('th', {scope: 'col', class: name},
+      h('button', {type: 'button', class: 'sort', title: TITLES[name] ?? null,
+        onclick: () => choose(name, name === this.#by && !this.#isUp)}, text)));
+    this.rows = h('tbody');
+    this.seen = new IntersectionObserver((rows) => rows.forEach(noteSeen), {rootMargin: '200px'});
+    this.element = h('table', {class: 'devices panel'},
+      h('caption', {class: 'unseen'}, 'Devices and their values'),
+      h('thead', {}, h('tr', {}, ...this.heads)), this.rows);
+    this.sort('state', false);
+  }
+
+  /** What the table is sorted by, as the address says it. */
+  get order() {
+    const isUsual = this.#by === 'state' && !this.#isUp;
+    return isUsual ? '' : `${this.#by}${this.#isUp ? '.up' : ''}`;
+  }
+
+  /** Sort by a column: the largest first, names and IDs the smallest first; isUp turns it. */
+  sort(by, isUp) {
+    this.#by = by;
+    this.#isUp = isUp;
+    this.#drawn = -Infinity;
+    this.heads.forEach((head, at) => set(head, 'aria-sort', COLUMNS[at][0] !== by ? null
+      : isUp ? 'ascending' : 'descending'));
+  }
+
+  update(groups, store) {
+    const devices = groups.flatMap((group) =>
+      group.devices.map((device) => ({device, bus: groups.length > 1 ? group.label : '',
+        values: store.values.get(device.name) ?? NONE})));
+    if (!this.#isDue(devices)) return;
+    each(this.rows, devices.sort((a, b) => this.#compare(a, b)), ({device}) => device.name,
+      (one) => this.#make(one), updateIfSeen);
+  }
+
+  #make(one) {
+    const row = makeRow(one);
+    updateRow(row, one);
+    this.seen.observe(row);
+    return row;
+  }
+
+  close() { this.seen.disconnect(); }
+
+  /** Values are written once a second, a change of state or of what is listed at once. */
+  #isDue(devices) {
+    const now = performance.now() / 1000;
+    const states = devices.map(({device}) => device.name + stateOf(device)).join();
+    if (states === this.#states && now - this.#drawn < CALM_S) return false;
+    this.#states = states;
+    this.#drawn = now;
+    return true;
+  }
+
+  #compare(a, b) {
+    const turn = this.#isUp ? -1 : 1;
+    const by = ORDERS[this.#by];
+    if (!by) return turn * worstFirst(a.device, b.device);
+    const [x, y] = [by(a.device, a.values), by(b.device, b.values)];
+    if (x === y) return worstFirst(a.device, b.device);
+    if (x === null || y === null) return x === null ? 1 : -1;       // what is unknown goes last
+    const isFirst = this.#by === 'id' || this.#by === 'model' ? x < y : x > y;
+    return turn * (isFirst ? -1 : 1);
+  }
+}
+
+function makeRow({device}) {
+  return h('tr', {}, ...COLUMNS.map(([name]) =>
+    name === 'id' ? h('th', {scope: 'row', class: name},
+      h('a', {href: path('device', device.name)}, h('b'), h('span')))
+      : name === 'state' ? h('td', {class: name}, h('p', {}, icon('ok'), h('span')))
+        : h('td', {class: name})));
+}
+
+/** A row out of sight is written when it comes into sight: 253 of them cost the page a third. */
+function updateIfSeen(row, one) {
+  row.newest = one;
+  if (row.isSeen) updateRow(row, one);
+}
+
+function noteSeen({target, isIntersecting}) {
+  target.isSeen = isIntersecting;
+  if (isIntersecting && target.newest) updateRow(target, target.newest);
+}
+
+function updateRow(row, {device, bus, values}) {
+  const state = stateOf(device);
+  set(row, 'data-state', state);
+  COLUMNS.forEach(([name, , text], at) => {
+    const cell = row.children[at];
+    if (name === 'state') {
+      set(cell.firstChild, 'data-state', state);
+      setIcon(cell.firstChild.firstChild, state);
+      say(cell.firstChild.lastChild, isQuiet(device) || state === 'ok' ? wordOf(device)
+        : device.message);
+    } else if (name === 'id') {
+      say(cell.firstChild.firstChild, id3(device.id));
+      say(cell.firstChild.lastChild, isolate(device.joint) + (bus ? ` (${bus})` : ''));
+    } else {
+      say(cell, text(device, values) || '\u2013');
+    }
+  });
+  set(row, 'data-old', isQuiet(device));
+}

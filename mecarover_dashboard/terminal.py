@@ -1,0 +1,112 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""mecarover_status: the state of all robots in a terminal, one line each for what matters."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import math
+import shutil
+import sys
+import time
+
+from mecarover_dashboard.lines import Board
+from mecarover_dashboard.lines import screen
+from mecarover_serial.cli import hold_signals
+from mecarover_serial.cli import no_ros
+from mecarover_serial.parameters import split_ros_args
+
+NAME = 'mecarover_status'
+SETTLED_S = 1.5             # without a new name: all have come, as reports come once a second
+WAIT_S = 6.0                # discovery takes up to 2.5 s
+SHOW_S = 1.0
+NOBODY = ('no report on /diagnostics; start the nodes, with the same ROS_DOMAIN_ID and discovery '
+          'range as here')
+_HOME, _CLEAR_LINE, _CLEAR_BELOW = '\033[H', '\033[K', '\033[J'
+
+
+class Display:
+    """Shows a board until it is ended, or once; `code` is what that came to."""
+
+    def __init__(self, board: Board, wait_s: float | None) -> None:
+        self._board = board
+        self._wait_s = wait_s
+        self._begin = time.monotonic()
+        self._shown_s = -math.inf
+        self._last: list[str] = []
+        self.code = 0
+
+    def look(self, now_s: float) -> bool:
+        """Show what is due; return whether that was all."""
+        if self._wait_s is not None:
+            return self._once(now_s, self._wait_s)
+        if now_s - self._shown_s >= SHOW_S:
+            self._shown_s = now_s
+            self._show(screen(self._board.lines(now_s)) or [NOBODY])
+        return False
+
+    def _once(self, now_s: float, wait_s: float) -> bool:
+        changed = self._board.changed
+        if now_s - self._begin < wait_s and not (changed and now_s - changed > SETTLED_S):
+            return False
+        self.code = self._board.code(now_s)
+        lines = screen(self._board.lines(now_s))
+        if lines:
+            print('\n'.join(lines), flush=True)
+        else:
+            print(f'{NAME}: {NOBODY}', file=sys.stderr)
+        return True
+
+    def _show(self, lines: list[str]) -> None:
+        """Write the lines over the last ones; into a file or a pipe only when they change."""
+        if not sys.stdout.isatty():
+            if lines != self._last:
+                print('\n'.join([*lines, '']), flush=True)
+        else:
+            width, height = shutil.get_terminal_size()
+            if len(lines) >= height:
+                more = len(lines) - height + 2
+                lines = [*lines[:height - 2], f'... and {more} lines more']
+            begin = _HOME if self._last else f'\033[2J{_HOME}'
+            text = '\n'.join(line[:width - 1] + _CLEAR_LINE for line in lines)
+            print(f'{begin}{text}\n{_CLEAR_BELOW}', end='', flush=True)
+        self._last = lines
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code."""
+    arguments = list(sys.argv[1:] if args is None else args)
+    options = _parser().parse_args(split_ros_args(arguments)[1])
+    hold_signals()
+    try:
+        from mecarover_dashboard.node import StatusNode
+        from mecarover_serial.node import run
+    except ImportError as error:
+        return no_ros(NAME, error)
+    board = Board(every_device=options.all)
+    display = Display(board, options.wait if options.once else None)
+    return run(NAME, lambda: StatusNode(board, display.look), [NAME, *arguments]) or display.code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=NAME, description='A line per bridge, bus and sick device of every robot in the ROS '
+        'domain; in a namespace (--ros-args -r __ns:=/rover1) of the robots below it.',
+        epilog='With --once the exit code is 0: all is well, 1: nothing heard or could not run, '
+        '2: wrong usage, 3: a warning or a silent part, 4: an error.')
+    parser.add_argument('--once', action='store_true', help='print the lines once and end')
+    parser.add_argument('--all', action='store_true', help='every device, not only sick ones')
+    parser.add_argument('--wait', type=_seconds, default=WAIT_S, metavar='S',
+                        help='with --once: for reports, at most so long (default %(default)g)')
+    return parser
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0 < seconds < math.inf:
+        raise argparse.ArgumentTypeError('a time is more than 0 s')
+    return seconds
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,82 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Who else is on a terminal: processes that have it open, and those that it controls.
+
+Reads below /proc (`root` is an argument for tests). The descriptors of other users' processes are
+for root alone; their controlling terminal and control group are for everybody.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+import os
+from pathlib import Path
+import stat
+from typing import NamedTuple
+
+ROOT = Path('/')
+_LOGINS = ('getty', 'login')    # parts of the names of programs that offer one
+_TTY_NR = 4                     # field of /proc/PID/stat behind the name, see proc_pid_stat(5)
+
+
+class Holder(NamedTuple):
+    """A process that is on a terminal: 'name (pid N)', and whether it offers a login there."""
+
+    name: str
+    is_login: bool
+
+
+def holders(path: str, root: Path = ROOT) -> list[Holder]:
+    """Return who else is on the terminal `path`; what only a descriptor shows, for root only."""
+    return sorted(_holders(path, root))
+
+
+def _holders(path: str, root: Path) -> Iterator[Holder]:
+    try:
+        device = os.stat(path).st_rdev
+    except OSError:
+        device = 0
+    name = os.path.basename(os.path.realpath(path))
+    for process in (root / 'proc').glob('[0-9]*'):
+        if int(process.name) == os.getpid():
+            continue
+        program = file_text(process / 'comm').strip()
+        is_login = any(part in program for part in _LOGINS)
+        if (is_login and _is_told_of(process, name)) or (device and (
+                _controlling(process) == device or _has_open(process, device))):
+            yield Holder(f'{program or "a process"} (pid {process.name})', is_login)
+
+
+def _is_told_of(process: Path, tty: str) -> bool:
+    """Tell whether a getty was started for `tty`, by an argument or as a unit of systemd."""
+    # systemd passes the terminal as standard input: `agetty ... -` does not name it.
+    return bool({tty, f'/dev/{tty}'} & set(file_text(process / 'cmdline').split('\0'))) \
+        or f'getty@{tty}.service' in file_text(process / 'cgroup')
+
+
+def _controlling(process: Path) -> int:
+    """Return the device number of the controlling terminal of a process, 0 for none."""
+    fields = file_text(process / 'stat').rpartition(')')[2].split()
+    number = int(fields[_TTY_NR]) if len(fields) > _TTY_NR else 0
+    # Minor numbers above 255 are in the upper 12 bits of the 32.
+    return os.makedev(number >> 8 & 0xFFF, number & 0xFF | number >> 12 & 0xFFF00)
+
+
+def _has_open(process: Path, device: int) -> bool:
+    """Tell whether a process has a descriptor of `device`; it may end while we look."""
+    with suppress(OSError):
+        for entry in (process / 'fd').iterdir():
+            with suppress(OSError):
+                status = entry.stat()
+                if stat.S_ISCHR(status.st_mode) and status.st_rdev == device:
+                    return True
+    return False
+
+
+def file_text(path: Path) -> str:
+    """Return what a file holds, '' when it cannot be read."""
+    try:
+        return path.read_text(errors='replace')
+    except OSError:
+        return ''

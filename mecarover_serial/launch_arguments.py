@@ -1,0 +1,107 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the launch files take, as data, and what to say of an argument that none of them has."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+import difflib
+import os
+from typing import NamedTuple
+
+_MARK = ':='
+YES = ('true', 'True', '1')
+NO = ('false', 'False', '0')
+LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
+
+
+class Argument(NamedTuple):
+    """An argument of a launch file; `choices` are all that it takes, none: any text."""
+
+    name: str
+    default: str
+    text: str
+    choices: tuple[str, ...] = ()
+
+
+class Launched(NamedTuple):
+    """
+    A node that launch files start; `label` is its short name, where there are several nodes.
+
+    `parameters`, name and text, are arguments that are parameters of the node; one that is given
+    wins over the settings file, one of our folder config. `remapped` are topics whose names are
+    arguments.
+    """
+
+    node: str
+    label: str
+    settings: str
+    parameters: tuple[tuple[str, str], ...]
+    respawn: bool
+    remapped: tuple[tuple[str, str], ...] = ()
+
+    def spelt(self, is_one_of_several: bool) -> dict[str, str]:
+        """Return how its arguments are called: what all nodes have says then whose it is."""
+        names = {one.name: one.name for one in self.arguments()}
+        if is_one_of_several:
+            names |= {one: f'{self.label}_{one}' for one in ('config', 'name', 'enclave')}
+            names['respawn'] = f'respawn_{self.label}'
+        return names
+
+    def arguments(self) -> list[Argument]:
+        """Return its own arguments."""
+        return [
+            *(Argument(name, '', f'{text}; default: from the file')
+              for name, text in self.parameters),
+            *(Argument(name, name, text) for name, text in self.remapped),
+            Argument('config', self.settings, f'file with parameters of {self.node}'),
+            Argument('name', self.node, f'name of the node {self.node}'),
+            Argument('enclave', '', f'SROS2 enclave, e.g. /{self.node}; see docs/security.md'),
+            Argument('respawn', str(self.respawn).lower(),
+                     f'start {self.node} again when it ends', YES + NO),
+        ]
+
+
+BRIDGE = Launched(
+    'vel2d_bridge', 'bridge', 'bridge.yaml',
+    (('port', 'the UART to the MCU'), ('baud', 'its rate in bit/s')),
+    respawn=True, remapped=(('cmd_vel', 'the topic of the commands'),))
+MONITOR = Launched(
+    'dxl_monitor', 'monitor', 'monitor.yaml',
+    (('ports', "the bus, or a list: \"['/dev/ttyUSB0','/dev/ttyUSB1']\""),
+     ('bauds', 'its rate in bit/s, or a list'),
+     ('devices', "what is on it, as a list: \"['1:MX-106:left_knee','2-20:MX-64']\"")),
+    respawn=False)
+SHARED = (
+    Argument('namespace', '', 'of the nodes and their topics'),
+    Argument('log_level', 'info', 'debug, info, warn, error, fatal',
+             LEVELS + tuple(level.upper() for level in LEVELS)),
+)
+
+
+def arguments_of(*nodes: Launched) -> list[Argument]:
+    """Return the arguments of a launch file that starts these nodes."""
+    own = []
+    for node in nodes:
+        spelt = node.spelt(len(nodes) > 1)
+        own += [one._replace(name=spelt[one.name]) for one in node.arguments()]
+    return [*SHARED, *own]
+
+
+class UnknownArgument(Exception):
+    """A launch argument that does not exist: 'file: reason; remedy'."""
+
+
+def refuse_unknown(file: str, names: Sequence[str], words: Sequence[str]) -> None:
+    """
+    Raise UnknownArgument for the first of the `words` of a command line that is none of `names`.
+
+    Only where the words say that this `file` was launched: a launch file of the user that
+    includes it has arguments of its own.
+    """
+    if file not in map(os.path.basename, words):
+        return
+    for name, mark, _ in (word.partition(_MARK) for word in words):
+        if mark and name.isidentifier() and name not in names:
+            near = difflib.get_close_matches(name, names, 1)
+            remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
+            raise UnknownArgument(f'{file}: there is no argument {name}; {remedy}')

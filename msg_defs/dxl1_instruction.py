@@ -1,0 +1,238 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What an instruction of the Protocol 1.0 family asks for, in Dynamixel 1.0 and in Feetech.
+
+A dialect is a table: what each code is called, how its parameters are laid out, who answers. The
+parameters of 2.0 say the same with wider addresses; common() puts them into that form, so that
+one tracker follows both. Sources: e-Manual, Protocol 1.0; Feetech, SCS Communication Protocol;
+the SDKs of both makers. Whatever stands in the parameters, nothing raises.
+"""
+
+from collections.abc import Callable
+from enum import Enum
+from typing import NamedTuple
+
+from msg_defs.dxl1_packet import BROADCAST
+from msg_defs.dxl1_packet import FAMILY
+from msg_defs.dxl_instruction import Access
+from msg_defs.dxl_instruction import ALERT
+from msg_defs.dxl_instruction import Answers
+from msg_defs.dxl_instruction import FEETECH_NAMES
+from msg_defs.dxl_instruction import parse as parse_2
+from msg_defs.dxl_instruction import Request
+from msg_defs.dxl_instruction import RESET_ALL
+from msg_defs.dxl_packet import stuff
+from msg_defs.dxl_packet import unstuff
+
+STATUS_BITS = 0x7F                 # bit 7 of an error byte is always 0: no 0x82, 0x83, 0x92
+
+
+class Layout(Enum):
+    """How the parameters of an instruction are laid out."""
+
+    NOTHING = 'no parameters'
+    READ = 'address, size'
+    WRITE = 'address, data'
+    SYNC_READ = 'address, size, IDs'
+    SYNC_WRITE = 'address, size, (ID, data) for each'
+    BULK_READ = '00, (size, ID, address) for each'
+    VALUE = 'nothing or a value of two bytes'
+
+
+class Entry(NamedTuple):
+    """One instruction of a dialect; answers: to a single device, LISTED for a group."""
+
+    name: str
+    layout: Layout
+    answers: Answers
+
+
+class Dialect(NamedTuple):
+    """
+    What distinguishes one dialect of the family from another.
+
+    protocol: what model files and parameters call it. errors: bits of the error byte in words.
+    refusals: those of them that refuse an instruction, with the error number that 2.0 has for it;
+    all others tell the state of the device.
+    error_at: where the error byte stands in the control table; 256 is behind its end.
+    identity_at, level_at: addresses of Model Number and Status Return Level.
+    """
+
+    name: str
+    protocol: str
+    entries: dict[int, Entry]
+    errors: dict[int, str]
+    refusals: dict[int, int]
+    error_at: int
+    identity_at: int
+    level_at: int
+    factory_baud: int
+
+
+_COMMON = {
+    0x01: Entry('Ping', Layout.NOTHING, Answers.PING),
+    0x02: Entry('Read', Layout.READ, Answers.DATA),
+    0x03: Entry('Write', Layout.WRITE, Answers.ACK),
+    0x04: Entry('Reg Write', Layout.WRITE, Answers.ACK),
+    0x05: Entry('Action', Layout.NOTHING, Answers.ACK),
+    0x06: Entry('Factory Reset', Layout.NOTHING, Answers.ACK),
+    0x83: Entry('Sync Write', Layout.SYNC_WRITE, Answers.NOBODY),
+}
+RESET = 0x06
+CALIBRATE = 0x0B
+_BULK_READ = Entry('Bulk Read', Layout.BULK_READ, Answers.LISTED)
+_FEETECH = {
+    0x09: Entry(FEETECH_NAMES[0x09], Layout.NOTHING, Answers.ACK),
+    0x0A: Entry(FEETECH_NAMES[0x0A], Layout.NOTHING, Answers.ACK),
+    CALIBRATE: Entry(FEETECH_NAMES[CALIBRATE], Layout.VALUE, Answers.ACK),
+    0x82: Entry('Sync Read', Layout.SYNC_READ, Answers.LISTED),
+}
+
+DYNAMIXEL_1 = Dialect(
+    name='Dynamixel 1.0', protocol='1',
+    entries={**_COMMON, 0x08: Entry('Reboot', Layout.NOTHING, Answers.ACK), 0x92: _BULK_READ},
+    errors={0: 'input voltage', 1: 'angle limit', 2: 'overheating', 3: 'range', 4: 'checksum',
+            5: 'overload', 6: 'instruction'},
+    refusals={1: 6, 3: 4, 4: 3, 6: 2},
+    error_at=256, identity_at=0, level_at=16, factory_baud=1_000_000)
+# It is away for 0.8 s after a Reboot, and does not say so first.
+FEETECH = Dialect(
+    name='Feetech', protocol='feetech',
+    entries={**_COMMON, 0x08: Entry('Reboot', Layout.NOTHING, Answers.NOBODY), **_FEETECH},
+    errors={0: 'voltage', 1: 'angle sensor', 2: 'overheating', 3: 'current', 5: 'overload'},
+    refusals={},
+    error_at=65, identity_at=3, level_at=8, factory_baud=1_000_000)
+# As long as it is not known which of the two a bus speaks: what they have in common is certain,
+# and what only one of them has is understood.
+UNDECIDED = Dialect(
+    name='Dynamixel 1.0 or Feetech', protocol='1 or feetech',
+    entries={**FEETECH.entries, 0x92: _BULK_READ},
+    errors={0: 'voltage', 2: 'overheating', 5: 'overload'},
+    refusals={3: 4, 4: 3, 6: 2},
+    error_at=256, identity_at=-1, level_at=-1, factory_baud=1_000_000)
+# A reset of Dynamixel sets the ID to 1, one of Feetech keeps it.
+_RESETS = {DYNAMIXEL_1.protocol: RESET_ALL}
+_MALFORMED = bytes([FAMILY | 1])
+DIALECTS = (DYNAMIXEL_1, FEETECH, UNDECIDED)
+
+
+def name_of(code: int, dialect: Dialect = UNDECIDED) -> str:
+    """Return 'Sync Write', or 'instruction 0x20' for what the dialect does not know."""
+    entry = dialect.entries.get(code)
+    return entry.name if entry is not None else f'instruction 0x{code:02X}'
+
+
+def error_text(error: int, dialect: Dialect) -> str:
+    """Return the error byte of a status in words: 'voltage, overload'; '' for 0."""
+    return ', '.join(dialect.errors.get(bit, f'error bit {bit}')
+                     for bit in range(8) if error >> bit & 1)
+
+
+def common_error(error: int, dialect: Dialect) -> int:
+    """Return an error byte as 2.0 would say it: the number of a refusal, and the alert bit."""
+    number = next((number for bit, number in dialect.refusals.items() if error >> bit & 1), 0)
+    state = error & ~sum(1 << bit for bit in dialect.refusals)
+    return number | (ALERT if state else 0)
+
+
+def fits(code: int, id: int, params: bytes, dialect: Dialect = UNDECIDED) -> bool:
+    """Return whether a frame makes sense as an instruction of this dialect."""
+    entry = dialect.entries.get(code)
+    return entry is not None and _FITS[entry.layout](id, params)
+
+
+def parse(code: int, id: int, params: bytes, dialect: Dialect = UNDECIDED) -> Request:
+    """Return what an instruction asks for."""
+    entry = dialect.entries.get(code)
+    if entry is None:
+        return Request(code, id, Answers.NOBODY)
+    if not _FITS[entry.layout](id, params):
+        return Request(code, id, Answers.NOBODY, malformed=True)
+    return Request(code, id, _answers(entry, id), tuple(_ACCESSES[entry.layout](id, params)))
+
+
+def common(code: int, params: bytes) -> bytes:
+    """Return parameters that fit, with addresses and sizes as wide as those of 2.0."""
+    if code in (0x02, 0x82, 0x83):
+        return bytes((params[0], 0, params[1], 0)) + params[2:]
+    if code in (0x03, 0x04):
+        return params[:1] + b'\0' + params[1:]
+    if code == 0x92:
+        return b''.join(bytes((params[at + 1], params[at + 2], 0, params[at], 0))
+                        for at in range(1, len(params), 3))
+    return params
+
+
+def in_common(body: bytes) -> bytes:
+    """
+    Return the body of an instruction in the form of 2.0, parameters stuffed.
+
+    What makes no sense keeps its parameters, and is marked.
+    """
+    code, params = body[3], body[4:]
+    entry = UNDECIDED.entries.get(code)
+    if entry is not None and not _FITS[entry.layout](body[0], params):
+        return body[:2] + _MALFORMED + body[3:4] + stuff(params)
+    return body[:4] + stuff(common(code, params))
+
+
+def understood(body: bytes, dialect: Dialect) -> Request:
+    """Return what a body of in_common() asks for."""
+    code, id = body[3], body[0]
+    entry = dialect.entries.get(code)
+    if entry is None or body[2] == _MALFORMED[0]:
+        return Request(code, id, Answers.NOBODY, malformed=entry is not None)
+    said = parse_2(code, id, unstuff(body[4:]))
+    return said._replace(answers=_answers(entry, id), malformed=False,
+                         option=_RESETS.get(dialect.protocol, '') if code == RESET else '')
+
+
+def _answers(entry: Entry, id: int) -> Answers:
+    if id != BROADCAST or entry.answers is Answers.LISTED:
+        return entry.answers
+    return Answers.EVERYBODY if entry.answers is Answers.PING else Answers.NOBODY
+
+
+def _fits_sync_read(id: int, params: bytes) -> bool:
+    return id == BROADCAST and len(params) > 2 and len(set(params[2:])) == len(params) - 2
+
+
+def _fits_sync_write(id: int, params: bytes) -> bool:
+    return (id == BROADCAST and len(params) > 2 and params[1] > 0
+            and (len(params) - 2) % (params[1] + 1) == 0)
+
+
+def _fits_bulk_read(id: int, params: bytes) -> bool:
+    return (id == BROADCAST and len(params) > 3 and len(params) % 3 == 1 and params[0] == 0
+            and len(set(params[2::3])) == len(params) // 3)
+
+
+def _sync_write(id: int, params: bytes) -> list[Access]:
+    size = params[1]
+    return [Access(params[at], params[0], size, params[at + 1:at + 1 + size])
+            for at in range(2, len(params), size + 1)]
+
+
+_FITS: dict[Layout, Callable[[int, bytes], bool]] = {
+    Layout.NOTHING: lambda id, params: not params,
+    Layout.READ: lambda id, params: len(params) == 2 and params[1] > 0,
+    Layout.WRITE: lambda id, params: len(params) > 1,
+    Layout.SYNC_READ: _fits_sync_read,
+    Layout.SYNC_WRITE: _fits_sync_write,
+    Layout.BULK_READ: _fits_bulk_read,
+    Layout.VALUE: lambda id, params: len(params) in (0, 2),
+}
+
+_ACCESSES: dict[Layout, Callable[[int, bytes], list[Access]]] = {
+    Layout.NOTHING: lambda id, params: [],
+    Layout.READ: lambda id, params: [Access(id, params[0], params[1], None)],
+    Layout.WRITE: lambda id, params: [Access(id, params[0], len(params) - 1, params[1:])],
+    Layout.SYNC_READ: lambda id, params: [Access(one, params[0], params[1], None)
+                                          for one in params[2:]],
+    Layout.SYNC_WRITE: _sync_write,
+    Layout.BULK_READ: lambda id, params: [
+        Access(params[at + 1], params[at + 2], params[at], None)
+        for at in range(1, len(params), 3)],
+    Layout.VALUE: lambda id, params: [],
+}

@@ -1,0 +1,188 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Packets of the Protocol 1.0 family, Dynamixel 1.0 and Feetech: bytes on the wire to frames.
+
+FF FF, ID, LEN, instruction or error byte, parameters, sum (e-Manual, Protocol 1.0; Feetech, SCS
+Communication Protocol). An instruction and a status have the same form, so a frame here is
+neither: who reads the dialogue decides. Nothing is stuffed: FF FF may stand in the data. A frame
+is decided by its LEN and its sum alone; only a wrong sum, or flush() on an idle line, searches on
+from the header + 1. A pause in the delivery is not an idle line: interrupt() leaves the decision
+to the next chunk. Nothing on the wire raises; every byte ends as a packet byte or as noise.
+"""
+
+from typing import NamedTuple
+
+from msg_defs.dxl_packet import Flaw
+from msg_defs.dxl_packet import Frame
+from msg_defs.dxl_packet import StreamFramer
+
+HEADER = b'\xff\xff'
+BROADCAST = 0xFE
+NO_ID = 0xFF
+MIN_LENGTH = 2                     # of the LEN field: instruction and sum
+MAX_FRAME = 0xFF + 4
+
+# The body of a frame has the form that 2.0 gives it: ID, length in two bytes, code, parameters.
+# The high byte of the length, which is never so large in 2.0, tells that it is of this family.
+FAMILY = 0x80
+_MARK = bytes([FAMILY])
+
+
+class Packet(NamedTuple):
+    """One packet. code: the instruction, or the error byte of a status."""
+
+    stamp: int
+    offset: int
+    id: int
+    code: int
+    params: bytes
+
+
+def encode(id: int, code: int, params: bytes = b'') -> bytes:
+    """Return a packet as it stands on the wire; code is an instruction or an error byte."""
+    content = bytes([id, len(params) + 2, code]) + params
+    return HEADER + content + bytes([~sum(content) & 0xFF])
+
+
+def begin_of(end: int, body: bytes) -> int:
+    """Return the stream offset of the first byte of a good frame of this family."""
+    return end - body[1] - 4
+
+
+def packet_of(frame: Frame, stamp: int) -> Packet:
+    """Return the readable form of a good frame."""
+    end, body, _ = frame
+    return Packet(stamp, begin_of(end, body), body[0], body[3], body[4:])
+
+
+class Framer(StreamFramer):
+    """
+    Finds the frames of the 1.0 family in a stream that comes in chunks of any size.
+
+    It repairs nothing: a sum of 8 bits is too weak to repair a header by it.
+    """
+
+    __slots__ = ()
+    header = HEADER
+    has_other = True               # whether some frame of the last chunk is of the 1.0 family
+
+    @property
+    def noise_ahead(self) -> int:
+        """Bytes of noise in front of the next frame."""
+        return self._noise_length
+
+    @noise_ahead.setter
+    def noise_ahead(self, count: int) -> None:
+        self._noise_length = count
+
+    def lacks(self) -> int:
+        """Return how many bytes the frame that waits for its end lacks, 0 if none waits."""
+        data = self._buffer
+        return data[3] + 4 - len(data) if len(data) > 3 else 0
+
+    def ends_with(self, tail: bytes) -> bool:
+        """Return whether the frame that waits for its end is good with these bytes behind."""
+        return sum(self._buffer[2:]) + sum(tail) & 0xFF == 0xFF
+
+    def pass_over(self, noise: bytes) -> None:
+        """Take bytes that neither hold nor end in the begin of a header, while nothing waits."""
+        self.bytes += len(noise)
+        self._give_up(noise)
+
+    def feed(self, chunk: bytes, stamp: int) -> list[Packet]:
+        """Return the packets that this chunk completes."""
+        frames = self.frames(chunk)
+        return [packet_of(f, stamp) for f in frames if f[2] is None or not f[2].reason]
+
+    def flush(self, stamp: int = 0) -> list[Packet]:
+        """Decide what is left, because the line is idle."""
+        frames = self.flush_frames()
+        return [packet_of(f, stamp) for f in frames if f[2] is None or not f[2].reason]
+
+    def _ends_in(self, chunk: bytes) -> bool:
+        """Tell whether a chunk completes the frame that waits for its end."""
+        data = self._buffer + chunk
+        end = data[3] + 4 if len(data) > 3 else MAX_FRAME
+        return len(data) >= end and sum(data[2:end]) & 0xFF == 0xFF
+
+    def _scan(self, data: bytes, final: bool) -> list[Frame]:
+        find = data.find
+        size = len(data)
+        base = self.bytes - size
+        found: list[Frame] = []
+        damaged = 0
+        noisy = self._noise_length
+        done = 0                   # everything in front of it is decided
+        wanted = 0                 # as many bytes are needed to go on
+        mark = find(HEADER)
+        while 0 <= mark < size - 3:
+            length = data[mark + 3]
+            end = mark + 4 + length
+            number = data[mark + 2]
+            if number == NO_ID:
+                mark += 1          # the header is further on in this run of FF
+                continue
+            if end > size and length >= MIN_LENGTH and not final:
+                wanted = end
+                break
+            if (length >= MIN_LENGTH and end <= size
+                    and sum(data[mark + 2:end]) & 0xFF == 0xFF):
+                body = data[mark + 2:mark + 4] + _MARK + data[mark + 4:end - 1]
+                if mark == done and not noisy:
+                    found.append((base + end, body, None))
+                else:
+                    found.append((base + end, body, self._ahead(data[done:mark])))
+                    noisy = 0
+                done = end
+                mark = find(HEADER, end)
+            else:
+                found.append(self._damaged(data, base, done, mark))
+                damaged += 1
+                mark = find(HEADER, mark + 1)
+        self.packets += len(found) - damaged
+        undecided = size if final else _undecided(data, done, mark)
+        self._give_up(data[done:undecided])
+        self._buffer = data[undecided:]
+        self._wanted = wanted - undecided
+        return found
+
+    def _ahead(self, noise: bytes) -> Flaw:
+        """Return what is unusual about a good frame: noise in front of it."""
+        self._give_up(noise)
+        flaw = Flaw('', False, self._noise_length)
+        self._noise_length = 0
+        return flaw
+
+    def _damaged(self, data: bytes, base: int, done: int, mark: int) -> Frame:
+        """Count a frame that has a header and fails; its bytes are noise, and searched again."""
+        length = data[mark + 3]
+        body = data[mark + 4:mark + 3 + length]
+        if length < MIN_LENGTH:
+            self.bad_length += 1
+            reason = 'length'
+            body = b''
+        elif mark + 4 + length > len(data) or _has_header(data[mark + 4:mark + 4 + length]):
+            self.truncated += 1
+            reason = 'cut'
+        else:
+            self.crc_errors += 1
+            reason = 'crc'
+        ahead = self._noise_length + mark - done
+        whole = data[mark + 2:mark + 4] + _MARK + body
+        return base + mark + 4 + len(body), whole, Flaw(reason, False, ahead)
+
+
+def _has_header(body: bytes) -> bool:
+    """Return whether another frame may begin in there: data with FF FF may look alike."""
+    at = body.find(HEADER)
+    return at >= 0 and (at + 3 >= len(body)
+                        or (body[at + 2] != NO_ID and body[at + 3] >= MIN_LENGTH))
+
+
+def _undecided(data: bytes, done: int, mark: int) -> int:
+    """Return where the bytes begin that may still become a frame."""
+    if mark >= 0:
+        return mark
+    size = len(data)
+    return size - 1 if size > done and data[size - 1] == 0xFF else size

@@ -1,0 +1,315 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Both families on one wire: packets of Protocol 2.0 first, the 1.0 family in what is left.
+
+A packet of 2.0 is certain (four bytes of header, 16 bits of CRC), so nothing of the 1.0 family is
+looked for inside one. The 1.0 family has one byte of sum: what it finds counts as packets only
+once it is claimed; until then its bytes are noise, as they are on a bus without that family.
+"""
+
+from collections import Counter
+from collections.abc import Collection
+import re
+from typing import NamedTuple
+
+from msg_defs import dxl1_packet
+from msg_defs.dxl_packet import ahead
+from msg_defs.dxl_packet import Flaw
+from msg_defs.dxl_packet import Frame
+from msg_defs.dxl_packet import Framer
+
+_TAIL = b'\xff\xfd\x00'
+# What may become a header of 2.0, or one whose first byte is damaged, longest first.
+_BEGUN = (b'\xff\xff\xfd', b'\xff\xfd', b'\xff\xff', b'\xff')
+# FF FF, an ID and a LEN of the 1.0 family; and what the next bytes may complete to that.
+_HOLDS = re.compile(rb'\xff\xff[^\xff][^\0\1]')
+_ENDS = re.compile(rb'\xff(\xff[^\xff]?)?\Z')
+Data = bytes                       # the built-in, whose name MixedFramer.bytes takes
+# Where it begins in the stream, its bytes, whether a packet of 2.0 directly behind it ends it.
+Gap = tuple[int, Data, bool]
+
+
+class _Run(NamedTuple):
+    """What the framer of the 1.0 family made of one gap."""
+
+    at: int                        # where the gap begins in the stream
+    frames: list[Frame]
+    noise_ahead: int               # bytes of noise behind the last good one
+
+
+class _First(Framer):
+    """
+    The framer of 2.0, which keeps what it gives up as `gaps`.
+
+    is_shared: there is another family on the wire. Then it holds back as little as it can, and
+    a byte in front of a damaged header may be the sum of another packet: it is not taken.
+    """
+
+    __slots__ = ('gaps', 'is_shared')
+
+    def __init__(self, is_shared: bool) -> None:
+        super().__init__()
+        self.gaps: list[Gap] = []
+        self.is_shared = is_shared
+
+    def peek(self, size: int) -> bytes:
+        """Return so many of the bytes that may begin a packet."""
+        return self._buffer[:size]
+
+    def drop(self, size: int) -> list[Frame]:
+        """Give so many of these up: they belong to another packet. Return what follows."""
+        data = self._buffer
+        self._give_up(data[:size])
+        return self._scan(data[size:], False)
+
+    def _cut_off(self, chunk: bytes) -> list[Frame]:
+        # Of a frame that waits and of what follows a pause, either may be of the other family.
+        if not self.is_shared or not chunk.startswith(dxl1_packet.HEADER) \
+                or self._ends_in(chunk):
+            return super()._cut_off(chunk)
+        self._is_interrupted = False
+        return self._scan(self._buffer, True)
+
+    def _flaw(self, data: bytes, done: int, mark: int) -> Flaw:
+        begin = max(done, mark - 1)
+        is_repaired = mark == done or data[mark - 1] != 0xFF
+        if is_repaired and self.is_shared:
+            begin = mark
+        self.gaps.append((self.bytes - len(data) + done, data[done:begin], True))
+        self.repaired += is_repaired
+        self._give_up(data[done:begin])
+        flaw = ahead(is_repaired, self._noise_length)
+        self._noise_length = 0
+        return flaw
+
+    def _keep(self, data: bytes, done: int, undecided: int) -> None:
+        if self.is_shared and undecided < len(data):
+            undecided = self._begun(data, done, undecided)
+        if undecided > done:
+            self.gaps.append((self.bytes - len(data) + done, data[done:undecided], False))
+            self._give_up(data[done:undecided])
+        self._buffer = data[undecided:]
+
+    def _begun(self, data: bytes, done: int, undecided: int) -> int:
+        """Return where what may become a packet of 2.0 begins."""
+        mark = data.find(_TAIL, undecided)
+        if mark < 0:
+            return max(done, len(data) - next(
+                (len(one) for one in _BEGUN if data.endswith(one)), 0))
+        return undecided if data[undecided] == 0xFF else mark
+
+
+class MixedFramer:
+    """
+    Finds the packets of both families, with the interface of Framer.
+
+    Frames of the 1.0 family are those that is_other() tells. Who reads the dialogue claims each
+    that is one, and sets `held`: the bytes of those it has not decided on. What is not claimed
+    stays noise. is_shared: hold back no end of a packet, not even at first; its time matters.
+    proven: the IDs that speak the 1.0 family on this bus. Until there are some, or a frame is
+    claimed, damaged frames of the family are mere noise: they come at most beside a good one.
+    """
+
+    __slots__ = ('_claimed_bytes', '_damaged', '_first', '_is_open', '_proven', '_second',
+                 '_seen', '_shift', 'bytes', 'claimed', 'has_other', 'held')
+
+    def __init__(self, is_shared: bool = False, proven: Collection[int] = ()) -> None:
+        self._first = _First(is_shared)
+        self._proven = proven
+        self._second = dxl1_packet.Framer()
+        self._is_open = False          # some bytes wait in the second framer
+        self._seen = 0                 # good frames of the second framer so far
+        self._shift = 0                # from offsets of the second framer to those of the wire
+        self.bytes = 0
+        self._claimed_bytes = 0
+        self._damaged: Counter[str] = Counter()
+        self.claimed = 0               # packets of the 1.0 family
+        self.held = 0
+        self.has_other = False         # such a frame is held, or was in the last chunk
+
+    @property
+    def packets(self) -> int:
+        return self._first.packets + self.claimed
+
+    @property
+    def has_first(self) -> bool:
+        """Whether there were packets of 2.0 on this wire."""
+        return self._first.packets > 0
+
+    @property
+    def repaired(self) -> int:
+        return self._first.repaired
+
+    @property
+    def crc_errors(self) -> int:
+        return self._first.crc_errors + self._damaged['crc']
+
+    @property
+    def truncated(self) -> int:
+        return self._first.truncated + self._damaged['cut']
+
+    @property
+    def bad_length(self) -> int:
+        return self._first.bad_length + self._damaged['length']
+
+    @property
+    def pending(self) -> int:
+        """Bytes received and not decided yet."""
+        return self._first.pending + self._second.pending + self.held
+
+    @property
+    def noise_bytes(self) -> int:
+        return self._first.noise_bytes - self._second.pending - self._claimed_bytes - self.held
+
+    @property
+    def packet_bytes(self) -> int:
+        """Bytes that belong to a packet."""
+        return self._first.packet_bytes + self._claimed_bytes
+
+    @property
+    def noise(self) -> Data:
+        """The last of the noise."""
+        return self._second.noise if self.claimed else self._first.noise
+
+    @property
+    def noise_ahead(self) -> int:
+        """Bytes of noise since the last good frame of either family."""
+        return self._second.noise_ahead
+
+    @property
+    def wrong(self) -> int:
+        """How many candidates of the 1.0 family failed; of random ones 255 in 256 do."""
+        return self._second.crc_errors + self._second.truncated
+
+    def claim(self, frame: Frame) -> None:
+        """Count a good frame of the 1.0 family as a packet."""
+        self.claimed += 1
+        self._first.is_shared = True
+        self._claimed_bytes += frame[1][1] + 4
+
+    def claim_damage(self, reason: str) -> None:
+        """Count a damaged frame of the 1.0 family."""
+        self._damaged[reason] += 1
+
+    def interrupt(self) -> None:
+        """Take note of a pause: on the line, or in the delivery of what was on the line."""
+        self._first.interrupt()
+        self._second.interrupt()
+
+    def frames(self, chunk: Data) -> list[Frame]:
+        """Return what this chunk completes, in the order of the wire."""
+        self.bytes += len(chunk)
+        found = self._first.frames(chunk)
+        self.has_other = self.held > 0
+        return self._mixed(found) if self._first.gaps or self._is_open else found
+
+    def flush_frames(self) -> list[Frame]:
+        """Decide what is left, because the line is idle."""
+        found = self._first.flush_frames()
+        self.has_other = self.held > 0
+        mixed = self._mixed(found) if self._first.gaps or self._is_open else found
+        return self._without_data(mixed + self._end()) if self._is_open else mixed
+
+    def _mixed(self, found: list[Frame]) -> list[Frame]:
+        """Put the frames of the other family where they were, in front of those of 2.0."""
+        runs = self._runs()
+        mixed = self._merged(found, runs) if self.has_other or self.claimed else found
+        if self._is_open and self._first.is_shared and self._first.pending:
+            mixed = mixed + self._completed()
+        return self._without_data(mixed)
+
+    def _runs(self) -> list[_Run]:
+        """Look through the gaps, as long as nothing is proven only where a packet may be."""
+        second = self._second
+        runs = []
+        for at, data, is_ended in self._first.gaps:
+            if (self._is_open or self.claimed or self._proven or _HOLDS.search(data)
+                    or not (is_ended or _ENDS.search(data) is None)):
+                frames = self._look(at, data) if data else []
+                if is_ended and self._is_open:
+                    frames += self._end()
+                runs.append(_Run(at, frames, second.noise_ahead))
+            elif not is_ended:
+                second.pass_over(data)
+            if is_ended:
+                second.noise_ahead = 0
+        self._first.gaps.clear()
+        return runs
+
+    def _look(self, at: int, data: Data) -> list[Frame]:
+        """Return what is in a gap, or ends in it."""
+        self._shift = at - self._second.bytes
+        return self._moved(self._second.frames(data))
+
+    def _merged(self, found: list[Frame], runs: list[_Run]) -> list[Frame]:
+        """Put what was in the gaps in front of the packets of 2.0 that ended them."""
+        mixed: list[Frame] = []
+        left = iter(runs)
+        run = next(left, None)
+        for frame in found:
+            end, body, flaw = frame
+            if flaw is not None and not flaw.reason:
+                noise = 0
+                while run is not None and run.at <= end - len(body) - 5:
+                    mixed += run.frames
+                    noise = run.noise_ahead
+                    run = next(left, None)
+                if self.claimed:       # the noise in front is without what the gap held
+                    flaw = ahead(flaw.repaired, noise) if noise or flaw.repaired else None
+                    frame = end, body, flaw
+            mixed.append(frame)
+        while run is not None:
+            mixed += run.frames
+            run = next(left, None)
+        return mixed
+
+    def _completed(self) -> list[Frame]:
+        """Decide a packet whose last bytes might begin one of 2.0, if its sum is right."""
+        first, second = self._first, self._second
+        lacks = second.lacks()
+        tail = first.peek(lacks)
+        if not lacks or len(tail) < lacks or not second.ends_with(tail):
+            return []
+        self._shift = first.bytes - first.pending - second.bytes
+        return self._moved(second.frames(tail)) + self._mixed(first.drop(lacks))
+
+    def _without_data(self, mixed: list[Frame]) -> list[Frame]:
+        """Leave out what only looks like a damaged packet of 2.0: the data of another packet."""
+        if not self.claimed:
+            return mixed
+        good = [(dxl1_packet.begin_of(end, body), end) for end, body, flaw in mixed
+                if body[2] >= dxl1_packet.FAMILY and (flaw is None or not flaw.reason)]
+        kept = []
+        for frame in mixed:
+            end, body, flaw = frame
+            if flaw is not None and flaw.reason and not is_other(frame) and any(
+                    first < end - len(body) < last for first, last in good):
+                self._damaged[flaw.reason] -= 1
+            else:
+                kept.append(frame)
+        return kept
+
+    def _end(self) -> list[Frame]:
+        """Decide what is left of a gap: a packet of 2.0 follows, or silence."""
+        return self._moved(self._second.flush_frames()) if self._is_open else []
+
+    def _moved(self, frames: list[Frame]) -> list[Frame]:
+        """Return frames of the second framer as they stand in the stream."""
+        self._is_open = self._second.pending > 0
+        if not frames:
+            return frames
+        if self._second.packets > self._seen or self.claimed or self._proven:
+            self._seen = self._second.packets
+            self.has_other = True
+        if not self.has_other:
+            return []
+        return [(end + self._shift, body, flaw) for end, body, flaw in frames]
+
+
+def is_other(frame: Frame) -> bool:
+    """Return whether a frame is of the 1.0 family."""
+    body, flaw = frame[1], frame[2]
+    if body[2] < dxl1_packet.FAMILY:
+        return False
+    return len(body) == 3 or flaw is None or flaw.reason != 'length'   # any number in 2.0

@@ -1,0 +1,35 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a source hears: bytes with the side they came from, and changes of the line.
+
+A second adapter hears both sides mixed and no change. The port of the master itself tells both.
+"""
+
+from typing import NamedTuple
+
+# The side of a chunk: which end of the bus put its bytes there.
+UNKNOWN = ''
+OUT = 'out'                        # from the master
+IN = 'in'                          # to the master
+
+# What a change is about. The value stands behind it.
+BAUD = 'baud'                      # bit/s
+LATENCY_TIMER = 'latency_timer_ms'
+DTR = 'dtr'                        # 0 or 1
+RTS = 'rts'
+PURGED = 'purged'                  # 1: what was received, 2: what was to be sent, 3: both
+OVERRUN, PARITY, FRAMING, BREAK = 'overrun', 'parity', 'framing', 'break'      # how often
+NOT_SENT = 'not_sent'              # bytes that the master wrote and the adapter did not take
+LOST = 'lost'                      # events or bytes that the source itself lost
+CLOSED = 'closed'                  # the master closed its port
+GONE = 'unplugged'
+CHANGES = (BAUD, LATENCY_TIMER, DTR, RTS, PURGED, OVERRUN, PARITY, FRAMING, BREAK, NOT_SENT, LOST,
+           CLOSED, GONE)
+
+
+class Change(NamedTuple):
+    """What a source says beside bytes: one of the names above and its value."""
+
+    what: str
+    value: int

@@ -1,0 +1,40 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Keys of statuses that a program reads again: the web page, the demo, mecarover_status.
+
+Nodes publish under these names and readers look for them, so each stands here once. A key that
+only people read stands where it is written; docs/diagnostics.md has them all.
+"""
+
+# A device.
+MODEL = 'Model'
+FIRMWARE = 'Firmware Version'
+STATE = 'State'                    # a device's, the bridge's port's and its commands'
+ANSWERS = 'Answers'
+MISSED_ANSWERS = 'Missed Answers'
+LOSS = 'Loss in 10 s (%)'
+LATENCY_P50 = 'Reply latency p50 (ms)'
+NOT_OBSERVED = 'Fields not observed'
+OBSERVED = 'observed'              # JSON: for each field its age (s), 'r' or 'w'
+
+# A port, a subscription, its commands.
+PORT = 'Port'
+RUNNING = 'Running for (s)'        # a bus: its errors are dated from its start
+TOPIC = 'Topic'
+MESSAGE_TYPE = 'Message type'
+COMMANDS_RECEIVED = 'Commands received'
+
+# Any status: '1 of 2' where a report takes several messages.
+PART = 'part'
+
+# What such a key begins with.
+FINDING = 'finding.'               # then the rule
+SEVERITY = 'severity.'             # then the rule: warn or error
+DOUBT = 'cannot tell.'             # then the rule
+ERROR = 'error '                   # then a number: an entry of the error log
+
+
+def raw(field: str) -> str:
+    """Return the key of the number behind a field that is shown in words."""
+    return f'{field} (raw)'

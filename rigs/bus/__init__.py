@@ -1,0 +1,19 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A second servo bus in simulated time, to judge the doctor with traffic that it was not made with.
+
+It shares nothing with `dxl_monitor.fake` and the encoders of `msg_defs`: the packets follow the
+e-Manual (Protocol 2.0), the masters follow what the public programs send and how long they wait.
+Time is counted in ns from 0. The parts know each other only like this:
+
+    frames  bytes of one protocol, no time
+    wire    what all hear: bytes in time, collisions included
+    servo   registers, and answers to what it hears
+    master  a program that says something, waits, and says the next thing
+    ear     how an adapter hands the bytes to a listener: chunks, pauses, a wrong rate
+    faults  what goes wrong, and when the first byte is different because of it
+    scenes  all of it together, with what the doctor must say
+
+Only `score` knows the product.
+"""

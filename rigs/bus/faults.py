@@ -1,0 +1,276 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What goes wrong on a rig. Each fault is a function of the rig; `at` is in seconds.
+
+Each one notes when the first byte is different because of it, by itself: a dead servo when its
+first answer is not there, not when its supply ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Iterable
+from functools import partial
+
+from rigs.bus import frames
+from rigs.bus import servo as reg
+from rigs.bus.masters import Master
+from rigs.bus.rig import Rig
+from rigs.bus.servo import Servo
+from rigs.bus.wire import Heard
+from rigs.bus.wire import S
+
+MS = 1_000_000
+Fault = Callable[[Rig], None]
+
+
+def _set(ids: Iterable[int], at: float, **attributes: object) -> Fault:
+    def fault(rig: Rig) -> None:
+        def do() -> None:
+            for number in ids:
+                for name, value in attributes.items():
+                    assert hasattr(rig.servos[number], name)
+                    setattr(rig.servos[number], name, value)
+        rig.at(at, do)
+    return fault
+
+
+def dead(*ids: int, at: float = 8.0) -> Fault:
+    """End the supply of these servos, or pull the plug in front of them."""
+    return _both(_set(ids, at, is_on=False), _silence(ids, at))
+
+
+def deaf(*ids: int, at: float = 8.0) -> Fault:
+    """Let them hear nothing any more."""
+    return _both(_set(ids, at, is_deaf=True), _silence(ids, at))
+
+
+def _both(*faults: Fault) -> Fault:
+    def fault(rig: Rig) -> None:
+        for one in faults:
+            one(rig)
+    return fault
+
+
+def _silence(ids: Iterable[int], at: float) -> Fault:
+    """Note the first instruction that one of these servos would have answered."""
+    names = set(ids)
+    group = (frames.SYNC_READ, frames.FAST_SYNC_READ, frames.BULK_READ)
+
+    def fault(rig: Rig) -> None:
+        def hear(heard: Heard) -> None:
+            if rig.altered is None and rig.clock.now >= at * S and any(
+                    packet.id in names or packet.instruction in group
+                    for packet in frames.parse(heard.data, fast=True)):
+                rig.alter()
+        rig.wire.listeners.append(hear)
+    return fault
+
+
+def loose(number: int, share: float, at: float = 8.0) -> Fault:
+    """Loosen a plug: some answers are not there."""
+    def fault(rig: Rig) -> None:
+        servo = rig.servos[number]
+        rig.at(at, lambda: setattr(servo, 'loses', lambda: rig.random.random() < share))
+    return fault
+
+
+def away(*ids: int, at: float = 12.0, seconds: float = 0.4, restart: bool = True) -> Fault:
+    """Take the supply away for a moment: RAM is at its defaults afterwards."""
+    def fault(rig: Rig) -> None:
+        _silence(ids, at)(rig)
+        for number in ids:
+            servo = rig.servos[number]
+            rig.at(at, partial(setattr, servo, 'is_on', False))
+            on = partial(setattr, servo, 'is_on', True)
+            rig.at(at + seconds, servo.start if restart else on)
+    return fault
+
+
+
+def latched(number: int, bits: int = 0x20, at: float = 8.0, *, torque_off: bool = True) -> Fault:
+    """Latch a hardware error (e-Manual, Hardware Error Status)."""
+    def fault(rig: Rig) -> None:
+        def do() -> None:
+            rig.servos[number].put(reg.ERRORS, 1, bits)
+            if torque_off:
+                rig.servos[number].put(reg.TORQUE, 1, 0)
+        rig.altering(at, do)
+    return fault
+
+
+def register(number: int, at_register: int, size: int, value: int, at: float = 0.0) -> Fault:
+    """Give a register this value."""
+    def fault(rig: Rig) -> None:
+        rig.altering(at, lambda: rig.servos[number].put(at_register, size, value))
+    return fault
+
+
+def attribute(number: int, at: float = 0.0, **values: object) -> Fault:
+    """Change one of the plain attributes of a servo."""
+    return _set((number,), at, **values)
+
+
+def since(at: float) -> Fault:
+    """Say that what is wrong is in the scene itself, from this time on."""
+    def fault(rig: Rig) -> None:
+        rig.at(at, rig.alter)
+    return fault
+
+
+def heating(number: int, top: float, at: float = 2.0, seconds: float = 12.0) -> Fault:
+    """Heat a servo; the fault counts from where it is near its limit."""
+    def fault(rig: Rig) -> None:
+        def heat() -> float:
+            part = min(1.0, max(0.0, (rig.clock.now / S - at) / seconds))
+            return 40.0 + (top - 40.0) * part
+        rig.servos[number].heat = heat
+        rig.at(at + 0.9 * seconds, rig.alter)
+    return fault
+
+
+def sagging(ids: Iterable[int], low: float, at: float = 2.0, seconds: float = 12.0) -> Fault:
+    """Let the supply sink, as that of a battery at its end."""
+    names = tuple(ids)
+
+    def fault(rig: Rig) -> None:
+        def volts() -> float:
+            return 12.0 + (low - 12.0) * min(1.0, max(0.0, (rig.clock.now / S - at) / seconds))
+        for number in names:
+            rig.servos[number].volts = volts
+        rig.at(at + 0.9 * seconds, rig.alter)
+    return fault
+
+
+def spoil(change: Callable[[Rig, bytes], bytes], share: float, who: str = '',
+          at: float = 8.0) -> Fault:
+    """Change the bytes of a talker (the start of its name), in a share of its packets."""
+    def fault(rig: Rig) -> None:
+        def spoiler(now: int, talker: str, data: bytes) -> bytes:
+            if now < at * S or not (talker + ' ').startswith(who) or rig.random.random() >= share:
+                return data
+            rig.alter()
+            return change(rig, data)
+        rig.wire.spoilers.append(spoiler)
+    return fault
+
+
+def flip(rig: Rig, data: bytes) -> bytes:
+    """Turn over one bit somewhere."""
+    bit = rig.random.randrange(8 * len(data))
+    return data[:bit // 8] + bytes((data[bit // 8] ^ 1 << bit % 8,)) + data[bit // 8 + 1:]
+
+
+def garble(rig: Rig, data: bytes) -> bytes:
+    """Replace some bytes in the middle."""
+    at = rig.random.randrange(len(data))
+    size = rig.random.randint(1, 4)
+    return data[:at] + rig.random.randbytes(size) + data[at + size:]
+
+
+def cut(rig: Rig, data: bytes) -> bytes:
+    """Leave the end out."""
+    return data[:rig.random.randrange(1, len(data))]
+
+
+def first_byte(rig: Rig, data: bytes) -> bytes:
+    """Damage the first byte, as a line that turns round too late."""
+    return bytes((rig.random.choice((0xFE, 0xFC, 0x7F, 0xF0)),)) + data[1:]
+
+
+def lost_first(rig: Rig, data: bytes) -> bytes:
+    """Leave the first byte out."""
+    return data[1:]
+
+
+def stray(rig: Rig, data: bytes) -> bytes:
+    """Put a byte in front that was never said."""
+    return b'\0' + data
+
+
+def echo(at: float = 0.0) -> Fault:
+    """Let the adapter of the master echo what it sends."""
+    def fault(rig: Rig) -> None:
+        def spoiler(now: int, talker: str, data: bytes) -> bytes:
+            if now < at * S or not talker.startswith('master'):
+                return data
+            rig.alter()
+            return data + data
+        rig.wire.spoilers.append(spoiler)
+    return fault
+
+
+def twin(number: int, at: float = 0.0, *, own_us: int = 40, model: str = 'XL430-W250',
+         place: float = 1000.0) -> Fault:
+    """Add a second servo with the same ID."""
+    def fault(rig: Rig) -> None:
+        def join() -> None:
+            other = Servo(rig.wire, number, model, own_us=own_us)
+            other._at = place
+            other.put(reg.GOAL, 4, round(place))
+            other.changed = rig.alter
+            rig.alter()
+        rig.at(at, join)
+    return fault
+
+
+def master_stops(at: float = 10.0) -> Fault:
+    def fault(rig: Rig) -> None:
+        rig.altering(at, rig.ports[0].stop)
+    return fault
+
+
+def second_master(master: Master, ids: list[int], at: float = 6.0, **options: object) -> Fault:
+    """Another program on the same line."""
+    def fault(rig: Rig) -> None:
+        rig.run_master(master, ids, at, **options)
+        rig.at(at, rig.alter)
+    return fault
+
+
+def elsewhere(number: int, at: float = 8.0, rate: float = 20.0) -> Fault:
+    """Let a master that this line does not hear ask a servo that it hears."""
+    def fault(rig: Rig) -> None:
+        servo = rig.servos[number]
+
+        def ask() -> None:
+            data = bytes(servo.table[reg.PLACE:reg.PLACE + 4])
+            rig.wire.talk(f'servo {number}', frames.status(number, 0, data))
+            rig.alter()
+            rig.at(rig.clock.now / S + 1 / rate + rig.random.random() / 300, ask)
+        rig.at(at, ask)
+    return fault
+
+
+def protocol_1(number: int = 9, at: float = 6.0, rate: float = 10.0) -> Fault:
+    """Ask a device of Protocol 1.0, and let it answer (e-Manual, Protocol 1.0)."""
+    def fault(rig: Rig) -> None:
+        def packet(code: int, params: bytes) -> bytes:
+            body = bytes((number, len(params) + 2, code)) + params
+            return b'\xff\xff' + body + bytes((~sum(body) & 0xFF,))
+
+        def ask() -> None:
+            rig.wire.talk('master 0', packet(2, b'\x24\x02'))
+            answer = packet(0, b'\0\2')
+            rig.at(rig.clock.now / S + 0.0003, lambda: rig.wire.talk('servo 9', answer))
+            rig.at(rig.clock.now / S + 1 / rate, ask)
+            rig.alter()
+        rig.at(at, ask)
+    return fault
+
+
+def wait_less(ms: float, at: float = 8.0) -> Fault:
+    """Make the time-out of the program shorter than the answers take."""
+    def fault(rig: Rig) -> None:
+        rig.altering(at, lambda: setattr(rig.ports[0], 'wait_ms', ms))
+    return fault
+
+
+def busy_host(ms: float, at: float = 6.0) -> Fault:
+    """Let the master's computer be late, differently each time."""
+    def fault(rig: Rig) -> None:
+        rig.altering(at, lambda: setattr(rig.ports[0], 'slow_ms',
+                                         lambda: rig.random.expovariate(1 / ms)))
+    return fault
+

@@ -1,0 +1,203 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a program on the bus is made of: it says a packet, waits for answers, and goes on.
+
+Programs are generators of steps (masters.py); here they are run against the wire. How long they
+wait and when they give up follows DynamixelSDK (packet and port handlers): bytes expected, two
+latency timers of 16 ms and 2 ms more; the first good status of the wanted ID ends the wait, a
+status that fails its CRC ends it as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Generator
+from collections.abc import Iterable
+from functools import partial
+from random import Random
+from typing import NamedTuple
+
+from rigs.bus import frames
+from rigs.bus.frames import Packet
+from rigs.bus.wire import Heard
+from rigs.bus.wire import S
+from rigs.bus.wire import Wire
+
+MS = 1_000_000
+SDK_WAIT_MS = 34.0                 # 2 x LATENCY_TIMER + 2 (DynamixelSDK, port_handler)
+
+
+class Say(NamedTuple):
+    """Put these bytes into the output buffer; the program goes on at once."""
+
+    data: bytes
+
+
+class Sleep(NamedTuple):
+    """Do nothing until this time."""
+
+    until: int
+
+
+class Listen(NamedTuple):
+    """Go on when more bytes came in, or at this time."""
+
+    until: int
+
+
+Step = Say | Sleep | Listen
+Program = Generator[Step, None, None]
+
+
+class Port:
+    """
+    One program's serial port: an output queue, an input buffer, an adapter.
+
+    latency_ms: of the adapter: what comes in is handed over so long after its first byte.
+    """
+
+    def __init__(self, wire: Wire, random: Random, *, name: str, latency_ms: float = 0.2,
+                 wait_ms: float = SDK_WAIT_MS, stuffs: bool = True) -> None:
+        self.wire = wire
+        self.clock = wire.clock
+        self.random = random
+        self.latency_ms = latency_ms
+        self.name = name
+        self.wait_ms = wait_ms
+        self.stuffs = stuffs
+        self.is_stopped = False
+        self.is_deaf = False           # its receive path is dead
+        self.slow_ms: Callable[[], float] = lambda: 0.0      # its computer is busy, each time
+        self.input = bytearray()
+        self._sent = 0                 # when the output queue is empty
+        self._held = bytearray()
+        self._program: Program | None = None
+        self._epoch = 0                # of the wait that is under way
+        self._is_listening = False
+        wire.listeners.append(self._hear)
+
+    @property
+    def now(self) -> int:
+        return self.clock.now
+
+    def run(self, program: Program, at: int = 0) -> None:
+        self._program = program
+        self.clock.at(at, self._go)
+
+    def stop(self) -> None:
+        """End the program between two steps, as a killed process."""
+        self.is_stopped = True
+
+    def _go(self) -> None:
+        while self._program is not None and not self.is_stopped:
+            step = next(self._program, None)
+            if step is None:
+                return
+            if isinstance(step, Say):
+                self._say(step.data)
+                continue
+            self._epoch += 1
+            self._is_listening = isinstance(step, Listen)
+            late = round(self.slow_ms() * MS)
+            self.clock.at(step.until + late, partial(self._wake, self._epoch))
+            return
+
+    def _wake(self, epoch: int) -> None:
+        if epoch == self._epoch:
+            self._go()
+
+    def _say(self, data: bytes) -> None:
+        start = max(self.now, self._sent)
+        self._sent = start + round(len(data) * self.wire.byte_ns)
+        self.clock.at(start, lambda: self._talk(data))
+
+    def _talk(self, data: bytes) -> None:
+        if not self.is_stopped:
+            self.wire.talk(self.name, data)
+
+    def _hear(self, heard: Heard) -> None:
+        if self.is_deaf or all(talk.who == self.name for talk in heard.talks):
+            return                     # the adapter does not listen while it talks
+        if not self._held:
+            self.clock.at(self.now + round(self.latency_ms * MS), self._deliver)
+        self._held += heard.data
+
+    def _deliver(self) -> None:
+        self.input += self._held
+        self._held.clear()
+        if self._is_listening:
+            self._epoch += 1
+            self._go()
+
+    # --- what programs are made of -----------------------------------------------------------
+
+    def clear(self) -> None:
+        """Drop what came in, as each txPacket() does."""
+        self.input.clear()
+
+    def patience(self, size: int) -> int:
+        """Return until when an answer of so many bytes is waited for."""
+        return self.now + round(size * self.wire.byte_ns) + round(self.wait_ms * MS)
+
+    def receive(self, wanted: int, until: int) -> Generator[Step, None, Packet | None]:
+        """Return the next status of this ID, None for a time-out or a damaged one."""
+        while True:
+            start = self.input.find(b'\xff\xff\xfd')
+            if start >= 0 and len(self.input) >= start + 11:
+                size = 7 + (self.input[start + 5] | self.input[start + 6] << 8)
+                if size > 1031 or self.input[start + 3] or self.input[start + 7] != frames.STATUS:
+                    del self.input[:start + 1]
+                    continue
+                if len(self.input) >= start + size:
+                    raw = bytes(self.input[start:start + size])
+                    del self.input[:start + size]
+                    found = frames.parse(raw, fast=True)
+                    if not found or found[0].id == wanted:
+                        return found[0] if found else None
+                    continue
+            if self.now >= until:
+                return None
+            yield Listen(until)
+
+    def ask(self, packet: bytes, wanted: int,
+            size: int) -> Generator[Step, None, Packet | None]:
+        """Say an instruction to one device and return its status (txRxPacket)."""
+        self.clear()
+        yield Say(packet)
+        return (yield from self.receive(wanted, self.patience(size + 11)))
+
+    def ask_all(self, packet: bytes, ids: Iterable[int],
+                size: int) -> Generator[Step, None, dict[int, Packet]]:
+        """Say a group read; return the answers up to the first that does not come."""
+        wanted = list(ids)
+        self.clear()
+        yield Say(packet)
+        until = self.patience((size + 11) * len(wanted))
+        found: dict[int, Packet] = {}
+        for number in wanted:
+            answer = yield from self.receive(number, until)
+            if answer is None:
+                break
+            found[number] = answer
+        return found
+
+    def ask_fast(self, packet: bytes, ids: Iterable[int],
+                 size: int) -> Generator[Step, None, bool]:
+        """Say a fast group read; return whether the combined status came whole."""
+        wanted = list(ids)
+        self.clear()
+        yield Say(packet)
+        until = self.patience(8 + (size + 4) * len(wanted))
+        return (yield from self.receive(frames.EVERYBODY, until)) is not None
+
+    def pace(self, start: int, period_ms: float) -> tuple[Sleep, int]:
+        """Return the sleep to the next turn of a loop, and when that is; it drops late ones."""
+        period = round(period_ms * MS)
+        due = start + period
+        while due < self.now:
+            due += period
+        return Sleep(due), due
+
+    def seconds(self) -> float:
+        return self.now / S

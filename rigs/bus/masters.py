@@ -1,0 +1,220 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The programs that people run, as what they send, in which order, and what they do about failure.
+
+After the public sources, read for behaviour and not copied: DynamixelSDK (Python, group read and
+write examples), dynamixel_hardware_interface (start-up, indirect data, Fast Sync Read),
+bitbots_ros_control with its dynamixel_workbench (Sync Read of 126, 144 and 70), LeRobot (motors
+bus: handshake, calibration, one try, torque off at the end), a Wizard-like scan, a first program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Sequence
+from math import sin
+
+from rigs.bus import frames
+from rigs.bus import servo as reg
+from rigs.bus.frames import two
+from rigs.bus.master import MS
+from rigs.bus.master import Port
+from rigs.bus.master import Program
+from rigs.bus.master import Say
+from rigs.bus.master import Sleep
+
+Ids = Sequence[int]
+Master = Callable[[Port, Ids], Program]
+
+
+def goal(port: Port, number: int, swing: float = 500.0) -> bytes:
+    """Return where a servo is sent at this time: a slow wave."""
+    return round(2048 + swing * sin(2 * port.seconds() + number)).to_bytes(4, 'little')
+
+
+def sdk_loop(port: Port, ids: Ids, *, rate: float = 100.0, address: int = reg.PLACE,
+             size: int = 4, torque: bool = True, retries: int = 0) -> Program:
+    """Group read, then group write, as the examples of the SDK do: the usual loop."""
+    for number in ids if torque else ():
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number, 0)
+    due = port.now
+    while True:
+        for _ in range(retries + 1):
+            found = yield from port.ask_all(frames.sync_read(ids, address, size), ids, size)
+            if len(found) == len(ids):
+                break
+        yield Say(frames.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids],
+                                    stuff=port.stuffs))
+        sleep, due = port.pace(due, 1000 / rate)
+        yield sleep
+
+
+def unpaced(port: Port, ids: Ids) -> Program:
+    """Run the same loop without a pause: as fast as answers come."""
+    while True:
+        yield from port.ask_all(frames.sync_read(ids, reg.PLACE, 4), ids, 4)
+        yield Say(frames.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids]))
+
+
+def hardware_interface(port: Port, ids: Ids, *, rate: float = 100.0, fast: bool = True,
+                       pings: bool = True, volts: bool = True) -> Program:
+    """Start as dynamixel_hardware_interface does, then read and write indirect data."""
+    items = [(reg.LOAD, 2), (reg.SPEED, 4), (reg.PLACE, 4), (reg.ERRORS, 1)]
+    if volts:
+        items += [(reg.VOLTS, 2), (reg.HEAT, 1)]
+    watched = [at + byte for at, size in items for byte in range(size)]
+    for number in ids if pings else ():
+        yield from port.ask(frames.instruction(number, frames.PING), number, 3)
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number, 0)
+        yield from port.ask(frames.write(number, reg.DELAY, b'\0'), number, 0)
+        for slot, at in enumerate(watched):
+            yield from port.ask(frames.write(number, reg.REDIRECTS + 2 * slot, two(at)), number, 0)
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number, 0)
+        yield Sleep(port.now + 2 * MS)
+    size, due = len(watched), port.now
+    packet = frames.sync_read(ids, reg.REDIRECTED, size, fast=fast)
+    while True:
+        if fast:
+            yield from port.ask_fast(packet, ids, size)
+        else:
+            yield from port.ask_all(packet, ids, size)
+        yield Say(frames.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids]))
+        sleep, due = port.pace(due, 1000 / rate)
+        yield sleep
+
+
+def bitbots(port: Port, ids: Ids, *, board: int = 0, rate: float = 100.0) -> Program:
+    """Walk: all joints each cycle, supply and errors now and then, a board beside."""
+    for number in ids:
+        yield from port.ask(frames.instruction(number, frames.PING), number, 3)
+    yield Say(frames.sync_write(reg.TORQUE, 1, [(one, b'\1') for one in ids]))
+    due, turn = port.now, 0
+    while True:
+        yield from port.ask_all(frames.sync_read(ids, 126, 10), ids, 10)
+        if board:
+            yield from port.ask(frames.read(board, 36, 16), board, 16)
+        if turn % 10 == 3:
+            yield from port.ask_all(frames.sync_read(ids, 144, 3), ids, 3)
+        if turn % 10 == 7:
+            yield from port.ask_all(frames.sync_read(ids, 70, 1), ids, 1)
+        yield Say(frames.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids]))
+        turn += 1
+        sleep, due = port.pace(due, 1000 / rate)
+        yield sleep
+
+
+def lerobot(port: Port, ids: Ids, *, rate: float = 30.0, gives_up: bool = True) -> Program:
+    """Run handshake, settings, a loop of one try; a failure ends it and the torque."""
+    for number in ids:
+        if (yield from port.ask(frames.instruction(number, frames.PING), number, 3)) is None:
+            return
+    for number in ids:
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number, 0)
+        yield from port.ask(frames.write(number, reg.DELAY, b'\0'), number, 0)
+    for at, size in ((20, 4), (52, 4), (48, 4), (10, 1)):
+        yield from port.ask_all(frames.sync_read(ids, at, size), ids, size)
+    for number in ids:
+        yield from port.ask(frames.write(number, reg.MODE, b'\3'), number, 0)
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number, 0)
+    due = port.now
+    while True:
+        found = yield from port.ask_all(frames.sync_read(ids, reg.PLACE, 4), ids, 4)
+        if len(found) < len(ids) and gives_up:
+            break
+        yield Say(frames.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids]))
+        sleep, due = port.pace(due, 1000 / rate)
+        yield sleep
+    for number in ids:
+        for _ in range(6):
+            if (yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number, 0)):
+                break
+
+
+def scan(port: Port, ids: Ids, *, first: int = 0, last: int = 252, again: bool = True,
+         dwell_ms: float = 3.0) -> Program:
+    """Look for servos as the Wizard does: a Ping to every ID; then whole tables of those found."""
+    found: list[int] = []
+    port.wait_ms = dwell_ms
+    for number in range(first, last + 1):
+        answer = yield from port.ask(frames.instruction(number, frames.PING), number, 3)
+        found += [number] if answer else []
+    port.wait_ms = 34.0
+    while again and found:
+        for number in found:
+            yield from port.ask(frames.read(number, 0, 147), number, 147)
+            yield Sleep(port.now + 20 * MS)
+
+
+def beginner(port: Port, ids: Ids, *, print_ms: float = 4.0, address: int = reg.GOAL,
+             wanted: int = reg.PLACE) -> Program:
+    """Do as a first program: send a goal, read the position for a while and print it."""
+    for number in ids:
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number, 0)
+    while True:
+        for number in ids:
+            place = goal(port, number)
+            yield from port.ask(frames.write(number, address, place), number, 0)
+            for _ in range(8):
+                yield from port.ask(frames.read(number, wanted, 4), number, 4)
+                yield Sleep(port.now + round(port.random.expovariate(1 / print_ms) * MS))
+
+
+def poller(port: Port, ids: Ids, *, rate: float = 20.0, torque: bool = False,
+           ping: bool = False, writes: Ids | None = None) -> Program:
+    """Item by item and device by device, as dynamixel_workbench: read, now and then write."""
+    for number in ids if torque else ():
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number, 0)
+    due = port.now
+    while True:
+        for number in ids:
+            if ping:
+                yield from port.ask(frames.instruction(number, frames.PING), number, 3)
+            if torque:
+                yield from port.ask(frames.read(number, reg.TORQUE, 1), number, 1)
+            yield from port.ask(frames.read(number, reg.PLACE, 4), number, 4)
+            if writes is None or number in writes:
+                yield from port.ask(frames.write(number, reg.GOAL, goal(port, number)), number, 0)
+        sleep, due = port.pace(due, 1000 / rate)
+        yield sleep
+
+
+def ping_flood(port: Port, ids: Ids, *, every_ms: float = 20.0) -> Program:
+    """Broadcast Pings one after the other, far faster than all can answer."""
+    while True:
+        yield Say(frames.instruction(frames.EVERYBODY, frames.PING))
+        yield Sleep(port.now + round(every_ms * MS))
+
+
+def setup_then(first: Callable[[Port, Ids], Program], loop: Master) -> Master:
+    """One program, then another, on the same port."""
+    def both(port: Port, ids: Ids) -> Program:
+        yield from first(port, ids)
+        yield from loop(port, ids)
+    return both
+
+
+def beside(loop: Master, extra: Master, *, at: float = 8.0, every_s: float = 0.2) -> Master:
+    """Make a loop that does something else as well, between two turns."""
+    def both(port: Port, ids: Ids) -> Program:
+        due = at
+        for step in loop(port, ids):
+            if isinstance(step, Sleep) and port.seconds() >= due:
+                due = port.seconds() + every_s
+                yield from extra(port, ids)
+            yield step
+    return both
+
+
+def asks(packet: bytes, number: int, size: int = 0) -> Master:
+    """One instruction to one device, with its answer."""
+    def ask(port: Port, ids: Ids) -> Program:
+        yield from port.ask(packet, number, size)
+    return ask
+
+
+def says(packet: bytes) -> Master:
+    """One instruction that has no answer."""
+    def say(port: Port, ids: Ids) -> Program:
+        yield Say(packet)
+    return say

@@ -1,0 +1,150 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the doctor says of the scenes, and how right that is.
+
+right: the first of its findings is the expected one, in the last report; wrong: at any time there
+was a WARN or ERROR that is not true of this bus; vague: neither, but something true was told;
+silent: nothing was. Time counts from the first byte that the fault altered or removed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from collections.abc import Iterator
+from statistics import median
+from typing import NamedTuple
+
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from msg_defs.reports import Level
+from rigs.bus.rig import Rig
+from rigs.bus.scene import Key
+from rigs.bus.scene import Scene
+from rigs.bus.scene import SECONDS
+from rigs.bus.wire import S
+
+RIGHT, VAGUE, SILENT, WRONG = 'right', 'vague', 'silent', 'wrong'
+REPORT_NS = S // 2
+SEED = 1
+FEW = 6                            # false words that a row shows
+BOOT = 1000 * S                    # no clock that counts from start-up begins at 0
+_MODELS = Models()
+
+
+class Result(NamedTuple):
+    """What was said of a scene; after_s: when the expected was first, None if it never was."""
+
+    name: str
+    expected: tuple[Key, ...]
+    verdict: str
+    told: tuple[Key, ...]              # at the end, the worst first
+    false: tuple[tuple[float, Key], ...]   # when it was said first, what
+    after_s: float | None
+    doubts: tuple[str, ...]            # what the doctor cannot tell, at the end
+
+
+def reports(scene: Scene, rig: Rig) -> Iterator[tuple[BusReport, float | None]]:
+    """Yield the reports, two per second, each with the seconds since the fault showed."""
+    monitor = Monitor('bus', _MODELS, Settings(
+        baud=scene.ear.baud or scene.baud, devices=tuple(parse_all(list(scene.devices)))),
+        idle_is_told=True)
+    rig.listen(scene.ear, lambda data, stamp: monitor.feed(data, BOOT + stamp),
+               lambda now: monitor.flush_if_idle(BOOT + now))
+    for number in range(1, int(SECONDS * S) // REPORT_NS + 1):
+        rig.clock.run(number * REPORT_NS)
+        since = None if rig.altered is None else (rig.clock.now - rig.altered) / S
+        yield monitor.report(BOOT + rig.clock.now), since
+
+
+def judge(scene: Scene, seed: int = SEED) -> Result:
+    """Run a scene and compare what is said with what is so."""
+    true = {*scene.expected, *scene.also}
+    false: dict[Key, float] = {}
+    after: float | None = None
+    told: tuple[Key, ...] = ()
+    doubts: tuple[str, ...] = ()
+    rig = scene.rig(seed)
+    for report, since in reports(scene, rig):
+        told = tuple((one.rule, one.device) for one in report.findings)
+        doubts = tuple(one.rule for one in report.doubts)
+        for key in _accused(report, scene, true):
+            false.setdefault(key, (report.stamp - BOOT) / S)
+        if after is None and since is not None and told and told[0] in scene.expected:
+            after = since
+    if not scene.expected:
+        false.update(_misses(report, rig))
+    return Result(scene.name, scene.expected, _verdict(scene, told, bool(false)), told,
+                  tuple((when, key) for key, when in false.items()), after, doubts)
+
+
+def _accused(report: BusReport, scene: Scene, true: set[Key]) -> list[Key]:
+    """Return what is said at WARN or worse and is false; on a healthy bus levels count too."""
+    found: list[Key] = [(one.rule, one.device) for one in report.findings
+                        if one.level in (Level.WARN, Level.ERROR)
+                        and (one.rule, one.device) not in true]
+    if not scene.expected:
+        found += [('level', one.id) for one in report.devices
+                  if one.level in (Level.WARN, Level.ERROR)]
+        if report.level in (Level.WARN, Level.ERROR):
+            found.append(('level', None))
+    return found
+
+
+def _misses(report: BusReport, rig: Rig) -> dict[Key, float]:
+    """Return who missed answers by the monitor's count, though by its own books it gave them."""
+    return {(f'missed: {device.totals.missed}', device.id): SECONDS for device in report.devices
+            if device.totals.missed and device.id in rig.servos
+            and rig.servos[device.id].asked == rig.servos[device.id].answered}
+
+
+def _verdict(scene: Scene, told: tuple[Key, ...], is_wrong: bool) -> str:
+    if is_wrong:
+        return WRONG
+    if not scene.expected:
+        return RIGHT
+    if told and told[0] in scene.expected:
+        return RIGHT
+    return VAGUE if {*told} & {*scene.expected, *scene.also} else SILENT
+
+
+def table(results: Iterable[Result]) -> str:
+    """Return what was said of each scene."""
+    lines = ['| scene | expected | told | after | verdict |', '|---|---|---|---|---|']
+    return '\n'.join([*lines, *map(row, results)]) + '\n'
+
+
+def words(results: Iterable[Result]) -> str:
+    """Return the score in words."""
+    results = list(results)
+    faults = [one for one in results if one.expected]
+    healthy = [one for one in results if not one.expected]
+    counts = {verdict: sum(one.verdict == verdict for one in faults)
+              for verdict in (RIGHT, VAGUE, SILENT, WRONG)}
+    times = [one.after_s for one in faults if one.verdict == RIGHT and one.after_s is not None]
+    text = (f'{counts[RIGHT]} of {len(faults)} faults are told rightly, {counts[VAGUE]} '
+              f'vaguely, {counts[SILENT]} not at all, {counts[WRONG]} with a false word; '
+              f'{sum(one.verdict == RIGHT for one in healthy)} of {len(healthy)} healthy runs '
+            'without an accusation.')
+    if times:
+        text += f' Median time to the right name: {median(times):.1f} s.'
+    return text
+
+
+def row(result: Result) -> str:
+    said = ', '.join(_spell(key) for key in result.told) or 'nothing'
+    if result.false:
+        said += '; false: ' + ', '.join(f'{_spell(key)} at {when:.1f} s'
+                                        for when, key in result.false[:FEW])
+        said += f' and {len(result.false) - FEW} more' if len(result.false) > FEW else ''
+    after = '' if result.after_s is None else f'{result.after_s:.1f} s'
+    expected = ' or '.join(map(_spell, result.expected)) or 'healthy'
+    return f'| {result.name} | {expected} | {said} | {after} | {result.verdict} |'
+
+
+def _spell(key: Key) -> str:
+    rule, device = key
+    return f'{rule}' if device is None else f'{rule} {device:03}'

@@ -1,0 +1,74 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every way in which the bridge, its node apart, stops the rover: 8250, ftdi_sio, cdc_acm."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from rigs.drivers.adapters import KINDS
+from rigs.drivers.guest import Guest
+from rigs.drivers.guest import until
+from rigs.drivers.rover import Record
+from rigs.drivers.rover import Rover
+from rigs.drivers.rover import rover_on
+
+REPLUGS = 10
+
+
+@pytest.fixture(scope='module', params=KINDS, ids=lambda kind: kind.driver)
+def rover(request: Any, guest: Guest) -> Iterator[Rover]:
+    with rover_on(request.param, guest) as rover:
+        yield rover
+
+
+def test_the_rover_stops_when_the_commands_end(
+        rover: Rover, record_property: Record) -> None:
+    rover.drive()
+    rover.bridge.signal('USR1')
+    rover.stopped(record_property)
+    assert rover.stands(1)
+    rover.bridge.signal('USR2')
+    rover.drive()
+
+
+def test_the_rover_stops_when_the_bridge_is_frozen(
+        rover: Rover, record_property: Record) -> None:
+    rover.drive()
+    rover.bridge.signal('STOP')
+    rover.stopped(record_property)
+    assert rover.stands(1)
+    rover.bridge.signal('CONT')
+    rover.drive()
+
+
+def test_the_rover_stops_first_each_time_that_the_cable_is_back(
+        rover: Rover, record_property: Record) -> None:
+    for _ in range(REPLUGS):
+        rover.drive()
+        rover.adapter.unplug()
+        known = len(rover.mcu.set_points)
+        rover.adapter.plug()
+        until(lambda known=known: len(rover.mcu.set_points) > known)   # type: ignore[misc]
+        assert rover.mcu.set_points[known].is_stop
+    rover.drive()
+    record_property('figure', f'{REPLUGS} times')
+
+
+def test_the_rover_stops_when_the_bridge_is_killed(
+        rover: Rover, record_property: Record) -> None:
+    rover.drive()
+    rover.bridge.signal('KILL')
+    rover.stopped(record_property)
+    assert rover.stands(1)
+
+
+def test_the_rover_stops_when_the_bridge_is_ended(
+        rover: Rover, record_property: Record) -> None:
+    rover.drive()
+    rover.bridge.signal('TERM')
+    rover.stopped(record_property)
+    until(lambda: not rover.bridge.is_active())
+    assert 'Traceback' not in rover.bridge.log()

@@ -1,0 +1,76 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bus is heard through usbmon while an unchanged dynamixel-sdk drives it, on real drivers."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+import json
+from typing import Any
+
+import pytest
+
+from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.shell import FakeBus
+from dxl_monitor.fake.traffic import none
+from dxl_monitor.model.models import Models
+from rigs.drivers.adapters import Acm
+from rigs.drivers.adapters import Adapter
+from rigs.drivers.adapters import Ftdi
+from rigs.drivers.guest import Guest
+
+BAUD = 1_000_000
+MASTER = """
+import sys
+import dynamixel_sdk as sdk
+port = sdk.PortHandler(sys.argv[1])
+assert port.setBaudRate(1000000)
+port.setPacketTimeout = lambda *_: port.setPacketTimeoutMillis(5000)
+packet = sdk.PacketHandler(2.0)
+for servo in (1, 2, 3):
+    assert packet.ping(port, servo)[0] == 321
+    assert packet.read4ByteTxRx(port, servo, 132)[1] == 0
+port.closePort()
+"""
+
+
+@pytest.fixture
+def bus() -> Iterator[FakeBus]:
+    devices = make_devices(['1-3:MX-106'], Models(), BAUD, moving=False)
+    bus = FakeBus(Master(Line(devices, BAUD), none))
+    bus.start()
+    yield bus
+    bus.stop()
+
+
+@pytest.mark.parametrize('kind', (Ftdi, Acm), ids=lambda kind: kind.driver)
+def test_usbmon_shows_every_packet_of_a_master_and_follows_its_adapter(
+        guest: Guest, bus: FakeBus, kind: type[Adapter], record_property: Any) -> None:
+    guest.run('modprobe -r usbmon', check=False)
+    with kind(guest, bus.path, gather=False) as adapter:
+        path = guest.run(f'readlink -f {adapter.path}').out.strip()
+        refused = guest.run(f'dxl_dump usb:{path} --seconds 1', check=False)
+        assert 'sudo modprobe usbmon' in refused.err
+        guest.run('modprobe usbmon')
+        refused = guest.run(f'dxl_dump usb:{path} --seconds 1', 'robot', check=False)
+        assert 'belongs to root' in refused.err
+        dump = guest.start('dump', f'dxl_dump usb:{path} --json --full')
+        guest.wait('ls -l /proc/*/fd 2>/dev/null | grep -q usbmon')
+        guest.run(f'python - {adapter.path}', 'robot', stdin=MASTER, timeout_s=300)
+        guest.wait(f'[ $(journalctl -q -u {dump.name} -o cat | grep -c Status) -ge 6 ]')
+        adapter.unplug()
+        dump.wait_for(path, 'is not there')
+        adapter.plug()
+        dump.wait_for('the port is open again')
+        guest.run(f'python - {adapter.path}', 'robot', stdin=MASTER, timeout_s=300)
+        guest.wait(f'[ $(journalctl -q -u {dump.name} -o cat | grep -c Status) -ge 12 ]')
+        dump.signal('INT')
+        log = dump.log()
+        dump.stop()
+    packets = [json.loads(line) for line in log.splitlines() if line.startswith('{')]
+    said = [(one['side'], one['instruction'], one['id']) for one in packets]
+    assert said == 2 * [part for servo in (1, 2, 3) for part in (
+        ('out', 'Ping', servo), ('in', 'Status', servo),
+        ('out', 'Read', servo), ('in', 'Status', servo))]
+    record_property('figure', f'{len(packets)} packets, both sides')

@@ -1,0 +1,76 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""One guest for all checks, with the package of this clone in it; and the table at the end."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+from rigs.drivers.guest import Guest
+from rigs.drivers.guest import SHARED
+from rigs.drivers.image import image
+from rigs.drivers.image import VENV
+
+ROOT = Path(__file__).parents[2]
+GUEST = pytest.StashKey[str]()
+
+
+@pytest.fixture(scope='session')
+def guest(tmp_path_factory: pytest.TempPathFactory, request: Any) -> Iterator[Guest]:
+    """Boot the guest, with this clone installed in it."""
+    folder = tmp_path_factory.mktemp('guest')
+    pack(folder)
+    guest = Guest(image(), folder)
+    try:
+        seconds = guest.wait_boot()
+        install(guest)
+        kernel = guest.run('uname -r').out.strip()
+        request.config.stash[GUEST] = (
+            f'guest: Linux {kernel}, {"KVM" if guest.has_kvm else "no KVM (slow)"}, '
+            f'booted in {seconds:.0f} s')
+        yield guest
+    finally:
+        guest.close()
+
+
+def pack(folder: Path) -> None:
+    """Copy what git knows of this clone into the folder that the guest sees, and a wheel of it."""
+    source = folder / 'source'
+    names = subprocess.run(
+        ['git', '-C', str(ROOT), 'ls-files', '-z', '--cached', '--others', '--exclude-standard'],
+        capture_output=True, check=True).stdout.decode().split('\0')
+    for name in names:
+        if name and (ROOT / name).is_file():
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, source / name)
+    subprocess.run([sys.executable, '-m', 'pip', '-qq', 'wheel', '--no-deps',
+                    '--no-build-isolation', '-w', str(folder), str(source)], check=True)
+
+
+def install(guest: Guest) -> None:
+    guest.run(f'{VENV}/bin/pip install -qq --no-deps --no-index --force-reinstall '
+              f'{SHARED}/*.whl', timeout_s=600)
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Name each check as the sentence that it shows."""
+    terminalreporter.section('checks on real drivers')
+    terminalreporter.line(terminalreporter.config.stash.get(GUEST, 'guest: did not boot'))
+    for outcome in ('passed', 'failed', 'error', 'skipped'):
+        for report in terminalreporter.stats.get(outcome, ()):
+            if report.when == 'call' or outcome != 'passed':
+                figure = dict(report.user_properties).get('figure', '')
+                terminalreporter.line(f'{outcome:8}{report.duration:6.1f} s  '
+                                      f'{_sentence(report.nodeid)}' + (figure and f': {figure}'))
+
+
+def _sentence(node: str) -> str:
+    """Return what the name of a check says, with its parameters."""
+    name, _, parameters = node.rpartition('::')[2].removeprefix('test_').partition('[')
+    return name.replace('_', ' ') + (f' ({parameters.rstrip("]")})' if parameters else '')

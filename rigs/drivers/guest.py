@@ -1,0 +1,250 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The guest while it runs: boot, programs inside, adapters that come and go, the end.
+
+One virtual CPU, no network, the disk is never written (QEMU keeps what changes). The guest's agent
+starts programs; systemd keeps those that go on, as units with a log.
+"""
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable
+from contextlib import suppress
+import os
+from pathlib import Path
+import shlex
+import subprocess
+import time
+from typing import NamedTuple
+
+from rigs.drivers.dialogue import Dialogue
+from rigs.drivers.dialogue import Refused
+from rigs.drivers.image import Image
+from rigs.drivers.image import VENV
+
+KVM = Path('/dev/kvm')
+BOOT_S = 600.0                  # without KVM it takes minutes
+POLL_S = 0.1
+SHARED = '/run/shared'          # where the guest sees the folder of this run
+SOURCE = f'{SHARED}/source'     # and this clone in it
+INSIDE = f'{SOURCE}/rigs/drivers/inside'
+PATH = f'{VENV}/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin'
+KERNEL_LINE = 'root=/dev/vda rw console=ttyS0 quiet net.ifnames=0'
+
+
+def can_use_kvm() -> bool:
+    """Tell whether the processor may run the guest; /dev/kvm can be there without that."""
+    return os.access(KVM, os.R_OK | os.W_OK) \
+        and bool({'svm', 'vmx'} & set(Path('/proc/cpuinfo').read_text().split()))
+
+
+class Done(NamedTuple):
+    """What a program in the guest said, and its exit code."""
+
+    code: int
+    out: str
+    err: str
+
+
+class Failed(AssertionError):
+    """A program in the guest that had to succeed did not."""
+
+
+class Guest:
+    """A machine that was booted from `image`; `shared` is a folder that it sees at SHARED."""
+
+    def __init__(self, image: Image, shared: Path) -> None:
+        self.has_kvm = can_use_kvm()
+        self._folder = shared
+        shared.chmod(0o755)                 # its users in the guest are not ours
+        self._begin = time.monotonic()
+        self._started = 0
+        self._process = subprocess.Popen(
+            ['nice', 'qemu-system-x86_64', *self._options(image)],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=(shared / 'qemu.log').open('w'))
+        self._qmp = self._connect('qmp')
+        self._qmp.ask('qmp_capabilities')
+        self._agent = self._connect('agent')
+
+    def _options(self, image: Image) -> list[str]:
+        folder = self._folder
+        accelerator = ['-accel', 'kvm', '-cpu', 'host'] if self.has_kvm else [
+            '-accel', 'tcg,tb-size=256', '-cpu', 'max']
+        return [
+            *accelerator, '-machine', 'pc', '-smp', '1', '-m', '1024', '-nodefaults',
+            '-display', 'none', '-no-user-config', '-nic', 'none',
+            '-kernel', str(image.kernel), '-initrd', str(image.initrd), '-append', KERNEL_LINE,
+            '-drive', f'file={image.disk},format=raw,if=virtio,snapshot=on',
+            '-qmp', f'unix:{folder}/qmp,server=on,wait=off',
+            '-chardev', f'socket,id=agent,path={folder}/agent,server=on,wait=off',
+            '-device', 'virtio-serial', '-device', 'virtserialport,chardev=agent,'
+            'name=org.qemu.guest_agent.0',
+            '-chardev', f'socket,id=gadget,path={folder}/gadget,server=on,wait=off',
+            '-device', 'virtserialport,chardev=gadget,name=gadget',
+            '-virtfs', f'local,path={folder},mount_tag=shared,security_model=none,readonly=on',
+            '-device', 'qemu-xhci',
+            '-chardev', f'file,id=console,path={folder}/console.log',
+            '-device', 'isa-serial,chardev=console,index=0',
+            '-chardev', f'socket,id=uart,path={folder}/uart,server=on,wait=off',
+            '-device', 'isa-serial,chardev=uart,index=1']
+
+    def _connect(self, name: str) -> Dialogue:
+        deadline = time.monotonic() + 30
+        while True:
+            with suppress(OSError):             # not there yet, or not listening yet
+                return Dialogue(self._folder / name)
+            if self._process.poll() is not None or time.monotonic() > deadline:
+                self._process.kill()
+                raise Failed('qemu: ' + (self._folder / 'qemu.log').read_text())
+            time.sleep(POLL_S)
+
+    # Booting
+
+    def wait_boot(self) -> float:
+        """Wait until all units of the boot were started; return the seconds since QEMU began."""
+        deadline = time.monotonic() + BOOT_S
+        while not self._agent.synchronise():
+            if time.monotonic() > deadline:
+                raise Failed('no boot: ' + (self._folder / 'console.log').read_text()[-2000:])
+        self.run('systemctl is-system-running --wait', check=False, timeout_s=BOOT_S)
+        self.run('modprobe dummy_hcd')          # a USB socket inside, for gadgets
+        self.run(f'mkdir -p {SHARED} && mount -t 9p -o trans=virtio,ro shared {SHARED}')
+        return time.monotonic() - self._begin
+
+    def reboot(self) -> None:
+        """Boot again, as after `reboot`; what was written stays."""
+        with suppress(TimeoutError, Refused):
+            self._agent.ask('guest-shutdown', {'mode': 'reboot'}, timeout_s=2.0)
+        self._qmp.wait_event('RESET', timeout_s=BOOT_S)
+        self._agent.close()
+        self._agent = self._connect('agent')
+        self.wait_boot()
+
+    def close(self) -> None:
+        """Switch it off."""
+        with suppress(Refused, OSError):
+            self._qmp.ask('quit')
+        self._process.wait(30)
+
+    # Programs inside
+
+    def run(self, command: str, user: str = 'root', *, check: bool = True,
+            timeout_s: float = 60.0, stdin: str = '') -> Done:
+        """Run a line of shell and wait for its end; `check`: raise Failed if that is not 0."""
+        inner = ['timeout', '-k', '2', str(timeout_s), 'env', f'PATH={PATH}', 'LANG=C.UTF-8',
+                 f'HOME={self._home(user)}', 'PYTHONUNBUFFERED=1', 'bash', '-c', command]
+        as_user = [] if user == 'root' else ['runuser', '-u', user, '--']
+        program, *arguments = [*as_user, *inner]
+        pid = self._agent.ask('guest-exec', {
+            'path': program, 'arg': arguments, 'capture-output': True,
+            'input-data': base64.b64encode(stdin.encode()).decode()})['pid']
+        deadline = time.monotonic() + timeout_s + 10
+        pause_s = POLL_S / 10
+        while not (status := self._agent.ask('guest-exec-status', {'pid': pid}))['exited']:
+            if time.monotonic() > deadline:
+                raise Failed(f'{command}: did not end')
+            time.sleep(pause_s)
+            pause_s = min(2 * pause_s, POLL_S)
+        done = Done(status.get('exitcode', 128 + status.get('signal', 0)),
+                    *(base64.b64decode(status.get(name, '')).decode(errors='replace')
+                      for name in ('out-data', 'err-data')))
+        if check and done.code:
+            raise Failed(f'{command}: ended with {done.code}\n{done.out}{done.err}')
+        return done
+
+    def start(self, name: str, command: str, user: str = 'root') -> Unit:
+        """Start a line of shell as a unit of systemd that goes on, NAME and a number."""
+        self._started += 1
+        name = f'{name}-{self._started}'
+        self.run(f'systemd-run -q --unit={name} --uid={user} --collect -p KillMode=control-group '
+                 f'-E PATH={PATH} -E LANG=C.UTF-8 -E HOME={self._home(user)} '
+                 f'-E PYTHONUNBUFFERED=1 -E RCUTILS_COLORIZED_OUTPUT=0 '
+                 f'bash -c {shlex.quote("exec " + command)}')
+        return Unit(self, name)
+
+    @staticmethod
+    def _home(user: str) -> str:
+        return '/root' if user == 'root' else f'/home/{user}'
+
+    def wait(self, command: str, user: str = 'root', timeout_s: float = 60.0) -> Done:
+        """Run a line of shell again and again until it succeeds."""
+        deadline = time.monotonic() + timeout_s
+        while (done := self.run(command, user, check=False)).code:
+            if time.monotonic() > deadline:
+                raise Failed(f'{command}: not within {timeout_s} s\n{done.out}{done.err}')
+            time.sleep(POLL_S)
+        return done
+
+    # Adapters
+
+    def plug(self, name: str, driver: str = 'usb-serial', **properties: str | bool) -> Path:
+        """Plug an adapter in; return the socket on which its far end is, open for one client."""
+        path = self._folder / f'{name}.line'
+        if driver == 'usb-serial':          # else it is plugged in when a client comes
+            properties['always-plugged'] = True
+        backend = {'addr': {'type': 'unix', 'data': {'path': str(path)}},
+                   'server': True, 'wait': False}
+        self._qmp.ask('chardev-add', {'id': name, 'backend': {'type': 'socket', 'data': backend}})
+        self._qmp.ask('device_add', {'id': f'plug-{name}', 'driver': driver, 'chardev': name,
+                                     **properties})
+        return path
+
+    def unplug(self, name: str) -> None:
+        """Pull it out; returns when it is gone for the guest."""
+        self._qmp.ask('device_del', {'id': f'plug-{name}'})
+        self._qmp.wait_event('DEVICE_DELETED', f'plug-{name}')
+        self._qmp.ask('chardev-remove', {'id': name})
+
+    @property
+    def uart(self) -> Path:
+        """The socket behind the 16550 at ttyS1."""
+        return self._folder / 'uart'
+
+    @property
+    def gadget(self) -> Path:
+        """The socket behind /dev/virtio-ports/gadget, for what a gadget sends and takes."""
+        return self._folder / 'gadget'
+
+
+def until(condition: Callable[[], object], timeout_s: float = 60.0) -> float:
+    """Wait for something on this machine; return the seconds that it took."""
+    begin = time.monotonic()
+    while not condition():
+        if time.monotonic() > begin + timeout_s:
+            raise Failed(f'not within {timeout_s} s')
+        time.sleep(POLL_S / 10)
+    return time.monotonic() - begin
+
+
+class Unit:
+    """A unit of systemd in the guest."""
+
+    def __init__(self, guest: Guest, name: str) -> None:
+        self.name = name
+        self._guest = guest
+
+    def log(self) -> str:
+        return self._guest.run(f'journalctl -q -u {self.name} -o cat --no-pager').out
+
+    def wait_for(self, *parts: str, timeout_s: float = 60.0) -> str:
+        """Wait for a line of the log that holds all of `parts`, and return it."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            log = self.log()
+            for line in log.splitlines():
+                if all(part in line for part in parts):
+                    return line
+            if time.monotonic() > deadline:
+                raise Failed(f'{self.name}: nothing said of {parts} in {timeout_s} s:\n{log}')
+            time.sleep(POLL_S)
+
+    def signal(self, name: str, whom: str = 'main') -> None:
+        self._guest.run(f'systemctl kill -s {name} --kill-whom={whom} {self.name}')
+
+    def is_active(self) -> bool:
+        return self._guest.run(f'systemctl is-active -q {self.name}', check=False).code == 0
+
+    def stop(self) -> None:
+        self._guest.run(f'systemctl stop {self.name}', check=False)

@@ -1,0 +1,72 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Run in the guest: what a driver does with what port.py assumes of one, as JSON.
+
+usage: facts.py PORT       nothing else may have it open
+"""
+import json
+import os
+from pathlib import Path
+import sys
+import termios
+import time
+
+from dxl_monitor.port.driver import line_errors
+from dxl_monitor.port.driver import set_low_latency
+from mecarover_serial.port import open_port
+from mecarover_serial.preflight import PortError
+
+BAUD = 115_200
+WRITTEN = 2000
+
+
+def main(path: str) -> None:
+    port = open_port(path, BAUD)
+    fd = port.fd
+    assert fd is not None
+    written = port.write(bytes(WRITTEN))
+    most = 0
+    deadline = time.monotonic() + 1
+    while time.monotonic() < deadline:
+        most = max(most, port.pending())
+    errors = line_errors(fd)
+    facts = {
+        'hupcl': bool(termios.tcgetattr(fd)[2] & termios.HUPCL),
+        'written': written, 'pending at most': most, 'pending after 1 s': port.pending(),
+        'line errors': None if errors is None else sum(errors),
+        'low latency': set_low_latency(fd), 'second': second(path),
+        'latency timer': timer(path),
+        'read only': read_only(path, port.close)}
+    print(json.dumps(facts))
+
+
+def second(path: str) -> str:
+    """Open it a second time, past the lock that pyserial users keep: TIOCEXCL alone decides."""
+    try:
+        os.close(os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
+    except OSError as error:
+        return error.strerror or ''
+    return 'opened'
+
+
+def timer(path: str) -> str:
+    file = Path('/sys/class/tty', os.path.basename(os.path.realpath(path)), 'device/latency_timer')
+    return file.read_text().strip() if file.exists() else ''
+
+
+def read_only(path: str, close: object) -> str:
+    """Open it as the monitor does, and try to write."""
+    close()                                                     # type: ignore[operator]
+    port = open_port(path, BAUD, read_only=True)
+    try:
+        port.write(b'x')
+    except PortError as error:
+        return error.reason
+    finally:
+        port.close()
+    return 'written'
+
+
+if __name__ == '__main__':
+    main(*sys.argv[1:])

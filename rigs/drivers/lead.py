@@ -1,0 +1,113 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The lead between an adapter in the guest and a fake on this machine, and a fake MCU for it."""
+from __future__ import annotations
+
+from contextlib import suppress
+import os
+from pathlib import Path
+import select
+import socket
+import threading
+import time
+import tty
+
+from msg_defs.vel2d import FRAME_SIZE
+from vel2d_bridge.fake_mcu import FakeMcu
+from vel2d_bridge.receiver import SetPoint
+
+READ_SIZE = 65_536
+IDLE_S = 0.004          # a UART is silent for so long behind a frame only
+TURN_S = 0.001
+
+
+class Lead:
+    """
+    Carries bytes between the socket of an adapter and the pty of a fake, in a thread.
+
+    `gather`: hand what the guest sends on as the MCU's "receive to idle" sees it: a driver passes
+    a frame on in portions. `heard` is what came from the guest, with the time of each portion.
+    """
+
+    def __init__(self, adapter: Path, fake: str, *, gather: bool = False) -> None:
+        self.heard: list[tuple[int, bytes]] = []
+        self._gather = gather
+        self._adapter = socket.socket(socket.AF_UNIX)
+        self._adapter.connect(str(adapter))
+        self._adapter.setblocking(False)
+        self._fake = os.open(fake, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(self._fake)
+        self._held = b''
+        self._held_at = 0.0
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='lead')
+        self._thread.start()
+
+    def __enter__(self) -> Lead:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+        self._adapter.close()
+        os.close(self._fake)
+
+    def bytes_heard(self) -> bytes:
+        return b''.join(chunk for _, chunk in self.heard)
+
+    def _run(self) -> None:
+        while not self._done.is_set():
+            wait_s = TURN_S if self._held else 0.05
+            adapter = self._adapter.fileno()
+            ready, _, _ = select.select([adapter, self._fake], [], [], wait_s)
+            if adapter in ready and not self._from_guest():
+                return
+            if self._fake in ready:
+                self._to_guest()
+            if self._held and time.monotonic() - self._held_at > IDLE_S:
+                self._hand_on()
+
+    def _from_guest(self) -> bool:
+        """Take what the guest sent; False: the adapter was pulled out."""
+        try:
+            chunk = self._adapter.recv(READ_SIZE)
+        except OSError:
+            return False
+        if not chunk:
+            return False
+        self.heard.append((time.monotonic_ns(), chunk))
+        self._held += chunk
+        self._held_at = time.monotonic()
+        if not self._gather or len(self._held) >= FRAME_SIZE:
+            self._hand_on()
+        return True
+
+    def _hand_on(self) -> None:
+        with suppress(OSError):
+            os.write(self._fake, self._held)
+        self._held = b''
+
+    def _to_guest(self) -> None:
+        with suppress(OSError):
+            chunk = os.read(self._fake, READ_SIZE)
+            self._adapter.setblocking(True)
+            self._adapter.sendall(chunk)
+            self._adapter.setblocking(False)
+
+
+class Mcu(FakeMcu):
+    """A fake MCU that keeps every set-point it takes."""
+
+    def __init__(self, baud: int = 115_200) -> None:
+        super().__init__(baud=baud)
+        self.set_points: list[SetPoint] = []
+
+    def pump(self, timeout_s: float) -> list[SetPoint]:
+        taken = super().pump(timeout_s)
+        self.set_points += taken
+        return taken
+
+    @property
+    def drives(self) -> bool:
+        """Whether the wheels turn now."""
+        return bool(self.set_points) and not self.set_points[-1].is_stop

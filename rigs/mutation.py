@@ -1,0 +1,310 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Mutation: which changes to the core do its tests not notice? (python -m rigs.mutation).
+
+Every mutant is one small change to one of FILES: an operator, a constant, a condition, a call
+left out. A sample of them, seeded, is put in place one by one in a copy of the package, and the
+tests of that file run against it. What passes has survived: a hole in the tests, or a change
+that changes nothing (then it is named in EQUIVALENT, with the reason).
+"""
+
+import argparse
+import ast
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+import copy
+import os
+from pathlib import Path
+import random
+import shutil
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+from typing import Any
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+TIMEOUT_S = 120
+_BUS = ('test_tracker.py', 'test_monitor.py')
+_DOCTOR = ('test_doctor.py', 'test_monitor.py')
+FILES = {
+    'msg_defs/crc.py': ('test_vel2d.py', 'test_dxl_packet.py', 'test_dxl_instruction.py'),
+    'msg_defs/dxl_packet.py': ('test_dxl_packet.py', 'test_tracker.py', 'test_fuzz.py'),
+    'dxl_monitor/bus/tracker.py': ('test_tracker.py', 'test_monitor.py', 'test_doctor.py'),
+    'dxl_monitor/bus/planner.py': _BUS,
+    'dxl_monitor/bus/roster.py': _BUS,
+    'dxl_monitor/bus/device.py': _BUS,
+    'dxl_monitor/bus/duty.py': _BUS,
+    'dxl_monitor/bus/table.py': ('test_table.py', *_BUS),
+    'dxl_monitor/bus/expected.py': ('test_expected.py',),
+    **{f'dxl_monitor/doctor/{name}.py': _DOCTOR for name in (
+        'configuration', 'damage', 'health', 'presence', 'rate', 'rhythm', 'timing')},
+    'vel2d_bridge/gate.py': ('test_gate.py', 'test_bridge_safety.py'),
+    'vel2d_bridge/limit.py': ('test_gate.py',),
+    'vel2d_bridge/pacer.py': ('test_pacer.py', 'test_bridge_safety.py', 'test_link.py'),
+}
+# Only what is quick: without ROS, and of the fuzz tests the machines and the kept inputs.
+SELECT = ('-m', 'not ros and not slow', '-k', 'not any_input and not volume and not fuzzer_says')
+
+# Mutants that change nothing that anybody could see: how their line and their change begin.
+_NS = 'a ns more or less than never'
+_NOT_READ = 'written before it is read'
+EQUIVALENT = {
+    ('self._hold_until = 0', '0 -> 1'): _NS,
+    ('self._refuse_until = 0', '0 -> 1'): _NS,
+    ('self._slot_begins_at = 0', '0 -> 1'): _NS,
+    ('waited: int = 0', '0 -> 1'): _NS,
+    ('self, velocity: Vel2d, now: int, *, waited: int = 0', '0 -> 1'): _NS,
+    ('(0 < self._timeout < waited', '0 -> 1'): _NS,
+    ('(stamp_age is not None and 0 < oldest', '0 -> 1'): _NS,
+    ('NEVER = 2**63 - 1', ''): 'later than anything, in any spelling',
+    ('self._resend = max(', '0 -> 1 in column 89'): 'a resend_rate is 0 or at least 2',
+    ('self._burst_zeros_left = 0', '0 -> 1'): _NOT_READ,
+    ('self.time_outs_in_row = 0   ', '0 -> 1'): _NOT_READ,
+    ('self._frame_is_late = False   ', 'False -> True'): _NOT_READ,
+    ('self._frame_under_way = False   ', 'False -> True'): _NOT_READ,
+    ('self._lowered_not_sent = False   ', 'False -> True'): 'the stops of the opening clear it',
+    ('self._wanted = 0   ', '0 -> 1'): _NOT_READ,
+    ('self._last_turn_at = 0', '0 -> 1'): _NOT_READ,
+    ('self._last_written_at = 0', '0 -> 1'): _NOT_READ,
+    ('self._turn_before_freeze = -1', '1 -> 2'): 'no turn was at either time',
+    ('self._asked = (0, 0, 0)', '0 -> 1'): _NOT_READ,
+    ('self._unresolved = False               # no status', 'False -> True'): _NOT_READ,
+    ('self._combined(body + body_crc(body).to_bytes(2', '2 -> 3'): 'a byte behind all blocks',
+    ('mark = find(_TAIL, mark + 1)', '1 -> 2'): 'FF FD 00 does not overlap itself',
+    ('self._wanted = wanted - (size', 'Sub -> Add in column 33'): 'looks earlier, in vain',
+}
+
+COMPARE: dict[type[ast.cmpop], type[ast.cmpop]] = {
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
+}
+BINARY: dict[type[ast.operator], type[ast.operator]] = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.FloorDiv, ast.FloorDiv: ast.Mult,
+    ast.Div: ast.Mult, ast.BitOr: ast.BitAnd, ast.BitAnd: ast.BitOr, ast.LShift: ast.RShift,
+    ast.RShift: ast.LShift, ast.Mod: ast.Mult,
+}
+
+
+# What a change is, and what does it to a node.
+Change = tuple[str, Callable[[Any], object]]
+
+
+class Mutant(NamedTuple):
+    """One change: the line it is in, what it is, and the whole source with it."""
+
+    file: str
+    line: int
+    text: str
+    change: str
+    source: str
+
+    def __str__(self) -> str:
+        return f'{self.file}:{self.line}: {self.change}: {self.text}'
+
+    @property
+    def changes_nothing(self) -> bool:
+        return any(self.text.startswith(line) and self.change.startswith(change)
+                   for line, change in EQUIVALENT)
+
+
+def mutants(file: str) -> Iterator[Mutant]:
+    """Yield every mutant of a file; docstrings, types and imports are left alone."""
+    source = (ROOT / file).read_text()
+    lines = source.splitlines()
+    tree = ast.parse(source)
+    left_alone = {id(one.value) for one in ast.walk(tree)
+                  if isinstance(one, ast.keyword) and one.arg == 'strict'}
+    for index, node in enumerate(ast.walk(tree)):
+        if id(node) in left_alone:
+            continue
+        for what, apply in _changes(node):
+            twin = copy.deepcopy(tree)
+            target = list(ast.walk(twin))[index]
+            description = f'{what} in column {getattr(node, "col_offset", 0)}'
+            apply(target)
+            line = getattr(node, 'lineno', 1)
+            yield Mutant(file, line, lines[line - 1].strip(), description, ast.unparse(twin))
+
+
+def _changes(node: ast.AST) -> Iterator[Change]:
+    changes = _CHANGES.get(type(node))
+    return changes(node) if changes is not None else iter(())
+
+
+def _compare(node: ast.Compare) -> Iterator[Change]:
+    for at, operator in enumerate(node.ops):
+        other = COMPARE[type(operator)]
+        yield (f'{type(operator).__name__} -> {other.__name__}',
+               lambda one, at=at, other=other: one.ops.__setitem__(at, other()))
+
+
+def _binary(node: ast.BinOp | ast.AugAssign) -> Iterator[Change]:
+    other = BINARY.get(type(node.op))
+    if other is not None and not _is_text(node) and not _is_type(node):
+        yield (f'{type(node.op).__name__} -> {other.__name__}',
+               lambda one: setattr(one, 'op', other()))
+
+
+def _boolean(node: ast.BoolOp) -> Iterator[Change]:
+    other = ast.Or if isinstance(node.op, ast.And) else ast.And
+    yield (f'{type(node.op).__name__} -> {other.__name__}',
+           lambda one: setattr(one, 'op', other()))
+
+
+def _unary(node: ast.UnaryOp) -> Iterator[Change]:
+    if isinstance(node.op, ast.Not):
+        yield 'without not', _without_not
+
+
+def _without_not(node: ast.UnaryOp) -> None:
+    node.op = ast.UAdd()
+    node.operand = ast.Call(ast.Name('bool', ast.Load()), [node.operand], [])
+
+
+def _constant(node: ast.Constant) -> Iterator[Change]:
+    if isinstance(node.value, bool):
+        yield f'{node.value} -> {not node.value}', lambda one: setattr(
+            one, 'value', not one.value)
+    elif isinstance(node.value, int | float):
+        yield f'{node.value} -> {node.value + 1}', lambda one: setattr(
+            one, 'value', one.value + 1)
+
+
+def _expression(node: ast.Expr) -> Iterator[Change]:
+    if isinstance(node.value, ast.Call):
+        yield 'call left out', lambda one: setattr(one, 'value', ast.Constant(None))
+
+
+def _condition(node: ast.If | ast.While | ast.IfExp) -> Iterator[Change]:
+    yield 'never', lambda one: setattr(one, 'test', ast.Constant(False))
+
+
+def _call(node: ast.Call) -> Iterator[Change]:
+    other = {'min': 'max', 'max': 'min'}.get(getattr(node.func, 'id', ''))
+    if other is not None:
+        yield f'-> {other}', lambda one: setattr(one.func, 'id', other)
+
+
+def _return(node: ast.Return) -> Iterator[Change]:
+    if node.value is not None and getattr(node.value, 'value', True):       # not False or None
+        yield 'return None', lambda one: setattr(one, 'value', ast.Constant(None))
+
+
+_CHANGES: dict[type[ast.AST], Callable[..., Iterator[Change]]] = {
+    ast.Compare: _compare, ast.BinOp: _binary, ast.AugAssign: _binary, ast.BoolOp: _boolean,
+    ast.UnaryOp: _unary, ast.Constant: _constant, ast.Expr: _expression, ast.If: _condition,
+    ast.While: _condition, ast.IfExp: _condition, ast.Call: _call, ast.Return: _return,
+}
+
+
+def _is_text(node: ast.AST) -> bool:
+    return any(isinstance(one, ast.Constant) and isinstance(one.value, str | bytes)
+               for one in ast.walk(node))
+
+
+def _is_type(node: ast.AST) -> bool:
+    """Tell whether this is `X | None`: a type."""
+    return isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitOr) and any(
+        isinstance(one, ast.Constant) and one.value is None for one in (node.left, node.right))
+
+
+def sample(count: int, seed: int, files: Sequence[str]) -> list[Mutant]:
+    """Draw from all mutants of these files, each as likely as any other."""
+    everything = [one for file in files for one in mutants(file)]
+    chosen = random.Random(seed).sample(everything, min(count, len(everything)))
+    return sorted(chosen, key=lambda one: (one.file, one.line, one.change))
+
+
+class Copy:
+    """A copy of the package in which mutants are put in place."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / 'package'
+        shutil.copytree(ROOT, self._folder, symlinks=True, ignore=shutil.ignore_patterns(
+            '.git', '.venv', '.*_cache', '.hypothesis', '__pycache__', '*.egg-info'))
+
+    def passes_with(self, mutant: Mutant) -> bool | None:
+        """Tell whether the tests of its file pass with the mutant in place."""
+        path = self._folder / mutant.file
+        before = path.read_text()
+        path.write_text(mutant.source)
+        try:
+            return self.passes(FILES[mutant.file])
+        finally:
+            path.write_text(before)
+
+    def passes(self, tests: Sequence[str]) -> bool | None:
+        """Tell whether these tests pass; None when they do not end in time."""
+        code = -1
+        while code < 0:                              # somebody ended them: that says nothing
+            process = subprocess.Popen(
+                [sys.executable, '-B', '-m', 'pytest', '-qx', '-p', 'no:cacheprovider', *SELECT,
+                 *(f'test/{name}' for name in tests)], cwd=self._folder, start_new_session=True,
+                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                env={**os.environ, 'PYTHONPATH': str(self._folder), 'PYTHONHASHSEED': '0',
+                     'PYTEST_DISABLE_PLUGIN_AUTOLOAD': '1'})   # they take longer than most tests
+            try:
+                code = process.wait(TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, 9)
+                process.wait()
+                return None
+        return code == 0
+
+
+def main() -> int:
+    options = _parser().parse_args()
+    chosen = sample(options.count, options.seed, options.file or list(FILES))
+    with TemporaryDirectory() as folder, ThreadPoolExecutor(options.jobs) as pool:
+        copies = [Copy(Path(folder, str(n))) for n in range(options.jobs)]
+        for file in {one.file for one in chosen}:
+            if not copies[0].passes(FILES[file]):
+                print(f'{file}: its tests fail as it is; mend them first', file=sys.stderr)
+                return 1
+        survivors = list(_survivors(chosen, copies, pool))
+    judged = [one for one in chosen if not one.changes_nothing]
+    noticed = len(judged) - len([one for one in survivors if not one.changes_nothing])
+    print(f'{noticed} of {len(judged)} mutants noticed: {100 * noticed / len(judged):.1f} % '
+          f'({len(chosen) - len(judged)} more change nothing; seed {options.seed})')
+    return 0
+
+
+def _survivors(chosen: list[Mutant], copies: list[Copy],
+               pool: ThreadPoolExecutor) -> Iterator[Mutant]:
+    """Yield who survives, and say so at once; each copy works on its share."""
+    def work(copy_: Copy, share: list[Mutant]) -> list[Mutant]:
+        found = []
+        for mutant in share:
+            passed = copy_.passes_with(mutant)
+            if passed:
+                found.append(mutant)
+                what = 'changes nothing' if mutant.changes_nothing else 'survived'
+                print(f'{what}: {mutant}', flush=True)
+            elif passed is None:
+                print(f'noticed, as its tests do not end: {mutant}', flush=True)
+            elif mutant.changes_nothing:
+                print(f'noticed, which it cannot be: {mutant}', flush=True)
+        return found
+
+    shares = [chosen[n::len(copies)] for n in range(len(copies))]
+    for found in pool.map(work, copies, shares):
+        yield from found
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog='python -m rigs.mutation', description=(
+        'Change the core in small ways and see whether its tests notice.'))
+    add = parser.add_argument
+    add('--count', type=int, default=300, help='size of the sample (default %(default)s)')
+    add('--seed', type=int, default=1, help='of the sample (default %(default)s)')
+    add('--jobs', type=int, default=2, help='at the same time (default %(default)s)')
+    add('--file', choices=list(FILES), action='append', help='only this one (repeatable)')
+    return parser
+
+
+if __name__ == '__main__':
+    sys.exit(main())

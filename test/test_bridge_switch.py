@@ -1,0 +1,82 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Commands switched off: by service, parameter and file, over a restart, and without a cable."""
+import signal
+
+from harness import bridge
+from harness import wait
+import pytest
+
+pytestmark = pytest.mark.ros
+NODE = '/vel2d_bridge'
+COMMANDS = 'vel2d_bridge: commands'
+
+
+def enable(graph, ros, on):
+    return graph.call(ros.SetBool, f'{NODE}/enable', data=on)
+
+
+def end(running):
+    running.signal(signal.SIGTERM)
+    assert running.exit_code() == 0, running.text
+
+
+def test_without_a_cable_it_does_not_say_that_the_rover_has_stopped(ros, graph, mcu, cmd_vel):
+    with bridge(mcu) as running:
+        with ros.Teleop(cmd_vel, lambda: ros.twist(0.3), rate=50):
+            wait(lambda: mcu.receiver.wheels.x == 300.0)
+            mcu.vanish()
+            running.wait_for('lost')
+        answer = enable(graph, ros, False)
+        assert not answer.success
+        assert answer.message == 'no stop could be sent, the rover may be driving'
+        graph.wait_status(COMMANDS, answer.message, 'State=unknown', level=2)
+        mcu.come_back()
+        wait(lambda: mcu.receiver.wheels.is_stop)
+        graph.wait_status(COMMANDS, 'State=disabled', level=1)
+        assert enable(graph, ros, False).success
+        end(running)
+
+
+def test_switched_off_it_stays_off_over_a_restart(ros, graph, mcu, cmd_vel, tmp_path):
+    path = tmp_path / 'disabled'
+    with bridge(mcu, disabled_file=path) as running:
+        running.wait_for('open at')
+        assert enable(graph, ros, False).success
+        assert path.exists()
+        running.signal(signal.SIGKILL)
+        running.exit_code()
+    with bridge(mcu, disabled_file=path) as running, \
+            ros.Teleop(cmd_vel, lambda: ros.twist(0.3), rate=50):
+        running.wait_for(f'{path}: is there')
+        running.wait_for('refused: disabled')
+        assert graph.get(NODE, ['enabled']) == [False]
+        assert mcu.receiver.wheels.is_stop
+        assert enable(graph, ros, True).success
+        assert not path.exists()
+        wait(lambda: mcu.receiver.wheels.x == 300.0)
+        end(running)
+
+
+def test_the_parameter_is_the_same_switch(ros, graph, mcu, cmd_vel):
+    with bridge(mcu, enabled='false') as running, \
+            ros.Teleop(cmd_vel, lambda: ros.twist(0.3), rate=50):
+        running.wait_for('refused: disabled')
+        assert graph.set(NODE, enabled=True) == ['']
+        wait(lambda: mcu.receiver.wheels.x == 300.0)
+        assert enable(graph, ros, False).success
+        assert graph.get(NODE, ['enabled']) == [False]
+        wait(lambda: mcu.receiver.wheels.is_stop)
+        end(running)
+
+
+def test_what_cannot_be_kept_is_said_and_the_rover_stops_all_the_same(ros, graph, mcu, cmd_vel):
+    with bridge(mcu, disabled_file='/proc/disabled') as running, \
+            ros.Teleop(cmd_vel, lambda: ros.twist(0.3), rate=50):
+        wait(lambda: mcu.receiver.wheels.x == 300.0)
+        answer = enable(graph, ros, False)
+        assert not answer.success
+        assert answer.message.startswith('/proc/disabled: ')
+        assert 'commands will be taken after a restart' in answer.message
+        wait(lambda: mcu.receiver.wheels.is_stop)
+        end(running)

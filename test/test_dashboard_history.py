@@ -1,0 +1,318 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The history of the dashboard: what is kept, for how long, and what a file survives."""
+import json
+import os
+from pathlib import Path
+import sqlite3
+import subprocess
+import sys
+from urllib.error import HTTPError
+from urllib.parse import urlencode
+from urllib.request import urlopen
+
+from dashboard_page import Dashboard
+import pytest
+from recorded_night import record
+from recorded_night import SERVOS
+from recorded_night import SICK
+from synthetic_robot import FINDINGS
+from synthetic_robot import SyntheticRobot
+
+from mecarover_dashboard import history
+from mecarover_dashboard.history import DamagedError
+from mecarover_dashboard.history import Reader
+from mecarover_dashboard.history import Writer
+from mecarover_dashboard.recorder import Event
+from mecarover_dashboard.recorder import MOST_ERRORS
+from mecarover_dashboard.recorder import Recorder
+from mecarover_dashboard.recorder import Source
+from mecarover_dashboard.recorder import VALUES
+from mecarover_dashboard.recorder import Window
+from mecarover_dashboard.recorder import WINDOW_S
+from mecarover_dashboard.recording import default_path
+from mecarover_dashboard.recording import Recording
+from mecarover_dashboard.recording import RecordingError
+from mecarover_dashboard.state import State
+from msg_defs.reports import Level
+
+NIGHT = 1_790_000_000               # Unix s, when the recorded nights begin
+KNEE = Source('dxl_monitor: 007 left_knee', 'devices', '', 'A')
+HOURS = 3600
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / 'history.sqlite'
+
+
+@pytest.fixture
+def writer(path):
+    writer = Writer(path)
+    yield writer
+    writer.close()
+
+
+def window(at, *values, source=KNEE, level=0):
+    values = (*values, *[None] * (6 - len(values)))
+    return Window(at, source, level, values, values)
+
+
+def read(path, from_s=0, to_s=NIGHT * 2, of=()):
+    reader = Reader(path)
+    try:
+        return list(reader.windows(from_s, to_s, of)), reader.events(from_s, to_s, of)
+    finally:
+        reader.close()
+
+
+def looked_at(robot, seconds, recorder=None):
+    recorder, state = recorder or Recorder(), State()
+    for second in seconds:
+        for topic, message in robot.messages(second):
+            state.take(topic, message, second)
+        recorder.look(state, second, NIGHT + second)
+    return recorder.taken()
+
+
+def test_what_is_kept_of_a_window():
+    windows, events = looked_at(SyntheticRobot(), [100.0, 101.0, 102.0, 110.0])
+    knee = [one for one in windows if one.source.name.endswith('007 left_knee')]
+    assert [one.at - NIGHT for one in knee] == [100, 110]
+    lows, highs = (dict(zip(VALUES['devices'], ends, strict=True))
+                   for ends in (knee[0].lows, knee[0].highs))
+    assert lows['temperature'] == 41
+    assert lows['position'] < highs['position']
+    assert (lows['loss'], knee[0].source.unit) == (0, 'A')
+    bus = next(one for one in windows if one.source.kind == 'buses')
+    assert 30 < bus.lows[0] < 50
+    assert events == []
+
+
+def test_events():
+    robot, recorder, state = SyntheticRobot(), Recorder(), State()
+
+    def told(second):
+        for topic, message in robot.messages(second):
+            state.take(topic, message, second)
+        state.expire(second)
+        recorder.look(state, second, NIGHT + second)
+        return [(event.kind, event.level, event.source.name.rpartition(': ')[2], event.text)
+                for event in recorder.taken()[1]]
+
+    assert told(100.0) == []
+    robot.lost, robot.findings = {7}, FINDINGS[:1]
+    found = told(101.0)
+    assert ('state', 2, '007 left_knee', 'disconnected: 7 answers missed') in found
+    assert ('finding', 1, 'bus', f'missing termination: {FINDINGS[0].message}') in found
+    assert ('error', 2, 'bus', '007: no answer to Read at 132') in found
+    assert told(101.0) == []
+    robot.lost, robot.findings = set(), ()
+    found = told(102.0)
+    assert ('state', 0, '007 left_knee', 'connected') in found
+    assert ('over', 0, 'bus', 'missing termination') in found
+    state.expire(200.0)
+    recorder.look(state, 200.0, NIGHT + 200.0)
+    silent = recorder.taken()[1]
+    assert {event.level for event in silent} == {Level.STALE}
+    assert any(event.text == 'no report; last: connected' for event in silent)
+
+
+def test_noise_does_not_fill_the_file():
+    robot, recorder, state = SyntheticRobot(), Recorder(), State()
+    for topic, message in robot.messages(100.0):
+        state.take(topic, message, 100.0)
+    row = next(state.reports('buses')).row
+    row['errors'] = [(100.0 + at / 100, 'noise') for at in range(200)]
+    recorder.look(state, 102.0, NIGHT + 102.0)
+    errors = [event for event in recorder.taken()[1] if event.kind == 'error']
+    assert len(errors) == MOST_ERRORS
+    assert errors[-1].text == 'noise; there are more in these 10 s'
+
+
+def test_values_come_back_also_where_they_did_not_change(writer, path):
+    at = NIGHT // 600 * 600
+    sent = [window(at, 1.5, 41, 12.1), window(at + 10, 1.5, 41, 12.1),
+            window(at + 20, 1.5, None, 12.1), window(at + 30, 1.5, None, 12.2),
+            window(at + 40, -2.25, 43, 12.2, level=2), window(at + 600, -2.25, 43, 12.2)]
+    writer.write(sent[:3], [])
+    writer.write(sent[2:], [])                  # one that still ran is written again
+    assert read(path, at - 5)[0] == sent
+    assert read(path, at + 25)[0] == sent[2:]
+    assert read(path, at + 35, of=[KNEE.name])[0] == sent[3:]
+
+
+def test_a_clock_that_is_set_back(writer, path):
+    at = NIGHT // 600 * 600
+    writer.write([window(at + 10, 1.0), window(at + 20, 1.0), window(at + 600, 3.0)], [])
+    writer.write([window(at, 2.0), window(at + 10, 2.0)], [])
+    assert [one.lows[0] for one in read(path, at)[0]] == [2.0, 2.0, 3.0]
+
+
+def test_impossible_values_are_unknown(writer, path):
+    writer.write([window(NIGHT, 1e300, -1e13, 12.0)], [])
+    [one] = read(path, NIGHT)[0]
+    assert one.lows[:3] == (None, None, 12.0)
+
+
+def test_a_restart_records_no_error_twice(writer, path):
+    robot = SyntheticRobot()
+    robot.lost = {7}
+    for recorder in (Recorder(), Recorder(writer.errors_until())):
+        writer.write(*looked_at(robot, [100.0], recorder))
+    again = Recorder(writer.errors_until())
+    assert not [event for event in looked_at(robot, [100.0], again)[1] if event.kind == 'error']
+
+
+def test_a_day_is_kept_and_no_more(writer, path, monkeypatch):
+    day = [window(NIGHT + hour * HOURS, 1.0) for hour in range(30)]
+    writer.write(day, [Event(one.at, KNEE, 'state', 2, 'lost') for one in day])
+    writer.limit(NIGHT + 30 * HOURS)
+    windows, events = read(path, NIGHT, NIGHT + 40 * HOURS)
+    assert len(windows) == len(events) == 24
+    monkeypatch.setattr(history, 'MOST_BYTES', 0)
+    writer.limit(NIGHT + 30 * HOURS)
+    assert len(read(path, NIGHT, NIGHT + 40 * HOURS)[0]) == 21
+
+
+def test_how_large_a_day_is(writer):
+    """An hour of 60 servos that move, with every value different each time, counted up to 253."""
+    sources = [Source(f'dxl_monitor: {n:03}', 'devices', '', 'A') for n in range(60)]
+    for at in range(NIGHT // 600 * 600, NIGHT // 600 * 600 + HOURS, WINDOW_S):
+        low = (at % 6280) / 1000
+        writer.write([Window(at, one, 0, (low, 40.0, 11.8, low / 10, 0.0, 0.11),
+                             (low + 1, 41.0, 12.1, low / 10 + 0.2, 0.0, 0.12))
+                      for one in sources], [])
+    assert writer.bytes() / 60 * 253 * 24 < history.MOST_BYTES
+
+
+@pytest.mark.parametrize('content', [b'no database at all', b'SQLite format 3\0' + b'\7' * 5000])
+def test_a_damaged_file_is_set_aside(path, content):
+    path.write_bytes(content)
+    with pytest.raises(DamagedError):
+        Writer(path)
+    recording = Recording(path)
+    recording.close()
+    assert recording.notice.startswith(f'{path}: not a readable history (')
+    [aside] = path.parent.glob('*.damaged-*')
+    assert aside.read_bytes() == content
+
+
+def test_a_file_of_a_later_version_is_set_aside(path):
+    Writer(path).close()
+    database = sqlite3.connect(path)
+    database.execute(f'PRAGMA user_version = {history.VERSION + 1}')
+    database.close()
+    with pytest.raises(DamagedError, match='version 2 of the format is not known here'):
+        Writer(path)
+
+
+def test_a_file_of_the_same_version_goes_on(path):
+    for at in (NIGHT, NIGHT + 600):
+        writer = Writer(path)
+        writer.write([window(at, 1.0)], [])
+        writer.close()
+    assert [one.at for one in read(path, NIGHT)[0]] == [NIGHT, NIGHT + 600]
+
+
+def test_two_dashboards_do_not_share_a_file(path):
+    first = Recording(path)
+    with pytest.raises(RecordingError, match='another dashboard records to it; name another'):
+        Recording(path)
+    first.close()
+    Recording(path).close()
+
+
+def test_a_place_that_cannot_be_written(tmp_path):
+    (tmp_path / 'file').touch()
+    with pytest.raises(RecordingError, match='file exists; name another file with --history'):
+        Recording(tmp_path / 'file' / 'history.sqlite')
+
+
+def test_where_it_is(monkeypatch, tmp_path):
+    monkeypatch.setenv('XDG_STATE_HOME', str(tmp_path))
+    monkeypatch.delenv('STATE_DIRECTORY', raising=False)
+    assert default_path() == tmp_path / 'mecarover_serial/history.sqlite'
+    monkeypatch.setenv('STATE_DIRECTORY', '/var/lib/mecarover_dashboard')
+    assert default_path() == Path('/var/lib/mecarover_dashboard/history.sqlite')
+
+
+def test_kill_9(path):
+    """Twenty times in a row, in the middle of the work: it opens, and at most 10 s are missing."""
+    begin, program = NIGHT, Path(__file__).with_name('recorded_night.py')
+    for round_ in range(20):
+        with subprocess.Popen([sys.executable, program, path, str(begin)],
+                              stdout=subprocess.PIPE, text=True) as process:
+            reached = [int(process.stdout.readline()) for _ in range(7 + 3 * round_)][-1]
+            process.kill()
+        windows, _ = read(path, begin, begin + 100_000)
+        assert max(one.at for one in windows) + WINDOW_S > reached - 10
+        assert {len([one for one in windows if one.at == at]) for at in {
+            one.at for one in windows}} == {SERVOS + 1}
+        begin = reached + 1000
+
+
+def ask(dashboard, what, **query):
+    with urlopen(f'{dashboard.address}history/{what}?{urlencode(query, doseq=True)}',
+                 timeout=20) as answer:
+        return answer.read().decode()
+
+
+def test_a_robot_that_failed_at_night(path):
+    """Eight hours in simulated time: when, which device, how warm and at what voltage before."""
+    writer = Writer(path)
+    lost_at = 5 * HOURS + 1234
+    record(writer, NIGHT, 8 * HOURS, lost_at, flush_s=300)
+    assert writer.bytes() < 2_000_000
+    writer.close()
+    night = {'from': NIGHT, 'to': NIGHT + 8 * HOURS}
+    with Dashboard(history=path) as dashboard:
+        [event] = [one for one in json.loads(ask(dashboard, 'events', **night))['events']
+                   if one[3] == 'state']
+        assert event == [NIGHT + lost_at, SICK, '', 'state', 2, 'disconnected: 7 answers missed']
+        before = json.loads(ask(dashboard, 'values', of=SICK, **{
+            'from': NIGHT + lost_at - 600, 'to': NIGHT + lost_at - 10}))['sources'][SICK]
+        assert before['values']['temperature'][-1][2] == 80
+        assert before['values']['voltage'][-1][1:] == [11.3, 11.4]
+        assert {level for _, level in before['levels']} == {0}
+        whole = json.loads(ask(dashboard, 'values', of=SICK, **night))['sources'][SICK]
+        assert 500 < len(whole['values']['temperature']) <= 601
+        assert next(at for at, level in whole['levels'] if level == 2) \
+            == pytest.approx(NIGHT + lost_at, abs=60)
+        lines = ask(dashboard, 'values', of=SICK, format='csv', **night).splitlines()
+        assert len(lines) == 1 + 8 * HOURS / WINDOW_S
+        assert lines[0].startswith('time,robot,name,level,load unit,position min,position max')
+        assert SICK in ask(dashboard, 'events', format='csv', **night)
+
+
+@pytest.mark.parametrize(('query', 'words'), [
+    ({'from': 'yesterday'}, "from: 'yesterday' is no time; give Unix seconds"),
+    ({'to': '-1'}, "to: '-1' is no time"), ({'to': 'nan'}, "to: 'nan' is no time"),
+    ({'from': 5, 'to': 4}, 'from: is after to; swap them'),
+    ({'points': '0'}, 'points: a number from 1 to 10000')])
+def test_questions_that_make_no_sense(path, query, words):
+    with Dashboard(history=path) as dashboard, pytest.raises(HTTPError) as caught:
+        ask(dashboard, 'values', **query)
+    assert (caught.value.code, caught.value.read().decode()[:len(words)]) == (400, words)
+
+
+def test_without_a_history():
+    with Dashboard() as dashboard, pytest.raises(HTTPError) as caught:
+        ask(dashboard, 'events')
+    assert caught.value.code == 404
+
+
+def test_it_is_recorded_while_it_is_served(path):
+    with Dashboard(history=path) as dashboard:
+        dashboard.take(SyntheticRobot().messages(100.0))
+        assert json.loads(ask(dashboard, 'values'))['sources'] == {}
+        dashboard.server._loop.call_soon_threadsafe(dashboard.server._push)
+    assert len({one.source.name for one in _all(path)}) == 24 + 1 + 2
+    assert os.stat(path).st_size < 1_000_000
+
+
+def _all(path):
+    reader = Reader(path)
+    found = list(reader.windows(1_700_000_000, 4_000_000_000))
+    reader.close()
+    return found

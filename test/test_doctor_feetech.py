@@ -1,0 +1,88 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rules of the doctor about Feetech servos: found where they are true, and only there."""
+
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from msg_defs.dxl1_packet import encode
+
+MODELS = Models()
+MS = 1_000_000
+S = 1_000 * MS
+
+
+class Bus:
+    """Three STS3215; each instruction and its answer are chunks of their own."""
+
+    def __init__(self) -> None:
+        self.monitor = Monitor('arm', MODELS, Settings(
+            baud=1_000_000, protocol='feetech',
+            devices=tuple(Expected(number, 'STS3215') for number in (1, 2, 3))))
+        self.now = 100 * S
+
+    def ask(self, number: int, code: int, params: bytes = b'', answer: bytes = b'') -> None:
+        for packet in (encode(number, code, params), encode(number, 0, answer)):
+            self.now += MS
+            self.monitor.feed(packet, self.now)
+
+    def poll(self, seconds: float) -> None:
+        """Read positions for a while."""
+        for _ in range(round(20 * seconds)):
+            for number in (1, 2, 3):
+                self.ask(number, 2, b'\x38\2', b'\0\x08')
+            self.now += 44 * MS
+            if _ % 20 == 0:
+                self.monitor.report(self.now)
+
+    def findings(self) -> dict[str, tuple[int | None, str]]:
+        return {one.rule: (one.device, one.message)
+                for one in self.monitor.report(self.now).findings}
+
+
+def test_nothing_is_said_of_a_well_arm() -> None:
+    bus = Bus()
+    for number in (1, 2, 3):
+        bus.ask(number, 2, b'\0\2', b'\3\x0a')
+        bus.ask(number, 3, b'\x37\0')                  # unlock, limit, calibrate, lock
+        bus.ask(number, 3, b'\x09\0\0')
+        bus.ask(number, 0x0B)
+        bus.ask(number, 3, b'\x37\1')
+        bus.ask(number, 3, b'\x06\0')                  # 1 MBd in every table
+    bus.poll(2)
+    assert not {'baud_code', 'lock', 'calibrated_twice', 'mixed_firmware'} & bus.findings().keys()
+
+
+def test_a_baud_code_that_lerobot_reads_differently() -> None:
+    bus = Bus()
+    bus.ask(2, 3, b'\x06\5')
+    device, message = bus.findings()['baud_code']
+    assert device == 2
+    assert '76800 for Feetech and 57600 in LeRobot' in message
+
+
+def test_writes_to_a_locked_eeprom() -> None:
+    bus = Bus()
+    bus.ask(1, 2, b'\x37\1', b'\1')
+    bus.poll(12)
+    bus.ask(1, 3, b'\x09\0\0')
+    device, message = bus.findings()['lock']
+    assert device == 1
+    assert 'write 0 to Lock first' in message
+
+
+def test_a_servo_that_is_calibrated_twice() -> None:
+    bus = Bus()
+    bus.ask(3, 0x0B)
+    bus.ask(3, 0x0B)
+    assert bus.findings()['calibrated_twice'][0] == 3
+
+
+def test_different_firmware_in_one_arm() -> None:
+    bus = Bus()
+    for number, minor in ((1, b'\x0a'), (2, b'\x0a'), (3, b'\x09')):
+        bus.ask(number, 2, b'\0\2', b'\3' + minor)
+    device, message = bus.findings()['mixed_firmware']
+    assert device is None
+    assert 'STS3215 with different firmware, 3.9 in 003' in message

@@ -1,0 +1,120 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What instructions of the 1.0 family ask for, by dialect, and how 2.0 would say the same."""
+
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+import pytest
+
+from msg_defs.dxl1_instruction import common
+from msg_defs.dxl1_instruction import common_error
+from msg_defs.dxl1_instruction import Dialect
+from msg_defs.dxl1_instruction import DIALECTS
+from msg_defs.dxl1_instruction import DYNAMIXEL_1
+from msg_defs.dxl1_instruction import error_text
+from msg_defs.dxl1_instruction import FEETECH
+from msg_defs.dxl1_instruction import fits
+from msg_defs.dxl1_instruction import name_of
+from msg_defs.dxl1_instruction import parse
+from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl1_packet import BROADCAST
+from msg_defs.dxl_instruction import Access
+from msg_defs.dxl_instruction import Answers
+from msg_defs.dxl_instruction import parse as parse_2
+
+
+@pytest.mark.parametrize(('code', 'number', 'params', 'answers', 'accesses'), [
+    (0x01, 1, b'', Answers.PING, ()),
+    (0x01, BROADCAST, b'', Answers.EVERYBODY, ()),
+    (0x02, 1, b'\x38\x02', Answers.DATA, (Access(1, 56, 2, None),)),
+    (0x03, 1, b'\x2a\0\x08', Answers.ACK, (Access(1, 42, 2, b'\0\x08'),)),
+    (0x03, BROADCAST, b'\x28\1', Answers.NOBODY, (Access(BROADCAST, 40, 1, b'\1'),)),
+    (0x04, 1, b'\x1e\0\2', Answers.ACK, (Access(1, 30, 2, b'\0\2'),)),
+    (0x05, BROADCAST, b'', Answers.NOBODY, ()),
+    (0x06, 1, b'', Answers.ACK, ()),
+    (0x83, BROADCAST, b'\x1e\2\0\x10\0\1\x20\2', Answers.NOBODY,
+     (Access(0, 30, 2, b'\x10\0'), Access(1, 30, 2, b'\x20\2'))),
+])
+def test_both_dialects_understand(code: int, number: int, params: bytes, answers: Answers,
+                                  accesses: tuple[Access, ...]) -> None:
+    for dialect in DIALECTS:
+        request = parse(code, number, params, dialect)
+        assert (request.answers, request.accesses) == (answers, accesses)
+        assert not request.malformed
+    # The other protocol, parsed by its own rules, says the same; it has options to a reset.
+    said = parse_2(code, number, common(code, params))
+    assert (said.answers, said.accesses, said.malformed) == (answers, accesses, False)
+
+
+def test_what_only_one_of_them_has() -> None:
+    bulk, sync = b'\0\2\1\x1e\2\2\x24', b'\x38\2\1\2\3'
+    asked = (Access(1, 30, 2, None), Access(2, 36, 2, None))
+    assert parse(0x92, BROADCAST, bulk, DYNAMIXEL_1).accesses == asked
+    assert parse_2(0x92, BROADCAST, common(0x92, bulk)).accesses == asked
+    asked = tuple(Access(one, 56, 2, None) for one in (1, 2, 3))
+    assert parse(0x82, BROADCAST, sync, FEETECH).accesses == asked
+    assert parse_2(0x82, BROADCAST, common(0x82, sync)).accesses == asked
+    assert not fits(0x92, BROADCAST, bulk, FEETECH)
+    assert not fits(0x82, BROADCAST, sync, DYNAMIXEL_1)
+    for code in (0x09, 0x0A, 0x0B):
+        assert fits(code, 1, b'', FEETECH)
+        assert not fits(code, 1, b'', DYNAMIXEL_1)
+    assert all(fits(code, BROADCAST, params) for code, params in ((0x92, bulk), (0x82, sync)))
+
+
+def test_only_one_of_them_answers_a_reboot() -> None:
+    assert [parse(0x08, 1, b'', dialect).answers for dialect in DIALECTS] == [
+        Answers.ACK, Answers.NOBODY, Answers.NOBODY]
+
+
+@pytest.mark.parametrize(('code', 'number', 'params'), [
+    (0x01, 1, b'\0'), (0x02, 1, b''), (0x02, 1, b'\x38\0'), (0x02, 1, b'\0\0\1'), (0x03, 1, b'\1'),
+    (0x83, BROADCAST, b'\x1e\2'), (0x83, BROADCAST, b'\x1e\2\1\0'), (0x83, 1, b'\x1e\1\1\0'),
+    (0x83, BROADCAST, b'\x1e\0\1'), (0x82, BROADCAST, b'\x38\2'), (0x82, 3, b'\x38\2\1'),
+    (0x82, BROADCAST, b'\x38\2\1\1'), (0x92, BROADCAST, b'\0'), (0x92, BROADCAST, b'\1\2\1\0'),
+    (0x92, BROADCAST, b'\0\2\1\0\2\1\0'), (0x0B, 1, b'\0'),
+])
+def test_parameters_that_do_not_fit_are_malformed(code: int, number: int, params: bytes) -> None:
+    request = parse(code, number, params)
+    assert request.malformed
+    assert (request.answers, request.accesses) == (Answers.NOBODY, ())
+    assert not fits(code, number, params)
+
+
+def test_an_error_byte_is_a_set_of_flags() -> None:
+    assert error_text(0, FEETECH) == ''
+    assert error_text(0x25, FEETECH) == 'voltage, overheating, overload'
+    assert error_text(0x24, DYNAMIXEL_1) == 'overheating, overload'
+    assert error_text(0x52, DYNAMIXEL_1) == 'angle limit, checksum, instruction'
+    assert error_text(0x10, FEETECH) == 'error bit 4'
+
+
+@pytest.mark.parametrize(('error', 'dialect', 'said'), [
+    (0, DYNAMIXEL_1, 0), (0x24, DYNAMIXEL_1, 0x80), (0x40, DYNAMIXEL_1, 2), (0x08, DYNAMIXEL_1, 4),
+    (0x10, DYNAMIXEL_1, 3), (0x02, DYNAMIXEL_1, 6), (0x41, DYNAMIXEL_1, 0x82),
+    (0x02, FEETECH, 0x80), (0x08, FEETECH, 0x80), (0x21, FEETECH, 0x80), (0x01, UNDECIDED, 0x80),
+])
+def test_what_refuses_an_instruction_and_what_tells_a_state(
+        error: int, dialect: Dialect, said: int) -> None:
+    assert common_error(error, dialect) == said
+
+
+def test_names() -> None:
+    assert name_of(0x0B, FEETECH) == 'Calibrate'
+    assert name_of(0x0B, DYNAMIXEL_1) == 'instruction 0x0B'
+    assert [name_of(code) for code in (0x82, 0x92, 0x55)] == [
+        'Sync Read', 'Bulk Read', 'instruction 0x55']
+
+
+@settings(max_examples=500, deadline=None)
+@given(st.sampled_from([1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 0x82, 0x83, 0x92, 0, 0x55]),
+       st.sampled_from([0, 1, 253, BROADCAST, 255]), st.binary(max_size=60),
+       st.sampled_from(DIALECTS))
+def test_nothing_raises_and_2_0_says_the_same(code: int, number: int, params: bytes,
+                                              dialect: Dialect) -> None:
+    request = parse(code, number, params, dialect)
+    assert request.malformed == (code in dialect.entries
+                                 and not fits(code, number, params, dialect))
+    if fits(code, number, params, dialect):
+        assert parse_2(code, number, common(code, params)).accesses == request.accesses

@@ -1,0 +1,250 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Packets of the 1.0 family: published vectors and both SDKs both ways, any damage, any split."""
+
+import random
+
+from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+import pytest
+import scservo_sdk
+
+from msg_defs.dxl1_packet import begin_of
+from msg_defs.dxl1_packet import BROADCAST
+from msg_defs.dxl1_packet import encode
+from msg_defs.dxl1_packet import FAMILY
+from msg_defs.dxl1_packet import Framer
+from msg_defs.dxl1_packet import HEADER
+from msg_defs.dxl1_packet import MAX_FRAME
+from msg_defs.dxl1_packet import Packet
+from msg_defs.dxl_packet import encode as encode_2
+from msg_defs.dxl_packet import Frame
+from msg_defs.dxl_packet import NOISE_KEPT
+
+# As published: the e-Manual (Protocol 1.0) and Feetech's protocol text. ID, code, parameters.
+VECTORS = {
+    'ping 1': ('FFFF010201FB', 1, 0x01, ''),
+    'write': ('FFFF0105030C64AADC', 1, 0x03, '0C64AA'),
+    'status overload, overheating': ('FFFF010224D8', 1, 0x24, ''),
+    'sync write': ('FFFFFE0E831E040010005001012002600367', BROADCAST, 0x83,
+                   '1E0400100050010120026003'),
+    'bulk read': ('FFFFFE09920002011E0202241D', BROADCAST, 0x92, '0002011E020224'),
+    'read position': ('FFFF0104023802BE', 1, 0x02, '3802'),
+    'status position': ('FFFF0104001805DD', 1, 0x00, '1805'),
+    'action': ('FFFFFE0205FA', BROADCAST, 0x05, ''),
+    'reset': ('FFFF01020AF2', 1, 0x0A, ''),
+    'write goal': ('FFFF0109032A00080000E803D5', 1, 0x03, '2A00080000E803'),
+}
+PING = encode(1, 0x01)
+READ = encode(1, 0x02, b'\x38\x02')
+REPLY = encode(1, 0, b'\x18\x05')
+BAD_REPLY = REPLY[:-1] + bytes([REPLY[-1] ^ 1])
+GARBAGE = [b'', b'\x00', b'\xff', b'\xff\xff', b'\xff\xff\xff', b'\xff\xff\x01',
+           b'\xff\xff\x01\x02', b'\xff\xff\xfe\xff', bytes(range(250)), b'\xff' * 40,
+           encode_2(1, 2, b'\x84\0\4\0')]
+
+pieces = st.one_of(
+    st.binary(max_size=20),
+    st.lists(st.sampled_from([0x00, 0x01, 0x02, 0x04, 0xFD, 0xFE, 0xFF]), max_size=20).map(bytes),
+    st.sampled_from([PING, READ, REPLY, HEADER, READ[:5], REPLY[1:], PING[3:]]),
+    st.builds(encode, st.integers(0, 255), st.integers(0, 255), st.binary(max_size=30)),
+)
+streams = st.lists(pieces, max_size=12).map(b''.join)
+
+
+def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet], Framer]:
+    """Feed in chunks of these sizes, the rest at once; then flush. Checks the byte accounting."""
+    framer = Framer()
+    found: list[Packet] = []
+    at = 0
+    for size in [*(sizes or []), len(data)]:
+        found += framer.feed(data[at:at + size], 0)
+        at += size
+        assert framer.bytes == framer.packet_bytes + framer.noise_bytes + framer.pending
+        assert framer.pending < MAX_FRAME
+    found += framer.flush()
+    assert framer.pending == 0
+    assert framer.bytes == framer.packet_bytes + framer.noise_bytes == len(data)
+    assert framer.packets == len(found)
+    return found, framer
+
+
+def summary(framer: Framer) -> tuple[int, ...]:
+    return (framer.packets, framer.crc_errors, framer.truncated, framer.bad_length,
+            framer.noise_bytes)
+
+
+def damaged(frames: list[Frame]) -> list[tuple[str, int]]:
+    return [(flaw.reason, flaw.noise_length) for _, _, flaw in frames
+            if flaw is not None and flaw.reason]
+
+
+@pytest.mark.parametrize('name', VECTORS)
+def test_published_packets_both_ways(name: str) -> None:
+    text, number, code, params = VECTORS[name]
+    wire = bytes.fromhex(text)
+    assert encode(number, code, bytes.fromhex(params)) == wire
+    for data, sizes in ((wire, []), (wire, [1] * len(wire)), (bytes(5) + wire + b'\x01', [3, 9])):
+        [packet], framer = feed(data, sizes)
+        assert packet[1:] == (data.find(wire), number, code, bytes.fromhex(params))
+        assert summary(framer) == (1, 0, 0, 0, len(data) - len(wire))
+
+
+class Line:
+    """What a port of either SDK is to its packet handler: a byte string that was received."""
+
+    is_using = False
+
+    def __init__(self, received: bytes = b'') -> None:
+        self.received = received
+        self.written = b''
+
+    def clearPort(self) -> None:
+        self.received = b''
+
+    def writePort(self, packet: list[int]) -> int:
+        self.written += bytes(packet)
+        return len(packet)
+
+    def readPort(self, size: int) -> list[int]:
+        taken, self.received = self.received[:size], self.received[size:]
+        return list(taken)
+
+    def isPacketTimeout(self) -> bool:
+        return not self.received
+
+    def setPacketTimeout(self, size: int) -> None:
+        pass
+
+
+SDKS = [Protocol1PacketHandler(), scservo_sdk.PacketHandler(0)]
+
+
+@pytest.mark.parametrize('sdk', SDKS, ids=['dynamixel-sdk', 'feetech-servo-sdk'])
+def test_what_the_sdks_write_and_read_is_what_we_mean(sdk: object) -> None:
+    line = Line()
+    sdk.writeTxOnly(line, 7, 42, 3, [1, 2, 3])                         # type: ignore[attr-defined]
+    line.is_using = False
+    sdk.readTx(line, 253 % 252, 56, 2)                                 # type: ignore[attr-defined]
+    assert line.written == encode(7, 3, b'\x2a\1\2\3') + encode(1, 2, b'\x38\2')
+    for number, error, data in ((1, 0, b''), (250, 0x24, b'\xff\xff\xfd\xff'), (0, 1, bytes(200))):
+        wire = encode(number, error, data)
+        packet, result = sdk.rxPacket(Line(b'\x00' + wire))            # type: ignore[attr-defined]
+        assert (bytes(packet), result) == (wire, 0)
+
+
+def test_ff_ff_inside_a_good_frame_is_data() -> None:
+    for data in (HEADER, HEADER + b'\x01\x02\x01\xfb', PING, b'\xff' * 9):
+        [packet], framer = feed(encode(3, 0, data))
+        assert packet.params == data
+        assert framer.noise_bytes == 0
+
+
+@pytest.mark.parametrize('garbage', GARBAGE, ids=[one.hex()[:12] or 'none' for one in GARBAGE])
+def test_a_packet_behind_garbage_is_found(garbage: bytes) -> None:
+    found, framer = feed(garbage + READ)
+    assert found[-1].params == b'\x38\x02'
+    assert framer.noise_bytes == len(garbage)
+    found, framer = feed(READ + garbage + REPLY + garbage)
+    assert [packet.code for packet in found] == [2, 0]
+
+
+def test_what_is_wrong_is_said_exactly() -> None:
+    cases: list[tuple[bytes, str, tuple[int, int, int]]] = [
+        (BAD_REPLY, 'crc', (1, 0, 0)),
+        (REPLY[:-1], 'cut', (0, 1, 0)),
+        (READ[:6] + PING, 'cut', (0, 1, 0)),
+        (b'\xff\xff\x01\x01\x00\x00', 'length', (0, 0, 1)),
+    ]
+    for wire, reason, counts in cases:
+        framer = Framer()
+        framer.frames(PING + b'\x00' * 3)
+        frames = framer.frames(wire) + framer.flush_frames()
+        assert damaged(frames) == [(reason, 3)], wire.hex()
+        assert (framer.crc_errors, framer.truncated, framer.bad_length) == counts
+        bad = next(one for one in frames if one[2] is not None and one[2].reason)
+        assert bad[1][:3] == wire[2:4] + bytes([FAMILY])
+
+
+def test_a_run_of_ff_ends_in_a_header() -> None:
+    for run in range(1, 9):
+        found, framer = feed(b'\xff' * run + PING, [1] * 12)
+        assert [packet.code for packet in found] == [1]
+        assert framer.noise_bytes == run
+
+
+def test_the_form_of_a_body_and_where_the_frame_begins() -> None:
+    framer = Framer()
+    [(end, body, flaw)] = framer.frames(REPLY)
+    assert (end, body, flaw) == (len(REPLY), bytes((1, 4, FAMILY, 0, 0x18, 5)), None)
+    assert begin_of(end, body) == 0
+
+
+def test_no_broadcast_and_no_length_is_too_large() -> None:
+    wire = encode(BROADCAST, 0x83, b'\x1e\x04' + bytes(range(251)))
+    assert len(wire) == MAX_FRAME
+    [packet], _ = feed(wire, [200])
+    assert len(packet.params) == 253
+    with pytest.raises(ValueError, match='bytes must be in range'):
+        encode(1, 3, bytes(254))
+
+
+def test_memory_of_noise_is_bounded() -> None:
+    framer = Framer()
+    for _ in range(100):
+        framer.feed(b'\x00\x80' * 500, 0)
+    assert len(framer.noise) <= NOISE_KEPT
+    assert framer.noise_bytes + framer.pending == 100_000
+
+
+def test_stamps_are_those_of_the_deciding_chunk() -> None:
+    framer = Framer()
+    assert framer.feed(READ, 5)[0].stamp == 5
+    framer.feed(encode(1, 3, bytes(100))[:9] + PING, 6)
+    assert [packet.stamp for packet in framer.flush(7)] == [7]
+
+
+@settings(max_examples=300, deadline=None)
+@given(streams, st.lists(st.integers(1, 40), max_size=40))
+def test_any_split_gives_the_same_packets(data: bytes, sizes: list[int]) -> None:
+    whole, counts = feed(data)
+    split, counted = feed(data, sizes)
+    assert split == whole
+    assert summary(counted) == summary(counts)
+
+
+@settings(max_examples=300, deadline=None)
+@given(streams)
+def test_the_good_packet_after_garbage_is_found(data: bytes) -> None:
+    framer = Framer()
+    framer.feed(data, 0)
+    framer.flush()
+    assert framer.feed(REPLY, 0)[-1].params == b'\x18\x05'
+
+
+def test_of_random_candidates_one_in_256_passes() -> None:
+    """A header is two bytes of 0xFF; what follows passes the sum as often as eight bits say."""
+    chance = random.Random(3)
+    data = b''.join(HEADER + chance.randbytes(40) for _ in range(40_000))
+    found, framer = feed(data, [4096] * 400)
+    tried = framer.packets + framer.crc_errors + framer.truncated
+    assert tried / 256 * 0.7 < len(found) < tried / 256 * 1.3
+
+
+@pytest.mark.parametrize(('first', 'second', 'codes', 'noise'), [
+    (READ[:5], READ[5:], [2], 0),                          # the delivery paused
+    (READ[:5], REPLY + PING, [0, 1], 5),                   # the line did
+    (READ[:3], b'\xff', [], 4),
+    (encode(1, 0, HEADER)[:5], HEADER + b'\xfe', [], 8),
+    (encode(1, 0, HEADER)[:5], encode(1, 0, HEADER)[5:] + PING, [0, 1], 0),
+])
+def test_after_a_pause_the_next_chunk_decides(first: bytes, second: bytes, codes: list[int],
+                                              noise: int) -> None:
+    framer = Framer()
+    found = framer.feed(first, 0)
+    framer.interrupt()
+    found += framer.feed(second, 1) + framer.flush(2)
+    assert [packet.code for packet in found] == codes
+    assert framer.noise_bytes == noise

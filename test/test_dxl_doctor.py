@@ -1,0 +1,417 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""dxl_doctor: one screen, right exit codes, and a reason where nothing is heard."""
+
+import bz2
+from functools import cache
+import gzip
+import importlib.util
+import io
+import json
+import lzma
+import os
+from pathlib import Path
+import random
+import re
+import socket
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+import zipfile
+
+import pytest
+
+from dxl_monitor.doctor import RULES
+from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.faults import parse
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.model.models import Models
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import Reader
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.capture import Writer
+from dxl_monitor.tools.doctor import explain
+from dxl_monitor.tools.doctor import quiet
+from dxl_monitor.tools.doctor import report
+from dxl_monitor.tools.doctor import report_file
+from dxl_monitor.tools.doctor.examination import Examination
+from dxl_monitor.tools.doctor.excerpt import Excerpt
+from dxl_monitor.tools.doctor.screen import screen
+from dxl_monitor.tools.doctor.verdict import ERROR
+from dxl_monitor.tools.doctor.verdict import NOTHING_HEARD
+from dxl_monitor.tools.doctor.verdict import verdict
+from dxl_monitor.tools.doctor.verdict import WARNING
+from dxl_monitor.tools.doctor.verdict import WELL
+from msg_defs.uart import byte_ns
+
+ROOT = Path(__file__).parents[1]
+DOCTOR = 'dxl_monitor.tools.doctor.main'
+MODELS = Models()
+BAUD = 2_000_000
+SECOND = 1_000_000_000
+DEVICES = ('1-3:MX-106', '4:XL430-W250:left_knee', '5-9:XL430-W250')
+WIRE = Wire('bus', BAUD)
+
+
+@cache
+def heard(*faults, seconds=6.0, devices=DEVICES):
+    """Return a run on the simulated bus as chunks."""
+    line = Line(make_devices(list(devices), MODELS, BAUD), BAUD, waits_in_line=False)
+    master = Master(line, PATTERNS['sync'], rate=50, faults=[parse(text) for text in faults])
+    return tuple(Chunk(SECOND + burst.end, 'bus', burst.data)
+                 for burst in master.bursts(int(seconds * SECOND)) if burst.data)
+
+
+def said(chunks, devices=DEVICES, is_timed=True, wire=WIRE):
+    """Return what dxl_doctor says of chunks."""
+    examination = Examination(MODELS, devices)
+    for chunk in chunks:
+        examination.take(chunk, wire)
+    examination.finish(examination.last, is_over=True)
+    why = [] if examination.bytes else quiet.of_file('bus.txt')
+    return verdict('bus.txt', examination.buses(is_timed), examination.seconds, is_timed, why)
+
+
+def capture(path, *faults, seconds=6.0):
+    with path.open('wb') as file:
+        writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
+        for chunk in heard(*faults, seconds=seconds):
+            writer.take(WIRE, chunk.data, chunk.stamp)
+    return path
+
+
+def doctor(*arguments, env=None):
+    """Run dxl_doctor where there is no terminal."""
+    return subprocess.run([sys.executable, '-m', DOCTOR, *map(str, arguments)], cwd=ROOT,
+                          timeout=60, capture_output=True, text=True,
+                          stdin=subprocess.DEVNULL, env={**os.environ, **(env or {})})
+
+
+def test_a_bus_that_is_well():
+    found = said(heard())
+    assert found.code == WELL
+    assert found.wrong == ()
+    assert 'Wrong: nothing that can be heard' in screen(found)
+
+
+def test_the_cause_its_device_by_name_and_what_to_do():
+    found = said(heard('silent:4:2'))
+    first = found.wrong[0]
+    assert (found.code, first.rule, first.who) == (ERROR, 'no_answer', '004 left_knee, XL430-W250')
+    assert 'check its power' in first.message
+    assert re.match(r'seen from [34]\.\d s on; .*wait per question', first.evidence)
+
+
+def test_what_is_over_is_told_as_over():
+    found = said(heard('silent:4:1:2.5', seconds=9.0))
+    told = {entry.rule: entry for entry in found.wrong}
+    assert 'dropout' in told or 'rebooted' in told
+    assert all('and not since' in told[rule].evidence for rule in told if rule == 'no_answer')
+
+
+def test_a_device_that_is_lost_for_a_moment_is_a_warning():
+    found = said(heard('silent:4:2:0.5'))
+    assert (found.code, [entry.rule for entry in found.wrong]) == (WARNING, ['dropout'])
+
+
+def test_devices_with_the_same_trouble_are_told_together():
+    found = said(heard('latched:7:1', 'latched:8:1', 'latched:9:1'))
+    assert [(entry.rule, entry.who) for entry in found.wrong] == [('hardware_error', '007-009')]
+
+
+def test_bytes_without_a_packet_are_no_silence():
+    noise = random.Random(1).randbytes(400)
+    found = said([Chunk(SECOND + number * SECOND // 10, 'bus', noise) for number in range(9)], ())
+    assert found.code in (WARNING, ERROR)
+    assert found.quiet == ()
+
+
+def test_without_times_nothing_is_said_of_times():
+    slow = Wire('bus', 57_600)
+    at, at_once = SECOND, []
+    for chunk in heard(seconds=3.0):
+        at += int(len(chunk.data) * byte_ns(slow.baud))
+        at_once.append(chunk._replace(stamp=at))
+    assert 'bus_too_slow' in [entry.rule for entry in said(at_once, wire=slow).wrong]
+    found = said(at_once, is_timed=False, wire=slow)
+    assert found.wrong == ()
+    assert any('no times' in text for text in found.unknown)
+
+
+FAULTS = ((), ('silent:4:2',), ('silent:4:2', 'latched:7:1'),
+          ('noise::1', 'silent:4:1', 'latched:7:1', 'latched:8:1', 'latched:9:1'))
+
+
+@pytest.mark.parametrize('faults', FAULTS, ids=lambda faults: str(len(faults)))
+def test_it_is_one_screen(faults):
+    found = said(heard(*faults))
+    lines = screen(found)
+    assert len(lines) < 24
+    assert max(map(len, lines)) <= 80
+    assert len(found.wrong) >= (0, 1, 2, 3)[FAULTS.index(faults)]
+
+
+def test_a_hundred_devices_are_one_screen_too():
+    devices = tuple(f'{number}:{"MX-106" if number % 2 else "MX-64"}' for number in range(1, 101))
+    lines = screen(said(heard('silent:40:1', devices=devices, seconds=4.0), devices))
+    assert len(lines) < 24
+    assert any('040' in line for line in lines)
+
+
+def test_a_file_to_the_screen_and_to_programs(tmp_path):
+    path = capture(tmp_path / 'bus.txt', 'silent:4:2')
+    done = doctor(path, '--devices', '4:XL430-W250:left_knee')
+    assert (done.returncode, done.stderr) == (ERROR, '')
+    assert '1 error, 004 left_knee, XL430-W250: no answer' in done.stdout
+    assert '\033' not in done.stdout
+    done = doctor(path, '--json')
+    found = json.loads(done.stdout)
+    assert (done.returncode, found['exit']) == (ERROR, ERROR)
+    assert [(one['rule'], one['device']) for one in found['buses'][0]['findings']] \
+        == [('no_answer', 4)]
+
+
+def test_a_file_without_a_byte(tmp_path):
+    path = tmp_path / 'empty.txt'
+    path.write_bytes(b'')
+    done = doctor(path)
+    assert done.returncode == NOTHING_HEARD
+    assert 'no byte of a bus' in ' '.join(done.stdout.split())
+
+
+@pytest.mark.parametrize(('arguments', 'code', 'words'), [
+    ((), 2, 'SOURCE: none given'),
+    (('run',), 2, 'stands behind --'),
+    (('setup.py', '--report', '/no/such/folder/x'), 2, 'no file can be made'),
+    (('/dev/null', '--', 'python'), 2, 'stands behind --'),
+    (('x', '--seconds', '0'), 2, '--seconds'),
+    (('no_such_file',), 1, 'no such file or port'),
+    (('/dev/ttyNONE0',), 1, 'is not there'),
+    (('run', '--', 'no_such_program'), 1, 'check the name of the program'),
+])
+def test_a_mistake_is_one_line(arguments, code, words):
+    done = doctor(*arguments)
+    assert (done.returncode, done.stdout) == (code, '')
+    assert done.stderr.count('\n') == 1
+    assert done.stderr.startswith('dxl_doctor: ')
+    assert words in done.stderr
+
+
+DIALOGUE = """
+import os, sys, threading, time, tty
+sys.path.insert(0, 'test')
+import serial
+from msg_defs.dxl_packet import encode, STATUS
+from msg_defs.dxl_instruction import Instruction
+far, near = os.openpty()
+tty.setraw(near)
+port = serial.Serial(os.ttyname(near), 1000000, timeout=0.02)
+for turn in range(60):
+    for servo in (1, 2):
+        port.write(encode(servo, Instruction.READ, bytes([132, 0, 4, 0])))
+        os.read(far, 100)
+        if servo == 1:
+            os.write(far, encode(1, STATUS, bytes(4), error=0))
+        port.read(15)
+print('done')
+"""
+
+
+@pytest.fixture
+def meeting_place():
+    """Return a folder with a path that is short enough for a Unix socket."""
+    with TemporaryDirectory(prefix='tap_') as place:
+        yield place
+
+
+@pytest.mark.alone
+def test_a_program_is_run_and_its_dead_servo_named(meeting_place):
+    done = doctor('run', '--', sys.executable, '-c', DIALOGUE,
+                  env={'XDG_RUNTIME_DIR': meeting_place, 'PYTHONPATH': str(ROOT)})
+    assert done.stdout.startswith('done\n')            # what it prints is left alone
+    assert '1000000 baud' in done.stdout
+    assert 'error, 002: no answer' in done.stdout
+    assert done.returncode == ERROR
+
+
+@pytest.mark.alone
+def test_a_program_that_opens_no_port(meeting_place):
+    done = doctor('run', '--', sys.executable, '-c', 'raise SystemExit(7)',
+                  env={'XDG_RUNTIME_DIR': meeting_place})
+    assert done.returncode == NOTHING_HEARD
+    assert 'ended with exit code 7 and opened no port' in done.stdout
+
+
+def test_a_port_that_is_silent_has_its_reasons():
+    text = '\n'.join(quiet.of_port('/dev/ttyNONE0'))
+    assert 'No program asks the servos' in text
+    assert 'not the baud rate' in text
+    assert 'start it with dxl_tap arm' in '\n'.join(quiet.reasons('tap:arm/ttyUSB0', True))
+
+
+def test_every_finding_of_an_error_text_is_a_rule():
+    named = {name for one in explain.explanations() for name in one.findings}
+    assert named - {rule.name for rule in RULES} == set()
+
+
+def sdk_texts():
+    """Return what the two official packages print of a result and of an error byte."""
+    for package in ('dynamixel_sdk', 'scservo_sdk'):
+        folder = Path(importlib.util.find_spec(package).origin).parent
+        for file in folder.glob('*packet_handler.py'):
+            yield from re.findall(r'"(\[(?:TxRxResult|RxPacketError)\] [^"]*)"', file.read_text())
+
+
+def test_what_the_official_packages_print_is_known():
+    known = {text for one in explain.explanations() for text in (one.text, *one.also)}
+    texts = set(sdk_texts())
+    assert len(texts) > 20
+    assert {text for text in texts - known if not re.search(
+        'success|Now receiving|Failed get status|Unknown error', text)} == set()
+
+
+@pytest.mark.parametrize(('pasted', 'first'), [
+    ('[TxRxResult] There is no status packet!', '[TxRxResult] There is no status packet!'),
+    ('  there is NO status   packet', '[TxRxResult] There is no status packet!'),
+    ('-3002', '[TxRxResult] Incorrect status packet!'),
+    ("Failed to sync read 'Present_Position' on ids=[2,3] after 1 tries. [TxRxResult] There is no "
+     'status packet!', 'Failed to sync read'),
+    ("Can't find DYNAMIXEL ID:  8, Joint Name: 'wrist': '[RxPacketError] Hardware error occurred.",
+     "Can't find Dynamixel ID"),
+])
+def test_a_pasted_line_is_explained(pasted, first):
+    assert explain.find(pasted)[0].text == first
+
+
+def test_a_text_that_is_not_known_is_one_line():
+    assert explain.find('assertion failed') == []
+    done = doctor('--explain', 'assertion failed')
+    assert (done.returncode, done.stdout, done.stderr.count('\n')) == (1, '', 1)
+    done = doctor('--explain', 'Ther is not status paket')
+    assert 'did you mean "[TxRxResult] There is no status packet!"' in done.stderr
+
+
+def test_what_explain_prints():
+    text = '\n'.join(explain.lines(explain.find('[RxPacketError] Overload error!')))
+    assert 'hardware error' in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+@pytest.fixture
+def reported(tmp_path):
+    """Return the path of a report of a sick bus, and what was shown when it was made."""
+    secret = tmp_path / 'secret-user'
+    secret.mkdir()
+    path = tmp_path / 'report.txt'
+    done = doctor(capture(secret / 'secret-bus.txt', 'silent:4:2'), '--report', path,
+                  '--devices', '4:XL430-W250:left_knee')
+    assert done.returncode == ERROR
+    return path, done.stdout
+
+
+def findings(text):
+    return [line for line in text.splitlines() if re.match(r'  \d (error|warning|advice), ', line)]
+
+
+def test_a_report_says_the_same_again(reported):
+    path, shown = reported
+    again = doctor(path)
+    assert (again.returncode, again.stderr) == (ERROR, '')
+    assert findings(again.stdout) == findings(shown) != []
+    assert json.loads(doctor(path, '--json').stdout)['exit'] == ERROR
+
+
+def test_the_capture_of_a_report_says_it_too(reported):
+    path, shown = reported
+    text = re.sub(r'(?m)^\{"verdict".*$', '{"verdict', path.read_text())
+    path.write_text(text)
+    again = doctor(path)
+    assert again.returncode == ERROR
+    assert findings(again.stdout) == [line.replace(' left_knee', '') for line in findings(shown)]
+    assert 'this is from the capture' in again.stderr
+
+
+def test_a_report_says_nothing_of_its_maker(reported):
+    path, _ = reported
+    readable, packed_part = path.read_text().split(report.CAPTURE)
+    assert len(packed_part) > 1000
+    stored = report_file.load(str(path))
+    text = readable + repr(stored.chunks) + repr(stored.wires)
+    assert 'left_knee' in text
+    for secret in ('secret', str(path.parent), socket.gethostname(), os.path.expanduser('~')):
+        assert secret not in text, secret
+
+
+def test_with_host_it_does(tmp_path):
+    path = tmp_path / 'report.txt'
+    doctor('--report', path, '--with-host', capture(tmp_path / 'my-bus.txt'))
+    assert 'my-bus.txt' in path.read_text()
+    assert socket.gethostname() in path.read_text()
+
+
+PACKERS = {'gz': gzip.compress, 'bz2': bz2.compress, 'xz': lzma.compress}
+
+
+@pytest.mark.parametrize('packer', PACKERS)
+def test_a_packed_report_is_read(reported, packer):
+    path, shown = reported
+    path.write_bytes(PACKERS[packer](path.read_bytes()))
+    assert findings('\n'.join(screen(report_file.load(str(path)).said))) == findings(shown)
+
+
+def test_a_report_in_a_zip_is_read(reported, tmp_path):
+    path, _ = reported
+    with zipfile.ZipFile(tmp_path / 'report.zip', 'w') as file:
+        file.write(path, 'report.txt')
+    assert report_file.load(str(tmp_path / 'report.zip')).said.code == ERROR
+
+
+def test_no_damage_to_a_report_raises(reported, tmp_path):
+    path, _ = reported
+    data = path.read_bytes()
+    chance = random.Random(23)
+    broken = tmp_path / 'broken'
+    for turn in range(60):
+        wrong = bytearray(data[:chance.randrange(len(data))] if turn % 3 == 0 else data)
+        for _ in range(turn % 5):
+            at = chance.randrange(len(wrong) + 1)
+            wrong[at:at + chance.randrange(40)] = chance.randbytes(chance.randrange(40))
+        broken.write_bytes(gzip.compress(wrong)[:-turn] if turn % 4 == 1 else wrong)
+        stored = report_file.load(str(broken))
+        if stored is not None and stored.said is not None:
+            screen(stored.said)
+
+
+def test_a_cut_report_is_told_as_cut(reported):
+    path, shown = reported
+    path.write_bytes(path.read_bytes()[:-200])
+    again = doctor(path)
+    assert findings(again.stdout) == findings(shown)
+    assert 'cut off' in again.stderr
+
+
+def test_a_report_overwrites_no_other_file(tmp_path):
+    mine = tmp_path / 'thesis.txt'
+    mine.write_text('years of work')
+    done = doctor('--report', mine, capture(tmp_path / 'bus.txt'))
+    assert (done.returncode, mine.read_text()) == (2, 'years of work')
+    assert 'is no report' in done.stderr
+
+
+def test_a_report_is_bounded():
+    excerpt = Excerpt()
+    for number in range(3000):
+        excerpt.take(Chunk(1 + number * SECOND // 100, 'bus', bytes(1000)), WIRE)
+    kept = list(Reader(io.BytesIO(excerpt.capture({}))))
+    assert sum(len(chunk.data) for chunk in kept) <= 1_500_000
+    assert kept[-1].stamp == 1 + 2999 * SECOND // 100
+    excerpt = Excerpt()
+    for number in range(900):
+        excerpt.take(Chunk(1 + number * SECOND // 10, 'bus', bytes(1)), WIRE)
+        if number == 400:
+            excerpt.first_error = 40 * SECOND
+    kept = list(Reader(io.BytesIO(excerpt.capture({}))))
+    assert 24 * SECOND < kept[0].stamp < kept[-1].stamp < 56 * SECOND

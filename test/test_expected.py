@@ -1,0 +1,57 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is on a bus, as people write it: every form, and every mistake in one line."""
+
+import pytest
+
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.expected import parse
+from dxl_monitor.bus.expected import parse_all
+from mecarover_serial.parameters import ParameterError
+
+
+@pytest.mark.parametrize(('text', 'devices'), [
+    ('30', [Expected(30)]),
+    ('11:MX-106', [Expected(11, 'MX-106')]),
+    ('11:MX-106:left_knee', [Expected(11, 'MX-106', 'left_knee')]),
+    ('11::left_knee', [Expected(11, '', 'left_knee')]),
+    ('1-3:MX-64', [Expected(1, 'MX-64'), Expected(2, 'MX-64'), Expected(3, 'MX-64')]),
+    (' 0 - 1 : MX-64 ', [Expected(0, 'MX-64'), Expected(1, 'MX-64')]),
+    ('252', [Expected(252)]),
+    ('100:Rhoban DXL Board', [Expected(100, 'Rhoban DXL Board')]),
+    ('1-2:MX-64,7:MX-106:hip', [Expected(1, 'MX-64'), Expected(2, 'MX-64'),
+                                Expected(7, 'MX-106', 'hip')]),
+])
+def test_forms(text: str, devices: list[Expected]) -> None:
+    assert parse(text) == devices
+
+
+@pytest.mark.parametrize(('text', 'words'), [
+    ('', 'is not a device'),
+    ('knee', 'is not a device'),
+    ('1:2:3:4', 'is not a device'),
+    ('-3', 'is not a device'),
+    ('253', 'at most 252'),
+    ('1-300:MX-64', 'at most 252'),
+    ('9-3:MX-64', 'write 3-9'),
+    ('1-3:MX-64:knee', 'one joint name for 3 devices'),
+])
+def test_mistakes(text: str, words: str) -> None:
+    with pytest.raises(ParameterError, match=words) as caught:
+        parse(text)
+    assert str(caught.value).startswith('devices: ')
+    assert '; ' in str(caught.value)
+    assert '\n' not in str(caught.value)
+
+
+def test_order_is_that_of_the_cable() -> None:
+    assert [device.id for device in parse_all(['5', '1-2', '9'])] == [5, 1, 2, 9]
+
+
+@pytest.mark.parametrize(('entries', 'words'), [
+    (['1-5', '3:MX-64'], 'ID 3 is there twice'),
+    (['1:MX-64:knee', '2:MX-64:knee'], 'joint knee is there twice'),
+])
+def test_nothing_is_listed_twice(entries: list[str], words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        parse_all(entries)

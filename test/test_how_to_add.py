@@ -1,0 +1,193 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""CONTRIBUTING.md, "How to add": one of each kind is added by its steps in a copy of the code."""
+
+from collections.abc import Callable
+from pathlib import Path
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ('msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor', 'docs', 'config')
+MOST_LINES = 15
+GRIPPER = """model_numbers: {4660: Gripper}
+source: firmware/registers.h
+fields:
+  - {at: 0, name: Model Number, type: u16, access: r, memory: eeprom}
+  - {at: 24, name: Present Position, type: i16, access: r, memory: ram, unit: m, scale: 0.001}
+"""
+
+
+def section(kind: str) -> str:
+    """Return what CONTRIBUTING.md says about adding one of this kind."""
+    text = (ROOT / 'CONTRIBUTING.md').read_text()
+    [found] = re.findall(rf'### {re.escape(kind)}[^\n]*\n(.*?)(?=\n##)', text, re.DOTALL)
+    return str(found)
+
+
+class Copy:
+    """A copy of the code. change() takes a file that the section names, no other."""
+
+    def __init__(self, folder: Path, kind: str) -> None:
+        self.folder = folder
+        self.section = section(kind)
+        for name in PACKAGES:
+            shutil.copytree(ROOT / name, folder / name,
+                            ignore=shutil.ignore_patterns('__pycache__', '*.png'))
+
+    def change(self, path: str, *edits: tuple[str, str], named: str = '') -> None:
+        """Put text in front of an anchor that stands in the file once; a file may be new."""
+        assert f'`{named or path}`' in self.section, path
+        file = self.folder / path
+        if not file.exists():
+            file.write_text(edits[0][1])
+            return
+        text = file.read_text()
+        for anchor, insertion in edits:
+            assert text.count(anchor) == 1, (path, anchor)
+            text = text.replace(anchor, insertion + anchor)
+        file.write_text(text)
+
+    def run(self, *arguments: str) -> str:
+        """Run Python in the copy; return what it prints."""
+        done = subprocess.run([sys.executable, *arguments], cwd=self.folder, text=True,
+                              capture_output=True, check=False, timeout=60)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Callable[[str], Copy]:
+    return lambda kind: Copy(tmp_path, kind)
+
+
+@pytest.mark.parametrize('kind', [
+    'a model', 'an instruction', 'a finding', 'a topic', 'a source of bytes'])
+def test_each_list_is_short(kind: str) -> None:
+    assert 0 < len(section(kind).strip().splitlines()) <= MOST_LINES
+
+
+def test_a_model(copy: Callable[[str], Copy]) -> None:
+    code = copy('a model')
+    code.change('dxl_monitor/model/files/gripper.yaml', ('', GRIPPER),
+                named='dxl_monitor/model/files/NAME.yaml')
+    assert code.run('-c', """
+from dxl_monitor.model.models import Models
+model = Models().get(4660)
+print(model.name, [field.name for field in model.fields])
+""") == "Gripper ['Model Number', 'Present Position']"
+
+
+def test_an_instruction(copy: Callable[[str], Copy]) -> None:
+    code = copy('an instruction')
+    code.change('msg_defs/dxl_instruction.py',
+                ('    STATUS = 0x55\n', '    HOME = 0x21\n'),
+                ('    Instruction.SYNC_READ: Kind', '    Instruction.HOME: Kind(_command),\n'))
+    code.change('dxl_monitor/bus/roster.py', ('    def reboot(', """\
+    def home(self, device: Device, stamp: int) -> None:
+        self.resolve(device)
+        device.table.forget('ram', device.model)
+
+"""))
+    code.change('dxl_monitor/bus/planner.py', (
+        '            Instruction.REBOOT: ', '            Instruction.HOME: roster.home,\n'))
+    code.change('dxl_monitor/fake/device.py',
+                ('    def _on_reboot(', """\
+    def _on_home(self, params: bytes, now: int) -> Reply:
+        self.rest_angle = 0.0
+        return Reply(OK)
+
+"""),
+                ('    Instruction.REBOOT: ', '    Instruction.HOME: Device._on_home,\n'))
+    assert code.run('-c', """
+from dxl_monitor.bus.conversation import Conversation
+from dxl_monitor.fake.device import Device
+from dxl_monitor.model.models import Models
+from msg_defs.dxl_instruction import name_of
+from msg_defs.dxl_packet import encode
+models = Models()
+bus = Conversation(models)
+servo = Device(1, models.by_name('MX-64'))
+def ask(instruction, params=b''):
+    reply = servo.execute(instruction, params, 0)
+    wire = encode(1, instruction, params) + encode(1, 0x55, reply.params, reply.error)
+    bus.hear(wire, 1)
+    return reply
+ask(1)
+ask(2, b'\\x84\\0\\4\\0')
+known = bus.roster.devices[1].table.bytes(132, 4) is not None
+print(name_of(0x21), ask(0x21).error, known, bus.roster.devices[1].table.bytes(132, 4))
+""") == 'Home 0 True None'
+
+
+def test_a_finding(copy: Callable[[str], Copy]) -> None:
+    code = copy('a finding')
+    code.change('dxl_monitor/doctor/health.py',
+                ('RULES = (', """\
+def _nameless(case: Case, device: DeviceReport) -> Found | None:
+    return None if device.joint else Claim(device.id, 'it has no joint name; give it one')
+
+
+"""),
+                ("    Rule('watchdog',", """\
+    Rule('nameless', Level.WARN, 'the parameter devices', each(_nameless)),
+"""), named='dxl_monitor/doctor/FAMILY.py')
+    code.change('docs/doctor.md', (
+        '### watchdog\n', '### nameless\n*WARN, device.* No joint.\n\n'))
+    assert code.run('-c', """
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.status import device_status
+report = Monitor('', Models(), Settings(devices=(Expected(1), Expected(2, '', 'hip')))).report(0)
+for device in report.devices:
+    print(dict(device_status('dxl_monitor', '', device, report.findings, False).values).get(
+        'finding.nameless'))
+""").splitlines() == ['it has no joint name; give it one', 'None']
+
+
+def test_a_topic(copy: Callable[[str], Copy]) -> None:
+    code = copy('a topic')
+    code.change('dxl_monitor/monitor.py', (
+        "                  ('error_rate', 'Hz'", "                  ('look_rate', 'Hz', 3.0),\n"))
+    code.change('docs/generate.py', ("    'packet_rate': ", "    'look_rate': 'heard so far',\n"))
+    code.change('config/sros2_policy.xml', (
+        '            <topic>dxl/timing/packet_rate_hz</topic>\n',
+        '            <topic>dxl/timing/look_rate_hz</topic>\n'))
+    assert 'diagnostics.md' in code.run('-m', 'docs.generate')
+    assert 'heard so far' in (code.folder / 'docs' / 'diagnostics.md').read_text()
+    assert code.run('-c', """
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from msg_defs.reports import metric_status
+[metric] = [one for one in Monitor('', Models()).report(0).metrics if one.name == 'look_rate']
+print(metric_status('dxl_monitor', metric).name, metric.value)
+""") == 'dxl_monitor: timing/look_rate 3.0'
+
+
+def test_a_source(copy: Callable[[str], Copy]) -> None:
+    code = copy('a source of bytes')
+    code.change('dxl_monitor/record/source.py', ('class File(', """\
+class Hex(Source):
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self._data = bytes.fromhex(text)
+
+    def chunks(self) -> Iterator[Chunk | None]:
+        yield Chunk(1, 'hex', self._data)
+
+
+"""))
+    code.change('dxl_monitor/record/opening.py', ("    if name == '-':\n", """\
+    if name.startswith('hex:'):
+        from dxl_monitor.record.source import Hex
+
+        return Hex(name.removeprefix('hex:'))
+"""))
+    said = code.run('-m', 'dxl_monitor.tools.dump.main', 'hex:fffffd0001030001194e')
+    assert 'Ping' in said

@@ -1,0 +1,289 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The listening port thread on real ptys and sockets: complete, read-only, found again, quick."""
+
+from collections.abc import Callable
+from collections.abc import Iterator
+import os
+from pathlib import Path
+import socket
+import termios
+import threading
+import time
+from typing import Any
+
+import pytest
+
+from dxl_monitor.port.driver import adapter
+from dxl_monitor.port.driver import latency_timer_ms
+from dxl_monitor.port.driver import line_errors
+from dxl_monitor.port.driver import LineErrors
+from dxl_monitor.port.driver import set_low_latency
+from dxl_monitor.port.listener import Listener
+from mecarover_serial.pty import Pty
+
+pytestmark = pytest.mark.alone
+
+DEADLINE_S = 20.0
+
+
+def wait_for(condition: Callable[[], Any], what: str) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline, f'waited in vain for: {what}'
+        time.sleep(0.005)
+
+
+def _wait_longer(found: list[int], than: int) -> None:
+    wait_for(lambda: len(found) > than, 'one more')
+
+
+class Ear:
+    """A tap, and what it hands on."""
+
+    def __init__(self, port: str, baud: int = 2_000_000) -> None:
+        self.chunks: list[tuple[bytes, int]] = []
+        self.idle: list[int] = []
+        self.listener = Listener(
+            port, baud, lambda chunk, stamp: self.chunks.append((chunk, stamp)), self.idle.append)
+        self.listener.start()
+
+    @property
+    def data(self) -> bytes:
+        return b''.join(chunk for chunk, _ in self.chunks)
+
+    def wait_open(self) -> None:
+        wait_for(lambda: self.listener.state.is_open, f'open, but {self.listener.state.text}')
+
+
+@pytest.fixture
+def cable(tmp_path: Path) -> Iterator[Pty]:
+    with Pty(str(tmp_path / 'bus')) as pty:
+        yield pty
+
+
+@pytest.fixture
+def ear(cable: Pty) -> Iterator[Ear]:
+    ear = Ear(str(cable.link))
+    ear.wait_open()
+    yield ear
+    ear.listener.stop()
+
+
+def test_hands_on_every_byte_in_order_with_growing_stamps(
+        cable: Pty, ear: Ear) -> None:
+    sent = b''
+    for part in range(100):
+        data = bytes([part]) * (1 + part % 7)
+        sent += data
+        os.write(cable.master, data)
+    wait_for(lambda: len(ear.data) == len(sent), 'all bytes')
+    assert ear.data == sent
+    stamps = [stamp for _, stamp in ear.chunks]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] <= time.monotonic_ns()
+    counters = ear.listener.counters
+    assert counters.bytes == len(sent)
+    assert counters.reads == len(ear.chunks)
+    assert counters.openings == 1
+
+
+def test_tells_that_the_line_is_idle_and_how_far_it_listened(
+        cable: Pty, ear: Ear) -> None:
+    for _ in range(3):
+        os.write(cable.master, b'x')
+        _wait_longer(ear.idle, len(ear.idle) + 1)
+    wait_for(lambda: len(ear.data) == 3, 'all bytes')
+    wait_for(lambda: ear.idle[-1] > ear.chunks[-1][1], 'the end of the last one')
+    wait_for(lambda: ear.listener.listened == ear.idle[-1], 'what was told last')
+    assert ear.idle == sorted(ear.idle)
+
+
+def test_idle_time_covers_latency_timer_and_slow_rates(tmp_path: Path) -> None:
+    def listening(baud: int, latency: int | None) -> Listener:
+        listener = Listener(str(tmp_path / 'absent'), baud, lambda chunk, stamp: None)
+        listener.latency_timer_ms = latency
+        return listener
+    assert listening(2_000_000, None).idle_s == 0.02
+    assert listening(2_000_000, 16).idle_s == 0.032
+    assert listening(1200, None).idle_s == pytest.approx(200 / 1200)
+
+
+def test_descriptor_is_read_only(cable: Pty, ear: Ear) -> None:
+    device = os.stat(cable.path).st_rdev
+    own = {cable.master, cable._slave}
+    flags = []
+    for entry in Path('/proc/self/fd').iterdir():
+        number = int(entry.name)
+        try:
+            same = os.stat(entry).st_rdev == device
+        except OSError:
+            continue
+        if same and number not in own:
+            flags += [line.split()[1] for line in
+                      Path(f'/proc/self/fdinfo/{number}').read_text().splitlines()
+                      if line.startswith('flags')]
+    assert flags
+    assert all(int(flag, 8) & os.O_ACCMODE == os.O_RDONLY for flag in flags)
+
+
+def test_sends_nothing(cable: Pty, ear: Ear) -> None:
+    os.write(cable.master, b'hello')
+    wait_for(lambda: ear.data, 'bytes')
+    ear.listener.stop()
+    with pytest.raises(BlockingIOError):
+        os.read(cable.master, 1)
+    ear.listener = Ear(str(cable.link)).listener
+
+
+@pytest.mark.parametrize('baud', [57_600, 1_000_000, 2_000_000, 4_500_000, 1_234_567])
+def test_takes_any_rate(cable: Pty, baud: int) -> None:
+    ear = Ear(str(cable.link), baud)
+    try:
+        ear.wait_open()
+        os.write(cable.master, b'x')
+        wait_for(lambda: ear.data == b'x', 'a byte')
+    finally:
+        ear.listener.stop()
+
+
+def test_is_lost_and_found_ten_times(tmp_path: Path) -> None:
+    link = str(tmp_path / 'bus')
+    before = len(os.listdir('/proc/self/fd'))
+    ear = Ear(link)
+    wait_for(lambda: ear.listener.state.kind == 'absent', 'absent')
+    assert 'is not there' in ear.listener.state.text
+    for round_ in range(10):
+        _plug_in_and_out(link, ear, bytes([round_]))
+    assert ear.data == bytes(range(10))
+    assert ear.listener.counters.openings == 10
+    ear.listener.stop()
+    assert ear.listener.state.kind == 'stopped'
+    assert len(os.listdir('/proc/self/fd')) == before
+
+
+def test_no_mistake_ends_the_listening(cable: Pty) -> None:
+    """Not one of ours either: the port is opened again."""
+    mistakes = [TypeError('expected str, not NoneType')]
+
+    def feed(chunk: bytes, stamp: int) -> None:
+        if mistakes:
+            raise mistakes.pop()
+        heard.append(chunk)
+
+    heard: list[bytes] = []
+    listener = Listener(str(cable.link), 2_000_000, feed)
+    listener.start()
+    wait_for(lambda: listener.state.is_open, 'open')
+    os.write(cable.master, b'x')
+    wait_for(lambda: listener.counters.openings > 1 and listener.state.is_open, 'open again')
+    os.write(cable.master, b'y')
+    wait_for(lambda: b'y' in b''.join(heard), 'a byte behind it')
+    listener.stop()
+
+
+def _plug_in_and_out(link: str, ear: Ear, byte: bytes) -> None:
+    with Pty(link) as cable:
+        ear.wait_open()
+        os.write(cable.master, byte)
+        wait_for(lambda: ear.data.endswith(byte), 'the byte of this round')
+    wait_for(lambda: not ear.listener.state.is_open, 'loss')
+
+
+def test_stops_at_once_whatever_it_is_doing(tmp_path: Path) -> None:
+    def stopping_s(ear: Ear) -> float:
+        begin = time.monotonic()
+        ear.listener.stop()
+        return time.monotonic() - begin
+
+    # The best of three: a busy machine may hold one up.
+    assert min(stopping_s(Ear(str(tmp_path / 'absent'))) for _ in range(3)) < 0.5
+    with Pty() as one, Pty() as two, Pty() as three:
+        ears = [Ear(cable.path) for cable in (one, two, three)]
+        for ear in ears:
+            ear.wait_open()
+        assert min(map(stopping_s, ears)) < 0.5
+    assert not [one for one in threading.enumerate() if one.name.startswith('listener')]
+
+
+def test_stop_may_come_before_the_start_is_through(tmp_path: Path) -> None:
+    for _ in range(20):
+        Ear(str(tmp_path / 'absent')).listener.stop()
+
+
+def test_hears_a_socket() -> None:
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        ear = Ear(f'socket://127.0.0.1:{server.getsockname()[1]}')
+        connection, _ = server.accept()
+        with connection:
+            ear.wait_open()             # pyserial drops what came before
+            connection.sendall(b'over the net')
+            wait_for(lambda: ear.data == b'over the net', 'bytes')
+            connection.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                connection.recv(1)
+        wait_for(lambda: not ear.listener.state.is_open, 'loss')
+    ear.listener.stop()
+
+
+def test_hears_a_port_without_descriptor() -> None:
+    ear = Ear('loop://')
+    ear.wait_open()
+    assert ear.listener.counters.line_errors is None
+    ear.listener.stop()
+
+
+def test_names_a_mistake_in_the_url() -> None:
+    ear = Ear('nonsense://somewhere')
+    wait_for(lambda: ear.listener.state.kind == 'url', 'the mistake')
+    assert 'nonsense' in ear.listener.state.text
+    ear.listener.stop()
+
+
+def test_a_pty_has_no_low_latency_and_counts_no_errors(cable: Pty, ear: Ear) -> None:
+    assert line_errors(cable.master) is None
+    assert not set_low_latency(cable.master)
+    assert not ear.listener.low_latency
+    assert ear.listener.latency_timer_ms is None
+    assert ear.listener.counters.line_errors is None
+
+
+def test_latency_timer_of_an_ftdi_adapter_is_lowered_where_allowed(tmp_path: Path) -> None:
+    folder = tmp_path / 'class/tty/ttyUSB7/device'
+    folder.mkdir(parents=True)
+    (folder / 'latency_timer').write_text('16\n')
+    assert latency_timer_ms('/dev/ttyUSB7', tmp_path) == 1
+    assert latency_timer_ms('/dev/ttyUSB8', tmp_path) is None
+
+
+def test_line_errors_count_from_the_opening_on() -> None:
+    begin = LineErrors(overrun=5, frame=2)
+    assert LineErrors(overrun=7, frame=2).since(begin) == LineErrors(overrun=2)
+    assert LineErrors().since(begin) == LineErrors()            # another adapter came
+    assert LineErrors(overrun=1) + LineErrors(overrun=2, breaks=1) == LineErrors(3, 0, 0, 0, 1)
+
+
+def test_lost_port_is_set_up_anew_at_its_rate(tmp_path: Path) -> None:
+    link = str(tmp_path / 'bus')
+    ear = Ear(link, 1_000_000)
+    for _ in range(2):
+        with Pty(link) as cable:
+            ear.wait_open()
+            assert termios.tcgetattr(cable._slave)[4] == termios.B1000000
+        wait_for(lambda: not ear.listener.state.is_open, 'loss')
+    ear.listener.stop()
+
+
+def test_what_a_usb_adapter_says_of_itself(tmp_path):
+    """As in sysfs: the tty's device is an interface, two levels below the adapter."""
+    usb = tmp_path / 'devices/usb1/1-2'
+    (usb / '1-2:1.0/ttyUSB7').mkdir(parents=True)
+    for name, text in (('idVendor', '0403'), ('product', 'FT232R USB UART'), ('serial', 'A50\n')):
+        (usb / name).write_text(text)
+    (tmp_path / 'class/tty/ttyUSB7').mkdir(parents=True)
+    (tmp_path / 'class/tty/ttyUSB7/device').symlink_to(usb / '1-2:1.0/ttyUSB7')
+    assert adapter('/dev/ttyUSB7', tmp_path) == [
+        ('Adapter', 'FT232R USB UART'), ('Adapter Serial Number', 'A50')]
+    (usb / 'serial').unlink()
+    assert adapter('/dev/ttyUSB7', tmp_path) == [('Adapter', 'FT232R USB UART')]
+    assert adapter('/dev/ttyAMA0', tmp_path) == []

@@ -1,0 +1,184 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Model files of Protocol 1.0 and Feetech: against their sources, and what they decode."""
+
+from pathlib import Path
+import struct
+from typing import Any
+
+import pytest
+
+from dxl_monitor.model.checked_yaml import ModelError
+from dxl_monitor.model.checked_yaml import read_yaml
+from dxl_monitor.model.control_table import Model
+from dxl_monitor.model.layers import model_key
+from dxl_monitor.model.models import BUILT_IN
+from dxl_monitor.model.models import check_models
+from dxl_monitor.model.models import Models
+
+MODELS = Models()
+FAMILIES = {'1': ('AX-12A', 'RX-64', 'EX-106+', 'MX-12W', 'MX-28(1.0)', 'MX-64(1.0)'),
+            'feetech': ('STS3215', 'STS3250', 'SM8512BL', 'SCS0009', 'SCS15', 'HLS3625')}
+
+# (address, size) by the names of LeRobot's tables (7427f31), checked against Feetech's own SDK
+# where that has the register; names that we spell as Dynamixel does stand in `aliases` too.
+LEROBOT_STS = {
+    'Firmware Major Version': (0, 1), 'Firmware Minor Version': (1, 1), 'Model Number': (3, 2),
+    'ID': (5, 1), 'Baud Rate': (6, 1), 'Return Delay Time': (7, 1),
+    'Response Status Level': (8, 1), 'Min Position Limit': (9, 2), 'Max Position Limit': (11, 2),
+    'Max Temperature Limit': (13, 1), 'Max Voltage Limit': (14, 1), 'Min Voltage Limit': (15, 1),
+    'Max Torque Limit': (16, 2), 'Phase': (18, 1), 'Unloading Condition': (19, 1),
+    'LED Alarm Condition': (20, 1), 'P Coefficient': (21, 1), 'D Coefficient': (22, 1),
+    'I Coefficient': (23, 1), 'Minimum Startup Force': (24, 2), 'CW Dead Zone': (26, 1),
+    'CCW Dead Zone': (27, 1), 'Protection Current': (28, 2), 'Angular Resolution': (30, 1),
+    'Homing Offset': (31, 2), 'Operating Mode': (33, 1), 'Protective Torque': (34, 1),
+    'Protection Time': (35, 1), 'Overload Torque': (36, 1), 'Torque Enable': (40, 1),
+    'Acceleration': (41, 1), 'Goal Position': (42, 2), 'Goal Time': (44, 2),
+    'Goal Velocity': (46, 2), 'Torque Limit': (48, 2), 'Lock': (55, 1),
+    'Present Position': (56, 2), 'Present Velocity': (58, 2), 'Present Load': (60, 2),
+    'Present Voltage': (62, 1), 'Present Temperature': (63, 1), 'Status': (65, 1),
+    'Moving': (66, 1), 'Present Current': (69, 2)}
+LEROBOT_SCS = {
+    'Model Number': (3, 2), 'Min Position Limit': (9, 2), 'Max Torque Limit': (16, 2),
+    'CCW Dead Zone': (27, 1), 'Protective Torque': (37, 1), 'Protection Time': (38, 1),
+    'Torque Enable': (40, 1), 'Goal Position': (42, 2), 'Goal Velocity': (46, 2), 'Lock': (48, 1),
+    'Present Position': (56, 2), 'Present Load': (60, 2), 'Present Voltage': (62, 1),
+    'Status': (65, 1), 'Moving': (66, 1)}
+# dynamixel-workbench (2eb370f) and rustypot (c79239a): what all of them have, and what MX has.
+WORKBENCH = {
+    'Model Number': (0, 2), 'Firmware Version': (2, 1), 'ID': (3, 1), 'Baud Rate': (4, 1),
+    'Return Delay Time': (5, 1), 'CW Angle Limit': (6, 2), 'CCW Angle Limit': (8, 2),
+    'Temperature Limit': (11, 1), 'Min Voltage Limit': (12, 1), 'Max Voltage Limit': (13, 1),
+    'Max Torque': (14, 2), 'Status Return Level': (16, 1), 'Alarm LED': (17, 1),
+    'Shutdown': (18, 1), 'Torque Enable': (24, 1), 'LED': (25, 1), 'Goal Position': (30, 2),
+    'Moving Speed': (32, 2), 'Torque Limit': (34, 2), 'Present Position': (36, 2),
+    'Present Speed': (38, 2), 'Present Load': (40, 2), 'Present Voltage': (42, 1),
+    'Present Temperature': (43, 1), 'Registered': (44, 1), 'Moving': (46, 1), 'Lock': (47, 1),
+    'Punch': (48, 2)}
+
+
+def named(name: str) -> Model:
+    model = MODELS.by_name(name)
+    assert model is not None, name
+    return model
+
+
+def shown(name: str, field: str, raw: bytes) -> str:
+    return named(name).by_name[field].decode(raw).text
+
+
+@pytest.mark.parametrize(('name', 'rows'), [
+    ('STS3215', LEROBOT_STS), ('STS3250', LEROBOT_STS), ('SM8512BL', LEROBOT_STS),
+    ('SCS0009', LEROBOT_SCS), ('SCS15', LEROBOT_SCS),
+    *((name, WORKBENCH) for name in FAMILIES['1'])])
+def test_every_register_of_the_sources_is_where_they_have_it(
+        name: str, rows: dict[str, tuple[int, int]]) -> None:
+    model = named(name)
+    assert {field: (model.by_name[field].at, model.by_name[field].size) for field in rows} == rows
+
+
+@pytest.mark.parametrize('protocol', FAMILIES)
+def test_each_family_says_what_it_speaks(protocol: str) -> None:
+    assert {named(name).protocol for name in FAMILIES[protocol]} == {protocol}
+    assert named('XM430-W350').protocol == '2'
+
+
+def test_model_numbers_are_those_of_the_sources() -> None:
+    lerobot = {'STS3215': 777, 'STS3250': 2825, 'SM8512BL': 11272, 'HLS3625': 3338,
+               'HLS3930': 4106, 'HLS3950': 4618}
+    assert {name: named(name).number for name in lerobot} == lerobot
+    # LeRobot reads the two bytes of the SCS0009 the other way round
+    number = named('SCS0009').number or 0
+    assert struct.unpack('>H', struct.pack('<H', number)) == (1284,)
+    robotis = {'AX-12A': 12, 'AX-12W': 300, 'AX-18A': 18, 'RX-10': 10, 'RX-24F': 24, 'RX-28': 28,
+               'RX-64': 64, 'EX-106+': 107, 'MX-12W': 360, 'MX-28(1.0)': 29, 'MX-64(1.0)': 310,
+               'MX-106(1.0)': 320, 'MX-28': 30, 'MX-64': 311, 'MX-106': 321}
+    assert {name: named(name).number for name in robotis} == robotis
+
+
+def test_the_numbers_of_two_makers_are_kept_apart() -> None:
+    dynamixel, feetech = MODELS.get(261), MODELS.get(model_key(261, 'feetech'))
+    assert dynamixel is not None and feetech is not None
+    assert (dynamixel.name, feetech.name) == ('HX5-D20-RL', 'SCS0002')
+    assert dynamixel.number == feetech.number == 261
+
+
+def test_a_sign_stands_apart_from_the_magnitude() -> None:
+    assert shown('STS3215', 'Present Position', b'\x00\x08') == '0'
+    assert shown('STS3215', 'Present Position', b'\x01\x80') == '-3.14313'     # -1 step
+    assert shown('STS3215', 'Homing Offset', struct.pack('<H', 1 << 11 | 1024)) == '-1.5708'
+    assert shown('HLS3930', 'Homing Offset', struct.pack('<H', 1 << 15 | 1024)) == '-1.5708'
+    assert shown('STS3215', 'Present Load', struct.pack('<H', 1 << 10 | 500)) == '-50'
+    assert shown('AX-12A', 'Present Load', struct.pack('<H', 1 << 10 | 1023)) == '-100'
+    assert shown('AX-12A', 'Present Velocity', struct.pack('<H', 100)) == '1.1624'
+
+
+def test_the_high_byte_comes_first_in_the_scs_series() -> None:
+    for name in ('SCS0009', 'SCS15'):
+        fields = named(name).by_name
+        assert {fields[one].byte_order for one in ('Goal Position', 'Present Load')} == {'big'}
+        assert fields['Model Number'].byte_order == 'little'
+    assert shown('SCS0009', 'Present Position', b'\x02\x00') == '0'            # 512
+    assert shown('SCS15', 'Present Position', b'\x02\x01') == '513'
+    field = named('SCS15').by_name['Present Position']
+    assert field.bytes_of(513) == b'\x02\x01'
+    assert field.code_of(b'\x02\x01') == 513
+    assert field.moved(2, str).byte_order == 'big'
+    assert shown('STS3215', 'Present Load', b'\x02\x01') == '25.8'
+
+
+def test_the_speed_of_an_sts_is_no_number_as_long_as_its_unit_is_unknown() -> None:
+    field = named('STS3215').by_name['Present Velocity']
+    assert field.unit == ''
+    assert field.cases is not None
+    assert field.cases.fields[4].decode(b'\xe8\x83').text == '-1.53398'
+    assert field.cases.fields[0].decode(b'\x14\x00').text == '1.534'
+
+
+def test_feetech_wins_where_lerobot_has_other_baud_rates() -> None:
+    field = named('STS3215').by_name['Baud Rate']
+    assert [field.decode(bytes([code])).number for code in range(8)] == [
+        1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400]
+    text = (BUILT_IN / '_feetech.yaml').read_text()
+    assert '57600, 38400' in text and 'LeRobot' in text
+
+
+def test_error_flags_in_words() -> None:
+    assert shown('STS3215', 'Hardware Error Status', b'\x25') == 'voltage, overheating, overload'
+    assert shown('AX-12A', 'Hardware Error Status', b'\x24') == 'overheating, overload'
+
+
+def test_each_row_is_from_two_sources_or_says_so() -> None:
+    marked = 0
+    for path in sorted(BUILT_IN.glob('*')):
+        raw = read_yaml(path)
+        rows: list[dict[str, Any]] = raw.get('fields', [])
+        marked += sum(row.get('source') == 'single' for row in rows)
+        if path.name.startswith(('_feetech', 'feetech', '_dxl1', 'ax_', 'ex_', '_mx_1')):
+            assert ';' in raw['source'], f'{path.name}: name two sources'
+    assert marked > 15
+
+
+@pytest.mark.parametrize(('text', 'reason'), [
+    ('byte_order: middle\n', "byte_order is 'middle'; use one of little, big"),
+    ("protocol: '3'\n", "protocol is '3'; use one of 2, 1, feetech"),
+    ('fields: [{at: 0, name: A, type: u8, source: twice}]\n',
+     "A: source is 'twice'; use one of single"),
+])
+def test_mistakes_are_named(tmp_path: Path, text: str, reason: str) -> None:
+    (tmp_path / 'a.yaml').write_text(f'model_numbers: {{9: A}}\n{text}')
+    with pytest.raises(ModelError, match=r'a\.yaml: ') as caught:
+        Models([tmp_path])
+    assert reason in str(caught.value)
+
+
+def test_a_folder_of_the_users_may_hold_a_feetech_servo(tmp_path: Path) -> None:
+    """Found by the quick look at its numbers and by the whole file; the number is Feetech's."""
+    for numbers in ('model_numbers: {777: Mine}', 'model_numbers:\n  777: Mine'):
+        (tmp_path / 'a.yaml').write_text(f'{numbers}\nprotocol: feetech\ninclude: _feetech_sts\n')
+        assert check_models(tmp_path) == []
+        models = Models([tmp_path])
+        model = models.get(model_key(777, 'feetech'))
+        assert model is not None
+        assert (model.name, model.number, model.protocol) == ('Mine', 777, 'feetech')
+        assert models.get(777) is None

@@ -1,0 +1,44 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What rcl refuses when a node is made: one line and exit code 2, whatever it is."""
+from harness import Program
+from harness import wait
+import pytest
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.mark.parametrize('name', ['vel2d_bridge', 'dxl_monitor'])
+def test_an_enclave_without_keys_is_one_line(ros, tmp_path, monkeypatch, name):
+    """Security libraries that are not installed come out the same way."""
+    (tmp_path / f'enclaves/{name}').mkdir(parents=True)
+    monkeypatch.setenv('ROS_SECURITY_ENABLE', 'true')
+    monkeypatch.setenv('ROS_SECURITY_STRATEGY', 'Enforce')
+    monkeypatch.setenv('ROS_SECURITY_KEYSTORE', str(tmp_path))
+    with Program(f'{name}.main', '--ros-args', '--enclave', f'/{name}') as node:
+        assert node.exit_code() == 2
+    assert 'Traceback' not in node.text
+    assert node.lines[-1].startswith(f'{name}: error creating node: ')
+    assert node.lines[-1].endswith('see docs/security.md')
+
+
+def test_a_list_on_the_command_line_wins_over_a_list_of_another_type(ros, tmp_path):
+    settings = tmp_path / 'monitor.yaml'
+    settings.write_text("/**:\n  ros__parameters:\n    devices: ['1:MX-64']\n")
+    with Program('dxl_monitor.main', '--ros-args', '--params-file', str(settings), '-p',
+                 'devices:=[300]') as node:
+        assert node.exit_code() == 2
+    assert 'devices: ' in node.lines[-1]
+    assert '300' in node.lines[-1]
+
+
+def test_joint_states_can_be_reliable(ros, tmp_path, graph):
+    topic, option = '/dxl/joint_states', 'qos_overrides./dxl/joint_states.publisher.reliability'
+    words = ['--ros-args', '-p', f'ports:={tmp_path}/bus', '-p', 'joint_state_rate:=10.0', '-p']
+    with Program('dxl_monitor.main', *words, f'{option}:=sometimes') as node:
+        assert node.exit_code() == 2
+    assert node.lines[-1].startswith(f'dxl_monitor: qos_overrides.{topic}.publisher: ')
+    with Program('dxl_monitor.main', *words, f'{option}:=reliable'):
+        wait(lambda: graph.publishers(topic))
+        [publisher] = graph.node.get_publishers_info_by_topic(topic)
+        assert publisher.qos_profile.reliability == ros.qos().reliability

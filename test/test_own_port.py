@@ -1,0 +1,397 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Listening to the port that the master itself uses: usb:, tap: and files of USB events."""
+
+import json
+import os
+from pathlib import Path
+import socket
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+import time
+
+import pytest
+from usb_files import cut
+from usb_files import events
+from usb_files import hear
+from usb_files import log
+from usb_files import MMAPPED
+from usb_files import pcap
+from usb_files import REAL
+from usb_files import side
+
+from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.shell import FakeBus
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.fake.usb_adapter import FakeAdapter
+from dxl_monitor.fake.usb_adapter import FAMILIES
+from dxl_monitor.fake.usb_outlet import UsbOutlet
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor import Settings
+from dxl_monitor.port import usb_listener
+from dxl_monitor.port.source_name import bus_name
+from dxl_monitor.port.source_name import listener_on
+from dxl_monitor.port.usb_find import find
+from dxl_monitor.port.usb_port import Place
+from dxl_monitor.port.usb_port import UsbPort
+from dxl_monitor.port.usb_ring import HEADER_SIZE
+from dxl_monitor.port.usb_ring import kept_of
+from dxl_monitor.port.usb_survey import Survey
+from dxl_monitor.record.opening import open_source
+from dxl_monitor.tools.tap import environment
+from mecarover_serial.cli import UsageError
+from mecarover_serial.preflight import PortError
+from mecarover_serial.pty import Pty
+from msg_defs.heard import IN
+from msg_defs.heard import OUT
+
+MODELS = Models()
+ROOT = Path(__file__).parents[1]
+BAUD = 1_000_000
+DEVICES = ['1-4:MX-106', '101:BitFoot']
+DEADLINE_S = 20.0
+BEGAN = 1_795_329_340_000_000_000
+
+
+def wait_for(condition, what):
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline, f'waited in vain for: {what}'
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def place():
+    """Give a folder with a path short enough for a Unix socket."""
+    with TemporaryDirectory(prefix='own_') as folder:
+        yield folder
+
+
+def dump(*arguments, **more):
+    return subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.dump.main',
+                           *map(str, arguments)], capture_output=True, text=True, cwd=ROOT,
+                          check=False, timeout=60, **more)
+
+
+# --- where an adapter is -----------------------------------------------------------------------
+
+
+def plug(root, name, bus, number, vendor, product, interfaces, version='0900'):
+    """Make what /sys shows of a device; interfaces: (class, {endpoint: packet size}, tty)."""
+    device = root / 'devices/pci/usb1' / name
+    (root / 'bus/usb/devices').mkdir(parents=True, exist_ok=True)
+    (root / 'class/tty').mkdir(parents=True, exist_ok=True)
+    device.mkdir(parents=True)
+    (root / 'bus/usb/devices' / name).symlink_to(device)
+    for file, text in (('busnum', bus), ('devnum', number), ('idVendor', vendor),
+                       ('idProduct', product), ('bcdDevice', version)):
+        (device / file).write_text(f'{text}\n')
+    for index, (kind, ends, tty) in enumerate(interfaces):
+        folder = device / f'{name}:1.{index}'
+        folder.mkdir()
+        (folder / 'bInterfaceNumber').write_text(f'{index:02x}\n')
+        (folder / 'bInterfaceClass').write_text(f'{kind}\n')
+        for address, size in ends.items():
+            end = folder / f'ep_{address:02x}'
+            end.mkdir()
+            (end / 'bEndpointAddress').write_text(f'{address:02x}\n')
+            (end / 'wMaxPacketSize').write_text(f'{size:04x}\n')
+            (end / 'bmAttributes').write_text('02\n' if size > 16 else '03\n')
+        if tty:
+            port = folder / tty if tty.startswith('ttyUSB') else folder
+            port.mkdir(exist_ok=True)
+            (root / 'class/tty' / tty).mkdir()
+            (root / 'class/tty' / tty / 'device').symlink_to(port)
+
+
+def test_adapter_is_found_by_its_tty_its_socket_and_its_number(tmp_path):
+    plug(tmp_path, '1-1.2', 1, 7, '0403', '6014', [('ff', {0x81: 512, 0x02: 512}, 'ttyUSB0')])
+    plug(tmp_path, '1-1.3', 1, 8, '1a86', '55d3', [
+        ('02', {0x83: 16}, 'ttyACM0'), ('0a', {0x82: 64, 0x02: 64}, '')])
+    plug(tmp_path, '2-1', 2, 3, '0403', '6010', [
+        ('ff', {0x81: 512, 0x02: 512}, 'ttyUSB1'), ('ff', {0x83: 512, 0x04: 512}, 'ttyUSB2')],
+        '0700')
+    (tmp_path / 'devices/pci/usb1/1-1.2/1-1.2:1.0/ttyUSB0/latency_timer').write_text('16\n')
+    for name in ('/dev/ttyUSB0', '1-1.2', '1.7'):
+        target = find(name, tmp_path)
+        assert target.place == Place(1, 7, 1, 2)
+        assert (target.adapter.name, target.adapter.packet_size) == ('FTDI', 512)
+        assert target.latency_timer_ms == 16
+        assert target.words == 'FTDI 0403:6014 at 1-1.2'
+    assert find('/dev/ttyACM0', tmp_path)[:1] == (Place(1, 8, 2, 2),)
+    assert find('/dev/ttyACM0', tmp_path).adapter.name == 'CDC-ACM'
+    second = find('/dev/ttyUSB2', tmp_path)
+    assert (second.place, second.adapter.is_multi) == (Place(2, 3, 3, 4), True)
+
+
+def test_what_is_no_adapter_is_told(tmp_path):
+    plug(tmp_path, '1-1', 1, 2, '046d', 'c31c', [('03', {0x81: 8}, '')])
+    plug(tmp_path, '1-2', 1, 3, '0781', '5567', [('08', {0x81: 64, 0x02: 64}, '')])
+    (tmp_path / 'class/tty/ttyAMA0').mkdir()
+    for name, words in (('/dev/ttyUSB9', 'is not there'), ('1-7', 'is not there'),
+                        ('1.9', 'is not there'), ('/dev/ttyAMA0', 'is not on USB'),
+                        ('1-1', 'no pair of bulk endpoints'), ('1.3', '0781:5567')):
+        with pytest.raises(PortError, match=words):
+            find(name, tmp_path)
+
+
+def test_usbmon_that_is_not_there_or_not_allowed(monkeypatch, tmp_path):
+    with pytest.raises(PortError, match='sudo modprobe usbmon'):
+        usb_listener._open('usb:x', '/dev/usbmon_of_no_kernel')
+
+    def refuse(*_):
+        raise PermissionError
+    monkeypatch.setattr(os, 'open', refuse)
+    with pytest.raises(PortError, match='belongs to root, because it shows keyboards'):
+        usb_listener._open('usb:x', '/dev/usbmon1')
+
+
+# --- the ring ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('name', ['healthy', 'missing', 'acm'])
+def test_what_the_ring_leaves_out_says_nothing(name):
+    whole = (REAL / f'{name}.bin').read_bytes()
+    survey = Survey()
+    for event in events(whole):
+        survey.take(event)
+    one, = survey.ports()
+    ends = frozenset((one.place.bulk_in | 0x80, one.place.bulk_out))
+    kept, at = [], 0
+    for _, event in cut(whole):
+        size = kept_of(whole, at, one.place.device, ends, 2 if one.adapter.name == 'FTDI' else 0)
+        if size >= 0:
+            assert HEADER_SIZE + size == len(event)
+            kept.append(event)
+        at += len(event)
+    assert len(kept) < len(cut(whole))
+    few, all_of_it = (UsbPort(one.place, one.adapter) for _ in range(2))
+    assert [few.take(event) for event in events(b''.join(kept)) if few.take(event)] == [
+        all_of_it.take(event) for event in events(whole) if all_of_it.take(event)]
+
+
+def test_other_devices_are_never_copied():
+    adapter = FakeAdapter('ftdi')
+    event = adapter.sent(b'password', BEGAN)
+    assert kept_of(event, 0, 7, frozenset((0x81, 2)), 2) == 8
+    assert kept_of(event, 0, 6, frozenset((0x81, 2)), 2) == -1
+    assert kept_of(event, 0, 7, frozenset((0x83, 4)), 2) == -1
+    assert kept_of(adapter.idle(BEGAN), 0, 7, frozenset((0x81, 2)), 2) == -1
+
+
+# --- live --------------------------------------------------------------------------------------
+
+
+class Ear:
+    """A monitor behind a listener on a live source."""
+
+    def __init__(self, name):
+        self.monitor = Monitor('bus', MODELS, Settings(0, tuple(parse_all(DEVICES))),
+                               idle_is_told=True)
+        self.changes = []
+        self.listener = listener_on(name, 0, self.monitor.feed, self.monitor.flush_if_idle,
+                                    on_change=self._change)
+        self.listener.start()
+
+    def _change(self, change, stamp):
+        self.changes.append(change)
+        self.monitor.change(change, stamp)
+
+    def report(self):
+        return self.monitor.report(time.monotonic_ns())
+
+
+@pytest.mark.alone
+@pytest.mark.parametrize('family', ['ftdi', 'cp210x'])
+def test_bus_is_heard_through_usb(place, family):
+    path = os.path.join(place, 'usb')
+    line = Line(make_devices(DEVICES, MODELS, BAUD), BAUD)
+    bus = FakeBus(Master(line, PATTERNS['moving'], rate=50.0),
+                  usb=UsbOutlet(path, family, BAUD))
+    ear = Ear(f'usb:{path}')
+    try:
+        wait_for(lambda: ear.listener.state.is_open, 'the listener')
+        bus.start()
+        wait_for(lambda: ear.report().counters['Packets'] > 300, 'packets')
+        report = ear.report()
+    finally:
+        bus.stop()
+        wait_for(lambda: ear.listener.state.kind == 'lost', 'the loss')
+        ear.listener.stop()
+    assert report.baud == BAUD
+    assert {device.id for device in report.devices} == {1, 2, 3, 4, 101}
+    assert sum(device.totals.missed for device in report.devices) == 0
+    assert report.counters['Noise Bytes'] == report.counters['CRC Errors'] == 0
+    assert set(ear.monitor.conversation.framers) == {'', OUT, IN}
+
+
+@pytest.mark.alone
+def test_adapter_that_is_unplugged_is_looked_for(place):
+    path = os.path.join(place, 'usb')
+    adapter = FakeAdapter('cdc-acm')
+    told = adapter.plug(BEGAN) + adapter.sent(b'\xff\xff\xfd\x00', BEGAN) + adapter.unplug(BEGAN)
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(path)
+        server.listen()
+        server.settimeout(DEADLINE_S)
+        ear = Ear(f'usb:{path}')
+        try:
+            for openings in (1, 2):
+                stream, _ = server.accept()
+                stream.sendall(told)
+                wait_for(lambda n=openings: ear.listener.counters.openings == n
+                         and ear.listener.state.kind == 'lost', 'the loss')
+                assert 'the adapter was unplugged' in ear.listener.state.text
+                stream.close()
+        finally:
+            ear.listener.stop()
+    assert [change.what for change in ear.changes].count('unplugged') == 2
+
+
+@pytest.mark.alone
+def test_tap_hears_the_port_that_is_named(place, monkeypatch):
+    monkeypatch.setenv('XDG_RUNTIME_DIR', place)
+    script = 'import serial, sys, time\n' \
+             'ports = [serial.Serial(path, 57600) for path in sys.argv[1:]]\n' \
+             'for number, port in enumerate(ports): port.write(b"%d" % number * 5)\n' \
+             'time.sleep(60)\n'
+    with Pty() as first, Pty() as second:
+        heard = {}
+        names = 'tap:arm', f'tap:arm/{os.path.basename(second.path)}', 'tap:other'
+        listeners = [listener_on(name, 0, lambda data, stamp, side, name=name: heard.setdefault(
+            name, (side, data))) for name in names]
+        for listener in listeners:
+            listener.start()
+        child = subprocess.Popen([sys.executable, '-c', script, first.path, second.path],
+                                 env=environment('arm'))
+        try:
+            wait_for(lambda: len(heard) == 2, 'both')
+            assert list(heard.values()) == [(OUT, b'0' * 5), (OUT, b'1' * 5)]
+            assert second.path in listeners[0].problems()[0]
+            assert listeners[2].state.is_open
+        finally:
+            child.kill()
+            child.wait()
+            for listener in listeners:
+                listener.stop()
+
+
+@pytest.mark.alone
+def test_dump_of_a_tapped_program(place):
+    environ = {**os.environ, 'XDG_RUNTIME_DIR': place}
+    ping = "bytes.fromhex('fffffd0001030001194e')"
+    script = f'import serial, sys; port = serial.Serial(sys.argv[1], 57600); port.write({ping})'
+    with Pty() as pty, subprocess.Popen(
+            [sys.executable, '-m', 'dxl_monitor.tools.dump.main', 'tap:arm', '--json', '--count',
+             '1'], cwd=ROOT, env=environ, stdout=subprocess.PIPE, text=True) as child:
+        try:
+            wait_for(lambda: Path(place, 'mecarover_serial').is_dir() and any(
+                Path(place, 'mecarover_serial').iterdir()), 'the listener')
+            subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.tap', 'arm', '--',
+                            sys.executable, '-c', script, pty.path], env=environ, cwd=ROOT,
+                           check=True, timeout=60)
+            packet = json.loads(child.communicate(timeout=60)[0])
+        finally:
+            child.kill()
+    assert (packet['instruction'], packet['side'], packet['bus']) == ('Ping', 'out', 'arm')
+
+
+def test_names_of_sources():
+    assert [bus_name(name) for name in ('/dev/ttyUSB0', 'usb:/dev/ttyUSB0', 'usb:1-1.2',
+                                        'tap:arm', 'tap:arm/ttyUSB1', 'socket://host:1')] == [
+        'ttyUSB0', 'ttyUSB0', '1-1.2', 'arm', 'ttyUSB1', 'host:1']
+
+
+@pytest.mark.parametrize(('name', 'words'), [
+    ('usb:/dev/ttyUSB77', 'usb:/dev/ttyUSB77: is not there; plug the adapter in'),
+    ('usb:', 'is not there'), ('tap:', 'is no name for a tap'),
+    ('tap:a b', 'is no name for a tap')])
+def test_wrong_names_are_one_line(name, words):
+    done = dump(name, '--seconds', '1')
+    assert done.returncode == 1
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+# --- files -------------------------------------------------------------------------------------
+
+
+def test_dump_of_a_real_capture_and_of_what_it_recorded(tmp_path):
+    wrote, got = log('missing')
+    copy = tmp_path / 'copy.txt'
+    first = dump(REAL / 'missing.pcap', '--json')
+    assert dump(REAL / 'missing.bin', '-w', copy).returncode == 0
+    packets = [json.loads(line) for line in first.stdout.splitlines()]
+    assert {packet['side'] for packet in packets if packet['instruction'] == 'Status'} == {IN}
+    assert {packet['side'] for packet in packets if packet['instruction'] != 'Status'} == {OUT}
+    again = [json.loads(line) for line in dump(copy, '--json').stdout.splitlines()]
+    assert len(again) == len(packets)
+    assert [one['params'] for one in again] == [one['params'] for one in packets]
+    assert all('no answer' not in packet.get('notes', ()) for packet in packets)
+    summary = json.loads(dump(copy, '--summary').stdout)
+    assert str(len(wrote) + len(got) + 60) in json.dumps(summary)
+    lines = dump(REAL / 'healthy.pcap').stdout.splitlines()
+    assert ' out > 001' in lines[0]
+    assert ' in  < 001' in lines[1]
+
+
+def test_pcap_from_a_pipe():
+    with open(REAL / 'acm.pcap', 'rb') as file:
+        done = dump('-', '--count', '3', stdin=file)
+        assert len(done.stdout.splitlines()) == 3
+    cat = subprocess.Popen(['cat', REAL / 'acm.pcap'], stdout=subprocess.PIPE)
+    assert dump('-', '--count', '3', stdin=cat.stdout).stdout == done.stdout
+    cat.stdout.close()
+    cat.wait()
+
+
+def test_adapter_is_chosen_where_there_are_several(tmp_path):
+    file = tmp_path / 'two.pcap'
+    file.write_bytes(pcap(MMAPPED, (REAL / 'healthy.bin').read_bytes()
+                          + (REAL / 'acm.bin').read_bytes()))
+    wrong = dump(file)
+    assert wrong.returncode == 2
+    assert '1.5 FTDI 0403:6001' in wrong.stderr
+    assert '3.4 CDC-ACM' in wrong.stderr
+    assert len(dump(file, '--adapter', '3.4', '--json').stdout.splitlines()) == len(
+        dump(REAL / 'acm.bin', '--json').stdout.splitlines()) > 100
+    assert '--adapter 9.9: is not in it' in dump(file, '--adapter', '9.9').stderr
+    assert 'no file of USB events' in dump(REAL / 'README.md', '--adapter', '1.1').stderr
+
+
+def test_file_without_an_adapter(tmp_path):
+    file = tmp_path / 'none.pcap'
+    file.write_bytes(pcap(MMAPPED, b''))
+    with pytest.raises(UsageError, match='no serial adapter is in it'):
+        open_source(str(file), None)
+
+
+@pytest.mark.parametrize('family', FAMILIES)
+@pytest.mark.parametrize('pattern', ['moving', 'mixed', 'bulk', 'ping'])
+def test_same_report_through_every_adapter(family, pattern):
+    """The bytes of a bus, cut into small transfers, lead to the report that the pty gives."""
+    master = Master(Line(make_devices(DEVICES, MODELS, BAUD), BAUD), PATTERNS[pattern], rate=50.0)
+    bursts = list(master.bursts(2_000_000_000))
+    adapter = FakeAdapter(family, 37)
+    stream = adapter.plug(BEGAN) + adapter.set_baud(BAUD, BEGAN)
+    plain = Monitor('bus', MODELS, Settings(BAUD))
+    usb = Monitor('bus', MODELS, Settings(BAUD))
+    for burst in bursts:
+        plain.feed(burst.data, burst.end)
+        is_master = burst.sender == -1
+        stream += adapter.sent(burst.data, BEGAN + burst.start) if is_master \
+            else adapter.received(burst.data, BEGAN + burst.end)
+    heard = hear(events(stream))
+    for one in heard:
+        if one.data:
+            usb.feed(one.data, one.stamp - BEGAN, one.side)
+    assert side(heard, OUT) + side(heard, IN)
+    reports = [monitor.report(3_000_000_000) for monitor in (plain, usb)]
+    keep = [(report.counters, report.kinds, [(one.id, one.totals, one.model_name, one.state)
+                                             for one in report.devices]) for report in reports]
+    assert keep[0] == keep[1]

@@ -1,0 +1,225 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Unchanged clients of Protocol 1.0 and Feetech drive the simulated servos, the monitor listens.
+
+dynamixel-sdk (protocol 1.0), feetech-servo-sdk (what LeRobot uses) and rustypot are oracles from
+outside: what they are told is right for the servo, and the monitor then knows what they know.
+GroupBulkRead of dynamixel-sdk 4.1.0 ends in a TypeError with protocol 1.0: not used here.
+"""
+
+from collections.abc import Callable
+from collections.abc import Iterator
+import time
+from typing import Any
+
+import pytest
+
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.fake_bus import make_line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.shell import FakeBus
+from dxl_monitor.fake.traffic import none
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.port.listener import Listener
+
+try:
+    import dynamixel_sdk
+    import scservo_sdk
+except ImportError:
+    dynamixel_sdk = scservo_sdk = None
+try:
+    import rustypot
+except ImportError:
+    rustypot = None
+
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.skipif(scservo_sdk is None or dynamixel_sdk is None,
+                       reason='skipped: dynamixel-sdk or feetech-servo-sdk is not installed')]
+needs_rustypot = pytest.mark.skipif(rustypot is None,
+                                    reason='skipped: rustypot is not installed')
+
+BAUD = 1_000_000
+MODELS = Models()
+DEADLINE_S = 20.0
+PATIENCE_MS = 1000
+SO_101 = (1, 2, 3, 4, 5, 6)
+
+
+class Bench:
+    """Simulated servos of one dialect on a bus, a monitor on the tap."""
+
+    def __init__(self, dialect: str, *entries: str) -> None:
+        self.devices = make_devices(list(entries), MODELS, BAUD, moving=False, dialect=dialect)
+        self.bus = FakeBus(Master(make_line(self.devices, BAUD, dialect), none), tap=True)
+        assert self.bus.tap is not None
+        self.monitor = Monitor('bus', MODELS, Settings(BAUD), idle_is_told=True)
+        self.listener = Listener(self.bus.tap.path, BAUD, self.monitor.feed,
+                                 self.monitor.flush_if_idle)
+        self.listener.start()
+        self.wait_for(lambda: self.listener.state.is_open, 'the listener')
+        self.bus.start()
+
+    def close(self) -> None:
+        self.listener.stop()
+        self.bus.stop()
+
+    def wait_for(self, condition: Callable[[], Any], what: str) -> None:
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, f'waited in vain for: {what}'
+            time.sleep(0.005)
+
+    def report(self) -> BusReport:
+        return self.monitor.report(time.monotonic_ns())
+
+    def device(self, number: int) -> DeviceReport | None:
+        return next((one for one in self.report().devices if one.id == number), None)
+
+    def shown(self, number: int) -> dict[str, str]:
+        device = self.device(number)
+        return {} if device is None else {one.field.name: one.value.text
+                                          for one in device.observed}
+
+    def knows(self, number: int, **fields: str) -> None:
+        """Wait until the monitor shows this of a servo; underscores stand for spaces."""
+        want = {name.replace('_', ' '): value for name, value in fields.items()}
+        self.wait_for(lambda: want.items() <= self.shown(number).items(),
+                      f'{want} of {number}, {self.shown(number)}')
+
+
+def sdk(module: Any, version: float, bench: Bench) -> tuple[Any, Any]:
+    """Return the port and the packet handler of an SDK, patient with a slow machine."""
+    port = module.PortHandler(bench.bus.path)
+    assert port.setBaudRate(BAUD)
+    port.setPacketTimeout = lambda size: port.setPacketTimeoutMillis(PATIENCE_MS)
+    return port, module.PacketHandler(version)
+
+
+@pytest.fixture
+def so_101() -> Iterator[Bench]:
+    bench = Bench('feetech', '1-6:STS3215')
+    yield bench
+    bench.close()
+
+
+def test_feetech_sdk(so_101: Bench) -> None:
+    port, client = sdk(scservo_sdk, 0, so_101)
+    for number in SO_101:
+        assert client.ping(port, number) == (777, 0, 0)
+    assert client.write2ByteTxRx(port, 3, 42, 3072) == (0, 0)
+    assert client.read1ByteTxRx(port, 3, 40) == (1, 0, 0)      # the goal switched it on
+    assert client.read2ByteTxRx(port, 3, 56)[:2] == (3072, 0)
+    assert client.read1ByteTxRx(port, 3, 62) == (120, 0, 0)
+    so_101.devices[2].latch(0x20, 0)
+    assert client.read2ByteTxRx(port, 3, 56)[2] == 0x20
+    so_101.knows(3, Model_Number='777', Goal_Position='1.5708', Present_Position='1.5708',
+                 Present_Input_Voltage='12', Torque_Enable='on',
+                 Hardware_Error_Status='overload')
+    port.closePort()
+    found = so_101.report()
+    assert {device.id: (device.model_name, device.totals.missed) for device in found.devices} \
+        == dict.fromkeys(SO_101, ('STS3215', 0))
+    assert (found.counters['CRC Errors'], found.counters['Noise Bytes']) == (0, 0)
+    assert so_101.monitor.conversation.choice.dialect.name == 'Feetech'
+
+
+def test_a_loop_as_lerobot_has_it(so_101: Bench) -> None:
+    """Sync Read of two bytes at 56, Sync Write of two at 42, and the books of the fake."""
+    port, client = sdk(scservo_sdk, 0, so_101)
+    read = scservo_sdk.GroupSyncRead(port, client, 56, 2)
+    write = scservo_sdk.GroupSyncWrite(port, client, 42, 2)
+    for number in SO_101:
+        assert read.addParam(number)
+    for step in range(100):
+        assert read.txRxPacket() == 0
+        where = [read.getData(number, 56, 2) for number in SO_101]
+        assert set(where) == ({2048} if step == 0 else {2000 + step - 1})
+        write.clearParam()
+        for number in SO_101:
+            assert write.addParam(number, list((2000 + step).to_bytes(2, 'little')))
+        assert write.txPacket() == 0
+    port.closePort()
+    truth = so_101.bus.master.truth
+    so_101.wait_for(lambda: so_101.report().counters['Packets'] >= 800, 'all packets')
+    found = so_101.report()
+    assert found.counters['Instructions'] == 200
+    assert found.counters['Packets'] == 800
+    assert found.counters['Bytes'] == found.counters['Packet Bytes'] == 100 * (14 + 48 + 26)
+    for device in found.devices:
+        mine = truth.of(device.id)
+        assert (device.totals.answers, device.totals.missed) == (mine.answered, mine.missed)
+        assert (device.totals.answers, device.totals.writes) == (100, 100)
+
+
+def test_dynamixel_sdk_with_protocol_1() -> None:
+    bench = Bench('dxl1', '1:AX-12A', '2:MX-28(1.0)', '7:RX-64')
+    port, client = sdk(dynamixel_sdk, 1.0, bench)
+    for number, model in ((1, 12), (2, 29), (7, 64)):
+        assert client.ping(port, number) == (model, 0, 0)
+    assert client.write2ByteTxRx(port, 1, 30, 768) == (0, 0)
+    assert client.write2ByteTxRx(port, 1, 30, 5000) == (0, 0x08)           # range
+    assert client.read2ByteTxRx(port, 1, 36)[:2] == (768, 0)
+    assert client.regWriteTxRx(port, 2, 30, 2, [0, 12]) == (0, 0)
+    assert client.action(port, 2) == 0
+    assert client.read2ByteTxRx(port, 2, 36)[:2] == (3072, 0)
+    assert client.write1ByteTxRx(port, 7, 16, 1) == (0, 0)
+    assert client.write1ByteTxOnly(port, 7, 25, 1) == 0                    # without an answer now
+    time.sleep(0.02)
+    assert client.read1ByteTxRx(port, 7, 25)[:2] == (1, 0)
+    bench.knows(1, Model_Number='12', Goal_Position='1.309', Present_Position='1.309')
+    bench.knows(2, Present_Position='1.5708')
+    bench.knows(7, LED='on')
+    port.closePort()
+    found = bench.report()
+    assert [(one.model_name, one.totals.missed) for one in found.devices] == [
+        ('AX-12A', 0), ('MX-28(1.0)', 0), ('RX-64', 0)]
+    assert found.devices[0].errors == {(3, 30, 4): 1}
+    assert bench.monitor.conversation.choice.dialect.name == 'Dynamixel 1.0'
+    bench.close()
+
+
+@needs_rustypot
+def test_rustypot_with_feetech(so_101: Bench) -> None:
+    client = rustypot.Sts3215PyController(so_101.bus.path, BAUD, 1.0)
+    assert client.ping(4)
+    client.write_goal_position(4, 0.5)
+    assert client.read_present_position(4)[0] == pytest.approx(0.5, abs=0.002)
+    client.sync_write_goal_position([1, 2], [0.25, -0.25])
+    assert client.sync_read_present_position([1, 2]) == pytest.approx([0.25, -0.25], abs=0.002)
+    assert client.read_present_voltage(4) == [120]
+    assert client.read_model(4) == [777]
+    del client
+    so_101.knows(4, Present_Input_Voltage='12', Model_Number='777')
+    assert so_101.shown(4)['Present Position'][:4] in ('0.49', '0.50')
+
+
+@needs_rustypot
+def test_rustypot_reads_a_big_endian_servo() -> None:
+    bench = Bench('feetech', '9:SCS0009')
+    client = rustypot.Scs0009PyController(bench.bus.path, BAUD, 1.0)
+    client.write_goal_position(9, 0.7)
+    assert client.read_present_position(9)[0] == pytest.approx(0.7, abs=0.006)
+    assert client.read_model(9) == [0x0405]
+    bench.knows(9, Model_Number='1029')
+    assert bench.shown(9)['Goal Position'][:4] in ('0.69', '0.70', '0.71')
+    del client
+    bench.close()
+
+
+@needs_rustypot
+def test_rustypot_with_protocol_1() -> None:
+    bench = Bench('dxl1', '5:AX-12A')
+    client = rustypot.AxPyController(bench.bus.path, BAUD, 1.0)
+    assert client.ping(5)
+    client.write_goal_position(5, -0.4)
+    assert client.read_present_position(5)[0] == pytest.approx(-0.4, abs=0.006)
+    assert client.read_model_number(5) == [12]
+    bench.knows(5, Model_Number='12')
+    del client
+    bench.close()

@@ -1,0 +1,225 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sides: what is certain once it is known who put which bytes on the wire."""
+
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+import pytest
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.fake.fake_bus import default_devices
+from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.line import MASTER
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor import Settings
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import STATUS
+from msg_defs.heard import BAUD
+from msg_defs.heard import Change
+from msg_defs.heard import CLOSED
+from msg_defs.heard import IN
+from msg_defs.heard import LATENCY_TIMER
+from msg_defs.heard import LOST
+from msg_defs.heard import NOT_SENT
+from msg_defs.heard import OUT
+from msg_defs.heard import OVERRUN
+from msg_defs.heard import UNKNOWN
+
+MODELS = Models()
+RATE = 1_000_000
+S = 1_000_000_000
+MS = 1_000_000
+STEADY = settings(derandomize=True, deadline=None, database=None, max_examples=60)
+PING_1 = encode(1, 1)
+PONG_1 = encode(1, STATUS, b'\x41\x01\x2d', error=0)
+READ_1 = encode(1, 2, b'\x84\x00\x04\x00')
+ANSWER_1 = encode(1, STATUS, b'\x00\x08\x00\x00', error=0)
+
+
+def monitor(devices=('1:MX-106',), baud=RATE):
+    return Monitor('bus', MODELS, Settings(baud=baud, devices=tuple(parse_all(list(devices)))))
+
+
+def heard(pattern, seconds, has_sides):
+    devices = default_devices(pattern)
+    master = Master(Line(make_devices(devices, MODELS, RATE), RATE), PATTERNS[pattern], rate=50.0)
+    bus = monitor(devices)
+    end = int(seconds * S)
+    for burst in master.bursts(end):
+        if not has_sides:
+            bus.feed(burst.data, burst.end)
+        elif burst.sender == MASTER:
+            bus.feed(burst.data, burst.start, OUT)
+        else:
+            bus.feed(burst.data, burst.end, IN)
+    return bus.report(end + S)
+
+
+def comparable(report):
+    """Return a report without how it was delivered."""
+    return report._replace(metrics=(), started=0, rates={}, last_byte_s=None, devices=tuple(
+        device._replace(last_heard_s=None) for device in report.devices))
+
+
+@pytest.mark.parametrize('pattern', [name for name in PATTERNS if name != 'none'])
+def test_same_report_as_without_sides(pattern):
+    assert comparable(heard(pattern, 4.0, True)) == comparable(heard(pattern, 4.0, False))
+
+
+@given(chunks=st.lists(st.tuples(st.sampled_from((OUT, IN, UNKNOWN)), st.one_of(
+    st.binary(min_size=1, max_size=40), st.sampled_from((PING_1, PONG_1, READ_1, ANSWER_1))))),
+    gap_ms=st.integers(0, 30))
+@STEADY
+def test_every_byte_is_in_one_counter_of_its_side(chunks, gap_ms):
+    bus = monitor()
+    stamp = S
+    for side, data in chunks:
+        bus.feed(data, stamp, side)
+        stamp += gap_ms * MS
+    for side, framer in bus.conversation.framers.items():
+        assert framer.bytes == sum(len(data) for one, data in chunks if one == side)
+        assert framer.packet_bytes + framer.noise_bytes + framer.pending == framer.bytes
+    bus.report(stamp + S)
+
+
+def play(*events, gap=MS):
+    """Return the report of a bus that hears these (side, bytes) or changes, each a ms later."""
+    bus = monitor()
+    stamp = S
+    for event in events:
+        if isinstance(event, Change):
+            bus.change(event, stamp)
+        else:
+            bus.feed(event[1], stamp, event[0])
+        stamp += gap
+    bus.flush_if_idle(stamp + 2 * S)
+    return bus.report(stamp + 2 * S)
+
+
+def test_damage_on_the_way_back_leaves_the_next_answers_certain():
+    noise = bytes(range(1, 40))
+    for side, answers in ((IN, 2), (UNKNOWN, 2)):
+        report = play((OUT if side else side, PING_1), (side, noise + PONG_1),
+                      (OUT if side else side, READ_1), (side, noise), (side, ANSWER_1))
+        assert report.devices[0].totals.answers == answers
+        observed = {one.field.name for one in report.devices[0].observed}
+        assert ('Present Position' in observed) == (side == IN)
+
+
+def test_echo_is_told_from_a_repetition():
+    report = play((OUT, READ_1), (IN, READ_1 + ANSWER_1), (OUT, READ_1), (IN, READ_1 + ANSWER_1))
+    assert report.kinds[ev.ECHO] == 2
+    assert ev.REPEATED not in report.kinds
+    assert report.devices[0].totals.missed == 0
+    assert report.counters['Instructions'] == 2
+
+
+def test_instruction_of_another_master():
+    report = play((OUT, PING_1), (IN, PONG_1), (IN, READ_1), (IN, ANSWER_1))
+    assert report.kinds[ev.FOREIGN] == 1
+    assert report.counters['Instructions'] == 2
+    assert report.devices[0].totals.answers == 2
+
+
+def test_instruction_that_never_left_is_no_missed_answer():
+    assert play((OUT, READ_1), (OUT, PING_1), (IN, PONG_1)).devices[0].totals.missed == 1
+    report = play((OUT, READ_1), Change(NOT_SENT, 14), (OUT, PING_1), (IN, PONG_1))
+    assert report.devices[0].totals.missed == 0
+    assert report.kinds[ev.NOT_SENT] == 1
+
+
+def test_what_the_source_lost_is_no_missed_answer():
+    report = play((OUT, READ_1), (IN, ANSWER_1[:6]), Change(LOST, 3), (OUT, PING_1), (IN, PONG_1))
+    assert report.devices[0].totals.missed == 0
+    assert report.kinds[ev.SOURCE_LOST] == 1
+    assert 'events or bytes that were not heard' in report.errors[0].text
+
+
+def test_closed_port_is_no_missed_answer():
+    report = play((OUT, READ_1), Change(CLOSED, 1), (OUT, PING_1), (IN, PONG_1))
+    assert report.devices[0].totals.missed == 0
+    assert report.errors == ()
+
+
+def test_late_answer_is_known_for_certain():
+    report = play((OUT, READ_1), (OUT, PING_1), (IN, ANSWER_1 + PONG_1), gap=30 * MS)
+    assert report.devices[0].totals.missed == 1
+    assert report.devices[0].totals.answers >= 1
+
+
+def test_answer_that_stops_on_its_way_is_decided_before_the_next_instruction():
+    report = play((OUT, READ_1), (IN, ANSWER_1[:9]), (OUT, PING_1), (IN, PONG_1), gap=40 * MS)
+    order = [one.kind for one in report.incidents]
+    assert ev.CUT in order
+    assert report.devices[0].totals.damaged == 1
+    assert report.devices[0].totals.answers == 1
+
+
+def test_rate_is_learned_and_begins_a_new_wire():
+    bus = monitor(baud=0)
+    bus.feed(READ_1, S, OUT)
+    bus.feed(ANSWER_1, S + 5 * MS, IN)
+    report = bus.report(S + 6 * MS)
+    assert report.baud == 0
+    assert 'bus_load' not in {metric.name for metric in report.metrics}
+    bus.feed(READ_1[:7], S + 7 * MS, OUT)
+    bus.change(Change(BAUD, RATE), S + 8 * MS)
+    bus.feed(READ_1, S + 9 * MS, OUT)
+    bus.feed(ANSWER_1, S + 11 * MS, IN)
+    report = bus.report(S + 12 * MS)
+    assert report.baud == RATE
+    assert (report.counters['Noise Bytes'], report.counters['Packets']) == (7, 4)
+    assert report.devices[0].totals.missed == 0
+    assert bus.conversation.byte_ns == 10_000
+
+
+def test_line_errors_and_latency_timer_come_from_the_source():
+    bus = monitor()
+    assert bus.report(S).line_errors is None
+    bus.change(Change(OVERRUN, 2), S)
+    bus.change(Change(OVERRUN, 1), S)
+    bus.change(Change(LATENCY_TIMER, 16), S)
+    assert bus.report(S).line_errors.overrun == 3
+    assert bus.conversation.idle_ns == 32 * MS
+
+
+def test_latency_is_from_the_end_of_the_instruction_to_the_begin_of_the_answer():
+    bus = monitor()
+    for number in range(20):
+        at = S + number * 10 * MS
+        bus.feed(READ_1, at, OUT)
+        bus.feed(ANSWER_1, at + (len(READ_1) + len(ANSWER_1)) * 10_000 + MS // 4, IN)
+    latency = bus.report(S + 300 * MS).devices[0].latency
+    assert latency.resolved == 1.0
+    assert latency.total.p50 == pytest.approx(0.25, abs=0.01)
+
+
+def findings(*chunks):
+    """Return what the doctor names after three seconds of this, five times a second."""
+    bus = monitor()
+    for turn in range(15):
+        stamp = S + turn * 200 * MS
+        for number, (one, data) in enumerate(chunks):
+            bus.feed(data, stamp + number * MS, one)
+        report = bus.report(stamp + 100 * MS)
+    return {one.rule for one in report.findings}
+
+
+def test_the_doctor_uses_the_sides():
+    exchange = (OUT, READ_1), (IN, ANSWER_1)
+    assert findings(*exchange) == set()
+    assert findings((OUT, READ_1), (IN, READ_1 + ANSWER_1)) == {'echo'}
+    assert findings(*exchange, (IN, PING_1), (IN, PONG_1)) == {'two_masters'}
+
+
+def test_the_doctor_says_what_it_cannot_tell_where_the_source_lost_something():
+    report = play(*(5 * ((OUT, READ_1), Change(LOST, 7))))
+    assert 'cannot be told from what was not said' in ' '.join(
+        one.message for one in report.doubts)
+    assert report.findings == ()

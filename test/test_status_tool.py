@@ -1,0 +1,111 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""mecarover_status: which lines it shows, its exit codes, and two robots with real processes."""
+import re
+import subprocess
+import sys
+
+from harness import Program
+from harness import ROOT
+import pytest
+from synthetic_robot import serialise
+from synthetic_robot import SyntheticRobot
+
+from mecarover_dashboard.lines import Board
+from mecarover_dashboard.lines import screen
+from msg_defs.reports import Level
+from msg_defs.reports import Status
+
+
+def told(*robots, board=None, now_s=100.0):
+    board = board or Board()
+    for robot in robots:
+        board.take(serialise(robot.overview(now_s)), now_s)
+    return board
+
+
+def test_a_healthy_robot_has_a_line_per_bridge_and_bus():
+    board = told(SyntheticRobot())
+    assert [(line.level, line.what) for line in board.lines(100.0)] == [
+        (Level.OK, 'bridge'), (Level.OK, 'bus')]
+    assert board.code(100.0) == 0
+    assert len(told(SyntheticRobot(), board=Board(every_device=True)).lines(100.0)) == 2 + 24
+
+
+@pytest.mark.parametrize(('group', 'code', 'level'), [
+    ('lost', 4, Level.ERROR), ('warned', 3, Level.WARN), ('silent', 3, Level.STALE),
+    ('faulty', 4, Level.ERROR)])
+def test_a_sick_device_has_a_line_and_an_exit_code(group, code, level):
+    robot = SyntheticRobot()
+    getattr(robot, group).add(7)
+    board = told(robot)
+    [line] = [line for line in board.lines(100.0) if line.what == '007 left_knee']
+    assert line.level is level
+    assert line.message
+    assert board.code(100.0) == code
+
+
+def test_robots_are_told_apart_and_a_namespace_has_its_own():
+    robots = [SyntheticRobot(namespace=f'rover{number}') for number in (1, 2)]
+    robots[1].lost = {7}
+    lines = screen(told(*robots).lines(100.0))
+    assert [line for line in lines if 'left_knee' in line] == [
+        'ERROR   rover2  007 left_knee  disconnected: 7 answers missed']
+    alone = told(*robots, board=Board('rover1'))
+    assert {line.robot for line in alone.lines(100.0)} == {'rover1'}
+    assert alone.code(100.0) == 0
+
+
+def test_what_is_no_longer_reported_is_silent_and_then_gone():
+    robot = SyntheticRobot({'': ((1, 'MX-64', ''),)})
+    board = told(robot)
+    assert board.lines(105.0)[0].message.startswith('no report for 5 s; last: ')
+    assert board.code(105.0) == 3
+    board.take(serialise(robot.overview(170.0)[:1]), 170.0)     # its bus lives, its device not
+    assert [line.what for line in board.lines(170.0) if line.what == '001'] == []
+
+
+def test_nothing_of_others_and_no_control_codes():
+    board = Board()
+    assert board.code(1.0) == 1
+    board.take(b'\1\2\3', 1.0)
+    board.take(serialise([Status('cpu: load', Level.ERROR, 'hot', '', [])]), 1.0)
+    assert board.lines(1.0) == []
+    evil = Status('dxl_monitor: 001 \x1b[2Jknee', Level.ERROR, 'lost\nand \x07more', '1',
+                  [('Model', 'MX-64'), ('Firmware Version', '1'), ('State', 'disconnected')])
+    board.take(serialise([evil]), 1.0)
+    [text] = screen(board.lines(1.0))
+    assert text.isprintable()
+
+
+@pytest.mark.parametrize('arguments', [['--wait', '0'], ['--wait', 'x'], ['--often']])
+def test_wrong_usage(arguments):
+    done = subprocess.run([sys.executable, '-m', 'mecarover_dashboard.terminal', *arguments],
+                          cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert 'Traceback' not in done.stderr
+
+
+@pytest.mark.ros
+def test_once_for_scripts(ros, tmp_path):
+    """Exit codes, with a real monitor: 1 nothing heard, 0 well, 4 a device is lost."""
+    with Program('mecarover_dashboard.terminal', '--once', '--wait', '1') as status:
+        assert status.exit_code() == 1
+        assert 'no report on /diagnostics; start the nodes' in status.text
+    bus = str(tmp_path / 'bus')
+    for name, fault, code, line in (
+            ('well', (), 0, r'ok +well +bus +3 of 3 devices connected'),
+            ('sick', ('--fault', 'silent:2:0:9999'), 4,
+             r'ERROR +sick +002 +(disconnected|expected|silent)')):
+        with Program('dxl_monitor.fake.fake_bus', '--link', bus, '--devices', '1-3:MX-64',
+                     *fault) as fake, \
+                Program('dxl_monitor.main', '--ros-args', '-r', f'__ns:=/{name}', '-p',
+                        f'ports:={bus}', '-p', "devices:=['1-3:MX-64']") as monitor:
+            fake.wait_for('2000000 baud')
+            monitor.wait_for('open at')
+            with Program('mecarover_dashboard.terminal') as live:
+                live.wait_for('002' if fault else '3 of 3')
+            with Program('mecarover_dashboard.terminal', '--once', '--ros-args', '-r',
+                         f'__ns:=/{name}') as status:
+                assert status.exit_code() == code, status.text
+            assert re.search(line, status.text), status.text

@@ -1,0 +1,311 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+USB events to bytes with a side: real captures, all families of adapters, files of all kinds.
+
+Nobody who wrote the decoders wrote the real captures; tshark, where it is installed, is asked too.
+"""
+
+import io
+import shutil
+import struct
+import subprocess
+
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+import pytest
+from usb_files import changes
+from usb_files import cut
+from usb_files import events
+from usb_files import hear
+from usb_files import LINUX
+from usb_files import log
+from usb_files import MMAPPED
+from usb_files import pcap
+from usb_files import pcapng
+from usb_files import REAL
+from usb_files import side
+from usb_files import USBPCAP
+
+from dxl_monitor.fake.usb_adapter import FakeAdapter
+from dxl_monitor.fake.usb_adapter import FAMILIES
+from dxl_monitor.port.adapters import CdcAcm
+from dxl_monitor.port.adapters import Ch341
+from dxl_monitor.port.adapters import Cp210x
+from dxl_monitor.port.adapters import Ftdi
+from dxl_monitor.port.adapters import Setup
+from dxl_monitor.port.usb_port import UsbPort
+from dxl_monitor.port.usb_survey import Survey
+from dxl_monitor.port.usbmon import Records
+from dxl_monitor.record.pcap import PcapReader
+from dxl_monitor.record.usb_events import is_usb
+from dxl_monitor.record.usb_events import UsbEvents
+from msg_defs.heard import IN
+from msg_defs.heard import OUT
+
+SESSIONS = ('healthy', 'missing', 'acm')
+STEADY = settings(derandomize=True, deadline=None, database=None, max_examples=60)
+BEGAN = 1_795_329_340_000_000_000
+CHUNKS = st.lists(st.tuples(st.sampled_from((OUT, IN)), st.binary(min_size=1, max_size=1500)),
+                  min_size=1, max_size=6)
+ALL_BYTES = bytes(range(256)) * 5
+
+
+def read(data):
+    found = UsbEvents(io.BytesIO(data), data[:64])
+    return list(found), found.problems
+
+
+def stream(adapter, chunks, baud=1_000_000):
+    """Return the events of an adapter that is plugged in, opened and used."""
+    whole = adapter.plug(BEGAN) + adapter.set_baud(baud, BEGAN)
+    for number, (which, data) in enumerate(chunks):
+        tell = adapter.sent if which == OUT else adapter.received
+        whole += tell(data, BEGAN + 1_000_000 * number)
+    return whole
+
+
+# --- real captures -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('session', SESSIONS)
+@pytest.mark.parametrize('kind', ['pcap', 'bin'])
+def test_real_capture_is_what_the_master_wrote_and_read(session, kind):
+    found, problems = read((REAL / f'{session}.{kind}').read_bytes())
+    assert not problems
+    heard = hear(found)
+    wrote, got = log(session)
+    assert side(heard, OUT) == wrote
+    incoming = side(heard, IN)
+    if session == 'missing':
+        assert len(incoming) == len(got) + 60      # late answers, thrown away by the SDK unread
+    else:
+        assert incoming == got
+    rates = [value for what, value in changes(heard) if what == 'baud']
+    assert rates[:2] == [9600, 1_000_000]
+    assert ('rts', 1) in changes(heard)
+
+
+@pytest.mark.skipif(not shutil.which('tshark'), reason='tshark is not installed (apt has it)')
+@pytest.mark.parametrize('session', SESSIONS)
+def test_tshark_sees_the_same_payloads(session):
+    file = REAL / f'{session}.pcap'
+    fields = ('usb.endpoint_address', 'ftdi-ft.if_a_rx_payload', 'ftdi-ft.if_a_tx_payload',
+              'usb.capdata')
+    out = subprocess.run(['tshark', '-r', file, '-Y', 'usb.transfer_type == 3', '-T', 'fields',
+                          *(word for name in fields for word in ('-e', name))],
+                         capture_output=True, text=True, check=True).stdout
+    theirs = {OUT: b'', IN: b''}
+    for line in out.splitlines():
+        endpoint, *payloads = line.split('\t')
+        text = next((one for one in payloads if one), '')
+        incoming = int(endpoint.split(',')[0], 0) & 0x80
+        theirs[IN if incoming else OUT] += bytes.fromhex(text.replace(',', '').replace(':', ''))
+    heard = hear(read(file.read_bytes())[0])
+    assert (side(heard, OUT), side(heard, IN)) == (theirs[OUT], theirs[IN])
+
+
+# --- adapters ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('family', FAMILIES)
+@given(chunks=CHUNKS, transfer_size=st.integers(1, 1200))
+@STEADY
+def test_what_an_adapter_carries_comes_back(family, chunks, transfer_size):
+    heard = hear(events(stream(FakeAdapter(family, transfer_size), chunks)))
+    for which in (OUT, IN):
+        assert side(heard, which) == b''.join(data for one, data in chunks if one == which)
+    assert ('baud', 1_000_000) in changes(heard)
+    order = [one.side for one in heard if one.data]
+    assert [one for n, one in enumerate(order) if not n or order[n - 1] != one] == [
+        one for n, (one, _) in enumerate(chunks) if not n or chunks[n - 1][0] != one]
+
+
+@pytest.mark.parametrize('family', FAMILIES)
+@pytest.mark.parametrize('baud', [9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000])
+def test_rate_is_learned(family, baud):
+    heard = hear(events(stream(FakeAdapter(family), [(OUT, b'\xff\xff')], baud)))
+    assert [value for what, value in changes(heard) if what == 'baud'] == [baud]
+
+
+@pytest.mark.parametrize(('divisor', 'baud'), [
+    (0xC034, 57_600), (0x1A, 115_200), (0x3, 1_000_000), (0x1, 2_000_000), (0x0, 3_000_000),
+    (0x300D0, 57_600), (0x2C068, 115_200), (0x2000C, 1_000_000), (0x20006, 2_000_000),
+    (0x20004, 3_000_000), (0x20003, 4_000_000), (0x34002, 4_500_000)])
+@pytest.mark.parametrize('is_multi', [False, True])
+def test_ftdi_divisor(divisor, baud, is_multi):
+    upper = divisor >> 16
+    target = upper << 8 | 1 if is_multi else upper
+    setup = Setup(0x40, 3, divisor & 0xFFFF, target)
+    assert Ftdi(is_multi=is_multi).control(setup, b'') == [('baud', baud)]
+
+
+@pytest.mark.parametrize('size', [64, 512])
+def test_ftdi_status_bytes(size):
+    first = b'\x01\x60' + bytes(range(1, size - 1 & 0xFF)) + bytes(size)
+    first = first[:size]
+    data, found = Ftdi(size).received(first + b'\x31\x6a\xff\xfe')
+    assert data == first[2:] + b'\xff\xfe'
+    assert found == [('overrun', 1), ('framing', 1)]
+    assert Ftdi(size).received(b'\x01\x6a') == (b'', [])           # no byte that it is about
+    assert Ftdi(size).received(b'') == (b'', [])
+
+
+def test_lines_and_errors_of_the_others():
+    acm = CdcAcm()
+    assert acm.control(Setup(0x21, 0x22, 2, 0), b'') == [('dtr', 0), ('rts', 1)]
+    assert acm.interrupt(bytes.fromhex('a1200000010002005000')) == [('framing', 1), ('overrun', 1)]
+    assert Ch341().control(Setup(0x40, 0xA4, 0xFF9F, 0), b'') == [('dtr', 1), ('rts', 1)]
+    assert Cp210x().control(Setup(0x41, 0x07, 0x0301, 0), b'') == [('dtr', 1), ('rts', 0)]
+    assert Cp210x().control(Setup(0x41, 0x12, 0x000F, 0), b'') == [('purged', 3)]
+
+
+@given(data=st.binary(max_size=200).map(lambda data: data.replace(b'\1', b'\xec')),
+       size=st.integers(1, 20))
+@STEADY
+def test_escapes_of_a_cp210x_may_be_cut_anywhere(data, size):
+    adapter = FakeAdapter('cp210x', size, has_events=True)
+    heard = hear(events(stream(adapter, [(OUT, b'\xff\xff'), (IN, data or b'x')])))
+    assert side(heard, IN) == (data or b'x')
+
+
+def test_byte_with_an_error_in_the_data_of_a_cp210x():
+    adapter = Cp210x()
+    adapter.control(Setup(0x41, 0x15, 0xEC, 0), b'')
+    assert adapter.received(b'a\xec\x01\x08\xecb\xec\x02\x20\xec\x03\x10c') == (
+        b'a\xecbc', [('framing', 1)])
+    assert adapter.received(b'd\xec') == (b'd', [])
+    assert adapter.received(b'\x00e') == (b'\xece', [])
+
+
+def test_what_never_left_the_host_and_unplugging():
+    adapter = FakeAdapter('ft232r')
+    sent = bytearray(stream(adapter, [(OUT, b'\xff\xff\xfd\x00')]))
+    done = cut(bytes(sent))[-1][1]
+    struct.pack_into('<iI', sent, len(sent) - len(done) + 28, -108, 1)
+    heard = hear(events(bytes(sent) + adapter.unplug(BEGAN)))
+    assert changes(heard)[-3:] == [('not_sent', 3), ('unplugged', 1), ('unplugged', 1)]
+
+
+def test_idle_transfers_say_nothing():
+    adapter = FakeAdapter('ftdi')
+    whole = stream(adapter, [(OUT, b'\xff\xff')])
+    assert len(hear(events(whole + adapter.idle(BEGAN) * 3))) == len(hear(events(whole)))
+
+
+def test_port_is_known_without_its_descriptors():
+    for family in FAMILIES:
+        adapter = FakeAdapter(family, 1024)
+        body = adapter.sent(b'\xff\xff\xfd\x00' + ALL_BYTES, BEGAN) \
+            + adapter.received(ALL_BYTES, BEGAN)
+        for opening in (adapter.set_baud(57_600, BEGAN), b''):
+            heard = hear(events(opening + body))
+            assert side(heard, IN) == ALL_BYTES
+            assert side(heard, OUT).endswith(ALL_BYTES)
+
+
+def test_keyboards_and_disks_are_no_serial_ports():
+    adapter = FakeAdapter('cp210x')
+    survey = Survey()
+    for event in events(adapter.sent(b'USBC1234', BEGAN) + adapter.received(b'data', BEGAN)):
+        survey.take(event)
+    assert survey.ports() == []
+
+
+# --- files -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('link', [LINUX, MMAPPED, USBPCAP])
+@pytest.mark.parametrize('wrap', [pcap, pcapng, lambda link, whole: pcapng(link, whole, 9)])
+@pytest.mark.parametrize('family', FAMILIES)
+def test_every_kind_of_file_says_the_same(link, wrap, family):
+    chunks = [(OUT, b'\xff\xff\xfd\x00' + ALL_BYTES), (IN, ALL_BYTES), (OUT, b'\x01')]
+    whole = stream(FakeAdapter(family), chunks)
+    file = wrap(link, whole)
+    assert is_usb(file[:64])
+    found, problems = read(file)
+    assert [text for text in problems if 'link type 1 ' not in text] == []
+    heard, expected = hear(found), hear(events(whole))
+    assert [(one.stamp, one.side, one.data) for one in heard if one.data] == [
+        (one.stamp, one.side, one.data) for one in expected if one.data]
+    assert changes(heard) == changes(expected)
+
+
+def test_big_endian_file():
+    small = cut(stream(FakeAdapter('ftdi'), [(OUT, b'\xff\xff'), (IN, b'abc')]))
+    form = 'QBBBBHBBqiiII8siiII'
+    big = b''.join(
+        struct.pack('>' + form, *struct.unpack('<' + form, event[:64])) + event[64:]
+        for _, event in small)
+    rows = []
+    for _, event in small:
+        swapped, big = big[:len(event)], big[len(event):]
+        rows.append(struct.pack('>IIII', 1, 2, len(swapped), len(swapped)) + swapped)
+    file = struct.pack('>IHHiIII', 0xA1B2C3D4, 2, 4, 0, 0, 1 << 18, MMAPPED) + b''.join(rows)
+    found, problems = read(file)
+    assert not problems
+    assert side(hear(found), IN) == b'abc'
+
+
+@given(data=st.data())
+@STEADY
+def test_records_may_come_in_any_pieces(data):
+    whole = stream(FakeAdapter('cdc-acm'), [(OUT, b'\xff\xff'), (IN, ALL_BYTES)])
+    borders = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=20)))
+    records, found = Records(), []
+    for begin, end in zip([0, *borders], [*borders, len(whole)], strict=True):
+        found += records.events(whole[begin:end])
+    assert found == events(whole)
+    assert (records.skipped, records.pending) == (0, 0)
+
+
+@pytest.mark.parametrize('wrap', [lambda whole: whole, lambda whole: pcap(MMAPPED, whole),
+                                  lambda whole: pcapng(MMAPPED, whole)])
+def test_cut_anywhere_what_is_in_front_is_used(wrap):
+    pieces = [event for _, event in cut((REAL / 'healthy.bin').read_bytes()[:4000])[:20]]
+    borders = {len(wrap(b''.join(pieces[:n]))): n for n in range(len(pieces) + 1)}
+    whole = wrap(b''.join(pieces))
+    for size in range(min(borders) + 64, len(whole)):
+        found, problems = read(whole[:size])
+        assert len(found) == max(n for border, n in borders.items() if border <= size)
+        cut_off = [text for text in problems if 'cut off' in text]
+        assert bool(cut_off) == (size not in borders), size
+
+
+@given(data=st.data())
+@STEADY
+def test_damage_is_told_and_never_raises(data):
+    whole = bytearray(pcapng(MMAPPED, stream(FakeAdapter('ftdi'), [(OUT, ALL_BYTES)])))
+    for _ in range(data.draw(st.integers(1, 8))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    reader = PcapReader(io.BytesIO(bytes(whole)))
+    packets = list(reader)
+    assert packets or reader.problem
+    hear_all(bytes(whole))
+
+
+@given(data=st.binary(max_size=400))
+@STEADY
+def test_any_bytes_never_raise(data):
+    hear_all(data)
+    hear_all(pcap(MMAPPED, b'')[:24] + data)
+    hear_all(pcap(USBPCAP, b'')[:24] + struct.pack('<IIII', 1, 1, len(data), len(data)) + data)
+
+
+def hear_all(data):
+    """Read a file, whatever is in it, and hear every port."""
+    found, _ = read(data)
+    survey = Survey()
+    for event in found:
+        survey.take(event)
+    for one in survey.ports():
+        port = UsbPort(one.place, one.adapter)
+        for event in found:
+            port.take(event)
+
+
+def test_other_packets_are_named():
+    whole = pcapng(MMAPPED, stream(FakeAdapter('ftdi'), [(OUT, b'\xff\xff')]))
+    assert read(whole)[1] == ['1 packets of link type 1 were left out; usbmon has 189 and 220, '
+                              'USBPcap 249']
