@@ -35,7 +35,7 @@ from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
 
 SECTION = 'bridge: Twist published to frame received'
-RATES_HZ = (10, 20, 25, 29, 30, 33, 50, 100)    # of the commands to each node
+RATES_HZ = (10, 20, 25, 29, 30, 33, 50, 100)    # commands to each node
 MAX_RATE_HZ = 30                # the bridge's default
 JITTERS_MS = (0, 2)
 PLANS = [(rate, jitter) for rate in RATES_HZ for jitter in JITTERS_MS]

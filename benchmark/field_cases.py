@@ -70,7 +70,7 @@ THREADS = """
 
 
 def results(chosen: list[str]) -> list[Result]:
-    """Play the cases whose names have one of these words, or all."""
+    """Play the cases with one of these words in their name, or all."""
     numbers = [number for number, scene in enumerate(PLAYED)
                if not chosen or any(word in scene.name for word in chosen)]
     with ProcessPoolExecutor() as pool:

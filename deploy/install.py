@@ -168,7 +168,7 @@ class Site:
         return [service for service in SERVICES if wanted[service]]
 
     def _usbmon(self) -> Iterator[Step]:
-        """Yield what lets the service, and nobody else, read usbmon."""
+        """Yield what lets the service, and no other user, read usbmon."""
         if not self._buses:
             raise InstallError('--usbmon: no adapter to hear; give --bus DEVICE')
         print(usbmon.NOTE)

@@ -22,4 +22,4 @@ FILES = {
         f'[Service]\nSupplementaryGroups={GROUP}\n'),
 }
 NOTE = ('note: --usbmon lets the service dxl_monitor read all traffic of all USB buses, keyboards '
-        f'and disks too; nobody is made a member of group {GROUP} (docs/security.md)')
+        f'and disks too; no user is made a member of group {GROUP} (docs/security.md)')

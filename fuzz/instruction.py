@@ -55,7 +55,7 @@ def check(data):
         number == 0xFE or instruction not in TO_MANY)
     assert request.malformed != is_well_formed
     if request.malformed:
-        assert request.answers is Answers.NOBODY
+        assert request.answers is Answers.NONE
         assert not request.accesses or (number, instruction) == (0xFE, I.BULK_WRITE)
     else:
         assert request.answers is answers(instruction, number)
@@ -82,7 +82,7 @@ def answers(instruction, number):
             return Answers.DATA
         if instruction in ACKNOWLEDGED:
             return Answers.ACK
-    return Answers.NOBODY
+    return Answers.NONE
 
 
 def comes_back(number, instruction, params):

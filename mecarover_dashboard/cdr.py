@@ -15,8 +15,8 @@ from struct import Struct
 from typing import NamedTuple
 
 TEXT_LIMIT = 500            # characters of one text that reach the page
-PAIRS_LIMIT = 4096          # of one status: the longest control table has a few hundred
-STATUSES_LIMIT = 5000       # of one message: ten full buses have half of it
+PAIRS_LIMIT = 4096          # in a status: the longest control table has a few hundred
+STATUSES_LIMIT = 5000       # in a message: ten full buses have half of it
 _FRONT = 4                  # representation and options
 _STAMP = 8
 
@@ -27,9 +27,9 @@ class CdrError(ValueError):
 
 class RawStatus(NamedTuple):
     """
-    A status whose values are still bytes: `count` pairs in `data` from `at` on.
+    A status with values that are still bytes: `count` pairs in `data` from `at` on.
 
-    `data` are its own: whoever keeps one status must not keep the message it came in.
+    `data` are its own: a status that is kept must not keep the message it came in.
     """
 
     level: int
@@ -47,7 +47,7 @@ class RawStatus(NamedTuple):
         return list(zip(texts, texts, strict=True))
 
     def find(self, start: bytes) -> tuple[str, str] | None:
-        """Return the first pair whose key begins with ASCII text; None if there is none."""
+        """Return the first pair with a key that begins with ASCII text; None if there is none."""
         data, at = self.data, self.at
         while (at := data.find(start, at)) >= 0:
             if at % 4 == 0:                     # a text begins behind its aligned length

@@ -29,7 +29,7 @@ class Client:
         if 'gzip' in request.headers.get('Accept-Encoding', ''):
             self.response.headers['Content-Encoding'] = 'gzip'
             self._zip = zlib.compressobj(1, zlib.DEFLATED, 31)
-        self._sent = Table([], [])              # of the watched device
+        self._sent = Table([], [])              # the watched device's, as last sent
         self._wants_values = 'values' in request.query
         self._values: dict[str, _Shown] = {}       # as sent last
         self._latency_until = 0.0

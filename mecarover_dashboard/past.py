@@ -39,7 +39,7 @@ MOST_AT_ONCE = 4                # questions; a day of 253 devices takes seconds 
 _POINTS = 600
 _MOST_EVENTS = 1000             # on the page; a CSV has them all
 _ALL_EVENTS = 10_000_000
-_ROWS = 2000                    # of a CSV, written at a time
+_ROWS = 2000                    # rows of a CSV written at a time
 _CSV_VALUES = tuple(dict.fromkeys(name for names in VALUES.values() for name in names))
 
 

@@ -20,7 +20,7 @@ from mecarover_dashboard.state import State
 from msg_defs.reports import Level
 
 WINDOW_S = 10
-MOST_ERRORS = 20                # of one bus in one window; noise would fill the file
+MOST_ERRORS = 20                # for one bus in one window; noise would fill the file
 VALUES = {                      # what is kept of each kind, in this order
     'devices': ('position', 'temperature', 'voltage', 'load', 'loss', 'latency'),
     'buses': ('bus_load', 'packet_rate', 'error_rate'),
@@ -35,7 +35,7 @@ class Source(NamedTuple):
     name: str
     kind: str                   # a key of VALUES
     robot: str
-    unit: str = ''              # of `load`: % or A
+    unit: str = ''              # `load` is in: % or A
 
 
 class Window(NamedTuple):
@@ -80,7 +80,7 @@ class Recorder:
         self._known: dict[str, _Known] = {}
         self._done: list[Window] = []
         self._events: list[Event] = []
-        self._until = dict(errors_until or {})      # of each bus: Unix s of its last error
+        self._until = dict(errors_until or {})      # for each bus Unix s of its last error
 
     def look(self, state: State, now_s: float, unix_s: float) -> None:
         """Take in what was reported since the last look."""

@@ -25,7 +25,7 @@ Row = dict[str, Any]
 HEAD = 32                          # pairs in front of the table: facts, counters, findings
 _LISTED = (keys.FINDING, keys.SEVERITY, keys.ERROR, keys.DOUBT)
 _NAMING = 3                         # Model, Firmware Version, State
-_ASIDE = (keys.RUNNING, keys.PART)      # of a bus: shown elsewhere, or nowhere
+_ASIDE = (keys.RUNNING, keys.PART)      # keys of a bus shown elsewhere, or nowhere
 _LEVELS = frozenset(Level)
 _OBSERVED_LIMIT = 100_000           # characters of its JSON
 _JITTER_S = 0.3                     # "seen at" that differs by less is the same time
@@ -142,7 +142,7 @@ def _device(status: RawStatus, rest: str) -> Row:
 
 
 def _blind(status: RawStatus, model: str, device: int) -> Row:
-    """Return what stands above a device whose registers nobody can name: it only looks well."""
+    """Return what stands above a device without names for its registers: it only looks well."""
     if status.level != Level.OK or not model.startswith('unknown'):
         return {}
     text = _NO_MODEL.format(id=device) if model == 'unknown' else _NO_FILE
@@ -260,7 +260,7 @@ def _steady(when_s: float, before_s: float | None) -> float:
 
 
 def _seen(text: str) -> dict[str, tuple[float | None, str]]:
-    """Read the value of `observed`; whatever is not as it should be is left out."""
+    """Read the value of `observed`; what is not as it should be is left out."""
     try:
         entries = json.loads(text)
     except (ValueError, RecursionError):

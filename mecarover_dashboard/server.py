@@ -39,7 +39,7 @@ PUSH_S = 0.2                    # changes are collected for so long
 BEAT_S = 1.0                    # at least one event in this time: the page can tell that we live
 SEND_S = 15.0                   # a client that takes nothing for so long is given up
 MOST_CLIENTS = 50
-KEEP_ALIVE_S = 75.0             # of who asks nothing more: aiohttp waits an hour
+KEEP_ALIVE_S = 75.0             # a connection without requests is closed: aiohttp waits an hour
 INBOX = 400                     # messages; what does not fit was overtaken anyway
 INBOX_BYTES = 64_000_000
 

@@ -29,7 +29,7 @@ SECTIONS = ('devices', 'buses', 'bridge', 'timing')
 QUIET_S = 4.0                # without a report for so long, or 2.5 times the usual: old values
 TABLE_S = 30.0               # after so long without a whole table the short form has to do
 FORGET_S = 60.0              # ... while its node reports others: it is no more
-MOST_ROWS = 3000             # of all kinds: what is published cannot fill the memory
+MOST_ROWS = 3000             # all kinds together: what is published cannot fill the memory
 MOST_BYTES = 128_000_000     # ... however long it is; six full buses at which somebody looked
 MOST_OF_MESSAGE = 16_000_000         # bytes; a full bus takes 3 million
 MOST_OF_STATUS = 4_000_000   # bytes; a full table takes 20 000
@@ -92,7 +92,7 @@ class State:
         self._tables: dict[str, tuple[RawStatus, Table]] = {}
 
     def take(self, topic: str, message: bytes, now_s: float) -> None:
-        """Take a serialised DiagnosticArray; whatever it holds, this does not raise."""
+        """Take a serialised DiagnosticArray; no content makes this raise."""
         if len(message) > MOST_OF_MESSAGE:
             self.refused += 1
             return
@@ -179,7 +179,7 @@ class State:
                 or sum(map(len, self._entries.values())) >= MOST_ROWS)
 
     def _forget_the_silent(self, now_s: float) -> None:
-        """Make room: drop what nobody has reported for long, whether its node lives or not."""
+        """Make room: drop what was not reported for long, whether its node lives or not."""
         for section, entries in self._entries.items():
             for name, entry in list(entries.items()):
                 if now_s - entry.arrived > FORGET_S:
@@ -196,7 +196,7 @@ class State:
         self._removed.append((self.version, section, name))
 
     def expire(self, now_s: float) -> None:
-        """Mark what nobody reports any more; drop what its own node does not know any more."""
+        """Mark what is no longer reported; drop what its own node does not know any more."""
         for section, entries in self._entries.items():
             for name, entry in list(entries.items()):
                 quiet_s = now_s - entry.arrived
@@ -261,7 +261,7 @@ class State:
         return [point for point in self._latencies.get(name, ()) if (point[0] or 0) > after_s]
 
     def keep_tables(self, names: set[str]) -> None:
-        """Forget the decoded tables of devices that nobody looks at."""
+        """Forget the decoded tables of devices that no page shows."""
         for name in self._tables.keys() - names:
             del self._tables[name]
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The ROS side of the dashboard: subscriptions whose messages go on as they are, as bytes.
+The ROS side of the dashboard: subscriptions that pass messages on as they are, as bytes.
 
 It hears the robots of its namespace: the topics of this namespace and of those below it, which
 are looked for in the graph. At the root these are the robots of the whole domain.
@@ -25,7 +25,7 @@ from mecarover_dashboard.state import TOPICS
 _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100,
                   reliability=ReliabilityPolicy.RELIABLE)
 _GRAPH_S = 2.0
-_MOST_TOPICS = 200              # of all robots
+_MOST_TOPICS = 200              # all robots together
 _TYPE = 'diagnostic_msgs/msg/DiagnosticArray'
 
 
@@ -35,7 +35,7 @@ class Subscriber:
     def __init__(self, server: Server) -> None:
         self.node = Node('dxl_dashboard')
         self._server = server
-        self._kinds: dict[str, str] = {}        # of the topics that are heard, by their names
+        self._kinds: dict[str, str] = {}        # kinds of the topics that are heard, by name
         for kind in TOPICS:
             self._subscribe(self.node.resolve_topic_name(kind), kind)
         self.node.create_timer(_GRAPH_S, self._look,

@@ -20,8 +20,8 @@ NAME = 'mecarover_status'
 SETTLED_S = 1.5             # without a new name: all have come, as reports come once a second
 WAIT_S = 6.0                # discovery takes up to 2.5 s
 SHOW_S = 1.0
-NOBODY = ('no report on /diagnostics; start the nodes, with the same ROS_DOMAIN_ID and discovery '
-          'range as here')
+NO_REPORT = ('no report on /diagnostics; start the nodes, with the same ROS_DOMAIN_ID and '
+             'discovery range as here')
 _HOME, _CLEAR_LINE, _CLEAR_BELOW = '\033[H', '\033[K', '\033[J'
 
 
@@ -42,7 +42,7 @@ class Display:
             return self._once(now_s, self._wait_s)
         if now_s - self._shown_s >= SHOW_S:
             self._shown_s = now_s
-            self._show(screen(self._board.lines(now_s)) or [NOBODY])
+            self._show(screen(self._board.lines(now_s)) or [NO_REPORT])
         return False
 
     def _once(self, now_s: float, wait_s: float) -> bool:
@@ -54,7 +54,7 @@ class Display:
         if lines:
             print('\n'.join(lines), flush=True)
         else:
-            print(f'{NAME}: {NOBODY}', file=sys.stderr)
+            print(f'{NAME}: {NO_REPORT}', file=sys.stderr)
         return True
 
     def _show(self, lines: list[str]) -> None:

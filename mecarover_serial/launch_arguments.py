@@ -28,8 +28,8 @@ class Launched(NamedTuple):
     A node that launch files start; `label` is its short name, where there are several nodes.
 
     `parameters`, name and text, are arguments that are parameters of the node; one that is given
-    wins over the settings file, one of our folder config. `remapped` are topics whose names are
-    arguments.
+    wins over the settings file, one of our folder config. `remapped` are topics with a name that
+    is an argument.
     """
 
     node: str
@@ -40,7 +40,7 @@ class Launched(NamedTuple):
     remapped: tuple[tuple[str, str], ...] = ()
 
     def spelt(self, is_one_of_several: bool) -> dict[str, str]:
-        """Return how its arguments are called: what all nodes have says then whose it is."""
+        """Return the names of its arguments: one that all nodes have carries the node's name."""
         names = {one.name: one.name for one in self.arguments()}
         if is_one_of_several:
             names |= {one: f'{self.label}_{one}' for one in ('config', 'name', 'enclave')}

@@ -51,7 +51,7 @@ from mecarover_serial.preflight import PortError
 from mecarover_serial.relay import Relay
 from mecarover_serial.systemd import Systemd
 
-STEP_S = 1.0                    # of the system clock; less is no step
+STEP_S = 1.0                    # the system clock was set when it jumps by more
 _SHARED_MEMORY = '/dev/shm'
 _ROOM = 4_000_000               # bytes: a participant takes 0.5 MB and something for each port
 _TRANSPORTS = 'FASTDDS_BUILTIN_TRANSPORTS'
@@ -182,7 +182,7 @@ def _end(executor: SingleThreadedExecutor, ended: threading.Event) -> None:
 
 
 def overridable_publisher(node: Node, kind: type, topic: str, profile: QoSProfile) -> Any:
-    """Return a publisher whose QoS the parameters qos_overrides.TOPIC.publisher.* change."""
+    """Return a publisher; qos_overrides.TOPIC.publisher.* are parameters of its QoS."""
     try:
         return node.create_publisher(
             kind, topic, profile,

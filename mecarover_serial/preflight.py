@@ -85,8 +85,8 @@ def warnings(path: str, root: Path = ROOT, ours: Sequence[str] = ()) -> list[Rea
             f'remove console={name} or console=serial0 from the kernel command line and reboot'))
     others = holders(path, root)
     found.extend(_login(who.name, path) for who in others if who.is_login)
-    # TIOCEXCL does not keep root out, nor who was there before. (A pty, whose name is a number,
-    # is held by its other end too.)
+    # TIOCEXCL keeps out neither root nor a program that was there before. (The other end of a
+    # pty, its name is a number, holds it too.)
     found.extend(Reason('busy', f'{who.name} has it open too', 'stop that program')
                  for who in others if not who.is_login
                  and not who.name.startswith(tuple(ours)) and not name.isdigit())
@@ -124,7 +124,7 @@ def _errno(error: Exception) -> int | None:
 
 def _absent(path: str) -> Reason:
     if '://' in path:
-        return Reason('absent', 'nobody answers at this address', 'check host, port and network')
+        return Reason('absent', 'no answer from this address', 'check host, port and network')
     if os.path.islink(path):
         return Reason('absent', f'points at {os.readlink(path)}, which is not there',
                       f'plug the adapter in, or mend the link; {ports_here()}')

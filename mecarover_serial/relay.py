@@ -104,7 +104,7 @@ class _Way:
         os.dup2(self._pipe, fd)
         self._taken.append(fd)
         if fd == 2 and faulthandler.is_enabled():
-            faulthandler.enable(self._target)   # a crash leaves nobody to pass it on
+            faulthandler.enable(self._target)   # after a crash no thread passes it on
 
     def waits(self) -> bool:
         """Whether something is not passed on yet."""

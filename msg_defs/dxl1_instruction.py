@@ -6,7 +6,7 @@ What an instruction of the Protocol 1.0 family asks for, in Dynamixel 1.0 and in
 A dialect is a table: what each code is called, how its parameters are laid out, who answers. The
 parameters of 2.0 say the same with wider addresses; common() puts them into that form, so that
 one tracker follows both. Sources: e-Manual, Protocol 1.0; Feetech, SCS Communication Protocol;
-the SDKs of both makers. Whatever stands in the parameters, nothing raises.
+the SDKs of both makers. No parameters raise an exception.
 """
 
 from collections.abc import Callable
@@ -77,7 +77,7 @@ _COMMON = {
     0x04: Entry('Reg Write', Layout.WRITE, Answers.ACK),
     0x05: Entry('Action', Layout.NOTHING, Answers.ACK),
     0x06: Entry('Factory Reset', Layout.NOTHING, Answers.ACK),
-    0x83: Entry('Sync Write', Layout.SYNC_WRITE, Answers.NOBODY),
+    0x83: Entry('Sync Write', Layout.SYNC_WRITE, Answers.NONE),
 }
 RESET = 0x06
 CALIBRATE = 0x0B
@@ -99,7 +99,7 @@ DYNAMIXEL_1 = Dialect(
 # It is away for 0.8 s after a Reboot, and does not say so first.
 FEETECH = Dialect(
     name='Feetech', protocol='feetech',
-    entries={**_COMMON, 0x08: Entry('Reboot', Layout.NOTHING, Answers.NOBODY), **_FEETECH},
+    entries={**_COMMON, 0x08: Entry('Reboot', Layout.NOTHING, Answers.NONE), **_FEETECH},
     errors={0: 'voltage', 1: 'angle sensor', 2: 'overheating', 3: 'current', 5: 'overload'},
     refusals={},
     error_at=65, identity_at=3, level_at=8, factory_baud=1_000_000)
@@ -146,9 +146,9 @@ def parse(code: int, id: int, params: bytes, dialect: Dialect = UNDECIDED) -> Re
     """Return what an instruction asks for."""
     entry = dialect.entries.get(code)
     if entry is None:
-        return Request(code, id, Answers.NOBODY)
+        return Request(code, id, Answers.NONE)
     if not _FITS[entry.layout](id, params):
-        return Request(code, id, Answers.NOBODY, malformed=True)
+        return Request(code, id, Answers.NONE, malformed=True)
     return Request(code, id, _answers(entry, id), tuple(_ACCESSES[entry.layout](id, params)))
 
 
@@ -182,7 +182,7 @@ def understood(body: bytes, dialect: Dialect) -> Request:
     code, id = body[3], body[0]
     entry = dialect.entries.get(code)
     if entry is None or body[2] == _MALFORMED[0]:
-        return Request(code, id, Answers.NOBODY, malformed=entry is not None)
+        return Request(code, id, Answers.NONE, malformed=entry is not None)
     said = parse_2(code, id, unstuff(body[4:]))
     return said._replace(answers=_answers(entry, id), malformed=False,
                          option=_RESETS.get(dialect.protocol, '') if code == RESET else '')
@@ -191,7 +191,7 @@ def understood(body: bytes, dialect: Dialect) -> Request:
 def _answers(entry: Entry, id: int) -> Answers:
     if id != BROADCAST or entry.answers is Answers.LISTED:
         return entry.answers
-    return Answers.EVERYBODY if entry.answers is Answers.PING else Answers.NOBODY
+    return Answers.EVERYBODY if entry.answers is Answers.PING else Answers.NONE
 
 
 def _fits_sync_read(id: int, params: bytes) -> bool:

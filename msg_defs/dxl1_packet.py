@@ -20,7 +20,7 @@ from msg_defs.dxl_packet import StreamFramer
 HEADER = b'\xff\xff'
 BROADCAST = 0xFE
 NO_ID = 0xFF
-MIN_LENGTH = 2                     # of the LEN field: instruction and sum
+MIN_LENGTH = 2                     # the LEN field counts instruction and sum
 MAX_FRAME = 0xFF + 4
 
 # The body of a frame has the form that 2.0 gives it: ID, length in two bytes, code, parameters.

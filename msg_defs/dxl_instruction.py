@@ -62,7 +62,7 @@ BACKUP_OPTIONS = {b'\x01CTRL': STORE, b'\x02CTRL': RESTORE}
 class Answers(Enum):
     """Who answers an instruction."""
 
-    NOBODY = 'nobody'
+    NONE = 'no device'
     DATA = 'the addressed device, with data, at Status Return Level 1 and 2'
     PING = 'the addressed device, always'
     ACK = 'the addressed device, at Status Return Level 2'
@@ -134,7 +134,7 @@ def parse(instruction: int, id: int, params: bytes) -> Request:
     """Return what an instruction asks for; params are unstuffed."""
     kind = KINDS.get(instruction)
     if kind is None:
-        return Request(instruction, id, Answers.NOBODY)
+        return Request(instruction, id, Answers.NONE)
     if id != BROADCAST and kind.is_to_many:
         return _malformed(instruction, id)
     return kind.parse(instruction, id, params)
@@ -199,7 +199,7 @@ def _u16(params: bytes, at: int) -> int:
 
 
 def _malformed(instruction: int, id: int) -> Request:
-    return Request(instruction, id, Answers.NOBODY, malformed=True)
+    return Request(instruction, id, Answers.NONE, malformed=True)
 
 
 def _ping(instruction: int, id: int, params: bytes) -> Request:
@@ -211,12 +211,12 @@ def _read(instruction: int, id: int, params: bytes) -> Request:
     if len(params) != 4:
         return _malformed(instruction, id)
     access = Access(id, _u16(params, 0), _u16(params, 2), None)
-    answers = Answers.NOBODY if id == BROADCAST else Answers.DATA
+    answers = Answers.NONE if id == BROADCAST else Answers.DATA
     return Request(instruction, id, answers, (access,))
 
 
 def _acknowledged(id: int) -> Answers:
-    return Answers.NOBODY if id == BROADCAST else Answers.ACK
+    return Answers.NONE if id == BROADCAST else Answers.ACK
 
 
 def _write(instruction: int, id: int, params: bytes) -> Request:
@@ -273,13 +273,13 @@ def _sync_write(instruction: int, id: int, params: bytes) -> Request:
         return _malformed(instruction, id)
     accesses = tuple(Access(params[at], address, length, params[at + 1:at + 1 + length])
                      for at in range(4, len(params), length + 1))
-    return Request(instruction, id, Answers.NOBODY, accesses)
+    return Request(instruction, id, Answers.NONE, accesses)
 
 
 def _bulk_write(instruction: int, id: int, params: bytes) -> Request:
     entries = bulk_write_entries(params)
     accesses = tuple(Access(one, address, len(data), data) for one, address, data in entries)
-    return Request(instruction, id, Answers.NOBODY, accesses,
+    return Request(instruction, id, Answers.NONE, accesses,
                    malformed=not is_whole_bulk_write(params, entries))
 
 

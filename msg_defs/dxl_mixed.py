@@ -20,7 +20,7 @@ from msg_defs.dxl_packet import Frame
 from msg_defs.dxl_packet import Framer
 
 _TAIL = b'\xff\xfd\x00'
-# What may become a header of 2.0, or one whose first byte is damaged, longest first.
+# What may become a header of 2.0, or one with a damaged first byte, longest first.
 _BEGUN = (b'\xff\xff\xfd', b'\xff\xfd', b'\xff\xff', b'\xff')
 # FF FF, an ID and a LEN of the 1.0 family; and what the next bytes may complete to that.
 _HOLDS = re.compile(rb'\xff\xff[^\xff][^\0\1]')

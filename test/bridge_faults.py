@@ -218,7 +218,7 @@ class Row:
         self._may_be_seen = but
 
     def forget(self):
-        """Begin anew: what was heard until now is not what the user sees of the fault."""
+        """Begin again: what was heard until now is not what the user sees of the fault."""
         self._first = len(self.rover.graph.heard['/diagnostics'])
 
     def end_of_quiet(self):

@@ -38,7 +38,7 @@ def pytest_configure(config):
     config.log_dir = tempfile.TemporaryDirectory(prefix='ros_log_', ignore_cleanup_errors=True)
     os.environ.update({
         'ROS_DOMAIN_ID': str(config.domain.number),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET',      # of the loopback: see the profile
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET',      # for the loopback: see the profile
         'ROS_LOG_DIR': config.log_dir.name,
         'ROS_PYTHON_CHECK_FIELDS': '1',
         'RCUTILS_COLORIZED_OUTPUT': '0',

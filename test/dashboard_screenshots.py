@@ -3,7 +3,7 @@
 """
 Takes the pictures of the dashboard for the docs: both nodes on fake hardware, a driven rover.
 
-A walking humanoid whose left knee falls silent; the pictures are taken when the plots have
+A walking humanoid with a left knee that falls silent; the pictures are taken when the plots have
 something to show. See scripts/screenshots; not a test.
 """
 import argparse
@@ -33,7 +33,7 @@ FOR_DOCS = ('overview-desktop-dark', 'overview-desktop-light', 'overview-phone-d
             'device-desktop-light', 'device-phone-dark', 'devices-desktop-dark',
             'log-desktop-light', 'bridge-desktop-dark', 'history-desktop-light',
            'device-touch-dark')
-WARM_UP_S = 75                  # of plots
+WARM_UP_S = 75                  # until the plots have lines
 LOOK_S = 20                     # at a device, so that its plot has a line
 # The names of the ports are in the pictures. PORTS=/dev gives real ones: run it as root in a mount
 # namespace (unshare -m) where /dev is an overlay, so that the machine's own stays as it is.

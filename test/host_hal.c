@@ -10,7 +10,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#define LOOP_MS 30                              /* of the pose loop */
+#define LOOP_MS 30                              /* between two poses */
 
 typedef struct { int unused; } UART_HandleTypeDef;
 typedef struct { int unused; } CRC_HandleTypeDef;

@@ -167,10 +167,10 @@ class Mark(NamedTuple):
     """A moment at which all that was delivered had been read."""
 
     report: Report
-    index: int                  # of this report
+    index: int                  # this report's
     delivered: int              # bytes by the cable
-    unheard: int                # of them: lost in a pty that was hung up or flushed
-    lines: int                  # of the log
+    unheard: int                # the part lost in a pty that was hung up or flushed
+    lines: int                  # lines in the log
 
 
 class Node(Program):
@@ -251,7 +251,7 @@ class Node(Program):
         self._read_at_cut = None
 
     def hears(self):
-        """Wait until all devices have answered anew and are connected, as a report says."""
+        """Wait until all devices have answered again and are connected, as a report says."""
         self._hears_more_than(self.wait_report(Report.is_well))
 
     def _hears_more_than(self, before, openings=1):
@@ -292,7 +292,7 @@ class Node(Program):
         return seconds
 
     def _settle(self, unheard):
-        """Let the line rest and return a mark; unheard: what must be missing, None: whatever."""
+        """Let the line rest and return a mark; unheard: what must be missing, None: any number."""
         with self.cable.held():
             delivered, at = self.cable.delivered, len(self.reports)
 

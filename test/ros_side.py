@@ -109,7 +109,7 @@ class Graph:
         return self.statuses[name].level[0] if name in self.statuses else None
 
     def wait_status(self, name, *parts, level=None):
-        """Wait for a status whose message or values hold `parts`; return it."""
+        """Wait for a status with `parts` in its message or values; return it."""
         def found():
             status = self.statuses.get(name)
             text = status and '\n'.join([status.message, *(f'{one.key}={one.value}'

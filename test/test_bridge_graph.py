@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whose cmd_vel is followed, and what a person is told about the others. No ROS here."""
+"""Which publisher of cmd_vel is followed, and what is said of the others. No ROS here."""
 import pytest
 
 from vel2d_bridge.graph import Absence
@@ -23,14 +23,14 @@ S = 1_000_000_000
 
 
 @pytest.mark.parametrize(('setting', 'current', 'publishers', 'choice'), [
-    (AUTO, (TWIST, True), [], (TWIST, True)),                       # nobody: what runs stays
+    (AUTO, (TWIST, True), [], (TWIST, True)),                       # no publisher: no change
     (AUTO, (TWIST_STAMPED, False), [], (TWIST_STAMPED, False)),
     (AUTO, (TWIST, True), [STAMPED], (TWIST_STAMPED, True)),
     (AUTO, (TWIST_STAMPED, True), [PLAIN], (TWIST, True)),
     (AUTO, (TWIST, True), [STAMPED, PLAIN], (TWIST, True)),         # two types: what runs stays
     (AUTO, (TWIST_STAMPED, True), [STAMPED, PLAIN], (TWIST_STAMPED, True)),
     (AUTO, (TWIST, True), [STAMPED, CHATTER], (TWIST_STAMPED, True)),
-    (AUTO, (TWIST, True), [CHATTER], (TWIST, True)),                # which is no command
+    (AUTO, (TWIST, True), [CHATTER], (TWIST, True)),                # a type of no command
     (TWIST, (TWIST, True), [STAMPED], (TWIST, True)),               # as set
     (TWIST_STAMPED, (TWIST, True), [], (TWIST_STAMPED, True)),
     (AUTO, (TWIST, True), [LOSSY], (TWIST, False)),
@@ -50,7 +50,7 @@ def test_choice(setting, current, publishers, choice):
     ([CHATTER], [['/talker is not heard', 'std_msgs/msg/String']]),
     ([MISFIT], [['/misfit is not heard', MISFIT.conflict, 'qos_overrides']]),
     ([PLAIN, LOSSY], [['2 publishers overrule each other (/joystick, /teleop)', 'twist_mux']]),
-    ([PLAIN, MISFIT], [['/misfit is not heard']]),          # who is not heard fights nobody
+    ([PLAIN, MISFIT], [['/misfit is not heard']]),          # not heard: no conflict
     ([PLAIN, LOSSY, STAMPED], [['/planner'], ['2 publishers']]),
 ])
 def test_complaints(publishers, parts):

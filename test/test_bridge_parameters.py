@@ -120,7 +120,7 @@ def test_200_changes_while_driving_at_100_hz(ros, graph, tmp_path):
 
     But for those that came in a bunch, because the machine was busy: only their last one does,
     which is counted. When it stood still for so long that the bridge was frozen, what came then
-    is refused, which is counted, or not even heard, as the bridge subscribes anew. Without
+    is refused, which is counted, or not even heard, as the bridge subscribes again. Without
     resends, as these are frames that repeat a command on purpose.
     """
     rng = random.Random(6)
@@ -179,7 +179,7 @@ def test_ports_that_cannot_be_used_yet(ros, graph, tmp_path):
         assert f'(pid {os.getpid()}); stop that program' in line
         link.symlink_to('nowhere')
         missing.wait_for('ERROR', f'{link}: points at nowhere, which is not there')
-        # Recovery: what was wrong is mended, nobody starts anything again.
+        # Recovery: what was wrong is mended, and nothing is started by hand.
         link.unlink()
         with Mcu(str(link)).running() as mcu:
             os.chmod(forbidden.path, 0o666)

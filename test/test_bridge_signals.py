@@ -46,7 +46,7 @@ def driving(ros, mcu, cmd_vel, rate=200):
 
 
 def is_gone(pid):
-    """Tell whether a process has ended; one that nobody reaps yet has."""
+    """Tell whether a process has ended; one that is not reaped yet has."""
     try:
         return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] == 'Z'
     except OSError:

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Whose commands the bridge hears: types, QoS, several publishers, stamps; and what it says of them.
+Which commands the bridge hears: types, QoS, several publishers, stamps; and what it says of them.
 
 Operators of their own, because one participant cannot have two types on one topic either.
 """
@@ -165,7 +165,7 @@ def test_overridden_qos_and_a_fixed_type(ros, graph, tmp_path):
 
 
 def test_best_effort_although_the_publisher_is_reliable(ros, graph, tmp_path):
-    """As docs/teleop.md advises over Wi-Fi: then nobody sends a lost command again, late."""
+    """As docs/teleop.md advises over Wi-Fi: then a lost command is not sent again, late."""
     with Mcu(str(tmp_path / 'mcu')).running() as mcu, bridge(
             mcu, '-p', 'qos_overrides./far/cmd_vel.subscription.reliability:=best_effort',
             '-r', '__ns:=/far', '-r', '__node:=base'):

@@ -31,7 +31,7 @@ from msg_defs.reports import Status
 WHY_NOT = dashboard_page.why_not()
 pytestmark = [pytest.mark.alone, pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT or 'runs')]
 DEADLINE_MS = 20_000
-BAR = '.buses .buses .bar'            # of a bus; the bridge has its own
+BAR = '.buses .buses .bar'            # for a bus; the bridge has its own
 
 
 @pytest.fixture(scope='module')
@@ -580,7 +580,7 @@ def test_hostile_values_are_text(open_page):
         page.context.close()
 
 
-@pytest.mark.parametrize('address', ['#/device/nobody', '#/devices/x/y', '#/log/%', '#/%ff',
+@pytest.mark.parametrize('address', ['#/device/unknown', '#/devices/x/y', '#/log/%', '#/%ff',
                                      '#/constructor', '#//', '#/device/'])
 def test_any_address(dashboard, robot, open_page, address):
     page = open_page(dashboard.address + address)

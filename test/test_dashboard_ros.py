@@ -16,7 +16,7 @@ from test_dashboard_server import Stream
 pytestmark = [pytest.mark.ros,
               pytest.mark.skipif(util.find_spec('aiohttp') is None, reason='skipped: no aiohttp')]
 
-# Device 2 falls silent for 4 of 10 s, again and again: whoever starts late sees it all the same.
+# Device 2 falls silent for 4 of 10 s, again and again: a late start sees it all the same.
 NOW_AND_THEN = [part for begin in range(6, 120, 10) for part in ('--fault', f'silent:2:{begin}:4')]
 
 

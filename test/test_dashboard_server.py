@@ -150,9 +150,9 @@ def test_stream_goes_on_where_it_ended(dashboard):
     again.close()
     for since in ('', 'other.5', 'x', f'{stream.id}9x', '.', f'{stream.id.partition(".")[0]}.-1',
                   f'{stream.id.partition(".")[0]}.{"9" * 5000}'):
-        anew = Stream(dashboard, f'since={since}')
-        assert 'facts' in anew.next(), since
-        anew.close()
+        second = Stream(dashboard, f'since={since}')
+        assert 'facts' in second.next(), since
+        second.close()
 
 
 def test_stream_beats_while_nothing_happens(dashboard):

@@ -186,7 +186,7 @@ def test_table(robot):
     assert fields['Operating Mode'].raw == '0'
     assert dict(table.facts)['Firmware Version'] == '44'
     assert dict(table.facts)['Fields not observed'] == '9'
-    assert state.table('nobody') is None
+    assert state.table('unknown') is None
     assert state.table(KNEE) is table
     state.keep_tables(set())
     assert state.table(KNEE) is not table
@@ -296,7 +296,7 @@ def test_long_rows_cannot_fill_the_memory(monkeypatch):
 
 
 def test_what_is_kept_of_a_message_is_what_is_shown_of_it():
-    """A row kept the whole message it came in, whatever else was in that."""
+    """A row kept the whole message it came in, with all else that was in it."""
     state = State()
     filler = Status('x: other', Level.OK, 'z' * 100, '', [('a', 'b' * 1000)])
     state.take(TABLES, serialise([filler] * 100 + [one_device([('a', 'b')])]), 1.0)

@@ -302,7 +302,7 @@ def test_unplugged_it_lets_go_of_the_device(mcu):
 
 
 def test_a_driver_that_counts_whole_transfers_is_not_flushed_in_mid_frame(monkeypatch):
-    """The Linux driver cdc-acm calls all of a USB transfer pending, whatever is in it."""
+    """The Linux driver cdc-acm calls all of a USB transfer pending, for any content."""
     flushed = []
     counts = iter([64, 64, 0])
     watch = Watch(board(), None)

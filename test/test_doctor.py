@@ -217,7 +217,7 @@ def test_near_a_limit_and_beyond(address: int, limit: bytes, value_at: int, valu
 def test_without_the_limit_it_cannot_tell() -> None:
     bus = Bus()
     bus.hear(PING, encode(1, STATUS, b'\xf2\x03\x29', error=0), *read(146, b'\x60'))
-    report = bus.report()          # a model whose factory limits are not known here
+    report = bus.report()          # the factory limits of this model are not known here
     assert report.findings == ()
     assert ('too_hot', '001: Temperature Limit never read') in [
         (doubt.rule, doubt.message) for doubt in report.doubts]

@@ -63,7 +63,7 @@ def bursts(*faults, pattern='mixed', seconds=1.0):
 
 
 def trickle(file, data, size):
-    """Write in chunks, until nobody reads any more."""
+    """Write in chunks, until the reader is gone."""
     with suppress(BrokenPipeError), file:
         for at in range(0, len(data), size):
             file.write(data[at:at + size])

@@ -29,11 +29,11 @@ from msg_defs.dxl_instruction import parse as parse_2
     (0x01, BROADCAST, b'', Answers.EVERYBODY, ()),
     (0x02, 1, b'\x38\x02', Answers.DATA, (Access(1, 56, 2, None),)),
     (0x03, 1, b'\x2a\0\x08', Answers.ACK, (Access(1, 42, 2, b'\0\x08'),)),
-    (0x03, BROADCAST, b'\x28\1', Answers.NOBODY, (Access(BROADCAST, 40, 1, b'\1'),)),
+    (0x03, BROADCAST, b'\x28\1', Answers.NONE, (Access(BROADCAST, 40, 1, b'\1'),)),
     (0x04, 1, b'\x1e\0\2', Answers.ACK, (Access(1, 30, 2, b'\0\2'),)),
-    (0x05, BROADCAST, b'', Answers.NOBODY, ()),
+    (0x05, BROADCAST, b'', Answers.NONE, ()),
     (0x06, 1, b'', Answers.ACK, ()),
-    (0x83, BROADCAST, b'\x1e\2\0\x10\0\1\x20\2', Answers.NOBODY,
+    (0x83, BROADCAST, b'\x1e\2\0\x10\0\1\x20\2', Answers.NONE,
      (Access(0, 30, 2, b'\x10\0'), Access(1, 30, 2, b'\x20\2'))),
 ])
 def test_both_dialects_understand(code: int, number: int, params: bytes, answers: Answers,
@@ -65,7 +65,7 @@ def test_what_only_one_of_them_has() -> None:
 
 def test_only_one_of_them_answers_a_reboot() -> None:
     assert [parse(0x08, 1, b'', dialect).answers for dialect in DIALECTS] == [
-        Answers.ACK, Answers.NOBODY, Answers.NOBODY]
+        Answers.ACK, Answers.NONE, Answers.NONE]
 
 
 @pytest.mark.parametrize(('code', 'number', 'params'), [
@@ -78,7 +78,7 @@ def test_only_one_of_them_answers_a_reboot() -> None:
 def test_parameters_that_do_not_fit_are_malformed(code: int, number: int, params: bytes) -> None:
     request = parse(code, number, params)
     assert request.malformed
-    assert (request.answers, request.accesses) == (Answers.NOBODY, ())
+    assert (request.answers, request.accesses) == (Answers.NONE, ())
     assert not fits(code, number, params)
 
 

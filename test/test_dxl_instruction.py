@@ -52,23 +52,23 @@ ACCESSES = tuple(Access(block.id, 132, 4, None) for block in BLOCKS)
     (0x01, 1, b'', Answers.PING, ()),
     (0x01, BROADCAST, b'', Answers.EVERYBODY, ()),
     (0x02, 1, words(132, 4), Answers.DATA, (Access(1, 132, 4, None),)),
-    (0x02, BROADCAST, words(132, 4), Answers.NOBODY, (Access(BROADCAST, 132, 4, None),)),
+    (0x02, BROADCAST, words(132, 4), Answers.NONE, (Access(BROADCAST, 132, 4, None),)),
     (0x03, 1, words(116) + b'\x00\x02', Answers.ACK, (Access(1, 116, 2, b'\x00\x02'),)),
     (0x04, 1, words(116) + b'\x01', Answers.ACK, (Access(1, 116, 1, b'\x01'),)),
-    (0x03, BROADCAST, words(64) + b'\x01', Answers.NOBODY, (Access(BROADCAST, 64, 1, b'\x01'),)),
-    (0x05, BROADCAST, b'', Answers.NOBODY, ()),
+    (0x03, BROADCAST, words(64) + b'\x01', Answers.NONE, (Access(BROADCAST, 64, 1, b'\x01'),)),
+    (0x05, BROADCAST, b'', Answers.NONE, ()),
     (0x08, 1, b'', Answers.ACK, ()),
     (0x82, BROADCAST, words(132, 4) + b'\x02\x01', Answers.LISTED,
      (Access(2, 132, 4, None), Access(1, 132, 4, None))),
     (0x8A, BROADCAST, words(132, 4) + b'\x02', Answers.COMBINED, (Access(2, 132, 4, None),)),
-    (0x83, BROADCAST, words(116, 2) + b'\x01\x00\x02\x02\x01\x02', Answers.NOBODY,
+    (0x83, BROADCAST, words(116, 2) + b'\x01\x00\x02\x02\x01\x02', Answers.NONE,
      (Access(1, 116, 2, b'\x00\x02'), Access(2, 116, 2, b'\x01\x02'))),
     (0x92, BROADCAST, b'\x01' + words(144, 2) + b'\x02' + words(146, 1), Answers.LISTED,
      (Access(1, 144, 2, None), Access(2, 146, 1, None))),
     (0x9A, BROADCAST, b'\x01' + words(144, 2), Answers.COMBINED, (Access(1, 144, 2, None),)),
     (0x93, BROADCAST, b'\x01' + words(32, 2) + b'\xa0\x00\x02' + words(31, 1) + b'\x50',
-     Answers.NOBODY, (Access(1, 32, 2, b'\xa0\x00'), Access(2, 31, 1, b'\x50'))),
-    (0x8B, 1, b'\x01\x02', Answers.NOBODY, ()),
+     Answers.NONE, (Access(1, 32, 2, b'\xa0\x00'), Access(2, 31, 1, b'\x50'))),
+    (0x8B, 1, b'\x01\x02', Answers.NONE, ()),
 ])
 def test_who_is_addressed_and_who_answers(
     instruction: int, number: int, params: bytes, answers: Answers, accesses: tuple[Access, ...],
@@ -87,7 +87,7 @@ def test_who_is_addressed_and_who_answers(
 def test_parameters_that_do_not_fit_are_malformed(instruction: int, params: bytes) -> None:
     request = parse(instruction, 1, params)
     assert request.malformed
-    assert request.answers is Answers.NOBODY
+    assert request.answers is Answers.NONE
     assert request.accesses == ()
 
 

@@ -352,7 +352,7 @@ def test_bus_in_real_time_is_the_bus_on_paper() -> None:
 
 
 def test_bus_paces_its_bytes() -> None:
-    # Whatever the machine does, bytes never come before their time.
+    # However slow the machine is, bytes never come before their time.
     seconds = 0.5
     bus = FakeBus(make_master(devices=('1-5:MX-64',), baud=57_600, rate=0))
     reader = Reader(bus.path)

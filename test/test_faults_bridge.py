@@ -62,7 +62,7 @@ def rover(graph, ros, mcu, cable):
 
 @pytest.fixture
 def row(rover, cable):
-    """Begin and end a row; whatever it left behind, the next begins with all of it mended."""
+    """Begin and end a row; all that it left behind is mended before the next begins."""
     with rover.row() as row:
         try:
             yield row
@@ -210,7 +210,7 @@ def test_the_name_goes_while_it_is_open(cable, rover, row, recovery):
 
 
 def test_unplugged(cable, rover, row, recovery):
-    """Closed, tried again, and its path looked up anew: it comes back as another device."""
+    """Closed, tried again, and its path looked up again: it comes back as another device."""
     row.drive()
     before = os.path.realpath(cable.path)
     cable.cut()

@@ -83,7 +83,7 @@ def alone(tmp_path, reports):
 # --- nothing is to be seen ---
 
 def test_everything_comes_late(node, cable, recovery):
-    """A late stream is a stream: nobody is missed."""
+    """A late stream is a stream: no device is missed."""
     with cable.held():                          # else a packet may be torn apart
         cable.damage(delay_s=0.15)
     node.hears()
@@ -120,7 +120,7 @@ def test_the_system_clock_jumps(node, stepped, recovery, step_s):
 
 
 def test_frozen_and_continued(node, cable, recovery):
-    """Its reader is a process of its own, and reads on: nothing is lost, nobody was silent."""
+    """Its reader is a process of its own, and reads on: nothing is lost, no device was silent."""
     frozen = cable.delivered
     node.signal(signal.SIGSTOP)
     time.sleep(1.3 * SILENT_AFTER_S)

@@ -215,7 +215,7 @@ def publisher(begin, rate, seconds, ppm=0, jitter=0, seed=1):
     (30, 50, 0, 20.0), (30, 1000, 0, 20.0), (30, 1000, 4 * MS, 20.0), (30, 0, 4 * MS, 33.0),
     (20, 0, 4 * MS, 33.0), (14, 0, 4 * MS, 33.0)])
 def test_up_to_max_rate_a_command_finds_its_slot_free(rate, ppm, jitter, resend):
-    """15 minutes of a publisher on another machine, whose clock runs fast."""
+    """15 minutes of a publisher on another machine with a fast clock."""
     gate, now = opened(resend_rate=resend)
     stamps = publisher(now, rate, 900 if ppm else 120, ppm, jitter)
     sent = play(gate, now, stamps[-1] + 30 * MS, [(stamp, DRIVE) for stamp in stamps])
@@ -480,7 +480,7 @@ def test_what_was_limited_is_counted():
 
 
 def test_a_command_behind_the_time_out_finds_it_noticed():
-    """Nobody looked in between: the stop comes first all the same."""
+    """Without a look in between the stop comes first all the same."""
     gate, now = opened()
     gate.offer(DRIVE, now)
     play(gate, now, now + MS)

@@ -24,7 +24,7 @@ MODELS = Models()
 SECOND = 1_000_000_000
 BAUD = 2_000_000
 TICK = 0.0015339807879             # rad: the resolution of an encoder of 4096 steps
-RATE = 100                         # of the master's cycle, Hz
+RATE = 100                         # the master's cycle, Hz
 READ = encode(1, I.READ, struct.pack('<HH', 126, 10))
 
 

@@ -3,6 +3,7 @@
 """The house rules that a machine can hold: import layers, where ROS may be, sizes, names."""
 import ast
 import io
+import os
 from pathlib import Path
 import re
 import statistics
@@ -129,6 +130,7 @@ def test_every_file_says_what_it_owns(path):
 
 
 FILE_NAME = re.compile(r'(?<![\w/.~*{-])[\w./-]*\w\.(?:py|md|ya?ml|js|css|html|xml|toml|svg)\b')
+TEXT = {'.py', '.md', '.yaml', '.js', '.css', '.html', '.c', '.service', '.xml', '.toml'}
 MADE_LATER = {'FILE.svg'}               # a name that stands for what the user chooses
 
 
@@ -142,10 +144,29 @@ def words_of(source):
             yield ast.get_docstring(node) or ''
 
 
+# Words that readers from other countries look up, or read twice; and one form for each unit.
+UNUSUAL = re.compile(r'\b(nobody|anew|who(so)?ever|what(so)?ever|elders?|thereof|wherein|degC)\b',
+                     re.I)
+HALF_SENTENCE = re.compile(r'(\S\s+(#|//)|/\*)\s+of\s')      # of the code in front of it
+
+
+def our_files():
+    for folder, folders, names in os.walk(ROOT):
+        folders[:] = [one for one in folders if not one.startswith('.') and one != 'build']
+        yield from (Path(folder, name).relative_to(ROOT) for name in names)
+
+
+def test_words_are_the_usual_ones():
+    ours = [name for name in our_files() if name.parts[:2] != ('test', 'corpus')
+            and name.suffix in TEXT and name.name != Path(__file__).name]
+    wrong = [f'{name}:{at}: {line.strip()}' for name in ours
+             for at, line in enumerate((ROOT / name).read_text().splitlines(), 1)
+             if UNUSUAL.search(line) or (name.suffix != '.md' and HALF_SENTENCE.search(line))]
+    assert wrong == []
+
+
 def test_every_file_that_a_comment_names_exists():
-    parts = (path.relative_to(ROOT).parts for path in ROOT.rglob('*.*'))
-    listed = ['/'.join(one) for one in parts
-              if not any(part.startswith('.') or part == 'build' for part in one)]
+    listed = [name.as_posix() for name in our_files()]
     known = {name[at:] for name in listed
              for at in (0, *(slash.end() for slash in re.finditer('/', name)))} | MADE_LATER
     missing = [f'{name}: {file}' for name in listed if name.endswith('.py')

@@ -294,7 +294,7 @@ def stuff(path):
 
 
 def test_a_stuck_reader_costs_a_write_time_out_and_leads_to_a_stop(tmp_path):
-    mcu = FakeMcu(str(tmp_path / 'mcu'))             # nobody pumps it yet
+    mcu = FakeMcu(str(tmp_path / 'mcu'))             # it is not pumped yet
     opened = []
 
     def opener(path, baud):

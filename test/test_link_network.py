@@ -1,9 +1,9 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A link over socket:// whose network goes away: what was commanded before never arrives late.
+A link over socket:// when the network goes away: what was commanded before never arrives late.
 
-In a network namespace, whose loopback is switched off and on. A command carries in omega when it
+In a network namespace; its loopback is switched off and on. A command carries in omega when it
 was given, so that each frame at the other end tells its age.
 """
 import json
@@ -77,7 +77,7 @@ drive(1)
 reached = sum(velocity != STOP for _, _, velocity in arrivals)
 losses = link.state().losses
 network(False)
-drive(float(sys.argv[1]))               # and nobody commands any more when it is back
+drive(float(sys.argv[1]))               # and no commands any more when it is back
 was_open = link.state().is_open
 last = time.monotonic()
 network(True)

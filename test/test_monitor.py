@@ -286,7 +286,7 @@ def test_a_long_chunk_is_no_pause() -> None:
 
 
 class Tapped(Bus):
-    """A bus whose tap says when nothing came; it can be stopped, and then bytes wait."""
+    """A bus with a tap that says when nothing came; it can be stopped, and then bytes wait."""
 
     def __init__(self, **limits: float) -> None:
         super().__init__(**limits)

@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""What rcl refuses when a node is made: one line and exit code 2, whatever it is."""
+"""What rcl refuses when a node is made: one line and exit code 2, for each of them."""
 from harness import Program
 from harness import wait
 import pytest

@@ -125,7 +125,7 @@ def test_where_the_deadman_acted_the_bridge_begins_anew():
 
 
 def test_a_driver_that_counts_whole_transfers_is_given_the_time_of_any_other():
-    """The Linux driver cdc-acm calls all of a USB transfer pending, whatever is in it."""
+    """The Linux driver cdc-acm calls all of a USB transfer pending, for any content."""
     world = World()
     world.line.holds = 64
     world.pacer.step(world.now + MS)
@@ -148,7 +148,7 @@ def test_a_frame_is_given_the_time_it_takes_however_short_the_write_time_out_is(
 
 
 def test_what_the_kernel_takes_and_the_wire_does_not_is_no_good_write():
-    """A UART whose flow control blocks it: each frame is taken, none ever leaves."""
+    """A UART blocked by flow control: each frame is taken, none ever leaves."""
     world = World()
     world.line.on_write = lambda: setattr(world.line, 'holds', FRAME_SIZE)
     world.run(SECOND)

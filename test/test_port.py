@@ -88,7 +88,7 @@ def test_a_full_pty_takes_no_more():
             if not port.write(bytes(4096)) and not port.write(b'x'):
                 break
         else:
-            raise AssertionError('4 MB went into a pty that nobody reads')
+            raise AssertionError('4 MB went into a pty that is not read')
         port.drop_output()
         port.close()
 
@@ -287,7 +287,7 @@ def test_login_of_root_as_a_user_sees_it(tmp_path, shown):
 
 
 def test_a_login_is_seen_by_its_controlling_terminal(tmp_path):
-    """As anybody sees it, whatever started it: field 7 of /proc/PID/stat."""
+    """As every process sees it, under any parent: field 7 of /proc/PID/stat."""
     with Pty() as pty, Pty() as other:
         device = os.stat(pty.path).st_rdev
         number = os.major(device) << 8 | os.minor(device) & 0xFF | os.minor(device) >> 8 << 20

@@ -179,7 +179,7 @@ def test_without_a_process_the_thread_reads_and_says_so(
 
 
 def test_few_descriptors_are_no_end_and_none_is_lost(cable: Pty) -> None:
-    """Whatever cannot be had for want of descriptors: it listens, or says why it does not."""
+    """Without enough descriptors it listens, or says why it does not."""
     before = len(os.listdir('/proc/self/fd'))
     found = {_state_with_descriptors(cable, spare) for spare in range(18)}
     assert found == {'closed', 'thread', 'process'}

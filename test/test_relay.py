@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The relay of stdout and stderr, in processes whose output is read late, never, or no more."""
+"""The relay of stdout and stderr, in processes with output read late, never, or no more."""
 import os
 import pty
 import subprocess

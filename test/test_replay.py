@@ -37,13 +37,13 @@ WIRE = Wire('bus', BAUD)
 
 
 def run(*faults: str, seconds: float = 4, seed: int = 1) -> list[tuple[bytes, int]]:
-    """Return what a tap would hear of a simulated run: chunks of whatever size, and stamps."""
+    """Return what a tap would hear of a simulated run: chunks of any size, and stamps."""
     line = Line(make_devices(['1-4:MX-64', '5:XL430-W250', '6:BitFoot'], MODELS, BAUD), BAUD)
     master = Master(line, PATTERNS['mixed'], rate=50, faults=[parse(text) for text in faults])
     rng = random.Random(seed)
     chunks, waiting, end = [], b'', 0
     for burst in master.bursts(int(seconds * SECOND)):
-        if waiting and burst.start - end > SECOND // 500:      # nobody waits for so long
+        if waiting and burst.start - end > SECOND // 500:      # no master waits for so long
             chunks.append((waiting, SECOND + end))
             waiting = b''
         waiting += burst.data

@@ -27,7 +27,7 @@ def ros():
 
 
 def checked(message):
-    """Build a message anew with rclpy's own type checks on, whatever the environment says."""
+    """Build a message again with rclpy's own type checks on, in any environment."""
     fields = message.get_fields_and_field_types()
     values = {name: getattr(message, name) for name in fields}
     for name, value in values.items():

@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters taken out of a settings file, and launch arguments that nobody knows."""
+"""Parameters taken out of a settings file, and launch arguments that no launch file knows."""
 import pytest
 import yaml
 

@@ -35,7 +35,7 @@ pytestmark = [
 
 @pytest.fixture
 def tree(tmp_path):
-    """Return a tree with an environment whose pip installs nothing."""
+    """Return a tree with an environment; its pip installs nothing."""
     (tmp_path / 'scripts').mkdir()
     shutil.copy(ROOT / 'scripts/setup', tmp_path / 'scripts')
     shutil.copy(ROOT / 'setup.py', tmp_path)

@@ -69,7 +69,7 @@ def container(mcu, *command):
 
 
 def named(process, text):
-    """Return the pids in the container whose command lines hold `text`, the oldest first."""
+    """Return the pids in the container with `text` in their command lines, the oldest first."""
     return [pid for pid in family(process.pid)
             if text in Path(f'/proc/{pid}/cmdline').read_text()
             and Path(f'/proc/{pid}/exe').resolve().name != 'unshare']

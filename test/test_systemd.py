@@ -23,7 +23,7 @@ def test_the_manager_hears_every_state(tmp_path, is_abstract):
 
 
 def test_without_a_manager_nothing_happens(tmp_path):
-    for environment in ({}, {'NOTIFY_SOCKET': str(tmp_path / 'nobody')}):
+    for environment in ({}, {'NOTIFY_SOCKET': str(tmp_path / 'not_there')}):
         systemd = Systemd(environment)
         systemd.ready()
         systemd.alive()

@@ -3,7 +3,7 @@
 """
 The in-process tap: masters that know nothing of it, heard to the byte, and never held up.
 
-The oracle is the other end of the cable: a pty whose far side notes what came and what it sent.
+The oracle is the other end of the cable: the far side of a pty notes what came and what it sent.
 """
 
 from contextlib import contextmanager

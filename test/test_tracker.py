@@ -381,7 +381,7 @@ def test_at_return_level_0_reads_are_not_answered() -> None:
 
 @pytest.fixture
 def gripper_bus(tmp_path: Path) -> Bus:
-    """Return a bus whose user has a model file with Status Return Level at 30."""
+    """Return a bus with a user's model file that has Status Return Level at 30."""
     (tmp_path / 'gripper.yaml').write_text(f"""model_numbers: {{{GRIPPER}: Gripper}}
 fields:
   - {{at: 0, name: Model Number, type: u16, access: r, memory: eeprom}}
@@ -819,7 +819,7 @@ def test_a_status_that_began_in_the_chunk_of_the_instruction_tells_no_latency() 
     assert bus.device(1).latency.total() is None
 
 
-# --- whatever comes ---
+# --- any bytes ---
 
 
 @pytest.mark.parametrize('packet', [
@@ -959,17 +959,17 @@ def test_damage_is_noted_exactly() -> None:
     bus.hear(damaged(encode(1, I.WRITE, bytes(300))))
     assert notes(bus)[-1][1:] == (ev.DAMAGED_INSTRUCTION, 1, (I.WRITE, 303))
     bus.hear(HEADER + b'\x01\x34\x12\x03' + bytes(8))
-    assert notes(bus)[-1][1:] == (ev.BAD_LENGTH, ev.NOBODY, (0x1234,))
+    assert notes(bus)[-1][1:] == (ev.BAD_LENGTH, ev.NO_DEVICE, (0x1234,))
     bus.hear(read(1)[:-3])
     bus.idle()
-    assert notes(bus)[-1][1:] == (ev.CUT, ev.NOBODY, (I.READ, 7))
+    assert notes(bus)[-1][1:] == (ev.CUT, ev.NO_DEVICE, (I.READ, 7))
 
 
 def test_the_last_id_is_a_device_and_the_next_is_none() -> None:
     bus = Bus()
     bus.hear(reply(252), reply(253))
     assert set(bus.roster.devices) == {252}
-    assert notes(bus)[-1][1:] == (ev.BAD_ID, ev.NOBODY, (253,))
+    assert notes(bus)[-1][1:] == (ev.BAD_ID, ev.NO_DEVICE, (253,))
 
 
 def test_only_what_has_the_size_of_a_pong_answers_a_broadcast_ping() -> None:
@@ -1020,7 +1020,7 @@ def test_behind_a_damaged_packet_an_answer_is_not_taken(lost: bytes) -> None:
 def test_a_second_answer_behind_damage_is_noted_as_asked_anew() -> None:
     bus = Bus()
     bus.hear(read(1), reply(1, b'1234'), damaged(read(1)), reply(1, b'1234'))
-    assert notes(bus)[-1][1:] == (ev.ANEW, 1, (I.READ,))
+    assert notes(bus)[-1][1:] == (ev.ANSWERED_AGAIN, 1, (I.READ,))
 
 
 def test_who_spoke_damaged_is_forgotten_at_the_next_instruction() -> None:

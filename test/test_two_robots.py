@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two robots in one ROS domain, one of them sick: nobody takes one for the other."""
+"""Two robots in one ROS domain, one of them sick: neither is taken for the other."""
 from contextlib import ExitStack
 from importlib import util
 import time

@@ -3,7 +3,7 @@
 """
 USB events to bytes with a side: real captures, all families of adapters, files of all kinds.
 
-Nobody who wrote the decoders wrote the real captures; tshark, where it is installed, is asked too.
+The real captures do not come from the authors of the decoders; tshark, if installed, is asked too.
 """
 
 import io
@@ -294,7 +294,7 @@ def test_any_bytes_never_raise(data):
 
 
 def hear_all(data):
-    """Read a file, whatever is in it, and hear every port."""
+    """Read a file with any content, and hear every port."""
     found, _ = read(data)
     survey = Survey()
     for event in found:

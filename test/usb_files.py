@@ -57,7 +57,7 @@ def block(kind, body):
 
 
 def pcapng(link, records, digits=6):
-    """Return a pcapng file whose stamps have so many decimals, with an interface of another."""
+    """Return a pcapng file with stamps of so many decimals, with an interface of another."""
     whole = block(0x0A0D0D0A, struct.pack('<IHHq', 0x1A2B3C4D, 1, 0, -1))
     whole += block(1, struct.pack('<HHI', 1, 0, 0))
     whole += block(1, struct.pack('<HHI', link, 0, 0) + struct.pack('<HHBxxx', 9, 1, digits)

@@ -98,7 +98,7 @@ class Deadman:
             self._hand_over()
 
     def acted(self) -> bool:
-        """Return whether it wrote a stop since the last call: the bridge must begin anew."""
+        """Return whether it wrote a stop since the last call: the bridge must begin again."""
         before, self._acted = self._acted, self._words[ACTED]
         return self._acted != before
 

@@ -32,7 +32,7 @@ LARGEST = 1e6                      # m/s, rad/s: an MCU that multiplies it does 
 SETTLE = 200 * MILLISECOND         # after a freeze, for what waited in the sockets
 
 # The rate: slots a little closer than 1 / max_rate, and a frame may take its slot a little early.
-# So a publisher at max_rate whose clock is 0.1 % fast and whose period varies finds its slot free,
+# So a publisher at max_rate with a clock 0.1 % fast and a varying period finds its slot free,
 # and 40 frames together still keep to 1.02 x max_rate.
 SLOTS_PER_COMMAND = 1.012
 EARLY_SLOTS = 0.3
@@ -127,7 +127,7 @@ class Gate:
         self._spacing = characters_ns(FRAME_SIZE + GAP_CHARACTERS, baud)
         self._accepted_at: int | None = None         # None once that command has expired
         self._expires_at = NEVER
-        self._offered_at: int | None = None          # of a command that is not written yet
+        self._offered_at: int | None = None          # time of a command that is not written yet
         self._burst_zeros_left = 0
         self._burst_began = False                    # by writing its first zero
         self._last_frame_at = -SECOND

@@ -79,7 +79,7 @@ def choose(setting: str, current: Choice, publishers: Sequence[Publisher]) -> Ch
     """
     Follow the publishers: their type when they agree, reliable only if all of them are.
 
-    With nobody there, or with two types at once, what runs stays.
+    Without a publisher, or with two types at once, the present subscription stays.
     """
     types = {TYPE_NAMES[one.type] for one in publishers if one.type in TYPE_NAMES}
     message_type = current.message_type

@@ -85,7 +85,7 @@ class Link:
         self._wake = Wake()
         self._backoff = Backoff(last_s=_RETRY_S)
         self._port: Port | None = None
-        self._failure: PortError | None = None       # of a write in a callback's thread
+        self._failure: PortError | None = None       # raised by a write in a callback's thread
         self._wake_at = 0                            # until when the thread sleeps
         self._closing: int | None = None             # since when
         self._owed: int | None = None                # lost while driving: frames sent until then
@@ -198,7 +198,7 @@ class Link:
             self._wake.rouse()
 
     def _run(self) -> None:
-        """Be the thread; no mistake ends it, whoever makes it: the stops must go on."""
+        """Run the thread; no exception ends it: the stops must go on."""
         while not self._is_over():
             try:
                 port = self._opener(self._name, self._baud)

@@ -19,13 +19,13 @@ class LinkState(NamedTuple):
     """A snapshot for diagnostics; stamps are monotonic ns, `problem` is why it is not open."""
 
     is_open: bool
-    since: int                     # of is_open
+    since: int                     # time of the last change of is_open
     problem: PortError | None
     last_error: str                # stays after recovery
     openings: int
     losses: int
     frames: int
-    time_outs: int                 # of writes
+    time_outs: int                 # writes that took too long
     partial_writes: int
     freezes: int                   # the bridge was frozen, or the deadman acted
     bytes_received: int

@@ -120,7 +120,7 @@ class Bridge:
         self._link.suspend()
 
     def resume(self) -> None:
-        """Begin anew: what was published while we were suspended is not heard."""
+        """Begin again: what was published while we were suspended is not heard."""
         self._known_freezes = -1
         self._link.stop(Stop.FROZEN)
 

@@ -50,7 +50,7 @@ class Commands(NamedTuple):
     topic: str
     choice: Choice
     timeout_s: float
-    complaints: Sequence[str]   # of graph.py
+    complaints: Sequence[str]   # from graph.py
     period: Summary | None      # ms between commands, over the window
     zero_stamps: int
     refused: Verdict | None     # why the newest command was refused, if that is not long ago

@@ -3,8 +3,8 @@
 """
 The subscription of cmd_vel: it follows the type and the reliability of its publishers.
 
-One process cannot subscribe two types on one name, so the subscription is destroyed and made
-anew. What the graph means is decided in graph.py; what becomes of a command, by the owner.
+One process cannot subscribe two types on one name, so the old subscription is destroyed and
+another is made. graph.py decides what the graph means; the owner decides about a command.
 """
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Subscriber:
 
     def renew(self) -> None:
         """
-        Subscribe anew: what was published until now is no longer heard.
+        Subscribe again: what was published until now is no longer heard.
 
         After a freeze it waits in the sockets, or is sent again by a reliable publisher, up to
         seconds later, and nothing tells it from a new command.
@@ -148,7 +148,7 @@ def _clocks() -> tuple[int, int]:
 
 
 def _overridden(node: Node, topic: str) -> list[QoSPolicyKind]:
-    """Return only the policies that are given: a declared default could follow nobody."""
+    """Return only the policies that are given: a declared default could follow no publisher."""
     names = {name.lower() for name in given(node)}
     return [policy for policy in QoSPolicyKind
             if f'qos_overrides.{topic}.subscription.{policy.name.lower()}' in names]

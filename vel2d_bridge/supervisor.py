@@ -4,8 +4,8 @@
 Supervisor: the first process of a container outlives the bridge, so that the dead man can stop.
 
 When the first process of a PID namespace ends, the kernel kills all others in it at once, the
-dead man too. So a bridge that would be that process (`docker run`), or whose parent is one that
-ends with it (`docker run --init`), runs as a child; what is left here forwards signals and waits.
+dead man too. So a bridge that would be that process (`docker run`), or that has a parent that ends
+with it (`docker run --init`), runs as a child; the process here forwards signals and waits.
 """
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ class Timing:
         self._last_command: int | None = None
 
     def command_came(self, now: int, stamp_age: int | None) -> None:
-        """Note the time and age (None: no stamp) of a command, whatever becomes of it."""
+        """Note the time and age (None: no stamp) of a command, accepted or refused."""
         if self._last_command is not None:
             self.command_period.add((now - self._last_command) / _NS_PER_MS, now)
         self._last_command = now
@@ -39,7 +39,7 @@ class Timing:
             self.callback_to_write.add(sent.latency / _NS_PER_MS, sent.stamp)
 
     def reset(self) -> None:
-        """Begin the figures since start anew."""
+        """Set the figures since start to zero."""
         for series in (self.callback_to_write, self.write, self.command_period, self.stamp_age):
             series.reset()
 

@@ -94,7 +94,7 @@ class Conversation:
 
     @property
     def framer(self) -> AnyFramer:
-        """What hears bytes whose side is not known."""
+        """The dialogue for bytes from an unknown side."""
         return self.framers[UNKNOWN]
 
     @framer.setter

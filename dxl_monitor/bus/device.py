@@ -26,7 +26,7 @@ RESOLVED_NEEDED = 0.2              # the share of answers that makes a latency w
 _ERRORS_KEPT = 64                  # distinct (instruction, address, error)
 RETURN_LEVEL = 'Status Return Level'
 _SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
-_NUMBER_SIZE = 2                   # of Model Number
+_NUMBER_SIZE = 2                   # bytes of Model Number
 
 
 class Device:

@@ -51,7 +51,7 @@ AnyFramer = Framer | MixedFramer | dxl1_packet.Framer
 Part = tuple[list[Frame], int, int, str]
 _MARK = bytes([FAMILY])
 _GOOD_STATUS = bytes((FAMILY, STATUS, 0))
-_NOTHING = Request(0, 0xFF, Answers.NOBODY)
+_NOTHING = Request(0, 0xFF, Answers.NONE)
 _SYNC_WRITE = 0x83
 _WRITES = (0x03, 0x04, 0x83)
 
@@ -81,7 +81,7 @@ class Dialogue:
         self.byte_ns = byte_ns
         self.slow_ns = SLOW_NS             # and the adapter may keep bytes back for longer
         self._streak: list[Held] = []      # good frames directly behind each other, not yet proof
-        self.packets = 0                   # of the 1.0 family
+        self.packets = 0                   # those of the 1.0 family
         self.proven: set[int] = set()      # the IDs that speak the 1.0 family here
         self._single = 0                   # good frames that were given up
         self._request = _NOTHING

@@ -16,14 +16,13 @@ from dxl_monitor.bus.report import Incident
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
 
-NOBODY = -1
+NO_DEVICE = -1
 
 # Kinds of incidents, each with what its detail holds.
 DAMAGED_STATUS = 'damaged status'              # instruction byte as read, length as read
 DAMAGED_INSTRUCTION = 'damaged instruction'    # instruction byte as read, length as read
 BAD_LENGTH = 'bad length'                      # length
 CUT = 'cut'                                    # instruction byte, length: it ends too early
-REPAIRED = 'repaired header'                   # instruction byte
 GLITCH = 'glitch'                              # counted only: a byte or two of noise ahead
 MISSED = 'missed'                              # instruction, address; the first of a row
 DISCONNECTED = 'disconnected'                  # missed in a row
@@ -31,7 +30,7 @@ RETURNED = 'returned'                          # ms of silence, Torque Enable be
 REFUSED = 'refused'                            # instruction, address, error number
 ALERT = 'alert'                                # it began
 SECOND_ANSWER = 'second answer'                # instruction: already answered by this ID
-ANEW = 'answered anew'                         # instruction; behind damage that hid another
+ANSWERED_AGAIN = 'answered again'              # instruction; behind damage that hid another
 UNASKED = 'unasked answer'                     # instruction that ran, error byte
 LATE = 'late answer'                           # us after its instruction was given up
 WRONG_SIZE = 'wrong size'                      # bytes, bytes asked for
@@ -53,7 +52,6 @@ ECHO = 'echo'                                  # counted only: the master's own,
 FOREIGN = 'foreign instruction'                # instruction: it came to the master
 NOT_SENT = 'not sent'                          # instruction
 SOURCE_LOST = 'source lost'                    # events or bytes
-QUIET = 'quiet'                                # ms without any byte on the bus
 
 _KEPT = 1000
 _APART_NS = 100_000_000             # between two that are kept, where each packet may be one
@@ -71,7 +69,7 @@ _TEXTS: dict[str, Callable[[tuple[int, ...]], str]] = {
     REFUSED: lambda d: f'{name_of(d[0])} at {d[1]} refused: {error_text(d[2])}',
     ALERT: lambda d: 'alert',
     SECOND_ANSWER: lambda d: f'second answer to one {name_of(d[0])}',
-    UNASKED: lambda d: 'answer that nobody asked for',
+    UNASKED: lambda d: 'answer that was not asked for',
     LATE: lambda d: f'answer {d[0]} us too late',
     WRONG_SIZE: lambda d: f'answer of {d[0]} bytes to a read of {d[1]}',
     FAST_CUT: lambda d: f'fast reply ends after {d[0]} of {d[1]} devices',
@@ -97,7 +95,7 @@ class Evidence:
         self._kept: dict[str, int] = {}                # stamp of the last that note_often() kept
         self.noted = 0                                 # incidents so far
 
-    def note(self, stamp: int, kind: str, device: int = NOBODY, *detail: int) -> None:
+    def note(self, stamp: int, kind: str, device: int = NO_DEVICE, *detail: int) -> None:
         incident = Incident(stamp, kind, device, detail)
         self._incidents.append(incident)
         self.counts[kind] += 1

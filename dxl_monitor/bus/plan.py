@@ -90,7 +90,7 @@ class Plan:
     def failed(self, there: int, last_whole: int,
                silent: dict[int, Slot]) -> tuple[list[Slot], list[int]]:
         """
-        Return whose parts of a fast reply are damaged, and the IDs of which that is not known.
+        Return the IDs with a damaged part in a fast reply, and those where that is not known.
 
         there: how many parts came; last_whole: the ID of the last good one, behind which only the
         first is surely damaged; silent: the slots without a good part.

@@ -50,7 +50,7 @@ TARGETS_KEPT = 64                  # different lists of IDs in Sync Writes
 SLOTS_KEPT = 32_768                # the size of all plans together: 3000 different reads
 BYTES_PER_SLOT = 32                # so many bytes of a plan's key count as one slot
 NO_IDS = (0xFD, 0xFF)
-NO_PLAN = Plan(Request(0, 0xFF, Answers.NOBODY), {})
+NO_PLAN = Plan(Request(0, 0xFF, Answers.NONE), {})
 
 _KEY_SIZE = {code: kind.key_size for code, kind in KINDS.items()}
 _RUN = b'\xff\xff\xfd'
@@ -93,7 +93,7 @@ class Planner:
             CALIBRATE: roster.calibrate,
         }
         self._makers: dict[Answers, Callable[[Request], list[Slot]]] = {
-            Answers.NOBODY: lambda request: [],
+            Answers.NONE: lambda request: [],
             Answers.EVERYBODY: lambda request: [],
             Answers.PING: self._ping_slots,
             Answers.DATA: self._read_slots,
@@ -300,7 +300,7 @@ def _oddities(request: Request, body: bytes, names: Container[int]) -> list[tupl
     if request.malformed:
         found.append((ev.MALFORMED, number, instruction, len(body) - 4))
     if number in NO_IDS:
-        found.append((ev.BAD_ID, ev.NOBODY, number))
+        found.append((ev.BAD_ID, ev.NO_DEVICE, number))
     return found
 
 

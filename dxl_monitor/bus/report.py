@@ -88,7 +88,7 @@ class Counts:
     garbled: int = 0               # damage where its answer was due
     fast_answers: int = 0          # its parts of fast replies
     pongs: int = 0                 # answers to Pings
-    data_missed: int = 0           # of the missed: data that it was asked for
+    data_missed: int = 0           # `missed` without the acks: data that it was asked for
 
     @property
     def asked(self) -> int:

@@ -58,7 +58,7 @@ class Roster:
         self.baud = baud
         self._evidence = evidence
         self.devices: dict[int, Device] = {}
-        self.dialect = UNDECIDED           # of the 1.0 family, for devices that speak it
+        self.dialect = UNDECIDED           # for devices of the 1.0 family
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.changed: Callable[[], None] = lambda: None
         self._followers = {'ID': self._follow_id, 'Baud Rate': self._follow_baud,
@@ -163,7 +163,7 @@ class Roster:
         self.pinged(device, 0, number + firmware, stamp, READ)
 
     def speak(self, dialect: Dialect) -> None:
-        """Say which dialect of the 1.0 family is spoken here; devices are known anew by that."""
+        """Say which dialect of the 1.0 family is spoken here; devices are then known by it."""
         self.dialect = dialect
         for device in self.devices.values():
             if device.dialect is not None:

@@ -132,7 +132,7 @@ class Tracker:
     def lose_track(self, stamp: int, lost: int) -> None:
         """Judge nothing that is pending: `lost` events were not heard, or the port was closed."""
         if lost:
-            self._evidence.note(stamp, ev.SOURCE_LOST, ev.NOBODY, lost)
+            self._evidence.note(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, lost)
         self._forget()
         self.is_doubtful = True
 
@@ -255,7 +255,7 @@ class Tracker:
         """Take a status that was not due: a sign of life, no more."""
         number = body[0]
         if number > MAX_ID:
-            self._evidence.note(stamp, ev.BAD_ID, ev.NOBODY, number)
+            self._evidence.note(stamp, ev.BAD_ID, ev.NO_DEVICE, number)
             return
         device = self._roster.device(number)
         self._roster.heard(device, body[4], stamp)
@@ -269,7 +269,7 @@ class Tracker:
                 self._roster.pinged(device, 0, body[5:], stamp, READ)
         elif self.is_doubtful:       # it may well have been asked, by what was damaged
             if number in self._plan.slots:
-                self._evidence.note(stamp, ev.ANEW, number, request.instruction)
+                self._evidence.note(stamp, ev.ANSWERED_AGAIN, number, request.instruction)
         elif number in self._plan.slots:
             self._evidence.note(stamp, ev.SECOND_ANSWER, number, request.instruction)
         elif not self._plan.is_understood and request.id in (number, BROADCAST):
@@ -317,9 +317,9 @@ class Tracker:
         if reason == OPEN:
             self._evidence.note(stamp, ev.OPEN, number, instruction)
         elif reason == 'length':
-            self._evidence.note(stamp, ev.BAD_LENGTH, ev.NOBODY, length)
+            self._evidence.note(stamp, ev.BAD_LENGTH, ev.NO_DEVICE, length)
         elif reason == 'cut':
-            self._evidence.note(stamp, ev.CUT, ev.NOBODY, instruction, length)
+            self._evidence.note(stamp, ev.CUT, ev.NO_DEVICE, instruction, length)
         else:
             kind = ev.DAMAGED_STATUS if is_status else ev.DAMAGED_INSTRUCTION
             self._evidence.note(stamp, kind, number, instruction, length)

@@ -36,7 +36,7 @@ _FOLLOWED = ('Goal Position', 'Present Position', 'Realtime Tick', 'Present Inpu
 
 
 Counted = tuple[int, dict[int, Counts]]        # stamp, the totals of each device
-Key = tuple[int, tuple[int, ...], int | None]  # of a cycle: instruction, IDs, address
+Key = tuple[int, tuple[int, ...], int | None]  # a cycle's instruction, IDs, address
 
 
 class Mark(NamedTuple):
@@ -47,7 +47,7 @@ class Mark(NamedTuple):
     packet_bytes: int
     packets: int
     instructions: int
-    answers: int                   # of all devices
+    answers: int                   # all devices together
     glitches: int
     overruns: int
     framing: int                   # errors that the driver counted
@@ -187,7 +187,7 @@ class History:
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything: the counts begin anew."""
+        """Forget everything: the counts begin at 0."""
         self._last: Incident | None = None
         self._seen: dict[str, deque[Incident]] = {}
         self._marks: deque[Mark] = deque(maxlen=KEPT)

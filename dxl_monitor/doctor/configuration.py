@@ -246,14 +246,14 @@ RULES = (
          'to be off', each_with(ev.REFUSED, _eeprom_locked), needs=(MODEL,)),
     Rule('wrong_address', Level.WARN, 'the same address refused again and again: Access, Data '
          'Length or Data Range', each_with(ev.REFUSED, _wrong_address), needs=(MODEL,)),
-    Rule('refused', Level.WARN, 'as wrong_address, of a device whose model is not known',
+    Rule('refused', Level.WARN, 'as wrong_address, of a device of an unknown model',
          each_with(ev.REFUSED, _refusals)),
     Rule('impossible_id', Level.WARN, 'questions to ID 253 or 255', _impossible_id),
     Rule(STOPPED, Level.WARN, 'no instruction for far longer than usual', _master_stopped,
          holds=False),
     Rule('scan', Level.OK, 'Pings to many IDs, or one broadcast Ping after the other', _scan,
          ('noise', 'damaged_answers', 'stray_bytes', 'turnaround', 'jitter'), holds=False),
-    Rule(MODELS, Level.OK, 'devices that answer and whose model is not known', _models),
+    Rule(MODELS, Level.OK, 'devices of unknown models answer', _models),
     Rule('eeprom_wear', Level.WARN, f'{WORN} accepted writes to EEPROM in 10 s',
          each(_eeprom_wear), ('torque_off',)),
     Rule('fast_read_unsupported', Level.WARN, 'fast reads that always ended at a device which '

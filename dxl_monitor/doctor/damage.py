@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rules about bytes that are not what somebody sent, or that nobody should have sent."""
+"""Rules about bytes that were damaged on the way, or that should not have been sent."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ SOME = 5
 NOISY = 0.001                      # damaged of all packets
 GLITCHY = 0.001                    # packets behind a stray byte
 HEADERS = 0.01                     # answers with a damaged first byte
-BY_CHANCE = 1 / 8                  # of the damage: in the first byte, as in any other
+BY_CHANCE = 1 / 8                  # share of damage that hits a first byte by chance
 MOSTLY = 0.7
-BOTH_WAYS = 0.2                    # of the damage: in instructions
+BOTH_WAYS = 0.2                    # share of damage in instructions: both directions suffer
 GARBLED = 0.05                     # no more than this share of the bytes are packets
 BYTES_NEEDED = 300
 ECHO_US = 100
@@ -92,7 +92,7 @@ def _noise(case: Case) -> Iterator[Found]:
 
 
 def _asked_damaged(case: Case) -> int:
-    """Return how many instructions were damaged; a code that nobody knows was a status."""
+    """Return how many instructions were damaged; an unknown code was a status."""
     return sum(one.detail[0] in NAMES for one in case.incidents(ev.DAMAGED_INSTRUCTION))
 
 
@@ -184,8 +184,8 @@ def _foreign_answers(case: Case, device: DeviceReport) -> Found | None:
     unasked = case.count(ev.UNASKED, device.id)
     if unasked < FEW:
         return None
-    return Claim(device.id, f'{unasked} answers that nobody here asked for: another master asks '
-                 'it where this port does not hear; find and stop that',
+    return Claim(device.id, f'{unasked} answers that the master here did not ask for: another '
+                 'master asks it where this port does not hear; find and stop that',
                  (('answers', str(unasked)),))
 
 

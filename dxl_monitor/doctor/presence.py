@@ -32,13 +32,13 @@ from msg_defs.reports import Level
 S = 1_000_000_000
 MS = 1_000_000
 AWAY_MS = 100                      # shorter than any start; longer than an answer or two lost
-DIP = 0.9                          # of the voltage now: the supply sagged
+DIP = 0.9                          # below this share of the voltage now the supply sagged
 MOVES, STANDS = 20, 6              # raw steps of a goal, of a position: it does not follow
-STOPPED_S = 1.0                    # of standing still, before that means anything
-FOLLOW_S = 4.0                     # of samples, to tell whether it follows
-STANDS_S = 2.5                     # of them it stands, without a word of its torque
+STOPPED_S = 1.0                    # standing still for so long means something
+FOLLOW_S = 4.0                     # samples of so long tell whether it follows
+STANDS_S = 2.5                     # it stands for so long of them; its torque was not read
 SETTLED_S = 2.0                    # after a return: by then a restart has shown
-TICK_TURN_S = 32.768               # Realtime Tick begins anew (e-Manual)
+TICK_TURN_S = 32.768               # Realtime Tick begins at 0 again (e-Manual)
 TICK_SLACK_S = 0.5
 FEW = 3
 LOSS = 0.01
@@ -146,7 +146,7 @@ def _rebooted(case: Case, device: DeviceReport) -> Found | None:
         proof = _restart_proof(case, one)
         if proof and _talks_since(case, one):
             return Claim(device.id, f'restarted by itself, {one.detail[0]} ms away ({proof}): '
-                         'check its supply and plug, then set it up anew, torque too',
+                         'check its supply and plug, then set it up again, torque too',
                          (('away (ms)', str(one.detail[0])), ('seen by', proof)))
     return None
 
@@ -167,12 +167,12 @@ def _brown_out(case: Case) -> Iterator[Found]:
                                             _dip(case, one.device))]
     if len(ids) > 1 and proofs:
         yield Claim(None, f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply broke '
-                    'down; check battery and cables, then set them up anew',
+                    'down; check battery and cables, then set them up again',
                     (('devices', listed(ids, 99)), ('seen by', proofs[0])), covers=tuple(ids))
 
 
 def _restart_proof(case: Case, back: Incident) -> str:
-    """Return what says that a device started anew while it was away, '' if nothing does."""
+    """Return what says that a device started again while it was away, '' if nothing does."""
     torque = case.values[back.device].get('Torque Enable') if back.device in case.values else None
     if torque is not None and torque.source == 'r' and not torque.value.raw \
             and case.now - torque.age_s * S >= back.stamp and back.detail[1] > 0:

@@ -25,16 +25,16 @@ WRITES = (Instruction.WRITE, Instruction.REG_WRITE, Instruction.SYNC_WRITE,
 ENOUGH = 12                        # repetitions
 MOST = 8                           # instructions looked at
 FRESH_NS = 2 * S
-SHORT = 0.35                       # of the period: asked again before its time
-AGREE = 0.15                       # of the period: the same
+SHORT = 0.35                       # share of the period: asked again before its time
+AGREE = 0.15                       # share of the period: the same
 EVEN = 0.25                        # spread of a loop that a clock paces
-MOSTLY = 0.8                       # of the periods
+MOSTLY = 0.8                       # share of the periods
 RARELY = 0.3                       # more often, and it is part of the cycle
 AT_ONCE_NS = 1_500_000             # behind the answers; chunks of 2 ms blur it
 STATUS_SIZE = 11                   # bytes, without parameters
 INSIDE = 8                         # repetitions of one rhythm while the other went on
 BINS = 16
-ALTERNATE = 0.9                    # of the periods with just one of the other in it
+ALTERNATE = 0.9                    # share of the periods with just one of the other in it
 UNEVEN = 0.05                      # from the next whole number
 
 

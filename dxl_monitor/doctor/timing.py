@@ -50,7 +50,7 @@ LATENCY_MS = (15.0, 18.5)          # a latency timer of 16 ms, and what its host
 SLOW_PER_S = 70                    # answers; with 16 ms each there cannot be more
 RESOLVED_MS = 4.0                  # between chunks; else all gaps count, not those behind answers
 GRID_NS = 16 * MS                  # exactly that is made by the adapter that we hear through
-LATENT = 0.6                       # of the gaps
+LATENT = 0.6                       # share of the gaps
 WAITED_S = 3.0
 
 
@@ -67,14 +67,14 @@ def _impatient(case: Case) -> Iterator[Found]:
 
 def _hidden_repeats(case: Case) -> list[Incident]:
     """
-    Return the first of those answers each that came anew behind damage in an answer.
+    Return the first of each group of answers that came again behind damage in an answer.
 
     Behind a damaged instruction they would be its own answers.
     """
-    anew = case.incidents(ev.ANEW)
-    first = anew[:1] + [one for before, one in pairwise(anew)
-                        if one.stamp - before.stamp > TOGETHER_NS]
-    if len({one.device for one in anew}) < 2 \
+    again = case.incidents(ev.ANSWERED_AGAIN)
+    first = again[:1] + [one for before, one in pairwise(again)
+                         if one.stamp - before.stamp > TOGETHER_NS]
+    if len({one.device for one in again}) < 2 \
             or len(first) < 2 * case.count(ev.DAMAGED_INSTRUCTION):
         return []
     return first

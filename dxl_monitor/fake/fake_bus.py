@@ -40,7 +40,7 @@ WAIT_S = 0.1
 DEFAULT_DEVICES = ('1-10:MX-106', '11-18:MX-64', '100:Rhoban DXL Board', '101:BitFoot',
                    '102:BitFoot', '103:Bit-Bots IMU')
 FAST_DEVICES = ('1-20:XL430-W250',)
-PROTOCOLS = {'2': '2', 'dxl1': '1', 'feetech': 'feetech'}      # of model files, by --dialect
+PROTOCOLS = {'2': '2', 'dxl1': '1', 'feetech': 'feetech'}      # as model files say it
 USUAL_MODEL = {'2': 'MX-64', 'dxl1': 'AX-12A', 'feetech': 'STS3215'}
 DIALECTS_BY_NAME = {'dxl1': DYNAMIXEL_1, 'feetech': FEETECH}
 

@@ -139,7 +139,7 @@ class Servo1(Device):
 
 
 class Line1(Line):
-    """A line whose packets are those of the 1.0 family."""
+    """A line with packets of the 1.0 family."""
 
     def __init__(self, devices: Iterable[Device], baud: int, dialect: Dialect, *,
                  waits_in_line: bool = True) -> None:

@@ -52,7 +52,7 @@ def usual_rate(rate: float) -> int:
 
 class Adapter:
     """
-    An adapter whose bulk data are the bytes of the line; others override what differs.
+    An adapter that carries the bytes of the line alone; others override what differs.
 
     packet_size: of its bulk endpoint towards the host. is_multi: the chip has several ports.
     """
@@ -85,7 +85,7 @@ class Ftdi(Adapter):
     FT232R, FT232H, FT2232 and the like.
 
     Each packet to the host begins with two status bytes, also inside one transfer: modem lines,
-    and the line status, whose errors count only where bytes follow.
+    and the line status; its errors count only where bytes follow.
     """
 
     name = 'FTDI'
@@ -179,12 +179,12 @@ class Cp210x(Adapter):
 
     name = 'CP210x'
     _ERRORS = ((0x02, OVERRUN), (0x04, PARITY), (0x08, FRAMING), (0x10, BREAK))
-    _SIZES = (2, 4, 3, 3)          # of what begins with ESC
+    _SIZES = (2, 4, 3, 3)          # bytes of each message behind ESC
 
     def __init__(self, packet_size: int = 64, is_multi: bool = False) -> None:
         super().__init__(packet_size, is_multi)
         self._escape = b''
-        self._rest = b''           # of an escape that is not all here
+        self._rest = b''           # begin of an escape that is not all here
 
     def control(self, setup: Setup, data: bytes) -> list[Change]:
         kind, request, value, _ = setup

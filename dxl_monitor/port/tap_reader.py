@@ -46,9 +46,9 @@ class Told(NamedTuple):
 
     stamp: int                             # ns, monotonic: of the call in the program
     port: str
-    kind: int                              # of tap_sender
-    data: bytes                            # of OUT and IN
-    value: int                             # of the others
+    kind: int                              # a kind of tap_sender
+    data: bytes                            # for OUT and IN
+    value: int                             # for the other kinds
 
     @property
     def side(self) -> str:

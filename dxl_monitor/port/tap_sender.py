@@ -25,7 +25,7 @@ import time
 
 TAP_NAME = 'MECAROVER_TAP'                 # environment: the name that the user gave
 TAP_MARK = 'MECAROVER_TAP_MARK'            # and a file that grows when a port is opened
-SUFFIX = '.tap'                            # of the places where somebody listens
+SUFFIX = '.tap'                            # ends the name of a listener's socket
 
 # A record: its kind, the number of the port, a stamp (ns, monotonic), the size of what follows.
 HEAD = struct.Struct('<BHqI')
@@ -120,7 +120,7 @@ class Sender:
         self.queue: deque[tuple[int, int, int, bytes]] = deque()
         self.lost = 0                          # records that found the queue full
         self._ports: dict[int, tuple[str, int]] = {}       # number: name, rate
-        self._told: set[int] = set()           # ports whose opening is behind the queue
+        self._told: set[int] = set()           # ports that listeners were told to be open
         self._numbers = 0
         self._lock = threading.Lock()
         self._forget()
@@ -194,7 +194,7 @@ class Sender:
     def _run(self) -> None:
         until = float('inf')
         while True:
-            with suppress(Exception):          # of any kind: the program must not see it
+            with suppress(Exception):          # any error: the program must not see it
                 self._look()
                 self._send()
             if self._is_ending:

@@ -39,7 +39,7 @@ from msg_defs.heard import LATENCY_TIMER
 from msg_defs.heard import LOST
 
 _MONITOR = '/dev/usbmon{}'
-_STATUS_BYTES = 2                  # of FTDI: a transfer of no more says nothing
+_STATUS_BYTES = 2                  # an FTDI transfer of no more carries no data
 
 
 class UsbListener(Listener):

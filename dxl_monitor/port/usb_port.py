@@ -108,8 +108,8 @@ class UsbPort:
         self._bus, self._device = place.bus, place.device
         self._bulk = {place.bulk_in | INPUT: IN, place.bulk_out: OUT} if place.bulk_in else None
         self._reads_interrupts = reads_interrupts
-        self._setups: dict[int, bytes] = {}            # of control transfers under way
-        self._sizes: dict[int, int] = {}               # of what is on its way to the adapter
+        self._setups: dict[int, bytes] = {}            # control transfers under way
+        self._sizes: dict[int, int] = {}               # data on their way to the adapter
 
     def take(self, event: Event) -> Heard | None:
         """Return what an event says about the port, None for nothing."""

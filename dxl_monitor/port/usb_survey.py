@@ -25,7 +25,7 @@ from dxl_monitor.port.usbmon import INPUT
 
 _GET_DESCRIPTOR = (0x80, 6)
 _DEVICE, _CONFIGURATION, _INTERFACE, _ENDPOINT = 1, 2, 4, 5
-_BULK_KIND = 2                     # of an endpoint's attributes
+_BULK_KIND = 2                     # in an endpoint's attributes
 _SMALL, _LARGE = 64, 512           # packets of a full-speed and of a high-speed device
 _SMALL_MARK, _LARGE_MARK = 1, 2    # low half of FTDI's first status byte: the size of packets
 _HEADER = b'\xff\xff'              # what every packet of a servo begins with

@@ -50,7 +50,7 @@ class Event(NamedTuple):
     transfer: int
     is_done: bool
     status: int
-    number: int                    # of the transfer, the same at its beginning and its end
+    number: int                    # the transfer's, the same at its beginning and its end
     setup: bytes
     data: bytes
     size: int

@@ -46,7 +46,7 @@ STAMP_END = 1 << 63                 # ns: 292 years; longer than any time since 
 BAUD_LIMIT = 100_000_000
 LATENCY_LIMIT_MS = 10_000
 BUSES_LIMIT = 256
-DIGITS_LIMIT = 18                   # of the value of a change
+DIGITS_LIMIT = 18                   # in the value of a change
 LINE_LIMIT = 1 << 20                # bytes: many times the longest line that is ever written
 _SHOWN = 60                         # characters of a bad line in a message
 

@@ -60,7 +60,7 @@ class Recorder:
         self._make_room()
         self._file = open_new(path, waits=False)
         if not os.path.isfile(path):
-            self._size = sys.maxsize            # a pipe has no elders
+            self._size = sys.maxsize            # a pipe has no older files
         self._writer = Writer(self._file, now())
         self._thread = threading.Thread(target=self._run, name='recorder', daemon=True)
 
@@ -139,6 +139,6 @@ class Recorder:
             return
         check_new(self.path)
         for number in range(self._kept, 0, -1):
-            elder = self.path if number == 1 else f'{self.path}.{number - 1}'
+            newer = self.path if number == 1 else f'{self.path}.{number - 1}'
             with suppress(FileNotFoundError):
-                os.replace(elder, f'{self.path}.{number}')
+                os.replace(newer, f'{self.path}.{number}')

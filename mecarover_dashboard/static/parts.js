@@ -45,7 +45,7 @@ export function showFinding(item, [rule, message, severity], old = '') {
   say(item.children[2], old ? `${message} (${old})` : message);
 }
 
-/** 'at 14:02:11, no report since' of a row that nobody reports any more; '' of others. */
+/** 'at 14:02:11, no report since' of a row that is no longer reported; '' of others. */
 export const wasTrue = (row, store) => isQuiet(row)
   ? `at ${clock(store.wall(row.quiet_since))}, no report since` : '';
 

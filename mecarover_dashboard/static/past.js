@@ -18,7 +18,7 @@ const LEAST_S = 60;
 export class Past {
   #plots = new Map();
   #asked = -Infinity;          // when, s of the page
-  #answer = 0;                 // of which question the answer is awaited
+  #answer = 0;                 // number of the question that is not answered yet
 
   /**
    * of: the name of a device or bus, null for the events of all; from and to: Unix s, or to = null

@@ -36,12 +36,12 @@ export class Store {
   buses = new Map();
   bridge = new Map();
   timing = new Map();
-  values = new Map();        // of devices, where asked for: [temperature, voltage, load, unit]
+  values = new Map();        // device: [temperature, voltage, load, unit], where asked for
   facts = null;
   topics = {};
   publishers = {};
-  robot = null;              // whose rows are shown; null: of all
-  table = null;              // of the device looked at: {name, facts, fields, latency, history}
+  robot = null;              // the robot that is shown; null: all of them
+  table = null;              // the device looked at: {name, facts, fields, latency, history}
   #offset = 0;
   #wall = 0;                 // Unix time where the server's clock is 0
   #groups = null;

@@ -59,7 +59,7 @@ THERE: tuple[Scene, ...] = (
           ear=BUSY),
     Scene('cable behind 3, sdk gives up at the gap', SDK, _of(4, 'sync_read_stops'),
           (f.dead(4, 5, 6),), (*_weak(4), ('broken_cable', 4)), devices=CHAIN,
-          why='nobody asks those behind it, so a cable cannot be told from a dead servo'),
+          why='none of those behind it is asked, so a cable cannot be told from a dead servo'),
     Scene('loose plug, sdk', SDK, _of(3, 'missed_answers'), (f.loose(3, 0.1),), _weak(3)),
     Scene('loose plug, fast reads', DHI, _of(3, 'missed_answers'), (f.loose(3, 0.1),), _weak(3)),
     Scene('loose plug, fast reads from the middle', MID, _of(3, 'missed_answers'),

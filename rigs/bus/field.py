@@ -74,7 +74,7 @@ PLAYED: tuple[Scene, ...] = (
     Scene('T11 adapter with a bad contact, one servo', m.beginner,
           _of('all_silent') + _of('no_answer', ids=(12,)), (f.since(0.0),), ids=(12,),
           absent=(12,)),
-    Scene('T13 overload that nobody clears', partial(ROBOT, rate=46.0),
+    Scene('T13 overload that is not cleared', partial(ROBOT, rate=46.0),
           _of('hardware_error', ids=(17,)), (f.latched(17),), _of('torque_off', ids=(17,)),
           ids=NINE, model='XL330-M288'),
     Scene('T14 7.4 V servo on 12 V', partial(m.poller, ping=True),

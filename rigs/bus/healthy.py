@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Healthy buses: nobody may be accused of anything."""
+"""Healthy buses: no device may be accused."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class Port:
         self._sent = 0                 # when the output queue is empty
         self._held = bytearray()
         self._program: Program | None = None
-        self._epoch = 0                # of the wait that is under way
+        self._epoch = 0                # number of the wait that is under way
         self._is_listening = False
         wire.listeners.append(self._hear)
 

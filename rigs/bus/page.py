@@ -41,7 +41,7 @@ made to switch the torque on, as it must for a restart to show."""
 
 
 def results(names: Sequence[str] = ()) -> list[Result]:
-    """Run all scenes, or those whose name has one of these words; on all processors."""
+    """Run all scenes, or those with one of these words in their name; on all processors."""
     chosen = [number for number, scene in enumerate(SCENES)
               if not names or any(name in scene.name for name in names)]
     with ProcessPoolExecutor(os.cpu_count()) as pool:

@@ -35,11 +35,11 @@ class Scene(NamedTuple):
     delay: int = 0                 # Return Delay Time, 2 us units
     in_line: bool = True           # in a Sync Read they wait for the one before
     spares: tuple[int, ...] = ()   # servos that are there and are not in `ids`
-    absent: tuple[int, ...] = ()   # of `ids`: no such servo
+    absent: tuple[int, ...] = ()   # IDs in `ids` without a servo
     baud: int = 1_000_000
     ear: ear.Kind = ear.FULL_SPEED
     devices: tuple[str, ...] = ()  # the monitor's parameter
-    latency_ms: float = 0.2        # of the master's adapter
+    latency_ms: float = 0.2        # the master's adapter
     wait_ms: float = 34.0
     stuffs: bool = True
     why: str = ''                  # where the expectation needs a word

@@ -22,7 +22,7 @@ from rigs.bus.wire import Wire
 
 US = 1_000
 BAUD_CODES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-SIZE = 661                         # of the control table
+SIZE = 661                         # bytes of the control table
 EEPROM = range(7, 64)
 # Register: address and bytes (control table of XL430-W250 and XM430-W350).
 ID, BAUD, DELAY, MODE, MAX_HEAT, MAX_VOLTS, MIN_VOLTS = 7, 8, 9, 11, 31, 32, 34
@@ -50,7 +50,7 @@ class _Turn(NamedTuple):
     accesses: list[tuple[int, int, int]]
     mine: int                      # which of them
     is_fast: bool
-    heard: bytes                   # of a fast reply so far
+    heard: bytes                   # a fast reply so far
 
 
 class Servo:

@@ -17,7 +17,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 S = 1_000_000_000
-BITS = 10                          # of a byte on the line: start, 8 data, stop
+BITS = 10                          # a byte on the line: start, 8 data, stop
 
 
 class Clock:
@@ -70,7 +70,7 @@ Spoil = Callable[[int, str, bytes], bytes]     # (now, talker, bytes) to the byt
 
 
 class Wire:
-    """The line. Talkers call talk(); listeners are told of whatever ends."""
+    """The line. Talkers call talk(); listeners are told when a packet ends."""
 
     def __init__(self, clock: Clock, baud: int) -> None:
         self.clock = clock
@@ -78,7 +78,7 @@ class Wire:
         self.byte_ns = BITS * S / baud
         self.listeners: list[Callable[[Heard], None]] = []
         self.spoilers: list[Spoil] = []
-        self._open: list[Talk] = []            # of one collision, or the one that talks
+        self._open: list[Talk] = []            # those in one collision, or the one that talks
         self._talking = 0
 
     def talk(self, who: str, data: bytes, baud: int = 0) -> int:

@@ -25,7 +25,7 @@ PYTHON = '3.11'                     # what this suite has: its wheels are fetche
 PACKAGES = ('systemd-sysv', 'udev', 'dbus', 'linux-image-amd64', 'initramfs-tools', 'python3',
             'python3-venv', 'sudo', 'procps', 'kmod', 'psmisc', 'login', 'qemu-guest-agent',
             'usbutils')
-EXTRAS = ('ros', 'dashboard')       # of setup.py, beside what it always installs
+EXTRAS = ('ros', 'dashboard')       # extras of setup.py
 ALSO = ('setuptools', 'wheel', 'dynamixel-sdk')
 SOURCES_ONLY = ('empy<4',)          # ROS 2 wants it, and it has no wheel
 GLIBC = (36, 35, 34, 31, 28, 27, 24, 17, 12, 5)         # wheels for these run there
@@ -122,7 +122,7 @@ def _build(work: Path, made: Path) -> None:
     _do('mmdebstrap', '--quiet', '--variant=minbase', f'--include={",".join(PACKAGES)}',
         f'--customize-hook=copy-in {shlex.quote(str(wheels))} /opt',
         f'--customize-hook=chroot "$1" sh < {shlex.quote(str(settle))}', SUITE, str(tar))
-    # mke2fs takes a folder, whose owners only root or fakeroot can set.
+    # mke2fs takes a folder; only root or fakeroot can set the owners in it.
     root = work / 'root'
     root.mkdir()
     disk = made / 'disk'

@@ -25,7 +25,7 @@ from msg_defs.reports import Level
 
 S = 1_000_000_000
 REPORT_NS = S // 2
-TRAFFIC_S, SILENCE_S = 10.0, 5.0   # of a live source, where --seconds does not say else
+TRAFFIC_S, SILENCE_S = 10.0, 5.0   # for a live source without --seconds
 _PAUSE_NS = 12 * S                 # a longer pause of a file is passed over: all is forgotten then
 
 

@@ -23,7 +23,7 @@ from dxl_monitor.record.capture import Writer
 
 SECONDS = 30
 SIZE_LIMIT = 1_500_000             # bytes of the bus; as text in a report about half of that
-BLOCK_SIZE = 200_000               # of text that is packed at once: damage costs one block
+BLOCK_SIZE = 200_000               # text that is packed at once: damage costs one block
 _HALF_NS = SECONDS * 500_000_000
 _COLUMNS = 100
 

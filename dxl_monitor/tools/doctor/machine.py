@@ -46,7 +46,7 @@ def device(source: str) -> str:
 
 
 def plain_name(source: str, is_program: bool) -> str:
-    """Return what a source is without saying whose: no path, serial number or command line."""
+    """Return the kind of a source, without path, serial number or command line."""
     if is_program:
         return 'a program that was run'
     port = device(source)

@@ -67,7 +67,7 @@ class Program:
     def _chunk(self, told: Told) -> Chunk | None:
         if told.kind == OPENED and told.port not in self.ports:
             self.ports.append(told.port)
-        bus = ntpath.basename(told.port)           # of either kind of path
+        bus = ntpath.basename(told.port)           # works for both kinds of path
         if told.side:
             return Chunk(told.stamp, bus, told.data, told.side)
         if told.change is None or not bus:

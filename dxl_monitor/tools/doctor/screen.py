@@ -22,7 +22,7 @@ from dxl_monitor.tools.dump.lines import paint
 from dxl_monitor.tools.dump.screen import COLOURS
 from msg_defs.reports import Level
 
-WIDTH, HEIGHT = 80, 23             # of the 24 lines one is the shell's
+WIDTH, HEIGHT = 80, 23             # the shell takes one of the 24 lines
 IN_FULL = 3                        # findings
 _HEARD_LINES = 5
 _UNKNOWN_LINES = 3
