@@ -118,7 +118,7 @@ class Board:
 def _heard(section: str, status: RawStatus, now_s: float) -> Heard:
     node, what = rows.split(status)
     row = rows.row(section, status)
-    return Heard(section, node, row['robot'], what, Level(row['level']), status.message, now_s)
+    return Heard(section, node, row['robot'], what, Level(row['level']), row['message'], now_s)
 
 
 def _one_per_bridge(heard: list[Heard]) -> list[Heard]:

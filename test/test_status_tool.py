@@ -45,6 +45,15 @@ def test_a_sick_device_has_a_line_and_an_exit_code(group, code, level):
     assert board.code(100.0) == code
 
 
+def test_a_device_whose_registers_nobody_can_name_says_so():
+    board = Board()
+    board.take(serialise([Status('dxl_monitor: 001', Level.OK, 'connected', '1', [
+        ('Model', 'unknown'), ('Firmware Version', 'unknown'), ('State', 'connected')])]), 1.0)
+    [line] = board.lines(1.0)
+    assert line.level is Level.WARN
+    assert line.message.startswith('model unknown, its registers cannot be read; name it in')
+
+
 def test_robots_are_told_apart_and_a_namespace_has_its_own():
     robots = [SyntheticRobot(namespace=f'rover{number}') for number in (1, 2)]
     robots[1].lost = {7}
