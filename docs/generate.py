@@ -120,6 +120,7 @@ BUS = {
     'Baud (bit/s)': '',
     'Protocol': 'what was heard: Dynamixel 2.0, Dynamixel 1.0, Feetech (docs/dialects.md)',
     'Devices': 'all that are known or expected; a line per state follows',
+    'Models': 'IDs, model and model number: `001-018 MX-106 (321), 019 unknown`',
     'Bytes': 'received since start or reset: the sum of the next three',
     'Packet Bytes': '',
     'Noise Bytes': 'bytes that belong to no packet',

@@ -81,6 +81,7 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
         ('Protocol', report.protocol or 'not known yet'),
         ('Devices', str(len(report.devices))),
         *((f'Devices {state}', str(count)) for state, count in sorted(by_state.items())),
+        *_models(report.devices),
         *((name, str(count)) for name, count in report.counters.items()),
         *numbers((f'{name} (1/s)', rate) for name, rate in report.rates.items()),
         *port.values,
@@ -91,6 +92,22 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
         values += _running(report) + _errors(report)
     return Status(status_name(node, f'bus {bus}'.strip()), level, message,
                   hardware_id(node, bus or port.port), values)
+
+
+def _models(devices: Iterable[DeviceReport]) -> list[tuple[str, str]]:
+    """Spell who is on the bus: IDs, model and model number, '001-018 MX-106 (321), 019 ...'."""
+    spans: list[tuple[int, int, str]] = []
+    for device in devices:
+        name = device.model_name
+        if device.model_number is not None and not name.startswith('unknown'):
+            name += f' ({device.model_number})'
+        if spans and spans[-1][1:] == (device.id - 1, name):
+            spans[-1] = (spans[-1][0], device.id, name)
+        else:
+            spans.append((device.id, device.id, name))
+    text = ', '.join((f'{first:03} ' if first == last else f'{first:03}-{last:03} ') + name
+                     for first, last, name in spans)
+    return [('Models', text)] if text else []
 
 
 def _latency(device: DeviceReport) -> list[tuple[str, str]]:

@@ -84,6 +84,18 @@ def test_behind_a_closed_port_devices_are_not_called_unasked():
     assert device_status('dxl_monitor', '', lost, (), False, False).message == lost.message
 
 
+def test_the_bus_tells_model_and_number_of_its_devices():
+    listed = (Expected(1, 'MX-64'), *(Expected(number, 'MX-106') for number in range(3, 7)),
+              Expected(7), Expected(8))
+    report = Monitor('arm', Models(), Settings(devices=listed)).report(0)
+    heard = list(report.devices)
+    heard[-1] = heard[-1]._replace(model_name='unknown (4711)', model_number=4711)
+    values = dict(bus_status('dxl_monitor', '', report._replace(devices=tuple(heard)),
+                             PortState('port', '', ()), False).values)
+    assert values['Models'] == (
+        '001 MX-64 (311), 003-006 MX-106 (321), 007 unknown, 008 unknown (4711)')
+
+
 def test_errors_can_be_dated():
     report = REPORT._replace(stamp=20_000_000_000, started=5_000_000_000,
                              errors=(Error(12_500_000_000, '003: no answer'),))
