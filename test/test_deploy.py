@@ -219,10 +219,12 @@ def test_the_command_line_survives_systemd(robot, tmp_path):
     node.write_text('#!/bin/sh\necho "$SOURCED $*"\n')
     robot.install()
     [command] = re.findall('^ExecStart=(.*)$', robot.read('etc/systemd/system/' + UNITS[0]), re.M)
-    done = subprocess.run(['bash', '-c', command.replace('$$', '$')], capture_output=True,
-                          text=True)
-    assert done.stdout == ('yes --ros-args -p disabled_file:=%S/mecarover_serial/bridge_disabled '
-                           '--params-file /etc/mecarover_serial/bridge.yaml\n')
+    said = 'yes --ros-args -p disabled_file:=%S/mecarover_serial/bridge_disabled ' \
+        '--params-file /etc/mecarover_serial/bridge.yaml'
+    for more in ('', ' --enclave /vel2d_bridge'):
+        done = subprocess.run(['bash', '-c', command.replace('$$', '$')], capture_output=True,
+                              text=True, env={**os.environ, 'VEL2D_BRIDGE_ROS_ARGS': more})
+        assert done.stdout == f'{said}{more}\n'
 
 
 @pytest.mark.parametrize('unit', UNITS)

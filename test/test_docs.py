@@ -231,6 +231,21 @@ def test_policy_allows_every_timing_topic(node, prefix):
     assert {topic for topic in publish if '/timing/' in topic} == timing
 
 
+def running(graph, node, complete):
+    """Return what a node publishes, subscribes and serves, once that is `complete`."""
+    me = graph.node
+
+    def used():
+        return tuple({name for name, _ in ask(node, '/')} for ask in (
+            me.get_publisher_names_and_types_by_node,
+            me.get_subscriber_names_and_types_by_node,
+            me.get_service_names_and_types_by_node))
+
+    wait(lambda: node in me.get_node_names())
+    wait(lambda: complete(used()))
+    return used()
+
+
 @pytest.mark.ros
 @pytest.mark.parametrize('node, link, fake', [
     ('vel2d_bridge', 'port', ('vel2d_bridge.fake_mcu',)),
@@ -243,20 +258,23 @@ def test_policy_allows_what_a_running_node_uses_and_little_more(
         '/vel2d/timing/stamp_age_ms', '/dxl/joint_states', '/clock'}
     with Program(*fake, '--link', str(tmp_path / 'port')), \
             Program(f'{node}.main', '--ros-args', '-p', f'{link}:={tmp_path}/port'):
-        me = graph.node
-
-        def used():
-            return [{name for name, _ in ask(node, '/')} for ask in (
-                me.get_publisher_names_and_types_by_node,
-                me.get_subscriber_names_and_types_by_node,
-                me.get_service_names_and_types_by_node)]
-
-        wait(lambda: node in me.get_node_names())
-        wait(lambda: publish - optional <= used()[0])
-        used_publish, used_subscribe, used_reply = used()
+        used_publish, used_subscribe, used_reply = running(
+            graph, node, lambda used: publish - optional <= used[0])
     assert used_publish <= publish
     assert used_subscribe | optional >= subscribe >= used_subscribe
     assert used_reply == reply
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('node, program', [
+    ('dxl_dashboard', ('mecarover_dashboard.main', '--port', '0')),
+    ('mecarover_status', ('mecarover_dashboard.terminal',))])
+def test_policy_allows_what_a_running_listener_uses(graph, node, program):
+    publish, subscribe, reply = policy(node)
+    with Program(*program):
+        allowed = publish, subscribe - {'/clock'}, reply
+        assert running(graph, node, lambda used: all(
+            map(set.issuperset, used, allowed))) == allowed
 
 
 def test_scripts_docs_builds_without_a_warning(tmp_path):
