@@ -13,12 +13,15 @@ import os
 from pathlib import Path
 import random
 import re
+import signal
 import socket
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
 import zipfile
 
+from harness import Program
+from harness import wait
 import pytest
 
 from dxl_monitor.doctor import RULES
@@ -45,6 +48,7 @@ from dxl_monitor.tools.doctor.verdict import NOTHING_HEARD
 from dxl_monitor.tools.doctor.verdict import verdict
 from dxl_monitor.tools.doctor.verdict import WARNING
 from dxl_monitor.tools.doctor.verdict import WELL
+from mecarover_serial.pty import Pty
 from msg_defs.uart import byte_ns
 
 ROOT = Path(__file__).parents[1]
@@ -198,6 +202,17 @@ def test_a_mistake_is_one_line(arguments, code, words):
     assert done.stderr.count('\n') == 1
     assert done.stderr.startswith('dxl_doctor: ')
     assert words in done.stderr
+
+
+def test_a_port_that_is_lost_is_told_by_the_doctor(tmp_path):
+    link = tmp_path / 'bus'
+    with Pty(str(link)) as pty:
+        pty.let_go()
+        tool = Program(DOCTOR, str(link), '--baud', '1000000', '--seconds', '60')
+        wait(lambda: pty.is_open)
+    with tool:
+        tool.wait_for(f'dxl_doctor: {link}: lost')
+        tool.signal(signal.SIGTERM)
 
 
 DIALOGUE = """

@@ -368,7 +368,7 @@ def test_file_without_an_adapter(tmp_path):
     file = tmp_path / 'none.pcap'
     file.write_bytes(pcap(MMAPPED, b''))
     with pytest.raises(UsageError, match='no serial adapter is in it'):
-        open_source(str(file), None)
+        open_source('dxl_dump', str(file), None)
 
 
 @pytest.mark.parametrize('family', FAMILIES)

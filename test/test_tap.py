@@ -292,6 +292,23 @@ def test_folder_that_others_can_write_to_is_refused():
         TapReader('robot')
 
 
+@pytest.mark.parametrize(('place', 'words'), [
+    ('x' * 100, 'the path of a socket cannot be so long; set XDG_RUNTIME_DIR to a shorter one'),
+    ('file', 'Not a directory; set XDG_RUNTIME_DIR to a folder of yours')])
+@pytest.mark.parametrize('command', [
+    ('dump.main', 'tap:robot'), ('doctor.main', 'tap:robot')], ids=('dump', 'doctor'))
+def test_a_place_for_no_socket_is_told_with_its_remedy(tmp_path, place, words, command):
+    (tmp_path / 'file').touch()
+    done = subprocess.run(
+        [sys.executable, '-m', f'dxl_monitor.tools.{command[0]}', *command[1:]], cwd=ROOT,
+        env={**os.environ, 'XDG_RUNTIME_DIR': str(tmp_path / place)},
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (1, '')
+    [line] = done.stderr.splitlines()
+    assert line.startswith(f'dxl_{command[0].partition(".")[0]}: tap:robot: {tmp_path}/')
+    assert words in line
+
+
 def test_what_the_program_sees_stays_as_it_is():
     script = """
         import serial

@@ -44,7 +44,7 @@ class TapListener(Listener):
         if problem:
             raise PortError(self.port, Reason('other', problem, 'write tap:NAME or tap:NAME/PORT'))
         self._heard_port = ''
-        with TapReader(name, self._wake_read) as reader:
+        with self._reader(name) as reader:
             self._openings += 1
             self._say_waiting(name)
             last = time.monotonic_ns()
@@ -57,6 +57,15 @@ class TapListener(Listener):
                     last = told[-1].stamp
                 elif now - last > self.idle_s * 1e9 + HOLD_S * 1e9:
                     self._idle(now - int(HOLD_S * 1e9))
+
+    def _reader(self, name: str) -> TapReader:
+        try:
+            return TapReader(name, self._wake_read)
+        except OSError as error:
+            reason, _, remedy = (error.strerror or str(error)).partition('; ')
+            raise PortError(self.port, Reason(
+                'other', f'{error.filename}: {reason}',
+                remedy or 'set XDG_RUNTIME_DIR to a folder of yours')) from error
 
     def _say_waiting(self, name: str) -> None:
         self.state = ListenerState(True, '', f'{self.port}: listening; start the program with '

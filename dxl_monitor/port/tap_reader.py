@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
+import errno
 import heapq
 import json
 import os
@@ -39,6 +40,8 @@ _CHANGES = {sent.BAUD: BAUD, sent.PURGED: PURGED, sent.NOT_SENT: NOT_SENT, sent.
             sent.CLOSED: CLOSED}
 _NAME_LIMIT = 40                           # the path of a Unix socket has 107 characters
 _READ_SIZE = 1 << 16
+TOO_LONG = ('the path of a socket cannot be so long; '
+            'set XDG_RUNTIME_DIR to a shorter one, for the program too')
 
 
 class Told(NamedTuple):
@@ -142,7 +145,13 @@ class TapReader:
     def _listen(self) -> socket.socket:
         if hasattr(socket, 'AF_UNIX'):
             listener = socket.socket(socket.AF_UNIX)
-            listener.bind(self._path)
+            try:
+                listener.bind(self._path)
+            except OSError as error:
+                listener.close()
+                if error.errno is not None:
+                    raise
+                raise OSError(errno.ENAMETOOLONG, TOO_LONG, self._path) from error
         else:
             listener = socket.socket(socket.AF_INET)
             listener.bind(('127.0.0.1', 0))

@@ -30,9 +30,10 @@ class LivePort(Source):
 
     is_live = True
 
-    def __init__(self, name: str, baud: int | None) -> None:
+    def __init__(self, name: str, baud: int | None, tool: str) -> None:
         super().__init__()
         self.began = moment()
+        self._tool = tool                              # who says what happens to the port
         self._bus = bus_name(name)
         self._overrides = baud is not None             # what the source says of the rate
         baud = rate_of(name, baud)
@@ -48,7 +49,7 @@ class LivePort(Source):
             self._listener.stop()
             raise ConnectionError(words)
         if has_sides(name) and sys.stderr.isatty():    # what is heard, or waited for
-            print(f'dxl_dump: {self._listener.state.text}', file=sys.stderr)
+            print(f'{tool}: {self._listener.state.text}', file=sys.stderr)
         self.wires[self._bus] = Wire(self._bus, baud, self._listener.latency_timer_ms or 0, name)
 
     def _take(self, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
@@ -86,5 +87,5 @@ class LivePort(Source):
     def _tell_state(self) -> None:
         words = '' if self._listener.state.is_open else self._listener.state.text
         if words != self._words:
-            print(f'dxl_dump: {words or "the port is open again"}', file=sys.stderr)
+            print(f'{self._tool}: {words or "the port is open again"}', file=sys.stderr)
             self._words = words

@@ -31,12 +31,13 @@ _PACKED = {b'\x1f\x8b\x08': 'gzip', b'\xfd7zXZ': 'xz', b'\x28\xb5\x2f\xfd': 'zst
            b'BZh': 'bzip2', b'PK\x03\x04': 'zip'}
 
 
-def open_source(name: str, baud: int | None, adapter: str | None = None) -> Source:
+def open_source(tool: str, name: str, baud: int | None, adapter: str | None = None) -> Source:
     """
     Return the source of this name, open; raise PortError, OSError or UsageError.
 
-    baud: overrides what the source says; None for what it says, or else 2 MBd. adapter: which one
-    in a file of USB events, needed where it holds several.
+    tool: who says on stderr what happens to a port. baud: overrides what the source says; None
+    for what it says, or else 2 MBd. adapter: which one in a file of USB events, needed where it
+    holds several.
     """
     if name == '-':
         if sys.stdin.isatty():
@@ -45,7 +46,7 @@ def open_source(name: str, baud: int | None, adapter: str | None = None) -> Sour
     if is_live(name) or _is_device(name):
         from dxl_monitor.record.live import LivePort  # needs fcntl, and files do not
 
-        return LivePort(name, baud)
+        return LivePort(name, baud, tool)
     return open_file(name, baud, adapter)
 
 

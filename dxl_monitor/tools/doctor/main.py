@@ -124,7 +124,7 @@ def _check(options: argparse.Namespace, command: Sequence[str]) -> None:
 
 def _open(options: argparse.Namespace, command: Sequence[str]) -> Source | Program:
     return Program(command) if command else open_source(
-        options.source, options.baud, options.adapter)
+        'dxl_doctor', options.source, options.baud, options.adapter)
 
 
 def _listen(source: Source | Program, examination: Examination, limit_s: float | None) -> float:

@@ -61,7 +61,8 @@ class Session:
                 raise UsageError(f'--devices {text!r}: control codes; give plain text')
         self._models = load_models(options.model_dirs)
         check_models(parse_all(text.rpartition('/')[2] for text in options.devices), self._models)
-        self._source = open_source(options.source, options.baud, options.adapter)
+        self._source = open_source('dxl_dump', options.source, options.baud,
+                                   options.adapter)
         self._file = _output(options)
         self._writer: Writer | None = None
         self._monitors: dict[str, Monitor] = {}
