@@ -9,12 +9,14 @@ package under test is not in it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 import hashlib
 from importlib import metadata
 import os
 from pathlib import Path
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -30,6 +32,7 @@ ALSO = ('setuptools', 'wheel', 'dynamixel-sdk')
 SOURCES_ONLY = ('empy<4',)          # ROS 2 wants it, and it has no wheel
 GLIBC = (36, 35, 34, 31, 28, 27, 24, 17, 12, 5)         # wheels for these run there
 SIZE = '4G'
+END_S = 20.0
 KEYRING = Path('/usr/share/keyrings/debian-archive-keyring.gpg')
 TOOLS = {'qemu-system-x86_64': 'qemu-system-x86', 'mmdebstrap': 'mmdebstrap',
          'mke2fs': 'e2fsprogs', 'fakeroot': 'fakeroot'}
@@ -146,24 +149,25 @@ def _fetch(wheels: Path) -> None:
 
 
 def _do(*command: str) -> None:
+    """Run it in a process group of its own, and end the whole group when this is ended."""
     path = f'{os.environ["PATH"]}:/usr/sbin:/sbin'
-    try:
-        subprocess.run(command, check=True, env={**os.environ, 'PATH': path})
-    except subprocess.CalledProcessError as error:
+    with subprocess.Popen(command, env={**os.environ, 'PATH': path},
+                          start_new_session=True) as process:
+        try:
+            code = process.wait()
+        except BaseException:
+            _end(process)
+            raise
+    if code:
         what: Sequence[str] = command[:1] if command[0] != sys.executable else ('pip',)
-        raise Missing(f'{" ".join(what)} ended with {error.returncode}; the lines above say why. '
-                      'Building the guest needs a network') from error
+        raise Missing(f'{" ".join(what)} ended with {code}; the lines above say why. '
+                      'Building the guest needs a network')
 
 
-def main() -> int:
-    """Build it if there is none; what is missing is one line."""
-    try:
-        print(f'test-drivers: the guest is {image().disk.parent}')
-    except Missing as error:
-        print(f'test-drivers: {error}', file=sys.stderr)
-        return 1
-    return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a group: mmdebstrap unmounts and removes what it made when it is asked to end."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(END_S)
