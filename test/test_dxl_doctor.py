@@ -49,7 +49,9 @@ from dxl_monitor.tools.doctor.verdict import verdict
 from dxl_monitor.tools.doctor.verdict import WARNING
 from dxl_monitor.tools.doctor.verdict import WELL
 from mecarover_serial.pty import Pty
+from msg_defs import dxl1_packet
 from msg_defs.uart import byte_ns
+from msg_defs.uart import heard_at
 
 ROOT = Path(__file__).parents[1]
 DOCTOR = 'dxl_monitor.tools.doctor.main'
@@ -131,6 +133,24 @@ def test_bytes_without_a_packet_are_no_silence():
     found = said([Chunk(SECOND + number * SECOND // 10, 'bus', noise) for number in range(9)], ())
     assert found.code in (WARNING, ERROR)
     assert found.quiet == ()
+
+
+def test_a_remedy_names_what_a_person_types_here():
+    slow = [Chunk(chunk.stamp, 'bus', heard_at(chunk.data, 2.0)) for chunk in heard()]
+    found = said(slow, (), wire=Wire('bus', BAUD // 2))
+    assert [entry.rule for entry in found.wrong] == ['wrong_baud']
+    assert 'set -b to' in found.wrong[0].message
+    unknown = said(heard(devices=('1-2',)), ())
+    assert not any('`' in text for text in unknown.unknown)
+
+
+def test_the_protocol_is_on_the_screen():
+    assert 'Heard, Dynamixel 2.0:' in screen(said(heard()))
+    asked = dxl1_packet.encode(1, 2, b'\x38\x02')
+    answer = dxl1_packet.encode(1, 0, b'\x00\x08')
+    chunks = [Chunk(SECOND + turn * 20_000_000 + late, 'bus', packet) for turn in range(100)
+              for late, packet in ((0, asked), (500_000, answer))]
+    assert 'Heard, Feetech:' in screen(said(chunks, ()))
 
 
 def test_without_times_nothing_is_said_of_times():

@@ -100,7 +100,8 @@ def _paragraph(text: str) -> list[str]:
 def page() -> str:
     """Return docs/errors.md."""
     text = ['# What programs print, and what it means on the wire', '', *_filled(
-        'The texts are word for word, so that a search finds them. `dxl_doctor --explain "TEXT"` '
+        'The texts are word for word, so that a search finds them; each was compared with the '
+        'source of the program that prints it. `dxl_doctor --explain "TEXT"` '
         'prints the same in a terminal, and `dxl_doctor run -- COMMAND` listens and says which '
         'cause it is ([dxl_doctor](dxl_doctor.md)).')]
     for one in explanations():

@@ -150,7 +150,8 @@ def _verdict(stored: dict[str, Any]) -> Verdict | None:
                   for who, what, level in said['heard'][:_LIST_LIMIT]),
             tuple(Entry(Level(level), _text(who), _text(rule), _text(message), _text(evidence))
                   for level, who, rule, message, evidence in said['wrong'][:_LIST_LIMIT]),
-            tuple(_texts(said['unknown'])), tuple(_texts(said['quiet'])))
+            tuple(_texts(said['unknown'])), tuple(_texts(said['quiet'])),
+            _text(said.get('protocol', '')))
     except (KeyError, TypeError, ValueError):
         return None
 

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 import textwrap
 
 from dxl_monitor.tools.doctor.verdict import Entry
-from dxl_monitor.tools.doctor.verdict import Heard
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.dump.lines import BOLD
 from dxl_monitor.tools.dump.lines import fit
@@ -39,7 +38,7 @@ def screen(said: Verdict, colours: bool = False, width: int = WIDTH,
     unknown = _unknown(said.unknown, width)
     room = height - len(head) - len(wrong) - 3
     unknown = unknown[:max(0, room - 1)] if room > 3 else []
-    heard = _heard(said.heard, width, max(1, min(_HEARD_LINES, room - len(unknown))))
+    heard = _heard(said, width, max(1, min(_HEARD_LINES, room - len(unknown))))
     return [*head, '', *heard, '', *wrong, *unknown]
 
 
@@ -48,15 +47,16 @@ def _head(said: Verdict, width: int) -> str:
     return fit(fit(f'dxl_doctor  {said.source}', max(20, width - len(facts))) + facts, width)
 
 
-def _heard(heard: Sequence[Heard], width: int, most: int) -> list[str]:
-    if not heard:
-        return ['Heard: no device']
+def _heard(said: Verdict, width: int, most: int) -> list[str]:
+    heard = f'Heard, {said.protocol}:' if said.protocol else 'Heard:'
+    if not said.heard:
+        return [f'{heard} no device']
     lines = [fit(f'  {one.who}  {one.what}', width)
-             for one in sorted(heard, key=lambda one: one.level in (Level.OK, Level.STALE))]
+             for one in sorted(said.heard, key=lambda one: one.level in (Level.OK, Level.STALE))]
     if len(lines) > most:
         cut = max(0, most - 1)
         lines = [*lines[:cut], f'  and {len(lines) - cut} lines more: --json lists all']
-    return ['Heard:', *lines]
+    return [fit(heard, width), *lines]
 
 
 def _wrong(entries: Sequence[Entry], colours: bool, width: int) -> list[str]:

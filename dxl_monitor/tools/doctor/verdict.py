@@ -19,6 +19,8 @@ from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor import timing
 from dxl_monitor.tools.doctor.course import Course
 from dxl_monitor.tools.doctor.course import Told
+from dxl_monitor.tools.options import for_tools
+from dxl_monitor.tools.options import report_for_tools
 from mecarover_serial.cli import printable
 from msg_defs.reports import Level
 
@@ -59,6 +61,7 @@ class Verdict(NamedTuple):
     wrong: tuple[Entry, ...]
     unknown: tuple[str, ...]
     quiet: tuple[str, ...]
+    protocol: str = ''             # what the buses speak, in words; '' unheard
 
     @property
     def code(self) -> int:
@@ -78,8 +81,10 @@ class Bus(NamedTuple):
     @classmethod
     def of(cls, name: str, report: BusReport, course: Course, is_timed: bool) -> Bus:
         """Return what is told of a bus; without times nothing is that needs them."""
-        return cls(name, report, tuple(one for one in course.told()
-                                       if is_timed or one.finding.rule not in _NEEDS_TIMES))
+        told = tuple(one._replace(finding=one.finding._replace(
+            message=for_tools(one.finding.message))) for one in course.told()
+            if is_timed or one.finding.rule not in _NEEDS_TIMES)
+        return cls(name, report_for_tools(report), told)
 
     def who(self, number: int | None) -> str:
         """Return a device as a person knows it: '003 left_knee, MX-64'."""
@@ -104,7 +109,12 @@ def verdict(source: str, buses: Sequence[Bus], seconds: float, is_timed: bool,
     return Verdict(printable(source), _head(buses, seconds, is_timed),
                    tuple(one for bus in buses for one in _heard(bus)),
                    tuple(sorted(wrong, key=lambda entry: -entry.level)), tuple(unknown),
-                   tuple(quiet))
+                   tuple(quiet), _protocol(buses))
+
+
+def _protocol(buses: Sequence[Bus]) -> str:
+    said = {bus.report.protocol: None for bus in buses if bus.report.protocol}
+    return ' and '.join(said)
 
 
 def _head(buses: Sequence[Bus], seconds: float, is_timed: bool) -> tuple[str, ...]:
@@ -205,6 +215,7 @@ def as_json(said: Verdict, buses: Sequence[Bus], seconds: float) -> dict[str, An
         'nothing_heard': list(said.quiet), 'cannot_tell': list(said.unknown),
         'buses': [{
             'name': bus.report.name, 'baud': bus.report.baud,
+            'protocol': bus.report.protocol,
             'level': bus.report.level.name, 'message': bus.report.message,
             'counters': bus.report.counters,
             'devices': [_device_json(device) for device in bus.report.devices],
