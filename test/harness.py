@@ -4,6 +4,7 @@
 from contextlib import contextmanager
 from contextlib import suppress
 import importlib.util
+from itertools import dropwhile
 import os
 from pathlib import Path
 import resource
@@ -217,3 +218,16 @@ class Mcu(FakeMcu):
                   if point.stamp > stamp and not point.is_stop]
         return next(point.stamp for point in self.set_points
                     if point.stamp > max(moving, default=stamp)) - stamp
+
+    def wait_drive(self, stamp, x):
+        """
+        Wait until the wheels turn with `x` mm/s since a port was opened after `stamp`.
+
+        An opening begins with stops. What turns before them was sent earlier: wheels go on
+        turning while a cable is out, and by what a bridge has left in the line.
+        """
+        def drives():
+            since = list(dropwhile(lambda point: point.stamp <= stamp or not point.is_stop,
+                                   list(self.set_points)))
+            return bool(since) and since[-1].x == x
+        wait(drives)

@@ -53,6 +53,7 @@ def driving(ros, mcu, cmd_vel, output, deadman):
     """Start a bridge that drives, then block its output; yield process and publisher."""
     reader, writer, block = output()
     options = [f'port:={mcu.path}', f'deadman:={deadman}']
+    begin = time.monotonic_ns()
     process = subprocess.Popen(
         [sys.executable, '-m', 'vel2d_bridge.main', '--ros-args',
          *(part for option in options for part in ('-p', option))],
@@ -60,7 +61,7 @@ def driving(ros, mcu, cmd_vel, output, deadman):
     command = [ros.twist(0.3)]
     try:
         with ros.Teleop(cmd_vel, lambda: command[0], rate=50) as teleop:
-            wait(lambda: mcu.receiver.wheels.x == 300.0)
+            mcu.wait_drive(begin, 300.0)
             block()
             yield process, teleop, command
     finally:
@@ -82,7 +83,7 @@ def test_cable_lost_and_back_while_the_log_is_blocked(ros, mcu, cmd_vel, output,
         first = mcu.since(back, 1)[0]
         assert first.velocity == STOP
         assert (first.stamp - back) / 1e9 < 0.6 + LATE_S
-        wait(lambda: mcu.receiver.wheels.x == 300.0)
+        mcu.wait_drive(back, 300.0)
         end(process, teleop, command, ending, mcu)
 
 
