@@ -29,7 +29,7 @@ _NAMED = 5                     # lost devices in the message of a bus
 HARDWARE_ERROR = 'Hardware Error Status'
 
 
-class Limits(NamedTuple):
+class Thresholds(NamedTuple):
     """The parameters that a judgement depends on; warn_loss in %, times in s."""
 
     missed_limit: int
@@ -37,7 +37,7 @@ class Limits(NamedTuple):
     silent_after: float
 
 
-class Verdict(NamedTuple):
+class Assessment(NamedTuple):
     state: str
     level: Level
     message: str
@@ -50,32 +50,32 @@ class Snapshot(NamedTuple):
     table: Table
 
 
-def judge(device: Device, window: Counts, quiet_s: float, limits: Limits) -> Verdict:
+def judge(device: Device, window: Counts, quiet_s: float, limits: Thresholds) -> Assessment:
     """Return the state of a device from what happened on the wire alone."""
     if device.moved_to:
-        return Verdict(words.MOVED, Level.WARN, f'moved to {device.moved_to} by a write')
+        return Assessment(words.MOVED, Level.WARN, f'moved to {device.moved_to} by a write')
     if device.missed_in_a_row > limits.missed_limit:
-        return Verdict(words.DISCONNECTED, Level.ERROR,
-                       f'disconnected: {device.missed_in_a_row} answers missed')
+        return Assessment(words.DISCONNECTED, Level.ERROR,
+                          f'disconnected: {device.missed_in_a_row} answers missed')
     if not device.heard:
         return _never_heard(device)
     if device.waiting_behind is not None:
-        return Verdict(words.WAITING, Level.WARN,
-                       f'asked but not served: waiting behind {device.waiting_behind:03}')
+        return Assessment(words.WAITING, Level.WARN,
+                          f'asked but not served: waiting behind {device.waiting_behind:03}')
     if quiet_s > limits.silent_after:
-        return Verdict(words.SILENT, Level.STALE, f'silent: not asked for {quiet_s:.0f} s')
-    return Verdict(words.CONNECTED, *_degraded(device, window, limits))
+        return Assessment(words.SILENT, Level.STALE, f'silent: not asked for {quiet_s:.0f} s')
+    return Assessment(words.CONNECTED, *_degraded(device, window, limits))
 
 
-def _never_heard(device: Device) -> Verdict:
+def _never_heard(device: Device) -> Assessment:
     if device.expected:
-        return Verdict(words.EXPECTED, Level.ERROR, 'expected, but never heard')
+        return Assessment(words.EXPECTED, Level.ERROR, 'expected, but never heard')
     if device.missed_in_a_row or device.counts.not_served:
-        return Verdict(words.ASKED, Level.WARN, 'asked, but never heard')
-    return Verdict(words.ASKED, Level.STALE, 'addressed, but never asked and never heard')
+        return Assessment(words.ASKED, Level.WARN, 'asked, but never heard')
+    return Assessment(words.ASKED, Level.STALE, 'addressed, but never asked and never heard')
 
 
-def _degraded(device: Device, window: Counts, limits: Limits) -> tuple[Level, str]:
+def _degraded(device: Device, window: Counts, limits: Thresholds) -> tuple[Level, str]:
     if device.alert:
         return Level.WARN, 'alert: read Hardware Error Status'
     if window.loss * 100 > limits.warn_loss:
@@ -85,7 +85,7 @@ def _degraded(device: Device, window: Counts, limits: Limits) -> tuple[Level, st
     return Level.OK, 'connected'
 
 
-def snapshot(device: Device, now: int, quiet_s: float, limits: Limits) -> Snapshot:
+def snapshot(device: Device, now: int, quiet_s: float, limits: Thresholds) -> Snapshot:
     """
     Return all of a device that the table has no part in, and a copy of the table.
 

@@ -81,8 +81,8 @@ class Monitor:
         self.conversation = said = conversation or Conversation(models, settings)
         self._tracker, self._roster, self._evidence = said.tracker, said.roster, said.evidence
         self._line_errors: LineErrors | None = None    # told by the source beside the bytes
-        self._limits = assess.Limits(settings.missed_limit, settings.warn_loss,
-                                     settings.silent_after)
+        self._limits = assess.Thresholds(settings.missed_limit, settings.warn_loss,
+                                         settings.silent_after)
         self._idle_is_told = idle_is_told
         self._last = 0                         # stamp of the last chunk
         self._listened = 0                     # up to when all that came was fed, if told

@@ -6,7 +6,7 @@ from fuzz import reference
 from fuzz.framer import pieces
 from fuzz.script import Script
 from msg_defs.dxl1_packet import encode
-from msg_defs.dxl1_packet import Framer
+from msg_defs.dxl1_packet import Framer1
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl1_packet import MAX_FRAME
 from msg_defs.dxl1_packet import packet_of
@@ -57,7 +57,7 @@ def traffic(script):
 
 def feed(chunks, sent):
     """Return what is found in chunks and a flush; compare with the reference on the way."""
-    framer = Framer()
+    framer = Framer1()
     total = 0
     good = []
     damaged = []
@@ -88,7 +88,7 @@ def as_found(frame):
 
 def good_is_found_behind(stream):
     """Hold that a good packet is found, or lies in a frame that the sum takes for good."""
-    framer = Framer()
+    framer = Framer1()
     frames = framer.frames(stream + GOOD) + framer.flush_frames()
     end = len(stream) + len(GOOD)
     assert any((one == end and body[3:] == GOOD[4:-1]) or one - body[1] - 4 < len(stream) < one

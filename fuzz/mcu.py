@@ -8,7 +8,7 @@ import struct
 from fuzz import reference
 from fuzz.script import Script
 from fuzz.vel2d import value
-from vel2d_bridge.receiver import Cable
+from vel2d_bridge.receiver import BadCable
 from vel2d_bridge.receiver import Receiver
 
 SIZE = 28
@@ -31,8 +31,8 @@ def check(data):
     baud = script.pick((9600, 115200, 1_000_000))
     receiver, twin = Receiver(baud=baud), Receiver(baud=baud)
     line = Line(-(-10_000_000_000 // baud))
-    cable = Cable(drop=script.byte() % 4, flip=script.byte() % 4, deaf_after=script.byte(),
-                  seed=script.byte())
+    cable = BadCable(drop=script.byte() % 4, flip=script.byte() % 4, deaf_after=script.byte(),
+                     seed=script.byte())
     now = 0
     assert receiver.arrivals.maxlen is not None
     arrivals, taken = [], []

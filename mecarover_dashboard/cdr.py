@@ -43,7 +43,7 @@ class RawStatus(NamedTuple):
     def pairs(self, first: int | None = None, limit: int = TEXT_LIMIT) -> list[tuple[str, str]]:
         """Return the first so many (key, value) pairs, by default all, long texts cut."""
         count = self.count if first is None else min(first, self.count)
-        texts = iter(_Reader(self.data, self.at).texts(2 * count, limit))
+        texts = iter(_Cursor(self.data, self.at).texts(2 * count, limit))
         return list(zip(texts, texts, strict=True))
 
     def find(self, start: bytes) -> tuple[str, str] | None:
@@ -52,7 +52,7 @@ class RawStatus(NamedTuple):
         while (at := data.find(start, at)) >= 0:
             if at % 4 == 0:                     # a text begins behind its aligned length
                 with suppress(StructError, IndexError):
-                    key, value = _Reader(data, at - 4).texts(2)
+                    key, value = _Cursor(data, at - 4).texts(2)
                     if key.startswith(start.decode()):
                         return key, value
             at += 1
@@ -62,14 +62,14 @@ class RawStatus(NamedTuple):
 def statuses(data: bytes) -> list[RawStatus]:
     """Return the statuses of a serialised DiagnosticArray; raise CdrError if it is none."""
     try:
-        reader = _Reader(data, _FRONT + _STAMP)
+        reader = _Cursor(data, _FRONT + _STAMP)
         reader.skip(1)                          # frame_id
         return [reader.status() for _ in range(min(reader.number(), STATUSES_LIMIT))]
     except (StructError, IndexError) as error:
         raise CdrError(f'no DiagnosticArray: {error}') from error
 
 
-class _Reader:
+class _Cursor:
     """Walks through serialised data; `at` is the offset of what comes next."""
 
     __slots__ = ('_number', 'at', 'data')

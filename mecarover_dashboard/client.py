@@ -10,7 +10,7 @@ import zlib
 from aiohttp import web
 
 from mecarover_dashboard.rows import calm
-from mecarover_dashboard.rows import Table
+from mecarover_dashboard.rows import RegisterTable
 from mecarover_dashboard.state import State
 
 _Shown = tuple[str, str, str, str]              # temperature, voltage, load, unit
@@ -29,7 +29,7 @@ class Client:
         if 'gzip' in request.headers.get('Accept-Encoding', ''):
             self.response.headers['Content-Encoding'] = 'gzip'
             self._zip = zlib.compressobj(1, zlib.DEFLATED, 31)
-        self._sent = Table([], [])              # the watched device's, as last sent
+        self._sent = RegisterTable([], [])              # the watched device's, as last sent
         self._wants_values = 'values' in request.query
         self._values: dict[str, _Shown] = {}       # as sent last
         self._latency_until = 0.0

@@ -17,7 +17,7 @@ from pathlib import Path
 import sqlite3
 
 from mecarover_dashboard.recorder import Event
-from mecarover_dashboard.recorder import Source
+from mecarover_dashboard.recorder import Subject
 from mecarover_dashboard.recorder import VALUES
 from mecarover_dashboard.recorder import Window
 from mecarover_dashboard.recorder import WINDOW_S
@@ -51,7 +51,7 @@ class DamagedError(Exception):
     """The file is not a history that this version can read."""
 
 
-class Writer:
+class HistoryWriter:
     """The one that writes a history; used by one thread."""
 
     def __init__(self, path: Path) -> None:
@@ -112,7 +112,7 @@ class Writer:
             self._written.clear()
             raise
 
-    def _number(self, source: Source) -> int:
+    def _number(self, source: Subject) -> int:
         """Return the number of a source, a new one where it has none."""
         number, unit = self._sources.get(source.name, (0, ''))
         if not number:
@@ -166,13 +166,13 @@ class Writer:
         return int(size * (pages - free))
 
 
-class Reader:
+class HistoryReader:
     """Reads a history that another connection may write; made for one question."""
 
     def __init__(self, path: Path) -> None:
         self._database = sqlite3.connect(f'{path.absolute().as_uri()}?mode=ro', uri=True,
                                          check_same_thread=False)
-        self._sources = {number: Source(*rest) for number, *rest in self._database.execute(
+        self._sources = {number: Subject(*rest) for number, *rest in self._database.execute(
             'SELECT id, name, kind, robot, unit FROM sources')}
 
     def close(self) -> None:

@@ -27,7 +27,7 @@ _WORDS = {Level.OK: 'ok', Level.WARN: 'WARN', Level.ERROR: 'ERROR', Level.STALE:
 _ORDER = {'bridge': 0, 'buses': 1, 'devices': 2}
 
 
-class Heard(NamedTuple):
+class _LastStatus(NamedTuple):
     """What a status said last; `what` is the column that names it."""
 
     section: str
@@ -39,7 +39,7 @@ class Heard(NamedTuple):
     arrived: float
 
 
-class Line(NamedTuple):
+class StatusLine(NamedTuple):
     """One line: level, robot ('' at the root), what it is about, what to act on."""
 
     level: Level
@@ -64,7 +64,7 @@ class Board:
         self.changed = 0.0
         self.namespace = namespace
         self._every_device = every_device
-        self._heard: dict[str, Heard] = {}
+        self._heard: dict[str, _LastStatus] = {}
 
     def take(self, message: bytes, now_s: float) -> None:
         """Take a serialised DiagnosticArray; nothing raises."""
@@ -83,14 +83,14 @@ class Board:
     def _is_ours(self, status: RawStatus) -> bool:
         return not self.namespace or status.name.startswith(f'{self.namespace}/')
 
-    def lines(self, now_s: float) -> list[Line]:
+    def lines(self, now_s: float) -> list[StatusLine]:
         """Return the lines, by robot, then bridge, buses and devices."""
         self._forget(now_s)
         shown = [one for one in _one_per_bridge(list(self._judged(now_s)))
                  if one.section != 'devices' or self._every_device or one.level is not Level.OK]
         shown.sort(key=lambda one: (one.robot, _ORDER[one.section], one.what))
-        return [Line(one.level, printable(one.robot, 40), printable(one.what, 60),
-                     printable(one.message)) for one in shown]
+        return [StatusLine(one.level, printable(one.robot, 40), printable(one.what, 60),
+                           printable(one.message)) for one in shown]
 
     def code(self, now_s: float) -> int:
         """Return the exit code: 0 well, 1 nothing heard, 3 warning, 4 error."""
@@ -98,7 +98,7 @@ class Board:
             return NOTHING
         return _CODES[worst(one.level for one in self._judged(now_s))]
 
-    def _judged(self, now_s: float) -> Iterator[Heard]:
+    def _judged(self, now_s: float) -> Iterator[_LastStatus]:
         for one in self._heard.values():
             quiet_s = now_s - one.arrived
             if quiet_s <= QUIET_S:
@@ -115,15 +115,16 @@ class Board:
                        if now_s - one.arrived <= FORGET_S or now_s - newest[one.node] > QUIET_S}
 
 
-def _heard(section: str, status: RawStatus, now_s: float) -> Heard:
+def _heard(section: str, status: RawStatus, now_s: float) -> _LastStatus:
     node, what = rows.split(status)
     row = rows.row(section, status)
-    return Heard(section, node, row['robot'], what, Level(row['level']), row['message'], now_s)
+    return _LastStatus(section, node, row['robot'], what, Level(row['level']), row['message'],
+                       now_s)
 
 
-def _one_per_bridge(heard: list[Heard]) -> list[Heard]:
+def _one_per_bridge(heard: list[_LastStatus]) -> list[_LastStatus]:
     """Make one line of the link and the commands of a bridge: the one that is worse off."""
-    bridges: dict[str, Heard] = {}
+    bridges: dict[str, _LastStatus] = {}
     for one in sorted(heard, key=lambda one: one.what):     # when both are well: its commands
         if one.section == 'bridge':
             other = bridges.get(one.node, one)
@@ -133,7 +134,7 @@ def _one_per_bridge(heard: list[Heard]) -> list[Heard]:
             *(one for one in heard if one.section != 'bridge')]
 
 
-def screen(lines: list[Line]) -> list[str]:
+def screen(lines: list[StatusLine]) -> list[str]:
     """Return the lines as text, their columns in line; the robot only where one has a name."""
     robots = max((len(line.robot) for line in lines), default=0)
     what = max((len(line.what) for line in lines), default=0)

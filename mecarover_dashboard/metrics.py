@@ -21,7 +21,7 @@ from prometheus_client.exposition import choose_encoder
 
 from mecarover_dashboard import rows
 from mecarover_dashboard.rows import Row
-from mecarover_dashboard.state import Report
+from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
 from msg_defs import status_keys as keys
 from msg_defs.reports import Level
@@ -35,12 +35,12 @@ _BUS = ('robot', 'bus')
 def exposition(state: State, accept: str) -> tuple[bytes, str]:
     """Return what a scrape gets, in the format that it accepts, and its content type."""
     registry = CollectorRegistry()
-    registry.register(_Snapshot(state))
+    registry.register(_Scrape(state))
     encode, content_type = choose_encoder(accept)
     return encode(registry), content_type
 
 
-class _Snapshot:
+class _Scrape:
     """A collector over a State, for one scrape."""
 
     def __init__(self, state: State) -> None:
@@ -132,27 +132,27 @@ def _scaled(value: float | None, scale: float) -> float | None:
     return None if value is None else value * scale
 
 
-def _temperature(one: Report) -> float | None:
+def _temperature(one: RowReport) -> float | None:
     return rows.finite(one.values.temperature)
 
 
-def _voltage(one: Report) -> float | None:
+def _voltage(one: RowReport) -> float | None:
     return rows.finite(one.values.voltage)
 
 
-def _load(one: Report) -> float | None:
+def _load(one: RowReport) -> float | None:
     return rows.finite(one.values.load) if one.values.unit == '%' else None
 
 
-def _current(one: Report) -> float | None:
+def _current(one: RowReport) -> float | None:
     return rows.finite(one.values.load) if one.values.unit == 'A' else None
 
 
-def _loss(one: Report) -> float | None:
+def _loss(one: RowReport) -> float | None:
     return rows.finite(one.row['loss'])
 
 
-def _latency(one: Report) -> float | None:
+def _latency(one: RowReport) -> float | None:
     return rows.finite(one.row['latency'])
 
 

@@ -27,7 +27,7 @@ from typing import NamedTuple
 from aiohttp import web
 
 from mecarover_dashboard.client import json_text
-from mecarover_dashboard.history import Reader
+from mecarover_dashboard.history import HistoryReader
 from mecarover_dashboard.recorder import Event
 from mecarover_dashboard.recorder import VALUES
 from mecarover_dashboard.recorder import Window
@@ -68,8 +68,9 @@ class Past:
         """Answer /history/events."""
         return await self._answer(request, _events_json, _events_csv)
 
-    async def _answer(self, request: web.Request, as_json: Callable[[Reader, Question], Any],
-                      as_csv: Callable[[Reader, Question], Iterator[list[str]]],
+    async def _answer(self, request: web.Request,
+                      as_json: Callable[[HistoryReader, Question], Any],
+                      as_csv: Callable[[HistoryReader, Question], Iterator[list[str]]],
                       ) -> web.StreamResponse:
         if self._path is None:
             return web.Response(status=404, text='No history is recorded: --history none.\n')
@@ -79,7 +80,7 @@ class Past:
             return web.Response(status=400, text=f'{error}\n')
         async with self._free:
             try:
-                reader = await asyncio.to_thread(Reader, self._path)
+                reader = await asyncio.to_thread(HistoryReader, self._path)
             except sqlite3.Error as error:
                 return web.Response(status=503, text=f'{self._path.name}: {error}\n')
             try:
@@ -132,7 +133,7 @@ def _time(text: str | None, default: float, name: str) -> float:
     return value
 
 
-def _values_json(reader: Reader, question: Question) -> dict[str, Any]:
+def _values_json(reader: HistoryReader, question: Question) -> dict[str, Any]:
     """Return by source its level and its values: [[s, low, high], ...], thinned out."""
     span_s = question.to_s - question.from_s
     step_s = max(1, math.ceil(span_s / question.points / WINDOW_S)) * WINDOW_S
@@ -162,7 +163,7 @@ def _merge(source: dict[str, Any], window: Window, at: int) -> None:
             points.append([at, low, high])
 
 
-def _values_csv(reader: Reader, question: Question) -> Iterator[list[str]]:
+def _values_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]]:
     yield ['time', 'robot', 'name', 'level', 'load unit',
            *(f'{name} {end}' for name in _CSV_VALUES for end in ('min', 'max'))]
     for window in reader.windows(question.from_s, question.to_s, question.of, question.robot):
@@ -174,7 +175,7 @@ def _values_csv(reader: Reader, question: Question) -> Iterator[list[str]]:
                  for name in _CSV_VALUES for end in ends.get(name, (None, None)))]
 
 
-def _events_json(reader: Reader, question: Question) -> dict[str, Any]:
+def _events_json(reader: HistoryReader, question: Question) -> dict[str, Any]:
     found = reader.events(question.from_s, question.to_s, question.of, question.robot,
                           _MOST_EVENTS)
     return {'from': question.from_s, 'to': question.to_s, 'most': _MOST_EVENTS, 'events': [
@@ -182,7 +183,7 @@ def _events_json(reader: Reader, question: Question) -> dict[str, Any]:
         for event in found]}
 
 
-def _events_csv(reader: Reader, question: Question) -> Iterator[list[str]]:
+def _events_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]]:
     yield ['time', 'robot', 'name', 'kind', 'level', 'text']
     events: Iterable[Event] = reader.events(question.from_s, question.to_s, question.of,
                                             question.robot, _ALL_EVENTS)

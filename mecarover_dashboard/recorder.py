@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from mecarover_dashboard import rows
 from mecarover_dashboard.rows import Row
-from mecarover_dashboard.state import Report
+from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
 from msg_defs.reports import Level
 
@@ -29,7 +29,7 @@ VALUES = {                      # what is kept of each kind, in this order
 _SEVERITY = (Level.OK, Level.WARN, Level.STALE, Level.ERROR)
 
 
-class Source(NamedTuple):
+class Subject(NamedTuple):
     """What a record is about: the status of this name."""
 
     name: str
@@ -42,7 +42,7 @@ class Window(NamedTuple):
     """What a source was in the 10 s that begin at `at` (Unix s); None where nothing is known."""
 
     at: int
-    source: Source
+    source: Subject
     level: int                  # the worst
     lows: tuple[float | None, ...]
     highs: tuple[float | None, ...]
@@ -52,13 +52,13 @@ class Event(NamedTuple):
     """Something that happened to a source; kind: 'state', 'finding', 'over' or 'error'."""
 
     at: float                   # Unix s
-    source: Source
+    source: Subject
     kind: str
     level: int
     text: str
 
 
-class _Known:
+class _LastSeen:
     """What was seen of a source last."""
 
     __slots__ = ('arrived', 'errors', 'findings', 'is_new', 'row', 'state', 'window')
@@ -73,11 +73,11 @@ class _Known:
         self.errors = 0         # in this window
 
 
-class Recorder:
+class HistoryRecorder:
     """Looks at a State again and again; `taken` gives what there is to keep since then."""
 
     def __init__(self, errors_until: dict[str, float] | None = None) -> None:
-        self._known: dict[str, _Known] = {}
+        self._known: dict[str, _LastSeen] = {}
         self._done: list[Window] = []
         self._events: list[Event] = []
         self._until = dict(errors_until or {})      # for each bus Unix s of its last error
@@ -89,8 +89,8 @@ class Recorder:
             for report in state.reports(kind):
                 known = self._known.get(report.row_name)
                 if known is None:
-                    known = self._known[report.row_name] = _Known()
-                source = Source(report.row_name, kind, report.row['robot'], report.values.unit)
+                    known = self._known[report.row_name] = _LastSeen()
+                source = Subject(report.row_name, kind, report.row['robot'], report.values.unit)
                 if report.row is not known.row:
                     known.row = report.row
                     self._judge(known, source, report.row, unix_s)
@@ -111,7 +111,7 @@ class Recorder:
                 known.is_new = False
         return windows, events
 
-    def _add(self, known: _Known, source: Source, report: Report, state: State,
+    def _add(self, known: _LastSeen, source: Subject, report: RowReport, state: State,
              unix_s: float) -> None:
         at = int(unix_s) // WINDOW_S * WINDOW_S
         values = tuple(_values(source.kind, report, state))
@@ -126,7 +126,7 @@ class Recorder:
             at, source, max(old.level, level, key=_SEVERITY.index),
             tuple(map(_least, old.lows, values)), tuple(map(_most, old.highs, values)))
 
-    def _judge(self, known: _Known, source: Source, row: Row, unix_s: float) -> None:
+    def _judge(self, known: _LastSeen, source: Subject, row: Row, unix_s: float) -> None:
         """Note changes of level, state and findings."""
         now = _state_of(row)
         if now[:2] != (known.state or (Level.OK, '')) and (known.state or now[0] != Level.OK):
@@ -142,7 +142,7 @@ class Recorder:
             self._events.append(Event(unix_s, source, 'over', Level.OK, _words(rule)))
         known.findings = found
 
-    def _take_errors(self, known: _Known, source: Source, row: Row, offset_s: float) -> None:
+    def _take_errors(self, known: _LastSeen, source: Subject, row: Row, offset_s: float) -> None:
         """Note the errors that are new, the oldest first, as many as there is room for."""
         until = self._until.get(source.name, 0.0)
         new = [(at_s + offset_s, text) for at_s, text in row['errors']
@@ -164,7 +164,7 @@ def _state_of(row: Row) -> tuple[int, str, str]:
     return row['level'], row.get('state', ''), row['message']
 
 
-def _values(kind: str, report: Report, state: State) -> Iterator[float | None]:
+def _values(kind: str, report: RowReport, state: State) -> Iterator[float | None]:
     if kind == 'devices':
         values: Any = report.values
         for text in (values.position, values.temperature, values.voltage, values.load,

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The black box at work: takes what a Recorder saw to the file, in a thread of its own.
+The black box at work: takes what the recorder saw to the file, in a thread of its own.
 
 A disk may stop for seconds, so the server never waits for it. Every FLUSH_S all that is known goes
 to the file, windows that still run included: this is what kill -9 or a power failure can cost.
@@ -18,10 +18,10 @@ import threading
 import time
 
 from mecarover_dashboard.history import DamagedError
+from mecarover_dashboard.history import HistoryWriter
 from mecarover_dashboard.history import set_aside
-from mecarover_dashboard.history import Writer
 from mecarover_dashboard.recorder import Event
-from mecarover_dashboard.recorder import Recorder
+from mecarover_dashboard.recorder import HistoryRecorder
 from mecarover_dashboard.recorder import Window
 from mecarover_dashboard.state import State
 
@@ -62,7 +62,7 @@ class Recording:
         except (OSError, sqlite3.Error) as error:
             raise RecordingError(f'{path}: {_reason(error)}; name another file with --history, '
                                  "or 'none'") from error
-        self._recorder = Recorder(self._writer.errors_until())
+        self._recorder = HistoryRecorder(self._writer.errors_until())
         self._batches: queue.Queue[_Batch | None] = queue.Queue(_MOST_WAITING)
         self._flushed_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name='history', daemon=True)
@@ -74,13 +74,13 @@ class Recording:
         except BlockingIOError:
             raise OSError('another dashboard records to it') from None
 
-    def _open(self) -> Writer:
+    def _open(self) -> HistoryWriter:
         try:
-            return Writer(self.path)
+            return HistoryWriter(self.path)
         except DamagedError as error:
             aside = set_aside(self.path, time.time())
             self.notice = f'{self.path}: not a readable history ({error}); kept as {aside.name}'
-            return Writer(self.path)
+            return HistoryWriter(self.path)
 
     def look(self, state: State, now_s: float, unix_s: float) -> None:
         """Take in what was reported; never waits."""

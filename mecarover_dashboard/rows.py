@@ -42,7 +42,7 @@ _NO_MODEL = ('model unknown, its registers cannot be read; '
 _NO_FILE = 'no file for this model, its registers cannot be read; add one to `model_dirs`'
 
 
-class Field(NamedTuple):
+class FieldRow(NamedTuple):
     """A field of a control table; seen: monotonic s, None if unknown; source 'r' or 'w'."""
 
     key: str
@@ -65,11 +65,11 @@ class Values(NamedTuple):
 NOTHING = Values('', '', '', '', '')
 
 
-class Table(NamedTuple):
+class RegisterTable(NamedTuple):
     """What is known of one device: facts and counters, then its fields."""
 
     facts: list[tuple[str, str]]
-    fields: list[Field]
+    fields: list[FieldRow]
 
 
 def split(status: RawStatus) -> tuple[str, str]:
@@ -221,13 +221,14 @@ def finite(text: str) -> float | None:
     return value if abs(value) < 1e300 else None        # False for NaN, too
 
 
-def table(status: RawStatus, arrived_s: float, before: Table | None = None) -> Table:
+def table(status: RawStatus, arrived_s: float,
+          before: RegisterTable | None = None) -> RegisterTable:
     """Return facts and fields of a device status; `observed` decides which keys are fields."""
     pairs = status.pairs(limit=_OBSERVED_LIMIT)
     seen = _seen(dict(pairs).get(keys.OBSERVED, ''))
     old = {field.key: field.seen for field in before.fields} if before else {}
     facts: list[tuple[str, str]] = []
-    fields: list[Field] = []
+    fields: list[FieldRow] = []
     for at, (key, value) in enumerate(status.pairs()):
         name = key if key in seen else key.rpartition(' (')[0]
         if name not in seen or at < _NAMING:
@@ -238,8 +239,8 @@ def table(status: RawStatus, arrived_s: float, before: Table | None = None) -> T
         else:
             age_s, source = seen[name]
             when = None if age_s is None else _steady(arrived_s - age_s, old.get(key))
-            fields.append(Field(key, value, '', when, source))
-    return Table(facts, fields)
+            fields.append(FieldRow(key, value, '', when, source))
+    return RegisterTable(facts, fields)
 
 
 def values(status: RawStatus) -> Values:

@@ -18,8 +18,8 @@ from mecarover_dashboard import rows
 from mecarover_dashboard.cdr import CdrError
 from mecarover_dashboard.cdr import RawStatus
 from mecarover_dashboard.cdr import statuses
+from mecarover_dashboard.rows import RegisterTable
 from mecarover_dashboard.rows import Row
-from mecarover_dashboard.rows import Table
 from msg_defs.reports import status_name
 
 TABLES = 'dxl/diagnostics'
@@ -43,7 +43,7 @@ _ONLY_LONG: Row = {'errors': [], 'running': None, 'started': None}
 Point = list[float | None]
 
 
-class Entry:
+class _Row:
     """One row; `arrived` is when it was reported last, `whole` its last status with a table."""
 
     __slots__ = ('arrived', 'cost', 'period_s', 'points', 'row', 'values', 'version', 'whole',
@@ -61,7 +61,7 @@ class Entry:
         self.points: deque[tuple[int, Point]] = deque(maxlen=HISTORY)
 
 
-class Report(NamedTuple):
+class RowReport(NamedTuple):
     """A row as it was reported last."""
 
     row_name: str
@@ -85,11 +85,11 @@ class State:
         self.malformed = 0
         self.refused = 0                            # what would be too much to keep
         self.bytes = 0                              # about, of all that is kept
-        self._entries: dict[str, dict[str, Entry]] = {name: {} for name in SECTIONS}
+        self._entries: dict[str, dict[str, _Row]] = {name: {} for name in SECTIONS}
         self._removed: deque[tuple[int, str, str]] = deque(maxlen=MOST_ROWS)
         self._heard: dict[str, float] = {}          # by node
         self._latencies: dict[str, deque[Point]] = {}       # by device
-        self._tables: dict[str, tuple[RawStatus, Table]] = {}
+        self._tables: dict[str, tuple[RawStatus, RegisterTable]] = {}
 
     def take(self, topic: str, message: bytes, now_s: float) -> None:
         """Take a serialised DiagnosticArray; no content makes this raise."""
@@ -155,7 +155,7 @@ class State:
         if row != entry.row or section == 'timing':
             entry.row, entry.version = row, self.version
 
-    def _entry(self, section: str, status: RawStatus) -> Entry | None:
+    def _entry(self, section: str, status: RawStatus) -> _Row | None:
         """Return the row of a status, None where there is no room for it."""
         entries = self._entries[section]
         entry = entries.get(status.name)
@@ -167,7 +167,7 @@ class State:
             self.refused += 1
             return None
         if entry is None:
-            entry = entries[status.name] = Entry()
+            entry = entries[status.name] = _Row()
         # A short form does not take the room of the table that is kept beside it.
         entry.cost = max(old, cost)
         self.bytes += entry.cost - old
@@ -222,7 +222,7 @@ class State:
                     changed[section][name] = _with_points(entry, since)
         return {section: found for section, found in changed.items() if found}
 
-    def table(self, name: str) -> Table | None:
+    def table(self, name: str) -> RegisterTable | None:
         """Return the table of a device as last reported; None if there is no such device."""
         entry = self._entries['devices'].get(name)
         if entry is None or entry.whole is None:
@@ -234,11 +234,11 @@ class State:
         self._tables[name] = (entry.whole, table)
         return table
 
-    def reports(self, section: str) -> Iterator[Report]:
+    def reports(self, section: str) -> Iterator[RowReport]:
         """Return the rows of a section as they were reported last."""
         for name, entry in self._entries[section].items():
             if entry.row:
-                yield Report(name, entry.row, entry.values, entry.arrived)
+                yield RowReport(name, entry.row, entry.values, entry.arrived)
 
     def figure(self, node: str, of: str, metric: str) -> float | None:
         """Return the newest figure of a timing metric: p50, or its value; None if unknown."""
@@ -278,7 +278,7 @@ def _cost(section: str, status: RawStatus) -> int:
             + (_POINTS if section == 'timing' else 0))
 
 
-def _with_points(entry: Entry, since: int) -> Row:
+def _with_points(entry: _Row, since: int) -> Row:
     if not entry.points:
         return entry.row
     return entry.row | {'points': [point for version, point in entry.points if version > since]}

@@ -19,10 +19,10 @@ import urllib.request
 
 from mecarover_demo.scenes import judge
 from mecarover_demo.scenes import Scene
+from mecarover_demo.scenes import SceneResult
 from mecarover_demo.scenes import SCENES
-from mecarover_demo.scenes import SetPoint
+from mecarover_demo.scenes import TakenSetPoint
 from mecarover_demo.scenes import TIME_OUT_BOUND_S
-from mecarover_demo.scenes import Verdict
 from mecarover_demo.stage import Stage
 from mecarover_demo.table import DeviceTable
 from mecarover_serial.cli import COULD_NOT_RUN
@@ -59,12 +59,12 @@ def _main(arguments: list[str]) -> int:
         finally:
             operator.close()
         stage.end()
-        verdicts += [Verdict(name, code == 0, f'ended with {code}')
+        verdicts += [SceneResult(name, code == 0, f'ended with {code}')
                      for name, code in stage.exit_codes.items()]
     return _conclude(verdicts)
 
 
-def _conclude(verdicts: list[Verdict]) -> int:
+def _conclude(verdicts: list[SceneResult]) -> int:
     failed = [one for one in verdicts if not one.passed]
     for one in failed:
         print(f'FAILED  {one.scene}: {one.text}')
@@ -76,9 +76,9 @@ class Show:
     """One run of the demo."""
 
     def __init__(self, stage: Stage, operator: Any, folder: str) -> None:
-        self.verdicts: list[Verdict] = []
+        self.verdicts: list[SceneResult] = []
         self._operator = operator
-        self._set_points: list[SetPoint] = []
+        self._set_points: list[TakenSetPoint] = []
         self._read = 0
         mcu = os.path.join(folder, 'mcu')
         bus = os.path.join(folder, 'bus')
@@ -95,7 +95,7 @@ class Show:
         self._dashboard = stage.start('mecarover_dashboard.main', '--port', _page_port(),
                                         '--history', 'none')
 
-    def run(self, seconds: float | None) -> list[Verdict]:
+    def run(self, seconds: float | None) -> list[SceneResult]:
         """Play scene after scene; with a time limit, every scene once and then until it ends."""
         begin = time.monotonic()
         self._await_ready(begin + READY_S)
@@ -120,7 +120,7 @@ class Show:
             if time.monotonic() > deadline:
                 raise OSError(f'not ready after {READY_S:g} s; is the machine very busy?')
 
-    def _see_dashboard(self) -> Verdict:
+    def _see_dashboard(self) -> SceneResult:
         """Say where the page is, and load it."""
         line = next((line for line in self._dashboard.lines if 'http://' in line), '')
         address = line[line.find('http://'):].split(' ')[0]
@@ -129,8 +129,8 @@ class Show:
             with urllib.request.urlopen(address, timeout=READY_S) as page:
                 loaded = '<title>' in page.read().decode()
         except (OSError, ValueError) as error:
-            return Verdict('dashboard', False, f'{address}: {error}')
-        return Verdict('dashboard', loaded, address)
+            return SceneResult('dashboard', False, f'{address}: {error}')
+        return SceneResult('dashboard', loaded, address)
 
     def _play(self, scene: Scene) -> None:
         begin = time.monotonic()
@@ -163,7 +163,7 @@ class Show:
         while self._mcu.lines:
             record = json.loads(self._mcu.lines.popleft())
             if 'what' in record:
-                self._set_points.append(SetPoint.from_record(record))
+                self._set_points.append(TakenSetPoint.from_record(record))
                 x, y, omega = self._set_points[-1].velocity
                 print(f'     MCU  x {x:6.3f} m/s  y {y:6.3f} m/s  omega {omega:6.3f} rad/s  '
                       f'{record["what"]}', flush=True)

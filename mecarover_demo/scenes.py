@@ -43,20 +43,20 @@ SCENES = (
 )
 
 
-class SetPoint(NamedTuple):
+class TakenSetPoint(NamedTuple):
     """A set-point that the MCU took: from `stamp` (s) on it holds x, y (m/s), omega (rad/s)."""
 
     stamp: float
     velocity: Vel2d
 
     @classmethod
-    def from_record(cls, record: dict[str, float]) -> SetPoint:
+    def from_record(cls, record: dict[str, float]) -> TakenSetPoint:
         """Read a line of the fake MCU."""
         return cls(record['stamp'], Vel2d(
             record['x'] / _MM_PER_M, record['y'] / _MM_PER_M, record['omega']))
 
 
-class Verdict(NamedTuple):
+class SceneResult(NamedTuple):
     """Whether a scene went as it should, and the figure that shows it."""
 
     scene: str
@@ -64,34 +64,36 @@ class Verdict(NamedTuple):
     text: str
 
 
-def judge(scene: Scene, begin: float, end: float, set_points: Sequence[SetPoint]) -> Verdict:
+def judge(scene: Scene, begin: float, end: float,
+          set_points: Sequence[TakenSetPoint]) -> SceneResult:
     """Judge a scene that ran from `begin` to `end` (s) by the changes of set-points at the MCU."""
     during = [one for one in set_points if begin <= one.stamp <= end]
     if scene.command is None or scene.command is _NAN:
         return _judge_stillness(scene, begin, end, set_points)
     followed = [one for one in during if _close(one.velocity, scene.command)]
     if not followed:
-        return Verdict(scene.name, False, 'its set-point never reached the MCU')
+        return SceneResult(scene.name, False, 'its set-point never reached the MCU')
     text = f'at the MCU after {followed[0].stamp - begin:.2f} s'
     if not scene.kill:
-        return Verdict(scene.name, True, text)
+        return SceneResult(scene.name, True, text)
     stops = [one for one in set_points if one.stamp > end and one.velocity == STOP]
     if not stops:
-        return Verdict(scene.name, False, 'the MCU drives on')
+        return SceneResult(scene.name, False, 'the MCU drives on')
     after = stops[0].stamp - end
-    return Verdict(scene.name, after <= KILL_BOUND_S, f'{text}, stopped {after:.2f} s after kill')
+    return SceneResult(scene.name, after <= KILL_BOUND_S,
+                       f'{text}, stopped {after:.2f} s after kill')
 
 
 def _judge_stillness(scene: Scene, begin: float, end: float,
-                     set_points: Sequence[SetPoint]) -> Verdict:
+                     set_points: Sequence[TakenSetPoint]) -> SceneResult:
     """Nothing may move later than the bound, and it must be standing at the end."""
     before = [one for one in set_points if one.stamp <= end]
     if before and before[-1].velocity != STOP:
-        return Verdict(scene.name, False, 'the MCU still drives')
+        return SceneResult(scene.name, False, 'the MCU still drives')
     stopped = before[-1].stamp if before else begin
     after = max(0.0, stopped - begin)
     text = f'stopped after {after:.2f} s' if after else 'stands still'
-    return Verdict(scene.name, after <= TIME_OUT_BOUND_S, text)
+    return SceneResult(scene.name, after <= TIME_OUT_BOUND_S, text)
 
 
 def _close(one: Vel2d, other: Vel2d) -> bool:

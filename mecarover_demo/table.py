@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from mecarover_demo.scenes import Verdict
+from mecarover_demo.scenes import SceneResult
 from msg_defs import status_keys as keys
 from msg_defs.reports import Level
 
@@ -51,17 +51,18 @@ class DeviceTable:
             self._shown_s = now_s
             print(_render(devices), flush=True)
 
-    def verdicts(self, silenced: int) -> list[Verdict]:
+    def verdicts(self, silenced: int) -> list[SceneResult]:
         """Judge what was seen: all there, the silenced one lost and found, no other lost."""
         name = f'{silenced:03}'
         lost = [other for other, states in self._states.items() if 'disconnected' in states]
         states = self._states.get(name, [])
         back = 'disconnected' in states and states[-1] == 'connected'
         return [
-            Verdict('all devices seen', len(self._states) == _EXPECTED,
-                    f'{len(self._states)} of {_EXPECTED}'),
-            Verdict(f'device {name} lost and found', back, ' -> '.join(states) or 'never seen'),
-            Verdict('no other device lost', lost in ([name], []), ', '.join(lost)),
+            SceneResult('all devices seen', len(self._states) == _EXPECTED,
+                        f'{len(self._states)} of {_EXPECTED}'),
+            SceneResult(f'device {name} lost and found', back,
+                        ' -> '.join(states) or 'never seen'),
+            SceneResult('no other device lost', lost in ([name], []), ', '.join(lost)),
         ]
 
 

@@ -40,7 +40,7 @@ class Layout(Enum):
     VALUE = 'nothing or a value of two bytes'
 
 
-class Entry(NamedTuple):
+class DialectInstruction(NamedTuple):
     """One instruction of a dialect; answers: to a single device, LISTED for a group."""
 
     name: str
@@ -61,7 +61,7 @@ class Dialect(NamedTuple):
 
     name: str
     protocol: str
-    entries: dict[int, Entry]
+    entries: dict[int, DialectInstruction]
     errors: dict[int, str]
     refusals: dict[int, int]
     error_at: int
@@ -71,27 +71,28 @@ class Dialect(NamedTuple):
 
 
 _COMMON = {
-    0x01: Entry('Ping', Layout.NOTHING, Answers.PING),
-    0x02: Entry('Read', Layout.READ, Answers.DATA),
-    0x03: Entry('Write', Layout.WRITE, Answers.ACK),
-    0x04: Entry('Reg Write', Layout.WRITE, Answers.ACK),
-    0x05: Entry('Action', Layout.NOTHING, Answers.ACK),
-    0x06: Entry('Factory Reset', Layout.NOTHING, Answers.ACK),
-    0x83: Entry('Sync Write', Layout.SYNC_WRITE, Answers.NONE),
+    0x01: DialectInstruction('Ping', Layout.NOTHING, Answers.PING),
+    0x02: DialectInstruction('Read', Layout.READ, Answers.DATA),
+    0x03: DialectInstruction('Write', Layout.WRITE, Answers.ACK),
+    0x04: DialectInstruction('Reg Write', Layout.WRITE, Answers.ACK),
+    0x05: DialectInstruction('Action', Layout.NOTHING, Answers.ACK),
+    0x06: DialectInstruction('Factory Reset', Layout.NOTHING, Answers.ACK),
+    0x83: DialectInstruction('Sync Write', Layout.SYNC_WRITE, Answers.NONE),
 }
 RESET = 0x06
 CALIBRATE = 0x0B
-_BULK_READ = Entry('Bulk Read', Layout.BULK_READ, Answers.LISTED)
+_BULK_READ = DialectInstruction('Bulk Read', Layout.BULK_READ, Answers.LISTED)
 _FEETECH = {
-    0x09: Entry(FEETECH_NAMES[0x09], Layout.NOTHING, Answers.ACK),
-    0x0A: Entry(FEETECH_NAMES[0x0A], Layout.NOTHING, Answers.ACK),
-    CALIBRATE: Entry(FEETECH_NAMES[CALIBRATE], Layout.VALUE, Answers.ACK),
-    0x82: Entry('Sync Read', Layout.SYNC_READ, Answers.LISTED),
+    0x09: DialectInstruction(FEETECH_NAMES[0x09], Layout.NOTHING, Answers.ACK),
+    0x0A: DialectInstruction(FEETECH_NAMES[0x0A], Layout.NOTHING, Answers.ACK),
+    CALIBRATE: DialectInstruction(FEETECH_NAMES[CALIBRATE], Layout.VALUE, Answers.ACK),
+    0x82: DialectInstruction('Sync Read', Layout.SYNC_READ, Answers.LISTED),
 }
 
 DYNAMIXEL_1 = Dialect(
     name='Dynamixel 1.0', protocol='1',
-    entries={**_COMMON, 0x08: Entry('Reboot', Layout.NOTHING, Answers.ACK), 0x92: _BULK_READ},
+    entries={**_COMMON, 0x08: DialectInstruction('Reboot', Layout.NOTHING, Answers.ACK),
+             0x92: _BULK_READ},
     errors={0: 'input voltage', 1: 'angle limit', 2: 'overheating', 3: 'range', 4: 'checksum',
             5: 'overload', 6: 'instruction'},
     refusals={1: 6, 3: 4, 4: 3, 6: 2},
@@ -99,7 +100,8 @@ DYNAMIXEL_1 = Dialect(
 # It is away for 0.8 s after a Reboot, and does not say so first.
 FEETECH = Dialect(
     name='Feetech', protocol='feetech',
-    entries={**_COMMON, 0x08: Entry('Reboot', Layout.NOTHING, Answers.NONE), **_FEETECH},
+    entries={**_COMMON, 0x08: DialectInstruction('Reboot', Layout.NOTHING, Answers.NONE),
+             **_FEETECH},
     errors={0: 'voltage', 1: 'angle sensor', 2: 'overheating', 3: 'current', 5: 'overload'},
     refusals={},
     error_at=65, identity_at=3, level_at=8, factory_baud=1_000_000)
@@ -188,7 +190,7 @@ def understood(body: bytes, dialect: Dialect) -> Request:
                          option=_RESETS.get(dialect.protocol, '') if code == RESET else '')
 
 
-def _answers(entry: Entry, id: int) -> Answers:
+def _answers(entry: DialectInstruction, id: int) -> Answers:
     if id != BROADCAST or entry.answers is Answers.LISTED:
         return entry.answers
     return Answers.EVERYBODY if entry.answers is Answers.PING else Answers.NONE

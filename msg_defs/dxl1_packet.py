@@ -29,7 +29,7 @@ FAMILY = 0x80
 _MARK = bytes([FAMILY])
 
 
-class Packet(NamedTuple):
+class Packet1(NamedTuple):
     """One packet. code: the instruction, or the error byte of a status."""
 
     stamp: int
@@ -50,13 +50,13 @@ def begin_of(end: int, body: bytes) -> int:
     return end - body[1] - 4
 
 
-def packet_of(frame: Frame, stamp: int) -> Packet:
+def packet_of(frame: Frame, stamp: int) -> Packet1:
     """Return the readable form of a good frame."""
     end, body, _ = frame
-    return Packet(stamp, begin_of(end, body), body[0], body[3], body[4:])
+    return Packet1(stamp, begin_of(end, body), body[0], body[3], body[4:])
 
 
-class Framer(StreamFramer):
+class Framer1(StreamFramer):
     """
     Finds the frames of the 1.0 family in a stream that comes in chunks of any size.
 
@@ -90,12 +90,12 @@ class Framer(StreamFramer):
         self.bytes += len(noise)
         self._give_up(noise)
 
-    def feed(self, chunk: bytes, stamp: int) -> list[Packet]:
+    def feed(self, chunk: bytes, stamp: int) -> list[Packet1]:
         """Return the packets that this chunk completes."""
         frames = self.frames(chunk)
         return [packet_of(f, stamp) for f in frames if f[2] is None or not f[2].reason]
 
-    def flush(self, stamp: int = 0) -> list[Packet]:
+    def flush(self, stamp: int = 0) -> list[Packet1]:
         """Decide what is left, because the line is idle."""
         frames = self.flush_frames()
         return [packet_of(f, stamp) for f in frames if f[2] is None or not f[2].reason]

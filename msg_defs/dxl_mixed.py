@@ -117,7 +117,7 @@ class MixedFramer:
     def __init__(self, is_shared: bool = False, proven: Collection[int] = ()) -> None:
         self._first = _First(is_shared)
         self._proven = proven
-        self._second = dxl1_packet.Framer()
+        self._second = dxl1_packet.Framer1()
         self._is_open = False          # some bytes wait in the second framer
         self._seen = 0                 # good frames of the second framer so far
         self._shift = 0                # from offsets of the second framer to those of the wire

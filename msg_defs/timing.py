@@ -47,7 +47,7 @@ class Summary(NamedTuple):
     p99: float
 
 
-class _Part(NamedTuple):
+class _Partial(NamedTuple):
     """The statistics of some samples; parts can be merged without loss."""
 
     count: int  # type: ignore[assignment]
@@ -72,17 +72,17 @@ class _Slice:
         self.maximum = value
         self.buckets: defaultdict[int, int] = defaultdict(int)
 
-    def part(self) -> _Part | None:
+    def part(self) -> _Partial | None:
         buckets = dict(self.buckets)    # one C call: a writer cannot come in between
         count = sum(buckets.values())
         if not count:
             return None
         mean = self.pivot + self.sum / count
         m2 = max(0.0, self.squares - self.sum * self.sum / count)
-        return _Part(count, mean, m2, self.minimum, self.maximum, buckets)
+        return _Partial(count, mean, m2, self.minimum, self.maximum, buckets)
 
 
-def _merge(parts: Iterable[_Part | None]) -> _Part | None:
+def _merge(parts: Iterable[_Partial | None]) -> _Partial | None:
     found = [part for part in parts if part is not None]
     if len(found) < 2:
         return found[0] if found else None
@@ -93,11 +93,11 @@ def _merge(parts: Iterable[_Part | None]) -> _Part | None:
     for part in found[1:]:
         for bucket, n in part.buckets.items():
             buckets[bucket] = buckets.get(bucket, 0) + n
-    return _Part(count, mean, m2, min(part.minimum for part in found),
-                 max(part.maximum for part in found), buckets)
+    return _Partial(count, mean, m2, min(part.minimum for part in found),
+                    max(part.maximum for part in found), buckets)
 
 
-def _quantile(part: _Part, order: list[int], share: float) -> float:
+def _quantile(part: _Partial, order: list[int], share: float) -> float:
     """Return the sample of nearest rank, its place inside the bucket interpolated."""
     rank = max(1, ceil(share * part.count))
     if rank == part.count:
@@ -113,7 +113,7 @@ def _quantile(part: _Part, order: list[int], share: float) -> float:
     return min(max(value, part.minimum), part.maximum)
 
 
-def _summary(part: _Part | None) -> Summary | None:
+def _summary(part: _Partial | None) -> Summary | None:
     if part is None:
         return None
     order = sorted(part.buckets)
@@ -139,7 +139,7 @@ class Series:
     def reset(self) -> None:
         with self._lock:
             self._end = 0
-            self._state: tuple[_Part | None, tuple[_Slice, ...]] = (None, ())
+            self._state: tuple[_Partial | None, tuple[_Slice, ...]] = (None, ())
 
     def add(self, value: float, now_ns: int) -> None:
         if not -LIMIT < value < LIMIT:

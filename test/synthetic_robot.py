@@ -15,7 +15,7 @@ from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.report import Counts
 from dxl_monitor.bus.report import Error
 from dxl_monitor.bus.report import Finding
-from dxl_monitor.bus.report import Latency
+from dxl_monitor.bus.report import ReplyLatency
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
@@ -29,8 +29,8 @@ from msg_defs.reports import metric_status
 from msg_defs.timing import Summary
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import Counters
+from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate
-from vel2d_bridge.gate import Kind
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.link import Link
 from vel2d_bridge.mcu_log import McuLog
@@ -163,7 +163,7 @@ class SyntheticRobot:
             totals=Counts(answers=int(time_s * 100), missed=3 * missed, writes=int(time_s * 50)),
             window=Counts(answers=answers_s, missed=missed_s), missed_in_a_row=missed,
             observed=tuple(self._observe(model, number, time_s)), unobserved=9,
-            latency=Latency(summary(latency, 0.02), summary(latency, 0.05), 0.94))
+            latency=ReplyLatency(summary(latency, 0.02), summary(latency, 0.05), 0.94))
 
     def _observe(self, model, number, time_s):
         for field in model.fields[:60]:
@@ -209,7 +209,7 @@ class SyntheticRobot:
     def bridge(self, time_s):
         """Return what vel2d_bridge puts on /diagnostics."""
         now, is_driving = int(time_s * 1e9), any(self.velocity)
-        sent = Sent(now, Vel2d(*self.velocity), Kind.COMMAND, 90_000, None)
+        sent = Sent(now, Vel2d(*self.velocity), FrameKind.COMMAND, 90_000, None)
         state = Link('/dev/ttyAMA0', 115200, Gate()).state()._replace(
             is_open=not self.bridge_problem, problem=self.bridge_problem or None,
             since=now - 241_500_000_000, openings=1, deadman='ready',

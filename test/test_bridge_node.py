@@ -239,7 +239,7 @@ def on_command(self, twist, *rest):
 slow(node.Bridge, '_on_command')
 taken, node.Bridge._on_command = node.Bridge._on_command, on_command
 slow(node.Bridge, '_report')
-slow(subscriber.Subscriber, 'look')
+slow(subscriber.CmdVelSubscriber, 'look')
 sys.exit(main.main())
 """
 

@@ -24,12 +24,12 @@ from msg_defs.vel2d import Vel2d
 from vel2d_bridge import watch
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Gate
+from vel2d_bridge.gate import GateSettings
 from vel2d_bridge.gate import MILLISECOND as MS
 from vel2d_bridge.gate import NEVER
+from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
-from vel2d_bridge.gate import Settings
 from vel2d_bridge.gate import Stop
-from vel2d_bridge.gate import Verdict
 from vel2d_bridge.pacer import Pacer
 from vel2d_bridge.receiver import Receiver
 
@@ -112,7 +112,7 @@ class World:
 
     def __init__(self, seed):
         self.chance = chance = random.Random(seed)
-        self.settings = Settings(
+        self.settings = GateSettings(
             cmd_vel_timeout=chance.choice([0.05, 0.2, 0.5, 1.0]),
             resend_rate=chance.choice([2.0, 5.0, 20.0, 33.0]),
             max_rate=chance.choice([2.0, 20.0, 30.0, 30.0, 100.0, 400.0]))
@@ -231,7 +231,7 @@ class World:
     def offer(self, velocity, waited=0):
         acted, self.acted = self.acted, False
         verdict = self.pacer.offer(velocity, self.now, waited=waited, acted=acted)
-        if verdict is Verdict.ACCEPTED:
+        if verdict is Outcome.ACCEPTED:
             self.accepted = self.now
             self.bound = self.bound_of(self.settings) + PROLONGED * (self.calm_at != NEVER)
         self.rise(self.pacer.step(self.now))
@@ -421,7 +421,7 @@ def test_wheels_never_turn_longer_than_allowed_in_10000_more_histories():
 def drive(seed=1, period=33 * MS, **changes):
     """Return a world without accidents that has driven for a while, 115200 baud."""
     world = World(seed)
-    world.settings = Settings(**changes)
+    world.settings = GateSettings(**changes)
     world.write_timeout_s, world.baud = 0.05, 115200
     world.mcu = Receiver()
     world.uart = Uart(world.mcu, world.chance, 0.0)

@@ -11,8 +11,8 @@ from msg_defs.reports import Level
 from msg_defs.timing import Series
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import Counters
+from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
-from vel2d_bridge.gate import Verdict
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.link_state import LinkState
 from vel2d_bridge.mcu_log import McuLog
@@ -75,7 +75,7 @@ def test_link(state, warnings, level, message):
     (OPEN._replace(enabled=False), HEARD, Level.WARN,
      '/cmd_vel: disabled; ros2 service call /vel2d_bridge/enable std_srvs/srv/SetBool "{data: '),
     (OPEN, HEARD._replace(complaints=[FIGHT]), Level.WARN, FIGHT),
-    (OPEN, HEARD._replace(refused=Verdict.NOT_FINITE), Level.WARN,
+    (OPEN, HEARD._replace(refused=Outcome.NOT_FINITE), Level.WARN,
      '/cmd_vel: commands are refused: not finite; mend its publisher'),
     (OPEN, HEARD._replace(timeout_s=0.0), Level.WARN, 'cmd_vel_timeout: 0 holds'),
     (OPEN, HEARD._replace(timeout_s=0.0, choice=Choice('twist', False)), Level.WARN,
@@ -113,7 +113,7 @@ def test_keys_are_there_from_the_beginning():
         assert key in keys
 
 
-@pytest.mark.parametrize('verdict', [one for one in Verdict if one is not Verdict.ACCEPTED])
+@pytest.mark.parametrize('verdict', [one for one in Outcome if one is not Outcome.ACCEPTED])
 def test_every_refusal_has_a_remedy(verdict):
     line = refusal('vel2d_bridge', '/cmd_vel', Vel2d(math.nan, -0.0, math.inf), verdict)
     assert line.startswith(f'/cmd_vel: command (nan, -0, inf) refused: {verdict.value}; ')

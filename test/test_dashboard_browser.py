@@ -22,7 +22,7 @@ from synthetic_robot import MANY
 from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
-from mecarover_dashboard.history import Writer
+from mecarover_dashboard.history import HistoryWriter
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
@@ -349,7 +349,7 @@ def test_log_and_timing(page):
 
 def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
     path, begin = tmp_path / 'history.sqlite', int(time.time()) - 4000
-    writer = Writer(path)
+    writer = HistoryWriter(path)
     record(writer, begin, 3000, 2400, flush_s=300)
     writer.close()
     with Dashboard(history=path) as dashboard:

@@ -21,12 +21,12 @@ from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard import history
 from mecarover_dashboard.history import DamagedError
-from mecarover_dashboard.history import Reader
-from mecarover_dashboard.history import Writer
+from mecarover_dashboard.history import HistoryReader
+from mecarover_dashboard.history import HistoryWriter
 from mecarover_dashboard.recorder import Event
+from mecarover_dashboard.recorder import HistoryRecorder
 from mecarover_dashboard.recorder import MOST_ERRORS
-from mecarover_dashboard.recorder import Recorder
-from mecarover_dashboard.recorder import Source
+from mecarover_dashboard.recorder import Subject
 from mecarover_dashboard.recorder import VALUES
 from mecarover_dashboard.recorder import Window
 from mecarover_dashboard.recorder import WINDOW_S
@@ -37,7 +37,7 @@ from mecarover_dashboard.state import State
 from msg_defs.reports import Level
 
 NIGHT = 1_790_000_000               # Unix s, when the recorded nights begin
-KNEE = Source('dxl_monitor: 007 left_knee', 'devices', '', 'A')
+KNEE = Subject('dxl_monitor: 007 left_knee', 'devices', '', 'A')
 HOURS = 3600
 
 
@@ -48,7 +48,7 @@ def path(tmp_path):
 
 @pytest.fixture
 def writer(path):
-    writer = Writer(path)
+    writer = HistoryWriter(path)
     yield writer
     writer.close()
 
@@ -59,7 +59,7 @@ def window(at, *values, source=KNEE, level=0):
 
 
 def read(path, from_s=0, to_s=NIGHT * 2, of=()):
-    reader = Reader(path)
+    reader = HistoryReader(path)
     try:
         return list(reader.windows(from_s, to_s, of)), reader.events(from_s, to_s, of)
     finally:
@@ -67,7 +67,7 @@ def read(path, from_s=0, to_s=NIGHT * 2, of=()):
 
 
 def looked_at(robot, seconds, recorder=None):
-    recorder, state = recorder or Recorder(), State()
+    recorder, state = recorder or HistoryRecorder(), State()
     for second in seconds:
         for topic, message in robot.messages(second):
             state.take(topic, message, second)
@@ -90,7 +90,7 @@ def test_what_is_kept_of_a_window():
 
 
 def test_events():
-    robot, recorder, state = SyntheticRobot(), Recorder(), State()
+    robot, recorder, state = SyntheticRobot(), HistoryRecorder(), State()
 
     def told(second):
         for topic, message in robot.messages(second):
@@ -119,7 +119,7 @@ def test_events():
 
 
 def test_noise_does_not_fill_the_file():
-    robot, recorder, state = SyntheticRobot(), Recorder(), State()
+    robot, recorder, state = SyntheticRobot(), HistoryRecorder(), State()
     for topic, message in robot.messages(100.0):
         state.take(topic, message, 100.0)
     row = next(state.reports('buses')).row
@@ -158,9 +158,9 @@ def test_impossible_values_are_unknown(writer, path):
 def test_a_restart_records_no_error_twice(writer, path):
     robot = SyntheticRobot()
     robot.lost = {7}
-    for recorder in (Recorder(), Recorder(writer.errors_until())):
+    for recorder in (HistoryRecorder(), HistoryRecorder(writer.errors_until())):
         writer.write(*looked_at(robot, [100.0], recorder))
-    again = Recorder(writer.errors_until())
+    again = HistoryRecorder(writer.errors_until())
     assert not [event for event in looked_at(robot, [100.0], again)[1] if event.kind == 'error']
 
 
@@ -177,7 +177,7 @@ def test_a_day_is_kept_and_no_more(writer, path, monkeypatch):
 
 def test_how_large_a_day_is(writer):
     """An hour of 60 servos that move, with every value different each time, counted up to 253."""
-    sources = [Source(f'dxl_monitor: {n:03}', 'devices', '', 'A') for n in range(60)]
+    sources = [Subject(f'dxl_monitor: {n:03}', 'devices', '', 'A') for n in range(60)]
     for at in range(NIGHT // 600 * 600, NIGHT // 600 * 600 + HOURS, WINDOW_S):
         low = (at % 6280) / 1000
         writer.write([Window(at, one, 0, (low, 40.0, 11.8, low / 10, 0.0, 0.11),
@@ -190,7 +190,7 @@ def test_how_large_a_day_is(writer):
 def test_a_damaged_file_is_set_aside(path, content):
     path.write_bytes(content)
     with pytest.raises(DamagedError):
-        Writer(path)
+        HistoryWriter(path)
     recording = Recording(path)
     recording.close()
     assert recording.notice.startswith(f'{path}: not a readable history (')
@@ -199,17 +199,17 @@ def test_a_damaged_file_is_set_aside(path, content):
 
 
 def test_a_file_of_a_later_version_is_set_aside(path):
-    Writer(path).close()
+    HistoryWriter(path).close()
     database = sqlite3.connect(path)
     database.execute(f'PRAGMA user_version = {history.VERSION + 1}')
     database.close()
     with pytest.raises(DamagedError, match='version 2 of the format is not known here'):
-        Writer(path)
+        HistoryWriter(path)
 
 
 def test_a_file_of_the_same_version_goes_on(path):
     for at in (NIGHT, NIGHT + 600):
-        writer = Writer(path)
+        writer = HistoryWriter(path)
         writer.write([window(at, 1.0)], [])
         writer.close()
     assert [one.at for one in read(path, NIGHT)[0]] == [NIGHT, NIGHT + 600]
@@ -260,7 +260,7 @@ def ask(dashboard, what, **query):
 
 def test_a_robot_that_failed_at_night(path):
     """Eight hours in simulated time: when, which device, how warm and at what voltage before."""
-    writer = Writer(path)
+    writer = HistoryWriter(path)
     lost_at = 5 * HOURS + 1234
     record(writer, NIGHT, 8 * HOURS, lost_at, flush_s=300)
     assert writer.bytes() < 2_000_000
@@ -312,7 +312,7 @@ def test_it_is_recorded_while_it_is_served(path):
 
 
 def _all(path):
-    reader = Reader(path)
+    reader = HistoryReader(path)
     found = list(reader.windows(1_700_000_000, 4_000_000_000))
     reader.close()
     return found

@@ -15,10 +15,10 @@ from msg_defs.dxl1_packet import begin_of
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl1_packet import encode
 from msg_defs.dxl1_packet import FAMILY
-from msg_defs.dxl1_packet import Framer
+from msg_defs.dxl1_packet import Framer1
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl1_packet import MAX_FRAME
-from msg_defs.dxl1_packet import Packet
+from msg_defs.dxl1_packet import Packet1
 from msg_defs.dxl_packet import encode as encode_2
 from msg_defs.dxl_packet import Frame
 from msg_defs.dxl_packet import NOISE_KEPT
@@ -54,10 +54,10 @@ pieces = st.one_of(
 streams = st.lists(pieces, max_size=12).map(b''.join)
 
 
-def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet], Framer]:
+def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet1], Framer1]:
     """Feed in chunks of these sizes, the rest at once; then flush. Checks the byte accounting."""
-    framer = Framer()
-    found: list[Packet] = []
+    framer = Framer1()
+    found: list[Packet1] = []
     at = 0
     for size in [*(sizes or []), len(data)]:
         found += framer.feed(data[at:at + size], 0)
@@ -71,7 +71,7 @@ def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet], Fra
     return found, framer
 
 
-def summary(framer: Framer) -> tuple[int, ...]:
+def summary(framer: Framer1) -> tuple[int, ...]:
     return (framer.packets, framer.crc_errors, framer.truncated, framer.bad_length,
             framer.noise_bytes)
 
@@ -159,7 +159,7 @@ def test_what_is_wrong_is_said_exactly() -> None:
         (b'\xff\xff\x01\x01\x00\x00', 'length', (0, 0, 1)),
     ]
     for wire, reason, counts in cases:
-        framer = Framer()
+        framer = Framer1()
         framer.frames(PING + b'\x00' * 3)
         frames = framer.frames(wire) + framer.flush_frames()
         assert damaged(frames) == [(reason, 3)], wire.hex()
@@ -176,7 +176,7 @@ def test_a_run_of_ff_ends_in_a_header() -> None:
 
 
 def test_the_form_of_a_body_and_where_the_frame_begins() -> None:
-    framer = Framer()
+    framer = Framer1()
     [(end, body, flaw)] = framer.frames(REPLY)
     assert (end, body, flaw) == (len(REPLY), bytes((1, 4, FAMILY, 0, 0x18, 5)), None)
     assert begin_of(end, body) == 0
@@ -192,7 +192,7 @@ def test_no_broadcast_and_no_length_is_too_large() -> None:
 
 
 def test_memory_of_noise_is_bounded() -> None:
-    framer = Framer()
+    framer = Framer1()
     for _ in range(100):
         framer.feed(b'\x00\x80' * 500, 0)
     assert len(framer.noise) <= NOISE_KEPT
@@ -200,7 +200,7 @@ def test_memory_of_noise_is_bounded() -> None:
 
 
 def test_stamps_are_those_of_the_deciding_chunk() -> None:
-    framer = Framer()
+    framer = Framer1()
     assert framer.feed(READ, 5)[0].stamp == 5
     framer.feed(encode(1, 3, bytes(100))[:9] + PING, 6)
     assert [packet.stamp for packet in framer.flush(7)] == [7]
@@ -218,7 +218,7 @@ def test_any_split_gives_the_same_packets(data: bytes, sizes: list[int]) -> None
 @settings(max_examples=300, deadline=None)
 @given(streams)
 def test_the_good_packet_after_garbage_is_found(data: bytes) -> None:
-    framer = Framer()
+    framer = Framer1()
     framer.feed(data, 0)
     framer.flush()
     assert framer.feed(REPLY, 0)[-1].params == b'\x18\x05'
@@ -242,7 +242,7 @@ def test_of_random_candidates_one_in_256_passes() -> None:
 ])
 def test_after_a_pause_the_next_chunk_decides(first: bytes, second: bytes, codes: list[int],
                                               noise: int) -> None:
-    framer = Framer()
+    framer = Framer1()
     found = framer.feed(first, 0)
     framer.interrupt()
     found += framer.feed(second, 1) + framer.flush(2)

@@ -5,7 +5,7 @@
 import pytest
 
 from dxl_monitor.fake.device import BOOT_NS
-from dxl_monitor.fake.device import Device
+from dxl_monitor.fake.device import FakeDevice
 from dxl_monitor.fake.line import Exchange
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.line import MASTER
@@ -30,13 +30,13 @@ S = 1_000_000_000
 TORQUE, LED, GOAL, POSITION, WATCHDOG = 64, 65, 116, 132, 98
 
 
-def make(number: int = 1, name: str = 'XM430-W350', **options: object) -> Device:
+def make(number: int = 1, name: str = 'XM430-W350', **options: object) -> FakeDevice:
     model = MODELS.by_name(name)
     assert model is not None
-    return Device(number, model, baud=BAUD, **options)  # type: ignore[arg-type]
+    return FakeDevice(number, model, baud=BAUD, **options)  # type: ignore[arg-type]
 
 
-def write(device: Device, address: int, data: bytes) -> int:
+def write(device: FakeDevice, address: int, data: bytes) -> int:
     return device.execute(Instruction.WRITE, words(address) + data, 0).error
 
 
@@ -44,7 +44,7 @@ def write(device: Device, address: int, data: bytes) -> int:
 def test_every_model_answers_for_all_its_registers_and_moves(number: int) -> None:
     model = MODELS.get(number)
     assert model is not None
-    device = Device(1, model, motion=Sine(amplitude=0.5))
+    device = FakeDevice(1, model, motion=Sine(amplitude=0.5))
     device.set('Torque Enable', 1)
     for field in model.fields:
         reply = device.read(field.at, field.size, S)
@@ -60,7 +60,7 @@ def test_every_model_answers_for_all_its_registers_and_moves(number: int) -> Non
 
 
 def test_unknown_model_is_bare_memory() -> None:
-    device = Device(1, UNKNOWN)
+    device = FakeDevice(1, UNKNOWN)
     assert write(device, 100, b'\x01\x02') == OK
     assert device.read(100, 2, 0).params == b'\x01\x02'
 

@@ -20,7 +20,7 @@ from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.fake_mcu import FakeMcu
-from vel2d_bridge.receiver import Cable
+from vel2d_bridge.receiver import BadCable
 from vel2d_bridge.receiver import LOOP
 from vel2d_bridge.receiver import QUEUE_DEPTH
 from vel2d_bridge.receiver import Receiver
@@ -106,7 +106,7 @@ def test_without_gaps_a_lost_byte_spoils_everything_until_the_line_is_idle():
 
 
 def test_with_gaps_only_damaged_frames_are_lost():
-    mcu, cable = Receiver(), Cable(drop=50, seed=3)
+    mcu, cable = Receiver(), BadCable(drop=50, seed=3)
     now = 0
     for index in range(1000):
         mcu.feed(cable.carry(numbered(index)), now)
@@ -118,7 +118,7 @@ def test_with_gaps_only_damaged_frames_are_lost():
 
 
 def test_a_flipped_bit_is_a_crc_error():
-    mcu, cable = Receiver(), Cable(flip=10)
+    mcu, cable = Receiver(), BadCable(flip=10)
     for index in range(100):
         mcu.feed(cable.carry(numbered(index)), index * 10 * MS)
     mcu.advance(1000 * MS)

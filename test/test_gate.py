@@ -18,14 +18,14 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import BURST_FRAMES
 from vel2d_bridge.gate import characters_ns
+from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate
-from vel2d_bridge.gate import Kind
+from vel2d_bridge.gate import GateSettings
 from vel2d_bridge.gate import MILLISECOND as MS
 from vel2d_bridge.gate import NEVER
+from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
-from vel2d_bridge.gate import Settings
 from vel2d_bridge.gate import Stop
-from vel2d_bridge.gate import Verdict
 from vel2d_bridge.limit import limit
 from vel2d_bridge.receiver import Receiver
 from vel2d_bridge.settings import PARAMETERS
@@ -56,14 +56,14 @@ def play(gate, begin, end, offers=()):
 
 def opened(**changes):
     """Return a gate after its opening burst, and the time."""
-    gate = Gate(Settings(**changes))
+    gate = Gate(GateSettings(**changes))
     gate.opened(START)
     play(gate, START, START + SECOND)
     return gate, START + SECOND
 
 
 def stops_of(sent):
-    return [stamp for stamp, frame in sent if frame.kind is Kind.STOP]
+    return [stamp for stamp, frame in sent if frame.kind is FrameKind.STOP]
 
 
 def assert_burst(stamps):
@@ -84,7 +84,7 @@ def test_opening_begins_with_a_burst_and_goes_on_with_zeros():
 
 def test_nothing_is_written_while_the_port_is_closed():
     gate = Gate()
-    assert gate.offer(DRIVE, 0) is Verdict.NO_PORT
+    assert gate.offer(DRIVE, 0) is Outcome.NO_PORT
     assert gate.next_frame(0) is None
     assert gate.next_deadline(0) == NEVER
     gate.stop(0, Stop.DISABLED)
@@ -95,10 +95,10 @@ def test_command_goes_out_at_once_and_is_resent():
     gate, now = opened()
     gate.offer(DRIVE, now)
     frame = gate.next_frame(now)
-    assert frame == (DRIVE, Kind.COMMAND, now)
+    assert frame == (DRIVE, FrameKind.COMMAND, now)
     gate.sent(now)
     sent = play(gate, now, now + 400 * MS)
-    assert {frame for _, frame in sent} == {(DRIVE, Kind.RESEND, None)}
+    assert {frame for _, frame in sent} == {(DRIVE, FrameKind.RESEND, None)}
     assert [stamp - now for stamp, _ in sent] == [at * MS for at in range(75, 400, 50)]
 
 
@@ -122,20 +122,21 @@ def test_time_out_zero_holds_for_ever():
 def test_without_resending_the_burst_is_still_sent():
     gate, now = opened(resend_rate=0.0)
     sent = play(gate, now, now + 5 * SECOND, [(now, DRIVE)])
-    assert [frame.kind for _, frame in sent] == [Kind.COMMAND] + [Kind.STOP] * BURST_FRAMES
+    assert [frame.kind for _, frame in sent] \
+        == [FrameKind.COMMAND] + [FrameKind.STOP] * BURST_FRAMES
     assert_burst(stops_of(sent))
     assert gate.next_deadline(now + 5 * SECOND) == NEVER
 
 
 @pytest.mark.parametrize(('velocity', 'arguments', 'verdict'), [
-    (Vel2d(math.nan, 0.0, 0.0), {}, Verdict.NOT_FINITE),
-    (Vel2d(0.0, math.inf, 0.0), {}, Verdict.NOT_FINITE),
-    (Vel2d(0.0, 0.0, -math.inf), {}, Verdict.NOT_FINITE),
-    (Vel2d(1e308, 0.0, 0.0), {}, Verdict.TOO_LARGE),
-    (Vel2d(0.0, 0.0, -1.1e6), {}, Verdict.TOO_LARGE),
-    (DRIVE, {'waited': 501 * MS}, Verdict.WAITED),
-    (DRIVE, {'stamp_age': 1001 * MS}, Verdict.STAMP_OLD),
-    (DRIVE, {'stamp_age': -1001 * MS}, Verdict.STAMP_AHEAD),
+    (Vel2d(math.nan, 0.0, 0.0), {}, Outcome.NOT_FINITE),
+    (Vel2d(0.0, math.inf, 0.0), {}, Outcome.NOT_FINITE),
+    (Vel2d(0.0, 0.0, -math.inf), {}, Outcome.NOT_FINITE),
+    (Vel2d(1e308, 0.0, 0.0), {}, Outcome.TOO_LARGE),
+    (Vel2d(0.0, 0.0, -1.1e6), {}, Outcome.TOO_LARGE),
+    (DRIVE, {'waited': 501 * MS}, Outcome.WAITED),
+    (DRIVE, {'stamp_age': 1001 * MS}, Outcome.STAMP_OLD),
+    (DRIVE, {'stamp_age': -1001 * MS}, Outcome.STAMP_AHEAD),
 ])
 def test_a_refused_command_leaves_the_deadline_alone(velocity, arguments, verdict):
     gate, now = opened(max_stamp_age=1.0)
@@ -155,13 +156,13 @@ def test_a_refused_command_leaves_the_deadline_alone(velocity, arguments, verdic
     {'waited': 500 * MS}, {'stamp_age': 1000 * MS}, {'stamp_age': -1000 * MS}, {'stamp_age': 0}])
 def test_at_the_limit_is_accepted(arguments):
     gate, now = opened(max_stamp_age=1.0)
-    assert gate.offer(DRIVE, now, **arguments) is Verdict.ACCEPTED
+    assert gate.offer(DRIVE, now, **arguments) is Outcome.ACCEPTED
 
 
 def test_a_stamp_or_a_wait_is_no_matter_where_its_check_is_off():
     gate, now = opened(cmd_vel_timeout=0.0)
     verdict = gate.offer(DRIVE, now, waited=3600 * SECOND, stamp_age=3600 * SECOND)
-    assert verdict is Verdict.ACCEPTED
+    assert verdict is Outcome.ACCEPTED
 
 
 def rate_of_40(stamps):
@@ -178,7 +179,7 @@ def test_a_resend_makes_way_for_a_command_and_the_rate_still_holds():
         wait = 50 * MS + chance.randrange(-5 * MS, 5 * MS)     # teleop, as often as a resend
         sent = play(gate, now, now + wait - 1, [(now, DRIVE)])
         stamps += [stamp for stamp, _ in sent]
-        waits += [stamp - now for stamp, frame in sent if frame.kind is Kind.COMMAND]
+        waits += [stamp - now for stamp, frame in sent if frame.kind is FrameKind.COMMAND]
         now += wait
     assert len(waits) == 300
     assert max(waits) < 3 * MS
@@ -193,11 +194,12 @@ def test_newest_replaces_older_and_the_rate_holds(rate):
     sent = play(gate, now, offers[-1][0] + 3 * SECOND, offers)
     stamps = [stamp for stamp, _ in sent]
     assert rate_of_40(stamps) <= 1.02 * rate
-    waits = [stamp - frame.offered for stamp, frame in sent if frame.kind is Kind.COMMAND]
+    waits = [stamp - frame.offered for stamp, frame in sent if frame.kind is FrameKind.COMMAND]
     assert max(waits) <= SECOND / rate               # no command is older than a slot
-    driven = [frame for _, frame in sent if frame.kind is not Kind.STOP and frame.velocity != STOP]
+    driven = [frame for _, frame in sent
+              if frame.kind is not FrameKind.STOP and frame.velocity != STOP]
     assert driven[-1].velocity == commands[-1]
-    fresh = [frame.velocity.y for frame in driven if frame.kind is Kind.COMMAND]
+    fresh = [frame.velocity.y for frame in driven if frame.kind is FrameKind.COMMAND]
     assert fresh == sorted(set(fresh))
     assert gate.counters.replaced == 1000 - len(fresh)
 
@@ -219,7 +221,7 @@ def test_up_to_max_rate_a_command_finds_its_slot_free(rate, ppm, jitter, resend)
     gate, now = opened(resend_rate=resend)
     stamps = publisher(now, rate, 900 if ppm else 120, ppm, jitter)
     sent = play(gate, now, stamps[-1] + 30 * MS, [(stamp, DRIVE) for stamp in stamps])
-    waits = [stamp - frame.offered for stamp, frame in sent if frame.kind is Kind.COMMAND]
+    waits = [stamp - frame.offered for stamp, frame in sent if frame.kind is FrameKind.COMMAND]
     assert len(waits) == len(stamps)
     assert statistics.quantiles(waits, n=20)[-1] <= 3 * MS
     assert statistics.median(waits) <= MS
@@ -264,7 +266,7 @@ def test_any_40_frames_keep_to_the_rate(rate, resend, gaps):
 
 
 def test_rate_never_exceeds_what_the_baud_carries_with_a_gap():
-    gate = Gate(Settings(max_rate=400.0), baud=9600)
+    gate = Gate(GateSettings(max_rate=400.0), baud=9600)
     gate.opened(START)
     offers = [(START + index * MS, Vel2d(1.0, index, 0.0)) for index in range(500)]
     stamps = [stamp for stamp, _ in play(gate, START, START + SECOND, offers)]
@@ -277,9 +279,9 @@ def test_a_command_ends_a_burst_but_never_skips_the_stop():
     gate.offer(STOP, now)                            # a zero command changes nothing
     gate.offer(DRIVE, now)
     sent = play(gate, now, now + 100 * MS)
-    assert [frame.kind for _, frame in sent][:2] == [Kind.STOP, Kind.COMMAND]
-    assert sent[0][1] == (STOP, Kind.STOP, None)
-    assert sent[1][1] == (DRIVE, Kind.COMMAND, now)
+    assert [frame.kind for _, frame in sent][:2] == [FrameKind.STOP, FrameKind.COMMAND]
+    assert sent[0][1] == (STOP, FrameKind.STOP, None)
+    assert sent[1][1] == (DRIVE, FrameKind.COMMAND, now)
 
 
 def test_a_zero_command_while_driving_is_a_burst():
@@ -296,19 +298,19 @@ def test_disabled_means_zeros_and_refusals():
     gate, now = opened()
     gate.offer(DRIVE, now)
     gate.enable(False, now)
-    assert gate.offer(DRIVE, now + MS) is Verdict.DISABLED
+    assert gate.offer(DRIVE, now + MS) is Outcome.DISABLED
     sent = play(gate, now, now + SECOND)
     assert_burst(stops_of(sent))
     assert all(frame.velocity == STOP for _, frame in sent)
     gate.enable(True, now + SECOND)
     assert not gate.driving
-    assert gate.offer(DRIVE, now + SECOND) is Verdict.ACCEPTED
+    assert gate.offer(DRIVE, now + SECOND) is Outcome.ACCEPTED
 
 
 def test_shutdown_refuses_from_then_on():
     gate, now = opened()
     gate.stop(now, Stop.SHUTDOWN)
-    assert gate.offer(DRIVE, now) is Verdict.SHUTDOWN
+    assert gate.offer(DRIVE, now) is Outcome.SHUTDOWN
     assert_burst(stops_of(play(gate, now, now + SECOND)))
 
 
@@ -316,8 +318,8 @@ def test_after_a_freeze_what_waited_is_refused():
     gate, now = opened()
     gate.offer(DRIVE, now)
     gate.stop(now, Stop.FROZEN)
-    assert gate.offer(DRIVE, now + 199 * MS) is Verdict.FROZEN
-    assert gate.offer(DRIVE, now + 200 * MS) is Verdict.ACCEPTED
+    assert gate.offer(DRIVE, now + 199 * MS) is Outcome.FROZEN
+    assert gate.offer(DRIVE, now + 200 * MS) is Outcome.ACCEPTED
 
 
 def test_reopening_forgets_the_command():
@@ -360,7 +362,7 @@ def test_hold_keeps_everything_back():
     gate.stop(now, Stop.WRITE)
     gate.hold(now + 77 * MS)
     assert gate.next_frame(now + 76 * MS) is None
-    assert gate.next_frame(now + 77 * MS) == (STOP, Kind.STOP, None)
+    assert gate.next_frame(now + 77 * MS) == (STOP, FrameKind.STOP, None)
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -526,12 +528,12 @@ def test_closed_again_it_writes_and_takes_nothing():
     assert not gate.stopping
     assert gate.next_frame(now + SECOND) is None
     assert gate.next_deadline(now) == NEVER
-    assert gate.offer(DRIVE, now) is Verdict.NO_PORT
+    assert gate.offer(DRIVE, now) is Outcome.NO_PORT
 
 
 @pytest.mark.parametrize(('age_s', 'limit_s', 'verdict'), [
-    (-5, 0, Verdict.ACCEPTED), (5, 0, Verdict.ACCEPTED), (-5, 5, Verdict.ACCEPTED),
-    (5, 5, Verdict.ACCEPTED), (-5, 4.999, Verdict.STAMP_AHEAD), (5, 4.999, Verdict.STAMP_OLD)])
+    (-5, 0, Outcome.ACCEPTED), (5, 0, Outcome.ACCEPTED), (-5, 5, Outcome.ACCEPTED),
+    (5, 5, Outcome.ACCEPTED), (-5, 4.999, Outcome.STAMP_AHEAD), (5, 4.999, Outcome.STAMP_OLD)])
 def test_stamps_are_judged_on_both_sides(age_s, limit_s, verdict):
     gate, now = opened(max_stamp_age=float(limit_s))
     assert gate.offer(DRIVE, now, stamp_age=age_s * SECOND) is verdict
@@ -541,19 +543,19 @@ def test_a_freeze_that_is_noticed_late_does_not_shorten_what_a_suspension_refuse
     gate, now = opened()
     gate.stop(now, Stop.SUSPEND)
     gate.stop(now + 50 * MS, Stop.FROZEN)
-    assert gate.offer(DRIVE, now + SECOND - 1) is Verdict.FROZEN
+    assert gate.offer(DRIVE, now + SECOND - 1) is Outcome.FROZEN
 
 
 def test_before_a_suspension_no_command_is_taken():
     gate, now = opened()
     gate.stop(now, Stop.SUSPEND)
-    assert gate.offer(DRIVE, now + 999 * MS) is Verdict.FROZEN
-    assert gate.offer(DRIVE, now + SECOND) is Verdict.ACCEPTED
+    assert gate.offer(DRIVE, now + 999 * MS) is Outcome.FROZEN
+    assert gate.offer(DRIVE, now + SECOND) is Outcome.ACCEPTED
 
 
 def test_what_nobody_sets_is_as_the_parameters_say():
     defaults = {parameter.name: parameter.default for parameter in PARAMETERS}
-    assert Settings()._asdict() == {name: defaults[name] for name in Settings._fields}
+    assert GateSettings()._asdict() == {name: defaults[name] for name in GateSettings._fields}
 
 
 def test_opening_leaves_a_gap_behind_who_wrote_last():
@@ -562,7 +564,7 @@ def test_opening_leaves_a_gap_behind_who_wrote_last():
     gap = characters_ns(FRAME_SIZE + 2, 115200)
     assert gate.next_deadline(START) == START + gap
     assert gate.next_frame(START + gap - 1) is None
-    assert gate.next_frame(START + gap) == (STOP, Kind.STOP, None)
+    assert gate.next_frame(START + gap) == (STOP, FrameKind.STOP, None)
 
 
 def test_a_zero_command_during_a_burst_is_that_burst():
@@ -570,7 +572,7 @@ def test_a_zero_command_during_a_burst_is_that_burst():
     gate, now = opened()
     gate.stop(now, Stop.TYPE_SWITCH)
     gate.offer(STOP, now)
-    assert gate.next_frame(now) == (STOP, Kind.STOP, None)
+    assert gate.next_frame(now) == (STOP, FrameKind.STOP, None)
     gate.offer(STOP, now)
     assert (gate.counters.accepted, gate.counters.replaced) == (2, 0)
     assert gate.counters.stops[Stop.COMMAND] == 0
@@ -583,7 +585,7 @@ def test_a_burst_delays_the_next_command_by_one_interval_at_most(frames):
     stops = stops_of(play(gate, now, now + 50 * (frames - 1) * MS))
     assert len(stops) == frames
     sent = play(gate, stops[-1], stops[-1] + SECOND, [(stops[-1], DRIVE)])
-    assert sent[0][1] == (DRIVE, Kind.COMMAND, stops[-1])
+    assert sent[0][1] == (DRIVE, FrameKind.COMMAND, stops[-1])
     assert 480 * MS <= sent[0][0] - stops[-1] <= 500 * MS
 
 
@@ -609,8 +611,8 @@ def test_a_command_behind_a_resend_goes_out_after_the_gap():
     gate, now = opened()
     gate.offer(DRIVE, now)
     resent = play(gate, now, now + 75 * MS)[-1]
-    assert resent == (now + 75 * MS, (DRIVE, Kind.RESEND, None))
+    assert resent == (now + 75 * MS, (DRIVE, FrameKind.RESEND, None))
     gate.offer(OTHER, resent[0])
     gap = characters_ns(FRAME_SIZE + 2, 115200)
     assert gate.next_frame(resent[0] + gap - 1) is None
-    assert gate.next_frame(resent[0] + gap) == (OTHER, Kind.COMMAND, resent[0])
+    assert gate.next_frame(resent[0] + gap) == (OTHER, FrameKind.COMMAND, resent[0])

@@ -102,16 +102,16 @@ def test_an_instruction(copy: Callable[[str], Copy]) -> None:
         return Reply(OK)
 
 """),
-                ('    Instruction.REBOOT: ', '    Instruction.HOME: Device._on_home,\n'))
+                ('    Instruction.REBOOT: ', '    Instruction.HOME: FakeDevice._on_home,\n'))
     assert code.run('-c', """
 from dxl_monitor.bus.conversation import Conversation
-from dxl_monitor.fake.device import Device
+from dxl_monitor.fake.device import FakeDevice
 from dxl_monitor.model.models import Models
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import encode
 models = Models()
 bus = Conversation(models)
-servo = Device(1, models.by_name('MX-64'))
+servo = FakeDevice(1, models.by_name('MX-64'))
 def ask(instruction, params=b''):
     reply = servo.execute(instruction, params, 0)
     wire = encode(1, instruction, params) + encode(1, 0x55, reply.params, reply.error)

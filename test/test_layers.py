@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The house rules that a machine can hold: import layers, where ROS may be, sizes, names."""
 import ast
+from collections import defaultdict
 import io
 import os
 from pathlib import Path
@@ -100,6 +101,15 @@ def test_the_page_is_written_like_the_rest(path):
     lines = path.read_text().splitlines()
     assert [(at, len(line)) for at, line in enumerate(lines, 1) if len(line) > 99] == []
     assert len(lines) <= 400
+
+
+def test_no_class_name_stands_for_two_things():
+    places = defaultdict(list)
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                places[node.name.lstrip('_')].append(f'{path.relative_to(ROOT)}:{node.lineno}')
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
 def functions():

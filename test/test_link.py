@@ -17,13 +17,13 @@ from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.fake_mcu import FakeMcu
+from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate
-from vel2d_bridge.gate import Kind
+from vel2d_bridge.gate import GateSettings
 from vel2d_bridge.gate import MILLISECOND
+from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
-from vel2d_bridge.gate import Settings
 from vel2d_bridge.gate import Stop
-from vel2d_bridge.gate import Verdict
 from vel2d_bridge.link import Link
 
 pytestmark = pytest.mark.alone
@@ -88,17 +88,17 @@ def test_commands_arrive_and_silence_stops(mcu):
         assert link.gate.counters.time_outs == 1
         assert link.state().frames == len(sent)
     assert sent[0].velocity == STOP
-    commands = [one for one in sent if one.kind is Kind.COMMAND]
+    commands = [one for one in sent if one.kind is FrameKind.COMMAND]
     assert all(one.latency >= one.write >= 0 for one in commands)
     assert len({one.stamp for one in sent}) == len(sent)
 
 
 def test_closing_ends_with_a_burst(mcu):
-    with linked(mcu.path, Settings(resend_rate=0.0)) as link:
+    with linked(mcu.path, GateSettings(resend_rate=0.0)) as link:
         drive(link, mcu)
     wait(lambda: mcu.receiver.wheels.is_stop)
     assert velocities(mcu)[-5:] == [STOP] * 5
-    assert link.offer(DRIVE) is Verdict.SHUTDOWN
+    assert link.offer(DRIVE) is Outcome.SHUTDOWN
     assert not link.state().is_open
     link.close()
 
@@ -122,13 +122,13 @@ def test_closing_gives_the_port_back_to_everybody(mcu):
 @pytest.mark.parametrize('rate', [30.0, 100.0])
 def test_a_thousand_commands_at_200_hz(mcu, rate):
     commands = [Vel2d(0.5, index / 1000, 0.0) for index in range(1, 1001)]
-    with linked(mcu.path, Settings(max_rate=rate)) as link:
+    with linked(mcu.path, GateSettings(max_rate=rate)) as link:
         wait(lambda: mcu.totals()['frames'] >= 6)
         before = mcu.totals()['frames']
         begin = time.monotonic()
         for index, command in enumerate(commands):
             time.sleep(max(0.0, begin + index * 0.005 - time.monotonic()))
-            assert link.offer(command) is Verdict.ACCEPTED
+            assert link.offer(command) is Outcome.ACCEPTED
         elapsed = time.monotonic() - begin
         frames = mcu.totals()['frames'] - before
         wait(lambda: mcu.receiver.wheels.is_stop)
@@ -147,7 +147,7 @@ def test_unplugged_and_back_ten_times(mcu):
         for _ in range(10):
             drive(link, mcu)
             unplug(link, mcu)
-            assert link.offer(DRIVE) is Verdict.NO_PORT
+            assert link.offer(DRIVE) is Outcome.NO_PORT
             mcu.receiver.arrivals.clear()
             mcu.come_back()
             wait(lambda: len(mcu.receiver.arrivals) >= 5)
@@ -251,7 +251,7 @@ class Recorder:
 
 
 @pytest.mark.parametrize('act', [
-    lambda link: link.enable(True), lambda link: link.apply(Settings(max_linear_x=0.3)),
+    lambda link: link.enable(True), lambda link: link.apply(GateSettings(max_linear_x=0.3)),
     lambda link: link.stop(Stop.TYPE_SWITCH)])
 def test_whatever_comes_first_after_a_freeze_sends_no_old_set_point(act):
     now = SECOND
@@ -435,9 +435,9 @@ def test_disable_stop_and_settings_take_effect(mcu):
         drive(link, mcu)
         link.enable(False)
         wait(lambda: mcu.receiver.wheels.is_stop)
-        assert link.offer(DRIVE) is Verdict.DISABLED
+        assert link.offer(DRIVE) is Outcome.DISABLED
         link.enable(True)
-        link.apply(Settings(max_linear_x=0.25), write_timeout_s=0.02)
+        link.apply(GateSettings(max_linear_x=0.25), write_timeout_s=0.02)
         link.offer(DRIVE)
         assert link.gate.velocity == Vel2d(0.25, -0.125, 0.5)
         link.suspend()

@@ -13,8 +13,8 @@ from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import Gate
+from vel2d_bridge.gate import GateSettings
 from vel2d_bridge.gate import MILLISECOND as MS
-from vel2d_bridge.gate import Settings
 from vel2d_bridge.pacer import Pacer
 
 pytestmark = pytest.mark.skipif(shutil.which('cc') is None, reason='skipped: no C compiler')
@@ -62,7 +62,7 @@ class Wire:
 def stream(end_ms, commands_until_ms=0):
     """Return what the bridge sends until then, a command each 20 ms for the first part."""
     wire = Wire()
-    pacer = Pacer(Gate(Settings()), lambda: wire.now)
+    pacer = Pacer(Gate(GateSettings()), lambda: wire.now)
     pacer.attach(wire, 0)
     for ms in range(end_ms):
         wire.now = ms * MS

@@ -7,13 +7,13 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import BURST_FRAMES
 from vel2d_bridge.gate import characters_ns
+from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate
-from vel2d_bridge.gate import Kind
 from vel2d_bridge.gate import MILLISECOND as MS
 from vel2d_bridge.gate import NEVER
+from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
-from vel2d_bridge.gate import Verdict
 from vel2d_bridge.pacer import Pacer
 from vel2d_bridge.watch import SILENCE
 
@@ -79,7 +79,7 @@ def test_nothing_happens_without_a_line():
     pacer = Pacer(Gate(), lambda: START)
     assert pacer.turn(START) == NEVER
     assert pacer.turn(START + SECOND, True) == NEVER
-    assert pacer.offer(DRIVE, START) is Verdict.NO_PORT
+    assert pacer.offer(DRIVE, START) is Outcome.NO_PORT
     assert (pacer.freezes, pacer.is_idle()) == (0, True)
 
 
@@ -89,7 +89,8 @@ def test_a_command_is_one_write_and_is_told():
     world.drive()
     assert world.velocities == [DRIVE]
     sent = world.sent[-1]
-    assert (sent.velocity, sent.kind, sent.stamp, sent.latency) == (DRIVE, Kind.COMMAND, begin, 0)
+    assert (sent.velocity, sent.kind, sent.stamp, sent.latency) \
+        == (DRIVE, FrameKind.COMMAND, begin, 0)
     assert world.pacer.last == sent
     assert world.pacer.freezes == 0
 
@@ -108,8 +109,8 @@ def test_a_callback_notices_a_freeze_as_well_and_it_counts_once():
     world.drive()
     world.pacer.turn(world.now)
     now = world.now + SILENCE
-    assert world.pacer.offer(DRIVE, now) is Verdict.FROZEN
-    assert world.pacer.offer(DRIVE, now + MS) is Verdict.FROZEN
+    assert world.pacer.offer(DRIVE, now) is Outcome.FROZEN
+    assert world.pacer.offer(DRIVE, now + MS) is Outcome.FROZEN
     assert world.pacer.freezes == 1
     world.pacer.turn(now + 2 * MS)
     assert world.pacer.freezes == 1
@@ -121,7 +122,7 @@ def test_where_the_deadman_acted_the_bridge_begins_anew():
     world.drive()
     world.pacer.turn(world.now, True)
     assert world.pacer.freezes == 1
-    assert world.pacer.offer(DRIVE, world.now, acted=True) is Verdict.FROZEN
+    assert world.pacer.offer(DRIVE, world.now, acted=True) is Outcome.FROZEN
 
 
 def test_a_driver_that_counts_whole_transfers_is_given_the_time_of_any_other():

@@ -30,7 +30,7 @@ from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.vel2d import FRAME_SIZE
 from vel2d_bridge.receiver import Arrival
-from vel2d_bridge.receiver import Cable
+from vel2d_bridge.receiver import BadCable
 from vel2d_bridge.receiver import Receiver
 from vel2d_bridge.receiver import SetPoint
 
@@ -45,13 +45,13 @@ class FakeMcu:
     """A receiver on a pty. `pump` drives it; or `running()` does, in a thread, for tests."""
 
     def __init__(self, link: str | None = None, *, baud: int = 115200,
-                 crc: Callable[[bytes], int] = crc32_mpeg2, cable: Cable | None = None,
+                 crc: Callable[[bytes], int] = crc32_mpeg2, cable: BadCable | None = None,
                  talks: bool = False, clock: Callable[[], int] = time.monotonic_ns) -> None:
         self.link = link
         self.merged = 0                              # reads that held more than one frame
         self._clock = clock
         self._lock = threading.Lock()                # `running` pumps, the test unplugs
-        self._cable = cable or Cable()
+        self._cable = cable or BadCable()
         self._talks = talks                          # says why it refuses a frame, as firmware
         self._said = {'crc_err': 0, 'insufficient': 0}
         self._pty: Pty | None = Pty(link)
@@ -154,8 +154,8 @@ def main() -> int:
 def _main(arguments: list[str]) -> int:
     options = _parser().parse_args(arguments)
     away = parse_away(options.vanish)
-    cable = Cable(drop=options.drop, flip=options.flip, deaf_after=options.deaf_after,
-                  seed=options.seed)
+    cable = BadCable(drop=options.drop, flip=options.flip, deaf_after=options.deaf_after,
+                     seed=options.seed)
     mcu = FakeMcu(options.link, baud=options.baud, crc=CRC_INPUTS[options.crc_input], cable=cable,
                   talks=not options.silent)
     printer = _Printer(mcu, as_json=options.json, frames=options.frames)

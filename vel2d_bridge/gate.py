@@ -41,7 +41,7 @@ MCU_PERIOD = 30_030_000            # a slot this long never fills the MCU's queu
 MCU_RATE = 33.3
 
 
-class Verdict(Enum):
+class Outcome(Enum):
     """What became of an offered command; the value is the reason as shown to the user."""
 
     ACCEPTED = 'accepted'
@@ -70,7 +70,7 @@ class Stop(Enum):
     SHUTDOWN = 'shutdown'
 
 
-class Kind(Enum):
+class FrameKind(Enum):
     """Why a frame is written."""
 
     COMMAND = 'command'
@@ -82,11 +82,11 @@ class Frame(NamedTuple):
     """One frame that is due; `offered` is when its command came in (COMMAND only)."""
 
     velocity: Vel2d
-    kind: Kind
+    kind: FrameKind
     offered: int | None
 
 
-class Settings(NamedTuple):
+class GateSettings(NamedTuple):
     """What may change while driving: names, units (s, Hz, m/s, rad/s) and 0 as the parameters."""
 
     cmd_vel_timeout: float = 0.5
@@ -99,13 +99,13 @@ class Settings(NamedTuple):
 
 
 class Counters:
-    """Since start; `refused` by Verdict, `stops` by Stop, every key there from the beginning."""
+    """Since start; `refused` by Outcome, `stops` by Stop, every key there from the beginning."""
 
     __slots__ = ('accepted', 'limited', 'received', 'refused', 'replaced', 'stops', 'time_outs')
 
     def __init__(self) -> None:
         self.received = self.accepted = self.limited = self.replaced = self.time_outs = 0
-        self.refused: Counter[Verdict] = Counter(dict.fromkeys(Verdict, 0))
+        self.refused: Counter[Outcome] = Counter(dict.fromkeys(Outcome, 0))
         self.stops: Counter[Stop] = Counter(dict.fromkeys(Stop, 0))
 
 
@@ -117,7 +117,7 @@ def characters_ns(count: int, baud: int) -> int:
 class Gate:
     """Commands in, due frames out. The owner serialises the calls."""
 
-    def __init__(self, settings: Settings | None = None, *, baud: int = 115200,
+    def __init__(self, settings: GateSettings | None = None, *, baud: int = 115200,
                  enabled: bool = True) -> None:
         self.counters = Counters()
         self.velocity = STOP                         # the set-point
@@ -132,18 +132,18 @@ class Gate:
         self._burst_began = False                    # by writing its first zero
         self._last_frame_at = -SECOND
         self._slot_begins_at = 0                     # the next slot of the rate
-        self._last_kind = Kind.STOP
+        self._last_kind = FrameKind.STOP
         self._hold_until = 0                         # writing nothing
         self._refuse_until = 0                       # refusing commands
         self._lowered_not_sent = False               # a limit lowered the set-point
-        self.settings = settings or Settings()
+        self.settings = settings or GateSettings()
 
     @property
-    def settings(self) -> Settings:
+    def settings(self) -> GateSettings:
         return self._settings
 
     @settings.setter
-    def settings(self, settings: Settings) -> None:
+    def settings(self, settings: GateSettings) -> None:
         """Take effect at once; but a longer time-out counts from the next command on."""
         self._settings = settings
         self._timeout = round(settings.cmd_vel_timeout * SECOND)
@@ -172,32 +172,32 @@ class Gate:
 
     def offer(
             self, velocity: Vel2d, now: int, *,
-            waited: int = 0, stamp_age: int | None = None) -> Verdict:
+            waited: int = 0, stamp_age: int | None = None) -> Outcome:
         """Judge a command; `waited` ns in the middleware, `stamp_age` ns (None: no stamp)."""
         self._expire(now)
         self.counters.received += 1
         verdict = self._judge(velocity, now, waited, stamp_age)
-        if verdict is Verdict.ACCEPTED:
+        if verdict is Outcome.ACCEPTED:
             self._accept(velocity, now)
         else:
             self.counters.refused[verdict] += 1
         return verdict
 
     def _judge(
-            self, velocity: Vel2d, now: int, waited: int, stamp_age: int | None) -> Verdict:
+            self, velocity: Vel2d, now: int, waited: int, stamp_age: int | None) -> Outcome:
         oldest = round(self._settings.max_stamp_age * SECOND)
         reasons = (
-            (not all(map(math.isfinite, velocity)), Verdict.NOT_FINITE),
-            (max(map(abs, velocity)) > LARGEST, Verdict.TOO_LARGE),
-            (self.is_shut, Verdict.SHUTDOWN),
-            (not self.enabled, Verdict.DISABLED),
-            (not self.is_open, Verdict.NO_PORT),
-            (now < self._refuse_until, Verdict.FROZEN),
-            (0 < self._timeout < waited, Verdict.WAITED),
-            (stamp_age is not None and 0 < oldest < stamp_age, Verdict.STAMP_OLD),
-            (stamp_age is not None and 0 < oldest < -stamp_age, Verdict.STAMP_AHEAD),
+            (not all(map(math.isfinite, velocity)), Outcome.NOT_FINITE),
+            (max(map(abs, velocity)) > LARGEST, Outcome.TOO_LARGE),
+            (self.is_shut, Outcome.SHUTDOWN),
+            (not self.enabled, Outcome.DISABLED),
+            (not self.is_open, Outcome.NO_PORT),
+            (now < self._refuse_until, Outcome.FROZEN),
+            (0 < self._timeout < waited, Outcome.WAITED),
+            (stamp_age is not None and 0 < oldest < stamp_age, Outcome.STAMP_OLD),
+            (stamp_age is not None and 0 < oldest < -stamp_age, Outcome.STAMP_AHEAD),
         )
-        return next((verdict for wrong, verdict in reasons if wrong), Verdict.ACCEPTED)
+        return next((verdict for wrong, verdict in reasons if wrong), Outcome.ACCEPTED)
 
     def _accept(self, velocity: Vel2d, now: int) -> None:
         self.counters.accepted += 1
@@ -263,7 +263,7 @@ class Gate:
         if now < self._due():
             return None
         kind = self._kind()
-        if kind is Kind.STOP:
+        if kind is FrameKind.STOP:
             return Frame(STOP, kind, None if self.driving else self._offered_at)
         return Frame(self.velocity, kind, self._offered_at)
 
@@ -290,10 +290,10 @@ class Gate:
         if not self.is_open:
             return NEVER
         kind = self._kind()
-        if kind is Kind.STOP:
+        if kind is FrameKind.STOP:
             due = self._last_frame_at + (BURST_PERIOD if self._burst_began else STOP_GAP)
-        elif kind is Kind.COMMAND:                   # a resend used a slot that was left over
-            due = (self._last_frame_at if self._last_kind is Kind.RESEND
+        elif kind is FrameKind.COMMAND:                   # a resend used a slot that was left over
+            due = (self._last_frame_at if self._last_kind is FrameKind.RESEND
                    else self._slot_begins_at - self._early)
         elif self._lowered_not_sent:
             due = self._slot_begins_at
@@ -310,16 +310,16 @@ class Gate:
         After a command later, and only once a whole slot has passed unused: the next command must
         find its slot free.
         """
-        if self._last_kind is Kind.COMMAND:
+        if self._last_kind is FrameKind.COMMAND:
             return max(self._last_frame_at + self._resend + self._resend // 2,
                        self._slot_begins_at + self._interval)
         return max(self._last_frame_at + self._resend, self._slot_begins_at)
 
-    def _kind(self) -> Kind:
+    def _kind(self) -> FrameKind:
         """Return what the next frame is."""
         if self._burst_zeros_left:
-            return Kind.STOP
-        return Kind.RESEND if self._offered_at is None else Kind.COMMAND
+            return FrameKind.STOP
+        return FrameKind.RESEND if self._offered_at is None else FrameKind.COMMAND
 
     def _expiry_of(self, accepted: int) -> int:
         return accepted + self._timeout if self._timeout else NEVER

@@ -27,10 +27,10 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.gate import Gate
+from vel2d_bridge.gate import GateSettings
+from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
-from vel2d_bridge.gate import Settings
 from vel2d_bridge.gate import Stop
-from vel2d_bridge.gate import Verdict
 from vel2d_bridge.link_state import deadman_state
 from vel2d_bridge.link_state import LinkState
 from vel2d_bridge.link_state import stuck
@@ -98,7 +98,7 @@ class Link:
     def start(self) -> None:
         self._thread.start()
 
-    def offer(self, velocity: Vel2d, *, waited: int = 0, stamp_age: int | None = None) -> Verdict:
+    def offer(self, velocity: Vel2d, *, waited: int = 0, stamp_age: int | None = None) -> Outcome:
         """Judge a command and write it at once when the rate allows (times in ns)."""
         with self._lock:
             now = self._clock()
@@ -123,7 +123,7 @@ class Link:
         with self._acting() as now:
             self.gate.enable(on, now)
 
-    def apply(self, settings: Settings, write_timeout_s: float | None = None) -> None:
+    def apply(self, settings: GateSettings, write_timeout_s: float | None = None) -> None:
         """Change settings while running; they take effect at once."""
         with self._acting():
             self.gate.settings = settings

@@ -41,8 +41,8 @@ from msg_defs.vel2d import Vel2d
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import Gate
+from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import Stop
-from vel2d_bridge.gate import Verdict
 from vel2d_bridge.link import Link
 from vel2d_bridge.link_state import NO_STOP
 from vel2d_bridge.mcu_log import McuLog
@@ -55,7 +55,7 @@ from vel2d_bridge.status import Commands
 from vel2d_bridge.status import commands_status
 from vel2d_bridge.status import link_status
 from vel2d_bridge.status import refusal
-from vel2d_bridge.subscriber import Subscriber
+from vel2d_bridge.subscriber import CmdVelSubscriber
 from vel2d_bridge.switch import is_kept_off
 from vel2d_bridge.switch import keep
 from vel2d_bridge.timing import Timing
@@ -85,15 +85,15 @@ class Bridge:
         self._port_warnings: list[str] = []
         self._said: set[str] = set()                # complaints that still stand
         self._known_freezes = 0
-        self._refused: tuple[Verdict, int] | None = None
-        self._told: dict[Verdict, int] = {}         # when a reason was last logged
+        self._refused: tuple[Outcome, int] | None = None
+        self._told: dict[Outcome, int] = {}         # when a reason was last logged
         self._levels: list[Level] = []
         self._not_kept = ''                         # why switching off would not outlast a restart
         self._reported = 0.0
         self._link = self._make_link(deadman)
         if not self._link.gate.enabled:             # the file has said so: it is one switch
             self.node.set_parameters([Parameter('enabled', value=False)])
-        self._subscriber = Subscriber(
+        self._subscriber = CmdVelSubscriber(
             self.node, self._values['message_type'], self._on_command, self._on_type,
             self._on_left)
         self.node.create_service(SetBool, '~/enable', self._enable)
@@ -173,7 +173,7 @@ class Bridge:
         self._timing.command_came(now, stamp_age)
         velocity = Vel2d(twist.linear.x, twist.linear.y, twist.angular.z)
         verdict = self._link.offer(velocity, waited=waited, stamp_age=stamp_age)
-        if verdict is not Verdict.ACCEPTED:
+        if verdict is not Outcome.ACCEPTED:
             self._refused = verdict, now
             if now - self._told.get(verdict, -THROTTLE_NS) >= THROTTLE_NS:
                 self._told[verdict] = now

@@ -22,21 +22,21 @@ from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Frame
+from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import GAP_CHARACTERS
 from vel2d_bridge.gate import Gate
-from vel2d_bridge.gate import Kind
 from vel2d_bridge.gate import MILLISECOND
 from vel2d_bridge.gate import NEVER
+from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
-from vel2d_bridge.gate import Verdict
 from vel2d_bridge.watch import SILENCE
 
 RETRY = 2 * MILLISECOND
 FIFO_CHARACTERS = 128              # the longest transmit FIFO of common UARTs and adapters
 
 
-class Line(Protocol):
+class SerialOutput(Protocol):
     """What a pacer needs of a port; all non-blocking, any may raise when the port has gone."""
 
     def write(self, data: bytes) -> int:
@@ -54,7 +54,7 @@ class Sent(NamedTuple):
 
     stamp: int
     velocity: Vel2d
-    kind: Kind
+    kind: FrameKind
     write: int                     # duration of the write
     latency: int | None            # from the callback to the end of the write, for a command
 
@@ -80,7 +80,7 @@ class Pacer:
         self._spacing = characters_ns(FRAME_SIZE + GAP_CHARACTERS, baud)
         self._gap = characters_ns(GAP_CHARACTERS, baud)
         self._drain = characters_ns(FIFO_CHARACTERS + GAP_CHARACTERS, baud)
-        self._line: Line | None = None
+        self._line: SerialOutput | None = None
         self._last_written_at = 0
         self._frame_under_way = False                # it is not known to have left
         self._frame_is_late = False                  # it had not left when it should have
@@ -88,7 +88,7 @@ class Pacer:
         self._last_turn_at = 0                       # the owner's thread called turn()
         self._turn_before_freeze = -1                # a freeze is counted once
 
-    def attach(self, line: Line, now: int) -> None:
+    def attach(self, line: SerialOutput, now: int) -> None:
         """Begin on a newly opened line, with a stop."""
         self._line = line
         self._last_turn_at = self._last_written_at = now
@@ -118,7 +118,7 @@ class Pacer:
 
     def offer(
             self, velocity: Vel2d, now: int, *, waited: int = 0, stamp_age: int | None = None,
-            acted: bool = False) -> Verdict:
+            acted: bool = False) -> Outcome:
         """Judge a command; a `step` after it writes it at once, if the rate allows."""
         self.notice_freeze(now, acted)
         return self.gate.offer(velocity, now, waited=waited, stamp_age=stamp_age)
@@ -163,7 +163,7 @@ class Pacer:
         wake = self.gate.next_deadline(now)
         return max(wake, now + RETRY) if pending or self._refused_since is not None else wake
 
-    def _write(self, line: Line, frame: Frame) -> None:
+    def _write(self, line: SerialOutput, frame: Frame) -> None:
         data = encode(frame.velocity, self._crc)
         begin = self._clock()
         taken = line.write(data)
@@ -186,7 +186,7 @@ class Pacer:
         self.last = Sent(end, frame.velocity, frame.kind, end - begin, latency)
         self._on_sent(self.last)
 
-    def _clear(self, line: Line, now: int) -> None:
+    def _clear(self, line: SerialOutput, now: int) -> None:
         """Throw away what is pending, and stop when the rest has left the FIFO."""
         line.drop_output()
         self._refused_since = None

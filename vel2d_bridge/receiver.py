@@ -155,7 +155,7 @@ class Receiver:
                 self._queue.append(velocity)
 
 
-class Cable:
+class BadCable:
     """Damages frames on request, seeded: 0 = never, N = each Nth frame (or after N frames)."""
 
     def __init__(self, *, drop: int = 0, flip: int = 0, deaf_after: int = 0,

@@ -8,7 +8,7 @@ from typing import Any
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import TIMING_PARAMETER
 from msg_defs.crc import CRC_INPUTS
-from vel2d_bridge.gate import Settings
+from vel2d_bridge.gate import GateSettings
 
 SLOWEST_BAUD = 19200            # slower, a frame takes so long that the stated bounds do not hold
 AUTO, TWIST, TWIST_STAMPED = 'auto', 'twist', 'twist_stamped'
@@ -49,9 +49,9 @@ PARAMETERS = (
 )
 
 
-def gate_settings(values: dict[str, Any]) -> Settings:
+def gate_settings(values: dict[str, Any]) -> GateSettings:
     """Pick what the gate needs; its names are the parameters'."""
-    return Settings(**{name: values[name] for name in Settings._fields})
+    return GateSettings(**{name: values[name] for name in GateSettings._fields})
 
 
 def taken_away(before: dict[str, Any], after: dict[str, Any]) -> list[str]:

@@ -21,7 +21,7 @@ from msg_defs.timing import Summary
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import Counters
-from vel2d_bridge.gate import Verdict
+from vel2d_bridge.gate import Outcome
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.link_state import LinkState
 from vel2d_bridge.link_state import LOST
@@ -32,15 +32,15 @@ from vel2d_bridge.mcu_log import McuLog
 _STUTTER_SAMPLES = 3            # periods of commands that tell a rate
 _STREAM_S = 5.0                 # what is slower is a person who taps a key
 _REMEDIES = {
-    Verdict.NOT_FINITE: 'mend its publisher',
-    Verdict.TOO_LARGE: 'mend its publisher',
-    Verdict.DISABLED: 'ros2 service call /NODE/enable std_srvs/srv/SetBool "{data: true}"',
-    Verdict.NO_PORT: 'see the status of the link',
-    Verdict.FROZEN: 'commands that come now are taken again',
-    Verdict.WAITED: 'the network or this machine is too slow for cmd_vel_timeout',
-    Verdict.STAMP_OLD: 'set the clocks of both machines right, or raise max_stamp_age',
-    Verdict.STAMP_AHEAD: 'set the clocks of both machines right, or raise max_stamp_age',
-    Verdict.SHUTDOWN: 'start the bridge again',
+    Outcome.NOT_FINITE: 'mend its publisher',
+    Outcome.TOO_LARGE: 'mend its publisher',
+    Outcome.DISABLED: 'ros2 service call /NODE/enable std_srvs/srv/SetBool "{data: true}"',
+    Outcome.NO_PORT: 'see the status of the link',
+    Outcome.FROZEN: 'commands that come now are taken again',
+    Outcome.WAITED: 'the network or this machine is too slow for cmd_vel_timeout',
+    Outcome.STAMP_OLD: 'set the clocks of both machines right, or raise max_stamp_age',
+    Outcome.STAMP_AHEAD: 'set the clocks of both machines right, or raise max_stamp_age',
+    Outcome.SHUTDOWN: 'start the bridge again',
 }
 
 
@@ -53,17 +53,17 @@ class Commands(NamedTuple):
     complaints: Sequence[str]   # from graph.py
     period: Summary | None      # ms between commands, over the window
     zero_stamps: int
-    refused: Verdict | None     # why the newest command was refused, if that is not long ago
+    refused: Outcome | None     # why the newest command was refused, if that is not long ago
 
 
-def refusal(node: str, topic: str, velocity: Vel2d, verdict: Verdict) -> str:
+def refusal(node: str, topic: str, velocity: Vel2d, verdict: Outcome) -> str:
     """Say why a command was not taken, and what helps."""
     x, y, omega = velocity
     return (f'{topic}: command ({x:g}, {y:g}, {omega:g}) refused: {verdict.value}; '
             f'{_remedy(verdict, node)}')
 
 
-def _remedy(verdict: Verdict, node: str) -> str:
+def _remedy(verdict: Outcome, node: str) -> str:
     return _REMEDIES[verdict].replace('NODE', node)
 
 
@@ -130,7 +130,7 @@ def commands_status(node: str, port: str, state: LinkState, counters: Counters,
         ('Commands replaced', str(counters.replaced)),
         ('Zero stamps', str(commands.zero_stamps)),
         *((f'Refused: {verdict.value}', str(counters.refused[verdict]))
-          for verdict in Verdict if verdict is not Verdict.ACCEPTED),
+          for verdict in Outcome if verdict is not Outcome.ACCEPTED),
         ('Time-outs', str(counters.time_outs)),
         *((f'Stops: {why.value}', str(count)) for why, count in counters.stops.items()),
         *_numbered(complaints),
@@ -143,7 +143,7 @@ def _complaints(node: str, state: LinkState, commands: Commands) -> list[str]:
     if state.owes_stop:
         lines.append(f'{NO_STOP}; switch it off, or see the status of the link')
     if not state.enabled:
-        lines.append(f'{commands.topic}: disabled; {_remedy(Verdict.DISABLED, node)}')
+        lines.append(f'{commands.topic}: disabled; {_remedy(Outcome.DISABLED, node)}')
     elif commands.refused is not None:
         lines.append(f'{commands.topic}: commands are refused: {commands.refused.value}; '
                      f'{_remedy(commands.refused, node)}')

@@ -39,7 +39,7 @@ from vel2d_bridge.wall_clock import WallClock
 TYPES = {TWIST: Twist, TWIST_STAMPED: TwistStamped}
 
 
-class Subscriber:
+class CmdVelSubscriber:
     """
     Hears cmd_vel.
 

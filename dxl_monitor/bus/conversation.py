@@ -90,7 +90,7 @@ class Conversation:
             return Framer()
         if self.settings.protocol == 'auto':
             return MixedFramer(bool(side), self.dialogue.proven)
-        return dxl1_packet.Framer()
+        return dxl1_packet.Framer1()
 
     @property
     def framer(self) -> AnyFramer:

@@ -12,7 +12,7 @@ from collections import deque
 from functools import lru_cache
 
 from dxl_monitor.bus.report import Counts
-from dxl_monitor.bus.report import Latency
+from dxl_monitor.bus.report import ReplyLatency
 from dxl_monitor.bus.table import size_of
 from dxl_monitor.bus.table import Table
 from dxl_monitor.model.control_table import Field
@@ -155,11 +155,11 @@ class Device:
         """Return what happened in the last 10 s (up to a second less)."""
         return self.counts.since(self.snapshots[0])
 
-    def latency_report(self, now: int) -> Latency:
+    def latency_report(self, now: int) -> ReplyLatency:
         resolved = self.latency_resolved / self.asked_first if self.asked_first else 0.0
         if resolved < RESOLVED_NEEDED:
-            return Latency(None, None, resolved)
-        return Latency(self.latency.summary(now), self.latency.total(), resolved)
+            return ReplyLatency(None, None, resolved)
+        return ReplyLatency(self.latency.summary(now), self.latency.total(), resolved)
 
 
 @lru_cache(maxsize=256)

@@ -46,7 +46,7 @@ SLOW_NS = 9_000_000
 OPEN = 'open'                      # the reason of a frame that may be an instruction or a status
 MEANINGS_KEPT = 1024
 
-AnyFramer = Framer | MixedFramer | dxl1_packet.Framer
+AnyFramer = Framer | MixedFramer | dxl1_packet.Framer1
 # What Conversation.take() takes: frames, the stamp of their chunk, the offset behind it, its side.
 Part = tuple[list[Frame], int, int, str]
 _MARK = bytes([FAMILY])

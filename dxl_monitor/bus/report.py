@@ -116,7 +116,7 @@ _COUNTS = [one.name for one in fields(Counts)]
 _KEYS = [(one.name, one.metadata['key']) for one in fields(Counts) if one.metadata]
 
 
-class Latency(NamedTuple):
+class ReplyLatency(NamedTuple):
     """
     reply_latency (ms): end of the instruction to start of the status.
 
@@ -154,7 +154,7 @@ class DeviceReport(NamedTuple):
     acks_missing: int              # writes without an acknowledgement, in a row
     observed: tuple[Observed, ...]
     unobserved: int                # fields of the model that were never seen
-    latency: Latency
+    latency: ReplyLatency
     errors: dict[tuple[int, int, int], int]     # (instruction, address, error number): how often
 
 

@@ -24,8 +24,8 @@ from dxl_monitor.fake.registers import WATCHDOG_TRIPPED
 from dxl_monitor.fake.values import BAUD_CODES
 from dxl_monitor.fake.values import FACTORY
 from dxl_monitor.fake.values import live_registers
+from dxl_monitor.fake.values import LiveState
 from dxl_monitor.fake.values import Sine
-from dxl_monitor.fake.values import State
 from dxl_monitor.fake.values import TEMPERATURE
 from dxl_monitor.fake.values import VOLTAGE
 from dxl_monitor.model.control_table import Field
@@ -55,7 +55,7 @@ class Reply(NamedTuple):
     params: bytes = b''
 
 
-class Device(Registers):
+class FakeDevice(Registers):
     """A device on a bus that runs at `baud`; it moves by `motion` while its torque is on."""
 
     def __init__(self, number: int, model: Model, *, baud: int = 1_000_000,
@@ -174,12 +174,12 @@ class Device(Registers):
                 state = state or self._state(now)
                 self.image[first:last] = value(state)
 
-    def _state(self, now: int) -> State:
+    def _state(self, now: int) -> LiveState:
         moving = self.motion if self.torque or self.field('Torque Enable') is None else None
         now_s = now * 1e-9
-        return State(now_s, self.rest_angle if moving is None else moving.angle(now_s),
-                     0.0 if moving is None else moving.velocity(now_s),
-                     self.voltage, self.temperature, (now - self.up_at) * 1e-9, self.id)
+        return LiveState(now_s, self.rest_angle if moving is None else moving.angle(now_s),
+                         0.0 if moving is None else moving.velocity(now_s),
+                         self.voltage, self.temperature, (now - self.up_at) * 1e-9, self.id)
 
     def _after_write(self, address: int, end: int, was_torque: bool, angle: float) -> None:
         """Let the device follow what was written to its own settings."""
@@ -274,23 +274,23 @@ class Device(Registers):
 _READS = frozenset({
     Instruction.READ, Instruction.SYNC_READ, Instruction.BULK_READ, Instruction.FAST_SYNC_READ,
     Instruction.FAST_BULK_READ})
-_HANDLERS: dict[int, Callable[[Device, bytes, int], Reply]] = {
-    Instruction.PING: Device._on_ping,
-    Instruction.READ: Device._on_read,
-    Instruction.WRITE: Device._on_write,
-    Instruction.REG_WRITE: Device._on_reg_write,
-    Instruction.ACTION: Device._on_action,
-    Instruction.FACTORY_RESET: Device._on_factory_reset,
-    Instruction.REBOOT: Device._on_reboot,
-    Instruction.CLEAR: Device._on_clear,
-    Instruction.CONTROL_TABLE_BACKUP: Device._on_backup,
+_HANDLERS: dict[int, Callable[[FakeDevice, bytes, int], Reply]] = {
+    Instruction.PING: FakeDevice._on_ping,
+    Instruction.READ: FakeDevice._on_read,
+    Instruction.WRITE: FakeDevice._on_write,
+    Instruction.REG_WRITE: FakeDevice._on_reg_write,
+    Instruction.ACTION: FakeDevice._on_action,
+    Instruction.FACTORY_RESET: FakeDevice._on_factory_reset,
+    Instruction.REBOOT: FakeDevice._on_reboot,
+    Instruction.CLEAR: FakeDevice._on_clear,
+    Instruction.CONTROL_TABLE_BACKUP: FakeDevice._on_backup,
 }
-_EFFECTS: dict[str, Callable[[Device, Field], None]] = {
-    'Torque Enable': Device._take_torque,
-    'ID': Device._take_id,
-    'Baud Rate': Device._take_baud,
-    'Baud Rate (Bus)': Device._take_baud,
-    'Goal Position': Device._take_goal,
+_EFFECTS: dict[str, Callable[[FakeDevice, Field], None]] = {
+    'Torque Enable': FakeDevice._take_torque,
+    'ID': FakeDevice._take_id,
+    'Baud Rate': FakeDevice._take_baud,
+    'Baud Rate (Bus)': FakeDevice._take_baud,
+    'Goal Position': FakeDevice._take_goal,
 }
 
 

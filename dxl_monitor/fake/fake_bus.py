@@ -15,7 +15,7 @@ import sys
 import time
 
 from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.fake.device import Device
+from dxl_monitor.fake.device import FakeDevice
 from dxl_monitor.fake.family_1 import Line1
 from dxl_monitor.fake.family_1 import Servo1
 from dxl_monitor.fake.faults import KINDS
@@ -45,7 +45,7 @@ USUAL_MODEL = {'2': 'MX-64', 'dxl1': 'AX-12A', 'feetech': 'STS3215'}
 DIALECTS_BY_NAME = {'dxl1': DYNAMIXEL_1, 'feetech': FEETECH}
 
 
-def make_line(devices: list[Device], baud: int, dialect: str = '2', *,
+def make_line(devices: list[FakeDevice], baud: int, dialect: str = '2', *,
               waits_in_line: bool = True) -> Line:
     """Return the line of a bus that speaks a dialect."""
     if dialect == '2':
@@ -61,9 +61,9 @@ def default_devices(pattern: str, dialect: str = '2') -> list[str]:
 
 
 def make_devices(entries: list[str], models: Models, baud: int, *,
-                 moving: bool = True, dialect: str = '2') -> list[Device]:
+                 moving: bool = True, dialect: str = '2') -> list[FakeDevice]:
     """Return simulated devices for entries like '1-20:MX-106'; all speak one protocol."""
-    devices: list[Device] = []
+    devices: list[FakeDevice] = []
     for entry in parse_all(entries):
         model = models.by_name(entry.model or USUAL_MODEL[dialect])
         if model is None:
@@ -75,7 +75,7 @@ def make_devices(entries: list[str], models: Models, baud: int, *,
             raise ParameterError(f'devices: {model.name} does not speak what --dialect {dialect} '
                                  'says; give devices of one protocol')
         if dialect == '2':
-            devices.append(Device(entry.id, model, baud=baud, motion=motion))
+            devices.append(FakeDevice(entry.id, model, baud=baud, motion=motion))
         else:
             devices.append(Servo1(entry.id, model, baud=baud, motion=motion))
     return devices

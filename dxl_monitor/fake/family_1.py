@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from dxl_monitor.fake.device import Device
+from dxl_monitor.fake.device import FakeDevice
 from dxl_monitor.fake.device import Reply
 from dxl_monitor.fake.line import AnyFramer
 from dxl_monitor.fake.line import Line
@@ -44,7 +44,7 @@ _FACTORY = {'feetech': {'Baud Rate': 0, 'Status Return Level': 1, 'Return Delay 
 _ERRORS = {'1': {RANGE: 0x08, INSTRUCTION: 0x40}, 'feetech': {}}
 
 
-class Servo1(Device):
+class Servo1(FakeDevice):
     """A servo of the 1.0 family; its error byte is a set of flags."""
 
     def __init__(self, number: int, model: Model, *, baud: int = 1_000_000,
@@ -141,7 +141,7 @@ class Servo1(Device):
 class Line1(Line):
     """A line with packets of the 1.0 family."""
 
-    def __init__(self, devices: Iterable[Device], baud: int, dialect: Dialect, *,
+    def __init__(self, devices: Iterable[FakeDevice], baud: int, dialect: Dialect, *,
                  waits_in_line: bool = True) -> None:
         self.dialect = dialect
         super().__init__(devices, baud, waits_in_line=waits_in_line)
@@ -157,7 +157,7 @@ class Line1(Line):
         return parse(instruction, number, narrow(instruction, params), self.dialect)
 
     def listener(self) -> AnyFramer:
-        return dxl1_packet.Framer()
+        return dxl1_packet.Framer1()
 
     def heard(self, body: bytes) -> tuple[int, int, bytes, bool]:
         common = in_common(body)

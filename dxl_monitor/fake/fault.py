@@ -15,7 +15,7 @@ from random import Random
 from typing import ClassVar
 from typing import NamedTuple
 
-from dxl_monitor.fake.device import Device
+from dxl_monitor.fake.device import FakeDevice
 from dxl_monitor.fake.line import Burst
 from dxl_monitor.fake.line import Exchange
 from dxl_monitor.fake.line import Line
@@ -48,7 +48,7 @@ class Pace:
         self.pause = 0               # once, before the next instruction
 
 
-class Scene(NamedTuple):
+class FaultScope(NamedTuple):
     """All that a fault can get at."""
 
     line: Line
@@ -66,20 +66,20 @@ class Effect:
 
     exact: ClassVar[bool] = True
 
-    def __init__(self, fault: Fault, scene: Scene) -> None:
+    def __init__(self, fault: Fault, scene: FaultScope) -> None:
         self.fault = fault
         self.scene = scene
         self.rng = scene.rng
         self.line = scene.line
 
     @property
-    def device(self) -> Device:
+    def device(self) -> FakeDevice:
         """The device it is about: that of the ID, the first of the chain without one."""
         found = None if self.fault.id is None else self.line.at(self.fault.id)
         return found or self.line.chain[0]
 
     @property
-    def devices(self) -> list[Device]:
+    def devices(self) -> list[FakeDevice]:
         """The devices it is about: that of the ID, all without one."""
         return list(self.line.chain) if self.fault.id is None else [self.device]
 

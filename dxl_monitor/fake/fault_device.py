@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from dxl_monitor.fake.device import Device
+from dxl_monitor.fake.device import FakeDevice
 from dxl_monitor.fake.fault import Effect
 from dxl_monitor.fake.fault import Fault
+from dxl_monitor.fake.fault import FaultScope
 from dxl_monitor.fake.fault import MS
-from dxl_monitor.fake.fault import Scene
 from dxl_monitor.fake.traffic import Ask
 from dxl_monitor.fake.traffic import read
 from dxl_monitor.fake.traffic import sync_read
@@ -41,7 +41,7 @@ class Silent(Effect):
         for device in self._gone:
             device.silent = False
 
-    def affected(self) -> list[Device]:
+    def affected(self) -> list[FakeDevice]:
         """Return who is cut off."""
         return [self.device]
 
@@ -49,7 +49,7 @@ class Silent(Effect):
 class Cable(Silent):
     """The cable is broken in front of the device: it and all behind it are gone."""
 
-    def affected(self) -> list[Device]:
+    def affected(self) -> list[FakeDevice]:
         return self.line.chain[self.line.chain.index(self.device):]
 
 
@@ -58,13 +58,13 @@ class Duplicate(Effect):
 
     exact = False
 
-    def __init__(self, fault: Fault, scene: Scene) -> None:
+    def __init__(self, fault: Fault, scene: FaultScope) -> None:
         super().__init__(fault, scene)
         original = self.device
         others = [device.model for device in self.line.chain
                   if device.model is not original.model and device.field('Torque Enable')]
-        self.twin = Device(original.id, (others or [original.model])[0], baud=self.line.baud,
-                           motion=Sine(phase=2.0))
+        self.twin = FakeDevice(original.id, (others or [original.model])[0], baud=self.line.baud,
+                               motion=Sine(phase=2.0))
 
     def begin(self, now: int) -> None:
         self.line.add(self.twin)

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 
 from dxl_monitor.fake.fault import Effect
 from dxl_monitor.fake.fault import Fault
+from dxl_monitor.fake.fault import FaultScope
 from dxl_monitor.fake.fault import MS
-from dxl_monitor.fake.fault import Scene
 from dxl_monitor.fake.line import Exchange
 from dxl_monitor.fake.line import wire_ns
 from dxl_monitor.fake.traffic import Ask
@@ -54,7 +54,7 @@ class TwoMasters(Effect):
 
     exact = False
 
-    def __init__(self, fault: Fault, scene: Scene) -> None:
+    def __init__(self, fault: Fault, scene: FaultScope) -> None:
         super().__init__(fault, scene)
         self._due = fault.begin + RIVAL_PERIOD_NS
         self._over = 0                   # the last exchange

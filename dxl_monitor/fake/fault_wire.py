@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from dxl_monitor.fake.fault import Effect
 from dxl_monitor.fake.fault import Fault
-from dxl_monitor.fake.fault import Scene
+from dxl_monitor.fake.fault import FaultScope
 from dxl_monitor.fake.line import Burst
 from dxl_monitor.fake.line import Exchange
 from dxl_monitor.fake.line import STRAY
@@ -100,7 +100,7 @@ class Noise(Effect):
 
     exact = False
 
-    def __init__(self, fault: Fault, scene: Scene) -> None:
+    def __init__(self, fault: Fault, scene: FaultScope) -> None:
         super().__init__(fault, scene)
         self._flip = Flip(fault, scene)
         self._flip.share = SOMETIMES

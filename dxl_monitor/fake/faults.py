@@ -17,12 +17,12 @@ from dxl_monitor.fake import fault_master as in_master
 from dxl_monitor.fake import fault_wire as on_wire
 from dxl_monitor.fake.fault import Effect
 from dxl_monitor.fake.fault import Fault
+from dxl_monitor.fake.fault import FaultScope
 from dxl_monitor.fake.fault import S
-from dxl_monitor.fake.fault import Scene
 from mecarover_serial.parameters import ParameterError
 
 
-class Kind(NamedTuple):
+class FaultKind(NamedTuple):
     """A fault of the catalogue; `cause` numbers the field problem it plays (0: none of them)."""
 
     cause: int
@@ -35,42 +35,42 @@ class Kind(NamedTuple):
 
 
 # The numbers are those of docs/doctor.md: what users of such a bus meet.
-KINDS: dict[str, Kind] = {
-    'silent': Kind(1, in_device.Silent),
-    'cable': Kind(1, in_device.Cable),
-    'duplicate': Kind(3, in_device.Duplicate),
-    'baud': Kind(4, in_device.Baud),
-    'wrong_baud': Kind(4, on_wire.WrongBaud),
-    'impatient': Kind(5, in_master.Impatient),
-    'latency': Kind(5, in_master.Latency),
-    'late': Kind(5, in_device.Late),
-    'return_delay': Kind(6, in_device.ReturnDelay),
-    'overload': Kind(7, in_master.Overload),
-    'latched': Kind(8, in_device.Latched),
-    'reboot': Kind(9, in_device.Reboot),
-    'brownout': Kind(9, in_device.Brownout),
-    'header': Kind(10, on_wire.Header),
-    'turnaround': Kind(10, on_wire.Turnaround),
-    'glitch': Kind(10, on_wire.Glitch),
-    'echo': Kind(10, on_wire.Echo),
-    'two_masters': Kind(11, in_master.TwoMasters),
-    'foreign': Kind(11, on_wire.Foreign),
-    'wrong_map': Kind(12, in_master.WrongMap),
-    'eeprom': Kind(13, in_master.Eeprom),
-    'eeprom_wear': Kind(13, in_master.EepromWear),
-    'no_ack': Kind(14, in_device.NoAck),
-    'ping_only': Kind(14, in_device.PingOnly),
-    'old_firmware': Kind(15, in_device.OldFirmware),
-    'unstuffed': Kind(16, in_master.Unstuffed),
-    'noise': Kind(17, on_wire.Noise),
-    'flip': Kind(17, on_wire.Flip),
-    'drop': Kind(17, on_wire.Drop),
-    'watchdog': Kind(18, in_device.Watchdog),
-    'protocol1': Kind(19, on_wire.Protocol1),
-    'hot': Kind(0, in_device.Hot),
-    'low_voltage': Kind(0, in_device.LowVoltage),
-    'unwritten': Kind(0, in_device.Unwritten),
-    'jitter': Kind(0, in_master.Jitter),
+KINDS: dict[str, FaultKind] = {
+    'silent': FaultKind(1, in_device.Silent),
+    'cable': FaultKind(1, in_device.Cable),
+    'duplicate': FaultKind(3, in_device.Duplicate),
+    'baud': FaultKind(4, in_device.Baud),
+    'wrong_baud': FaultKind(4, on_wire.WrongBaud),
+    'impatient': FaultKind(5, in_master.Impatient),
+    'latency': FaultKind(5, in_master.Latency),
+    'late': FaultKind(5, in_device.Late),
+    'return_delay': FaultKind(6, in_device.ReturnDelay),
+    'overload': FaultKind(7, in_master.Overload),
+    'latched': FaultKind(8, in_device.Latched),
+    'reboot': FaultKind(9, in_device.Reboot),
+    'brownout': FaultKind(9, in_device.Brownout),
+    'header': FaultKind(10, on_wire.Header),
+    'turnaround': FaultKind(10, on_wire.Turnaround),
+    'glitch': FaultKind(10, on_wire.Glitch),
+    'echo': FaultKind(10, on_wire.Echo),
+    'two_masters': FaultKind(11, in_master.TwoMasters),
+    'foreign': FaultKind(11, on_wire.Foreign),
+    'wrong_map': FaultKind(12, in_master.WrongMap),
+    'eeprom': FaultKind(13, in_master.Eeprom),
+    'eeprom_wear': FaultKind(13, in_master.EepromWear),
+    'no_ack': FaultKind(14, in_device.NoAck),
+    'ping_only': FaultKind(14, in_device.PingOnly),
+    'old_firmware': FaultKind(15, in_device.OldFirmware),
+    'unstuffed': FaultKind(16, in_master.Unstuffed),
+    'noise': FaultKind(17, on_wire.Noise),
+    'flip': FaultKind(17, on_wire.Flip),
+    'drop': FaultKind(17, on_wire.Drop),
+    'watchdog': FaultKind(18, in_device.Watchdog),
+    'protocol1': FaultKind(19, on_wire.Protocol1),
+    'hot': FaultKind(0, in_device.Hot),
+    'low_voltage': FaultKind(0, in_device.LowVoltage),
+    'unwritten': FaultKind(0, in_device.Unwritten),
+    'jitter': FaultKind(0, in_master.Jitter),
 }
 
 
@@ -97,7 +97,7 @@ def parse(text: str) -> Fault:
 class Faults:
     """The effects of a run, switched on and off as time passes."""
 
-    def __init__(self, faults: list[Fault], scene: Scene) -> None:
+    def __init__(self, faults: list[Fault], scene: FaultScope) -> None:
         for fault in faults:
             if fault.id is not None and scene.line.at(fault.id) is None:
                 raise ParameterError(f'fault: {fault.name}:{fault.id}: no device has this ID; '

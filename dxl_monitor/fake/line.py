@@ -13,7 +13,7 @@ from collections.abc import Callable
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from dxl_monitor.fake.device import Device
+from dxl_monitor.fake.device import FakeDevice
 from dxl_monitor.fake.device import WATCHDOG_UNIT_NS
 from msg_defs import dxl1_packet
 from msg_defs.crc import crc16
@@ -32,7 +32,7 @@ from msg_defs.dxl_packet import unstuff
 
 MASTER = -1
 STRAY = -2                       # bytes that were not sent on purpose
-AnyFramer = Framer | dxl1_packet.Framer
+AnyFramer = Framer | dxl1_packet.Framer1
 BITS_PER_BYTE = 10               # 8N1
 
 
@@ -95,26 +95,26 @@ class Line:
     that all behind a silent one stay silent too; else they answer after its slot.
     """
 
-    def __init__(self, devices: Iterable[Device], baud: int, *,
+    def __init__(self, devices: Iterable[FakeDevice], baud: int, *,
                  waits_in_line: bool = True) -> None:
         self.chain = list(devices)
         self.baud = baud
         self.waits_in_line = waits_in_line
-        self._by_id: dict[int, list[Device]] = {}
+        self._by_id: dict[int, list[FakeDevice]] = {}
         self._heard_at = 0
         self._index()
 
-    def add(self, device: Device) -> None:
+    def add(self, device: FakeDevice) -> None:
         """Connect one more device, also one with an ID that is taken."""
         self.chain.append(device)
         self._index()
 
-    def remove(self, device: Device) -> None:
+    def remove(self, device: FakeDevice) -> None:
         """Disconnect a device."""
         self.chain.remove(device)
         self._index()
 
-    def at(self, number: int) -> Device | None:
+    def at(self, number: int) -> FakeDevice | None:
         """Return the device with this ID."""
         return next(iter(self._by_id.get(number, ())), None)
 
@@ -171,7 +171,7 @@ class Line:
                 device.watch(now - self._heard_at)
         self._heard_at = now
 
-    def _hearing(self, number: int, now: int) -> list[Device]:
+    def _hearing(self, number: int, now: int) -> list[FakeDevice]:
         return [device for device in self._by_id.get(number, ())
                 if device.hears(self.baud, now)]
 
@@ -204,7 +204,7 @@ class Line:
                 self._send(exchange, request.id, reply.error | alert, reply.params, now + delay)
             self._follow(device, request.id)
 
-    def _follow(self, device: Device, number: int) -> None:
+    def _follow(self, device: FakeDevice, number: int) -> None:
         if device.id != number:
             self._index()
 
@@ -258,7 +258,7 @@ class Line:
             exchange.answers.append(Answer(access.id, block[0], block[2:], burst))
             now = burst.end
 
-    def _block(self, device: Device, access: Access, now: int) -> bytes:
+    def _block(self, device: FakeDevice, access: Access, now: int) -> bytes:
         reply = device.read(access.address, access.length, now)
         return bytes([device.error_byte(reply.error), access.id]) \
             + (reply.params or bytes(access.length))

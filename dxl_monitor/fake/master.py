@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from random import Random
 
 from dxl_monitor.fake.fault import Fault
+from dxl_monitor.fake.fault import FaultScope
 from dxl_monitor.fake.fault import Pace
 from dxl_monitor.fake.fault import S
-from dxl_monitor.fake.fault import Scene
 from dxl_monitor.fake.faults import Faults
 from dxl_monitor.fake.line import Burst
 from dxl_monitor.fake.line import Exchange
@@ -56,7 +56,7 @@ class Master:
         self._fleet = Fleet(line.chain)
         self._pace = Pace(round(S / rate) if rate else 0, gap, patience)
         self._rng = Random(seed)
-        self._faults = Faults(list(faults), Scene(line, self._fleet, self._pace, self._rng))
+        self._faults = Faults(list(faults), FaultScope(line, self._fleet, self._pace, self._rng))
         self._backlog: list[Exchange] = []
         self._pending: list[Burst] = []        # not yet decided, with what is around them
         self._busy_until = 0

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 from typing import TypeVar
 
-from dxl_monitor.fake.device import Device
+from dxl_monitor.fake.device import FakeDevice
 from dxl_monitor.fake.values import pack
 from dxl_monitor.model.control_table import Field
 from msg_defs.dxl_instruction import Instruction
@@ -39,7 +39,7 @@ class Ask(NamedTuple):
     stuffed: bool = True
 
 
-class Span(NamedTuple):
+class CommonRange(NamedTuple):
     """A range of registers that a list of devices has in common."""
 
     address: int
@@ -54,15 +54,15 @@ Pattern = Callable[['Fleet', int, Clock], Iterator[Ask]]
 class Fleet:
     """The devices as the master knows them: it looks up addresses once."""
 
-    def __init__(self, devices: Iterable[Device]) -> None:
+    def __init__(self, devices: Iterable[FakeDevice]) -> None:
         self.devices = list(devices)
         self.ids = tuple(device.id for device in self.devices)
         self.servos = [device for device in self.devices if device.field('Goal Position')]
         self.boards = [device for device in self.devices if not device.field('Goal Position')]
         self.unwritten: set[int] = set()     # the master never writes to these
-        self._spans: dict[tuple[str, ...], list[Span]] = {}
+        self._spans: dict[tuple[str, ...], list[CommonRange]] = {}
 
-    def spans(self, *names: str) -> list[Span]:
+    def spans(self, *names: str) -> list[CommonRange]:
         """Return the ranges that cover these registers, devices with equal addresses together."""
         if names not in self._spans:
             groups: dict[tuple[int, int], list[int]] = {}
@@ -71,7 +71,7 @@ class Fleet:
                 if fields:
                     first, end = min(f.at for f in fields), max(f.end for f in fields)
                     groups.setdefault((first, end - first), []).append(device.id)
-            self._spans[names] = [Span(*place, tuple(ids)) for place, ids in groups.items()]
+            self._spans[names] = [CommonRange(*place, tuple(ids)) for place, ids in groups.items()]
         return self._spans[names]
 
     def goals(self, now: int) -> list[tuple[Field, list[tuple[int, bytes]]]]:
@@ -101,7 +101,7 @@ def write(number: int, address: int, data: bytes) -> Ask:
     return Ask(number, Instruction.WRITE, words(address) + data)
 
 
-def sync_read(span: Span, instruction: int = Instruction.SYNC_READ) -> Iterator[Ask]:
+def sync_read(span: CommonRange, instruction: int = Instruction.SYNC_READ) -> Iterator[Ask]:
     """Ask several devices for the same registers, in as few packets as the answers fit."""
     for ids in _batches(list(span.ids), lambda number: span.length + BLOCK):
         yield Ask(BROADCAST, instruction, words(span.address, span.length) + bytes(ids))
@@ -114,7 +114,7 @@ def sync_write(address: int, data: list[tuple[int, bytes]]) -> Iterator[Ask]:
                   + b''.join(bytes([number]) + content for number, content in batch))
 
 
-def bulk_read(spans: list[Span], instruction: int = Instruction.BULK_READ) -> Iterator[Ask]:
+def bulk_read(spans: list[CommonRange], instruction: int = Instruction.BULK_READ) -> Iterator[Ask]:
     """Ask several devices, each for its own registers, in as few packets as they fit."""
     entries = [(bytes([number]) + words(span.address, span.length), span.length + BLOCK)
                for span in spans for number in span.ids]
@@ -256,20 +256,20 @@ def _goals(fleet: Fleet, clock: Clock) -> Iterator[Ask]:
         yield from sync_write(field.at, data)
 
 
-def _read_board(device: Device) -> Ask:
+def _read_board(device: FakeDevice) -> Ask:
     span = _sensor_span(device)
     return read(device.id, span.address, span.length)
 
 
-def _sensor_span(device: Device) -> Span:
+def _sensor_span(device: FakeDevice) -> CommonRange:
     """Return what there is to read from a board: all behind its writable head."""
     fields = [field for field in device.model.fields if field.access == 'r' and field.at > 6]
     if not fields:
-        return Span(0, 3, (device.id,))
-    return Span(fields[0].at, fields[-1].end - fields[0].at, (device.id,))
+        return CommonRange(0, 3, (device.id,))
+    return CommonRange(fields[0].at, fields[-1].end - fields[0].at, (device.id,))
 
 
-def _everything(fleet: Fleet) -> list[Span]:
+def _everything(fleet: Fleet) -> list[CommonRange]:
     return fleet.spans('Present Position') + [
         _sensor_span(device) for device in fleet.devices if not device.field('Present Position')]
 

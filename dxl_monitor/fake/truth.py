@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from dxl_monitor.fake.device import Device
+from dxl_monitor.fake.device import FakeDevice
 from dxl_monitor.fake.line import Answer
 from dxl_monitor.fake.line import Burst
 from dxl_monitor.fake.line import Exchange
@@ -219,7 +219,7 @@ class Truth:
     def _targets(self, access: Access) -> list[int]:
         return list(self.known) if access.id == BROADCAST else [access.id]
 
-    def _addressed(self, number: int) -> list[tuple[Known, Device | None]]:
+    def _addressed(self, number: int) -> list[tuple[Known, FakeDevice | None]]:
         numbers = list(self.known) if number == BROADCAST else [number]
         return [(self.of(one), self._line.at(one)) for one in numbers]
 
@@ -251,7 +251,7 @@ def _refused(answers: list[Answer]) -> bool:
     return any(answer.error & ~ALERT for answer in answers)
 
 
-def _kept_by_restart(device: Device | None) -> set[int]:
+def _kept_by_restart(device: FakeDevice | None) -> set[int]:
     if device is None:
         return set()
     return {at for field in device.model.fields if field.memory == 'eeprom'

@@ -57,7 +57,7 @@ class Sine(NamedTuple):
         return self.amplitude * rate * math.cos(rate * now_s + self.phase)
 
 
-class State(NamedTuple):
+class LiveState(NamedTuple):
     """What a device does at one moment, for its live registers."""
 
     now_s: float
@@ -69,7 +69,7 @@ class State(NamedTuple):
     id: int
 
 
-Live = tuple[int, int, Callable[[State], bytes]]
+Live = tuple[int, int, Callable[[LiveState], bytes]]
 
 
 def pack(field: Field, value: float) -> bytes:
@@ -90,7 +90,7 @@ def pack_raw(field: Field, number: float) -> bytes:
 
 
 # The second figure stands in for a unit where the model file leaves the register raw.
-_SERVO: dict[str, Callable[[State], float]] = {
+_SERVO: dict[str, Callable[[LiveState], float]] = {
     'Present Position': lambda state: state.angle,
     'Present Velocity': lambda state: state.velocity,
     'Present Current': lambda state: TORQUE_PER_RAD_S * state.velocity,
@@ -103,7 +103,7 @@ _SERVO: dict[str, Callable[[State], float]] = {
 }
 _RAW = {'Present Position': (2048, 651.9), 'Present Velocity': (0, 41.7),
         'Present Current': (0, 300.0), 'Realtime Tick': (0, 1000.0)}
-_BY_UNIT: dict[str, Callable[[State], float]] = {
+_BY_UNIT: dict[str, Callable[[LiveState], float]] = {
     'V': lambda state: state.voltage,
     'A': lambda state: 0.8 + TORQUE_PER_RAD_S * abs(state.velocity),
     'm/s^2': lambda state: 9.81 * math.cos(state.angle),
@@ -125,7 +125,7 @@ def live_registers(model: Model) -> list[Live]:
     return [(field.at, field.end, value) for field, value in found]
 
 
-def _servo(name: str, field: Field) -> Callable[[State], bytes]:
+def _servo(name: str, field: Field) -> Callable[[LiveState], bytes]:
     value = _SERVO[name]
     if field.scale is None and name in _RAW:
         zero, per_unit = _RAW[name]
@@ -133,7 +133,7 @@ def _servo(name: str, field: Field) -> Callable[[State], bytes]:
     return lambda state: pack(field, value(state))
 
 
-def _sensor(field: Field) -> Callable[[State], bytes] | None:
+def _sensor(field: Field) -> Callable[[LiveState], bytes] | None:
     """Go by unit and size: boards have no register names in common."""
     if field.access != 'r' or field.name in FACTORY \
             or any(word in field.name for word in _IDENTITY):

@@ -195,7 +195,7 @@ class Indirect(NamedTuple):
     size: int
 
 
-class Block(NamedTuple):
+class FieldGroup(NamedTuple):
     """A named range that holds other fields; it has no value of its own."""
 
     at: int
@@ -219,7 +219,7 @@ class Model:
 
     def __init__(self, number: int | None, name: str, fields: tuple[Field, ...] = (), *,
                  indirect: tuple[Indirect, ...] = (), aliases: Mapping[str, str] | None = None,
-                 blocks: tuple[Block, ...] = (), torque_constant: float | None = None,
+                 blocks: tuple[FieldGroup, ...] = (), torque_constant: float | None = None,
                  source: str = '', file: str = '', protocol: str = '2') -> None:
         self.number = number
         self.name = name

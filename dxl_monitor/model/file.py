@@ -25,9 +25,9 @@ from dxl_monitor.model.checked_yaml import describe
 from dxl_monitor.model.checked_yaml import ModelError
 from dxl_monitor.model.control_table import ACCESS
 from dxl_monitor.model.control_table import Bits
-from dxl_monitor.model.control_table import Block
 from dxl_monitor.model.control_table import Cases
 from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import FieldGroup
 from dxl_monitor.model.control_table import Indirect
 from dxl_monitor.model.control_table import MEMORY
 from dxl_monitor.model.control_table import Span
@@ -271,7 +271,7 @@ def build_indirect(raw: Any, path: Path) -> tuple[tuple[Indirect, ...], list[Fie
     return tuple(ranges), fields
 
 
-def build_blocks(raw: Any, path: Path) -> tuple[Block, ...]:
+def build_blocks(raw: Any, path: Path) -> tuple[FieldGroup, ...]:
     """Named ranges that hold other fields."""
     blocks = []
     check = Check(path, 'blocks')
@@ -279,7 +279,7 @@ def build_blocks(raw: Any, path: Path) -> tuple[Block, ...]:
         check.mapping(entry, {'at', 'size', 'name'})
         at = check.integer(entry.get('at'), 'at', 0, ADDRESS_END - 1)
         size = check.integer(entry.get('size'), 'size', 1, ADDRESS_END - at)
-        blocks.append(Block(at, size, check.text(entry.get('name'), 'name')))
+        blocks.append(FieldGroup(at, size, check.text(entry.get('name'), 'name')))
     return tuple(blocks)
 
 

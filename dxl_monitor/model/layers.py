@@ -20,9 +20,9 @@ from dxl_monitor.model.checked_yaml import Check
 from dxl_monitor.model.checked_yaml import describe
 from dxl_monitor.model.checked_yaml import ModelError
 from dxl_monitor.model.checked_yaml import read_yaml
-from dxl_monitor.model.control_table import Block
 from dxl_monitor.model.control_table import BYTE_ORDERS
 from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import FieldGroup
 from dxl_monitor.model.control_table import Indirect
 from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.control_table import PROTOCOLS
@@ -64,7 +64,7 @@ class Layer(NamedTuple):
     indirect: tuple[Indirect, ...] = ()
     indirect_fields: tuple[Field, ...] = ()
     aliases: dict[str, str] = {}
-    blocks: tuple[Block, ...] = ()
+    blocks: tuple[FieldGroup, ...] = ()
     source: str = ''
 
     def over(self, below: Layer) -> Layer:

@@ -15,7 +15,7 @@ from dxl_monitor.port.reader import SILENT_S
 from dxl_monitor.port.source_name import TAP
 from dxl_monitor.port.tap_reader import HOLD_S
 from dxl_monitor.port.tap_reader import TapReader
-from dxl_monitor.port.tap_reader import Told
+from dxl_monitor.port.tap_reader import TapRecord
 from dxl_monitor.port.tap_reader import why_no_name
 from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
@@ -71,7 +71,7 @@ class TapListener(Listener):
         self.state = ListenerState(True, '', f'{self.port}: listening; start the program with '
                                    f'dxl_tap {name} -- COMMAND', time.monotonic_ns())
 
-    def _take_told(self, told: Told) -> None:
+    def _take_told(self, told: TapRecord) -> None:
         if told.kind == sent.OPENED and self._is_wanted(told.port):
             self._heard_port = told.port
             self.state = ListenerState(True, '', f'{self.port}: hears {told.port}', told.stamp)

@@ -126,7 +126,7 @@ def wrap_classes(sender: Any, module: Any) -> None:
                 setattr(one, name, wrap(sender, vars(one)[name]))
 
 
-class _Loader:
+class _PatchingLoader:
     """Loads a module as its own loader does, and wraps what is in it."""
 
     def __init__(self, loader: Any, sender: Any) -> None:
@@ -160,7 +160,7 @@ class _Finder:
                 spec = finder.find_spec(name, path, target)
             if spec is not None:
                 if hasattr(spec.loader, 'exec_module'):
-                    spec.loader = _Loader(spec.loader, self._sender)
+                    spec.loader = _PatchingLoader(spec.loader, self._sender)
                 return spec
         return None
 

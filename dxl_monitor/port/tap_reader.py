@@ -44,7 +44,7 @@ TOO_LONG = ('the path of a socket cannot be so long; '
             'set XDG_RUNTIME_DIR to a shorter one, for the program too')
 
 
-class Told(NamedTuple):
+class TapRecord(NamedTuple):
     """One record; port: as the program opened it, '' for what is about no port."""
 
     stamp: int                             # ns, monotonic: of the call in the program
@@ -73,7 +73,7 @@ def why_no_name(name: str) -> str:
             '_ or -')
 
 
-class _Program:
+class _Connection:
     """A connection to a tapped process."""
 
     def __init__(self, connection: socket.socket, secret: str) -> None:
@@ -83,7 +83,7 @@ class _Program:
         self._is_trusted = not secret
         self._rest = b''
 
-    def told(self, data: bytes) -> Iterator[Told]:
+    def told(self, data: bytes) -> Iterator[TapRecord]:
         """Yield what these bytes complete; ValueError for what is none of ours."""
         data = self._rest + data
         at = 0
@@ -100,7 +100,7 @@ class _Program:
                 yield one
         self._rest = data[at:]
 
-    def _one(self, kind: int, number: int, stamp: int, data: bytes) -> Told | None:
+    def _one(self, kind: int, number: int, stamp: int, data: bytes) -> TapRecord | None:
         if kind == sent.HELLO:
             self._is_trusted |= secrets.compare_digest(
                 str(json.loads(data).get('secret', '')).encode(), self._secret.encode())
@@ -111,9 +111,9 @@ class _Program:
             self.ports[number] = data.decode(errors='replace')
         port = self.ports.pop(number, '') if kind == sent.CLOSED else self.ports.get(number, '')
         if kind in (sent.OUT, sent.IN):
-            return Told(stamp, port, kind, data, 0)
+            return TapRecord(stamp, port, kind, data, 0)
         value = sent.NUMBER.unpack(data)[0] if len(data) == sent.NUMBER.size else 0
-        return Told(stamp, port, kind, b'', value)
+        return TapRecord(stamp, port, kind, b'', value)
 
 
 class TapReader:
@@ -125,8 +125,8 @@ class TapReader:
 
     def __init__(self, name: str, wake: int | None = None) -> None:
         self._secret = ''
-        self._programs: dict[int, _Program] = {}
-        self._held: list[tuple[int, int, Told]] = []
+        self._programs: dict[int, _Connection] = {}
+        self._held: list[tuple[int, int, TapRecord]] = []
         self._count = 0
         self._wake = wake
         place = sent.folder()
@@ -179,7 +179,7 @@ class TapReader:
                 except OSError:
                     pass
 
-    def wait(self, seconds: float) -> list[Told]:
+    def wait(self, seconds: float) -> list[TapRecord]:
         """Return what was told until HOLD_S ago, in order; wait for more no longer than this."""
         if self._held:
             due_s = (self._held[0][0] - time.monotonic_ns()) / 1e9 + HOLD_S
@@ -195,11 +195,11 @@ class TapReader:
                 self._read(ready)
         return self._due(time.monotonic_ns() - int(HOLD_S * 1e9))
 
-    def rest(self) -> list[Told]:
+    def rest(self) -> list[TapRecord]:
         """Return all that was told and is held back."""
         return self._due(1 << 63)
 
-    def _due(self, until: int) -> list[Told]:
+    def _due(self, until: int) -> list[TapRecord]:
         found = []
         while self._held and self._held[0][0] <= until:
             found.append(heapq.heappop(self._held)[2])
@@ -212,7 +212,7 @@ class TapReader:
                 connection.close()
                 return
             connection.setblocking(False)
-            self._programs[connection.fileno()] = _Program(connection, self._secret)
+            self._programs[connection.fileno()] = _Connection(connection, self._secret)
 
     def _read(self, ready: socket.socket) -> None:
         number = ready.fileno()
@@ -228,11 +228,11 @@ class TapReader:
         if not data:
             now = time.monotonic_ns()
             for port in program.ports.values():        # it ended without closing them
-                self._hold(Told(now, port, sent.CLOSED, b'', 0))
+                self._hold(TapRecord(now, port, sent.CLOSED, b'', 0))
             ready.close()
             del self._programs[number]
 
-    def _hold(self, told: Told) -> None:
+    def _hold(self, told: TapRecord) -> None:
         self._count += 1
         heapq.heappush(self._held, (told.stamp, self._count, told))
 

@@ -62,7 +62,7 @@ def record(kind: int, port: int, stamp: int, data: bytes) -> bytes:
     return HEAD.pack(kind, port, stamp, len(data)) + data
 
 
-class _Reader:
+class _TapPeer:
     """One who listens."""
 
     def __init__(self, path: str) -> None:
@@ -128,7 +128,7 @@ class Sender:
     def _forget(self) -> None:
         """Begin as after a fork: the thread and the connections are the parent's."""
         self.queue.clear()
-        self._readers: dict[str, _Reader] = {}
+        self._readers: dict[str, _TapPeer] = {}
         self._looked = float('-inf')
         self._is_ending = False
         self._thread: threading.Thread | None = None
@@ -219,7 +219,7 @@ class Sender:
             if (name == self.name and file.endswith(SUFFIX) and path not in self._readers
                     and len(self._readers) < READERS_LIMIT):
                 try:
-                    reader = _Reader(path)
+                    reader = _TapPeer(path)
                 except (OSError, ValueError):
                     continue
                 self._readers[path] = reader

@@ -29,7 +29,7 @@ _NUMBER = re.compile(r'(\d+)\.(\d+)')                  # bus and device: 1.7
 _DATA_CLASS = 0x0A
 
 
-class Target(NamedTuple):
+class PluggedAdapter(NamedTuple):
     """An adapter that is plugged in; words: its name for a person."""
 
     place: Place
@@ -38,7 +38,7 @@ class Target(NamedTuple):
     words: str
 
 
-def find(name: str, root: Path = SYS) -> Target:
+def find(name: str, root: Path = SYS) -> PluggedAdapter:
     """Return the adapter of `/dev/ttyUSB0`, `1-1.2` or `1.7`; raise PortError without one."""
     interface = _interface(name, root)
     device = interface.parent
@@ -53,8 +53,8 @@ def find(name: str, root: Path = SYS) -> Target:
                        'adapter that is understood', 'FTDI, CDC-ACM, CH340/341 and CP210x are')
     place = Place(int(_text(device / 'busnum')), int(_text(device / 'devnum')),
                   ends[IN][0] & 0x7F, ends[OUT][0])
-    return Target(place, adapter, _latency(interface),
-                  f'{adapter.name} {vendor:04x}:{product:04x} at {device.name}')
+    return PluggedAdapter(place, adapter, _latency(interface),
+                          f'{adapter.name} {vendor:04x}:{product:04x} at {device.name}')
 
 
 def _interface(name: str, root: Path) -> Path:

@@ -27,9 +27,9 @@ from dxl_monitor.port.usb_find import find
 from dxl_monitor.port.usb_port import Place
 from dxl_monitor.port.usb_port import UsbPort
 from dxl_monitor.port.usb_survey import Survey
-from dxl_monitor.port.usbmon import Event
 from dxl_monitor.port.usbmon import INPUT
 from dxl_monitor.port.usbmon import Records
+from dxl_monitor.port.usbmon import UsbEvent
 from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
 from msg_defs.heard import BAUD
@@ -156,7 +156,7 @@ class UsbListener(Listener):
             self.latency_timer_ms = change.value
         self._on_change(change, self._newest)
 
-    def _known_by(self, event: Event) -> UsbPort | None:
+    def _known_by(self, event: UsbEvent) -> UsbPort | None:
         """Find the port in a stream that says itself what is plugged in."""
         self._survey.take(event)
         for one in self._survey.ports():

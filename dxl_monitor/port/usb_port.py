@@ -19,11 +19,11 @@ from dxl_monitor.port.adapters import Ftdi
 from dxl_monitor.port.adapters import Setup
 from dxl_monitor.port.usbmon import BULK
 from dxl_monitor.port.usbmon import CONTROL
-from dxl_monitor.port.usbmon import Event
 from dxl_monitor.port.usbmon import INPUT
 from dxl_monitor.port.usbmon import INTERRUPT
 from dxl_monitor.port.usbmon import KILLED
 from dxl_monitor.port.usbmon import UNPLUGGED
+from dxl_monitor.port.usbmon import UsbEvent
 from msg_defs.heard import Change
 from msg_defs.heard import CLOSED
 from msg_defs.heard import GONE
@@ -111,7 +111,7 @@ class UsbPort:
         self._setups: dict[int, bytes] = {}            # control transfers under way
         self._sizes: dict[int, int] = {}               # data on their way to the adapter
 
-    def take(self, event: Event) -> Heard | None:
+    def take(self, event: UsbEvent) -> Heard | None:
         """Return what an event says about the port, None for nothing."""
         if event.device != self._device or event.bus != self._bus:
             return None
@@ -123,7 +123,7 @@ class UsbPort:
             return self._heard(event, self._interrupt(event))
         return None
 
-    def _bulk_event(self, event: Event) -> Heard | None:
+    def _bulk_event(self, event: UsbEvent) -> Heard | None:
         if self._bulk is not None and event.endpoint not in self._bulk:
             return None
         if event.is_input:
@@ -148,17 +148,17 @@ class UsbPort:
         return self._heard(event, [Change(NOT_SENT, missing)] * is_lost + self._end_words(event))
 
     @staticmethod
-    def _cut(event: Event) -> list[Change]:
+    def _cut(event: UsbEvent) -> list[Change]:
         missing = event.size - len(event.data)
         return [Change(LOST, missing)] if missing > 0 else []
 
     @staticmethod
-    def _end_words(event: Event) -> list[Change]:
+    def _end_words(event: UsbEvent) -> list[Change]:
         if event.status in UNPLUGGED[:1]:
             return [Change(GONE, 1)]
         return [Change(CLOSED, 1)] if event.status in KILLED else []
 
-    def _control(self, event: Event) -> list[Change]:
+    def _control(self, event: UsbEvent) -> list[Change]:
         """Join a control transfer: the setup comes first, what the device answers at the end."""
         if event.setup:
             _remember(self._setups, event.number, event.setup)
@@ -169,14 +169,14 @@ class UsbPort:
             return []
         return self.adapter.control(Setup.of(packet), event.data)
 
-    def _interrupt(self, event: Event) -> list[Change]:
+    def _interrupt(self, event: UsbEvent) -> list[Change]:
         changes = self._end_words(event)
         if self._reads_interrupts and event.is_input:
             changes += self.adapter.interrupt(event.data)
         return changes
 
     @staticmethod
-    def _heard(event: Event, changes: list[Change]) -> Heard | None:
+    def _heard(event: UsbEvent, changes: list[Change]) -> Heard | None:
         return Heard(event.stamp, UNKNOWN, b'', changes) if changes else None
 
 

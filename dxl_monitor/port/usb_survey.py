@@ -20,8 +20,8 @@ from dxl_monitor.port.usb_port import adapter_of
 from dxl_monitor.port.usb_port import Place
 from dxl_monitor.port.usbmon import BULK
 from dxl_monitor.port.usbmon import CONTROL
-from dxl_monitor.port.usbmon import Event
 from dxl_monitor.port.usbmon import INPUT
+from dxl_monitor.port.usbmon import UsbEvent
 
 _GET_DESCRIPTOR = (0x80, 6)
 _DEVICE, _CONFIGURATION, _INTERFACE, _ENDPOINT = 1, 2, 4, 5
@@ -57,7 +57,7 @@ class _Endpoint(NamedTuple):
     interface_class: int
 
 
-class _Device:
+class _UsbDevice:
     """What is known of one device."""
 
     def __init__(self) -> None:
@@ -77,7 +77,7 @@ class _Device:
             endpoints = _endpoints(data)
             self.endpoints = endpoints or self.endpoints
 
-    def bulk(self, event: Event) -> None:
+    def bulk(self, event: UsbEvent) -> None:
         data = event.data
         self.seen[event.endpoint] = self.seen.get(event.endpoint, 0) + len(data)
         if not event.is_input:
@@ -129,10 +129,10 @@ class Survey:
     """Give it all events; `ports` tells at any time what was found."""
 
     def __init__(self) -> None:
-        self._devices: dict[tuple[int, int], _Device] = {}
+        self._devices: dict[tuple[int, int], _UsbDevice] = {}
         self._setups: dict[tuple[int, int, int], bytes] = {}
 
-    def take(self, event: Event) -> None:
+    def take(self, event: UsbEvent) -> None:
         """Look at an event."""
         if event.transfer not in (BULK, CONTROL):
             return
@@ -143,7 +143,7 @@ class Survey:
         if device is None:
             if len(self._devices) >= DEVICES_LIMIT:
                 return
-            device = self._devices[key] = _Device()
+            device = self._devices[key] = _UsbDevice()
         if event.transfer == BULK:
             device.bulk(event)
         else:
@@ -154,7 +154,7 @@ class Survey:
         return [found for (bus, number), device in sorted(self._devices.items())
                 for found in device.ports(bus, number)]
 
-    def _control(self, device: _Device, event: Event) -> None:
+    def _control(self, device: _UsbDevice, event: UsbEvent) -> None:
         key = event.bus, event.device, event.number
         if event.setup:
             if len(self._setups) >= PENDING_LIMIT:

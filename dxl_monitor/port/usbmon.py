@@ -34,7 +34,7 @@ _GONE = 0xC0007000                 # USBD_STATUS_DEVICE_GONE
 _CANCELED = 0xC0010000
 
 
-class Event(NamedTuple):
+class UsbEvent(NamedTuple):
     """
     One event of a transfer; stamp: ns since 1970.
 
@@ -61,7 +61,7 @@ class Event(NamedTuple):
         return bool(self.endpoint & INPUT)
 
 
-def decode(packet: bytes, order: str = '<', header_size: int = HEADER_SIZE) -> Event | None:
+def decode(packet: bytes, order: str = '<', header_size: int = HEADER_SIZE) -> UsbEvent | None:
     """
     Return the event of a header and the data behind it, None for what is none.
 
@@ -75,17 +75,17 @@ def decode(packet: bytes, order: str = '<', header_size: int = HEADER_SIZE) -> E
     return _event(fields, packet[header_size:header_size + fields[12]])
 
 
-def _event(fields: tuple[Any, ...], data: bytes) -> Event:
+def _event(fields: tuple[Any, ...], data: bytes) -> UsbEvent:
     (number, kind, transfer, endpoint, device, bus, setup_flag, data_flag, seconds, us, status,
      size, _, setup) = fields
     is_done = kind != SUBMITTED
-    return Event(seconds * 1_000_000_000 + us * 1000, bus, device, endpoint, transfer, is_done,
-                 status, number,
-                 setup if transfer == CONTROL and not is_done and not setup_flag else b'',
-                 b'' if data_flag or transfer == ISO else data, size)
+    return UsbEvent(seconds * 1_000_000_000 + us * 1000, bus, device, endpoint, transfer, is_done,
+                    status, number,
+                    setup if transfer == CONTROL and not is_done and not setup_flag else b'',
+                    b'' if data_flag or transfer == ISO else data, size)
 
 
-def decode_usbpcap(packet: bytes, stamp: int) -> Event | None:
+def decode_usbpcap(packet: bytes, stamp: int) -> UsbEvent | None:
     """Return the event of a packet of link type 249, which has no stamp of its own."""
     if len(packet) < _PCAP_HEAD.size:
         return None
@@ -100,8 +100,8 @@ def decode_usbpcap(packet: bytes, stamp: int) -> Event | None:
         setup, data = data[:SETUP_SIZE], data[SETUP_SIZE:]
         size -= len(setup)
     is_done = bool(info & 1)
-    return Event(stamp, bus, device, endpoint, transfer, is_done, _errno(status), number, setup,
-                 b'' if transfer == ISO else data, size)
+    return UsbEvent(stamp, bus, device, endpoint, transfer, is_done, _errno(status), number, setup,
+                    b'' if transfer == ISO else data, size)
 
 
 def _errno(status: int) -> int:
@@ -128,7 +128,7 @@ class Records:
         """Bytes that wait for the end of their event."""
         return len(self._rest)
 
-    def events(self, piece: bytes) -> Iterator[Event]:
+    def events(self, piece: bytes) -> Iterator[UsbEvent]:
         """Yield the events that this piece completes; to be used up."""
         data = self._rest + piece if self._rest else piece
         at = 0

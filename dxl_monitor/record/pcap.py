@@ -26,7 +26,7 @@ BLOCK_LIMIT = 1 << 26              # bytes: no packet of USB is near that
 INTERFACES_LIMIT = 4096
 
 
-class Packet(NamedTuple):
+class CapturedPacket(NamedTuple):
     """One packet; stamp: ns since 1970 (0 where the file has none). order: '<' or '>'."""
 
     link: int
@@ -68,7 +68,7 @@ class PcapReader:
         self._order = '<'
         self._interfaces: list[_Interface] = []
 
-    def __iter__(self) -> Iterator[Packet]:
+    def __iter__(self) -> Iterator[CapturedPacket]:
         try:
             magic = self._exactly(MAGIC_SIZE, 'the magic number')
             if int.from_bytes(magic, 'big') == _SECTION:
@@ -80,7 +80,7 @@ class PcapReader:
 
     # --- pcap ----------------------------------------------------------------------------------
 
-    def _pcap(self, magic: bytes) -> Iterator[Packet]:
+    def _pcap(self, magic: bytes) -> Iterator[CapturedPacket]:
         self._order = '<' if int.from_bytes(magic, 'little') in _PCAP_MAGIC else '>'
         unit = _PCAP_MAGIC.get(struct.unpack(self._order + 'I', magic)[0])
         if unit is None:
@@ -93,11 +93,12 @@ class PcapReader:
             if kept > BLOCK_LIMIT:
                 raise _Damaged(f'a packet of {kept} bytes: damaged')
             data = self._exactly(kept, 'a packet')
-            yield Packet(link, seconds * _NS + fraction * unit, self._order, data, kept >= size)
+            stamp = seconds * _NS + fraction * unit
+            yield CapturedPacket(link, stamp, self._order, data, kept >= size)
 
     # --- pcapng --------------------------------------------------------------------------------
 
-    def _pcapng(self) -> Iterator[Packet]:
+    def _pcapng(self) -> Iterator[CapturedPacket]:
         self._section()
         while front := self._some(8, 'the header of a block'):
             kind, size = struct.unpack(self._order + 'II', front)
@@ -155,7 +156,7 @@ class PcapReader:
             yield code, body[at + 4:at + 4 + size]
             at += 4 + size + -size % 4
 
-    def _packet(self, kind: int, body: bytes) -> Packet | None:
+    def _packet(self, kind: int, body: bytes) -> CapturedPacket | None:
         if kind == _SIMPLE:
             return self._simple(body)
         if len(body) < 20:
@@ -168,15 +169,15 @@ class PcapReader:
             raise _Damaged('a packet of no interface, or cut: damaged')
         one = self._interfaces[number]
         stamp = (high << 32 | low) * _NS // one.units_per_second + one.offset_s * _NS
-        return Packet(one.link, stamp, self._order, body[20:20 + kept], kept >= size)
+        return CapturedPacket(one.link, stamp, self._order, body[20:20 + kept], kept >= size)
 
-    def _simple(self, body: bytes) -> Packet | None:
+    def _simple(self, body: bytes) -> CapturedPacket | None:
         if not self._interfaces or len(body) < 4:
             raise _Damaged('a packet of no interface: damaged')
         one = self._interfaces[0]
         size = struct.unpack_from(self._order + 'I', body)[0]
         kept = min(size, one.snap_length or size, len(body) - 4)
-        return Packet(one.link, 0, self._order, body[4:4 + kept], kept >= size)
+        return CapturedPacket(one.link, 0, self._order, body[4:4 + kept], kept >= size)
 
     # --- bytes ---------------------------------------------------------------------------------
 

@@ -14,16 +14,16 @@ from typing import BinaryIO
 
 from dxl_monitor.port.usbmon import decode
 from dxl_monitor.port.usbmon import decode_usbpcap
-from dxl_monitor.port.usbmon import Event
 from dxl_monitor.port.usbmon import HEADER_SIZE
 from dxl_monitor.port.usbmon import kept_size
 from dxl_monitor.port.usbmon import OLD_HEADER_SIZE
 from dxl_monitor.port.usbmon import Records
+from dxl_monitor.port.usbmon import UsbEvent
+from dxl_monitor.record.pcap import CapturedPacket
 from dxl_monitor.record.pcap import is_pcap
 from dxl_monitor.record.pcap import LINK_USB_LINUX
 from dxl_monitor.record.pcap import LINK_USB_LINUX_MMAPPED
 from dxl_monitor.record.pcap import LINK_USBPCAP
-from dxl_monitor.record.pcap import Packet
 from dxl_monitor.record.pcap import PcapReader
 
 READ_SIZE = 1 << 16
@@ -48,10 +48,10 @@ class UsbEvents:
         self._file = file
         self._is_pcap = is_pcap(head)
 
-    def __iter__(self) -> Iterator[Event]:
+    def __iter__(self) -> Iterator[UsbEvent]:
         return self._from_packets() if self._is_pcap else self._from_records()
 
-    def _from_packets(self) -> Iterator[Event]:
+    def _from_packets(self) -> Iterator[UsbEvent]:
         others: Counter[int] = Counter()
         reader = PcapReader(self._file)
         bad = 0
@@ -72,7 +72,7 @@ class UsbEvents:
             self.problems.append(f'{count} packets of link type {link} were left out; usbmon has '
                                  '189 and 220, USBPcap 249')
 
-    def _from_records(self) -> Iterator[Event]:
+    def _from_records(self) -> Iterator[UsbEvent]:
         records = Records()
         while piece := self._file.read(READ_SIZE):
             yield from records.events(piece)
@@ -82,7 +82,7 @@ class UsbEvents:
             self.problems.append('it ends within an event: cut off, or still written')
 
 
-def _event(packet: Packet) -> Event | None:
+def _event(packet: CapturedPacket) -> UsbEvent | None:
     if packet.link == LINK_USBPCAP:
         return decode_usbpcap(packet.data, packet.stamp)
     size = OLD_HEADER_SIZE if packet.link == LINK_USB_LINUX else HEADER_SIZE

@@ -20,7 +20,7 @@ from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.tools.doctor.course import Course
 from dxl_monitor.tools.doctor.excerpt import Excerpt
-from dxl_monitor.tools.doctor.verdict import Bus
+from dxl_monitor.tools.doctor.verdict import BusSummary
 from msg_defs.reports import Level
 
 S = 1_000_000_000
@@ -108,8 +108,8 @@ class Examination:
                  for one in course.told() if one.stands]
         return '; '.join([f'{packets} packets, {devices} devices', *rules[:3]])
 
-    def buses(self, is_timed: bool) -> list[Bus]:
+    def buses(self, is_timed: bool) -> list[BusSummary]:
         """Return each bus as it is told at the end."""
         found = [(name, course, course.last) for name, course in self._courses.items()]
-        return [Bus.of(name if len(found) > 1 else '', last, course, is_timed)
+        return [BusSummary.of(name if len(found) > 1 else '', last, course, is_timed)
                 for name, course, last in found if last is not None]

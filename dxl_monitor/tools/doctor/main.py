@@ -38,7 +38,7 @@ from dxl_monitor.tools.doctor.report import Maker
 from dxl_monitor.tools.doctor.report import new_names
 from dxl_monitor.tools.doctor.report import NOTHING
 from dxl_monitor.tools.doctor.report import report
-from dxl_monitor.tools.doctor.report_file import Report
+from dxl_monitor.tools.doctor.report_file import SavedReport
 from dxl_monitor.tools.doctor.screen import screen
 from dxl_monitor.tools.doctor.verdict import as_json
 from dxl_monitor.tools.doctor.verdict import Verdict
@@ -219,7 +219,7 @@ def _write_report(source: Source | Program, examination: Examination, seconds: f
     print(f'dxl_doctor: the report is in {printable(options.report)}', file=sys.stderr)
 
 
-def _retell(stored: Report, models: Models, options: argparse.Namespace) -> int:
+def _retell(stored: SavedReport, models: Models, options: argparse.Namespace) -> int:
     """Show a report of somebody else, and what its capture says now."""
     if options.report:
         raise UsageError(f'--report: {options.source} is a report already; attach that')

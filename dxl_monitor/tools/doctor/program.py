@@ -17,7 +17,7 @@ import subprocess
 import time
 
 from dxl_monitor.port.tap_reader import TapReader
-from dxl_monitor.port.tap_reader import Told
+from dxl_monitor.port.tap_reader import TapRecord
 from dxl_monitor.port.tap_sender import OPENED
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
@@ -56,7 +56,7 @@ class Program:
             yield from self._some(self._reader.wait(TICK_S))
         yield from self._some(self._reader.rest())
 
-    def _some(self, told: list[Told]) -> Iterator[Chunk | None]:
+    def _some(self, told: list[TapRecord]) -> Iterator[Chunk | None]:
         for one in told:
             chunk = self._chunk(one)
             if chunk is not None:
@@ -64,7 +64,7 @@ class Program:
         if not told:
             yield None
 
-    def _chunk(self, told: Told) -> Chunk | None:
+    def _chunk(self, told: TapRecord) -> Chunk | None:
         if told.kind == OPENED and told.port not in self.ports:
             self.ports.append(told.port)
         bus = ntpath.basename(told.port)           # works for both kinds of path

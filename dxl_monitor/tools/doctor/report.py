@@ -17,7 +17,7 @@ from typing import NamedTuple
 from dxl_monitor.tools.doctor.excerpt import packed
 from dxl_monitor.tools.doctor.screen import screen
 from dxl_monitor.tools.doctor.verdict import as_json
-from dxl_monitor.tools.doctor.verdict import Bus
+from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import Verdict
 from mecarover_serial.cli import printable
 from mecarover_serial.cli import UsageError
@@ -61,7 +61,7 @@ def check_report(path: str | None) -> None:
         raise UsageError(f'--report {path}: is there and is no report; give another name')
 
 
-def anonymous(buses: Sequence[Bus]) -> list[Bus]:
+def anonymous(buses: Sequence[BusSummary]) -> list[BusSummary]:
     """Return buses with names that say nothing: a name may hold a path or a serial number."""
     names = new_names(buses)
     return [bus._replace(name=bus.name and names[bus.report.name],
@@ -69,12 +69,12 @@ def anonymous(buses: Sequence[Bus]) -> list[Bus]:
             for bus in buses]
 
 
-def new_names(buses: Sequence[Bus]) -> dict[str, str]:
+def new_names(buses: Sequence[BusSummary]) -> dict[str, str]:
     """Return what each bus is called in a report."""
     return {bus.report.name: f'bus{number}' for number, bus in enumerate(buses, 1)}
 
 
-def report(said: Verdict, buses: Sequence[Bus], seconds: float, maker: Maker,
+def report(said: Verdict, buses: Sequence[BusSummary], seconds: float, maker: Maker,
            capture: bytes) -> str:
     """Return the text of a report; said and buses are those of the names in it."""
     stored = {'verdict': said._asdict(), 'json': as_json(said, buses, seconds),
@@ -87,7 +87,7 @@ def report(said: Verdict, buses: Sequence[Bus], seconds: float, maker: Maker,
     return '\n'.join(lines) + '\n'
 
 
-def _figures(bus: Bus) -> list[str]:
+def _figures(bus: BusSummary) -> list[str]:
     counted: dict[str, Any] = bus.report.counters
     lines = [f'{bus.report.name}: {bus.report.baud} baud; '
              + ', '.join(f'{name} {count}' for name, count in counted.items() if count)]

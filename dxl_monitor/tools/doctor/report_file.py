@@ -27,8 +27,8 @@ from dxl_monitor.record.capture import lines
 from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.tools.doctor import report
-from dxl_monitor.tools.doctor.verdict import Entry
-from dxl_monitor.tools.doctor.verdict import Heard
+from dxl_monitor.tools.doctor.verdict import DeviceGroup
+from dxl_monitor.tools.doctor.verdict import Trouble
 from dxl_monitor.tools.doctor.verdict import Verdict
 from mecarover_serial.cli import printable
 from msg_defs.reports import Level
@@ -42,7 +42,7 @@ _PACKED: tuple[tuple[bytes, Callable[[io.BytesIO], Any]], ...] = (
     (b'\xfd7zXZ', lzma.LZMAFile), (b'PK\x03\x04', lambda file: _first_of_zip(file)))
 
 
-class Report(NamedTuple):
+class SavedReport(NamedTuple):
     """What was left of a report. said: None where that part is damaged; problems: a line each."""
 
     said: Verdict | None
@@ -54,7 +54,7 @@ class Report(NamedTuple):
     problems: tuple[str, ...]
 
 
-def load(path: str) -> Report | None:
+def load(path: str) -> SavedReport | None:
     """Return the report in a file, None where it is something else; OSError as of open."""
     with open(path, 'rb') as file:
         data = _unpacked(file.read(SIZE_LIMIT))
@@ -73,9 +73,9 @@ def load(path: str) -> Report | None:
     chunks = tuple(reader)
     stored = stored or {}
     as_json = stored.get('json')
-    return Report(_verdict(stored), as_json if isinstance(as_json, dict) else None,
-                  tuple(_texts(stored.get('devices'))), str(stored.get('protocol', '')),
-                  chunks, reader.wires, tuple(problems))
+    return SavedReport(_verdict(stored), as_json if isinstance(as_json, dict) else None,
+                       tuple(_texts(stored.get('devices'))), str(stored.get('protocol', '')),
+                       chunks, reader.wires, tuple(problems))
 
 
 def _unpacked(data: bytes) -> bytes:
@@ -146,9 +146,9 @@ def _verdict(stored: dict[str, Any]) -> Verdict | None:
     try:
         return Verdict(
             _text(said['source']), tuple(_texts(said['head'])),
-            tuple(Heard(_text(who), _text(what), Level(level))
+            tuple(DeviceGroup(_text(who), _text(what), Level(level))
                   for who, what, level in said['heard'][:_LIST_LIMIT]),
-            tuple(Entry(Level(level), _text(who), _text(rule), _text(message), _text(evidence))
+            tuple(Trouble(Level(level), _text(who), _text(rule), _text(message), _text(evidence))
                   for level, who, rule, message, evidence in said['wrong'][:_LIST_LIMIT]),
             tuple(_texts(said['unknown'])), tuple(_texts(said['quiet'])),
             _text(said.get('protocol', '')))

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 import textwrap
 
-from dxl_monitor.tools.doctor.verdict import Entry
+from dxl_monitor.tools.doctor.verdict import Trouble
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.dump.lines import BOLD
 from dxl_monitor.tools.dump.lines import fit
@@ -59,7 +59,7 @@ def _heard(said: Verdict, width: int, most: int) -> list[str]:
     return [fit(heard, width), *lines]
 
 
-def _wrong(entries: Sequence[Entry], colours: bool, width: int) -> list[str]:
+def _wrong(entries: Sequence[Trouble], colours: bool, width: int) -> list[str]:
     if not entries:
         return [_paint('Wrong: nothing that can be heard', GREEN, colours)]
     lines = ['Wrong:']
@@ -74,14 +74,14 @@ def _wrong(entries: Sequence[Entry], colours: bool, width: int) -> list[str]:
     return lines
 
 
-def _in_full(number: int, entry: Entry, colours: bool, width: int) -> list[str]:
+def _in_full(number: int, entry: Trouble, colours: bool, width: int) -> list[str]:
     title = fit(f'  {_title(number, entry)}', width)
     lines = [_paint(title, COLOURS.get(entry.level), colours)]
     lines += _wrapped(entry.message, width, 2)
     return lines + (_wrapped(f'Evidence: {entry.evidence}', width, 1) if entry.evidence else [])
 
 
-def _title(number: int, entry: Entry) -> str:
+def _title(number: int, entry: Trouble) -> str:
     level = {Level.OK: 'advice', Level.WARN: 'warning'}.get(entry.level, entry.level.name.lower())
     cause = f': {entry.rule.replace("_", " ")}' if entry.rule else ''
     return f'{number} {level}, {entry.who}{cause}'

@@ -34,7 +34,7 @@ _NO_PACKETS = ('bytes, but no packet: listen at the rate of the bus (-b), and ch
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
 
 
-class Entry(NamedTuple):
+class Trouble(NamedTuple):
     """One thing that is wrong. who: a device by name, or the bus; rule '': no rule names it."""
 
     level: Level
@@ -44,7 +44,7 @@ class Entry(NamedTuple):
     evidence: str
 
 
-class Heard(NamedTuple):
+class DeviceGroup(NamedTuple):
     """Devices alike, beside each other. level: the worst of what is said of them."""
 
     who: str
@@ -57,8 +57,8 @@ class Verdict(NamedTuple):
 
     source: str
     head: tuple[str, ...]
-    heard: tuple[Heard, ...]
-    wrong: tuple[Entry, ...]
+    heard: tuple[DeviceGroup, ...]
+    wrong: tuple[Trouble, ...]
     unknown: tuple[str, ...]
     quiet: tuple[str, ...]
     protocol: str = ''             # what the buses speak, in words; '' unheard
@@ -71,7 +71,7 @@ class Verdict(NamedTuple):
         return max((_CODES.get(entry.level, WELL) for entry in self.wrong), default=WELL)
 
 
-class Bus(NamedTuple):
+class BusSummary(NamedTuple):
     """One bus at the end of a run; name '' where there is only one."""
 
     name: str
@@ -79,7 +79,7 @@ class Bus(NamedTuple):
     told: tuple[Told, ...]
 
     @classmethod
-    def of(cls, name: str, report: BusReport, course: Course, is_timed: bool) -> Bus:
+    def of(cls, name: str, report: BusReport, course: Course, is_timed: bool) -> BusSummary:
         """Return what is told of a bus; without times nothing is that needs them."""
         told = tuple(one._replace(finding=one.finding._replace(
             message=for_tools(one.finding.message))) for one in course.told()
@@ -98,7 +98,7 @@ class Bus(NamedTuple):
         return printable(f'{place}{device.name}{model}')
 
 
-def verdict(source: str, buses: Sequence[Bus], seconds: float, is_timed: bool,
+def verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: bool,
             quiet: Sequence[str] = ()) -> Verdict:
     """Return what is said of a run of so many seconds; quiet: why nothing was heard, if so."""
     unknown = [] if is_timed or quiet else [_UNTIMED]
@@ -112,12 +112,12 @@ def verdict(source: str, buses: Sequence[Bus], seconds: float, is_timed: bool,
                    tuple(quiet), _protocol(buses))
 
 
-def _protocol(buses: Sequence[Bus]) -> str:
+def _protocol(buses: Sequence[BusSummary]) -> str:
     said = {bus.report.protocol: None for bus in buses if bus.report.protocol}
     return ' and '.join(said)
 
 
-def _head(buses: Sequence[Bus], seconds: float, is_timed: bool) -> tuple[str, ...]:
+def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[str, ...]:
     reports = [bus.report for bus in buses]
     rates = sorted({report.baud for report in reports})
     parts = [f'{" and ".join(map(str, rates))} baud'] if any(rates) else []
@@ -132,7 +132,7 @@ def _head(buses: Sequence[Bus], seconds: float, is_timed: bool) -> tuple[str, ..
 
 # --- heard ---------------------------------------------------------------------------------------
 
-def _heard(bus: Bus) -> list[Heard]:
+def _heard(bus: BusSummary) -> list[DeviceGroup]:
     """Return the devices, those alike in one line."""
     found = []
     for kind, many in groupby(bus.report.devices, key=_kind):
@@ -141,7 +141,7 @@ def _heard(bus: Bus) -> list[Heard]:
         who = ', '.join(f'{place}{span}' for span in _spans(devices))
         if len(devices) == 1 and devices[0].joint:
             who = f'{place}{devices[0].name}'
-        found.append(Heard(printable(who), printable(kind[0]), kind[1]))
+        found.append(DeviceGroup(printable(who), printable(kind[0]), kind[1]))
     return found
 
 
@@ -164,19 +164,19 @@ def _spans(devices: Sequence[DeviceReport]) -> list[str]:
 
 # --- wrong ---------------------------------------------------------------------------------------
 
-def _wrong(bus: Bus) -> list[Entry]:
+def _wrong(bus: BusSummary) -> list[Trouble]:
     found = [_entry(bus, alike) for alike in _alike(bus.told)]
     if any(entry.level is Level.ERROR for entry in found):
         return found                   # that of other devices follows from it, as a rule
     report = bus.report
     named = {finding.device for finding in report.findings}
     named |= {one.finding.device for one in bus.told}
-    found += [Entry(device.level, bus.who(device.id), '', printable(device.message), '')
+    found += [Trouble(device.level, bus.who(device.id), '', printable(device.message), '')
               for device in report.devices
               if device.id not in named and device.level in _CODES]
     if report.level in _CODES and not found and None not in named:
         message = report.message if report.counters['Packets'] else _NO_PACKETS
-        found.append(Entry(report.level, bus.who(None), '', printable(message), ''))
+        found.append(Trouble(report.level, bus.who(None), '', printable(message), ''))
     return found
 
 
@@ -189,7 +189,7 @@ def _alike(told: Sequence[Told]) -> list[list[Told]]:
     return list(groups.values())
 
 
-def _entry(bus: Bus, alike: Sequence[Told]) -> Entry:
+def _entry(bus: BusSummary, alike: Sequence[Told]) -> Trouble:
     first = alike[0].finding
     who = bus.who(first.device)
     if len(alike) > 1:
@@ -197,7 +197,7 @@ def _entry(bus: Bus, alike: Sequence[Told]) -> Entry:
         place = f'{bus.name}/' if bus.name else ''
         who = ', '.join(place + span for span in _spans(
             [device for device in bus.report.devices if device.id in numbers]))
-    return Entry(first.level, who, first.rule, printable(first.message), _evidence(alike[0]))
+    return Trouble(first.level, who, first.rule, printable(first.message), _evidence(alike[0]))
 
 
 def _evidence(one: Told) -> str:
@@ -208,7 +208,7 @@ def _evidence(one: Told) -> str:
     return printable('; '.join([when, *figures]))
 
 
-def as_json(said: Verdict, buses: Sequence[Bus], seconds: float) -> dict[str, Any]:
+def as_json(said: Verdict, buses: Sequence[BusSummary], seconds: float) -> dict[str, Any]:
     """Return a run for programs: seconds from the first byte on, levels in words."""
     return {
         'source': said.source, 'seconds': round(seconds, 3), 'exit': said.code,
@@ -229,7 +229,7 @@ def _device_json(device: DeviceReport) -> dict[str, Any]:
             'missed': device.totals.missed, 'damaged': device.totals.damaged}
 
 
-def _told_json(one: Told, bus: Bus) -> dict[str, Any]:
+def _told_json(one: Told, bus: BusSummary) -> dict[str, Any]:
     finding = one.finding
     return {'rule': finding.rule, 'level': finding.level.name, 'device': finding.device,
             'who': bus.who(finding.device), 'message': finding.message,

@@ -12,7 +12,7 @@ import time
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.gate import Gate
-from vel2d_bridge.gate import Settings
+from vel2d_bridge.gate import GateSettings
 from vel2d_bridge.link import Link
 
 BAUD = 115_200
@@ -27,7 +27,7 @@ def main(port: str) -> int:
                            (signal.SIGUSR2, lambda: wanted.add('drive')),
                            (signal.SIGTERM, wanted.clear)):
         signal.signal(number, lambda *_, change=change: change())
-    link = Link(port, BAUD, Gate(Settings(), baud=BAUD), deadman=deadman,
+    link = Link(port, BAUD, Gate(GateSettings(), baud=BAUD), deadman=deadman,
                 on_change=lambda problem: print(problem or f'{port}: open', flush=True))
     link.start()
     while 'live' in wanted:
