@@ -273,7 +273,8 @@ class Monitor:
         return BusReport(
             name=self.name, stamp=now, started=self._started, baud=self.conversation.settings.baud,
             level=Level.OK, message='', devices=(), counters=self._counters(), rates=rates,
-            errors=evidence.errors(), incidents=evidence.incidents(), waits=evidence.waits(),
+            errors=evidence.errors(self._roster.register_name),
+            incidents=evidence.incidents(), waits=evidence.waits(),
             cycles=cycles, metrics=(),
             noise=self.conversation.noise,
             last_byte_s=(now - self._last) / 1e9 if self._last else None,

@@ -131,7 +131,8 @@ class SyntheticRobot:
             reports = tuple(self._device(time_s, device) for device in blank.devices)
             lost = [one for one in reports if one.state == words.DISCONNECTED]
             errors = tuple(
-                Error(int((time_s - 20 + i) * 1e9), f'{one.id:03}: no answer to Read at 132')
+                Error(int((time_s - 20 + i) * 1e9),
+                      f'{one.id:03}: no answer to Read at Present Position')
                 for i, one in enumerate(lost * 3))
             yield bus, blank._replace(
                 stamp=int(time_s * 1e9), started=1, devices=reports, errors=errors,

@@ -328,9 +328,9 @@ def test_plot_of_any_number(page):
 def test_error_history_and_findings(page, robot):
     robot.lost, robot.findings = {7}, FINDINGS
     show(page, 'device')
-    see(page, '.device-errors li', '\\d\\d:\\d\\d:\\d\\dno answer to Read at 132')
+    see(page, '.device-errors li', '\\d\\d:\\d\\d:\\d\\dno answer to Read at Present Position')
     show(page, 'log')
-    see(page, '.errors li', '\\d\\d007 left_kneeno answer to Read at 132')
+    see(page, '.errors li', '\\d\\d007 left_kneeno answer to Read at Present Position')
     see(page, '.findings li', 'missing termination|Missing Termination')
     page.locator('.findings a', has_text='012').click()
     see(page, 'h1', '012')

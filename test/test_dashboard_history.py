@@ -105,7 +105,7 @@ def test_events():
     found = told(101.0)
     assert ('state', 2, '007 left_knee', 'disconnected: 7 answers missed') in found
     assert ('finding', 1, 'bus', f'missing termination: {FINDINGS[0].message}') in found
-    assert ('error', 2, 'bus', '007: no answer to Read at 132') in found
+    assert ('error', 2, 'bus', '007: no answer to Read at Present Position') in found
     assert told(101.0) == []
     robot.lost, robot.findings = set(), ()
     found = told(102.0)

@@ -163,7 +163,7 @@ def test_the_short_form_keeps_what_only_the_long_one_says(robot):
     robot.lost = {7}
     state = told(robot)
     robot_bus = state.changes(0)['buses']['dxl_monitor: bus']
-    assert robot_bus['errors'][0][1].endswith('007: no answer to Read at 132')
+    assert robot_bus['errors'][0][1].endswith('007: no answer to Read at Present Position')
     assert any(field.key == 'Present Position (rad)' for field in state.table(KNEE).fields)
 
 

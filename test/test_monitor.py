@@ -205,8 +205,19 @@ def test_damage_is_told_by_device_and_by_bus() -> None:
     assert report.devices[0].window.damaged == 20
     assert report.level is Level.WARN
     assert report.counters['CRC Errors'] == 20
-    assert report.errors[-1].text == '001: no answer to Read at 132'
+    assert report.errors[-1].text == '001: no answer to Read at Present Position'
     assert '001: status with a wrong CRC' in {error.text for error in report.errors}
+
+
+def test_errors_name_the_register_once_the_model_is_known() -> None:
+    bus = Bus()
+    bus.hear(READ, READ)
+    assert bus.report().errors[-1].text == '001: no answer to Read at 132'
+    bus.hear(PING, PONG, encode(1, I.WRITE, b'\x74\x00' + bytes(4)), encode(1, STATUS, error=7))
+    assert bus.device().model_name == 'MX-64'
+    assert [error.text for error in bus.report().errors] == [
+        '001: no answer to Read at Present Position',
+        '001: Write at Goal Position refused: Access']
 
 
 def test_the_last_fifty_errors_are_kept_in_order() -> None:

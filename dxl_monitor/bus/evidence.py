@@ -10,6 +10,7 @@ What happens with each packet is a counter of the device, not an incident.
 from collections import Counter
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 from dxl_monitor.bus.report import Error
 from dxl_monitor.bus.report import Incident
@@ -17,6 +18,7 @@ from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
 
 NO_DEVICE = -1
+Register = Callable[[int, int], str]        # what a device calls the register at an address
 
 # Kinds of incidents, each with what its detail holds.
 DAMAGED_STATUS = 'damaged status'              # instruction byte as read, length as read
@@ -58,27 +60,29 @@ _APART_NS = 100_000_000             # between two that are kept, where each pack
 _ERRORS_KEPT = 50
 _WAITS_KEPT = 256
 
-# The lines of the error log; what is not listed here is no error.
-_TEXTS: dict[str, Callable[[tuple[int, ...]], str]] = {
-    DAMAGED_STATUS: lambda d: 'status with a wrong CRC',
-    DAMAGED_INSTRUCTION: lambda d: f'{name_of(d[0])} with a wrong CRC',
-    BAD_LENGTH: lambda d: f'packet with Length {d[0]}',
-    CUT: lambda d: f'{name_of(d[0])} that ends before its Length of {d[1]}',
-    MISSED: lambda d: f'no answer to {name_of(d[0])}' + (f' at {d[1]}' if d[1] >= 0 else ''),
-    DISCONNECTED: lambda d: f'disconnected: {d[0]} answers missed',
-    REFUSED: lambda d: f'{name_of(d[0])} at {d[1]} refused: {error_text(d[2])}',
-    ALERT: lambda d: 'alert',
-    SECOND_ANSWER: lambda d: f'second answer to one {name_of(d[0])}',
-    UNASKED: lambda d: 'answer that was not asked for',
-    LATE: lambda d: f'answer {d[0]} us too late',
-    WRONG_SIZE: lambda d: f'answer of {d[0]} bytes to a read of {d[1]}',
-    FAST_CUT: lambda d: f'fast reply ends after {d[0]} of {d[1]} devices',
-    UNKNOWN_INSTRUCTION: lambda d: f'unknown {name_of(d[0])}',
-    MALFORMED: lambda d: f'{name_of(d[0])} that makes no sense ({d[1]} bytes)',
-    BAD_ID: lambda d: f'packet with ID {d[0]}',
-    FOREIGN: lambda d: f'{name_of(d[0])} of another master',
-    NOT_SENT: lambda d: f'{name_of(d[0])} that did not leave the adapter',
-    SOURCE_LOST: lambda d: f'{d[0]} events or bytes that were not heard',
+# The lines of the error log; what is not listed here is no error. at(address) is the
+# name of a register, or its address.
+_TEXTS: dict[str, Callable[[tuple[int, ...], Callable[[int], str]], str]] = {
+    DAMAGED_STATUS: lambda d, at: 'status with a wrong CRC',
+    DAMAGED_INSTRUCTION: lambda d, at: f'{name_of(d[0])} with a wrong CRC',
+    BAD_LENGTH: lambda d, at: f'packet with Length {d[0]}',
+    CUT: lambda d, at: f'{name_of(d[0])} that ends before its Length of {d[1]}',
+    MISSED: lambda d, at: f'no answer to {name_of(d[0])}' + (
+        f' at {at(d[1])}' if d[1] >= 0 else ''),
+    DISCONNECTED: lambda d, at: f'disconnected: {d[0]} answers missed',
+    REFUSED: lambda d, at: f'{name_of(d[0])} at {at(d[1])} refused: {error_text(d[2])}',
+    ALERT: lambda d, at: 'alert',
+    SECOND_ANSWER: lambda d, at: f'second answer to one {name_of(d[0])}',
+    UNASKED: lambda d, at: 'answer that was not asked for',
+    LATE: lambda d, at: f'answer {d[0]} us too late',
+    WRONG_SIZE: lambda d, at: f'answer of {d[0]} bytes to a read of {d[1]}',
+    FAST_CUT: lambda d, at: f'fast reply ends after {d[0]} of {d[1]} devices',
+    UNKNOWN_INSTRUCTION: lambda d, at: f'unknown {name_of(d[0])}',
+    MALFORMED: lambda d, at: f'{name_of(d[0])} that makes no sense ({d[1]} bytes)',
+    BAD_ID: lambda d, at: f'packet with ID {d[0]}',
+    FOREIGN: lambda d, at: f'{name_of(d[0])} of another master',
+    NOT_SENT: lambda d, at: f'{name_of(d[0])} that did not leave the adapter',
+    SOURCE_LOST: lambda d, at: f'{d[0]} events or bytes that were not heard',
 }
 
 
@@ -132,18 +136,20 @@ class Evidence:
     def waits(self) -> tuple[tuple[int, int, int], ...]:
         return tuple(self._waits)
 
-    def errors(self) -> tuple[Error, ...]:
-        return tuple(Error(incident.stamp, _line(incident)) for incident in self._errors)
+    def errors(self, register: Register) -> tuple[Error, ...]:
+        """Return the error log, the oldest line first."""
+        return tuple(Error(incident.stamp, _line(incident, register))
+                     for incident in self._errors)
 
 
-def text_of(incident: Incident) -> str:
+def text_of(incident: Incident, register: Register = lambda device, address: str(address)) -> str:
     """Return what happened in words, without whom it happened to; '' for what is no error."""
     text = _TEXTS.get(incident.kind)
-    return text(incident.detail) if text is not None else ''
+    return text(incident.detail, partial(register, incident.device)) if text is not None else ''
 
 
-def _line(incident: Incident) -> str:
-    text = text_of(incident)
+def _line(incident: Incident, register: Register) -> str:
+    text = text_of(incident, register)
     return text if incident.device < 0 else f'{incident.device:03}: {text}'
 
 

@@ -81,6 +81,14 @@ class Roster:
             device = self.devices[number] = Device(number)
         return device
 
+    def register_name(self, number: int, address: int) -> str:
+        """Return what a device calls the register at an address; the address if not known."""
+        device = self.devices.get(number)
+        field = device.model.by_address.get(address) if device is not None else None
+        if device is None or field is None:
+            return str(address)
+        return device.table.in_force(field, device.model).name
+
     def heard(self, device: Device, error: int, stamp: int) -> None:
         """Take any status as a sign of life; error is its error byte, alert bit included."""
         silence_ms = (stamp - device.heard) // 1_000_000
