@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The dashboard in a real browser: every view, in three sizes, and what may go wrong around it."""
+"""The dashboard in a real browser: every view, in four sizes, and what may go wrong around it."""
 from contextlib import contextmanager
 from itertools import product
 import re
@@ -507,6 +507,76 @@ def test_the_list_stands_still_while_it_is_paused(page, robot):
     assert page.locator('.errors li').first.inner_text() == first
     page.get_by_role('button', name='Paused').click()
     wait(lambda: page.locator('.errors li').first.inner_text() != first)
+
+
+@pytest.mark.parametrize(('view', 'items', 'changed'), [
+    ('overview', '.alerts .alert', '2 lost'), ('overview', '.findings li', ''),
+    ('log', '.findings li', ''), ('devices', '.devices tbody tr', '2 lost')])
+def test_what_moves_can_be_stopped(page, robot, view, items, changed):
+    robot.lost, robot.findings = {7}, FINDINGS[:1]
+    show(page, view)
+    see(page, items, '007|[Mm]issing termination')
+    lists = page.locator(items)
+    panel = page.locator('.panel, .bus, main > div', has=lists).last
+    button = panel.get_by_role('button', name=re.compile('^Paused?$')).first
+    button.click()
+    before = lists.all_inner_texts()
+    robot.lost, robot.findings = {7, 11}, FINDINGS
+    wait(lambda: '2 lost' in page.title())
+    assert lists.all_inner_texts() == before
+    assert button.get_attribute('aria-pressed') == 'true'
+    button.click()
+    wait(lambda: lists.all_inner_texts() != before)
+
+
+def test_a_pause_does_not_hold_what_is_searched_for(page):
+    show(page, 'devices')
+    page.get_by_role('button', name='Pause').click()
+    page.get_by_label('Search devices').fill('left_knee')
+    wait(lambda: page.locator('.devices tbody tr').count() == 1)
+
+
+PRINTED = """() => {
+    const canvas = [...document.querySelectorAll('canvas')].find((one) => one.checkVisibility());
+    const style = getComputedStyle(document.documentElement);
+    const inks = new Set();
+    if (canvas) {
+        const {data} = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+        for (let at = 0; at < data.length; at += 4) {
+            if (data[at + 3] === 255) inks.add(data.slice(at, at + 3).join());
+        }
+    }
+    return {ground: style.backgroundColor, text: style.color, inks: [...inks],
+        plot: canvas ? style.getPropertyValue('--plot-0') : '',
+        shown: [...document.querySelectorAll(
+            'button, input:not([type=datetime-local]), .views, .live, .beside, .skip')]
+            .filter((one) => one.checkVisibility() && !one.closest('th'))
+            .filter((one) => one.getBoundingClientRect().bottom > 0)
+            .map((one) => one.outerHTML.slice(0, 80)),
+        cut: [...document.querySelectorAll('.errors, .events')]
+            .filter((one) => one.scrollHeight > one.clientHeight + 1).length};
+}"""
+
+
+def test_on_paper_it_is_black_on_white(dashboard, robot, open_page):
+    robot.lost, robot.findings = {7, 11}, FINDINGS
+    page = open_page(dashboard.address, color_scheme='dark')
+    drawn = 0
+    for view in VIEWS:
+        show(page, view)
+        page.locator('main .panel, main .device, main .tile').first.wait_for()
+        see(page, '.title, h1, .bar', '')
+        page.emulate_media(media='print')
+        wait(lambda: page.evaluate('document.documentElement.dataset.theme') == 'light')
+        printed = page.evaluate(PRINTED)
+        assert (printed['ground'], printed['text']) == ('rgb(255, 255, 255)', 'rgb(0, 0, 0)')
+        assert (printed['shown'], printed['cut']) == ([], 0), view
+        if printed['plot']:
+            assert printed['plot'] == '#0a63ad'
+            drawn += '10,99,173' in printed['inks']
+        page.emulate_media(media='screen')
+        wait(lambda: page.evaluate('document.documentElement.dataset.theme') == 'dark')
+    assert drawn >= 3                           # overview, device, log: plots of light colours
 
 
 def test_shortcuts_can_be_switched_off(page):

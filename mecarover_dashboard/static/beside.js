@@ -6,8 +6,8 @@ import {bridgeState} from './bridge.js';
 import {Command} from './command.js';
 import {h, icon, set, setIcon} from './dom.js';
 import {ErrorList, errorsOf} from './errors.js';
+import {FindingList} from './findings.js';
 import {path} from './place.js';
-import {showFindings} from './parts.js';
 import {Plot} from './plot.js';
 
 const MOST_ERRORS = 6;
@@ -23,10 +23,9 @@ export class Beside {
     this.symbol = icon('ok');
     this.bridge = panel('', heading('bridge', this.symbol, 'Bridge'), this.command.element);
     this.load = panel('low', heading('log', 'Bus load'), this.plot.element);
-    this.findings = h('ul', {class: 'findings'});
-    this.found = panel('', heading('log', 'Findings'), this.findings);
+    this.findings = new FindingList(heading('log', 'Findings'));
     this.errors = new ErrorList(heading('log', 'Last errors'), {most: MOST_ERRORS});
-    this.element = h('div', {class: 'aside'}, this.bridge, this.found);
+    this.element = h('div', {class: 'aside'}, this.bridge, this.findings.element);
     this.below = h('div', {class: 'below'}, this.load, this.errors.element);
   }
 
@@ -47,6 +46,6 @@ export class Beside {
     this.errors.element.hidden = !this.errors.update(errorsOf(groups, store), isMany);
     const isSaid = (text, device) => device ? device.message === text
       : groups.some(({headline}) => headline === text);
-    this.found.hidden = !showFindings(this.findings, groups, store, isSaid);
+    this.findings.element.hidden = !this.findings.update(groups, store, isSaid);
   }
 }

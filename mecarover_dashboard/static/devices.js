@@ -7,6 +7,7 @@ import {DeviceTable, ORDERS} from './table.js';
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {id3, plural, short} from './format.js';
 import {fillEmpty, showCrumbs} from './parts.js';
+import {Pause} from './pause.js';
 import {keepFilters, path} from './place.js';
 import {isQuiet, LEVELS, stateOf, wordOf, WORDS} from './store.js';
 
@@ -33,11 +34,13 @@ export class Devices {
       ...[null, ...LEVELS].map((state) => this.#chip(state)));
     this.forms = h('div', {class: 'choice', role: 'group', ariaLabel: 'Show as'},
       ...Object.keys(FORMS).map((form) => this.#form(form)));
+    this.pause = new Pause('Devices', () => this.update(this.store, true));
     this.empty = h('div', {class: 'empty'});
     this.none = h('p', {class: 'empty'}, 'No device fits.');
     this.lists = h('div');
     this.element = h('div', {}, this.crumbs,
-      h('div', {class: 'head'}, this.heading, this.search, this.chips, this.forms), this.empty,
+      h('div', {class: 'head'}, this.heading, this.search, this.chips, this.forms,
+        this.pause.element), this.empty,
       this.none, this.table.element, this.lists);
   }
 
@@ -66,12 +69,13 @@ export class Devices {
   #changed() {
     keepFilters({find: this.search.value, only: this.only,
       as: this.form === 'cards' ? 'cards' : '', by: this.table.order});
-    this.update(this.store);
+    this.update(this.store, true);
   }
 
   close() { this.table.close(); }
 
-  update(store) {
+  /** isAsked: somebody chose what to see, which a pause does not forbid. */
+  update(store, isAsked = !this.store) {
     this.store = store;
     const all = store.groups();
     const isOurs = (device) => !this.model || device.model === this.model;
@@ -87,7 +91,8 @@ export class Devices {
     this.empty.hidden = all.some((group) => group.devices.length);
     if (!this.empty.hidden) fillEmpty(this.empty, store);
     this.none.hidden = shown.length > 0 || !this.empty.hidden;
-    this.#list(shown, store);
+    this.pause.element.hidden = !this.empty.hidden;
+    if (isAsked || !this.pause.isOn) this.#list(shown, store);
   }
 
   #list(shown, store) {

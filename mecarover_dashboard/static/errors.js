@@ -4,6 +4,7 @@
 
 import {each, h, say, set} from './dom.js';
 import {clock} from './format.js';
+import {Pause} from './pause.js';
 import {path} from './place.js';
 import {deviceName, isQuiet} from './store.js';
 
@@ -29,20 +30,11 @@ export class ErrorList {
   constructor(heading, {most = 50, empty = 'No errors.', ofOne = false} = {}) {
     this.most = most;
     this.ofOne = ofOne;
-    this.isPaused = false;
-    this.pause = h('button', {type: 'button', class: 'button small', ariaPressed: false,
-      onclick: () => this.#press()}, 'Pause');
+    this.pause = new Pause('Errors', () => this.#show());
     this.none = h('p', {class: 'quiet'}, empty);
     this.list = h('ol', {class: 'errors', tabindex: 0, ariaLabel: 'Errors'});
     this.element = h('section', {class: 'panel'},
-      h('div', {class: 'head'}, h('h2', {}, heading), this.pause), this.none, this.list);
-  }
-
-  #press() {
-    this.isPaused = !this.isPaused;
-    set(this.pause, 'aria-pressed', this.isPaused);
-    say(this.pause, this.isPaused ? 'Paused' : 'Pause');
-    if (!this.isPaused) this.#show();
+      h('div', {class: 'head'}, h('h2', {}, heading), this.pause.element), this.none, this.list);
   }
 
   /** Take lines of errorsOf; return how many there are. */
@@ -51,7 +43,7 @@ export class ErrorList {
     this.several = several;
     const now = performance.now() / 1000;
     const isDue = now - this.#shown > CALM_S || !this.list.childElementCount;
-    if (!this.isPaused && isDue) this.#show();
+    if (!this.pause.isOn && isDue) this.#show();
     return lines.length;
   }
 
@@ -61,7 +53,7 @@ export class ErrorList {
     const lines = this.#waiting;
     this.none.hidden = lines.length > 0;
     this.list.hidden = !lines.length;
-    this.pause.hidden = !lines.length;
+    this.pause.element.hidden = !lines.length;
     each(this.list, lines.map((line, index) => ({...line, index})), ({index}) => index,
       () => h('li', {}, h('time'), h('a'), h('span')), (item, line) => this.#fill(item, line));
   }

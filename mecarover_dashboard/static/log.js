@@ -5,10 +5,10 @@
 import {makeFact} from './bridge.js';
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {ErrorList, errorsOf} from './errors.js';
+import {FindingList, makeFinding, showFinding} from './findings.js';
 import {numberOf, short} from './format.js';
 import {path} from './place.js';
-import {fillEmpty, makeFinding, metricsHead, metricToPlot, seriesOf, showFinding, showFindings,
-  showMetrics} from './parts.js';
+import {fillEmpty, metricsHead, metricToPlot, seriesOf, showMetrics} from './parts.js';
 import {Plot} from './plot.js';
 import {stateOf, valueOf} from './store.js';
 
@@ -34,12 +34,11 @@ export class LogView {
     h('b'), h('span', {class: 'gauge-bar'}, h('i')), h('span', {class: 'quiet'}, 'bus load'));
     this.rows = h('tbody');
     this.counters = h('tbody');
-    this.findings = h('ul', {class: 'findings'});
     this.doubts = h('ul', {class: 'findings doubts'});
     this.untold = h('details', {}, h('summary', {class: 'quiet'}), this.doubts);
+    this.findings = new FindingList('Findings', this.untold);
     this.errors = new ErrorList('Last errors');
     this.status = h('p', {class: 'message'}, icon('ok'), h('span'));
-    this.noFindings = h('p', {class: 'quiet'}, 'Nothing found.');
     this.body = this.#lay();
     this.element = h('div', {},
       h('div', {class: 'head'}, h('h1', {tabindex: -1}, this.title), this.choice), this.empty,
@@ -51,7 +50,7 @@ export class LogView {
       h('div', {},
         panel('Timing', this.load, table('figures', 'Timing over the last 10 s', metricsHead(),
           this.rows)),
-        panel('Findings', this.noFindings, this.findings, this.untold)),
+        this.findings.element),
       h('div', {},
         h('section', {class: 'panel', ariaLabel: 'Plot'}, this.plot.element),
         this.errors.element,
@@ -112,7 +111,7 @@ export class LogView {
     set(this.status, 'data-state', state);
     setIcon(this.status.firstChild, state);
     say(this.status.lastChild, row?.message ?? 'no status of the bus yet');
-    this.noFindings.hidden = showFindings(this.findings, [group], store) > 0;
+    this.findings.update([group], store);
     const doubts = row?.doubts ?? [];
     this.untold.hidden = !doubts.length;
     say(this.untold.firstChild, `${doubts.length} cannot be told yet`);

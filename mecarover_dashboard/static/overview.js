@@ -8,6 +8,7 @@ import {each, h, icon, say, set, setIcon} from './dom.js';
 import {id3, isolate, list, plural, short} from './format.js';
 import {path} from './place.js';
 import {fillEmpty} from './parts.js';
+import {Pause} from './pause.js';
 import {bridgeHeadline, deviceName, isLost, isQuiet, stateOf, valueOf, WORDS, worst}
   from './store.js';
 
@@ -56,15 +57,17 @@ function showBridge(element, {state, text}) {
 }
 
 function makeBus(group) {
-  return h('section', {class: 'bus'}, makeBar(path('devices', group.key)),
+  const pause = new Pause('Who needs a look', () => showAlerts(element));
+  const element = h('section', {class: 'bus'}, makeBar(path('devices', group.key)),
     h('div', {class: 'strip', 'aria-hidden': 'true'}),
-    h('ul', {class: 'alerts'}),
+    h('ul', {class: 'alerts'}, h('li', {}, pause.element)),
     h('div', {class: 'tiles'}),
     h('p', {class: 'bus-line'}));
+  return Object.assign(element, {pause});
 }
 
 function updateBus(element, group) {
-  const [bar, strip, alerts, tiles, line] = element.children;
+  const [bar, strip, , tiles, line] = element.children;
   const total = group.devices.length;
   set(bar, 'data-state', group.state);
   setIcon(bar.children[0], group.state);
@@ -76,7 +79,8 @@ function updateBus(element, group) {
     + `connected. ${group.headline}. Show devices`);
   set(strip, 'data-many', total > 60);
   each(strip, group.devices, (device) => device.name, makeCell, updateCell);
-  each(alerts, group.alerts, (alert) => alert.key, makeAlert, updateAlert);
+  element.newest = group.alerts;
+  if (!element.pause.isOn) showAlerts(element);
   each(tiles, group.models, (model) => model.model, (model) => makeTile(group, model),
     updateTile);
   say(line, busLine(group));
@@ -128,6 +132,11 @@ function alertOf(group, {state, message, devices}) {
   return {state, message: isolate(message), key: `${first.name} ${isMany}`,
     names: list(devices.map(isMany ? ({id}) => id3(id) : deviceName)),
     href: isMany ? path('devices', group.key) : path('device', first.name)};
+}
+
+function showAlerts({children: [, , list], newest}) {
+  list.hidden = !newest.length;
+  each(list, newest, (alert) => alert.key, makeAlert, updateAlert);
 }
 
 const makeAlert = ({href}) => h('li', {},

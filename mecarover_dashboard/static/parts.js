@@ -1,11 +1,9 @@
 // Copyright 2026 The mecarover_serial authors
 // SPDX-License-Identifier: Apache-2.0
-// What more than one view shows: findings, figures of timing, crumbs, and what to do meanwhile.
+// What more than one view shows: figures of timing, crumbs, and what to do meanwhile.
 
-import {each, h, icon, say, set, setIcon} from './dom.js';
-import {clock, plural, short, splitUnit} from './format.js';
-import {path} from './place.js';
-import {deviceName, isQuiet} from './store.js';
+import {each, h, say, set} from './dom.js';
+import {plural, short, splitUnit} from './format.js';
 
 const COLUMNS = ['mean', 'p50', 'p95', 'max'];
 
@@ -30,42 +28,6 @@ export function fillEmpty(element, store, wanted = 'dxl/diagnostics') {
 export function showCrumbs(element, links) {
   each(element, links, ([text, href]) => `${href}|${text}`,
     ([text, href]) => href ? h('a', {href}, text) : h('span', {'aria-current': 'page'}, text));
-}
-
-/** An item for one finding of the doctor: icon, rule, message, and a link to its device. */
-export const makeFinding = (name, device) => h('li', {}, icon(name), h('b'), h('span'),
-  device ? h('a', {href: path('device', device.name)}, deviceName(device)) : null);
-
-/** Fill an item made by makeFinding; `old` says when it was true, '' while it is. */
-export function showFinding(item, [rule, message, severity], old = '') {
-  set(item, 'data-state', severity);
-  set(item, 'data-old', old !== '');
-  setIcon(item.children[0], severity);
-  say(item.children[1], rule.replaceAll('_', ' '));
-  say(item.children[2], old ? `${message} (${old})` : message);
-}
-
-/** 'at 14:02:11, no report since' of a row that is no longer reported; '' of others. */
-export const wasTrue = (row, store) => isQuiet(row)
-  ? `at ${clock(store.wall(row.quiet_since))}, no report since` : '';
-
-const RANK = {error: 0, warn: 1};
-
-/**
- * List the findings of buses and their devices, errors first; return how many.
- * isSaid(text, device) leaves out what stands elsewhere in the view.
- */
-export function showFindings(element, groups, store, isSaid = () => false) {
-  const found = groups.flatMap(({row, devices}) => [
-    ...(row?.findings ?? []).map((finding) => ({finding, row, device: null})),
-    ...devices.flatMap((device) => device.findings
-      .map((finding) => ({finding, row: device, device})))])
-    .filter(({finding, device}) => !isSaid(finding[1], device))
-    .sort((a, b) => RANK[a.finding[2]] - RANK[b.finding[2]]);
-  each(element, found, ({finding, row}) => `${finding[0]}|${row.name}`,
-    ({device}) => makeFinding('warn', device),
-    (item, {finding, row}) => showFinding(item, finding, wasTrue(row, store)));
-  return found.length;
 }
 
 /** What the columns of `showMetrics` are. */

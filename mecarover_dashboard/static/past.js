@@ -4,6 +4,7 @@
 
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {clock, plural} from './format.js';
+import {Pause} from './pause.js';
 import {path} from './place.js';
 import {Plot} from './plot.js';
 import {LEVELS} from './store.js';
@@ -34,6 +35,7 @@ export class Past {
     this.kinds = h('div', {class: 'choice', role: 'group', ariaLabel: 'Events shown'},
       ...Object.entries(KINDS).map(([one, text]) => h('button', {type: 'button', 'data-kind': one,
         onclick: () => this.#only(one)}, text)));
+    this.pause = new Pause('Events', () => this.update(this.store));
     this.saves = ['csv', 'json'].flatMap((format) => [...of ? ['values'] : [], 'events'].map(
       (what) => h('a', {class: 'button small', download: `${what}.${format}`, 'data-what': what,
         'data-format': format}, `${what} as ${format.toUpperCase()}`)));
@@ -44,7 +46,8 @@ export class Past {
     this.events = h('ol', {class: 'events', tabindex: 0, ariaLabel: 'Events'});
     this.body = h('div', {class: 'past'},
       h('div', {class: 'past-head'}, this.spans, this.begin, this.end), this.levels, this.graphs,
-      h('div', {class: 'past-head'}, this.kinds, ...this.saves), this.events);
+      h('div', {class: 'past-head'}, this.kinds, this.pause.element,
+        ...this.saves), this.events);
     this.element = h('div', {class: 'past'}, this.problem, this.body);
   }
 
@@ -92,7 +95,8 @@ export class Past {
       return;
     }
     const now = performance.now() / 1000;
-    if (now - this.#asked < (this.to === null ? AGAIN_S : Infinity)) return;
+    const isStill = this.to !== null || this.pause.isOn;
+    if (now - this.#asked < (isStill ? Infinity : AGAIN_S)) return;
     this.#asked = now;
     this.#ask();
   }

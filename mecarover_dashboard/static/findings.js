@@ -1,0 +1,66 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// What the doctor found about buses and their devices: a list that can be stopped.
+
+import {each, h, icon, say, set, setIcon} from './dom.js';
+import {clock} from './format.js';
+import {Pause} from './pause.js';
+import {path} from './place.js';
+import {deviceName, isQuiet} from './store.js';
+
+const RANK = {error: 0, warn: 1};
+
+export class FindingList {
+  #update = () => {};
+
+  /** A heading (text or an element) above the list, more elements below it. */
+  constructor(heading, ...below) {
+    this.pause = new Pause('Findings', () => this.#update());
+    this.none = h('p', {class: 'quiet'}, 'Nothing found.');
+    this.list = h('ul', {class: 'findings'});
+    this.element = h('section', {class: 'panel'},
+      h('div', {class: 'head'}, h('h2', {}, heading), this.pause.element), this.none, this.list,
+      ...below);
+  }
+
+  /**
+   * List the findings of buses and their devices, errors first; return how many.
+   * isSaid(text, device) leaves out what stands elsewhere in the view.
+   */
+  update(groups, store, isSaid = () => false) {
+    const found = groups.flatMap(({row, devices}) => [
+      ...(row?.findings ?? []).map((finding) => ({finding, row, device: null})),
+      ...devices.flatMap((device) => device.findings
+        .map((finding) => ({finding, row: device, device})))])
+      .filter(({finding, device}) => !isSaid(finding[1], device))
+      .sort((a, b) => RANK[a.finding[2]] - RANK[b.finding[2]]);
+    this.#update = () => this.#show(found, store);
+    if (!this.pause.isOn) this.#update();
+    return this.list.childElementCount;
+  }
+
+  #show(found, store) {
+    this.none.hidden = found.length > 0;
+    this.pause.element.hidden = !found.length;
+    each(this.list, found, ({finding, row}) => `${finding[0]}|${row.name}`,
+      ({device}) => makeFinding('warn', device),
+      (item, {finding, row}) => showFinding(item, finding, wasTrue(row, store)));
+  }
+}
+
+/** An item for one finding: icon, rule, message, and a link to its device. */
+export const makeFinding = (name, device) => h('li', {}, icon(name), h('b'), h('span'),
+  device ? h('a', {href: path('device', device.name)}, deviceName(device)) : null);
+
+/** Fill an item made by makeFinding; `old` says when it was true, '' while it is. */
+export function showFinding(item, [rule, message, severity], old = '') {
+  set(item, 'data-state', severity);
+  set(item, 'data-old', old !== '');
+  setIcon(item.children[0], severity);
+  say(item.children[1], rule.replaceAll('_', ' '));
+  say(item.children[2], old ? `${message} (${old})` : message);
+}
+
+/** 'at 14:02:11, no report since' of a row that is no longer reported; '' of others. */
+export const wasTrue = (row, store) => isQuiet(row)
+  ? `at ${clock(store.wall(row.quiet_since))}, no report since` : '';
