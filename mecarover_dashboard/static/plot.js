@@ -9,6 +9,8 @@ import {each, h, say, set} from './dom.js';
 
 const SPANS = [[10, '10 s'], [60, '1 min'], [300, '5 min']];
 const LEAST_DRAG = 12;         // px; less is a touch
+const CALM_S = 0.45;           // so long a plot stands still, and longer where a px is longer
+const STEPS = 300;             // in which a plot moves from one edge to the other
 
 export class Plot {
   #series = [];
@@ -18,6 +20,7 @@ export class Plot {
   #drag = null;                // where it began, px
   #zoom = null;                // [from, to] in s; null: up to now
   #drawn = '';
+  #drawnAt = -Infinity;        // s of the page
 
   /** `extra` are elements that stand below the plot, before the choice of time. */
   constructor(label, span = 60, ...extra) {
@@ -70,10 +73,12 @@ export class Plot {
    * point that break the line; `unix(s)`, the Unix time of a time.
    */
   update(series, now, options = {}) {
+    const isOther = series.map(nameOf).join() !== this.#series.map(nameOf).join();
     this.#series = series;
     this.#now = now;
     this.#options = options;
-    this.draw();
+    const rest = Math.max(CALM_S, this.span / STEPS);
+    if (isOther || performance.now() / 1000 - this.#drawnAt > rest) this.draw();
   }
 
   /** Show so many seconds; no choice of time where the view has one of its own. */
@@ -141,6 +146,7 @@ export class Plot {
   }
 
   draw() {
+    this.#drawnAt = performance.now() / 1000;
     const [from, to] = this.range;
     const s = this.#cursor === null ? null : to - this.#cursor;
     const drag = this.#drag === null || s === null ? null : [this.#at(this.#drag), s].sort(
@@ -171,6 +177,9 @@ export class Plot {
     }
   }
 }
+
+/** What tells one series from another: its name, and whether it has a point. */
+const nameOf = ({name, points}) => `${name} ${points.length > 0}`;
 
 function written({value, unit}) {
   if (!value) return 'no data';
