@@ -9,7 +9,6 @@ from msg_defs.dxl1_packet import encode
 from msg_defs.dxl1_packet import Framer1
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl1_packet import MAX_FRAME
-from msg_defs.dxl1_packet import packet_of
 
 GOOD = encode(1, 0, b'good')
 TRICKY = (b'\xff\xff', b'\xff', b'\xff\xff\xff', b'\x00', b'\xfd', b'\xff\xff\xfd\x00',
@@ -69,7 +68,7 @@ def feed(chunks, sent):
         assert [as_found(frame) for frame in good] == packets
         assert framer.noise_bytes == len(noise)
         assert framer.noise == noise[-NOISE_KEPT:]
-        assert framer.packet_bytes == sum(packet_of(one, 0).params.__len__() + 6 for one in good)
+        assert framer.packet_bytes == sum(len(body) + 2 for _, body, _ in good)
         assert framer.bytes == total == framer.packet_bytes + len(noise) + framer.pending
         assert framer.packets == len(packets)
         assert framer.pending < MAX_FRAME

@@ -6,12 +6,11 @@ Packets of the Protocol 1.0 family, Dynamixel 1.0 and Feetech: bytes on the wire
 FF FF, ID, LEN, instruction or error byte, parameters, sum (e-Manual, Protocol 1.0; Feetech, SCS
 Communication Protocol). An instruction and a status have the same form, so a frame here is
 neither: who reads the dialogue decides. Nothing is stuffed: FF FF may stand in the data. A frame
-is decided by its LEN and its sum alone; only a wrong sum, or flush() on an idle line, searches on
-from the header + 1. A pause in the delivery is not an idle line: interrupt() leaves the decision
-to the next chunk. Nothing on the wire raises; every byte ends as a packet byte or as noise.
+is decided by its LEN and its sum alone; only a wrong sum, or flush_frames() on an idle line,
+searches on from the header + 1. A pause in the delivery is not an idle line: interrupt() leaves
+the decision to the next chunk. Nothing on the wire raises; every byte ends as a packet byte or as
+noise.
 """
-
-from typing import NamedTuple
 
 from msg_defs.dxl_packet import Flaw
 from msg_defs.dxl_packet import Frame
@@ -29,16 +28,6 @@ FAMILY = 0x80
 _MARK = bytes([FAMILY])
 
 
-class Packet1(NamedTuple):
-    """One packet. code: the instruction, or the error byte of a status."""
-
-    stamp: int
-    offset: int
-    id: int
-    code: int
-    params: bytes
-
-
 def encode(id: int, code: int, params: bytes = b'') -> bytes:
     """Return a packet as it stands on the wire; code is an instruction or an error byte."""
     content = bytes([id, len(params) + 2, code]) + params
@@ -48,12 +37,6 @@ def encode(id: int, code: int, params: bytes = b'') -> bytes:
 def begin_of(end: int, body: bytes) -> int:
     """Return the stream offset of the first byte of a good frame of this family."""
     return end - body[1] - 4
-
-
-def packet_of(frame: Frame, stamp: int) -> Packet1:
-    """Return the readable form of a good frame."""
-    end, body, _ = frame
-    return Packet1(stamp, begin_of(end, body), body[0], body[3], body[4:])
 
 
 class Framer1(StreamFramer):
@@ -89,16 +72,6 @@ class Framer1(StreamFramer):
         """Take bytes that neither hold nor end in the begin of a header, while nothing waits."""
         self.bytes += len(noise)
         self._give_up(noise)
-
-    def feed(self, chunk: bytes, stamp: int) -> list[Packet1]:
-        """Return the packets that this chunk completes."""
-        frames = self.frames(chunk)
-        return [packet_of(f, stamp) for f in frames if f[2] is None or not f[2].reason]
-
-    def flush(self, stamp: int = 0) -> list[Packet1]:
-        """Decide what is left, because the line is idle."""
-        frames = self.flush_frames()
-        return [packet_of(f, stamp) for f in frames if f[2] is None or not f[2].reason]
 
     def _ends_in(self, chunk: bytes) -> bool:
         """Tell whether a chunk completes the frame that waits for its end."""

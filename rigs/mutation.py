@@ -43,7 +43,6 @@ FILES = {
     **{f'dxl_monitor/doctor/{name}.py': _DOCTOR for name in (
         'configuration', 'damage', 'health', 'presence', 'rate', 'rhythm', 'timing')},
     'vel2d_bridge/gate.py': ('test_gate.py', 'test_bridge_safety.py'),
-    'vel2d_bridge/limit.py': ('test_gate.py',),
     'vel2d_bridge/pacer.py': ('test_pacer.py', 'test_bridge_safety.py', 'test_link.py'),
 }
 # Only what is quick: without ROS, and of the fuzz tests the machines and the kept inputs.

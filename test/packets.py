@@ -1,7 +1,10 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""A Framer as tests read it: chunks in, whole packets out, without what was damaged."""
+"""Framers as tests read them: chunks in, whole packets out, without what was damaged."""
+from typing import NamedTuple
 
+from msg_defs.dxl1_packet import begin_of
+from msg_defs.dxl1_packet import Framer1
 from msg_defs.dxl_packet import Frame
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import Packet
@@ -10,13 +13,29 @@ from msg_defs.dxl_packet import packet_of
 
 def packets_in(framer: Framer, chunk: bytes, stamp: int = 0) -> list[Packet]:
     """Return the packets that this chunk completes."""
-    return _good(framer.frames(chunk), stamp)
+    return [packet_of(one, stamp) for one in _good(framer.frames(chunk))]
 
 
 def packets_left(framer: Framer, stamp: int = 0) -> list[Packet]:
     """Return the packets that are found when the line is idle."""
-    return _good(framer.flush_frames(), stamp)
+    return [packet_of(one, stamp) for one in _good(framer.flush_frames())]
 
 
-def _good(frames: list[Frame], stamp: int) -> list[Packet]:
-    return [packet_of(one, stamp) for one in frames if one[2] is None or not one[2].reason]
+class Packet1(NamedTuple):
+    """A packet of the 1.0 family. code: the instruction, or the error byte of a status."""
+
+    offset: int
+    id: int
+    code: int
+    params: bytes
+
+
+def packets_1_in(framer: Framer1, chunk: bytes | None) -> list[Packet1]:
+    """Return the packets that this chunk completes; None: the line is idle."""
+    found = framer.flush_frames() if chunk is None else framer.frames(chunk)
+    return [Packet1(begin_of(end, body), body[0], body[3], body[4:])
+            for end, body, _ in _good(found)]
+
+
+def _good(frames: list[Frame]) -> list[Frame]:
+    return [one for one in frames if one[2] is None or not one[2].reason]

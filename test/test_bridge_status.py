@@ -14,7 +14,7 @@ from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.graph import Choice
-from vel2d_bridge.link_state import LinkState
+from vel2d_bridge.link import LinkState
 from vel2d_bridge.mcu_log import McuLog
 from vel2d_bridge.settings import doubts
 from vel2d_bridge.settings import PARAMETERS
@@ -27,7 +27,7 @@ from vel2d_bridge.status import refusal
 PORT = '/dev/ttyAMA0'
 OPEN = LinkState(
     is_open=True, since=0, problem=None, last_error='', openings=1, losses=0, frames=7,
-    time_outs=0, partial_writes=0, freezes=0, bytes_received=0, last=None, driving=True,
+    time_outs=0, partial_writes=0, freezes=0, last=None, driving=True,
     enabled=True, deadman='ready', owes_stop=False)
 HEARD = Commands('/cmd_vel', Choice('twist', True), 0.5, [], None, 0, None)
 ABSENT = PortError(PORT, Reason('absent', 'is not there', 'plug it in'))

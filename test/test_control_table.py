@@ -133,7 +133,7 @@ def test_a_meaning_hangs_on_another_register(name: str, selector: str | None, co
         table.store(model.by_name[selector].at, bytes((code,)), 1, READ)
     field = model.by_name[register]
     table.store(field.at, STRUCTS[field.type].pack(raw), 1, READ)
-    seen = table.observed_field(model, register, 1)
+    seen = table.observed_of(model, (register,), 1)[0]
     assert seen is not None
     assert (seen.field.key, seen.value.text) == (key, text)
 

@@ -21,12 +21,12 @@ from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import GateSettings
+from vel2d_bridge.gate import limit
 from vel2d_bridge.gate import MILLISECOND as MS
 from vel2d_bridge.gate import NEVER
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
-from vel2d_bridge.limit import limit
 from vel2d_bridge.receiver import Receiver
 from vel2d_bridge.settings import PARAMETERS
 from vel2d_bridge.wall_clock import WallClock

@@ -46,8 +46,8 @@ def test_value_age_and_source() -> None:
 def test_nothing_is_made_up() -> None:
     table, model = Table(), servo()
     assert table.observed(model, 0) == []
-    assert table.observed_field(model, 'Present Position', 0) is None
-    assert table.observed_field(model, 'No Such Register', 0) is None
+    assert table.observed_of(model, ('Present Position',), 0)[0] is None
+    assert table.observed_of(model, ('No Such Register',), 0)[0] is None
     assert table.byte(0) is None
     assert table.bytes(0, 2) is None
 
@@ -59,7 +59,7 @@ def test_a_half_observed_value_is_never_shown(missing: int) -> None:
         if n != missing:
             table.store(132 + n, b'\x01', 1, READ)
     assert seen(table, model) == {}
-    assert table.observed_field(model, 'Present Position', 0) is None
+    assert table.observed_of(model, ('Present Position',), 0)[0] is None
     table.store(132 + missing, b'\x01', 1, READ)
     assert list(seen(table, model)) == ['Present Position']
 
@@ -133,7 +133,7 @@ def test_an_indirect_read_shows_under_the_real_name(name: str, firmware: int | N
         assert (position.value.raw, position.source) == (raw, 'r')
         assert position.age_s == 5 - stamp
     assert not any(field.startswith('Indirect Data') for field in seen(table, model))
-    assert table.observed_field(model, 'Present Position', 5 * SECOND) == position
+    assert table.observed_of(model, ('Present Position',), 5 * SECOND)[0] == position
 
 
 def test_indirect_data_stay_raw_while_it_is_unknown_where_they_point() -> None:
@@ -147,11 +147,11 @@ def test_indirect_data_older_than_their_address_are_not_taken_for_its_target() -
     table, model = Table(), servo()
     point(table, model, 1, [146], 1)
     table.store(224, b'\x2a', 2, READ)
-    assert table.observed_field(model, 'Present Temperature', 0) is not None
+    assert table.observed_of(model, ('Present Temperature',), 0)[0] is not None
     point(table, model, 1, [65], 3)
-    assert table.observed_field(model, 'LED', 0) is None
+    assert table.observed_of(model, ('LED',), 0)[0] is None
     table.store(224, b'\x01', 4, READ)
-    led = table.observed_field(model, 'LED', 0)
+    led = table.observed_of(model, ('LED',), 0)[0]
     assert led is not None
     assert led.value.text == 'on'
 

@@ -17,7 +17,6 @@ from typing import NamedTuple
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
-from vel2d_bridge.limit import limit
 
 SECOND = 1_000_000_000
 MILLISECOND = 1_000_000
@@ -331,3 +330,19 @@ class Gate:
         if now >= self._expiry():
             self.counters.time_outs += 1
             self.stop(now, Stop.TIME_OUT)
+
+
+def limit(velocity: Vel2d, limits: Vel2d) -> Vel2d:
+    """Scale a finite velocity by one factor into the limits (0 = none): the direction stays."""
+    biggest = max(map(abs, velocity))
+    if biggest == 0.0:
+        return velocity
+    unit = [part / biggest for part in velocity]     # first, as no product may overflow
+    length = min([biggest] + [
+        bound / abs(part) for part, bound in zip(unit, limits, strict=True)
+        if bound > 0.0 and abs(part) > 0.0])
+    if length == biggest:
+        return velocity
+    return Vel2d(*(
+        max(-bound, min(bound, part * length)) if bound > 0.0 else part * length
+        for part, bound in zip(unit, limits, strict=True)))

@@ -15,12 +15,14 @@ from contextlib import contextmanager
 from contextlib import suppress
 import threading
 import time
+from typing import NamedTuple
 
 from mecarover_serial.port import as_port_error
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
 from mecarover_serial.preflight import PortError
+from mecarover_serial.preflight import Reason
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
@@ -31,15 +33,14 @@ from vel2d_bridge.gate import GateSettings
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
-from vel2d_bridge.link_state import deadman_state
-from vel2d_bridge.link_state import LinkState
-from vel2d_bridge.link_state import stuck
 from vel2d_bridge.pacer import Pacer
 from vel2d_bridge.pacer import Sent
 from vel2d_bridge.wake import Wake
 from vel2d_bridge.watch import BEAT
 from vel2d_bridge.watch import SILENCE
 
+NO_STOP = 'no stop could be sent, the rover may be driving'
+OFF, READY, LOST, NO_USE = 'off', 'ready', 'lost', 'no use'    # how the deadman stands
 _FEW_TIME_OUTS = 2                 # in a row: no accident, it is told
 _STUCK_TIME_OUTS = 10              # reopening may help an adapter that hangs
 _SEARCH_NS = SECOND                # when closing: for a lost port to come back
@@ -48,6 +49,26 @@ _JOIN_S = 1.7
 _POLL_S = 0.005
 _RETRY_S = 0.5                     # at most between attempts: until then the rover may be driving
 _LAST_RETRY_S = 0.1                # while closing
+
+
+class LinkState(NamedTuple):
+    """A snapshot for diagnostics; stamps are monotonic ns, `problem` is why it is not open."""
+
+    is_open: bool
+    since: int                     # time of the last change of is_open
+    problem: PortError | None
+    last_error: str                # stays after recovery
+    openings: int
+    losses: int
+    frames: int
+    time_outs: int                 # writes that took too long
+    partial_writes: int
+    freezes: int                   # the bridge was frozen, or the deadman acted
+    last: Sent | None
+    driving: bool
+    enabled: bool
+    deadman: str                   # OFF, READY, LOST or NO_USE
+    owes_stop: bool                # none has left since it drove: it may do so still
 
 
 class Link:
@@ -93,7 +114,7 @@ class Link:
         self._since = clock()
         self._problem: PortError | None = None
         self._last_error = ''
-        self._openings = self._losses = self._bytes_received = 0
+        self._openings = self._losses = 0
 
     def start(self) -> None:
         self._thread.start()
@@ -155,12 +176,12 @@ class Link:
             pacer, gate = self._pacer, self.gate
             return LinkState(
                 self._port is not None, self._since,
-                self._problem or stuck(self._name, pacer.time_outs_in_row, _FEW_TIME_OUTS),
+                self._problem or _stuck(self._name, pacer.time_outs_in_row, _FEW_TIME_OUTS),
                 self._last_error,
                 self._openings, self._losses, pacer.frames, pacer.time_outs,
-                pacer.partial_writes, pacer.freezes, self._bytes_received, pacer.last,
+                pacer.partial_writes, pacer.freezes, pacer.last,
                 gate.driving, gate.enabled,
-                deadman_state(self._deadman, self._port, self._clock()),
+                _deadman_state(self._deadman, self._port, self._clock()),
                 self._owes_stop or (
                     gate.stopping and pacer.time_outs_in_row >= _FEW_TIME_OUTS))
 
@@ -253,7 +274,7 @@ class Link:
             if self._failure is not None:
                 raise self._failure
             self._wake_at = min(self._pacer.turn(now, acted), now + BEAT)
-            if error := stuck(self._name, self._pacer.time_outs_in_row, _STUCK_TIME_OUTS):
+            if error := _stuck(self._name, self._pacer.time_outs_in_row, _STUCK_TIME_OUTS):
                 raise error
             sleep = self._wake_at - self._clock()
         if port.wait(max(sleep, 0) / SECOND, self._wake.fd):
@@ -263,7 +284,6 @@ class Link:
     def _receive(self, port: Port) -> None:
         chunk = port.read()
         if chunk:
-            self._bytes_received += len(chunk)
             self._on_received(chunk, self._clock())
 
     def _end(self, port: Port, error: PortError | None) -> None:
@@ -326,3 +346,20 @@ class Link:
             self._overslept |= now - before >= SILENCE / SECOND
         if self._closing is not None and not self._is_over():
             time.sleep(_LAST_RETRY_S)
+
+
+def _deadman_state(deadman: Deadman | None, port: Port | None, now: int) -> str:
+    """Tell whether it would stop the rover: it needs a descriptor, rfc2217:// has none."""
+    if deadman is None:
+        return OFF
+    if port is not None and port.fd is None:
+        return NO_USE
+    return READY if deadman.is_alive(now) else LOST
+
+
+def _stuck(name: str, time_outs: int, many: int) -> PortError | None:
+    """Return the error of a line that took none of so many frames in a row; None before."""
+    if time_outs < many:
+        return None
+    return PortError(name, Reason(
+        'lost', 'takes no data', 'check flow control, cable and adapter'))

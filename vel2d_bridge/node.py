@@ -44,7 +44,7 @@ from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.link import Link
-from vel2d_bridge.link_state import NO_STOP
+from vel2d_bridge.link import NO_STOP
 from vel2d_bridge.mcu_log import McuLog
 from vel2d_bridge.pacer import Sent
 from vel2d_bridge.settings import doubts

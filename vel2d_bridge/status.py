@@ -23,10 +23,10 @@ from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.graph import Choice
-from vel2d_bridge.link_state import LinkState
-from vel2d_bridge.link_state import LOST
-from vel2d_bridge.link_state import NO_STOP
-from vel2d_bridge.link_state import NO_USE
+from vel2d_bridge.link import LinkState
+from vel2d_bridge.link import LOST
+from vel2d_bridge.link import NO_STOP
+from vel2d_bridge.link import NO_USE
 from vel2d_bridge.mcu_log import McuLog
 
 _STUTTER_SAMPLES = 3            # periods of commands that tell a rate

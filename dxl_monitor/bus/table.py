@@ -166,10 +166,6 @@ class Table:
         """Return the field with the meaning that another register gives it at present."""
         return _in_force(field, model, self._settle())
 
-    def observed_field(self, model: Model, name: str, now_ns: int) -> Observed | None:
-        """Do as observed(), for one field."""
-        return self.observed_of(model, (name,), now_ns)[0]
-
     def observed_of(self, model: Model, names: Iterable[str],
                     now_ns: int) -> list[Observed | None]:
         """Do as observed(), for these fields; None for what is not known or not there."""

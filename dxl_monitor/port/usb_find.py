@@ -26,7 +26,6 @@ from msg_defs.heard import OUT
 
 _SOCKET = re.compile(r'\d+-\d+(\.\d+)*')               # bus and the numbers of sockets: 1-1.2
 _NUMBER = re.compile(r'(\d+)\.(\d+)')                  # bus and device: 1.7
-_DATA_CLASS = 0x0A
 
 
 class PluggedAdapter(NamedTuple):

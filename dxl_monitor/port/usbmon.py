@@ -29,7 +29,7 @@ DATA_LIMIT = 1 << 24               # bytes of one event; the kernel keeps less t
 _HEADER = 'QBBBBHBBqiiII8s'        # the first 48 bytes; 16 more follow in the newer form
 _HEADERS = {'<': struct.Struct('<' + _HEADER), '>': struct.Struct('>' + _HEADER)}
 _PCAP_HEAD = struct.Struct('<HQIHBHHBBI')
-_SETUP_STAGE, _DATA_STAGE = 0, 1
+_SETUP_STAGE = 0
 _GONE = 0xC0007000                 # USBD_STATUS_DEVICE_GONE
 _CANCELED = 0xC0010000
 

@@ -33,7 +33,6 @@ class CapturedPacket(NamedTuple):
     stamp: int
     order: str
     data: bytes
-    is_whole: bool                 # False: the capture cut it
 
 
 class _Reads(Protocol):
@@ -89,12 +88,12 @@ class PcapReader:
         link &= 0xFFFF             # above: length of a checksum
         head = struct.Struct(self._order + 'IIII')
         while front := self._some(head.size, 'the header of a packet'):
-            seconds, fraction, kept, size = head.unpack(front)
+            seconds, fraction, kept, _ = head.unpack(front)
             if kept > BLOCK_LIMIT:
                 raise _Damaged(f'a packet of {kept} bytes: damaged')
             data = self._exactly(kept, 'a packet')
             stamp = seconds * _NS + fraction * unit
-            yield CapturedPacket(link, stamp, self._order, data, kept >= size)
+            yield CapturedPacket(link, stamp, self._order, data)
 
     # --- pcapng --------------------------------------------------------------------------------
 
@@ -162,14 +161,14 @@ class PcapReader:
         if len(body) < 20:
             raise _Damaged('a packet without its header: damaged')
         if kind == _ENHANCED:
-            number, high, low, kept, size = struct.unpack_from(self._order + 'IIIII', body)
+            number, high, low, kept = struct.unpack_from(self._order + 'IIII', body)
         else:
-            number, _, high, low, kept, size = struct.unpack_from(self._order + 'HHIIII', body)
+            number, _, high, low, kept = struct.unpack_from(self._order + 'HHIII', body)
         if number >= len(self._interfaces) or kept > len(body) - 20:
             raise _Damaged('a packet of no interface, or cut: damaged')
         one = self._interfaces[number]
         stamp = (high << 32 | low) * _NS // one.units_per_second + one.offset_s * _NS
-        return CapturedPacket(one.link, stamp, self._order, body[20:20 + kept], kept >= size)
+        return CapturedPacket(one.link, stamp, self._order, body[20:20 + kept])
 
     def _simple(self, body: bytes) -> CapturedPacket | None:
         if not self._interfaces or len(body) < 4:
@@ -177,7 +176,7 @@ class PcapReader:
         one = self._interfaces[0]
         size = struct.unpack_from(self._order + 'I', body)[0]
         kept = min(size, one.snap_length or size, len(body) - 4)
-        return CapturedPacket(one.link, 0, self._order, body[4:4 + kept], kept >= size)
+        return CapturedPacket(one.link, 0, self._order, body[4:4 + kept])
 
     # --- bytes ---------------------------------------------------------------------------------
 
