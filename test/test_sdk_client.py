@@ -12,19 +12,16 @@ from collections.abc import Iterator
 import time
 from typing import Any
 
+from listened_bus import BAUD
+from listened_bus import DEADLINE_S
+from listened_bus import ListenedBus
+from listened_bus import MODELS
+from listened_bus import PATIENCE_MS
 import pytest
 
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.bus.report import DeviceReport
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.shell import FakeBus
-from dxl_monitor.fake.traffic import none
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.port.listener import Listener
 
 try:
     import dynamixel_sdk as sdk
@@ -35,44 +32,25 @@ pytestmark = [
     pytest.mark.alone,
     pytest.mark.skipif(sdk is None, reason='skipped: dynamixel-sdk is not installed')]
 
-BAUD = 1_000_000
-MODELS = Models()
 ENTRIES = ['1-3:XL430-W250', '4-5:XM540-W270', '6:MX-106', '101:BitFoot']
 SERVOS = (1, 2, 3, 4, 5, 6)
 FAST = (1, 2, 3, 4, 5)
-DEADLINE_S = 20.0
-PATIENCE_MS = 1000
 ACCESS = 7
 TORQUE, LED, GOAL_VELOCITY, GOAL, POSITION, VOLTAGE = 64, 65, 104, 116, 132, 144
 
 
-class Bench:
+class Bench(ListenedBus):
     """Simulated devices, the official client on the bus, a monitor on the tap."""
 
     def __init__(self) -> None:
-        devices = make_devices(ENTRIES, MODELS, BAUD, moving=False)
-        self.bus = FakeBus(Master(Line(devices, BAUD), none), tap=True)
-        assert self.bus.tap is not None
-        self.monitor = Monitor('bus', MODELS, Settings(BAUD, tuple(parse_all(ENTRIES))))
-        self.listener = Listener(self.bus.tap.path, BAUD, self.monitor.feed,
-                                 self.monitor.flush_if_idle)
-        self.listener.start()
-        self.wait_for(lambda: self.listener.state.is_open, 'the listener')
-        self.bus.start()
+        super().__init__(ENTRIES, Settings(BAUD, tuple(parse_all(ENTRIES))))
         self.port = sdk.PortHandler(self.bus.path)
         assert self.port.setBaudRate(BAUD)
         self.client = sdk.PacketHandler(2.0)
 
     def close(self) -> None:
         self.port.closePort()
-        self.listener.stop()
-        self.bus.stop()
-
-    def wait_for(self, condition: Callable[[], Any], what: str) -> None:
-        deadline = time.monotonic() + DEADLINE_S
-        while not condition():
-            assert time.monotonic() < deadline, f'waited in vain for: {what}'
-            time.sleep(0.005)
+        super().close()
 
     def retry(self, ask: Callable[[], tuple[Any, ...]]) -> tuple[Any, ...]:
         """Ask again as long as the client times out: this machine may be slow."""
@@ -100,8 +78,9 @@ class Bench:
         assert tap is not None
         self.wait_for(lambda: self.listener.counters.bytes == tap.taken,
                       'the listener to have read all')
-        report = self.monitor.report(time.monotonic_ns())
-        return next(device for device in report.devices if device.id == number)
+        found = super().device(number)
+        assert found is not None
+        return found
 
     def known(self, number: int, address: int, size: int) -> bytes:
         """Return the bytes of a register as the monitor knows it, b'' if it does not."""

@@ -8,24 +8,16 @@ outside: what they are told is right for the servo, and the monitor then knows w
 GroupBulkRead of dynamixel-sdk 4.1.0 ends in a TypeError with protocol 1.0: not used here.
 """
 
-from collections.abc import Callable
 from collections.abc import Iterator
 import time
 from typing import Any
 
+from listened_bus import BAUD
+from listened_bus import ListenedBus
+from listened_bus import PATIENCE_MS
 import pytest
 
 from dxl_monitor.bus.conversation import Settings
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.bus.report import DeviceReport
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.fake_bus import make_line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.shell import FakeBus
-from dxl_monitor.fake.traffic import none
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.port.listener import Listener
 
 try:
     import dynamixel_sdk
@@ -44,42 +36,14 @@ pytestmark = [
 needs_rustypot = pytest.mark.skipif(rustypot is None,
                                     reason='skipped: rustypot is not installed')
 
-BAUD = 1_000_000
-MODELS = Models()
-DEADLINE_S = 20.0
-PATIENCE_MS = 1000
 SO_101 = (1, 2, 3, 4, 5, 6)
 
 
-class Bench:
+class Bench(ListenedBus):
     """Simulated servos of one dialect on a bus, a monitor on the tap."""
 
     def __init__(self, dialect: str, *entries: str) -> None:
-        self.devices = make_devices(list(entries), MODELS, BAUD, moving=False, dialect=dialect)
-        self.bus = FakeBus(Master(make_line(self.devices, BAUD, dialect), none), tap=True)
-        assert self.bus.tap is not None
-        self.monitor = Monitor('bus', MODELS, Settings(BAUD), idle_is_told=True)
-        self.listener = Listener(self.bus.tap.path, BAUD, self.monitor.feed,
-                                 self.monitor.flush_if_idle)
-        self.listener.start()
-        self.wait_for(lambda: self.listener.state.is_open, 'the listener')
-        self.bus.start()
-
-    def close(self) -> None:
-        self.listener.stop()
-        self.bus.stop()
-
-    def wait_for(self, condition: Callable[[], Any], what: str) -> None:
-        deadline = time.monotonic() + DEADLINE_S
-        while not condition():
-            assert time.monotonic() < deadline, f'waited in vain for: {what}'
-            time.sleep(0.005)
-
-    def report(self) -> BusReport:
-        return self.monitor.report(time.monotonic_ns())
-
-    def device(self, number: int) -> DeviceReport | None:
-        return next((one for one in self.report().devices if one.id == number), None)
+        super().__init__(entries, Settings(BAUD), dialect)
 
     def shown(self, number: int) -> dict[str, str]:
         device = self.device(number)

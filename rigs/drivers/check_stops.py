@@ -24,24 +24,24 @@ def rover(request: Any, guest: Guest) -> Iterator[Rover]:
         yield rover
 
 
-def test_the_rover_stops_when_the_commands_end(
-        rover: Rover, record_property: Record) -> None:
-    rover.drive()
-    rover.bridge.signal('USR1')
-    rover.stopped(record_property)
-    assert rover.stands(1)
+def test_the_rover_stops_when_the_commands_end(rover: Rover, record_property: Record) -> None:
+    stop_by(rover, 'USR1', record_property)
     rover.bridge.signal('USR2')
     rover.drive()
 
 
-def test_the_rover_stops_when_the_bridge_is_frozen(
-        rover: Rover, record_property: Record) -> None:
-    rover.drive()
-    rover.bridge.signal('STOP')
-    rover.stopped(record_property)
-    assert rover.stands(1)
+def test_the_rover_stops_when_the_bridge_is_frozen(rover: Rover, record_property: Record) -> None:
+    stop_by(rover, 'STOP', record_property)
     rover.bridge.signal('CONT')
     rover.drive()
+
+
+def stop_by(rover: Rover, signal: str, record_property: Record) -> None:
+    """Drive, send the bridge a signal, and see the rover stop and stand."""
+    rover.drive()
+    rover.bridge.signal(signal)
+    rover.stopped(record_property)
+    assert rover.stands(1)
 
 
 def test_the_rover_stops_first_each_time_that_the_cable_is_back(
@@ -57,12 +57,8 @@ def test_the_rover_stops_first_each_time_that_the_cable_is_back(
     record_property('figure', f'{REPLUGS} times')
 
 
-def test_the_rover_stops_when_the_bridge_is_killed(
-        rover: Rover, record_property: Record) -> None:
-    rover.drive()
-    rover.bridge.signal('KILL')
-    rover.stopped(record_property)
-    assert rover.stands(1)
+def test_the_rover_stops_when_the_bridge_is_killed(rover: Rover, record_property: Record) -> None:
+    stop_by(rover, 'KILL', record_property)
 
 
 def test_the_rover_stops_when_the_bridge_is_ended(

@@ -1,0 +1,56 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated devices on a bus for a client from outside, and a monitor that listens at its tap."""
+
+from collections.abc import Callable
+from collections.abc import Sequence
+import time
+from typing import Any
+
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.fake_bus import make_line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.shell import FakeBus
+from dxl_monitor.fake.traffic import none
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.port.listener import Listener
+
+BAUD = 1_000_000
+MODELS = Models()
+DEADLINE_S = 20.0
+PATIENCE_MS = 1000                 # for a client on a machine that may be slow
+
+
+class ListenedBus:
+    """A bus without a master of its own: the test is that."""
+
+    def __init__(self, entries: Sequence[str], settings: Settings, dialect: str = '2') -> None:
+        self.devices = make_devices(list(entries), MODELS, BAUD, moving=False, dialect=dialect)
+        self.bus = FakeBus(Master(make_line(self.devices, BAUD, dialect), none), tap=True)
+        assert self.bus.tap is not None
+        self.monitor = Monitor('bus', MODELS, settings, idle_is_told=True)
+        self.listener = Listener(self.bus.tap.path, BAUD, self.monitor.feed,
+                                 self.monitor.flush_if_idle)
+        self.listener.start()
+        self.wait_for(lambda: self.listener.state.is_open, 'the listener')
+        self.bus.start()
+
+    def close(self) -> None:
+        self.listener.stop()
+        self.bus.stop()
+
+    def wait_for(self, condition: Callable[[], Any], what: str) -> None:
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, f'waited in vain for: {what}'
+            time.sleep(0.005)
+
+    def report(self) -> BusReport:
+        return self.monitor.report(time.monotonic_ns())
+
+    def device(self, number: int) -> DeviceReport | None:
+        return next((one for one in self.report().devices if one.id == number), None)
