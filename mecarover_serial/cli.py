@@ -29,7 +29,7 @@ ENDING = tuple(getattr(signal, name) for name in ('SIGINT', 'SIGTERM', 'SIGHUP',
 
 
 class UsageError(Exception):
-    """A command line that cannot be meant: 'thing: reason; remedy'."""
+    """A command line that makes no sense: 'thing: reason; remedy'."""
 
 
 def run_tool(tool: str, main: Callable[[list[str]], int | None]) -> int:
@@ -85,7 +85,7 @@ def _lost_output() -> OSError | None:
 
 
 def printable(text: str, limit: int | None = None) -> str:
-    """Return a text of somebody else's as a terminal may see it: one line, no control codes."""
+    """Return a text from outside in a form safe for a terminal: one line, no control codes."""
     if limit is not None and len(text) > limit:
         text = text[:limit] + '..'
     return text if text.isprintable() else ''.join(

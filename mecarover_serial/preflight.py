@@ -50,7 +50,7 @@ class PortError(Exception):
 def why_not(path: str, error: Exception, root: Path = ROOT) -> Reason:
     """Turn the error of opening `path` into words; looks at the system to be precise."""
     number = _errno(error)
-    # What it is comes before who may open it: rights to a file that is no port help no one.
+    # That it is not a port comes first: rights to a file that is none would not help.
     if wrong := _wrong_kind(path, root):
         return wrong
     if number in (errno.ENOENT, errno.ENOTDIR):

@@ -20,9 +20,9 @@ def resident_memory_mb() -> float:
 
 def rename_process(name: str) -> None:
     """
-    Be called `name` in ps, pgrep and pkill, also where these look at the command line (-f).
+    Set the name of this process in ps, pgrep and pkill, also where these read its command line.
 
-    What the command line was is written over, in this process alone. Never raises.
+    It overwrites the command line of this process alone. Never raises.
     """
     with suppress(OSError, ValueError, IndexError):
         Path('/proc/self/comm').write_text(name)

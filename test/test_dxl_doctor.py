@@ -108,7 +108,7 @@ def test_the_cause_its_device_by_name_and_what_to_do():
     first = found.wrong[0]
     assert (found.code, first.rule, first.who) == (ERROR, 'no_answer', '004 left_knee, XL430-W250')
     assert 'check its power' in first.message
-    assert re.match(r'seen from [34]\.\d s on; .*wait per question', first.evidence)
+    assert re.match(r'seen from [34]\.\d s on; .*wait per request', first.evidence)
 
 
 def test_what_is_over_is_told_as_over():

@@ -111,7 +111,7 @@ class Pacer:
         return max(round(self.write_timeout_s * SECOND), 2 * self._spacing)
 
     def turn(self, now: int, acted: bool = False) -> int:
-        """Be called by the owner's thread, at least every BEAT; `acted`: the deadman did."""
+        """Step in the owner's thread, at least every BEAT; `acted`: the deadman wrote a stop."""
         self.notice_freeze(now, acted)
         self._last_turn_at = now
         return self.step(now)

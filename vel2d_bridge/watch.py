@@ -148,7 +148,7 @@ class Watch:
         return self._beaten
 
     def _replace_server(self) -> None:
-        """When the server was killed, be it: the dead man is a child from now on."""
+        """Take the place of a server that was killed: from now on the dead man is a child."""
         if os.getppid() != self.server:
             _keep_one(self)
 

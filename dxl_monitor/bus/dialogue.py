@@ -38,7 +38,7 @@ from msg_defs.heard import IN
 from msg_defs.heard import OUT
 
 PROOF = 3                          # frames directly behind each other that prove the family
-MUCH = 16                          # or so many in all, if fewer than so many times as many fail
+MUCH = 16                          # or so many in all, with fewer wrong ones than 16 to each
 GLITCH = 3                         # bytes of noise that still count as none (tracker.py)
 # A device answers within 0.5 ms (Return Delay Time), a master gives up after 10 ms or more.
 QUICK_NS = 3_000_000

@@ -143,7 +143,7 @@ class Evidence:
 
 
 def text_of(incident: Incident, register: Register = lambda device, address: str(address)) -> str:
-    """Return what happened in words, without whom it happened to; '' for what is no error."""
+    """Return what happened in words, without the device; '' for what is not an error."""
     text = _TEXTS.get(incident.kind)
     return text(incident.detail, partial(register, incident.device)) if text is not None else ''
 

@@ -282,7 +282,7 @@ class Planner:
 
     def _command_all(self, action: Action, request: Request, body: bytes, stamp: int) -> None:
         if request.option == RESET_ALL:
-            return             # X and MX ignore that one, lest all get the same ID
+            return             # X and MX ignore it: all would get the same ID
         for device in list(self._roster.devices.values()):
             action(device, *_arguments(request), stamp)
 

@@ -248,7 +248,7 @@ RULES = (
          'Length or Data Range', each_with(ev.REFUSED, _wrong_address), needs=(MODEL,)),
     Rule('refused', Level.WARN, 'as wrong_address, of a device of an unknown model',
          each_with(ev.REFUSED, _refusals)),
-    Rule('impossible_id', Level.WARN, 'questions to ID 253 or 255', _impossible_id),
+    Rule('impossible_id', Level.WARN, 'instructions to ID 253 or 255', _impossible_id),
     Rule(STOPPED, Level.WARN, 'no instruction for far longer than usual', _master_stopped,
          holds=False),
     Rule('scan', Level.OK, 'Pings to many IDs, or one broadcast Ping after the other', _scan,

@@ -73,7 +73,7 @@ def _claim_gone(case: Case, number: int) -> Claim:
     others = ', others answer' if any(
         case.lately(other, GONE_S).answers for other in case.report.devices) else ''
     return Claim(number, f'no answer, {since}{others}: check its power, cable and ID',
-                 (('questions without an answer', str(device.missed_in_a_row)),
+                 (('requests without an answer', str(device.missed_in_a_row)),
                   *_waiting(case, number)))
 
 
@@ -84,9 +84,9 @@ def _claim_blocking(case: Case, number: int, behind: list[int]) -> Claim:
 
 
 def _waiting(case: Case, number: int) -> tuple[tuple[str, str], ...]:
-    """Return what each unanswered question costs the master."""
+    """Return what each request without an answer costs the master."""
     waits = [us for _, us, device in case.report.waits if device == number]
-    return (('wait per question (ms)', f'{median(waits) / 1000:.1f}'),) if waits else ()
+    return (('wait per request (ms)', f'{median(waits) / 1000:.1f}'),) if waits else ()
 
 
 def _broken_cable(case: Case) -> Iterator[Found]:

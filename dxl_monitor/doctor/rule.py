@@ -59,7 +59,7 @@ class Rule(NamedTuple):
     check: Check
     explains: tuple[str, ...] = ()
     onset_s: float = 0.0           # claimed without a break for so long, before it is told
-    holds: bool = True             # some seconds longer than its evidence; not: it is a state
+    holds: bool = True             # stands some seconds longer than its evidence; a state does not
     needs: tuple[str, ...] = ()    # without it the rule is silent about a device
 
 
