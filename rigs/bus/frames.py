@@ -18,7 +18,6 @@ BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x92, 0x93, 0x9A
 ALERT = 0x80
 RESULT_FAIL, BAD_INSTRUCTION, BAD_CRC, DATA_RANGE, DATA_LENGTH, DATA_LIMIT, ACCESS = range(1, 8)
 START = b'\xff\xff\xfd\x00'
-SMALLEST_STATUS = 11               # bytes of a status without parameters
 
 
 class Packet(NamedTuple):

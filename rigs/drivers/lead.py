@@ -26,11 +26,10 @@ class Lead:
     Carries bytes between the socket of an adapter and the pty of a fake, in a thread.
 
     `gather`: hand what the guest sends on as the MCU's "receive to idle" sees it: a driver passes
-    a frame on in portions. `heard` is what came from the guest, with the time of each portion.
+    a frame on in portions.
     """
 
     def __init__(self, adapter: Path, fake: str, *, gather: bool = False) -> None:
-        self.heard: list[tuple[int, bytes]] = []
         self._gather = gather
         self._adapter = socket.socket(socket.AF_UNIX)
         self._adapter.connect(str(adapter))
@@ -52,9 +51,6 @@ class Lead:
         self._adapter.close()
         os.close(self._fake)
 
-    def bytes_heard(self) -> bytes:
-        return b''.join(chunk for _, chunk in self.heard)
-
     def _run(self) -> None:
         while not self._done.is_set():
             wait_s = TURN_S if self._held else 0.05
@@ -75,7 +71,6 @@ class Lead:
             return False
         if not chunk:
             return False
-        self.heard.append((time.monotonic_ns(), chunk))
         self._held += chunk
         self._held_at = time.monotonic()
         if not self._gather or len(self._held) >= FRAME_SIZE:
