@@ -20,6 +20,10 @@ from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.table import Observed
+from dxl_monitor.doctor.bits import look
+from dxl_monitor.doctor.bits import shapes
+from dxl_monitor.doctor.bits import Wreck
+from dxl_monitor.doctor.bits import wrecks
 from dxl_monitor.doctor.rhythm import Rhythm
 from dxl_monitor.doctor.rhythm import rhythms
 
@@ -72,6 +76,7 @@ class Case:
         self.report = report
         self.now = report.stamp
         self.quiet_s = 0.0             # since the last instruction, where that is unusual
+        self.wrecks: list[Wreck] = []  # damaged packets that are recognised
         self.steady = steady           # instructions that kept time, once
         self._counts = counts
         self.marks = marks
@@ -112,6 +117,11 @@ class Case:
         """For how long the damage has gone on, s."""
         stamps = [one.stamp for kind in _DAMAGE for one in self.incidents(kind)]
         return (max(stamps) - min(stamps)) / S if stamps else 0.0
+
+    def looks_like(self, device: int | None = None) -> tuple[tuple[str, str], ...]:
+        """Return what the damage of a device or of all looks like, as a figure; () if unclear."""
+        said = look([one for one in self.wrecks if device in (None, one.device)])
+        return (('looks like', said),) if said else ()
 
     @cached_property
     def spoilt(self) -> int:
@@ -198,6 +208,8 @@ class History:
         self._steady: set[Key] = set()
         self._asked = self._pause = 0  # stamp of the last instruction, and how old it was
         self._pauses: deque[tuple[int, int]] = deque(maxlen=KEPT)
+        self._wrecks: deque[tuple[int, Wreck]] = deque(maxlen=KEPT)
+        self._noise = 0                # bytes of it that were looked at
 
     def take(self, report: BusReport) -> Case:
         """Remember a report; return it with what belongs to it."""
@@ -220,6 +232,7 @@ class History:
         case = Case(report, self._seen, self._marks, self._samples, self._repeats,
                     self._rhythms[1], self._counts, self._steady)
         case.quiet_s = self._quiet_s(report)
+        case.wrecks = self._recognised(report, before)
         self._sample(case, before)
         for rhythm in case.rhythms if fresh else ():
             self._repeats.update(
@@ -228,6 +241,17 @@ class History:
         for stamp in [stamp for stamp in self._repeats if stamp < before]:
             del self._repeats[stamp]
         return case
+
+    def _recognised(self, report: BusReport, before: int) -> list[Wreck]:
+        """Return the damaged packets of the window; those of this report are looked at now."""
+        fresh = report.counters['Noise Bytes'] - self._noise
+        self._noise = report.counters['Noise Bytes']
+        if fresh > 0:
+            found = wrecks(report.noise[-fresh:], shapes(report))
+            self._wrecks.extend((report.stamp, one) for one in found)
+        while self._wrecks and self._wrecks[0][0] < before:
+            self._wrecks.popleft()
+        return [one for _, one in self._wrecks]
 
     def _quiet_s(self, report: BusReport) -> float:
         """Return for how long the master has asked nothing, 0 if it often pauses like that."""

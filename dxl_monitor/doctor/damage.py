@@ -87,7 +87,8 @@ def _noise(case: Case) -> Iterator[Found]:
     share_of = about(case.damage, packets + case.damage)
     yield Claim(None, f'{share_of} of the packets damaged, {way}, of '
                 'several devices: check termination, ground, shielding and motor cables',
-                (('share', share(case.damage, packets + case.damage)),
+                (*case.looks_like(),
+                 ('share', share(case.damage, packets + case.damage)),
                  ('damaged instructions', str(asked)), ('devices', listed(hit, 99))))
 
 
@@ -113,7 +114,7 @@ def _damaged_answers(case: Case) -> Iterator[Found]:
     window = worst.window
     yield Claim(worst.id, f'{about(window.spoilt, window.asked)} of its answers damaged, others '
                 'whole: cannot tell a bad cable from a second device with its ID; unplug it and '
-                'ping', (('share', share(window.spoilt, window.asked)),
+                'ping', (*case.looks_like(worst.id), ('share', share(window.spoilt, window.asked)),
                          ('damaged', f'{window.spoilt} of {window.asked}')))
 
 
@@ -126,7 +127,8 @@ def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     also = ', by two models' if window.model_changes >= 2 else ''
     return Claim(device.id, f'answered twice{also}: two devices have this ID; unplug one and give '
                  'it another',
-                 (('second answers', str(twice)), ('damaged', str(window.spoilt)),
+                 (*case.looks_like(device.id), ('second answers', str(twice)),
+                  ('damaged', str(window.spoilt)),
                   ('model changes', str(window.model_changes))))
 
 

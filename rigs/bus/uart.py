@@ -1,0 +1,185 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A UART at the level of its bits: what a receiver makes of a packet on a line that is not good.
+
+The level of the line is followed in sixteenths of a bit: edges take time, noise and pulses are
+added, the talker's clock may be off. The receiver is a usual one: it waits for a falling edge,
+looks again in the middle of the start bit, and takes the majority of three samples around the
+middle of each bit. Levels are shares of the swing, times are bit times of the receiver.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from random import Random
+from typing import NamedTuple
+
+from rigs.bus.faults import Fault
+from rigs.bus.rig import Rig
+from rigs.bus.wire import BITS
+from rigs.bus.wire import S
+
+OVER = 16                          # samples per bit
+THRESHOLD = 0.5
+IDLE = 4                           # bits without a talker, in front of a packet and behind it
+
+
+class Pulse(NamedTuple):
+    """Something from outside that adds to the level for a while."""
+
+    begin: float
+    end: float
+    level: float
+
+
+class Line(NamedTuple):
+    """What is not good about a line, for one packet."""
+
+    clock: float = 1.0             # the talker's bit time, in bit times of the receiver
+    rise: float = 0.0              # time constant of an edge that goes up, as with a weak pull-up
+    fall: float = 0.0
+    lift: float = 0.0              # what is added to the level all the time: ground is not ground
+    noise: float = 0.0             # rms
+    held: float = 0.0              # the line is still held high for so long into the packet
+    lead: float = 0.0              # it lies low, undriven, for so long and until the packet begins
+    pulses: tuple[Pulse, ...] = ()
+
+
+GOOD = Line()
+
+
+def received(data: bytes, line: Line, random: Random) -> bytes:
+    """Return what a receiver makes of a packet."""
+    if line == GOOD:
+        return data
+    return _sampled(_heights(_driven(data, line), line, random))
+
+
+def _driven(data: bytes, line: Line) -> list[int]:
+    """Return what the talker wants the level to be, in sixteenths of a bit."""
+    bits = [1] * IDLE
+    for byte in data:
+        bits += [0, *(byte >> bit & 1 for bit in range(8)), 1]
+    bits += [1] * IDLE
+    count = round(len(bits) * line.clock * OVER)
+    levels = [bits[min(len(bits) - 1, int(at / OVER / line.clock))] for at in range(count)]
+    begin = round(IDLE * line.clock * OVER)
+    for at in range(begin, min(count, begin + round(line.held * OVER))):
+        levels[at] = 1
+    gap = min(begin - OVER, round((IDLE - 1) * OVER))
+    low = [0] * round(line.lead * OVER)
+    return [*levels[:gap], *low, *levels[gap:]]
+
+
+def _heights(levels: list[int], line: Line, random: Random) -> list[bool]:
+    """Return whether the line is high, in sixteenths of a bit."""
+    up = 1.0 if line.rise <= 0 else 1 / (1 + line.rise * OVER)
+    down = 1.0 if line.fall <= 0 else 1 / (1 + line.fall * OVER)
+    added = [0.0] * len(levels)
+    for pulse in line.pulses:
+        for at in range(max(0, round(pulse.begin * OVER)),
+                        min(len(levels), round(pulse.end * OVER))):
+            added[at] += pulse.level
+    level, found = 1.0, []
+    for at, wanted in enumerate(levels):
+        level += (wanted - level) * (up if wanted > level else down)
+        more = line.lift + added[at]
+        if line.noise:
+            more += random.gauss(0.0, line.noise)
+        found.append(level + more > THRESHOLD)
+    return found
+
+
+def _sampled(is_high: list[bool]) -> bytes:
+    found = bytearray()
+    at, size = 1, len(is_high)
+    while at < size:
+        if is_high[at] or not is_high[at - 1]:
+            at += 1
+            continue
+        if not _is_one(is_high, at + OVER // 2):       # else it was no start bit
+            found.append(sum(_is_one(is_high, at + OVER // 2 + (bit + 1) * OVER) << bit
+                             for bit in range(8)))
+            at += OVER // 2 + 9 * OVER                 # the middle of the stop bit
+            while at < size and not is_high[at]:       # a break: it needs an edge
+                at += 1
+        at += 1
+    return bytes(found)
+
+
+def _is_one(is_high: list[bool], middle: int) -> bool:
+    return sum(is_high[at] for at in range(middle - 1, middle + 2) if at < len(is_high)) \
+        + max(0, middle + 2 - len(is_high)) >= 2
+
+
+# --- faults: what a line is like, packet by packet -----------------------------------------------
+
+Draw = Callable[[Random, int, float], Line]            # random, bits of a packet, time (bits)
+
+
+def bad_line(draw: Draw, who: str, at: float = 2.0) -> Fault:
+    """Send the packets of a talker (the start of its name) over a line that is not good."""
+    def fault(rig: Rig) -> None:
+        bit_ns = S / rig.wire.baud
+
+        def spoiler(now: int, talker: str, data: bytes) -> bytes:
+            if now < at * S or not (talker + ' ').startswith(who):
+                return data
+            heard = received(data, draw(rig.random, BITS * len(data), now / bit_ns), rig.random)
+            if heard != data:
+                rig.alter()
+            return heard
+        rig.wire.spoilers.append(spoiler)
+    return fault
+
+
+def clock(least: float, most: float) -> Draw:
+    """Let the talker's clock be off by so much; it differs a little from packet to packet."""
+    return lambda random, size, now: Line(clock=random.uniform(least, most), noise=0.05)
+
+
+def slow_edge(least: float, most: float) -> Draw:
+    """Let the line go up slowly: no pull-up, or too much cable for it."""
+    return lambda random, size, now: Line(rise=random.uniform(least, most), noise=0.03)
+
+
+def lifted(least: float, most: float) -> Draw:
+    """Let a low level be hardly low: the grounds of two devices differ under current."""
+    return lambda random, size, now: Line(lift=random.uniform(least, most), noise=0.07)
+
+
+def glitches(share: float, least: float = 0.5, most: float = 1.0) -> Draw:
+    """Let a pulse fall into a share of the packets, up or down, for about a bit."""
+    def draw(random: Random, size: int, now: float) -> Line:
+        if random.random() >= share:
+            return GOOD
+        begin = random.uniform(IDLE, IDLE + size)
+        level = random.choice((-1.2, 1.2))
+        return Line(pulses=(Pulse(begin, begin + random.uniform(least, most), level),))
+    return draw
+
+
+def beats(period: float, share: float) -> Draw:
+    """Let a motor's PWM come through (period in bits): each edge, up and down, in some packets."""
+    def draw(random: Random, size: int, now: float) -> Line:
+        if random.random() >= share:
+            return GOOD
+        first = IDLE - now % period
+        count = int((size + IDLE) / period) + 3
+        return Line(pulses=tuple(Pulse(begin, begin + 0.8, (-1.2, 1.2)[turn % 2])
+                                 for turn in range(count)
+                                 for begin in (first + turn * period / 2,)))
+    return draw
+
+
+def held_high(least: float, most: float) -> Draw:
+    """Let the other side hold the line for some bits of the packet: it turns round too late."""
+    return lambda random, size, now: Line(held=random.uniform(least, most))
+
+
+def floating(share: float) -> Draw:
+    """Let the line lie low between two talkers, in a share of the packets: no pull-up."""
+    def draw(random: Random, size: int, now: float) -> Line:
+        return Line(lead=random.uniform(2.0, 12.0)) if random.random() < share else GOOD
+    return draw

@@ -1,0 +1,127 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What damage looks like bit by bit, on a UART that is simulated at bit level."""
+
+from random import Random
+
+import pytest
+
+from benchmark import damage
+from dxl_monitor.doctor import bits
+from dxl_monitor.doctor.bits import Shape
+from rigs.bus import frames
+from rigs.bus import uart
+from rigs.bus import wrecked
+from rigs.bus.uart import Line
+from rigs.bus.uart import Pulse
+
+POSITION = 2048
+ANSWERS = [frames.status(3, 0, (POSITION + turn % 700).to_bytes(4, 'little'))
+           for turn in range(400)]
+DUE = Shape(ANSWERS[0][:8], len(ANSWERS[0]), 3)
+
+
+def heard(draw, answers=ANSWERS, seed=1):
+    """Return what is no packet any more of these answers, each sent over a line of its own."""
+    random = Random(seed)
+    found = [uart.received(answer, draw(random, 10 * len(answer), 1e4 * turn), random)
+             for turn, answer in enumerate(answers)]
+    return b''.join(got for got, sent in zip(found, answers, strict=True) if got != sent)
+
+
+def looks(noise, due=(DUE,)):
+    return bits.look(bits.wrecks(noise, due))
+
+
+# --- the line ----------------------------------------------------------------------------------
+
+@pytest.mark.parametrize('line', [
+    Line(noise=0.05), Line(clock=1.03), Line(clock=0.97), Line(rise=0.3, fall=0.3),
+    Line(lift=0.2)], ids=['noise', 'slow clock', 'fast clock', 'edges', 'ground'])
+def test_a_line_that_is_good_enough_says_what_was_sent(line):
+    data = bytes(range(256))
+    assert uart.received(data, line, Random(1)) == data
+
+
+def test_a_pulse_turns_over_the_bit_on_which_it_falls():
+    begin = uart.IDLE + 10 + 1 + 3                     # second byte, behind its start bit: bit 3
+    pulse = Pulse(begin, begin + 1, 1.2)
+    assert uart.received(b'\x55\x00\x55', Line(pulses=(pulse,)), Random(1)) == b'\x55\x08\x55'
+
+
+def test_a_clock_that_is_slow_reads_the_bit_before_the_last_twice():
+    assert uart.received(b'\x40', Line(clock=1.068), Random(1)) == b'\xc0'
+
+
+# --- which bits turned over ---------------------------------------------------------------------
+
+@pytest.mark.parametrize('place', range(15))
+@pytest.mark.parametrize('bit', [0, 4, 7])
+def test_a_single_bit_is_found_wherever_it_is(place, bit):
+    wrong = bytearray(ANSWERS[0])
+    wrong[place] ^= 1 << bit
+    [wreck] = bits.wrecks(bytes(wrong), (DUE,))
+    [flip] = wreck.flips
+    assert (flip.at, flip.bit) == (10 * place + bit + 1, bit)
+    assert flip.is_up == bool(wrong[place] >> bit & 1)
+
+
+def test_in_protocol_1_the_sum_tells_bit_and_direction():
+    body = bytes((32, 4, 0, 0, 0))
+    right = b'\xff\xff' + body + bytes((~sum(body) & 0xFF,))
+    assert right.hex() == 'ffff2004000000db'
+    wrong = right[:-1] + b'\xfb'                       # as a user posted it
+    [wreck] = bits.wrecks(wrong, (Shape(right[:5], 8, 32),))
+    [flip] = wreck.flips
+    assert (flip.bit, flip.is_up) == (5, True)
+
+
+def test_bytes_that_are_no_packet_are_none():
+    assert bits.wrecks(Random(2).randbytes(2000), (DUE,)) == []
+    assert bits.wrecks(b''.join(ANSWERS[:20]), (DUE,)) == []
+    assert bits.wrecks(b'', (DUE,)) == bits.wrecks(ANSWERS[0], ()) == []
+
+
+# --- what it looks like ------------------------------------------------------------------------
+
+@pytest.mark.parametrize(('draw', 'said'), [
+    (uart.clock(1.06, 1.07), bits.CLOCK),
+    (uart.slow_edge(0.58, 0.7), f'{bits.LEVEL}: 1 read as 0'),
+    (uart.lifted(0.35, 0.37), f'{bits.LEVEL}: 0 read as 1'),
+    (uart.glitches(0.2), bits.INTERFERENCE),
+    (uart.beats(47.0, 0.4), bits.PWM),
+], ids=['clock', 'edge', 'ground', 'glitches', 'PWM'])
+def test_what_does_it_is_told(draw, said):
+    assert looks(heard(draw)).startswith(said)
+
+
+def test_two_that_answer_at_once_are_told():
+    others = [frames.status(3, 0, (1000 + turn % 300).to_bytes(4, 'little'))
+              for turn in range(400)]
+    both = b''.join(bytes(one & other for one, other in zip(*pair, strict=True))
+                    for pair in zip(ANSWERS, others, strict=True))
+    assert looks(both).startswith(bits.SPEAKERS)
+
+
+def test_where_it_is_not_clear_nothing_is_said():
+    random = Random(3)
+    garbled = []
+    for answer in ANSWERS:
+        at = random.randrange(len(answer))
+        garbled.append(answer[:at] + random.randbytes(3) + answer[at + 3:])
+    assert looks(b''.join(garbled)) == ''
+    assert looks(b''.join(answer[:random.randrange(1, 15)] for answer in ANSWERS)) == ''
+    few = heard(uart.glitches(1.0), ANSWERS[:bits.ENOUGH - 2])
+    assert looks(few) == ''
+    same = bytearray(ANSWERS[0])
+    same[7] ^= 0x14
+    assert looks(bytes(same) * 50) == ''
+
+
+# --- the page -----------------------------------------------------------------------------------
+
+def test_the_page_is_current():
+    number = [kind.name for kind in wrecked.KINDS].index('two with one ID, same delay')
+    text, score = damage.row(number, damage.KNOWN)
+    assert text in damage.PAGE.read_text(encoding='utf-8'), 'python -m benchmark.damage --write'
+    assert score['wrong'] == 0
