@@ -1,0 +1,147 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The wheel in a clean Python without ROS: what it needs, what a person sees who runs the doctor.
+
+It installs what the wheel declares, as a person does, so it needs a package index.
+"""
+
+import json
+import os
+from pathlib import Path
+import re
+import shutil
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+import time
+
+import pytest
+from test_packaging import NAME
+from test_packaging import ROOT
+
+from dxl_monitor.tools.doctor.report import CAPTURE
+
+pytestmark = [pytest.mark.slow, pytest.mark.alone]
+KEEP_OUT = ('.venv', '.git', '.*_cache', '.hypothesis', 'build', '*.egg-info', '__pycache__')
+DECLARED = {NAME, 'crcmod-plus', 'pyserial', 'PyYAML', 'setuptools', 'pip'}
+SERVOS = ('1:XL430-W250', '2:XL430-W250', '3:XL430-W250')
+# A first program of somebody's own: it asks three servos for their position, and prints it.
+SCRIPT = """\
+import sys, time
+import serial
+
+def packet(servo, *content):
+    data = bytes([255, 255, 253, 0, servo, len(content) + 2, 0, *content])
+    crc = 0
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return data + bytes([crc & 255, crc >> 8])
+
+port = serial.Serial(sys.argv[1], 1000000, timeout=0.05)
+answers = {1: 0, 2: 0, 3: 0}
+end = time.monotonic() + 6
+while time.monotonic() < end:
+    for servo in answers:
+        port.reset_input_buffer()
+        port.write(packet(servo, 2, 132, 0, 4, 0))
+        answers[servo] += port.read(15)[4:5] == bytes([servo])
+    time.sleep(0.02)
+print('servo 2 answered', answers[2], 'times')
+"""
+IMPORTED = """\
+import runpy, sys
+sys.argv = sys.argv[1:]
+try:
+    runpy.run_module(sys.argv[0], run_name='__main__')
+except SystemExit:
+    pass
+print('imported:', *(name for name in ('rclpy', 'aiohttp', 'sqlite3') if name in sys.modules))
+"""
+
+
+@pytest.fixture(scope='module')
+def home(tmp_path_factory):
+    """Return the folder of a person whose Python has the wheel and what it declares, no more."""
+    tree = tmp_path_factory.mktemp('tree') / NAME
+    shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*KEEP_OUT))
+    home = tmp_path_factory.mktemp('home')
+    pip = [sys.executable, '-m', 'pip', '--quiet', '--disable-pip-version-check']
+    subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', home, '.'],
+                   cwd=tree, check=True)
+    [wheel] = home.glob('*.whl')
+    subprocess.run([sys.executable, '-m', 'venv', home / 'venv'], check=True)
+    subprocess.run([home / 'venv/bin/pip', '--quiet', '--disable-pip-version-check', 'install',
+                    wheel], check=True)
+    return home
+
+
+def findings(screen):
+    return re.findall(r'(?m)^  \d (?:error|warning|advice), .*$', screen)
+
+
+def environment(home, **more):
+    """Return the environment of a shell without ROS, in which this tree is not to be found."""
+    return {'HOME': str(home), 'PATH': f'{home}/venv/bin:/usr/bin:/bin', 'LANG': 'C.UTF-8',
+            'PYTHONNOUSERSITE': '1', **more}
+
+
+def run(home, *command, **more):
+    return subprocess.run([*map(str, command)], cwd=home, env=environment(home, **more),
+                          capture_output=True, text=True, timeout=60, stdin=subprocess.DEVNULL)
+
+
+def test_it_brings_no_more_than_it_declares(home):
+    done = run(home, 'python', '-m', 'pip', 'list', '--format', 'json')
+    assert {one['name'].replace('-', '_').lower() for one in json.loads(done.stdout)} \
+        <= {name.replace('-', '_').lower() for name in DECLARED}
+
+
+@pytest.mark.parametrize('module', ['dxl_monitor.tools.doctor.main', 'dxl_monitor.tools.dump.main',
+                                    'dxl_monitor.tools.tap', 'dxl_monitor.tools.replay'])
+def test_it_imports_no_ros_no_web_and_no_database(home, module):
+    (home / 'imported.py').write_text(IMPORTED)
+    done = run(home, 'python', 'imported.py', module, '--help')
+    assert 'usage' in done.stdout
+    assert done.stdout.endswith('imported:\n'), done.stdout + done.stderr
+
+
+@pytest.fixture
+def bus(home):
+    """Return the port of a simulated bus on which servo 2 is dead."""
+    port = home / 'bus'
+    process = subprocess.Popen(
+        ['fake_bus', '--link', port, '--pattern', 'none', '--baud', '1000000', '--fault',
+         'silent:2:0', '--devices', *SERVOS], cwd=home, env=environment(home),
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 20
+    while not port.exists():
+        assert process.poll() is None, process.stderr.read()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    yield port
+    process.terminate()
+    process.communicate(timeout=20)
+
+
+def test_a_person_runs_a_script_and_the_dead_servo_is_named(home, bus):
+    (home / 'my_script.py').write_text(SCRIPT)
+    with TemporaryDirectory(prefix='tap_') as place:   # short enough for a Unix socket
+        done = run(home, 'dxl_doctor', '--report', 'report.txt', 'run', '--', 'python',
+                   'my_script.py', bus, XDG_RUNTIME_DIR=place)
+    print(done.stdout, done.stderr, sep='\n')
+    assert 'servo 2 answered 0 times\n' in done.stdout
+    assert '1 error, 002: no answer' in done.stdout
+    assert 'Heard, Dynamixel 2.0:' in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert done.returncode == 4
+    elsewhere = subprocess.run(                        # this tree, another user's home
+        [sys.executable, '-m', 'dxl_monitor.tools.doctor.main', home / 'report.txt'], cwd=ROOT,
+        capture_output=True, text=True, timeout=60)
+    assert (elsewhere.returncode, elsewhere.stderr) == (4, '')
+    assert findings(elsewhere.stdout) == findings(done.stdout) != []
+    readable = Path(home / 'report.txt').read_text().split(CAPTURE)[0]
+    assert not [secret for secret in (str(home), os.uname().nodename, 'my_script')
+                if secret in readable]
