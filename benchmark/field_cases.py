@@ -25,8 +25,7 @@ HEAD = """# Cases that people had
 Made by `python -m benchmark.field_cases --write`. Each case is from a public issue thread; its
 program and its fault are played by the generator in `rigs/bus`, in simulated time, for 20 s.
 What is expected is what the thread found. It was written down before the rules were changed for
-it. Cases of Protocol 1.0 and Feetech are played in the form of Protocol 2.0: the same order of
-questions, the same fault.
+it. Each case is played in its own protocol: 2.0, 1.0 or that of Feetech.
 
 *right*: the first finding at the end is the expected one. *wrong*: at any time something was
 said at WARN or ERROR that is not true of this bus. *vague*: something true, but not the cause.
@@ -36,9 +35,9 @@ said at WARN or ERROR that is not true of this bus. *vague*: something true, but
 
 """
 FIRST = """\
-First run, when the scenes were written: 25 of 30 faults are told rightly, 2 vaguely, 1 not at
-all, 2 with a false word; 1 of 1 healthy runs without an accusation. Median time to the right
-name: 0.5 s.
+First run, when all were played in the form of Protocol 2.0: 25 of 30 faults are told rightly, 2
+vaguely, 1 not at all, 2 with a false word; 1 of 1 healthy runs without an accusation. Median time
+to the right name: 0.5 s.
 
 """
 THREADS = """
@@ -58,7 +57,7 @@ THREADS = """
 | T35 | ROBOTIS-GIT/dynamixel_hardware_interface #79 |
 | T37, T49 | poppy-project/pypot #92, #309 |
 | T38, T43, T44 | hello-robot/stretch_body #44, PR #218, PR #181 |
-| T41, T56, T59 | huggingface/lerobot PR #1349, PR #1889, #1296 |
+| T41, T53, T56, T59 | huggingface/lerobot PR #1349, #532, PR #1889, #1296 |
 | T50 | apirrone/Open_Duck_Mini #49 |
 | T61 | notes of users of OpenMANIPULATOR-X |
 

@@ -13,7 +13,10 @@ Time is counted in ns from 0. The parts know each other only like this:
     master  a program that says something, waits, and says the next thing
     ear     how an adapter hands the bytes to a listener: chunks, pauses, a wrong rate
     faults  what goes wrong, and when the first byte is different because of it
+    uart    one packet on a line that is not good, bit by bit
     scenes  all of it together, with what the doctor must say
+
+frames1, servo1, masters1 and field1 are the same for the 1.0 family, Dynamixel 1.0 and Feetech.
 
 Only `score` knows the product.
 """

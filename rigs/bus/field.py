@@ -3,20 +3,19 @@
 """
 Cases of public issue threads as scenes: the program, the fault, and what the thread found.
 
-The generator speaks Protocol 2.0, so a case of Protocol 1.0 or Feetech is played in the form of
-2.0: the same order of questions, the same fault. What is expected was written before the rules
-were changed for it.
+Each is played in its own protocol: those of Protocol 2.0 are here, those of the 1.0 family
+in field1.py. What is expected was written before the rules were changed for it.
 """
 
 from __future__ import annotations
 
 from functools import partial
 
-from rigs.bus import ear
 from rigs.bus import faults as f
 from rigs.bus import frames
 from rigs.bus import masters as m
 from rigs.bus import servo as reg
+from rigs.bus.field1 import PLAYED as OF_1
 from rigs.bus.master import Port
 from rigs.bus.master import Program
 from rigs.bus.rig import Rig
@@ -55,31 +54,12 @@ def _over_voltage(rig: Rig) -> None:
 
 LIMITS = m.asks(frames.read(10, reg.MAX_VOLTS, 4), 10, 4)
 
-PLAYED: tuple[Scene, ...] = (
-    Scene('T01 two servos with the factory ID', partial(SDK, rate=30.0),
-          _of('duplicate_id', 'damaged_answers', ids=(1,)), (f.twin(1),),
-          _of(*WEAK, ids=(1, 2)), ids=(1, 2), absent=(2,)),
-    Scene('T03 two servos with one ID, read one by one', m.beginner,
-          _of('duplicate_id', 'damaged_answers', ids=(2,)), (f.twin(2),), _of(*WEAK, ids=(2,)),
-          ids=(2,)),
-    Scene('T04 first and last never set up', partial(m.poller, ping=True),
-          _of('no_answer', ids=(1, 6)), (f.since(0.0),), _of(*WEAK, ids=(1, 6)), absent=(1, 6)),
-    Scene('T07 ID lost in a dip', ROUND, _of('no_answer', 'sync_read_stops', ids=(4,))
-          + _of('duplicate_id', 'damaged_answers', ids=(1,)), (f.dead(4), f.twin(1, at=8.0)),
-          _of(*WEAK, ids=(1, 4)), why='either half is half of the cause'),
-    Scene('T08 loose plug, the arm moves', GOES_ON, _of('missed_answers', ids=(4,)),
-          (f.loose(4, 0.05),), _of(*WEAK, ids=(4,))),
+_OF_2: tuple[Scene, ...] = (
     Scene('T10 wiring, nothing answers', m.poller, _of('all_silent'), (f.since(0.0),),
           _of(*WEAK, ids=(1, 2)), ids=(1, 2), absent=(1, 2)),
-    Scene('T11 adapter with a bad contact, one servo', m.beginner,
-          _of('all_silent') + _of('no_answer', ids=(12,)), (f.since(0.0),), ids=(12,),
-          absent=(12,)),
     Scene('T13 overload that is not cleared', partial(ROBOT, rate=46.0),
           _of('hardware_error', ids=(17,)), (f.latched(17),), _of('torque_off', ids=(17,)),
           ids=NINE, model='XL330-M288'),
-    Scene('T14 7.4 V servo on 12 V', partial(m.poller, ping=True),
-          _of('hardware_error', 'voltage', ids=(2,)), (f.latched(2, 1),),
-          _of('torque_off', ids=(2,)), ids=(2, 3, 4, 5, 6)),
     Scene('T19 over-voltage latch of all', partial(SDK, rate=50.0),
           _of('hardware_error', ids=NINE) + _of('voltage'),
           tuple(f.latched(number, 1) for number in NINE),
@@ -95,21 +75,12 @@ PLAYED: tuple[Scene, ...] = (
     Scene('T23 emergency stop in the supply', SDK, _of('brown_out'),
           (f.away(*SIX, at=8.0, seconds=2.0),),
           _of('all_silent') + _of(*AFTER_A_RESTART, ids=SIX)),
-    Scene('T25 overload, seen at the end only', ARM, _of('hardware_error', ids=(3,)),
-          (f.latched(3),), _of('torque_off', ids=(3,))),
-    Scene('T26 gripper against its stop, then silent', GOES_ON,
-          _of('hardware_error', 'no_answer', 'sync_read_stops', ids=(6,)),
-          (f.latched(6), f.dead(6, at=14.0)), _of(*WEAK, 'torque_off', ids=(6,))),
     Scene("T28 'Can't find' a servo that is there", xs_start, _of('hardware_error', ids=(8,)),
           (f.latched(8, at=0.05),), _of('master_stopped'), ids=(6, 7, 8, 9)),
-    Scene('T29 overload in a round of reads', partial(m.poller, rate=16.0),
-          _of('hardware_error', ids=(3,)), (f.latched(3),), _of('torque_off', ids=(3,))),
     Scene('T34 latency timer 16 ms', partial(m.poller, rate=1000.0, writes=()),
           _of('latency_timer'), (f.since(0.0),), latency_ms=16.0),
     Scene('T35 firmware without Fast Sync Read', DHI, _of('fast_read_unsupported', ids=(1,)),
           (f.since(0.0),), ids=(1,), firmware=42),
-    Scene('T37 Return Delay Time as from the factory', partial(m.poller, writes=()),
-          _of('return_delay', ids=SIX), (f.since(0.0),), delay=250, ear=ear.FINE),
     Scene('T38 thread without CPU', partial(SDK, rate=15.0), _of('jitter'), (f.busy_host(40.0),)),
     Scene('T40 57600 baud at 50 Hz', partial(SDK, rate=50.0), _of('bus_too_slow'),
           (f.since(0.0),), baud=57_600),
@@ -121,10 +92,6 @@ PLAYED: tuple[Scene, ...] = (
     Scene('T44 write of a second thread', partial(SDK, rate=50.0), _of('two_masters', 'noise'),
           (f.second_master(partial(m.poller, rate=13.0), [2]),), _of('noise'),
           why='two threads or two programs: partly'),
-    Scene('T49 stray byte in front', m.beginner, _of('stray_bytes'),
-          (f.spoil(f.stray, 1.0, 'servo'),), ids=(1,), baud=57_600),
-    Scene('T50 single bits, from several servos', partial(SDK, rate=50.0), _of('noise'),
-          (f.spoil(f.flip, 0.02, 'servo'),), ids=tuple(range(20, 34))),
     Scene('T52 25 servos in one chain, the far ones fail', partial(SDK, rate=50.0),
           _of('missed_answers', 'sync_read_stops', ids=tuple(range(20, 26))),
           tuple(f.loose(number, 0.03) for number in range(20, 26)),
@@ -133,11 +100,12 @@ PLAYED: tuple[Scene, ...] = (
     Scene('T56 EEPROM write with torque on', m.beside(ARM, m.asks(
         frames.write(1, 20, bytes((0x66, 0, 0, 0))), 1)), _of('eeprom_locked', ids=(1,)),
         (f.since(8.0),)),
-    Scene('T59 odd position of a servo (control)', GOES_ON),
     Scene('T61 pinched cable at the first joint, Fast Sync Read', DHI,
           _of('missed_answers', 'damaged_answers', ids=(11,)), (f.loose(11, 0.3),),
           _of(*WEAK, ids=(11,)), ids=(11, 12, 13, 14, 15)),
 )
+
+PLAYED: tuple[Scene, ...] = tuple(sorted((*_OF_2, *OF_1), key=lambda one: one.name))
 
 # What is not played, or cannot be told from the wire: why, and what would tell it.
 NOT_PLAYED: tuple[tuple[str, str], ...] = (
@@ -148,7 +116,6 @@ NOT_PLAYED: tuple[tuple[str, str], ...] = (
      'scans all rates'),
     ('T46', 'no byte of any master: dxl_doctor says so, with the usual reasons'),
     ('T47', 'all is answered, and the program does not use it: there is no rule for that yet'),
-    ('T53', 'other firmware on one servo; the bus is well, and no rule speaks of versions'),
     ('T55', 'an instruction of another protocol, which this generator does not have'),
     ('T58', 'writes sent without a wait; the programs of the generator all wait'),
     ('T62', 'nothing leaves the adapter: dxl_doctor says so, with the usual reasons'),

@@ -6,12 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from random import Random
+from typing import Any
 
 from rigs.bus.ear import Ear
 from rigs.bus.ear import Kind
 from rigs.bus.master import Port
 from rigs.bus.masters import Master
 from rigs.bus.servo import Servo
+from rigs.bus.servo1 import Servo1
 from rigs.bus.wire import Clock
 from rigs.bus.wire import S
 from rigs.bus.wire import Wire
@@ -24,14 +26,13 @@ class Rig:
         self.clock = Clock()
         self.random = Random(seed)
         self.wire = Wire(self.clock, baud)
-        self.servos: dict[int, Servo] = {}
+        self.servos: dict[int, Any] = {}       # Servo, or Servo1
         self.ports: list[Port] = []
         self.altered: int | None = None
 
-    def add(self, servo: Servo) -> Servo:
+    def add(self, servo: Servo | Servo1) -> None:
         servo.changed = self.alter
         self.servos[servo.number] = servo
-        return servo
 
     def port(self, **options: object) -> Port:
         """Return one more serial port on this wire; options as Port takes them."""

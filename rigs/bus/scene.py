@@ -11,6 +11,8 @@ from rigs.bus.faults import Fault
 from rigs.bus.masters import Master
 from rigs.bus.rig import Rig
 from rigs.bus.servo import Servo
+from rigs.bus.servo1 import Kind
+from rigs.bus.servo1 import Servo1
 
 SECONDS = 20.0
 Key = tuple[str, int | None]       # rule, device (None: the bus)
@@ -31,6 +33,7 @@ class Scene(NamedTuple):
     also: tuple[Key, ...] = ()
     ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
     model: str = 'XL430-W250'
+    family: Kind | None = None     # in place of the model, for the 1.0 family
     firmware: int = 46
     delay: int = 0                 # Return Delay Time, 2 us units
     in_line: bool = True           # in a Sync Read they wait for the one before
@@ -48,10 +51,15 @@ class Scene(NamedTuple):
         """Return the bus with its program, ready to run."""
         rig = Rig(self.baud, seed)
         for number in {*self.ids, *self.spares} - {*self.absent}:
-            rig.add(Servo(rig.wire, number, self.model, firmware=self.firmware, delay=self.delay,
-                          in_line=self.in_line))
+            rig.add(self._servo(rig, number))
         rig.run_master(self.master, list(self.ids), 0.1, latency_ms=self.latency_ms,
                        wait_ms=self.wait_ms, stuffs=self.stuffs)
         for fault in self.faults:
             fault(rig)
         return rig
+
+    def _servo(self, rig: Rig, number: int) -> Servo | Servo1:
+        if self.family is not None:
+            return Servo1(rig.wire, number, self.family, delay=self.delay)
+        return Servo(rig.wire, number, self.model, firmware=self.firmware, delay=self.delay,
+                     in_line=self.in_line)
