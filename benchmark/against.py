@@ -1,0 +1,169 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Parsing here against parsing at an older commit, in many short pairs that take turns.
+
+Each of them runs in a process of its own that lives as long as the comparison, on the same bytes;
+the older commit runs twice, so that its ratio to itself tells what the machine can resolve.
+usage: python -m benchmark.against COMMIT [--pairs N] [--trace FILE] [--only TEXT]
+"""
+
+import argparse
+from collections.abc import Iterator
+from collections.abc import Sequence
+from contextlib import contextmanager
+from contextlib import ExitStack
+import io
+import json
+from math import sqrt
+import os
+from pathlib import Path
+import random
+from statistics import median
+import subprocess
+import sys
+import tarfile
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from benchmark.harness import machine
+from benchmark.harness import REPOSITORY
+from benchmark.parsing import CHUNKS
+from benchmark.traffic import KINDS
+from benchmark.traffic import packets
+from benchmark.traffic import TRACE
+from mecarover_serial.cli import run_tool
+from mecarover_serial.cli import UsageError
+
+PACKETS = 6_000                    # a measurement takes 10 to 30 ms
+PAIRS = 100
+WANTED = 0.97                      # the lower 95 % bound of the ratio
+OLD, AGAIN, NEW = 'old', 'old again', 'new'
+# Runs in the folder of either commit, with what both have: benchmark.parsing.
+WORKER = '''
+import gc, json, os, pathlib, sys
+sys.path.insert(0, os.getcwd())
+from benchmark import parsing
+assert pathlib.Path(parsing.__file__).parents[1] == pathlib.Path.cwd(), parsing.__file__
+models = parsing.Models()
+chunks = {}
+print('{}', flush=True)
+for line in sys.stdin:
+    file, size = case = tuple(json.loads(line))
+    if case not in chunks:
+        data = pathlib.Path(file).read_bytes()
+        chunks[case] = [data[at:at + size] for at in range(0, len(data), size)]
+    gc.collect()
+    print(json.dumps(parsing.monitor_us(models, chunks[case])), flush=True)
+'''
+
+
+class Worker:
+    """A process that measures with the code of one commit."""
+
+    def __init__(self, folder: Path) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, '-c', WORKER], cwd=folder, text=True, stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, env={**os.environ, 'PYTHONPATH': str(folder)})
+        self._hear()
+
+    def us(self, file: Path, size: int) -> float:
+        """Return the CPU time per packet of this file in chunks of this size, in us."""
+        assert self._process.stdin is not None
+        print(json.dumps([str(file), size]), file=self._process.stdin, flush=True)
+        return float(self._hear())
+
+    def _hear(self) -> Any:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            return json.loads(line)
+        raise ChildProcessError('a measuring process ended early; its error stands above')
+
+    def __enter__(self) -> 'Worker':
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()
+
+
+@contextmanager
+def checked_out(commit: str) -> Iterator[Path]:
+    """Have the files of a commit in a folder for a while."""
+    packed = subprocess.run(['git', 'archive', '--format=tar', commit], cwd=REPOSITORY,
+                            capture_output=True, check=False)
+    if packed.returncode:
+        raise UsageError(f'{commit}: {packed.stderr.decode().strip()}; name a commit of this '
+                         'repository (a shallow clone has only the newest: git fetch --unshallow)')
+    with TemporaryDirectory() as folder:
+        with tarfile.open(fileobj=io.BytesIO(packed.stdout)) as files:
+            files.extractall(folder, filter='data')
+        yield Path(folder)
+
+
+def bound(ratios: Sequence[float]) -> float:
+    """
+    Return the lower 95 % bound of the median of these ratios.
+
+    By rank alone (one-sided, normal approximation of the binomial): nothing is assumed about
+    how a busy machine spreads them.
+    """
+    rank = int((len(ratios) - 1.645 * sqrt(len(ratios))) / 2)
+    return sorted(ratios)[max(0, rank - 1)]
+
+
+def compare(old: Path, files: dict[str, Path], pairs: int) -> Iterator[str]:
+    """Measure, and yield a line of the table for each kind of traffic and size of chunk."""
+    cases = {f'{kind}, {size}': (file, size) for kind, file in files.items() for size in CHUNKS}
+    taken: dict[str, dict[str, list[float]]] = {
+        name: {OLD: [], AGAIN: [], NEW: []} for name in cases}
+    rng = random.Random(1)
+    with ExitStack() as stack:
+        workers = {name: stack.enter_context(Worker(folder))
+                   for name, folder in ((OLD, old), (AGAIN, old), (NEW, REPOSITORY))}
+        order = [(case, name) for case in cases for name in workers]
+        for _ in range(pairs):
+            rng.shuffle(order)
+            order.sort(key=lambda one: one[0])      # a pair is measured within 0.1 s
+            for case, name in order:
+                taken[case][name].append(workers[name].us(*cases[case]))
+    for case, us in taken.items():
+        new, again = ([one / other for one, other in zip(us[OLD], us[name], strict=True)]
+                      for name in (NEW, AGAIN))
+        yield (f'{case:22}{median(us[OLD]):8.2f}{median(us[NEW]):8.2f}'
+               f'{median(new):9.3f}{bound(new):9.3f}{median(again):11.3f}{bound(again):9.3f}')
+
+
+def main(arguments: Sequence[str]) -> None:
+    options = _parser().parse_args(arguments)
+    if options.trace is not None and not options.trace.is_file():
+        raise UsageError(f'--trace: {options.trace} is not a file; give the raw bytes of a bus')
+    print(', '.join(f'{key}: {value}' for key, value in machine().items()))
+    print(f'old: {options.commit}; {options.pairs} pairs; us of CPU per packet; bound: lower '
+          f'95 % bound of the median ratio, wanted: {WANTED}')
+    print(f'{"traffic, chunk":22}{"old":>8}{"new":>8}{"old/new":>9}{"bound":>9}'
+          f'{"old/old":>11}{"bound":>9}', flush=True)
+    with checked_out(options.commit) as old, TemporaryDirectory() as folder:
+        files = {}
+        for kind in (*KINDS, *([TRACE] if options.trace else [])):
+            if options.only in kind:
+                files[kind] = Path(folder) / f'{len(files)}.bin'
+                files[kind].write_bytes(options.trace.read_bytes() if kind == TRACE
+                                        else b''.join(packets(kind, PACKETS)))
+        for line in compare(old, files, options.pairs):
+            print(line, flush=True)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog='python -m benchmark.against', description=(
+        'Compare the CPU time of parsing with that of an older commit (docs/benchmarks.md).'))
+    parser.add_argument('commit', help='what git calls it, e.g. 7820283')
+    parser.add_argument('--pairs', type=int, default=PAIRS, help='rounds (%(default)s)')
+    parser.add_argument('--trace', type=Path, metavar='FILE', help='raw bytes of a real bus')
+    parser.add_argument('--only', default='', metavar='TEXT', help='kinds whose name has this')
+    return parser
+
+
+if __name__ == '__main__':
+    sys.exit(run_tool('against', main))
