@@ -40,7 +40,7 @@ PAIRS = 100
 WANTED = 0.97                      # the lower 95 % bound of the ratio
 OLD, AGAIN, NEW = 'old', 'old again', 'new'
 # Runs in the folder of either commit, with what both have: benchmark.parsing.
-WORKER = '''
+WORKER = """
 import gc, json, os, pathlib, sys
 sys.path.insert(0, os.getcwd())
 from benchmark import parsing
@@ -55,7 +55,7 @@ for line in sys.stdin:
         chunks[case] = [data[at:at + size] for at in range(0, len(data), size)]
     gc.collect()
     print(json.dumps(parsing.monitor_us(models, chunks[case])), flush=True)
-'''
+"""
 
 
 class Worker:

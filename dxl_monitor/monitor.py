@@ -109,7 +109,7 @@ class Monitor:
             if self._last:
                 self._time_between.add((stamp - self._last) / 1e6, stamp)
             self._last = stamp
-            self._buffer_size.add(len(chunk), stamp)
+            self._buffer_size.add(float(len(chunk)), stamp)    # sorted in faster than an int
             self._time_per_buffer.add((self._clock() - began) / 1e6, stamp)
 
     def change(self, change: Change, stamp: int) -> None:

@@ -7,6 +7,7 @@ Both are unreflected and without final xor. Check values over b'123456789': 0x03
 crcmod has a C part; without it everything works, ten to twenty times slower (CRC_IS_FAST).
 """
 from collections.abc import Callable
+from typing import Any
 
 import crcmod
 import crcmod.crcmod
@@ -21,6 +22,22 @@ crc32_mpeg2: Callable[[bytes], int] = crcmod.mkCrcFun(
 
 # crc16(data, crc) continues from crc: the blocks of a fast reply are checked that way.
 crc16: Callable[..., int] = crcmod.mkCrcFun(0x18005, initCrc=0, rev=False, xorOut=0)
+
+
+def _bare(wrapped: Callable[..., int]) -> tuple[Callable[[bytes, int, Any], int], Any]:
+    """
+    Return what crcmod wraps in a function of Python, and its table: crc = bare(data, crc, table).
+
+    Both are defaults of that function in crcmod 1.7 and crcmod-plus 2; of any other: itself.
+    """
+    defaults = wrapped.__defaults__ or ()
+    if len(defaults) == 3 and callable(defaults[2]):
+        return defaults[2], defaults[1]
+    return lambda data, crc, table: wrapped(data, crc), None
+
+
+# What is called for each packet spares the wrapper: 40 ns.
+bare_crc16, CRC16_TABLE = _bare(crc16)
 
 
 def crc16_behind(head: bytes) -> Callable[[bytes], int]:

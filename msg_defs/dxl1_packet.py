@@ -68,11 +68,6 @@ class Framer1(StreamFramer):
         """Return whether the frame that waits for its end is good with these bytes behind."""
         return sum(self._buffer[2:]) + sum(tail) & 0xFF == 0xFF
 
-    def pass_over(self, noise: bytes) -> None:
-        """Take bytes that neither hold nor end in the begin of a header, while nothing waits."""
-        self.bytes += len(noise)
-        self._give_up(noise)
-
     def _ends_in(self, chunk: bytes) -> bool:
         """Tell whether a chunk completes the frame that waits for its end."""
         data = self._buffer + chunk

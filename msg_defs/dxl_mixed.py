@@ -25,6 +25,7 @@ _BEGUN = (b'\xff\xff\xfd', b'\xff\xfd', b'\xff\xff', b'\xff')
 # FF FF, an ID and a LEN of the 1.0 family; and what the next bytes may complete to that.
 _HOLDS = re.compile(rb'\xff\xff[^\xff][^\0\1]')
 _ENDS = re.compile(rb'\xff(\xff[^\xff]?)?\Z')
+_SHORT = 3                         # bytes that cannot hold one
 Data = bytes                       # the built-in, whose name MixedFramer.bytes takes
 # Where it begins in the stream, its bytes, whether a packet of 2.0 directly behind it ends it.
 Gap = tuple[int, Data, bool]
@@ -44,13 +45,17 @@ class _First(Framer):
 
     is_shared: there is another family on the wire. Then it holds back as little as it can, and
     a byte in front of a damaged header may be the sum of another packet: it is not taken.
+    is_looking: every gap is kept, else only what may hold a packet of the 1.0 family. noise_ahead:
+    bytes of noise since the last good frame of either.
     """
 
-    __slots__ = ('gaps', 'is_shared')
+    __slots__ = ('gaps', 'is_looking', 'is_shared', 'noise_ahead')
 
     def __init__(self, is_shared: bool) -> None:
         super().__init__()
         self.gaps: list[Gap] = []
+        self.noise_ahead = 0
+        self.is_looking = False
         self.is_shared = is_shared
 
     def peek(self, size: int) -> bytes:
@@ -76,9 +81,13 @@ class _First(Framer):
         is_repaired = mark == done or data[mark - 1] != 0xFF
         if is_repaired and self.is_shared:
             begin = mark
-        self.gaps.append((self.bytes - len(data) + done, data[done:begin], True))
+        gap = data[done:begin]
+        if self.gaps or self.is_looking or (len(gap) > _SHORT and _HOLDS.search(gap)):
+            self.gaps.append((self.bytes - len(data) + done, gap, True))
+        else:
+            self.noise_ahead = 0
         self.repaired += is_repaired
-        self._give_up(data[done:begin])
+        self._give_up(gap)
         flaw = ahead(is_repaired, self._noise_length)
         self._noise_length = 0
         return flaw
@@ -87,8 +96,12 @@ class _First(Framer):
         if self.is_shared and undecided < len(data):
             undecided = self._begun(data, done, undecided)
         if undecided > done:
-            self.gaps.append((self.bytes - len(data) + done, data[done:undecided], False))
-            self._give_up(data[done:undecided])
+            gap = data[done:undecided]
+            if self.gaps or self.is_looking or not _is_passed_over(gap, data[undecided:]):
+                self.gaps.append((self.bytes - len(data) + done, gap, False))
+            else:
+                self.noise_ahead += len(gap)
+            self._give_up(gap)
         self._buffer = data[undecided:]
 
     def _begun(self, data: bytes, done: int, undecided: int) -> int:
@@ -98,6 +111,20 @@ class _First(Framer):
             return max(done, len(data) - next(
                 (len(one) for one in _BEGUN if data.endswith(one)), 0))
         return undecided if data[undecided] == 0xFF else mark
+
+
+def _is_passed_over(gap: Data, following: Data) -> bool:
+    """
+    Return whether a gap neither holds a packet of the 1.0 family nor ends in a begin of one.
+
+    following: what is known of the bytes behind it, perhaps nothing.
+    """
+    if len(gap) > _SHORT and _HOLDS.search(gap):
+        return False
+    end = gap[-_SHORT:]
+    if 0xFF not in end or not _ENDS.search(end):
+        return True
+    return len(following) >= _SHORT and not _HOLDS.search(end + following[:_SHORT])
 
 
 class MixedFramer:
@@ -115,9 +142,9 @@ class MixedFramer:
                  '_seen', '_shift', 'bytes', 'claimed', 'has_other', 'held')
 
     def __init__(self, is_shared: bool = False, proven: Collection[int] = ()) -> None:
+        self._second = dxl1_packet.Framer1()
         self._first = _First(is_shared)
         self._proven = proven
-        self._second = dxl1_packet.Framer1()
         self._is_open = False          # some bytes wait in the second framer
         self._seen = 0                 # good frames of the second framer so far
         self._shift = 0                # from offsets of the second framer to those of the wire
@@ -175,7 +202,7 @@ class MixedFramer:
     @property
     def noise_ahead(self) -> int:
         """Bytes of noise since the last good frame of either family."""
-        return self._second.noise_ahead
+        return self._first.noise_ahead
 
     @property
     def wrong(self) -> int:
@@ -200,16 +227,23 @@ class MixedFramer:
     def frames(self, chunk: Data) -> list[Frame]:
         """Return what this chunk completes, in the order of the wire."""
         self.bytes += len(chunk)
+        if self._proven or self.claimed or self._is_open or self._first.is_looking:
+            self._look_closely()
         found = self._first.frames(chunk)
         self.has_other = self.held > 0
         return self._mixed(found) if self._first.gaps or self._is_open else found
 
     def flush_frames(self) -> list[Frame]:
         """Decide what is left, because the line is idle."""
+        self._look_closely()
         found = self._first.flush_frames()
         self.has_other = self.held > 0
         mixed = self._mixed(found) if self._first.gaps or self._is_open else found
         return self._without_data(mixed + self._end()) if self._is_open else mixed
+
+    def _look_closely(self) -> None:
+        """Have each gap looked at, if any may belong to a packet of the 1.0 family."""
+        self._first.is_looking = bool(self._is_open or self.claimed or self._proven)
 
     def _mixed(self, found: list[Frame]) -> list[Frame]:
         """Put the frames of the other family where they were, in front of those of 2.0."""
@@ -221,25 +255,26 @@ class MixedFramer:
 
     def _runs(self) -> list[_Run]:
         """Look through the gaps, as long as nothing is proven only where a packet may be."""
-        second = self._second
+        first = self._first
         runs = []
-        for at, data, is_ended in self._first.gaps:
+        for at, data, is_ended in first.gaps:
             if (self._is_open or self.claimed or self._proven or _HOLDS.search(data)
-                    or not (is_ended or _ENDS.search(data) is None)):
+                    or not (is_ended or _is_passed_over(data, b''))):
                 frames = self._look(at, data) if data else []
                 if is_ended and self._is_open:
                     frames += self._end()
-                runs.append(_Run(at, frames, second.noise_ahead))
+                runs.append(_Run(at, frames, first.noise_ahead))
             elif not is_ended:
-                second.pass_over(data)
+                first.noise_ahead += len(data)
             if is_ended:
-                second.noise_ahead = 0
-        self._first.gaps.clear()
+                first.noise_ahead = 0
+        first.gaps.clear()
         return runs
 
     def _look(self, at: int, data: Data) -> list[Frame]:
         """Return what is in a gap, or ends in it."""
         self._shift = at - self._second.bytes
+        self._second.noise_ahead = self._first.noise_ahead
         return self._moved(self._second.frames(data))
 
     def _merged(self, found: list[Frame], runs: list[_Run]) -> list[Frame]:
@@ -267,12 +302,12 @@ class MixedFramer:
     def _completed(self) -> list[Frame]:
         """Decide a packet whose last bytes might begin one of 2.0, if its sum is right."""
         first, second = self._first, self._second
+        first.is_looking = True
         lacks = second.lacks()
         tail = first.peek(lacks)
         if not lacks or len(tail) < lacks or not second.ends_with(tail):
             return []
-        self._shift = first.bytes - first.pending - second.bytes
-        return self._moved(second.frames(tail)) + self._mixed(first.drop(lacks))
+        return self._look(first.bytes - first.pending, tail) + self._mixed(first.drop(lacks))
 
     def _without_data(self, mixed: list[Frame]) -> list[Frame]:
         """Leave out what only looks like a damaged packet of 2.0: the data of another packet."""
@@ -292,10 +327,14 @@ class MixedFramer:
 
     def _end(self) -> list[Frame]:
         """Decide what is left of a gap: a packet of 2.0 follows, or silence."""
-        return self._moved(self._second.flush_frames()) if self._is_open else []
+        if not self._is_open:
+            return []
+        self._second.noise_ahead = self._first.noise_ahead
+        return self._moved(self._second.flush_frames())
 
     def _moved(self, frames: list[Frame]) -> list[Frame]:
         """Return frames of the second framer as they stand in the stream."""
+        self._first.noise_ahead = self._second.noise_ahead
         self._is_open = self._second.pending > 0
         if not frames:
             return frames

@@ -13,8 +13,10 @@ Nothing on the wire raises; every byte ends as a packet byte or as a noise byte.
 from functools import lru_cache
 from typing import NamedTuple
 
+from msg_defs.crc import bare_crc16
 from msg_defs.crc import crc16
 from msg_defs.crc import crc16_behind
+from msg_defs.crc import CRC16_TABLE
 
 HEADER = b'\xff\xff\xfd\x00'
 BROADCAST = 0xFE
@@ -24,6 +26,7 @@ MAX_FRAME = MAX_LENGTH + 7
 
 _TAIL = HEADER[1:]                 # what a header has left when the line turned round too late
 body_crc = crc16_behind(HEADER)    # CRC of a frame from its ID on: the header is taken as good
+HEADER_CRC = crc16(HEADER)
 _RUN = b'\xff\xff\xfd'
 NOISE_KEPT = 256
 
@@ -198,6 +201,7 @@ class Framer(StreamFramer):
 
     def _scan(self, data: bytes, final: bool) -> list[Frame]:
         find = data.find
+        crc_of = bare_crc16
         size = len(data)
         base = self.bytes - size
         found: list[Frame] = []
@@ -215,7 +219,7 @@ class Framer(StreamFramer):
                 break
             body = data[mark + 3:end - 2]
             if (2 < length <= MAX_LENGTH and end <= size
-                    and body_crc(body) == data[end - 2] | data[end - 1] << 8
+                    and crc_of(body, HEADER_CRC, CRC16_TABLE) == data[end - 2] | data[end - 1] << 8
                     and (length > 3 or body[3] != STATUS)):
                 if mark == done + 1 and data[done] == 0xFF and not noisy:
                     found.append((base + end, body, None))

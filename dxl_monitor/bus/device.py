@@ -141,6 +141,13 @@ class Device:
         self.waiting_behind = None
         self.odd = True
 
+    def not_served(self, now: int, behind: int) -> None:
+        """Count an answer whose turn did not come: the master gave up at the one in front."""
+        self.counts.not_served += 1
+        self.asked_stamp = now
+        self.waiting_behind = behind
+        self.odd = True
+
     def note_error(self, instruction: int, address: int, error: int) -> None:
         self.counts.refused += 1
         key = (instruction, address, error)

@@ -16,6 +16,7 @@ from dxl_monitor.bus.report import Error
 from dxl_monitor.bus.report import Incident
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
+from msg_defs.dxl_packet import STATUS
 
 NO_DEVICE = -1
 Register = Callable[[int, int], str]        # what a device calls the register at an address
@@ -106,6 +107,17 @@ class Evidence:
         self.noted += 1
         if kind in _TEXTS:
             self._errors.append(incident)
+
+    def note_damage(self, stamp: int, reason: str, device: int, instruction: int,
+                    length: int) -> None:
+        """Note a damaged frame with its fields as they were read; reason: of its Flaw."""
+        if reason == 'length':
+            self.note(stamp, BAD_LENGTH, NO_DEVICE, length)
+        elif reason == 'cut':
+            self.note(stamp, CUT, NO_DEVICE, instruction, length)
+        else:
+            self.note(stamp, DAMAGED_STATUS if instruction == STATUS else DAMAGED_INSTRUCTION,
+                      device, instruction, length)
 
     def note_often(self, stamp: int, kind: str, device: int, *detail: int) -> None:
         """Note what may come with each packet: counted each time, kept once in a while."""

@@ -56,8 +56,9 @@ class Tracker:
     """Follows one bus. Feed it what the Framer finds, in order."""
 
     __slots__ = ('_asked', '_deferred', '_duty', '_evidence', '_given_up', '_is_cut',
-                 '_is_spoilt', '_known', '_last', '_missed_limit', '_plan', '_roster',
-                 '_slots', '_spoke', '_unresolved', 'byte_ns', 'is_doubtful', 'planner')
+                 '_is_flawed', '_is_spoilt', '_known', '_last', '_missed_limit', '_plan',
+                 '_roster', '_slots', '_spoke', '_unresolved', 'byte_ns', 'is_doubtful',
+                 'planner')
 
     def __init__(self, roster: Roster, evidence: Evidence, byte_ns: float,
                  missed_limit: int, write_acks: str) -> None:
@@ -69,6 +70,7 @@ class Tracker:
         self._missed_limit = missed_limit
         self._duty = Duty(write_acks, roster, evidence)
         self.is_doubtful = True                # an answer may not belong to what is pending
+        self._is_flawed = False                # one of the next two, or _spoke, may be set
         self._is_spoilt = False                # there was damage since what is pending
         self._is_cut = False                   # a fast reply to it broke off, whole up to there
         # The pending instruction:
@@ -165,18 +167,19 @@ class Tracker:
             self._close(body, began, received, stamp)
         else:
             self._given_up = _NO_SLOTS
-        if self._spoke:
+        if self._is_flawed:
+            self._is_flawed = self._is_cut = self._is_spoilt = False
             self._spoke.clear()
-        self._is_cut = False
         plan = self._known.get(body) or self.planner.plan_for(body, stamp)
         self._plan = plan
         self._last = body
         plan.asked += 1
         plan.stamps.append(stamp)
-        self._deferred = None if plan.begin is None else plan.begin(body, stamp)
+        if plan.begin is not None:             # nothing waits: _close() has ended that
+            self._deferred = plan.begin(body, stamp)
         self._asked = end, received, stamp
         self._unresolved = True
-        self.is_doubtful = self._is_spoilt = False
+        self.is_doubtful = False
         self._slots = slots = plan.slots.copy()
         return slots
 
@@ -185,7 +188,11 @@ class Tracker:
     def _unusual(self, slot: Slot, body: bytes, stamp: int) -> None:
         """Take an awaited status that is damaged in its context, stuffed, an error or a return."""
         if body[0] == BROADCAST:
-            self._combined(body + body_crc(body).to_bytes(2, 'little'), stamp)
+            if not self.is_doubtful and len(self._slots) == len(self._plan.parts) \
+                    and self._plan.take_whole(body, stamp, self._answer):
+                self._slots.clear()
+            else:
+                self._combined(body + body_crc(body).to_bytes(2, 'little'), stamp)
         else:
             self._answer(slot, body[4], unstuff(body[5:]), stamp)
 
@@ -283,6 +290,7 @@ class Tracker:
 
     def _flawed(self, body: bytes, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
+        self._is_flawed = True
         if flaw.reason:
             self._spoil(flaw.noise_length > GLITCH, side)
             self._spoil(self._damaged(body, flaw.reason, stamp), side)
@@ -316,13 +324,8 @@ class Tracker:
                 return False
         if reason == OPEN:
             self._evidence.note(stamp, ev.OPEN, number, instruction)
-        elif reason == 'length':
-            self._evidence.note(stamp, ev.BAD_LENGTH, ev.NO_DEVICE, length)
-        elif reason == 'cut':
-            self._evidence.note(stamp, ev.CUT, ev.NO_DEVICE, instruction, length)
         else:
-            kind = ev.DAMAGED_STATUS if is_status else ev.DAMAGED_INSTRUCTION
-            self._evidence.note(stamp, kind, number, instruction, length)
+            self._evidence.note_damage(stamp, reason, number, instruction, length)
         if is_status and number == BROADCAST:
             return True
         slot = self._plan.slots.get(number) if is_status else None
@@ -333,6 +336,7 @@ class Tracker:
         return True
 
     def _speak_damaged(self, slot: Slot, surely: int = 1) -> None:
+        self._is_flawed = True
         self._spoke.add(slot.device.number)
         slot.device.counts.garbled += 1
         slot.device.counts.damaged += surely
@@ -366,11 +370,7 @@ class Tracker:
         for slot in due[:served]:
             self._miss(slot, now)
         for slot in due[served:]:
-            device = slot.device
-            device.counts.not_served += 1
-            device.asked_stamp = now
-            device.waiting_behind = behind
-            device.odd = True
+            slot.device.not_served(now, behind)
         self._evidence.note_wait(now, self._since_asked(now), due[0].device.number)
 
     def _miss(self, slot: Slot, now: int) -> None:
