@@ -35,7 +35,7 @@ from benchmark.traffic import TRACE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 
-PACKETS = 6_000                    # a measurement takes 10 to 30 ms
+SIZE = 150_000                     # bytes: a measurement takes 10 to 40 ms
 PAIRS = 100
 WANTED = 0.97                      # the lower 95 % bound of the ratio
 OLD, AGAIN, NEW = 'old', 'old again', 'new'
@@ -149,8 +149,8 @@ def main(arguments: Sequence[str]) -> None:
         for kind in (*KINDS, *([TRACE] if options.trace else [])):
             if options.only in kind:
                 files[kind] = Path(folder) / f'{len(files)}.bin'
-                files[kind].write_bytes(options.trace.read_bytes() if kind == TRACE
-                                        else b''.join(packets(kind, PACKETS)))
+                data = options.trace.read_bytes() if kind == TRACE else b''.join(packets(kind))
+                files[kind].write_bytes(data[:SIZE])
         for line in compare(old, files, options.pairs):
             print(line, flush=True)
 
