@@ -24,7 +24,7 @@ crc32_mpeg2: Callable[[bytes], int] = crcmod.mkCrcFun(
 crc16: Callable[..., int] = crcmod.mkCrcFun(0x18005, initCrc=0, rev=False, xorOut=0)
 
 
-def _bare(wrapped: Callable[..., int]) -> tuple[Callable[[bytes, int, Any], int], Any]:
+def bare_crc(wrapped: Callable[..., int]) -> tuple[Callable[[bytes, int, Any], int], Any]:
     """
     Return what crcmod wraps in a function of Python, and its table: crc = bare(data, crc, table).
 
@@ -37,7 +37,7 @@ def _bare(wrapped: Callable[..., int]) -> tuple[Callable[[bytes, int, Any], int]
 
 
 # What is called for each packet spares the wrapper: 40 ns.
-bare_crc16, CRC16_TABLE = _bare(crc16)
+bare_crc16, CRC16_TABLE = bare_crc(crc16)
 
 
 def crc16_behind(head: bytes) -> Callable[[bytes], int]:

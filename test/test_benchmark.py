@@ -9,6 +9,7 @@ import xml.dom.minidom
 import pytest
 
 from benchmark import plot
+from benchmark.against import bound
 from benchmark.harness import as_json
 from benchmark.harness import Child
 from benchmark.harness import Figure
@@ -48,6 +49,12 @@ def test_cases_take_turns():
 
 def test_quantile_is_of_nearest_rank():
     assert [quantile([4, 1, 3, 2], share) for share in (0.0, 0.5, 0.75, 1.0)] == [1, 2, 3, 4]
+
+
+def test_bound_of_a_median_is_a_low_rank():
+    ratios = [value / 100 for value in range(100)]
+    assert bound(ratios) == 0.40           # the 41st of 100, by the binomial
+    assert bound([0.9]) == 0.9
 
 
 def test_results_name_no_folder_and_nobody():

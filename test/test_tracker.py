@@ -784,6 +784,20 @@ def test_a_glitch_does_not_spoil_a_cut_fast_reply(size: int) -> None:
     assert bus.known(1, POSITION) == b'aaaa'
 
 
+@pytest.mark.parametrize('at', range(8, 30))
+def test_damage_that_the_last_device_heard_too_is_seen_in_the_part_it_is_in(at: int) -> None:
+    """A device takes its CRC from what it heard: the frame is good, one part of it is not."""
+    blocks = {number: bytes([number] * 4) for number in (1, 2, 3)}
+    wire = bytearray(fast_reply(blocks)[:-2])
+    wire[at] ^= 0x10
+    bus = Bus()
+    bus.hear(fast_read(1, 2, 3), bytes(wire) + words(crc16(bytes(wire))))
+    whole = (at - 8) // 8              # parts in front of the one with the damage
+    if whole < 2:                      # the CRC of the last part is that of the frame
+        assert [bus.known(number, POSITION) for number in blocks] == [
+            blocks[number] if number <= whole else None for number in blocks]
+
+
 def test_a_device_may_refuse_a_fast_read_on_its_own() -> None:
     bus = Bus()
     bus.hear(fast_read(1), reply(1, error=2), ping(9))

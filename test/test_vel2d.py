@@ -5,7 +5,10 @@ import random
 
 import pytest
 
+from msg_defs.crc import bare_crc
+from msg_defs.crc import bare_crc16
 from msg_defs.crc import crc16
+from msg_defs.crc import CRC16_TABLE
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.crc import CRC_INPUTS
@@ -32,6 +35,14 @@ def test_check_values():
     assert crc32_mpeg2(b'123456789') == 0x0376E6E7
     assert crc16(bytes.fromhex('ff ff fd 00 01 03 00 01')) == 0x4E19
     assert crc16(b'56789', crc16(b'1234')) == crc16(b'123456789') == 0xFEE8
+
+
+@pytest.mark.parametrize('wrapped', [
+    crc16, lambda data, crc=0: crc16(data, crc)], ids=['of crcmod', 'of something else'])
+def test_a_crc_without_its_wrapper_is_the_same(wrapped):
+    bare, table = bare_crc(wrapped)
+    assert bare(b'56789', crc16(b'1234'), table) == bare_crc16(b'123456789', 0, CRC16_TABLE) \
+        == 0xFEE8
 
 
 def test_c_part_is_installed():
