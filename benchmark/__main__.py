@@ -10,6 +10,7 @@ from pathlib import Path
 import shlex
 import sys
 
+from benchmark import page
 from benchmark.harness import as_json
 from benchmark.harness import Figure
 from benchmark.harness import machine
@@ -19,10 +20,11 @@ from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 
 # Each is a module with run(options) -> list of figures.
-PLAIN = ('parsing', 'doctor', 'node_cost', 'bridge', 'messages')
+PLAIN = ('parsing', 'doctor', 'node_cost', 'bridge', 'start_up', 'messages')
 RIGS = {'load': 'rigs', 'soak': 'rigs'}  # in another folder than this one
 ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
-NEEDS_ROS = ('node_cost', 'bridge', 'messages', *ALONE)
+NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'messages', *ALONE)
+ON_THE_PAGE = ('bridge',)               # their table in docs/benchmarks.md is written by --write
 
 
 class Failed(OSError):
@@ -35,11 +37,15 @@ def main(arguments: Sequence[str]) -> None:
         raise UsageError(f'--trace: {options.trace} is not a file; give the raw bytes of a bus')
     settings = Options(quick=options.quick, trace=options.trace,
                        seconds=2.0 if options.quick else options.seconds,
+                       settle_s=options.settle,
                        soak_minutes=options.soak or 0.0, load_minutes=options.load or 0.0)
     print(', '.join(f'{key}: {value}' for key, value in machine().items()), flush=True)
     figures: list[Figure] = []
     for section in _sections(options):
-        figures += _run(section, settings)
+        found = _run(section, settings)
+        if options.write and found and section in ON_THE_PAGE:
+            page.write(section, import_module(f'benchmark.{section}').page_table(found))
+        figures += found
     if options.json is not None:
         options.json.write_text(as_json(figures, _command(arguments)) + '\n')
 
@@ -48,22 +54,28 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog='scripts/bench', description=(
         'Measure the nodes and what they are made of; docs/benchmarks.md explains each figure.'))
     parser.add_argument('--json', type=Path, metavar='FILE', help='write all figures to FILE')
+    parser.add_argument('--write', action='store_true',
+                        help='put the table of ' + ', '.join(ON_THE_PAGE) + ' into docs/benchmarks.md')
     parser.add_argument('--quick', action='store_true', help='few and short rounds: a smoke test')
     parser.add_argument('--only', choices=PLAIN, action='append', help='one section (repeatable)')
-    parser.add_argument('--thesis', action='store_true', help='only the six experiments')
+    parser.add_argument('--thesis', action='store_true',
+                        help='only the six experiments; with --only, those sections too')
     parser.add_argument('--load', type=float, metavar='MINUTES',
                         help='only: the monitor at full load for so long; memory')
     parser.add_argument('--soak', type=float, metavar='MINUTES',
                         help='only: both nodes for so long, with faults')
     parser.add_argument('--trace', type=Path, metavar='FILE', help='raw bytes of a real bus')
-    parser.add_argument('--seconds', type=float, default=10.0, help='per experiment (%(default)s)')
+    parser.add_argument('--seconds', type=float, default=10.0,
+                        help='measured per experiment (%(default)s; the thesis: 60)')
+    parser.add_argument('--settle', type=float, default=1.0,
+                        help='s of the six experiments before that (%(default)s; the thesis: 20)')
     return parser
 
 
 def _sections(options: argparse.Namespace) -> Sequence[str]:
     alone = [name for name in ALONE if getattr(options, name)]
     if alone:
-        return alone
+        return [*alone, *(options.only or ())]
     return options.only or PLAIN
 
 

@@ -9,6 +9,7 @@ the time of its publishing in linear.x (float64 and unlimited, so the frame carr
 clock that all processes share.
 """
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 import json
 import os
@@ -35,6 +36,7 @@ from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
 
 SECTION = 'bridge: Twist published to frame received'
+RATIO, MORE = 'bridge / floor, p50', 'bridge - floor, p95'
 RATES_HZ = (10, 20, 25, 29, 30, 33, 50, 100)    # commands to each node
 MAX_RATE_HZ = 30                # the bridge's default
 JITTERS_MS = (0, 2)
@@ -115,11 +117,15 @@ class Receiver:
         return new
 
 
+def section_of(rate: int, jitter: int) -> str:
+    return f'{SECTION}, {rate} Hz' + (f', {jitter} ms jitter' if jitter else '')
+
+
 def _figures(rounds: list[Round]) -> list[Figure]:
     figures = []
     for plan in PLANS:
         rate, jitter = plan
-        section = f'{SECTION}, {rate} Hz' + (f', {jitter} ms jitter' if jitter else '')
+        section = section_of(rate, jitter)
         taken = [one[plan] for one in rounds]
         figures += [
             Figure(section, f'{name}, p{share * 100:g}', 'ms',
@@ -128,13 +134,31 @@ def _figures(rounds: list[Round]) -> list[Figure]:
         points = {f'Twist to frame, {name}': _points([ms for one in taken for ms in one[name]])
                   for name in TOPICS}
         wanted = 'wanted: at most 1.25' if rate <= MAX_RATE_HZ else 'commands are replaced'
-        figures.append(Figure(section, 'bridge / floor, p50', '', [
+        figures.append(Figure(section, RATIO, '', [
             quantile(one['bridge'], 0.5) / quantile(one['floor'], 0.5) for one in taken],
             wanted, points))
-        figures.append(Figure(section, 'bridge - floor, p95', 'ms', [
+        figures.append(Figure(section, MORE, 'ms', [
             quantile(one['bridge'], 0.95) - quantile(one['floor'], 0.95) for one in taken],
             'wanted: at most 3' if rate <= MAX_RATE_HZ else ''))
     return figures
+
+
+def page_table(figures: Sequence[Figure]) -> str:
+    """Return the table of docs/benchmarks.md: a line per publisher rate."""
+    found = {(figure.section, figure.name): figure for figure in figures}
+    lines = ['| commands | bridge, p50 | floor, p50 | bridge / floor | bridge, p95 | floor, p95 '
+             '| bridge - floor, p95 |', '|---|---|---|---|---|---|---|']
+    for rate, jitter in PLANS:
+        section = section_of(rate, jitter)
+        p50, floor50, ratio, p95, floor95, more = (found[section, name] for name in (
+            'bridge, p50', 'floor, p50', RATIO, 'bridge, p95', 'floor, p95', MORE))
+        lines.append(
+            f'| {rate} Hz' + (f', {jitter} ms jitter' if jitter else '')
+            + f' | {p50.median:.2f} ({min(p50.values):.2f} to {max(p50.values):.2f})'
+            f' | {floor50.median:.2f} | {ratio.median:.2f} ({min(ratio.values):.2f} to '
+            f'{max(ratio.values):.2f}) | {p95.median:.2f} | {floor95.median:.2f} '
+            f'| {more.median:.2f} |')
+    return '\n'.join(lines) + '\n'
 
 
 def _points(latencies: list[float]) -> dict[str, float]:

@@ -36,6 +36,7 @@ class Options(NamedTuple):
     quick: bool = False
     trace: Path | None = None           # a recorded robot trace, raw bytes
     seconds: float = 10.0               # per experiment through a pty
+    settle_s: float = 1.0               # before it is measured
     soak_minutes: float = 5.0
     load_minutes: float = 5.0
 

@@ -59,13 +59,13 @@ class Run(NamedTuple):
     metrics: dict[str, dict[str, float]]
 
 
-def through_reader(traffic: Traffic, seconds: float) -> Run:
+def through_reader(traffic: Traffic, seconds: float, settle_s: float = SETTLE_S) -> Run:
     """Measure what the bare reader makes of the traffic."""
     with ExitStack() as stack:
         writer, port = _writer(stack, traffic)
         reader = stack.enter_context(Child('benchmark.reader', port))
         reader.hear()
-        writer.tell({'settle': SETTLE_S, 'seconds': seconds})
+        writer.tell({'settle': settle_s, 'seconds': seconds})
         writer.hear()
         reader.tell('begin')
         before = usage(reader.pid)

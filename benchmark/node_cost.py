@@ -24,6 +24,7 @@ from benchmark.traffic import FULL_BUS
 
 SECTION = 'dxl_monitor as a process'
 ALL_TOPICS = ('joint_state_rate:=10.0',)
+ROUNDS = 7
 FAST_BAUD = 4_500_000
 LOADS = {
     '200 kB/s, 20 devices': (Traffic('moving robot'), 'wanted: under 10'),
@@ -41,7 +42,7 @@ def run(options: Options) -> list[Figure]:
             'thread': partial(through_node, traffic, options.seconds, *ALL_TOPICS,
                               module=THREAD_NODE),
             'reader': partial(through_reader, traffic, options.seconds)}
-        runs = interleaved(cases, 1 if options.quick else 5)
+        runs = interleaved(cases, 1 if options.quick else ROUNDS)
         figures += _figures(name, wanted, runs)
     return figures
 
@@ -56,7 +57,11 @@ def _figures(name: str, wanted: str, runs: dict[str, list[Run]]) -> list[Figure]
 
     gaps = [thread.longest_gap_ms / node.longest_gap_ms
             for thread, node in zip(runs['thread'], runs['node'], strict=True)]
+    times = [node.cpu / reader.cpu
+             for node, reader in zip(runs['node'], runs['reader'], strict=True)]
     return [
+        Figure(SECTION, f'{name}: CPU, all processes / bare reader', '', times,
+               'wanted: at most 3'),
         figure('CPU', '% of a core', lambda one: 100 * one.cpu, wanted),
         figure('wake-ups', '1/s', lambda one: one.wake_ups),
         figure('resident memory', 'MB', lambda one: one.resident_mb),

@@ -10,6 +10,7 @@ so the time per buffer stands there as measured and scaled to 4096 bytes.
 """
 
 from collections.abc import Sequence
+import sys
 from typing import NamedTuple
 
 from benchmark.harness import Figure
@@ -47,13 +48,16 @@ THESIS = {
 
 
 def run(options: Options) -> list[Figure]:
+    if options.trace is None:
+        print(f'{SECTION}: the two with the trace are left out; give the raw bytes of a bus: '
+              '--trace FILE', file=sys.stderr)
     figures = []
     for kind, gap_us in THESIS:
         if kind == TRACE and options.trace is None:
             continue
         traffic = Traffic(kind, gap_us, trace=options.trace)
-        node = through_node(traffic, options.seconds)
-        reader = through_reader(traffic, options.seconds)
+        node = through_node(traffic, options.seconds, settle_s=options.settle_s)
+        reader = through_reader(traffic, options.seconds, settle_s=options.settle_s)
         figures += _figures(_name(kind, gap_us), row_of(node), THESIS[kind, gap_us], node, reader)
     return figures
 

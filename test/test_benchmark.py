@@ -8,6 +8,7 @@ import xml.dom.minidom
 
 import pytest
 
+from benchmark import page
 from benchmark import plot
 from benchmark.against import bound
 from benchmark.harness import as_json
@@ -22,7 +23,11 @@ from benchmark.traffic import packets
 from benchmark.traffic import ROBOT
 from benchmark.traffic import trace_packets
 from dxl_monitor.fake.line import wire_ns
+from mecarover_serial.cli import UsageError
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import STATUS
 
 pytestmark = pytest.mark.alone
 
@@ -49,6 +54,15 @@ def test_cases_take_turns():
 
 def test_quantile_is_of_nearest_rank():
     assert [quantile([4, 1, 3, 2], share) for share in (0.0, 0.5, 0.75, 1.0)] == [1, 2, 3, 4]
+
+
+def test_a_table_of_the_page_is_changed_and_nothing_else():
+    begin, end = page.marks('bridge')
+    text = f'before\n{begin}\n| old |\n\n{end}after\n'
+    assert page.with_table(text, 'bridge', '| new |\n') == text.replace('old', 'new')
+    with pytest.raises(UsageError, match='no place for parsing'):
+        page.with_table(text, 'parsing', '')
+    assert begin in page.PAGE.read_text(encoding='utf-8')
 
 
 def test_bound_of_a_median_is_a_low_rank():
@@ -80,6 +94,17 @@ def test_traffic_is_whole_packets_of_a_busy_bus(kind):
     assert len(pieces) == framer.packets == 2000
     assert framer.noise_bytes == 0
     assert packets(kind, 2000) == pieces
+
+
+def test_experiment_2_reads_each_device_in_three_ways_and_writes_what_can_be_written():
+    kinds = {number: set() for number in range(1, 21)}
+    for _, body, _ in Framer().frames(b''.join(packets('read/write', 2000))):
+        if body[3] != STATUS:
+            by_list = 8 if body[3] in (I.SYNC_READ, I.SYNC_WRITE) else 4
+            kinds[body[0] if body[0] != BROADCAST else body[by_list]].add(body[3])
+    reads = {I.PING, I.READ, I.SYNC_READ, I.BULK_READ}
+    everything = reads | {I.WRITE, I.SYNC_WRITE, I.BULK_WRITE}
+    assert kinds == {number: reads if 13 <= number <= 16 else everything for number in kinds}
 
 
 def test_a_moving_robot_hardly_repeats_itself():

@@ -205,21 +205,32 @@ def registered(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
 
 
 def read_write(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
-    """Experiment 2 of the thesis: each device with every kind of read and write."""
+    """
+    Experiment 2 of the thesis: each device with every kind of read and write.
+
+    What is written is what is there. A device without a register to write is only read.
+    """
     everything = _everything(fleet)
     for device in fleet.devices:
         span = next(span for span in everything if device.id in span.ids)
         own = span._replace(ids=(device.id,))
-        field = device.field('LED') or device.field('Goal Position')
         yield Ask(device.id, Instruction.PING)
         yield read(device.id, span.address, span.length)
+        yield from sync_read(own)
+        yield from bulk_read([own])
+        field = _harmless(device)
         if field is not None:
             data = bytes(device.image[field.at:field.end])
             yield write(device.id, field.at, data)
-            yield from sync_read(own)
             yield from sync_write(field.at, [(device.id, data)])
-            yield from bulk_read([own])
             yield from bulk_write([(device.id, field.at, data)])
+
+
+def _harmless(device: FakeDevice) -> Field | None:
+    """Return a register in RAM that may be written at any time, None where there is none."""
+    return device.field('LED') or device.field('Goal Position') or next(
+        (field for field in device.model.fields
+         if field.access == 'rw' and field.memory == 'ram'), None)
 
 
 def ping(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:

@@ -1,0 +1,87 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+From the start of a process to what it is there for, beside a minimal rclpy node in turn.
+
+The bridge: its first frame (a stop) at the other end of a pty. The monitor: its first
+dxl/diagnostics in another process, discovery included, at the default publish_rate.
+"""
+
+from collections.abc import Callable
+from functools import partial
+import os
+import select
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from benchmark.harness import Child
+from benchmark.harness import Figure
+from benchmark.harness import interleaved
+from benchmark.harness import Options
+from benchmark.harness import ros_environment
+from benchmark.minimal_node import TOPIC
+from mecarover_serial.pty import Pty
+
+SECTION = 'from the start of a process'
+LIMIT_S = 30.0
+WANTED = 'wanted: at most 0.3'
+BRIDGE, MONITOR, MINIMAL = 'vel2d_bridge.main', 'dxl_monitor.main', 'benchmark.minimal_node'
+
+
+def run(options: Options) -> list[Figure]:
+    env = ros_environment()
+    os.environ.update(env)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        listener = rclpy.create_node('bench_listener')
+        to_frame = partial(_to_frame, env)
+        to_message = partial(_to_message, env, listener)
+        cases: dict[str, Callable[[], float]] = {
+            'bridge, first frame': partial(to_frame, BRIDGE, '--ros-args', '-p', 'port:={port}'),
+            'minimal node, first frame': partial(to_frame, MINIMAL, '{port}'),
+            'monitor, first dxl/diagnostics': partial(
+                to_message, 'dxl/diagnostics', MONITOR, '--ros-args', '-p', 'ports:={port}'),
+            'minimal node, first message': partial(to_message, TOPIC, MINIMAL, '{port}'),
+        }
+        taken = interleaved(cases, options.rounds)
+    finally:
+        rclpy.try_shutdown()
+    figures = [Figure(SECTION, name, 's', values) for name, values in taken.items()]
+    bridge, least_frame, monitor, least_message = taken.values()
+    for name, ours, least in (('bridge', bridge, least_frame),
+                              ('monitor', monitor, least_message)):
+        more = [one - other for one, other in zip(ours, least, strict=True)]
+        figures.append(Figure(SECTION, f'{name} - minimal node', 's', more, WANTED))
+    return figures
+
+
+def _to_frame(env: dict[str, str], module: str, *arguments: str) -> float:
+    """Return the seconds until the first byte is at the other end."""
+    with Pty() as pty:
+        begin = time.monotonic()
+        with Child(module, *(one.format(port=pty.path) for one in arguments), env=env, quiet=True):
+            if not select.select([pty.master], [], [], LIMIT_S)[0]:
+                raise TimeoutError(f'{module}: no frame in {LIMIT_S:g} s; run it alone to see why')
+            return time.monotonic() - begin
+
+
+def _to_message(env: dict[str, str], listener: Node, topic: str, module: str,
+                *arguments: str) -> float:
+    """Return the seconds until the first message on a topic is here."""
+    came: list[float] = []
+    subscription = listener.create_subscription(
+        DiagnosticArray, topic, lambda message: came.append(time.monotonic()), 10)
+    with Pty() as pty:
+        begin = time.monotonic()
+        with Child(module, *(one.format(port=pty.path) for one in arguments), env=env, quiet=True):
+            while not came:
+                rclpy.spin_once(listener, timeout_sec=0.1)
+                if time.monotonic() - begin > LIMIT_S:
+                    raise TimeoutError(f'{module}: nothing on {topic} in {LIMIT_S:g} s; '
+                                       'run it alone to see why')
+    listener.destroy_subscription(subscription)
+    return came[0] - begin
