@@ -55,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
         'Measure the nodes and what they are made of; docs/benchmarks.md explains each figure.'))
     parser.add_argument('--json', type=Path, metavar='FILE', help='write all figures to FILE')
     parser.add_argument('--write', action='store_true',
-                        help='put the table of ' + ', '.join(ON_THE_PAGE) + ' into docs/benchmarks.md')
+                        help=f'put tables into docs/benchmarks.md: {", ".join(ON_THE_PAGE)}')
     parser.add_argument('--quick', action='store_true', help='few and short rounds: a smoke test')
     parser.add_argument('--only', choices=PLAIN, action='append', help='one section (repeatable)')
     parser.add_argument('--thesis', action='store_true',
