@@ -72,7 +72,7 @@ def take_nothing(address: int, data: bytes, stamp: int, source: int) -> None:
     """Store nothing: there are no data, or the parts of the status have slots of their own."""
 
 
-class Part(NamedTuple):
+class FastPart(NamedTuple):
     """
     Where a device stands in a whole fast reply: offsets in its body, which begins with the ID.
 
@@ -178,19 +178,19 @@ class Plan:
         return self.request.accesses[0].address if self.request.accesses else -1
 
 
-def _parts(request: Request, slots: dict[int, Slot]) -> tuple[Part, ...]:
-    parts: list[Part] = []
+def _parts(request: Request, slots: dict[int, Slot]) -> tuple[FastPart, ...]:
+    parts: list[FastPart] = []
     at = _FIRST_PART
     for access in request.accesses:
         if access.id not in slots:
             return ()
         end = at + 2 + access.length
-        parts.append(Part(at, end, access.id, slots[access.id]))
+        parts.append(FastPart(at, end, access.id, slots[access.id]))
         at = end + 2
     return tuple(parts)
 
 
-def _all_hold(body: bytes, parts: tuple[Part, ...]) -> bool:
+def _all_hold(body: bytes, parts: tuple[FastPart, ...]) -> bool:
     """
     Return whether a good frame is the whole fast reply of these parts, each with its own CRC.
 
