@@ -31,7 +31,7 @@ Effect = tuple[Action, tuple[Any, ...]]
 # waits for the device to accept it, None where nothing waits.
 Begin = Callable[[bytes, int], Effect | None]
 STAMPS_KEPT = 64
-_FIRST_PART = 4                    # of a fast reply, in its body: id, length, 0x55
+_FIRST_PART = 4                    # offset in the body of a fast reply: id, length, 0x55
 _STATUS_FRONT = 5                  # a status body before its data: id, length, 0x55, error
 _NO_SIZE = -1
 
