@@ -7,6 +7,7 @@ from functools import cache
 import gzip
 import importlib.util
 import io
+from itertools import pairwise
 import json
 import lzma
 import os
@@ -133,6 +134,15 @@ def test_bytes_without_a_packet_are_no_silence():
     found = said([Chunk(SECOND + number * SECOND // 10, 'bus', noise) for number in range(9)], ())
     assert found.code in (WARNING, ERROR)
     assert found.quiet == ()
+
+
+def test_noise_between_packets_is_no_wrong_rate():
+    noise = random.Random(1)
+    chunks = []
+    for one, other in pairwise(heard()):
+        size = (other.stamp - one.stamp) * 300_000 // SECOND         # a bus is not faster
+        chunks += one, Chunk((one.stamp + other.stamp) // 2, 'bus', noise.randbytes(size))
+    assert 'wrong_baud' not in {entry.rule for entry in said(chunks, ()).wrong}
 
 
 def test_a_remedy_names_what_a_person_types_here():

@@ -217,6 +217,7 @@ def test_no_descriptors_left(node, cable, recovery):
 
 def test_a_flood_of_noise(node, cable, recovery):
     before = node.newest
+    cable.damage(flip=0.1)                      # the flood itself mostly falls between packets
     cable.flood(60)
     node.wait_report(
         lambda one: one.levels[BUS] == WARN and damaged_told(one)
