@@ -30,6 +30,9 @@ def pytest_addoption(parser):
                      help='how often signals, kills and the like are repeated (default 2)')
     parser.addoption('--fault-times', type=int, default=1, metavar='N',
                      help='how often each fault is tried (default 1; figures are from 10)')
+    parser.addoption('--histories', type=int, default=1500, metavar='N',
+                     help='how many random histories the bridge is driven through (default 1500; '
+                          '10 000 take a minute)')
 
 
 def pytest_configure(config):

@@ -13,7 +13,7 @@ from test_dashboard_server import Stream
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 LOST = 2
-WATCH_S = 6.0                   # several reports of each robot
+WATCH_S = 3.0                   # three reports of each robot
 
 
 @pytest.fixture(scope='module')
