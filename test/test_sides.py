@@ -200,15 +200,22 @@ def test_latency_is_from_the_end_of_the_instruction_to_the_begin_of_the_answer()
     assert latency.total.p50 == pytest.approx(0.25, abs=0.01)
 
 
-def findings(*chunks):
+def examined(*events, turns=15):
     """Return what the doctor names after three seconds of this, five times a second."""
     bus = monitor()
-    for turn in range(15):
+    for turn in range(turns):
         stamp = S + turn * 200 * MS
-        for number, (one, data) in enumerate(chunks):
-            bus.feed(data, stamp + number * MS, one)
+        for number, (one, data) in enumerate(events):
+            if isinstance(data, bytes):
+                bus.feed(data, stamp + number * MS, one)
+            else:
+                bus.change(Change(one, data), stamp + number * MS)
         report = bus.report(stamp + 100 * MS)
-    return {one.rule for one in report.findings}
+    return report.findings
+
+
+def findings(*events):
+    return {one.rule for one in examined(*events)}
 
 
 def test_the_doctor_uses_the_sides():
@@ -216,6 +223,15 @@ def test_the_doctor_uses_the_sides():
     assert findings(*exchange) == set()
     assert findings((OUT, READ_1), (IN, READ_1 + ANSWER_1)) == {'echo'}
     assert findings(*exchange, (IN, PING_1), (IN, PONG_1)) == {'two_masters'}
+
+
+def test_instructions_that_never_left_are_named():
+    events = (OUT, READ_1), (NOT_SENT, 14), (OUT, PING_1), (IN, PONG_1)
+    assert examined(*events, turns=2) == ()
+    [found] = examined(*events)
+    assert (found.rule, found.device) == ('not_sent', None)
+    assert found.message.startswith('15 instructions never left the adapter: switch flow control')
+    assert found.evidence == (('instructions', '15'), ('to', '001'))
 
 
 def test_the_doctor_says_what_it_cannot_tell_where_the_source_lost_something():

@@ -207,6 +207,17 @@ def source_lost(case: Case) -> Iterator[Doubt]:
                     'told from what was not said; take other devices off this USB bus')
 
 
+def _not_sent(case: Case) -> Iterator[Found]:
+    """Count instructions that the adapter's driver gave back: only a source with sides tells."""
+    count = case.count(ev.NOT_SENT)
+    if count >= FEW:
+        asked = sorted({one.device for one in case.incidents(ev.NOT_SENT)})
+        yield Claim(None, f'{count} instructions never left the adapter: switch flow control off '
+                    'in the program and let it not clear its output behind a write; else plug the '
+                    'adapter in again',
+                    (('instructions', str(count)), ('to', listed(asked, 99))))
+
+
 def _elsewhere(case: Case) -> Iterator[Found]:
     """Say where frames are damaged too rarely for a claim, or were not heard at all."""
     yield from _noise(case)
@@ -243,5 +254,6 @@ RULES = (
     Rule('damaged_answers', Level.WARN, "one device's answers damaged, and those of others not",
          _damaged_answers, ('missed_answers', 'dropout', 'stray_bytes', 'jitter'),
          onset_s=ONSET_S),
+    Rule('not_sent', Level.WARN, 'writes of the master that its adapter did not take', _not_sent),
     Rule('stray_bytes', Level.OK, 'one to three bytes of noise ahead of packets', _stray_bytes),
 )
