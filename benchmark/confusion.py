@@ -7,13 +7,15 @@ The doctor against two generators of traffic, in simulated time.
     python -m benchmark.confusion --write    both, to docs/doctor_confusion.md and doctor_scenes.md
 
 The first is `fake_bus`: every fault against every finding; the monitor hears each burst by itself,
-which is finer than most adapters tell. The second, `rigs/bus`, shares nothing with it. One seed:
+which is finer than most adapters tell; once more as the master's own port has it, with the sides
+known. The second, `rigs/bus`, shares nothing with it. One seed:
 the tables are the same on every machine, and tests hold the files to them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from operator import itemgetter
 from pathlib import Path
 import sys
 from typing import NamedTuple
@@ -25,11 +27,13 @@ from dxl_monitor.bus.report import Finding
 from dxl_monitor.doctor import RULES
 from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.faults import parse
+from dxl_monitor.fake.line import by_sides
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
+from msg_defs.heard import UNKNOWN
 from rigs.bus import page
 
 DOCS = Path(__file__).parents[1] / 'docs'
@@ -119,9 +123,25 @@ CASES: tuple[Case, ...] = (
     Case('jitter::{at}', (('jitter', None),)),
 )
 
+SIDED = tuple(case for case in CASES if case.told != (('wrong_baud', None),))
+ONLY_SIDES = (
+    'Only the sides tell:', '',
+    '- an instruction that never left the adapter (`not_sent`): on the wire there is nothing, and '
+    'its', '  answer is not missed;',
+    '- an echo from an instruction that the program said twice: each is known by itself;',
+    '- one instruction of another master: it came to the program that did not send it;',
+    '- an answer after damage: each side is framed by itself, so damage in one direction costs '
+    'the other', '  nothing, and an answer that was cut is decided before the next instruction;',
+    '- what the kernel dropped: what was not heard is said, and nothing is judged by it.')
 
-def reports(faults: list[str], scene: Scene, seconds: float) -> Iterator[BusReport]:
-    """Yield the reports of a monitor on a simulated bus, two per second of its time."""
+
+def reports(faults: list[str], scene: Scene, seconds: float,
+            has_sides: bool = False) -> Iterator[BusReport]:
+    """
+    Yield the reports of a monitor on a simulated bus, two per second of its time.
+
+    has_sides: it hears the master's own port, as usb: and tap: do.
+    """
     line = Line(make_devices(list(scene.devices), MODELS, BAUD), BAUD,
                 waits_in_line=scene.waits_in_line)
     master = Master(line, PATTERNS[scene.pattern], rate=scene.rate, seed=SEED,
@@ -129,30 +149,38 @@ def reports(faults: list[str], scene: Scene, seconds: float) -> Iterator[BusRepo
     monitor = Monitor('bus', MODELS, Settings(
         baud=BAUD, devices=tuple(parse_all(list(scene.devices)))))
     report_at, end = REPORT_NS, round(seconds * S)
-    for chunk, stamp in chunks(master, end, scene.gather):
+    heard = own_port(master, end) if has_sides else chunks(master, end, scene.gather)
+    for chunk, stamp, side in heard:
         while stamp > report_at:
             yield monitor.report(report_at)
             report_at += REPORT_NS
-        monitor.feed(chunk, stamp)
+        monitor.feed(chunk, stamp, side)
     while report_at <= end:
         yield monitor.report(report_at)
         report_at += REPORT_NS
 
 
-def chunks(master: Master, end: int, gather: int) -> Iterator[tuple[bytes, int]]:
+def own_port(master: Master, end: int) -> list[tuple[bytes, int, str]]:
+    """Return what the port of the master writes and reads, in order of time."""
+    told = [(stamp, side, data) for burst in master.bursts(end)
+            for stamp, side, data in by_sides(burst, BAUD)]
+    return [(data, stamp, side) for stamp, side, data in sorted(told, key=itemgetter(0))]
+
+
+def chunks(master: Master, end: int, gather: int) -> Iterator[tuple[bytes, int, str]]:
     """Yield the bursts as an adapter hands them over: each at once, or some time's together."""
     gathered, due = b'', 0
     for burst in master.bursts(end):
         if gathered and burst.end > due:
-            yield gathered, due
+            yield gathered, due, UNKNOWN
             gathered = b''
         if burst.data and not gather:
-            yield burst.data, burst.end
+            yield burst.data, burst.end, UNKNOWN
         elif burst.data:
             due = due if gathered else (burst.end // gather + 1) * gather
             gathered += burst.data
     if gathered:
-        yield gathered, due
+        yield gathered, due, UNKNOWN
 
 
 def told(report: BusReport) -> tuple[Key, ...]:
@@ -160,12 +188,12 @@ def told(report: BusReport) -> tuple[Key, ...]:
     return tuple((finding.rule, finding.device) for finding in report.findings)
 
 
-def examine(case: Case) -> Result:
+def examine(case: Case, has_sides: bool = False) -> Result:
     """Play a fault and see what is told."""
     at = ONSET_S if '{at}' in case.fault else 0.0
     first: dict[Key, float] = {}
     findings: tuple[Finding, ...] = ()
-    for report in reports([case.fault.format(at=at)], case.scene, at + WITHIN_S):
+    for report in reports([case.fault.format(at=at)], case.scene, at + WITHIN_S, has_sides):
         findings = report.findings
         for key in told(report):
             first.setdefault(key, report.stamp / S - at)
@@ -173,8 +201,8 @@ def examine(case: Case) -> Result:
                   max((first[key] for key in case.told if key in first), default=-1.0), findings)
 
 
-def render(results: list[tuple[Case, Result]]) -> str:
-    """Return the page."""
+def render(results: list[tuple[Case, Result]], sided: list[tuple[Case, Result]]) -> str:
+    """Return the page; sided: what is told with the sides known."""
     names = [rule.name for rule in RULES]
     used = [name for name in names
             if any(name == rule for _, result in results for rule, _ in result.told)]
@@ -202,7 +230,29 @@ def render(results: list[tuple[Case, Result]]) -> str:
     lines += ['', ' ' * width + ' '.join(f'{number:3}'[1:] for number in numbers.values())]
     lines += [_label(case).ljust(width) + ' '.join(
         _mark(name, case, result) for name in used).rstrip() for case, result in results]
-    return '\n'.join([*lines, '```']) + '\n'
+    return '\n'.join([*lines, '```', '', *_sides(results, sided)]) + '\n'
+
+
+def _sides(results: list[tuple[Case, Result]], sided: list[tuple[Case, Result]]) -> list[str]:
+    """Return the section on the same faults, heard on the master's own port."""
+    right = sum(set(result.told) == set(case.told) for case, result in sided)
+    without = dict(results)
+    lines = [
+        '## With the sides known', '',
+        "The same faults as the master's own port has them (`usb:`, `tap:`): what it wrote is "
+        'whole,', 'whatever the wire made of it, and while it writes it hears nothing. '
+        f'{right} of {len(sided)} are told as the',
+        'one cause they are, on the right device, and nothing else. `wrong_baud` is not among '
+        'them: the rate', 'comes with the source. What is told otherwise, or at another time:', '',
+        '| fault | without sides | with sides |', '|---|---|---|']
+    lines += [f'| {_label(case)} | {_words(without[case])} | {_words(result)} |'
+              for case, result in sided if _words(result) != _words(without[case])]
+    return [*lines, '', *ONLY_SIDES]
+
+
+def _words(result: Result) -> str:
+    rules = ', '.join(rule for rule, _ in result.told) or 'nothing'
+    return f'{rules} after {result.after_s:.1f} s'
 
 
 def _label(case: Case) -> str:
@@ -218,7 +268,8 @@ def _mark(name: str, case: Case, result: Result) -> str:
 
 def main() -> int:
     """Write the pages to where they belong, or to the terminal."""
-    pages = {'doctor_confusion.md': render([(case, examine(case)) for case in CASES]),
+    sided = [(case, examine(case, has_sides=True)) for case in SIDED]
+    pages = {'doctor_confusion.md': render([(case, examine(case)) for case in CASES], sided),
              'doctor_scenes.md': page.render(page.results())}
     for name, text in pages.items():
         if sys.argv[1:] == ['--write']:

@@ -280,7 +280,8 @@ class Monitor:
             last_byte_s=(now - self._last) / 1e9 if self._last else None,
             kinds=dict(evidence.counts), protocol=self.conversation.protocol(),
             asked=self._tracker.asked, scanned=self._scanned(),
-            chain=tuple(expected.id for expected in self.settings.devices))
+            chain=tuple(expected.id for expected in self.settings.devices),
+            has_sides=OUT in self.conversation.framers)
 
     def _scanned(self) -> tuple[int, ...]:
         """Return the IDs that were only pinged and never heard: many are a scan, no devices."""

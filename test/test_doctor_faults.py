@@ -18,6 +18,7 @@ from benchmark.confusion import render
 from benchmark.confusion import reports
 from benchmark.confusion import Result
 from benchmark.confusion import Scene
+from benchmark.confusion import SIDED
 from benchmark.confusion import told
 from benchmark.confusion import WITHIN_S
 from dxl_monitor.doctor import RULES
@@ -40,6 +41,11 @@ def result_of(case: Case) -> Result:
     return examine(case)
 
 
+@cache
+def sided_result_of(case: Case) -> Result:
+    return examine(case, has_sides=True)
+
+
 def case_name(case: Case) -> str:
     return case.fault.replace(':{at}', '') + (f' {case.about}' if case.about else '')
 
@@ -51,6 +57,13 @@ def test_a_fault_is_named_and_nothing_else(case: Case) -> None:
     assert 0 <= result.after_s <= WITHIN_S
 
 
+@pytest.mark.parametrize('case', SIDED, ids=case_name)
+def test_with_the_sides_known_it_is_told_as_well(case: Case) -> None:
+    result = sided_result_of(case)
+    assert set(result.told) == set(case.told)
+    assert 0 <= result.after_s <= WITHIN_S
+
+
 def test_every_fault_and_every_rule_is_among_the_cases() -> None:
     assert {case.fault.partition(':')[0] for case in CASES} == set(KINDS)
     assert {rule for case in CASES for rule, _ in case.told} \
@@ -58,7 +71,8 @@ def test_every_fault_and_every_rule_is_among_the_cases() -> None:
 
 
 def test_the_page_is_current() -> None:
-    page = render([(case, result_of(case)) for case in CASES])
+    page = render([(case, result_of(case)) for case in CASES],
+                  [(case, sided_result_of(case)) for case in SIDED])
     assert PAGE.read_text(encoding='utf-8') == page, \
         'run: python -m benchmark.confusion --write'
 

@@ -197,6 +197,7 @@ class BusReport(NamedTuple):
     asked: int = 0                              # stamp of the last instruction (0: none yet)
     scanned: tuple[int, ...] = ()               # IDs that were pinged and never heard, if many
     chain: tuple[int, ...] = ()                 # the IDs of `devices`, in the order of the cable
+    has_sides: bool = False                     # what the master says is told from what it hears
     line_errors: LineErrors | None = None       # since start, where the driver counts them
     findings: tuple[Finding, ...] = ()
     doubts: tuple[Finding, ...] = ()            # what the doctor cannot tell, and why

@@ -53,6 +53,7 @@ class Mark(NamedTuple):
     instructions: int
     answers: int                   # all devices together
     glitches: int
+    echoes: int
     overruns: int
     framing: int                   # errors that the driver counted
 
@@ -307,6 +308,6 @@ def _mark(report: BusReport) -> Mark:
     return Mark(report.stamp, counters['Bytes'], counters['Packet Bytes'], counters['Packets'],
                 counters['Instructions'],
                 sum(device.totals.answers for device in report.devices),
-                report.kinds.get(ev.GLITCH, 0),
+                report.kinds.get(ev.GLITCH, 0), report.kinds.get(ev.ECHO, 0),
                 errors.overrun + errors.buf_overrun if errors else 0,
                 errors.frame + errors.breaks if errors else 0)

@@ -34,6 +34,7 @@ BOTH_WAYS = 0.2                    # share of damage in instructions: both direc
 GARBLED = 0.005                    # by chance, this share of the bytes is packets at most
 BYTES_NEEDED = 300
 ECHO_US = 100
+ECHO_S = (1.0, 10.0)              # soon, where much is said
 ONSET_S = 1.0                      # by then it has shown whether something else does it
 
 _OF_THE_WIRE = ('noise', 'damaged_answers', 'turnaround', 'stray_bytes', 'missed_answers',
@@ -169,10 +170,12 @@ def _stray_bytes(case: Case) -> Iterator[Found]:
 
 
 def _echo(case: Case) -> Iterator[Found]:
-    heard_back = case.report.kinds.get(ev.ECHO, 0)
-    if heard_back >= SOME and heard_back > 0.5 * case.report.counters['Instructions']:
-        yield Claim(None, 'what the master sends comes back to it: its adapter echoes; switch the '
-                    'echo off, or let the program skip it', (('echoes', str(heard_back)),))
+    if case.report.has_sides:          # what it says twice it says itself
+        heard_back = max(_echoes(case, seconds) for seconds in ECHO_S)
+        if heard_back:
+            yield Claim(None, 'what the master sends comes back to it: its adapter echoes; switch '
+                        'the echo off, or let the program skip it',
+                        (('echoes', str(heard_back)),))
         return
     again = [one for one in case.incidents(ev.REPEATED) if one.detail[1] < ECHO_US]
     answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
@@ -182,9 +185,17 @@ def _echo(case: Case) -> Iterator[Found]:
                     (('echoes', str(len(again))),))
 
 
+def _echoes(case: Case, seconds: float) -> int:
+    """Return how many instructions came back, where most of them do; else 0."""
+    now, before = case.mark(0), case.mark(seconds)
+    heard_back = now.echoes - before.echoes
+    asked = now.instructions - before.instructions
+    return heard_back if heard_back >= SOME and heard_back > 0.5 * asked else 0
+
+
 def _foreign_answers(case: Case, device: DeviceReport) -> Found | None:
     unasked = case.count(ev.UNASKED, device.id)
-    if unasked < FEW:
+    if unasked < FEW or case.count(ev.PROTOCOL_1, device.id):      # that rule tells of it
         return None
     return Claim(device.id, f'{unasked} answers that the master here did not ask for: another '
                  'master asks it where this port does not hear; find and stop that',

@@ -68,8 +68,10 @@ class TwoMasters(Effect):
             self._due += RIVAL_PERIOD_NS
         clash = any(burst.start < due + wire_ns(14, self.line.baud) and burst.end > due
                     for burst in exchange.bursts)
-        return self.line.exchange(self.device.id, Instruction.READ, words(0, 6), due,
-                                  heard=not clash)
+        exchange = self.line.exchange(self.device.id, Instruction.READ, words(0, 6), due,
+                                      heard=not clash)
+        exchange.bursts[0].said = ()         # by our master
+        return exchange
 
 
 class WrongMap(Effect):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Iterable
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from dxl_monitor.fake.device import FakeDevice
@@ -29,6 +30,8 @@ from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
 from msg_defs.dxl_packet import stuff
 from msg_defs.dxl_packet import unstuff
+from msg_defs.heard import IN
+from msg_defs.heard import OUT
 
 MASTER = -1
 STRAY = -2                       # bytes that were not sent on purpose
@@ -37,9 +40,13 @@ BITS_PER_BYTE = 10               # 8N1
 
 
 class Burst:
-    """Bytes that one sender puts on the line without a gap."""
+    """
+    Bytes that one sender puts on the line without a gap.
 
-    __slots__ = ('data', 'end', 'intact', 'sender', 'start')
+    said: what the master wrote for it, with the time of each; nothing on the wire changes that.
+    """
+
+    __slots__ = ('data', 'end', 'intact', 'said', 'sender', 'start')
 
     def __init__(self, start: int, data: bytes, sender: int, baud: int, *,
                  intact: bool = True) -> None:
@@ -48,6 +55,9 @@ class Burst:
         self.sender = sender
         self.end = start + wire_ns(len(data), baud)
         self.intact = intact
+        self.said: tuple[tuple[int, bytes], ...] = ()
+        if sender == MASTER:
+            self.said = ((start, data),)
 
     def __repr__(self) -> str:
         return f'Burst({self.start}, {self.data.hex(" ")}, {self.sender})'
@@ -319,6 +329,23 @@ def _clash(first: Burst, second: Burst, baud: int) -> Burst:
     both[:len(first.data)] = first.data
     for at, byte in enumerate(second.data, offset):
         both[at] = both[at] & byte if at < len(first.data) else byte
-    return Burst(first.start, bytes(both), STRAY, baud, intact=False)
+    clash = Burst(first.start, bytes(both), STRAY, baud, intact=False)
+    clash.said = first.said + second.said
+    return clash
+
+
+def by_sides(burst: Burst, baud: int) -> Iterator[tuple[int, str, bytes]]:
+    """
+    Yield (time, side, bytes) of a burst as the master's own port has it.
+
+    What it writes is whole, whatever the wire makes of it, and while it sends it hears nothing.
+    """
+    yield from ((start, OUT, data) for start, data in burst.said)
+    deaf = [(start, start + wire_ns(len(data), baud)) for start, data in burst.said]
+    middles = (burst.start + wire_ns(2 * at + 1, 2 * baud) for at in range(len(burst.data)))
+    heard = bytes(byte for byte, middle in zip(burst.data, middles, strict=True)
+                  if not any(begin <= middle < end for begin, end in deaf))
+    if heard:
+        yield burst.end, IN, heard
 
 

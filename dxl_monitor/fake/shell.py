@@ -150,10 +150,10 @@ class FakeBus:
         """Show a part of a burst on USB: a master hands over the whole of it, at once."""
         if self._usb is None:
             return
-        if burst.sender != MASTER:
+        if burst.said and not done:
+            self._usb.sent(b''.join(data for _, data in burst.said))
+        if burst.sender != MASTER or not burst.said:        # another master's is only heard
             self._usb.received(burst.data[done:end])
-        elif not done:
-            self._usb.sent(burst.data)
 
     def _catch_up(self, due: int) -> int:
         """Return the time on the bus; it stands still while we are too late for what is due."""
