@@ -26,6 +26,8 @@ from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.driver import adapter
 from dxl_monitor.port.listener import TAKE_EVERY_S
+from dxl_monitor.port.reader import NAME as READER_NAME
+from dxl_monitor.port.source_name import is_live
 from dxl_monitor.port.source_name import listener_on
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.recorder import Recorder
@@ -38,6 +40,7 @@ from dxl_monitor.status import bus_status
 from dxl_monitor.status import device_metrics
 from dxl_monitor.status import device_status
 from dxl_monitor.status import PortState
+from mecarover_serial.inspection import Inspection
 from mecarover_serial.node import declare
 from mecarover_serial.node import overridable_publisher
 from mecarover_serial.process import resident_memory_mb
@@ -73,6 +76,7 @@ class MonitoredBus:
         self._behind_since = 0
         self._known_adapter: tuple[int, list[tuple[str, str]]] = (0, [])
         self._recorder = recorder
+        self._inspection = None if is_live(bus.port) else Inspection(bus.port, [READER_NAME])
         self.listener = listener_on(
             bus.port, bus.settings.baud,
             self.monitor.feed if recorder is None else self._record_and_feed,
@@ -131,13 +135,19 @@ class MonitoredBus:
             values += [(f'Driver: {name}', str(count))
                        for name, count in counters.line_errors._asdict().items()]
         warning = '' if self._recorder is None else self._recorder.problem
-        warning = warning or '; '.join(self.listener.problems())
+        warning = warning or '; '.join([*self.listener.problems(), *self._complaints()])
         if state.is_open and self._behind_since:
             warning = (f'{self.bus.port}: who reads it says nothing, what is told here is old; '
                        'plug the adapter in again, or restart the node')
         return PortState(self.bus.port, '' if state.is_open else state.text, tuple(values),
                          warning)
 
+    def _complaints(self) -> list[str]:
+        """Return what disturbs the port while it is open: a login, a console."""
+        if self._inspection is None or not self.listener.state.is_open:
+            return []
+        self._inspection.look(self.listener.counters.openings, time.monotonic())
+        return self._inspection.complaints
 
     def _adapter(self, openings: int) -> list[tuple[str, str]]:
         """Return what the adapter says of itself; another one may be there after each opening."""

@@ -10,6 +10,7 @@ import select
 import shutil
 import signal
 import subprocess
+import textwrap
 
 from harness import Program
 from harness import wait
@@ -197,6 +198,30 @@ def test_lost_and_found(tmp_path, heard, again):
         node.wait_for('lost')
         heard.wait_status('dxl_monitor: bus', 'is not there', level=2)
         with fake_bus(link, '--devices', '1:MX-64'):
+            heard.wait_status('dxl_monitor: bus', '1 of 1', level=0)
+
+
+def test_a_login_that_begins_while_it_listens_is_told(tmp_path, heard):
+    link = tmp_path / 'bus'
+    script = f"""
+        import pathlib, sys
+        from dxl_monitor import main
+        from mecarover_serial import inspection, preflight
+        preflight.warnings.__defaults__ = (pathlib.Path({str(tmp_path)!r}), ())
+        inspection.EVERY_S = 0.2
+        sys.exit(main.main())"""
+    (tmp_path / 'proc').mkdir()
+    with fake_bus(link, '--devices', '1:MX-64') as fake:
+        fake.wait_for('2000000 baud')
+        with Program('', '--ros-args', '-p', f'ports:={link}', script=textwrap.dedent(script)):
+            heard.wait_status('dxl_monitor: bus', '1 of 1', level=0)
+            tty = os.path.basename(os.path.realpath(link))
+            login = tmp_path / 'proc/812'
+            login.mkdir()
+            (login / 'cmdline').write_text(f'/sbin/agetty\0{tty}\0')
+            (login / 'comm').write_text('agetty\n')
+            heard.wait_status('dxl_monitor: bus', 'agetty (pid 812) offers a login here', level=1)
+            shutil.rmtree(login)
             heard.wait_status('dxl_monitor: bus', '1 of 1', level=0)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-import threading
 import time
 from typing import Any
 
@@ -23,9 +22,9 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
+from mecarover_serial.inspection import Inspection
 from mecarover_serial.node import declare
 from mecarover_serial.preflight import PortError
-from mecarover_serial.preflight import warnings as port_warnings
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
@@ -81,8 +80,7 @@ class Bridge:
         self._mcu = McuLog()
         self._sent: deque[Sent] = deque(maxlen=KEPT_FRAMES)
         self._hopeless: PortError | None = None
-        self._inspection = threading.Thread()
-        self._port_warnings: list[str] = []
+        self._inspection = Inspection(self._port, [DEADMAN_NAME])
         self._said: set[str] = set()                # complaints that still stand
         self._known_freezes = 0
         self._refused: tuple[Outcome, int] | None = None
@@ -211,19 +209,10 @@ class Bridge:
         if problem is None:
             self._log.info(f'{self._port}: open at {self._values["baud"]} baud; sending stops '
                            'until a command comes')
-            if not self._inspection.is_alive():      # a line that is stuck is opened every second
-                # Not in this thread: it looks at every process of the system.
-                self._inspection = threading.Thread(target=self._inspect, daemon=True)
-                self._inspection.start()
         elif problem.kind in HOPELESS and not self._link.state().openings:
             self._hopeless = problem
         else:
             self._log.error(str(problem))
-
-    def _inspect(self) -> None:
-        """Find what disturbs the port although it is open; says nothing, it may outlive ROS."""
-        self._port_warnings = [f'{self._port}: {found.reason}; {found.remedy}'
-                               for found in port_warnings(self._port, ours=[DEADMAN_NAME])]
 
     # Looking around and reporting
 
@@ -231,6 +220,9 @@ class Bridge:
         if self._hopeless is not None:
             raise self._hopeless
         self._notice_freeze()
+        state = self._link.state()
+        if state.is_open:
+            self._inspection.look(state.openings, time.monotonic())
         self._subscriber.look()
         self._write_logs()
         self._report()
@@ -252,7 +244,7 @@ class Bridge:
     def _link_warnings(self) -> list[str]:
         """Return what disturbs the link: what the port shows, and what the MCU says."""
         [other] = [one for one in CRC_INPUTS if one != self._values['crc_input']]
-        return [*self._port_warnings, *(
+        return [*self._inspection.complaints, *(
             f'{self._port}: {line}'
             for line in self._mcu.complaints(time.monotonic_ns(), other))]
 

@@ -31,6 +31,7 @@ BUSY_NS = 3_000_000
 AT_ONCE_NS = 50_000              # waiting was so short that bytes were there already
 SILENT_S = 0.25                  # how long to wait once the line was reported idle
 READ_SIZE = 65_536
+NAME = 'dxl_reader'              # of the process
 
 # A record: its kind, a stamp, the largest gap so far (both ns), the size of the bytes behind it.
 HEAD = struct.Struct('<cqqI')
@@ -178,7 +179,7 @@ def main(arguments: list[str]) -> None:
     for number in _IGNORED:             # they are for the node; when it goes, this goes
         signal.signal(number, signal.SIG_IGN)
     with suppress(OSError), open('/proc/self/comm', 'w') as name:
-        name.write('dxl_reader')
+        name.write(NAME)
     port, pipe, idle_s, gather_s, *usb = arguments
     _Process(int(port), int(pipe), float(idle_s), float(gather_s)).run(usb)
 
