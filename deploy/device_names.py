@@ -3,12 +3,16 @@
 """Stable names of serial adapters: what udev knows about them, the rule, the systemd unit."""
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
+from collections.abc import Sequence
 import os
 import re
 import subprocess
 
 MCU_LINK = '/dev/mecarover_mcu'
 BUS_LINK = '/dev/mecarover_dxl'
+_IDENTITY = ('ID_VENDOR_ID', 'ID_MODEL_ID', 'ID_SERIAL_SHORT', 'ID_USB_INTERFACE_NUM')
 
 
 class InstallError(Exception):
@@ -25,16 +29,29 @@ def parse_bus(text: str) -> tuple[str, str]:
     return device, BUS_LINK + (f'_{name}' if name else '')
 
 
-def name_rule(device: str, link: str) -> str:
-    """Return the rule that gives the adapter behind `device` its name, wherever it is plugged."""
-    facts = _udev_facts(device)
+def name_rules(links: Sequence[tuple[str, str]]) -> list[str]:
+    """Return the rules that give each adapter its name; links: (device, name) of each."""
+    facts = {device: _udev_facts(device) for device, _ in links}
+    identities = Counter(_identity(one) for one in facts.values())
+    return [_rule(device, facts[device], link, identities[_identity(facts[device])] == 1)
+            for device, link in links]
+
+
+def _identity(facts: Mapping[str, str]) -> tuple[str | None, ...]:
+    return tuple(facts.get(key) for key in _IDENTITY)
+
+
+def _rule(device: str, facts: Mapping[str, str], link: str, is_alone: bool) -> str:
+    """Return the rule for one adapter, wherever it is plugged if no other looks the same."""
     symlink = f'SYMLINK+="{os.path.basename(link)}", TAG+="systemd"'
     if facts.get('ID_BUS') != 'usb':
         return f'KERNEL=="{os.path.basename(os.path.realpath(device))}", {symlink}'
-    keys = ['ID_VENDOR_ID', 'ID_MODEL_ID', 'ID_SERIAL_SHORT', 'ID_USB_INTERFACE_NUM']
-    if 'ID_SERIAL_SHORT' not in facts:
-        print(f'note: {device} has no serial number: it is known by the socket it is plugged into')
-        keys = ['ID_PATH']
+    keys: tuple[str, ...] = _IDENTITY
+    if 'ID_SERIAL_SHORT' not in facts or not is_alone:
+        why = 'no serial number' if 'ID_SERIAL_SHORT' not in facts \
+            else f'the serial number of another, {facts["ID_SERIAL_SHORT"]}'
+        print(f'note: {device} has {why}: it is known by the socket it is plugged into')
+        keys = ('ID_PATH',)
     return ', '.join([f'ENV{{{key}}}=="{facts[key]}"' for key in keys if key in facts] + [symlink])
 
 

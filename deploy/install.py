@@ -30,7 +30,7 @@ from device_names import BUS_LINK
 from device_names import device_unit
 from device_names import InstallError
 from device_names import MCU_LINK
-from device_names import name_rule
+from device_names import name_rules
 from device_names import parse_bus
 from installed import command
 import usbmon
@@ -183,10 +183,8 @@ class Site:
             yield self._run('', 'udevadm', 'trigger', '--subsystem-match=usbmon', '--settle')
 
     def _rules(self) -> str:
-        lines = []
-        if self._options.mcu:
-            lines.append(name_rule(self._options.mcu, MCU_LINK))
-        lines += [name_rule(device, link) for device, link in self._buses]
+        mcu = [(self._options.mcu, MCU_LINK)] if self._options.mcu else []
+        lines = name_rules([*mcu, *self._buses])
         text = (HERE / RULES.name).read_text()
         return text.replace('#@NAMES@\n', ''.join(line + '\n' for line in lines))
 

@@ -186,6 +186,20 @@ def test_an_adapter_is_known_by_its_serial_number_or_its_socket(robot, facts, ru
     assert 'KERNEL=="ttyAMA0", SYMLINK+="mecarover_mcu", TAG+="systemd"' in rules
 
 
+def test_two_adapters_with_one_serial_number_are_known_by_their_sockets(robot, tmp_path):
+    for number in (0, 1):
+        (tmp_path / f'facts{number}').write_text(''.join(
+            f'{key}={value}\n' for key, value in {**USB, 'ID_PATH': f'usb-0:{number}'}.items()))
+    (tmp_path / 'tools/udevadm').write_text(
+        f'#!/bin/sh\ncase "$*" in *ttyUSB0) cat {tmp_path}/facts0;; '
+        f'*ttyUSB1) cat {tmp_path}/facts1;; esac\n')
+    told = robot.install('--bus', 'left=/dev/ttyUSB1')
+    assert 'note: /dev/ttyUSB1 has the serial number of another, FT4TFSGE: it is known by' in told
+    rules = robot.read('etc/udev/rules.d/70-mecarover_serial.rules').splitlines()
+    for number, name in enumerate(('mecarover_dxl', 'mecarover_dxl_left')):
+        assert f'ENV{{ID_PATH}}=="usb-0:{number}", SYMLINK+="{name}", TAG+="systemd"' in rules
+
+
 @pytest.mark.parametrize('options, words', [
     ((), 'nothing to install; give --mcu'),
     (('--bus', 'ttyUSB0'), '--bus ttyUSB0: not a device; give'),
