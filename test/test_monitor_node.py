@@ -10,6 +10,7 @@ import select
 import shutil
 import signal
 import subprocess
+import sys
 import textwrap
 
 from harness import Program
@@ -199,6 +200,41 @@ def test_lost_and_found(tmp_path, heard, again):
         heard.wait_status('dxl_monitor: bus', 'is not there', level=2)
         with fake_bus(link, '--devices', '1:MX-64'):
             heard.wait_status('dxl_monitor: bus', '1 of 1', level=0)
+
+
+def test_a_bus_is_heard_on_the_adapter_of_another_program(tmp_path, heard):
+    usb = tmp_path / 'usb'
+    with monitor([f'usb:{usb}'], bauds='[0]') as node:
+        node.wait_for(f'usb:{usb}: ')
+        with fake_bus(tmp_path / 'bus', '--usbmon', str(usb), '--devices', '1-3:MX-64'):
+            node.wait_for(f'usb:{usb}: hears a stream of USB events')
+            heard.wait_status('dxl_monitor: bus', '3 of 3 devices connected', level=0)
+            assert values(heard.statuses['dxl_monitor: bus'])['Baud (bit/s)'] == '2000000'
+        heard.wait_status('dxl_monitor: bus', f'usb:{usb}: ', level=2)
+
+
+def test_a_bus_is_heard_inside_a_python_program(tmp_path, heard, monkeypatch):
+    monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path))
+    script = """
+        import sys, time, serial
+        from msg_defs.dxl_packet import encode
+        port = serial.Serial(sys.argv[1], 1000000, timeout=0.1)
+        while True:
+            port.write(encode(1, 0x02, bytes([132, 0, 4, 0])))
+            port.read(15)
+            time.sleep(0.02)"""
+    bus = tmp_path / 'bus'
+    with fake_bus(bus, '--pattern', 'none', '--devices', '1:MX-64', '--baud', '1000000') as fake, \
+            monitor(['tap:robot'], bauds='[0]') as node:
+        fake.wait_for('1000000 baud')
+        node.wait_for('tap:robot: listening; start the program with dxl_tap robot -- COMMAND')
+        with Program('dxl_monitor.tools.tap', 'robot', '--', sys.executable, '-c',
+                     textwrap.dedent(script), str(bus)):
+            node.wait_for(f'tap:robot: hears {bus}')
+            heard.wait_status('dxl_monitor: bus', '1 of 1 devices connected', level=0)
+            assert values(heard.statuses['dxl_monitor: bus'])['Baud (bit/s)'] == '1000000'
+            assert values(heard.statuses['dxl_monitor: 001'])['Missed Answers'] == '0'
+        heard.wait_status('dxl_monitor: 001', 'silent', level=3)
 
 
 def test_a_login_that_begins_while_it_listens_is_told(tmp_path, heard):
