@@ -60,11 +60,11 @@ def _costs(models: Models, faults: Sequence[str], seconds: int) -> tuple[float, 
     clock = Stopwatch(monitor)
     start = time.process_time_ns()
     report_at = S // 2
-    for chunk, stamp in traffic:
+    for chunk, stamp, side in traffic:
         while stamp > report_at:
             monitor.report(report_at)
             report_at += S // 2
-        monitor.feed(chunk, stamp)
+        monitor.feed(chunk, stamp, side)
     spent = time.process_time_ns() - start
     return clock.spent / 1e6 / seconds, (spent - clock.spent) / 1e6 / seconds
 
