@@ -18,11 +18,16 @@ from benchmark.harness import interleaved
 from benchmark.harness import quantile
 from benchmark.harness import table
 from benchmark.harness import usage
+from benchmark.isochronous import beside_a_camera
+from benchmark.isochronous import Kernel
+from benchmark.isochronous import MS
+from benchmark.isochronous import OURS
 from benchmark.traffic import KINDS
 from benchmark.traffic import packets
 from benchmark.traffic import ROBOT
 from benchmark.traffic import trace_packets
 from dxl_monitor.fake.line import wire_ns
+from dxl_monitor.fake.usb_adapter import FakeAdapter
 from mecarover_serial.cli import UsageError
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
@@ -36,6 +41,18 @@ FIGURES = [
     Figure('one', 'mean', 'us', [3.0, 1.0, 2.0], 'wanted: less'),
     Figure('two', 'p50 <a>', 'ms', [0.5], distributions={'a & b': POINTS}),
 ]
+
+
+def test_beside_a_camera_only_the_events_of_the_adapter_are_copied():
+    transfer = len(FakeAdapter('ftdi').received(bytes(OURS), 0))
+    run = beside_a_camera(0.3)
+    assert run.heard % transfer == 0
+    assert 0 < run.heard <= run.events // 3 * transfer
+    assert run.heard >= (run.events // 3 - run.dropped - 1) * transfer
+    kernel = Kernel()
+    kernel._begin -= 200 * MS               # the reader was held up for longer than the ring lasts
+    kernel._fill()
+    assert kernel._dropped > 0
 
 
 def test_a_figure_is_the_median_with_its_spread():

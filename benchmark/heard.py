@@ -1,0 +1,36 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A listener and a monitor as a process, without ROS; usage: heard.py SOURCE BAUD."""
+
+import sys
+import time
+
+from benchmark.harness import say
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.port.source_name import listener_on
+
+QUIET_S = 0.5
+
+
+def main(source: str, baud: str) -> None:
+    monitor = Monitor('bus', Models(), Settings(baud=int(baud)), idle_is_told=True)
+    listener = listener_on(source, int(baud), monitor.feed, monitor.flush_if_idle,
+                           on_change=monitor.change)
+    listener.start()
+    while not listener.state.is_open:
+        time.sleep(0.01)
+    say({'open': True})
+    sys.stdin.readline()
+    heard = -1
+    while heard != listener.counters.bytes:          # what is on its way is not lost
+        heard = listener.counters.bytes
+        time.sleep(QUIET_S)
+    report = monitor.report(time.monotonic_ns())
+    say({'bytes': report.counters['Bytes'], 'crc errors': report.counters['CRC Errors']})
+    listener.stop()
+
+
+if __name__ == '__main__':
+    main(*sys.argv[1:])

@@ -1,0 +1,152 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The same bus at 4.5 MBd through a tty and through `usb:`: what is lost, what it costs.
+
+A recorded stream (a robot that walks, without a pause on the wire) is played at its own pace: to a
+pty, and as the events of an FTDI adapter with a latency timer of 1 ms. The listener and its reader
+are a process each, as in the node; the monitor takes what comes, nothing is published. Then a
+camera on the same USB bus (isochronous.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+import socket
+import tempfile
+import time
+from typing import NamedTuple
+
+from benchmark.harness import Child
+from benchmark.harness import Figure
+from benchmark.harness import interleaved
+from benchmark.harness import Options
+from benchmark.harness import usage
+from benchmark.isochronous import beside_a_camera
+from benchmark.traffic import ROBOT
+from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.line import Burst
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.line import MASTER
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.outlet import Outlet
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.fake.usb_adapter import FakeAdapter
+from dxl_monitor.model.models import Models
+
+S = 1_000_000_000
+BAUD = 4_500_000
+TICK_NS = 1_000_000
+LATENCY_NS = 1_000_000          # of the adapter
+TRANSFER = 510                  # bytes of the line in a full one
+LEAD_NS = 1_500_000_000         # until the listener is there
+
+
+class Run(NamedTuple):
+    """What came of one run: share of a core, 0 to 1; bytes sent and bytes that were not heard."""
+
+    cpu: float
+    sent: int
+    lost: int
+
+
+def run(options: Options) -> list[Figure]:
+    """Play the stream both ways, one round after the other."""
+    seconds = min(options.seconds, 5.0)
+    bursts = list(_master().bursts(round(seconds * S)))
+    results = interleaved({'tty': partial(through_tty, bursts, seconds),
+                           'usb:': partial(through_usb, bursts, seconds)}, options.rounds)
+    figures = []
+    for name, runs in results.items():
+        section = f'usb: {BAUD / 1e6:g} MBd through {name}'
+        figures += [
+            Figure(section, 'CPU of listener, reader and monitor', '%',
+                   [100 * one.cpu for one in runs]),
+            Figure(section, f'bytes lost of {runs[0].sent}', 'B', [one.lost for one in runs])]
+    pairs = zip(results['usb:'], results['tty'], strict=True)
+    figures.append(Figure('usb: beside the tty', 'CPU', 'times',
+                          [usb.cpu / tty.cpu for usb, tty in pairs]))
+    cameras = [beside_a_camera(seconds) for _ in range(options.rounds)]
+    section = 'usb: beside a camera of 24 MB/s'
+    return [*figures,
+            Figure(section, 'CPU of the reader', '%', [100 * one.cpu for one in cameras]),
+            Figure(section, 'events without room', '%',
+                   [100 * one.dropped / one.events for one in cameras])]
+
+
+def _master() -> Master:
+    return Master(Line(make_devices(list(ROBOT), Models(), BAUD), BAUD), PATTERNS['moving'],
+                  rate=0, gap=0)
+
+
+def through_tty(bursts: Sequence[Burst], seconds: float) -> Run:
+    outlet = Outlet()
+    try:
+        with Child('benchmark.heard', outlet.path, str(BAUD)) as listener:
+            rows = [(burst.end, burst.data) for burst in bursts]
+            return _measure(listener, rows, outlet.write, seconds,
+                            sum(len(burst.data) for burst in bursts), time.monotonic_ns)
+    finally:
+        outlet.close()
+
+
+def through_usb(bursts: Sequence[Burst], seconds: float) -> Run:
+    with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX) as door:
+        path = Path(folder, 'usb')
+        door.bind(str(path))
+        door.listen()
+        with Child('benchmark.heard', f'usb:{path}', '0') as listener:
+            reader, _ = door.accept()
+            with reader:
+                adapter = FakeAdapter('ftdi')
+                begin = time.time_ns() + LEAD_NS
+                reader.sendall(adapter.plug(begin) + adapter.set_baud(BAUD, begin))
+                rows = [(at, make(data, begin + at)) for at, make, data in _transfers(
+                    bursts, adapter)]
+                return _measure(listener, rows, reader.sendall, seconds,
+                                sum(len(burst.data) for burst in bursts), time.time_ns, begin)
+
+
+def _transfers(bursts: Sequence[Burst], adapter: FakeAdapter) -> Iterator[
+        tuple[int, Callable[[bytes, int], bytes], bytes]]:
+    """Yield what crosses USB: answers gathered up to a full transfer or the latency timer."""
+    held, began, ended = b'', 0, 0
+    for burst in bursts:
+        if held and (burst.sender == MASTER or burst.end - began > LATENCY_NS
+                     or len(held) + len(burst.data) > TRANSFER):
+            yield ended, adapter.received, held
+            held = b''
+        if burst.sender == MASTER:
+            yield burst.start, adapter.sent, burst.data
+        else:
+            began = began if held else burst.start
+            held += burst.data
+            ended = burst.end
+    if held:
+        yield ended, adapter.received, held
+
+
+def _measure(listener: Child, rows: Sequence[tuple[int, bytes]],
+             write: Callable[[bytes], object], seconds: float, sent: int,
+             clock: Callable[[], int], begin: int | None = None) -> Run:
+    """Play rows of (when in ns, what) at their pace; return what the listener made of it."""
+    listener.hear()
+    begin = clock() if begin is None else begin
+    before = usage(listener.pid)
+    at = 0
+    while at < len(rows):
+        now = clock() - begin
+        first = at
+        while at < len(rows) and rows[at][0] <= now:
+            at += 1
+        if at > first:
+            write(b''.join(row for _, row in rows[first:at]))
+        time.sleep(TICK_NS / S)
+    time.sleep(0.3)
+    cpu_s = usage(listener.pid).cpu_s - before.cpu_s
+    listener.tell('report')
+    return Run(cpu_s / seconds, sent, sent - listener.hear()['bytes'])
