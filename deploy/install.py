@@ -253,6 +253,11 @@ class Site:
         for path in (*present, RULES, *usbmon.FILES):
             yield from self._delete(path)
         if self._is_live and _has_group(usbmon.GROUP):
+            # udev leaves them as they are, and the number of the group may be another's next.
+            nodes = sorted(map(str, Path('/dev').glob('usbmon*')))
+            if nodes:
+                yield self._run('usbmon is for root again', 'chown', 'root:root', *nodes)
+                yield self._run('', 'chmod', '600', *nodes)
             yield self._run('no right to read usbmon any more', 'groupdel', usbmon.GROUP)
         if self._at(SETTINGS).exists():
             yield self._run('settings, kept under another name', 'mv', '--backup=numbered', '-T',

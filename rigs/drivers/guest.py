@@ -61,7 +61,7 @@ class Guest:
         self._begin = time.monotonic()
         self._started = 0
         self._process = subprocess.Popen(
-            ['nice', 'qemu-system-x86_64', *self._options(image)],
+            ['qemu-system-x86_64', *self._options(image)],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             stderr=(shared / 'qemu.log').open('w'))
         self._qmp = self._connect('qmp')
