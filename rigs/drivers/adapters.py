@@ -51,22 +51,24 @@ class Adapter:
 
 
 class Ftdi(Adapter):
-    """An FTDI adapter on USB."""
+    """An FTDI adapter on USB; name: for QEMU, where two have one serial number."""
 
     driver = 'ftdi_sio'
 
-    def __init__(self, guest: Guest, fake: str, *, gather: bool, serial: str = 'FT4TFSGE') -> None:
+    def __init__(self, guest: Guest, fake: str, *, gather: bool, serial: str = 'FT4TFSGE',
+                 name: str = '') -> None:
         super().__init__(guest, fake, gather=gather)
         self._serial = serial
+        self._name = name or serial
         self.path = f'/dev/serial/by-id/usb-QEMU_QEMU_USB_SERIAL_{serial}-if00-port0'
 
     def plug(self) -> None:
-        self._connect(self._guest.plug(self._serial, serial=self._serial))
+        self._connect(self._guest.plug(self._name, serial=self._serial))
         self._wait_node()
 
     def unplug(self) -> None:
         self._disconnect()
-        self._guest.unplug(self._serial)
+        self._guest.unplug(self._name)
 
 
 class Uart(Adapter):

@@ -19,8 +19,11 @@ from rigs.drivers.adapters import Acm
 from rigs.drivers.adapters import Adapter
 from rigs.drivers.adapters import Ftdi
 from rigs.drivers.guest import Guest
+from rigs.drivers.guest import SOURCE
+from rigs.drivers.image import VENV
 
 BAUD = 1_000_000
+INSTALLER = f'python3 {SOURCE}/deploy/install.py --prefix {VENV}'
 MASTER = """
 import sys
 import dynamixel_sdk as sdk
@@ -42,6 +45,25 @@ def bus() -> Iterator[FakeBus]:
     bus.start()
     yield bus
     bus.stop()
+
+
+def test_the_installer_lets_the_service_alone_read_usbmon_and_takes_that_back(
+        guest: Guest, bus: FakeBus) -> None:
+    monitors = 'stat -c "%U %G %a" /dev/usbmon1'
+    with Ftdi(guest, bus.path, gather=False, serial='FTUSBMON') as adapter:
+        guest.run(f'{INSTALLER} --bus {adapter.path} --usbmon --yes', 'robot', timeout_s=300)
+        guest.run('systemctl stop dxl_monitor', timeout_s=200)          # ROS takes minutes here
+        assert guest.run(monitors).out == 'root mecarover_usbmon 640\n'
+        dump = 'dxl_dump usb:/dev/mecarover_dxl --seconds 1'
+        assert 'belongs to root' in guest.run(dump, 'robot', check=False, timeout_s=200).err
+        unit = guest.run('systemctl show -P SupplementaryGroups dxl_monitor').out.split()
+        assert unit == ['dialout', 'mecarover_usbmon']
+        groups = ' '.join(f'-p SupplementaryGroups={group}' for group in unit)
+        guest.run(f'systemd-run -q --wait --pipe --uid=robot {groups} -E PATH=$PATH {dump}',
+                  timeout_s=200)
+        guest.run(f'{INSTALLER} --uninstall --yes', 'robot', timeout_s=300)
+        assert guest.run(monitors).out == 'root root 600\n'
+        assert guest.run('getent group mecarover_usbmon', check=False).code
 
 
 @pytest.mark.parametrize('kind', (Ftdi, Acm), ids=lambda kind: kind.driver)

@@ -1,0 +1,122 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bus is heard on adapters of its own: all of it, and the right one, whatever is plugged how."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextlib import ExitStack
+import json
+import time
+from typing import Any
+
+import pytest
+
+from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.shell import FakeBus
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.model.models import Models
+from rigs.drivers.adapters import Acm
+from rigs.drivers.adapters import Adapter
+from rigs.drivers.adapters import Ftdi
+from rigs.drivers.guest import Guest
+from rigs.drivers.guest import Unit
+from rigs.drivers.guest import until
+
+BAUD = 2_000_000
+SECONDS = 10.0
+CYCLES_PER_S = 25.0             # an emulated processor reads no full bus of this rate
+FEW_CYCLES_PER_S = 2.0
+SETTLE_S = 2.0                  # for what is on its way when the bus falls silent
+START_S = 200.0
+
+
+@contextmanager
+def bus_of(devices: str, rate: float) -> Iterator[FakeBus]:
+    bus = FakeBus(Master(Line(make_devices([devices], Models(), BAUD), BAUD),
+                         PATTERNS['moving'], rate=rate))
+    try:
+        yield bus
+    finally:
+        bus.stop()
+
+
+def listen(guest: Guest, port: str, *options: str) -> Unit:
+    """Start dxl_dump on a port of the guest, as robot, and wait until it has it open."""
+    dump = guest.start('dump', f'dxl_dump {port} {" ".join(options)}', 'robot')
+    guest.wait(f'ls -l /proc/*/fd 2>/dev/null | grep -q "$(readlink -f {port})$"',
+               timeout_s=START_S)
+    return dump
+
+
+@pytest.mark.parametrize('kind', (Ftdi, Acm), ids=lambda kind: kind.driver)
+def test_every_byte_of_19_devices_at_2000000_baud_is_heard(
+        guest: Guest, kind: type[Adapter], record_property: Any) -> None:
+    with bus_of('1-19:MX-64', CYCLES_PER_S) as bus, kind(guest, bus.path, gather=False) as adapter:
+        dump = listen(guest, adapter.path, '--summary')
+        bus.start(SECONDS)
+        bus.join()
+        time.sleep(SETTLE_S)
+        dump.signal('INT')
+        until(lambda: not dump.is_active())
+        [heard] = [json.loads(line) for line in dump.log().splitlines() if line.startswith('{')]
+    sent = bus.totals()['bus']
+    assert (sent['overrun'], sent['unheard']) == (0, 0)
+    assert heard['bytes'] == sent['sent']
+    assert [heard[name] for name in ('crc_errors', 'truncated', 'noise_bytes')] == [0, 0, 0]
+    assert len(heard['missed']) == 19
+    record_property('figure', f'{heard["bytes"]} bytes in {SECONDS:.0f} s')
+
+
+def heard_ids(dump: Unit) -> set[int]:
+    """Return which devices answered, as this dump lists them."""
+    packets = [json.loads(line) for line in dump.log().splitlines() if line.startswith('{')]
+    return {one['id'] for one in packets if one['instruction'] == 'Status'}
+
+
+def test_two_adapters_that_change_places_stay_the_bus_that_they_are(guest: Guest) -> None:
+    with ExitStack() as stack:
+        buses = [stack.enter_context(bus_of(devices, FEW_CYCLES_PER_S))
+                 for devices in ('1-3:MX-64', '11-13:MX-64')]
+        left, right = (stack.enter_context(Ftdi(guest, bus.path, gather=False, serial=serial))
+                       for bus, serial in zip(buses, ('FTLEFT', 'FTRIGHT'), strict=True))
+        dumps = [listen(guest, one.path, '--json') for one in (left, right)]
+        for bus in buses:
+            bus.start()
+        for dump, wanted in zip(dumps, ({1, 2, 3}, {11, 12, 13}), strict=True):
+            until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)  # type: ignore[misc]
+        before = guest.run(f'readlink -f {left.path} {right.path}').out.split()
+        left.unplug()
+        right.unplug()
+        right.plug()
+        left.plug()
+        assert guest.run(f'readlink -f {right.path} {left.path}').out.split() == before
+        known = [len(dump.log()) for dump in dumps]
+        for dump, length in zip(dumps, known, strict=True):
+            dump.wait_for('the port is open again')
+            until(lambda dump=dump, length=length: len(dump.log()) > length + 2000)  # type: ignore[misc]
+        assert [heard_ids(dump) for dump in dumps] == [{1, 2, 3}, {11, 12, 13}]
+        for dump in dumps:
+            dump.stop()
+
+
+def test_two_adapters_with_one_serial_number_are_told_apart_by_their_sockets(
+        guest: Guest) -> None:
+    sockets = '/dev/serial/by-path'
+    with ExitStack() as stack:
+        buses = [stack.enter_context(bus_of(devices, FEW_CYCLES_PER_S))
+                 for devices in ('1-3:MX-64', '11-13:MX-64')]
+        places: list[str] = []
+        for bus, name in zip(buses, ('first', 'second'), strict=True):
+            stack.enter_context(Ftdi(guest, bus.path, gather=False, serial='FTSAME', name=name))
+            guest.wait(f'[ $(ls {sockets} | grep -c -- -usb-) = {len(places) + 1} ]')
+            [place] = set(guest.run(f'ls {sockets} | grep -- -usb-').out.split()) - set(places)
+            places.append(place)
+        dumps = [listen(guest, f'{sockets}/{place}', '--json') for place in places]
+        for bus in buses:
+            bus.start()
+        for dump, wanted in zip(dumps, ({1, 2, 3}, {11, 12, 13}), strict=True):
+            until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)  # type: ignore[misc]
+            dump.stop()
