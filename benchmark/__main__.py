@@ -20,10 +20,10 @@ from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 
 # Each is a module with run(options) -> list of figures.
-PLAIN = ('parsing', 'doctor', 'usb', 'node_cost', 'bridge', 'start_up', 'messages')
+PLAIN = ('parsing', 'doctor', 'usb', 'node_cost', 'bridge', 'start_up', 'messages', 'dashboard')
 RIGS = {'load': 'rigs', 'soak': 'rigs'}  # in another folder than this one
 ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
-NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'messages', *ALONE)
+NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'messages', 'dashboard', *ALONE)
 ON_THE_PAGE = ('bridge',)               # their table in docs/benchmarks.md is written by --write
 
 

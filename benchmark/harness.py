@@ -222,10 +222,15 @@ class Child:
 
     def hear(self) -> Any:
         """Return the next line of JSON that the child says, decoded."""
+        while not (line := self.line()).startswith(('{', '[')):
+            pass
+        return json.loads(line)
+
+    def line(self) -> str:
+        """Return the next line that the child says."""
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            if line.startswith(('{', '[')):
-                return json.loads(line)
+        if line := self._process.stdout.readline():
+            return line
         raise ChildProcessError(f'python -m {self._module}: ended early; run it alone to see why')
 
     def tell(self, thing: object) -> None:

@@ -123,6 +123,11 @@ class Monitor:
                 self._line_errors = before._replace(
                     **{field: getattr(before, field) + change.value})
 
+    def alarms(self) -> int:
+        """Return how often so far a device was lost, came back or had an alert."""
+        counts = self._evidence.counts
+        return counts[ev.DISCONNECTED] + counts[ev.RETURNED] + counts[ev.ALERT]
+
     def flush_if_idle(self, now: int) -> None:
         """Decide what is pending, if the line was idle too long for more to belong to it."""
         with self._lock:

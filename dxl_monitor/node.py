@@ -61,6 +61,8 @@ from msg_defs.ros import to_ros_time
 from msg_defs.ros import to_time
 
 OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
+LOOK_S = 0.1                # whether something cannot wait for the next report
+APART_NS = 200_000_000      # ... and at least so long after the one before
 BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s behind at most
 AGAIN_NS = 50_000_000       # until it is looked again whether that is over
 PATIENCE_NS = 2_500_000_000     # longer is not a freeze: its reader hangs; a dashboard waits 4 s
@@ -156,6 +158,9 @@ class MonitoredBus:
         return self._known_adapter[1]
 
 
+Heard = tuple[MonitoredBus, BusReport, PortState]
+
+
 class JointStates:
     """dxl/joint_states of one bus."""
 
@@ -189,6 +194,8 @@ class MonitorNode:
                            for bus in found]
         self._port_words: dict[str, str] = {}
         self._levels: list[int] = []
+        self._alarms = 0                # so many were there in the last report
+        self._reported = 0              # when that was, monotonic ns
         self._overview_s = 0.0
         self._waiting: deque[list[Status]] = deque()    # slices of the report, not yet published
         self._period_s = 1.0 / values['publish_rate']
@@ -202,6 +209,7 @@ class MonitorNode:
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
         self._timer = self.node.create_timer(
             self._period_s, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.node.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._joint_states = self._start_joint_states(values['joint_state_rate'])
         self._is_stopped = False
         if self._recorder is not None:
@@ -249,8 +257,7 @@ class MonitorNode:
             return
         if not self._waiting:
             now = time.monotonic_ns()
-            behind = [one.is_behind(now) for one in self._buses]
-            if any(behind):
+            if self._is_behind(now):
                 self._timer.timer_period_ns = AGAIN_NS
                 self._timer.reset()
                 return
@@ -259,12 +266,35 @@ class MonitorNode:
         if self._waiting:
             self._tables.publish(self._table_arrays.array(self._waiting.popleft(), self._stamp()))
 
+    def _is_behind(self, now: int) -> bool:
+        behind = [one.is_behind(now) for one in self._buses]     # each: it notes since when
+        return any(behind)
+
+    def _look(self) -> None:
+        """Tell at once what cannot wait: a device was lost, came back or has an alert."""
+        now = time.monotonic_ns()
+        if (self._count_alarms() != self._alarms and now - self._reported > APART_NS
+                and not self._is_stopped and not self._is_behind(now)):
+            self._tell(self._hear(now))
+
+    def _count_alarms(self) -> int:
+        return sum(one.monitor.alarms() for one in self._buses)
+
     def _report(self, now: int) -> None:
+        heard = self._hear(now)
+        self._tell_capture()
+        self._waiting.extend(slices(self._statuses(heard, True)))
+        self._tell(heard)
+
+    def _hear(self, now: int) -> list[Heard]:
+        self._alarms, self._reported = self._count_alarms(), now
         heard = [(one, one.report(now), one.port_state()) for one in self._buses]
         for one, _, port in heard:
             self._tell_port(one.listener.state.text, port)
-        self._tell_capture()
-        self._waiting.extend(slices(self._statuses(heard, True)))
+        return heard
+
+    def _tell(self, heard: list[Heard]) -> None:
+        """Publish the overview when it is time or a level changed, and timing when it is time."""
         levels = [level for _, report, port in heard for level in (
             bool(port.problem), bool(port.warning), report.level,
             *(device.level for device in report.devices))]
@@ -277,8 +307,7 @@ class MonitorNode:
             self._overview_s = now_s
             self._publish_timing([report for _, report, _ in heard])
 
-    def _statuses(self, heard: list[tuple[MonitoredBus, BusReport, PortState]],
-                  whole: bool) -> list[Status]:
+    def _statuses(self, heard: list[Heard], whole: bool) -> list[Status]:
         node = full_name(self.node)
         statuses = []
         for one, report, port in heard:

@@ -33,9 +33,11 @@ from mecarover_dashboard.door import Door
 from mecarover_dashboard.past import Past
 from mecarover_dashboard.recording import Recording
 from mecarover_dashboard.state import MOST_OF_MESSAGE
+from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
 
 PUSH_S = 0.2                    # changes are collected for so long
+HASTE_S = 0.05                  # ... once a change of level may be among them
 BEAT_S = 1.0                    # at least one event in this time: the page can tell that we live
 SEND_S = 15.0                   # a client that takes nothing for so long is given up
 MOST_CLIENTS = 50
@@ -105,6 +107,7 @@ class Server:
         self._ready = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ended: asyncio.Event
+        self._haste: asyncio.Event
 
     # From any thread.
 
@@ -117,7 +120,7 @@ class Server:
     def stop(self) -> None:
         """Stop serving; may be called again."""
         if self._loop is not None and self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._ended.set)
+            self._loop.call_soon_threadsafe(self._end)
             self._thread.join(2.0)
         if self._recording is not None:
             self._recording.close()
@@ -132,6 +135,9 @@ class Server:
             self._inbox_bytes += len(message)
             while len(self._inbox) > INBOX or self._inbox_bytes > INBOX_BYTES:
                 self._inbox_bytes -= len(self._inbox.popleft()[1])
+        if topic == OVERVIEW and self._loop is not None:    # the nodes tell changes of level there
+            with suppress(RuntimeError):                    # it has just ended
+                self._loop.call_soon_threadsafe(self._haste.set)
 
     def publishers(self, counts: dict[str, int]) -> None:
         """Take how many publishers each topic has."""
@@ -143,9 +149,8 @@ class Server:
         asyncio.run(self._serve())
 
     async def _serve(self) -> None:
+        self._ended, self._haste, self._pushed = (asyncio.Event() for _ in range(3))
         self._loop = asyncio.get_running_loop()
-        self._ended = asyncio.Event()
-        self._pushed = asyncio.Event()
         logger = logging.getLogger('dxl_dashboard')
         logger.addFilter(_Mistakes())
         runner = web.AppRunner(self._app(), access_log=None, handle_signals=False,
@@ -161,11 +166,18 @@ class Server:
         try:
             while not self._ended.is_set():
                 self._push()
-                await _wait(self._ended, PUSH_S)
+                await _wait(self._haste, PUSH_S)
+                if self._haste.is_set():
+                    self._haste.clear()
+                    await _wait(self._ended, HASTE_S)
         finally:
             listening.close()
             self._pushed.set()
             await asyncio.wait_for(runner.cleanup(), 1.5)
+
+    def _end(self) -> None:
+        self._ended.set()
+        self._haste.set()
 
     def _app(self) -> web.Application:
         files = _files()

@@ -209,6 +209,19 @@ def test_damage_is_told_by_device_and_by_bus() -> None:
     assert '001: status with a wrong CRC' in {error.text for error in report.errors}
 
 
+def test_what_cannot_wait_for_a_report() -> None:
+    bus = Bus()
+    bus.hear(PING, PONG, *[READ] * 4, every_ms=300)
+    assert bus.monitor.alarms() == 0
+    bus.hear(READ, READ, READ)
+    lost = bus.monitor.alarms()
+    assert lost == 1
+    bus.hear(READ, REPLY)
+    assert bus.monitor.alarms() == lost + 1
+    bus.hear(READ, encode(1, STATUS, bytes(4), error=0x80), READ, REPLY)
+    assert bus.monitor.alarms() == lost + 2
+
+
 def test_errors_name_the_register_once_the_model_is_known() -> None:
     bus = Bus()
     bus.hear(READ, READ)

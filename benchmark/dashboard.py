@@ -1,0 +1,138 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+From a servo that falls silent on the bus to the event that turns its page red, in real processes.
+
+A simulated bus on a pty, dxl_monitor, dxl_dashboard with its history, and this process, which
+listens to the stream that a page gets. One servo after the other falls silent, at no particular
+moment of cycles and reports, and comes back.
+"""
+
+from collections.abc import Callable
+from collections.abc import Sequence
+from contextlib import ExitStack
+from http.client import HTTPResponse
+import json
+from pathlib import Path
+import random
+import sys
+from tempfile import TemporaryDirectory
+import time
+from typing import Any
+from urllib.request import urlopen
+
+from benchmark.harness import Child
+from benchmark.harness import Figure
+from benchmark.harness import Options
+from benchmark.harness import ros_environment
+from benchmark.harness import say
+from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.shell import FakeBus
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.model.models import Models
+from msg_defs.reports import Level
+
+SECTION = 'dashboard: silent on the bus to red on the page'
+SERVOS = 20
+ENTRY = f'1-{SERVOS}:MX-106'
+BAUD = 2_000_000
+ROUNDS = 21
+START_S = 30.0                  # until the nodes have found each other and all is well
+DEADLINE_S = 10.0               # for each change after that
+ALLOWED_S = 0.5                 # at the median
+
+Row = dict[str, Any]
+
+
+def run(options: Options) -> list[Figure]:
+    rng = random.Random(1)
+    env = ros_environment()
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory()))
+        bus = stack.enter_context(Child('benchmark.dashboard', str(folder / 'bus')))
+        bus.hear()
+        stack.enter_context(Child(
+            'dxl_monitor.main', '--ros-args', '-p', f"ports:=['{folder / 'bus'}']",
+            '-p', f"devices:=['{ENTRY}']", env=env, quiet=True))
+        dashboard = stack.enter_context(Child(
+            'mecarover_dashboard.main', '--port', '0', '--history', str(folder / 'history.sqlite'),
+            env=env, quiet=True))
+        page = Page(stack.enter_context(
+            urlopen(f'{dashboard.line().split()[1]}/events', timeout=START_S)))
+        for device in range(1, SERVOS + 1):
+            page.wait(device, _is_well, START_S)
+        took = []
+        for at in range(options.rounds if options.quick else ROUNDS):
+            device = 1 + at % SERVOS
+            time.sleep(rng.uniform(0.5, 1.5))
+            bus.tell({'id': device, 'silent': True})
+            fault_s = bus.hear()['at']
+            took.append(page.wait(device, _is_red) - fault_s)
+            bus.tell({'id': device, 'silent': False})
+            bus.hear()
+            page.wait(device, lambda row: not _is_red(row))
+    return [Figure(SECTION, 'a silent servo', 's', took, f'at most {ALLOWED_S:g} at the median')]
+
+
+def problems(figures: Sequence[Figure]) -> list[str]:
+    """Return what must not be."""
+    return [f'{one.name}: red after {one.median:.2f} s at the median, {ALLOWED_S:g} is allowed'
+            for one in figures if one.median > ALLOWED_S]
+
+
+def _is_well(row: Row) -> bool:
+    return bool(row['level'] == Level.OK)
+
+
+def _is_red(row: Row) -> bool:
+    return bool(row['level'] == Level.ERROR)
+
+
+class Page:
+    """What a page knows of the devices."""
+
+    def __init__(self, stream: HTTPResponse) -> None:
+        self._stream = stream
+        self._rows: dict[int, Row] = {}
+
+    def wait(self, device: int, is_so: Callable[[Row], bool],
+             seconds: float = DEADLINE_S) -> float:
+        """Return when something is so of a device (monotonic s)."""
+        now_s = time.monotonic()
+        deadline = now_s + seconds
+        while not (device in self._rows and is_so(self._rows[device])):
+            event = self._event()
+            if (now_s := time.monotonic()) > deadline:
+                raise TimeoutError(f'device {device}: no such change within {seconds:g} s')
+            for row in event.get('devices', {}).values():
+                if row is not None:
+                    self._rows[row['id']] = row
+        return now_s
+
+    def _event(self) -> Row:
+        """Return the next server-sent event."""
+        for line in self._stream:
+            if line.startswith(b'data: '):
+                return json.loads(line.removeprefix(b'data: '))  # type: ignore[no-any-return]
+        raise ConnectionError('dxl_dashboard: ended; run it alone to see why')
+
+
+def _play(link: str) -> None:
+    """Be the bus; lines of JSON say which device is silent."""
+    devices = {one.id: one for one in make_devices([ENTRY], Models(), BAUD)}
+    line = Line(list(devices.values()), BAUD, waits_in_line=False)
+    bus = FakeBus(Master(line, PATTERNS['moving']), link=link)
+    bus.start()
+    try:
+        say({})
+        for told in map(json.loads, sys.stdin):
+            devices[told['id']].silent = told['silent']
+            say({'at': time.monotonic()})
+    finally:
+        bus.stop()
+
+
+if __name__ == '__main__':
+    _play(sys.argv[1])
