@@ -23,6 +23,7 @@ from mecarover_serial.parameters import split_ros_args
 
 NAME = 'dxl_dashboard'
 NONE = 'none'
+NOT_WANTED = 'the server was started with --history none'
 HOST, PORT = '127.0.0.1', 8420
 _REMEDIES = {
     errno.EADDRINUSE: 'in use; stop the other dashboard, or choose another port with --port',
@@ -56,25 +57,25 @@ def main(args: Sequence[str] | None = None) -> int:
     host, port = listener.getsockname()[:2]
     is_open = not is_loopback(host)
     print(announcement(host, port, is_open), flush=True)
-    recording = _recording(options.history)
+    recording, without = open_history(options.history)
     if recording is None and options.history not in (None, NONE):
         return COULD_NOT_RUN
-    server = Server(listener, facts(host, port), is_open, recording, options.name)
+    server = Server(listener, facts(host, port, without), is_open, recording, options.name)
     return run(NAME, lambda: Subscriber(server), ['dxl_dashboard', *arguments])
 
 
-def _recording(wanted: str | None) -> Recording | None:
-    """Return what records the history; None where it is not wanted or cannot be, and say so."""
+def open_history(wanted: str | None) -> tuple[Recording | None, str]:
+    """Return what records the history; or None and why, which is said unless it is wanted."""
     if wanted == NONE:
-        return None
+        return None, NOT_WANTED
     try:
         recording = Recording(default_path() if wanted is None else Path(wanted))
     except RecordingError as error:
         print(f'{NAME}: no history: {error}', file=sys.stderr)
-        return None
+        return None, str(error)
     if recording.notice:
         print(f'{NAME}: {recording.notice}', file=sys.stderr)
-    return recording
+    return recording, ''
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -103,10 +104,10 @@ def announcement(host: str, port: int, is_open: bool) -> str:
             'there is no password and no encryption. Nothing can be changed from there.')
 
 
-def facts(host: str, port: int) -> dict[str, Any]:
-    """Return what the page says about where it comes from."""
+def facts(host: str, port: int, without: str = NOT_WANTED) -> dict[str, Any]:
+    """Return what the page says about where it comes from, and why it has no history, if so."""
     return {'machine': socket.gethostname(), 'address': f'{_bracketed(host)}:{port}',
-            'domain': os.environ.get('ROS_DOMAIN_ID') or '0'}
+            'domain': os.environ.get('ROS_DOMAIN_ID') or '0', 'without': without}
 
 
 def _bracketed(host: str) -> str:

@@ -60,8 +60,8 @@ class Recording:
             self._take_lock()
             self._writer = self._open()
         except (OSError, sqlite3.Error) as error:
-            raise RecordingError(f'{path}: {_reason(error)}; name another file with --history, '
-                                 "or 'none'") from error
+            raise RecordingError(f'{path}: {_reason(error)}; name another file with '
+                                 "--history FILE, or 'none'") from error
         self._recorder = HistoryRecorder(self._writer.errors_until())
         self._batches: queue.Queue[_Batch | None] = queue.Queue(_MOST_WAITING)
         self._flushed_s = time.monotonic()

@@ -376,6 +376,12 @@ def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
         page.context.close()
 
 
+def test_why_there_is_no_history(dashboard, robot, open_page):
+    page = open_page(f'{dashboard.address}#/history')
+    see(page, '.past [role=status]',
+        'No history is recorded: the server was started with --history none')
+
+
 def test_bridge(page, robot):
     show(page, 'bridge')
     see(page, '.axes', 'driving[\\s\\S]*0.32[\\s\\S]*0.11[\\s\\S]*0.60')

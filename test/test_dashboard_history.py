@@ -23,6 +23,7 @@ from mecarover_dashboard import history
 from mecarover_dashboard.history import DamagedError
 from mecarover_dashboard.history import HistoryReader
 from mecarover_dashboard.history import HistoryWriter
+from mecarover_dashboard.main import open_history
 from mecarover_dashboard.recorder import Event
 from mecarover_dashboard.recorder import HistoryRecorder
 from mecarover_dashboard.recorder import MOST_ERRORS
@@ -221,6 +222,22 @@ def test_two_dashboards_do_not_share_a_file(path):
         Recording(path)
     first.close()
     Recording(path).close()
+
+
+def test_two_robots_on_one_machine(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv('XDG_STATE_HOME', str(tmp_path))
+    monkeypatch.delenv('STATE_DIRECTORY', raising=False)
+    first, _ = open_history(None)
+    second, without = open_history(None)
+    assert second is None
+    words = capsys.readouterr().err.splitlines()
+    assert words == [f'dxl_dashboard: no history: {without}']
+    assert without == (f'{default_path()}: another dashboard records to it; name another file '
+                       "with --history FILE, or 'none'")
+    second, without = open_history(str(tmp_path / 'rover2.sqlite'))
+    assert (second.path.name, without) == ('rover2.sqlite', '')
+    first.close()
+    second.close()
 
 
 def test_a_place_that_cannot_be_written(tmp_path):

@@ -91,7 +91,7 @@ export class Past {
     }
     this.body.hidden = store.history === null;
     if (store.history === null) {
-      say(this.problem, 'No history is recorded: the server was started with --history none.');
+      say(this.problem, `No history is recorded: ${store.facts.without}.`);
       return;
     }
     const now = performance.now() / 1000;
