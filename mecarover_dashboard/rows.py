@@ -38,7 +38,7 @@ _VALUES = ((b'Present Position (',), (b'Present Temperature (', b'Present Motor 
            (b'Present Input Voltage (', b'Present Voltage ('),
            (b'Present Load (', b'Present Current ('))
 _NO_MODEL = ('model unknown, its registers cannot be read; '
-             "name it in `devices`: '{id}:MODEL', or let the master ping it")
+             "name it in `devices`: '{id}:MODEL', or let the master read Model Number")
 _NO_FILE = 'no file for this model, its registers cannot be read; add one to `model_dirs`'
 
 
