@@ -179,6 +179,10 @@ class HistoryReader:
         """Close the file."""
         self._database.close()
 
+    def count(self, of: Iterable[str] = (), robot: str | None = None) -> int:
+        """Return how many sources a question is about."""
+        return len(self._numbers(of, robot))
+
     def events(self, from_s: float, to_s: float, of: Iterable[str] = (), robot: str | None = None,
                most: int = 1000) -> list[Event]:
         """Return the newest events of some sources (by name; none = all), the newest first."""

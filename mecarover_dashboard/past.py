@@ -36,6 +36,7 @@ from msg_defs.reports import Level
 from msg_defs.reports import worst
 
 MOST_AT_ONCE = 4                # questions; a day of 253 devices takes seconds of a core
+_MOST_POINTS = 20_000           # of all sources together: six values of each take 20 MB
 _POINTS = 600
 _MOST_EVENTS = 1000             # on the page; a CSV has them all
 _ALL_EVENTS = 10_000_000
@@ -136,7 +137,9 @@ def _time(text: str | None, default: float, name: str) -> float:
 def _values_json(reader: HistoryReader, question: Question) -> dict[str, Any]:
     """Return by source its level and its values: [[s, low, high], ...], thinned out."""
     span_s = question.to_s - question.from_s
-    step_s = max(1, math.ceil(span_s / question.points / WINDOW_S)) * WINDOW_S
+    count = max(1, reader.count(question.of, question.robot))
+    points = max(1, min(question.points, _MOST_POINTS // count))
+    step_s = max(1, math.ceil(span_s / points / WINDOW_S)) * WINDOW_S
     sources: dict[str, Any] = {}
     for window in reader.windows(question.from_s, question.to_s, question.of, question.robot):
         source = sources.setdefault(window.source.name, {

@@ -302,6 +302,23 @@ def test_a_robot_that_failed_at_night(path):
         assert SICK in ask(dashboard, 'events', format='csv', **night)
 
 
+def test_many_sources_share_the_points_of_an_answer(path, monkeypatch):
+    monkeypatch.setattr('mecarover_dashboard.past._MOST_POINTS', 100)
+    writer, sources = Writer(path), [KNEE._replace(name=f'dxl_monitor: {n:03}') for n in range(10)]
+    for at in range(NIGHT, NIGHT + HOURS, WINDOW_S):
+        writer.write([window(at, 1.0 + n, source=one) for n, one in enumerate(sources)], [])
+    writer.close()
+    hour = {'from': NIGHT, 'to': NIGHT + HOURS}
+    with Dashboard(history=path) as dashboard:
+        of_all = json.loads(ask(dashboard, 'values', **hour))['sources']
+        of_one = json.loads(ask(dashboard, 'values', of=sources[3].name, **hour))['sources']
+    assert {len(one['values']['position']) for one in of_all.values()} <= {10, 11}
+    assert len(of_all) == 10
+    [one] = of_one.values()
+    assert 90 <= len(one['values']['position']) <= 101
+    assert one['values']['position'][0][1:] == [4.0, 4.0]
+
+
 @pytest.mark.parametrize(('query', 'words'), [
     ({'from': 'yesterday'}, "from: 'yesterday' is no time; give Unix seconds"),
     ({'to': '-1'}, "to: '-1' is no time"), ({'to': 'nan'}, "to: 'nan' is no time"),
