@@ -304,7 +304,8 @@ def test_a_robot_that_failed_at_night(path):
 
 def test_many_sources_share_the_points_of_an_answer(path, monkeypatch):
     monkeypatch.setattr('mecarover_dashboard.past._MOST_POINTS', 100)
-    writer, sources = Writer(path), [KNEE._replace(name=f'dxl_monitor: {n:03}') for n in range(10)]
+    writer = HistoryWriter(path)
+    sources = [KNEE._replace(name=f'dxl_monitor: {n:03}') for n in range(10)]
     for at in range(NIGHT, NIGHT + HOURS, WINDOW_S):
         writer.write([window(at, 1.0 + n, source=one) for n, one in enumerate(sources)], [])
     writer.close()
