@@ -62,17 +62,23 @@ def reports(scene: Scene, rig: Rig) -> Iterator[tuple[BusReport, float | None]]:
 
 def judge(scene: Scene, seed: int = SEED) -> Result:
     """Run a scene and compare what is said with what is so."""
+    rig = scene.rig(seed)
+    return compare(scene, rig, reports(scene, rig), BOOT)
+
+
+def compare(scene: Scene, rig: Rig, told_of_it: Iterable[tuple[BusReport, float | None]],
+            begin: int) -> Result:
+    """Return what reports say, each with the seconds since the fault showed, beside what is so."""
     true = {*scene.expected, *scene.also}
     false: dict[Key, float] = {}
     after: float | None = None
     told: tuple[Key, ...] = ()
     doubts: tuple[str, ...] = ()
-    rig = scene.rig(seed)
-    for report, since in reports(scene, rig):
+    for report, since in told_of_it:
         told = tuple((one.rule, one.device) for one in report.findings)
         doubts = tuple(one.rule for one in report.doubts)
         for key in _accused(report, scene, true):
-            false.setdefault(key, (report.stamp - BOOT) / S)
+            false.setdefault(key, (report.stamp - begin) / S)
         if after is None and since is not None and told and told[0] in scene.expected:
             after = since
     if not scene.expected:
