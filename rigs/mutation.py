@@ -29,7 +29,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[1]
 TIMEOUT_S = 120
 _BUS = ('test_tracker.py', 'test_monitor.py')
-_DOCTOR = ('test_doctor.py', 'test_monitor.py')
+_DOCTOR = ('test_doctor_evidence.py', 'test_doctor.py', 'test_monitor.py')
 FILES = {
     'msg_defs/crc.py': ('test_vel2d.py', 'test_dxl_packet.py', 'test_dxl_instruction.py'),
     'msg_defs/dxl_packet.py': ('test_dxl_packet.py', 'test_tracker.py', 'test_fuzz.py'),
@@ -41,7 +41,8 @@ FILES = {
     'dxl_monitor/bus/table.py': ('test_table.py', *_BUS),
     'dxl_monitor/bus/expected.py': ('test_expected.py',),
     **{f'dxl_monitor/doctor/{name}.py': _DOCTOR for name in (
-        'configuration', 'damage', 'health', 'presence', 'rate', 'rhythm', 'timing')},
+        'collision', 'configuration', 'damage', 'health', 'presence', 'rate', 'rhythm',
+        'timing')},
     'vel2d_bridge/gate.py': ('test_gate.py', 'test_bridge_safety.py'),
     'vel2d_bridge/pacer.py': ('test_pacer.py', 'test_bridge_safety.py', 'test_link.py'),
 }

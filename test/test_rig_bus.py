@@ -34,7 +34,9 @@ RIGS = Path(page.__file__).parent
 # One of each kind: all of them take minutes.
 SAMPLE = ('sdk loop, USB hub', 'dead, item by item', 'loose plug, fast reads',
           'noise on all, bitbots', 'answers of the wrong length, sdk',
-          'scan of all IDs, then tables')
+          'scan of all IDs, then tables', 'same ID, other delay', 'same ID, sdk',
+          'answers too late', 'impatient', 'impatient, item by item', 'two programs, fast reads',
+          'supply sags, limits never read', 'flood of broadcast Pings')
 
 
 # --- packets: examples of the e-Manual (Protocol 2.0, Instruction Details) -------------------

@@ -213,6 +213,49 @@ def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
     assert ev.LATE in bus.kinds()
 
 
+def test_an_answer_that_was_given_up_long_before_is_late_and_not_unasked() -> None:
+    bus = Bus()
+    bus.hear(read(1), *[read(2), reply(2, bytes(4))] * 3, reply(1, bytes(4)))
+    assert bus.kinds() == ['missed', 'late answer']
+    bus.hear(reply(1, bytes(4)))               # there was one question
+    assert bus.kinds() == ['missed', 'late answer', 'unasked answer']
+
+
+def test_what_was_given_up_is_owed_for_a_tenth_of_a_second() -> None:
+    bus = Bus()
+    bus.hear(read(1), read(2), reply(2, bytes(4)), read(2), reply(2, bytes(4)))
+    bus.hear(reply(1, bytes(4)), gap_ns=100_000_000)
+    assert bus.kinds() == ['missed', 'unasked answer']
+
+
+def test_an_answer_that_came_damaged_is_not_owed() -> None:
+    bus = Bus()
+    bus.hear(read(1), damaged(reply(1, bytes(4))), read(1), reply(1, bytes(4)),
+             reply(1, bytes(4)))
+    assert bus.kinds() == ['damaged status', 'missed', 'repeated', 'second answer']
+
+
+def test_a_late_acknowledgement_is_one() -> None:
+    bus = Bus()
+    goal = write(1, GOAL, bytes(4))
+    bus.hear(goal, read(2), reply(2, bytes(4)))
+    assert (bus.device(1).acks, bus.device(1).acks_missing) == (None, 1)
+    bus.hear(goal, read(2), reply(1))
+    assert bus.kinds() == ['late answer']
+    assert (bus.device(1).acks, bus.device(1).acks_missing) == (True, 0)
+
+
+@pytest.mark.parametrize(('noise', 'kinds', 'garbled'), [
+    (18, ['missed'], 1),                       # as long as the answer, and a glitch
+    (19, ['noise too long', 'missed'], 0),
+])
+def test_noise_that_is_longer_than_the_answer_is_not_that(
+        noise: int, kinds: list[str], garbled: int) -> None:
+    bus = Bus()
+    bus.hear(read(1), b'\x5a' * noise, read(2))
+    assert (bus.kinds(), bus.counts(1).garbled, bus.counts(1).spoilt) == (kinds, garbled, 1)
+
+
 @pytest.mark.parametrize('number', [253, 254, 255])
 def test_a_status_of_no_device_is_nobody(number: int) -> None:
     bus = Bus()
@@ -936,7 +979,7 @@ def test_a_miss_is_stamped_with_the_next_instruction_on_the_wire() -> None:
     bus.hear(ping(1), pong(1), read(1), ping(1))
     began = bus.now - len(ping(1)) * BYTE_NS
     assert notes(bus)[-1] == (began, ev.MISSED, 1, (I.READ, POSITION))
-    assert bus.evidence.waits()[-1] == (began, (began - (bus.now - 1_000_000)) // 1000, 1)
+    assert bus.evidence.waits()[-1] == (began, (began - (bus.now - 1_000_000)) // 1000, 1, False)
 
 
 def test_a_miss_in_silence_is_stamped_with_its_end() -> None:
@@ -944,7 +987,7 @@ def test_a_miss_in_silence_is_stamped_with_its_end() -> None:
     bus.hear(ping(1), pong(1), read(1))
     bus.tracker.settle(bus.now + 1_234_567)
     assert notes(bus)[-1][:3] == (bus.now + 1_234_567, ev.MISSED, 1)
-    assert bus.evidence.waits()[-1] == (bus.now + 1_234_567, 1234, 1)
+    assert bus.evidence.waits()[-1] == (bus.now + 1_234_567, 1234, 1, False)
 
 
 def test_a_repetition_is_noted_with_its_distance() -> None:

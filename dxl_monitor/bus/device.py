@@ -23,6 +23,7 @@ from msg_defs.timing import Series
 
 WINDOW_S = 10
 RESOLVED_NEEDED = 0.2              # the share of answers that makes a latency worth a figure
+OWED_NS = 100_000_000              # no servo takes as long: its Return Delay Time ends at 0.5 ms
 _ERRORS_KEPT = 64                  # distinct (instruction, address, error)
 RETURN_LEVEL = 'Status Return Level'
 _SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
@@ -37,7 +38,8 @@ class Device:
     that it speaks, None with Protocol 2.0; `is_unresolved`: it said what it
     is, and its model was not looked up yet; `moved_to`: the baud rate that was written to it, in
     words; `followed_end`: no write from this address on changes what the device is or does;
-    `waiting_behind`: the silent device in front of it in a Sync or Bulk Read.
+    `waiting_behind`: the silent device in front of it in a Sync or Bulk Read; `owed`: answers that
+    the master gave up lately, and that may still come.
     """
 
     __slots__ = (
@@ -45,7 +47,7 @@ class Device:
         'asked_stamp', 'counts', 'dialect', 'errors', 'expected', 'firmware', 'followed_end',
         'heard', 'identity', 'identity_stamp', 'is_unresolved', 'joint', 'last_error', 'latency',
         'latency_resolved', 'missed_in_a_row', 'model', 'model_number', 'moved_to', 'number',
-        'odd', 'registered', 'return_level', 'snapshots', 'table', 'waiting_behind')
+        'odd', 'owed', 'registered', 'return_level', 'snapshots', 'table', 'waiting_behind')
 
     def __init__(self, number: int, joint: str = '', expected: bool = False) -> None:
         self.number = number                       # its ID
@@ -66,6 +68,7 @@ class Device:
         self.missed_in_a_row = 0
         self.heard = 0                             # stamp of the last status, 0 = never
         self.asked_stamp = 0                       # when it last did not answer
+        self.owed = 0
         self.odd = True
         self.forget_return_level()
         self.reset_statistics()
@@ -137,6 +140,7 @@ class Device:
         self.counts.missed += 1
         self.counts.spoilt += doubtful
         self.missed_in_a_row += 1
+        self.owed = (self.owed if now - self.asked_stamp < OWED_NS else 0) + (not doubtful)
         self.asked_stamp = now
         self.waiting_behind = None
         self.odd = True
@@ -147,6 +151,13 @@ class Device:
         self.asked_stamp = now
         self.waiting_behind = behind
         self.odd = True
+
+    def pays(self, stamp: int) -> bool:
+        """Take an answer that is not due: whether one that was given up lately is still owed."""
+        if not self.owed or stamp - self.asked_stamp >= OWED_NS:
+            return False
+        self.owed -= 1
+        return True
 
     def note_error(self, instruction: int, address: int, error: int) -> None:
         self.counts.refused += 1

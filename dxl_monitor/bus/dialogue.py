@@ -152,7 +152,7 @@ class Dialogue:
         self.proven.add(body[0])
         framer.claim(frame)
         if framer.has_first:
-            self._evidence.note_often(stamp, ev.PROTOCOL_1, body[0], body[3])
+            self._evidence.note_often(stamp, ev.PROTOCOL_1, body[0], ev.Code(body[3]))
 
     def _reject(self) -> None:
         """Give up what is not proven: its bytes are noise."""

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Duty: which device really had to answer, so that only a loss counts as one.
+Duty: which device really had to answer, so that only a loss counts as one, and the losses.
 
 Status Return Level decides (e-Manual): 0 answers Pings, 1 reads too, 2 acknowledges writes as
 well. It is known where the register was seen; else a device that acknowledged once is taken to do
@@ -11,6 +11,7 @@ so always, until it stops while it goes on answering reads.
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.plan import Due
+from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.roster import Roster
 
@@ -18,12 +19,14 @@ ACKS_LEARNED = 3                   # writes without an answer, from a device tha
 
 
 class Duty:
-    """write_acks: 'auto', 'always' or 'never', as the parameter."""
+    """write_acks: 'auto', 'always' or 'never'; missed_limit: both as the parameters."""
 
-    __slots__ = ('_evidence', '_roster', '_write_acks')
+    __slots__ = ('_evidence', '_missed_limit', '_roster', '_write_acks')
 
-    def __init__(self, write_acks: str, roster: Roster, evidence: Evidence) -> None:
+    def __init__(self, write_acks: str, missed_limit: int, roster: Roster,
+                 evidence: Evidence) -> None:
         self._write_acks = write_acks
+        self._missed_limit = missed_limit
         self._roster = roster
         self._evidence = evidence
 
@@ -44,5 +47,18 @@ class Duty:
         if device.acks_missing >= ACKS_LEARNED and device.missed_in_a_row < ACKS_LEARNED - 1:
             device.acks = False                # it answers reads, so it is there
             self._evidence.note(device.asked_stamp, ev.ACKS_STOPPED, device.number,
-                                device.acks_missing)
+                                ev.Much(device.acks_missing))
         return bool(device.acks)
+
+    def miss(self, plan: Plan, slot: Slot, now: int, is_doubtful: bool) -> None:
+        """Count an answer that had to come and did not; is_doubtful: damage was in its place."""
+        device = slot.device
+        plan.missed += 1
+        device.miss(now, is_doubtful)
+        device.counts.data_missed += slot.due is Due.READ
+        if device.missed_in_a_row == 1:
+            self._evidence.note(now, ev.MISSED, device.number,
+                                ev.Unanswered(plan.request.instruction, slot.address))
+        elif device.missed_in_a_row == self._missed_limit + 1:
+            self._evidence.note(now, ev.DISCONNECTED, device.number,
+                                ev.Much(device.missed_in_a_row))

@@ -11,9 +11,14 @@ from collections import Counter
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from typing import Any
+from typing import NamedTuple
 
+from dxl_monitor.bus.report import D
 from dxl_monitor.bus.report import Error
 from dxl_monitor.bus.report import Incident
+from dxl_monitor.bus.report import IncidentKind
+from dxl_monitor.bus.report import Wait
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import STATUS
@@ -21,40 +26,138 @@ from msg_defs.dxl_packet import STATUS
 NO_DEVICE = -1
 Register = Callable[[int, int], str]        # what a device calls the register at an address
 
-# Kinds of incidents, each with what its detail holds.
-DAMAGED_STATUS = 'damaged status'              # instruction byte as read, length as read
-DAMAGED_INSTRUCTION = 'damaged instruction'    # instruction byte as read, length as read
-BAD_LENGTH = 'bad length'                      # length
-CUT = 'cut'                                    # instruction byte, length: it ends too early
-GLITCH = 'glitch'                              # counted only: a byte or two of noise ahead
-MISSED = 'missed'                              # instruction, address; the first of a row
-DISCONNECTED = 'disconnected'                  # missed in a row
-RETURNED = 'returned'                          # ms of silence, Torque Enable before (-1 unknown)
-REFUSED = 'refused'                            # instruction, address, error number
-ALERT = 'alert'                                # it began
-SECOND_ANSWER = 'second answer'                # instruction: already answered by this ID
-ANSWERED_AGAIN = 'answered again'              # instruction; behind damage that hid another
-UNASKED = 'unasked answer'                     # instruction that ran, error byte
-LATE = 'late answer'                           # us after its instruction was given up
-WRONG_SIZE = 'wrong size'                      # bytes, bytes asked for
-FAST_CUT = 'fast reply cut'                    # blocks that came, blocks asked for
-REPEATED = 'repeated'                          # instruction, us after the first (an echo: 0)
-UNSTUFFED = 'unstuffed'                        # instruction: FF FF FD without its FD
-MODEL = 'model changed'                        # number before, number now
-ID_WRITTEN = 'ID written'                      # new ID
-BAUD_WRITTEN = 'Baud Rate written'             # code
-OPEN = 'undecided packet'                      # code byte: an instruction or a status (1.0)
-CALIBRATED = 'calibrated'                      # nothing: the present position became the middle
-REBOOTED = 'rebooted'                          # instruction
-ACKS_STOPPED = 'acks stopped'                  # writes without an answer
-UNKNOWN_INSTRUCTION = 'unknown instruction'    # instruction
-MALFORMED = 'malformed'                        # instruction, parameter bytes
-BAD_ID = 'bad id'                              # ID of a status, or of an instruction
-PROTOCOL_1 = 'protocol 1.0'                    # instruction byte
-ECHO = 'echo'                                  # counted only: the master's own, heard back
-FOREIGN = 'foreign instruction'                # instruction: it came to the master
-NOT_SENT = 'not sent'                          # instruction
-SOURCE_LOST = 'source lost'                    # events or bytes
+
+# --- what is known of an incident beside its device --------------------------------------------
+
+class Nothing(NamedTuple):
+    """That it happened is all."""
+
+
+class Code(NamedTuple):
+    """The instruction byte: of the packet itself, or of the instruction that was pending."""
+
+    instruction: int
+
+
+class Front(NamedTuple):
+    """The instruction byte and the Length of a packet, as they were read."""
+
+    instruction: int
+    length: int
+
+
+class Length(NamedTuple):
+    """The Length of a packet, which none can have."""
+
+    length: int
+
+
+class Unanswered(NamedTuple):
+    """What was asked; address -1: of none."""
+
+    instruction: int
+    address: int
+
+
+class Refusal(NamedTuple):
+    """What was refused, and the error number of the answer."""
+
+    instruction: int
+    address: int
+    error: int
+
+
+class Stranger(NamedTuple):
+    """An answer to nothing: the instruction that was pending, the error byte of the answer."""
+
+    instruction: int
+    error: int
+
+
+class Again(NamedTuple):
+    """An instruction, so many us after the first one (an echo: 0)."""
+
+    instruction: int
+    us: int
+
+
+class SilentFor(NamedTuple):
+    """ms of silence; torque: Torque Enable before it, -1 unknown."""
+
+    ms: int
+    torque: int
+
+
+class Lateness(NamedTuple):
+    """us after the end of the pending instruction."""
+
+    us: int
+
+
+class Sizes(NamedTuple):
+    """How much came and how much was asked for: bytes, or the parts of a fast reply."""
+
+    got: int
+    wanted: int
+
+
+class Much(NamedTuple):
+    """How many: answers missed in a row, writes without an answer, events or bytes lost."""
+
+    number: int
+
+
+class ModelNumbers(NamedTuple):
+    """Model Number before, and now."""
+
+    before: int
+    now: int
+
+
+class Written(NamedTuple):
+    """What was written, or an ID that none can have."""
+
+    value: int
+
+
+NOTHING = Nothing()
+
+# --- kinds of incidents, each with what is known of it -----------------------------------------
+
+DAMAGED_STATUS = IncidentKind[Front]('damaged status')
+DAMAGED_INSTRUCTION = IncidentKind[Front]('damaged instruction')
+BAD_LENGTH = IncidentKind[Length]('bad length')
+CUT = IncidentKind[Front]('cut')                              # it ends too early
+GLITCH = IncidentKind[Nothing]('glitch')                      # counted only: a byte or two ahead
+MISSED = IncidentKind[Unanswered]('missed')                     # the first of a row
+DISCONNECTED = IncidentKind[Much]('disconnected')
+RETURNED = IncidentKind[SilentFor]('returned')
+REFUSED = IncidentKind[Refusal]('refused')
+ALERT = IncidentKind[Nothing]('alert')                        # it began
+SECOND_ANSWER = IncidentKind[Code]('second answer')           # already answered by this ID
+ANSWERED_AGAIN = IncidentKind[Code]('answered again')         # behind damage that hid another
+UNASKED = IncidentKind[Stranger]('unasked answer')
+LATE = IncidentKind[Lateness]('late answer')
+TOO_LONG = IncidentKind[Sizes]('noise too long')              # for all answers that were due
+WRONG_SIZE = IncidentKind[Sizes]('wrong size')
+FAST_CUT = IncidentKind[Sizes]('fast reply cut')
+REPEATED = IncidentKind[Again]('repeated')
+UNSTUFFED = IncidentKind[Code]('unstuffed')                   # FF FF FD without its FD
+MODEL = IncidentKind[ModelNumbers]('model changed')
+ID_WRITTEN = IncidentKind[Written]('ID written')
+BAUD_WRITTEN = IncidentKind[Written]('Baud Rate written')     # the code
+OPEN = IncidentKind[Code]('undecided packet')                 # an instruction or a status (1.0)
+CALIBRATED = IncidentKind[Nothing]('calibrated')              # the position became the middle
+REBOOTED = IncidentKind[Nothing]('rebooted')
+ACKS_STOPPED = IncidentKind[Much]('acks stopped')
+UNKNOWN_INSTRUCTION = IncidentKind[Code]('unknown instruction')
+MALFORMED = IncidentKind[Front]('malformed')                  # length: parameter bytes
+BAD_ID = IncidentKind[Written]('bad id')                      # in a status, or in an instruction
+PROTOCOL_1 = IncidentKind[Code]('protocol 1.0')
+ECHO = IncidentKind[Nothing]('echo')                          # counted only: the master's
+FOREIGN = IncidentKind[Code]('foreign instruction')           # it came to the master
+NOT_SENT = IncidentKind[Code]('not sent')
+SOURCE_LOST = IncidentKind[Much]('source lost')
 
 _KEPT = 1000
 _APART_NS = 100_000_000             # between two that are kept, where each packet may be one
@@ -63,27 +166,28 @@ _WAITS_KEPT = 256
 
 # The lines of the error log; what is not listed here is no error. at(address) is the
 # name of a register, or its address.
-_TEXTS: dict[str, Callable[[tuple[int, ...], Callable[[int], str]], str]] = {
+_TEXTS: dict[str, Callable[[Any, Callable[[int], str]], str]] = {
     DAMAGED_STATUS: lambda d, at: 'status with a wrong CRC',
-    DAMAGED_INSTRUCTION: lambda d, at: f'{name_of(d[0])} with a wrong CRC',
-    BAD_LENGTH: lambda d, at: f'packet with Length {d[0]}',
-    CUT: lambda d, at: f'{name_of(d[0])} that ends before its Length of {d[1]}',
-    MISSED: lambda d, at: f'no answer to {name_of(d[0])}' + (
-        f' at {at(d[1])}' if d[1] >= 0 else ''),
-    DISCONNECTED: lambda d, at: f'disconnected: {d[0]} answers missed',
-    REFUSED: lambda d, at: f'{name_of(d[0])} at {at(d[1])} refused: {error_text(d[2])}',
+    DAMAGED_INSTRUCTION: lambda d, at: f'{name_of(d.instruction)} with a wrong CRC',
+    BAD_LENGTH: lambda d, at: f'packet with Length {d.length}',
+    CUT: lambda d, at: f'{name_of(d.instruction)} that ends before its Length of {d.length}',
+    MISSED: lambda d, at: f'no answer to {name_of(d.instruction)}' + (
+        f' at {at(d.address)}' if d.address >= 0 else ''),
+    DISCONNECTED: lambda d, at: f'disconnected: {d.number} answers missed',
+    REFUSED: lambda d, at:
+        f'{name_of(d.instruction)} at {at(d.address)} refused: {error_text(d.error)}',
     ALERT: lambda d, at: 'alert',
-    SECOND_ANSWER: lambda d, at: f'second answer to one {name_of(d[0])}',
+    SECOND_ANSWER: lambda d, at: f'second answer to one {name_of(d.instruction)}',
     UNASKED: lambda d, at: 'answer that was not asked for',
-    LATE: lambda d, at: f'answer {d[0]} us too late',
-    WRONG_SIZE: lambda d, at: f'answer of {d[0]} bytes to a read of {d[1]}',
-    FAST_CUT: lambda d, at: f'fast reply ends after {d[0]} of {d[1]} devices',
-    UNKNOWN_INSTRUCTION: lambda d, at: f'unknown {name_of(d[0])}',
-    MALFORMED: lambda d, at: f'{name_of(d[0])} that makes no sense ({d[1]} bytes)',
-    BAD_ID: lambda d, at: f'packet with ID {d[0]}',
-    FOREIGN: lambda d, at: f'{name_of(d[0])} of another master',
-    NOT_SENT: lambda d, at: f'{name_of(d[0])} that did not leave the adapter',
-    SOURCE_LOST: lambda d, at: f'{d[0]} events or bytes that were not heard',
+    LATE: lambda d, at: f'answer {d.us} us too late',
+    WRONG_SIZE: lambda d, at: f'answer of {d.got} bytes to a read of {d.wanted}',
+    FAST_CUT: lambda d, at: f'fast reply ends after {d.got} of {d.wanted} devices',
+    UNKNOWN_INSTRUCTION: lambda d, at: f'unknown {name_of(d.instruction)}',
+    MALFORMED: lambda d, at: f'{name_of(d.instruction)} that makes no sense ({d.length} bytes)',
+    BAD_ID: lambda d, at: f'packet with ID {d.value}',
+    FOREIGN: lambda d, at: f'{name_of(d.instruction)} of another master',
+    NOT_SENT: lambda d, at: f'{name_of(d.instruction)} that did not leave the adapter',
+    SOURCE_LOST: lambda d, at: f'{d.number} events or bytes that were not heard',
 }
 
 
@@ -93,14 +197,14 @@ class Evidence:
     __slots__ = ('_errors', '_incidents', '_kept', '_waits', 'counts', 'noted')
 
     def __init__(self) -> None:
-        self._incidents: deque[Incident] = deque(maxlen=_KEPT)
-        self._errors: deque[Incident] = deque(maxlen=_ERRORS_KEPT)
-        self._waits: deque[tuple[int, int, int]] = deque(maxlen=_WAITS_KEPT)
+        self._incidents: deque[Incident[Any]] = deque(maxlen=_KEPT)
+        self._errors: deque[Incident[Any]] = deque(maxlen=_ERRORS_KEPT)
+        self._waits: deque[Wait] = deque(maxlen=_WAITS_KEPT)
         self.counts: Counter[str] = Counter()          # by kind, since start
         self._kept: dict[str, int] = {}                # stamp of the last that note_often() kept
         self.noted = 0                                 # incidents so far
 
-    def note(self, stamp: int, kind: str, device: int = NO_DEVICE, *detail: int) -> None:
+    def note(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
         incident = Incident(stamp, kind, device, detail)
         self._incidents.append(incident)
         self.counts[kind] += 1
@@ -108,44 +212,46 @@ class Evidence:
         if kind in _TEXTS:
             self._errors.append(incident)
 
-    def note_damage(self, stamp: int, reason: str, device: int, instruction: int,
-                    length: int) -> None:
-        """Note a damaged frame with its fields as they were read; reason: of its Flaw."""
-        if reason == 'length':
-            self.note(stamp, BAD_LENGTH, NO_DEVICE, length)
-        elif reason == 'cut':
-            self.note(stamp, CUT, NO_DEVICE, instruction, length)
-        else:
-            self.note(stamp, DAMAGED_STATUS if instruction == STATUS else DAMAGED_INSTRUCTION,
-                      device, instruction, length)
-
-    def note_often(self, stamp: int, kind: str, device: int, *detail: int) -> None:
+    def note_often(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
         """Note what may come with each packet: counted each time, kept once in a while."""
         if stamp - self._kept.get(kind, -_APART_NS) >= _APART_NS:
             self._kept[kind] = stamp
-            self.note(stamp, kind, device, *detail)
+            self.note(stamp, kind, device, detail)
         else:
             self.counts[kind] += 1
 
-    def note_wait(self, stamp: int, wait_us: int, device: int) -> None:
+    def note_damage(self, stamp: int, body: bytes, reason: str) -> None:
+        """Note a damaged frame; reason: as its Flaw has it."""
+        code, length = (body[3:4] or b'\0')[0], body[1] | body[2] << 8
+        if reason == 'open':
+            self.note(stamp, OPEN, body[0], Code(code))
+        elif reason == 'length':
+            self.note(stamp, BAD_LENGTH, NO_DEVICE, Length(length))
+        elif reason == 'cut':
+            self.note(stamp, CUT, NO_DEVICE, Front(code, length))
+        else:
+            kind = DAMAGED_STATUS if code == STATUS else DAMAGED_INSTRUCTION
+            self.note(stamp, kind, body[0], Front(code, length))
+
+    def note_wait(self, wait: Wait) -> None:
         """Keep how long the master waited for an answer before it went on."""
-        self._waits.append((stamp, wait_us, device))
+        self._waits.append(wait)
 
     def look_at_noise(self, noise: bytes, fresh: int, stamp: int) -> None:
         """Look for packets of Protocol 1.0 that end in the last `fresh` bytes of noise."""
         for at, end in _protocol_1(noise):
             if end > len(noise) - fresh:
-                self.note(stamp, PROTOCOL_1, noise[at + 2], noise[at + 4])
+                self.note(stamp, PROTOCOL_1, noise[at + 2], Code(noise[at + 4]))
 
-    def newest(self, count: int) -> tuple[Incident, ...]:
+    def newest(self, count: int) -> tuple[Incident[Any], ...]:
         """Return the last incidents, oldest first."""
         count = min(count, len(self._incidents))
         return tuple(self._incidents[index] for index in range(-count, 0))
 
-    def incidents(self) -> tuple[Incident, ...]:
+    def incidents(self) -> tuple[Incident[Any], ...]:
         return tuple(self._incidents)
 
-    def waits(self) -> tuple[tuple[int, int, int], ...]:
+    def waits(self) -> tuple[Wait, ...]:
         return tuple(self._waits)
 
     def errors(self, register: Register) -> tuple[Error, ...]:
@@ -154,13 +260,14 @@ class Evidence:
                      for incident in self._errors)
 
 
-def text_of(incident: Incident, register: Register = lambda device, address: str(address)) -> str:
+def text_of(incident: Incident[Any],
+            register: Register = lambda device, address: str(address)) -> str:
     """Return what happened in words, without the device; '' for what is not an error."""
     text = _TEXTS.get(incident.kind)
     return text(incident.detail, partial(register, incident.device)) if text is not None else ''
 
 
-def _line(incident: Incident, register: Register) -> str:
+def _line(incident: Incident[Any], register: Register) -> str:
     text = text_of(incident, register)
     return text if incident.device < 0 else f'{incident.device:03}: {text}'
 

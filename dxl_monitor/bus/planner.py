@@ -26,6 +26,7 @@ from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.plan import Take
 from dxl_monitor.bus.plan import take_nothing
+from dxl_monitor.bus.report import IncidentKind
 from dxl_monitor.bus.roster import MAX_ID
 from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.table import WRITTEN
@@ -162,8 +163,8 @@ class Planner:
         if oddities:
             plan.oddities = tuple(kind for kind, *_ in oddities)
             plan.counted = 1               # noted here, and it has no reads
-            for kind, *what in oddities:
-                self._evidence.note(stamp, kind, *what)
+            for kind, number, what in oddities:
+                self._evidence.note(stamp, kind, number, what)
         return plan
 
     def _plan_of(self, request: Request) -> Plan:
@@ -262,7 +263,8 @@ class Planner:
             self._note_malformed(body, stamp)
 
     def _note_malformed(self, body: bytes, stamp: int) -> None:
-        self._evidence.note(stamp, ev.MALFORMED, body[0], body[3], len(body) - 4)
+        self._evidence.note(stamp, ev.MALFORMED, body[0],
+                            ev.Front(body[3], len(body) - 4))
 
     def _content(self, body: bytes, at: int, stamp: int) -> bytes:
         """Return what is written, unstuffed; a master that does not stuff is worth a note."""
@@ -270,7 +272,7 @@ class Planner:
         if _RUN not in data:
             return data
         if data.count(_RUN) != data.count(_RUN + b'\xfd'):
-            self._evidence.note(stamp, ev.UNSTUFFED, body[0], body[3])
+            self._evidence.note(stamp, ev.UNSTUFFED, body[0], ev.Code(body[3]))
         return unstuff(data)
 
     def _write_all(self, action: Action, address: int, body: bytes, stamp: int) -> None:
@@ -287,20 +289,21 @@ class Planner:
             action(device, *_arguments(request), stamp)
 
 
-def _oddities(request: Request, body: bytes, names: Container[int]) -> list[tuple[Any, ...]]:
+def _oddities(request: Request, body: bytes,
+              names: Container[int]) -> list[tuple[IncidentKind[Any], int, Any]]:
     """
-    Return what is odd about an instruction: the kinds of incident, each with its details.
+    Return what is odd about an instruction: kinds of incident, with device and detail.
 
     names: the instructions that the protocol knows.
     """
     number, instruction = request.id, request.instruction
-    found: list[tuple[Any, ...]] = []
+    found: list[tuple[IncidentKind[Any], int, Any]] = []
     if instruction not in names:
-        found.append((ev.UNKNOWN_INSTRUCTION, number, instruction))
+        found.append((ev.UNKNOWN_INSTRUCTION, number, ev.Code(instruction)))
     if request.malformed:
-        found.append((ev.MALFORMED, number, instruction, len(body) - 4))
+        found.append((ev.MALFORMED, number, ev.Front(instruction, len(body) - 4)))
     if number in NO_IDS:
-        found.append((ev.BAD_ID, ev.NO_DEVICE, number))
+        found.append((ev.BAD_ID, ev.NO_DEVICE, ev.Written(number)))
     return found
 
 

@@ -14,7 +14,10 @@ from dataclasses import field
 from dataclasses import fields
 from operator import attrgetter
 from operator import sub
+from typing import Any
+from typing import Generic
 from typing import NamedTuple
+from typing import TypeVar
 
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.model.control_table import Model
@@ -51,13 +54,32 @@ class Finding(NamedTuple):
     evidence: tuple[tuple[str, str], ...] = ()
 
 
-class Incident(NamedTuple):
-    """A rare event for the doctor; kinds are in evidence.py; device -1 = none in particular."""
+D = TypeVar('D')
+
+
+class IncidentKind(str, Generic[D]):
+    """The name of a kind of incident, and the type of what is known of each (evidence.py)."""
+
+    __slots__ = ()
+
+
+@dataclass(slots=True)
+class Incident(Generic[D]):
+    """A rare event for the doctor; device -1 = none in particular."""
 
     stamp: int
-    kind: str
+    kind: IncidentKind[D]
     device: int
-    detail: tuple[int, ...]
+    detail: D
+
+
+class Wait(NamedTuple):
+    """The master waited for an answer in vain; is_spoilt: damage or noise came in its place."""
+
+    stamp: int                     # when it went on, monotonic ns
+    us: int                        # since the end of its question
+    device: int                    # the first that did not answer
+    is_spoilt: bool
 
 
 def _shown(key: str) -> int:
@@ -186,8 +208,8 @@ class BusReport(NamedTuple):
     counters: dict[str, int]                    # since start or reset
     rates: dict[str, float]                     # per s, last 10 s: bytes, packets, errors
     errors: tuple[Error, ...]                   # the last 50, oldest first
-    incidents: tuple[Incident, ...]             # the last 1000, oldest first
-    waits: tuple[tuple[int, int, int], ...]     # vain ones of the master: stamp, us, device
+    incidents: tuple[Incident[Any], ...]        # the last 1000, oldest first
+    waits: tuple[Wait, ...]                     # vain ones of the master
     cycles: tuple[Cycle, ...]                   # the 32 instructions asked most
     metrics: tuple[Metric, ...]                 # about the bus; per device: DeviceReport.latency
     noise: bytes                                # the last 256 bytes of noise

@@ -93,11 +93,11 @@ class Roster:
         """Take any status as a sign of life; error is its error byte, alert bit included."""
         silence_ms = (stamp - device.heard) // 1_000_000
         if device.missed_in_a_row and device.heard and silence_ms >= ABSENCE_MS:
-            self._evidence.note(stamp, ev.RETURNED, device.number, silence_ms,
-                                self._torque(device))
+            self._evidence.note(stamp, ev.RETURNED, device.number,
+                                ev.SilentFor(silence_ms, self._torque(device)))
         alert = error >= 0x80
         if alert and not device.alert:
-            self._evidence.note(stamp, ev.ALERT, device.number)
+            self._evidence.note(stamp, ev.ALERT, device.number, ev.NOTHING)
         device.counts.alerts += alert
         device.alert = alert
         device.heard = stamp
@@ -140,7 +140,8 @@ class Roster:
         firmware = device.identity[2] if len(device.identity) > 2 else None
         stamp = device.identity_stamp
         if device.model_number not in (None, number):
-            self._evidence.note(stamp, ev.MODEL, device.number, device.model_number or 0, number)
+            self._evidence.note(stamp, ev.MODEL, device.number,
+                                ev.ModelNumbers(device.model_number or 0, number))
             device.forget_return_level()
         device.model_number = number
         device.firmware = firmware
@@ -198,7 +199,7 @@ class Roster:
 
     def calibrate(self, device: Device, stamp: int) -> None:
         """Forget what a Calibrate of Feetech changes."""
-        self._evidence.note(stamp, ev.CALIBRATED, device.number)
+        self._evidence.note(stamp, ev.CALIBRATED, device.number, ev.NOTHING)
         self.resolve(device)
         device.table.forget('all', device.model, [
             field.name for field in device.model.fields if field.name not in _CALIBRATED])
@@ -232,7 +233,7 @@ class Roster:
 
     def reboot(self, device: Device, stamp: int) -> None:
         """Forget what a device loses when it restarts."""
-        self._evidence.note(stamp, ev.REBOOTED, device.number)
+        self._evidence.note(stamp, ev.REBOOTED, device.number, ev.NOTHING)
         self.resolve(device)
         device.table.forget('ram', device.model)
         device.registered = None
@@ -271,11 +272,11 @@ class Roster:
                 self._followers[name](device, value, stamp)
 
     def _follow_id(self, device: Device, value: int, stamp: int) -> None:
-        self._evidence.note(stamp, ev.ID_WRITTEN, device.number, value)
+        self._evidence.note(stamp, ev.ID_WRITTEN, device.number, ev.Written(value))
         self._renumber(device, value, stamp)
 
     def _follow_baud(self, device: Device, value: int, stamp: int) -> None:
-        self._evidence.note(stamp, ev.BAUD_WRITTEN, device.number, value)
+        self._evidence.note(stamp, ev.BAUD_WRITTEN, device.number, ev.Written(value))
         field = device.model.by_name['Baud Rate']
         baud = int(field.decode(field.bytes_of(value)).number or 0)
         self._moved(device, baud, f'{baud} Bd' if baud else f'an unknown baud rate (code {value})')

@@ -10,13 +10,11 @@ instruction.
 Nothing on the wire raises, and nothing here grows with what is on the wire.
 
 Where the side of a frame is known, damage on the way to the master hides no instruction: what the
-next answers belong to stays certain. An instruction from that side is an echo, or of another
-master.
+next answers belong to stays certain. An instruction from there is an echo, or of another master.
 """
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.device import Device
-from dxl_monitor.bus.dialogue import OPEN
 from dxl_monitor.bus.duty import Duty
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.plan import Due
@@ -25,6 +23,7 @@ from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.planner import NO_PLAN
 from dxl_monitor.bus.planner import Planner
+from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.roster import MAX_ID
 from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.table import READ
@@ -48,17 +47,19 @@ from msg_defs.heard import UNKNOWN
 # thirteen. The shortest instruction has 10 bytes: 3 cannot hide one.
 GLITCH = 3
 _NO_SLOTS: dict[int, Slot] = {}
+_AROUND = 6                        # bytes of a packet beside its body: header and CRC
 _PING_SIZE = 8                     # the body of the answer to a Ping
+_ACK_SIZE = 5                      # to a write
 _BARE_PING_SIZE = 5                # and that of the 1.0 family
 
 
 class Tracker:
     """Follows one bus. Feed it what the Framer finds, in order."""
 
-    __slots__ = ('_asked', '_deferred', '_duty', '_evidence', '_given_up', '_is_cut',
-                 '_is_flawed', '_is_spoilt', '_known', '_last', '_missed_limit', '_plan',
-                 '_roster', '_slots', '_spoke', '_unresolved', 'byte_ns', 'is_doubtful',
-                 'planner')
+    __slots__ = (
+        '_asked', '_deferred', '_duty', '_evidence', '_given_up', '_is_cut', '_is_flawed',
+        '_is_spoilt', '_known', '_last', '_noise', '_note', '_plan', '_roster', '_slots', '_spoke',
+        '_unresolved', 'byte_ns', 'is_doubtful', 'planner')
 
     def __init__(self, roster: Roster, evidence: Evidence, byte_ns: float,
                  missed_limit: int, write_acks: str) -> None:
@@ -66,12 +67,13 @@ class Tracker:
         self.planner = Planner(roster, evidence, self._acknowledged)
         self._known = self.planner.known
         self._evidence = evidence
+        self._note = evidence.note
         self.byte_ns = byte_ns
-        self._missed_limit = missed_limit
-        self._duty = Duty(write_acks, roster, evidence)
+        self._duty = Duty(write_acks, missed_limit, roster, evidence)
         self.is_doubtful = True                # an answer may not belong to what is pending
         self._is_flawed = False                # one of the next two, or _spoke, may be set
         self._is_spoilt = False                # there was damage since what is pending
+        self._noise = 0                        # bytes of it ahead of the last flawed frame
         self._is_cut = False                   # a fast reply to it broke off, whole up to there
         # The pending instruction:
         self._plan: Plan = NO_PLAN
@@ -122,19 +124,19 @@ class Tracker:
         if body == self._last:
             self._evidence.counts[ev.ECHO] += 1
             return True
-        self._evidence.note(stamp, ev.FOREIGN, body[0], body[3])
+        self._note(stamp, ev.FOREIGN, body[0], ev.Code(body[3]))
         return False
 
     def not_sent(self, stamp: int) -> None:
         """Take note that the pending instruction did not get to the bus, or not all of it."""
         if self._plan is not NO_PLAN:
-            self._evidence.note(stamp, ev.NOT_SENT, self._last[0], self._last[3])
+            self._note(stamp, ev.NOT_SENT, self._last[0], ev.Code(self._last[3]))
         self._forget()
 
     def lose_track(self, stamp: int, lost: int) -> None:
         """Judge nothing that is pending: `lost` events were not heard, or the port was closed."""
         if lost:
-            self._evidence.note(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, lost)
+            self._note(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Much(lost))
         self._forget()
         self.is_doubtful = True
 
@@ -183,8 +185,6 @@ class Tracker:
         self._slots = slots = plan.slots.copy()
         return slots
 
-    # --- answers that need more than storing -----------------------------------------------
-
     def _unusual(self, slot: Slot, body: bytes, stamp: int) -> None:
         """Take an awaited status that is damaged in its context, stuffed, an error or a return."""
         if body[0] == BROADCAST:
@@ -207,24 +207,22 @@ class Tracker:
             self._refused(slot, code, stamp)
         elif len(data) != slot.size - 5:
             if self.planner.has_answer(device.number, 5 + len(data)):
-                self._evidence.note(stamp, ev.LATE, device.number, self._since_asked(stamp))
+                self._late(device, stamp)
                 return
-            self._evidence.note(stamp, ev.WRONG_SIZE, device.number, len(data), slot.size - 5)
+            self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size - 5))
         else:
             slot.take(slot.address, data, stamp, READ)
 
     def _acknowledged(self, device: Device, address: int, data: bytes, stamp: int,
                       source: int) -> None:
-        device.acks = True
-        device.acks_missing = 0
+        device.acknowledged()
         self._carry_out()
 
     def _carry_out(self) -> None:
         """Do what the pending instruction asked for: it was accepted."""
-        effect = self._deferred
-        if effect is not None:
+        if self._deferred is not None:
+            action, arguments = self._deferred
             self._deferred = None
-            action, arguments = effect
             action(*arguments)
 
     def _refused(self, slot: Slot, code: int, stamp: int) -> None:
@@ -233,7 +231,8 @@ class Tracker:
             self._deferred = None
             slot.device.acknowledged()
         slot.device.note_error(instruction, slot.address, code)
-        self._evidence.note(stamp, ev.REFUSED, slot.device.number, instruction, slot.address, code)
+        self._note(stamp, ev.REFUSED, slot.device.number,
+                   ev.Refusal(instruction, slot.address, code))
 
     def _combined(self, body: bytes, stamp: int) -> bool:
         """Take the parts of a fast reply; return whether it breaks off behind a whole one."""
@@ -255,14 +254,14 @@ class Tracker:
             for number in unknown:
                 del self._slots[number]
         if there < len(accesses) and not self._is_spoilt:
-            self._evidence.note(stamp, ev.FAST_CUT, accesses[there].id, there, len(accesses))
+            self._note(stamp, ev.FAST_CUT, accesses[there].id, ev.Sizes(there, len(accesses)))
         return len(blocks) == there < len(accesses)
 
     def _unasked(self, body: bytes, stamp: int) -> None:
         """Take a status that was not due: a sign of life, no more."""
         number = body[0]
         if number > MAX_ID:
-            self._evidence.note(stamp, ev.BAD_ID, ev.NO_DEVICE, number)
+            self._note(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
             return
         device = self._roster.device(number)
         self._roster.heard(device, body[4], stamp)
@@ -276,21 +275,29 @@ class Tracker:
                 self._roster.pinged(device, 0, body[5:], stamp, READ)
         elif self.is_doubtful:       # it may well have been asked, by what was damaged
             if number in self._plan.slots:
-                self._evidence.note(stamp, ev.ANSWERED_AGAIN, number, request.instruction)
-        elif number in self._plan.slots:
-            self._evidence.note(stamp, ev.SECOND_ANSWER, number, request.instruction)
+                self._note(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
         elif not self._plan.is_understood and request.id in (number, BROADCAST):
             pass                   # it may have asked for this answer
+        elif device.pays(stamp):
+            self._late(device, stamp, body)
+        elif number in self._plan.slots:
+            self._note(stamp, ev.SECOND_ANSWER, number, ev.Code(request.instruction))
         elif number in self._given_up:
-            self._evidence.note(stamp, ev.LATE, number, self._since_asked(stamp))
+            self._late(device, stamp, body)
         else:
-            self._evidence.note(stamp, ev.UNASKED, number, request.instruction, body[4])
+            self._note(stamp, ev.UNASKED, number, ev.Stranger(request.instruction, body[4]))
+
+    def _late(self, device: Device, stamp: int, body: bytes = b'') -> None:
+        self._note(stamp, ev.LATE, device.number, ev.Lateness(self._since_asked(stamp)))
+        if len(body) == _ACK_SIZE and body[2] < FAMILY and not body[4] & ~ALERT:
+            device.acknowledged()              # Pings and reads are answered with data
 
     # --- damage --------------------------------------------------------------------------------
 
     def _flawed(self, body: bytes, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
         self._is_flawed = True
+        self._noise = flaw.noise_length
         if flaw.reason:
             self._spoil(flaw.noise_length > GLITCH, side)
             self._spoil(self._damaged(body, flaw.reason, stamp), side)
@@ -315,17 +322,14 @@ class Tracker:
 
     def _damaged(self, body: bytes, reason: str, stamp: int) -> bool:
         """Note a damaged frame; return whether it leaves a doubt about what else is answered."""
-        number, length, instruction = body[0], body[1] | body[2] << 8, (body[3:4] or b'\0')[0]
+        number, instruction = body[0], (body[3:4] or b'\0')[0]
         is_status = instruction == STATUS
         if is_status and number == BROADCAST and BROADCAST in self._slots:
             del self._slots[BROADCAST]
             self._is_cut = self._combined(body, stamp)
             if self._is_cut:                   # nothing is damaged: the next one is silent
                 return False
-        if reason == OPEN:
-            self._evidence.note(stamp, ev.OPEN, number, instruction)
-        else:
-            self._evidence.note_damage(stamp, reason, number, instruction, length)
+        self._evidence.note_damage(stamp, body, reason)
         if is_status and number == BROADCAST:
             return True
         slot = self._plan.slots.get(number) if is_status else None
@@ -344,45 +348,41 @@ class Tracker:
     # --- answers that did not come -------------------------------------------------------------
 
     def _close(self, following: bytes, began: int, received: int, stamp: int) -> None:
-        """
-        End the pending instruction and judge the devices that did not answer.
-
-        following is the body of the next one, began the stream offset at which it begins.
-        """
+        """End the pending instruction; following: the body of the next one, which began there."""
         slots = self._given_up = self._slots
         slots.pop(BROADCAST, None)
         due = [slot for slot in slots.values() if self._duty.is_due(slot)]
         if due:
             now = int(self._on_wire(began, received, stamp))
-            if self._is_spoilt and not self._spoke:
-                self._speak_damaged(due[0], 0)         # noise came in the place of its answer
+            if self._is_spoilt:
+                self._look_at_noise(due, now)
             self._judge(due, now)
             if following == self._last:
-                self._evidence.note(now, ev.REPEATED, due[0].device.number, following[3],
-                                    self._since_asked(now))
+                self._note(now, ev.REPEATED, due[0].device.number,
+                           ev.Again(following[3], self._since_asked(now)))
         if not due or self._is_spoilt:
             self._carry_out()
         self._deferred = None
+
+    def _look_at_noise(self, due: list[Slot], now: int) -> None:
+        """Say whose answer the noise may have been: not that of one who says less."""
+        most = sum(slot.size + _AROUND for slot in self._slots.values())
+        if self._noise > most + GLITCH:
+            self._evidence.note_often(
+                now, ev.TOO_LONG, due[0].device.number, ev.Sizes(self._noise, most))
+        elif not self._spoke:
+            self._speak_damaged(due[0], 0)
 
     def _judge(self, due: list[Slot], now: int) -> None:
         """Count the missed, and those not served because the master gave up before them."""
         served, behind = self._plan.served(due, self._spoke)
         for slot in due[:served]:
-            self._miss(slot, now)
+            self._duty.miss(self._plan, slot, now,
+                            self._is_spoilt or slot.device.number in self._spoke)
         for slot in due[served:]:
             slot.device.not_served(now, behind)
-        self._evidence.note_wait(now, self._since_asked(now), due[0].device.number)
-
-    def _miss(self, slot: Slot, now: int) -> None:
-        device = slot.device
-        self._plan.missed += 1
-        device.miss(now, self._is_spoilt or device.number in self._spoke)
-        device.counts.data_missed += slot.due is Due.READ
-        if device.missed_in_a_row == 1:
-            self._evidence.note(now, ev.MISSED, device.number, self._plan.request.instruction,
-                                slot.address)
-        elif device.missed_in_a_row == self._missed_limit + 1:
-            self._evidence.note(now, ev.DISCONNECTED, device.number, device.missed_in_a_row)
+        self._evidence.note_wait(
+            Wait(now, self._since_asked(now), due[0].device.number, self._is_spoilt))
 
     def _since_asked(self, now: int) -> int:
         """Return the us since the end of the pending instruction."""

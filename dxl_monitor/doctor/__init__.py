@@ -120,6 +120,8 @@ def _explains(rule: str, by: Claim, name: str, claim: Claim) -> bool:
     """Tell whether one claim accounts for another."""
     if name not in RULES[_RANK[rule]].explains or by is claim:
         return False
+    if rule == name:                   # the bus has it, so its devices do; not the reverse
+        return by.device is None
     return by.device is None or claim.device is None or claim.device == by.device \
         or claim.device in by.covers
 

@@ -10,6 +10,7 @@ rests on anything older than the window.
 from collections import defaultdict
 from collections import deque
 from functools import cached_property
+from typing import Any
 from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
@@ -17,8 +18,11 @@ from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import Counts
 from dxl_monitor.bus.report import Cycle
+from dxl_monitor.bus.report import D
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
+from dxl_monitor.bus.report import IncidentKind
+from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.doctor.bits import look
 from dxl_monitor.doctor.bits import shapes
@@ -33,6 +37,7 @@ KEPT = 1000                        # incidents of a kind; and as many marks of t
 RHYTHM_NS = S // 2 + S // 4        # between two looks at the rhythms: they cost most
 QUIET_NS = S // 2 + S // 8         # without an instruction: nothing new is judged
 PAUSES_NS = 60 * S                 # so far back pauses of the master are usual ones
+ALWAYS = 0.9                       # this share of the time: as good as each time
 GONE_S = 1.5                       # unanswered for so long: gone, rather than starting again
 
 _DAMAGE = (ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH)
@@ -71,8 +76,8 @@ class Sample(NamedTuple):
 class Case:
     """One bus at one moment, with its last ten seconds."""
 
-    def __init__(self, report: BusReport, seen: dict[str, deque[Incident]], marks: deque[Mark],
-                 samples: dict[int, deque[Sample]], repeats: dict[int, int],
+    def __init__(self, report: BusReport, seen: dict[str, deque[Incident[Any]]],
+                 marks: deque[Mark], samples: dict[int, deque[Sample]], repeats: dict[int, int],
                  rhythms: list[Rhythm], counts: deque[Counted], steady: set[Key]) -> None:
         self.report = report
         self.now = report.stamp
@@ -85,9 +90,9 @@ class Case:
         self.repeats = repeats         # stamp and instruction: asked again at once
         self.rhythms = rhythms         # what the master repeats, most frequent first
         self._seen = seen
-        self._by_device: dict[str, defaultdict[int, list[Incident]]] = {}
+        self._by_device: dict[str, defaultdict[int, list[Incident[Any]]]] = {}
 
-    def incidents(self, kind: str, device: int | None = None) -> list[Incident]:
+    def incidents(self, kind: IncidentKind[D], device: int | None = None) -> list[Incident[D]]:
         """Return the incidents of a kind in the window, those of one device or all."""
         if device is None:
             return list(self._seen.get(kind, ()))
@@ -99,7 +104,7 @@ class Case:
             return len(self._seen.get(kind, ()))
         return len(self._of(kind).get(device, ())) if kind in self._seen else 0
 
-    def _of(self, kind: str) -> dict[int, list[Incident]]:
+    def _of(self, kind: str) -> dict[int, list[Incident[Any]]]:
         """Return the incidents of a kind by device; sorted once, and only where asked for."""
         found = self._by_device.get(kind)
         if found is None:
@@ -116,7 +121,7 @@ class Case:
     @cached_property
     def damage_s(self) -> float:
         """For how long the damage has gone on, s."""
-        stamps = [one.stamp for kind in _DAMAGE for one in self.incidents(kind)]
+        stamps = [one.stamp for kind in _DAMAGE for one in self._seen.get(kind, ())]
         return (max(stamps) - min(stamps)) / S if stamps else 0.0
 
     def looks_like(self, device: int | None = None) -> tuple[tuple[str, str], ...]:
@@ -166,10 +171,10 @@ class Case:
             found = mark
         return found
 
-    def waits(self, seconds: float) -> list[tuple[int, int, int]]:
-        """Return the vain waits of the master (stamp, us, device) since so long ago."""
+    def waits(self, seconds: float) -> list[Wait]:
+        """Return the vain waits of the master since so long ago."""
         before = self.now - int(seconds * S)
-        return [wait for wait in self.report.waits if wait[0] >= before]
+        return [wait for wait in self.report.waits if wait.stamp >= before]
 
 
 def key_of(cycle: Cycle) -> Key:
@@ -181,8 +186,9 @@ def is_gone(device: DeviceReport) -> bool:
     """Tell whether a device is asked and gives no sign of life for longer than a start takes."""
     silent = device.state == words.DISCONNECTED or (
         device.state in (words.EXPECTED, words.ASKED) and device.missed_in_a_row > 4)
-    speaks = device.last_heard_s is not None \
-        and 2 * device.window.garbled > device.window.missed       # damaged is not silent
+    # Damaged is not silent; of one that was never heard, noise may have come in its place.
+    part = 0.5 if device.last_heard_s is not None else ALWAYS
+    speaks = device.window.garbled > part * device.window.missed
     return silent and not speaks and (device.last_heard_s is None or device.last_heard_s > GONE_S)
 
 
@@ -199,8 +205,8 @@ class History:
 
     def clear(self) -> None:
         """Forget everything: the counts begin at 0."""
-        self._last: Incident | None = None
-        self._seen: dict[str, deque[Incident]] = {}
+        self._last: Incident[Any] | None = None
+        self._seen: dict[str, deque[Incident[Any]]] = {}
         self._marks: deque[Mark] = deque(maxlen=KEPT)
         self._samples: dict[int, deque[Sample]] = {}
         self._repeats: dict[int, int] = {}
@@ -269,7 +275,7 @@ class History:
         usual = max((one for _, one in self._pauses), default=0)
         return pause / S if pause > max(QUIET_NS, 2 * usual) else 0.0
 
-    def _take_incidents(self, incidents: tuple[Incident, ...]) -> None:
+    def _take_incidents(self, incidents: tuple[Incident[Any], ...]) -> None:
         new = []
         for incident in reversed(incidents):
             if incident is self._last:
@@ -296,7 +302,7 @@ class History:
                 samples.popleft()
 
 
-def _age(incidents: deque[Incident], before: int) -> bool:
+def _age(incidents: deque[Incident[Any]], before: int) -> bool:
     """Drop what is too old; tell whether nothing is left."""
     while incidents and incidents[0].stamp < before:
         incidents.popleft()

@@ -51,10 +51,9 @@ _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: '
         611: 'Present Position', 615: 'Present Velocity'}
 
 
-def _refused(case: Case, device: DeviceReport) -> Counter[tuple[int, int, int]]:
-    """Return (instruction, address, error) of what it refused in the window."""
-    return Counter((one.detail[0], one.detail[1], one.detail[2])
-                   for one in case.incidents(ev.REFUSED, device.id))
+def _refused(case: Case, device: DeviceReport) -> Counter[ev.Refusal]:
+    """Return what it refused in the window."""
+    return Counter(one.detail for one in case.incidents(ev.REFUSED, device.id))
 
 
 def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
@@ -140,7 +139,7 @@ def _fast_reads(case: Case) -> Iterator[Found]:
 
 
 def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
-    refused = sum(one.detail[0] in FAST and one.detail[2] == UNKNOWN_TO_IT
+    refused = sum(one.detail.instruction in FAST and one.detail.error == UNKNOWN_TO_IT
                   for one in case.incidents(ev.REFUSED, device.id))
     answers = case.lately(device, OTHERWISE_S).answers
     known = _lacks_fast_reads(device) and device.totals.answers
@@ -167,8 +166,8 @@ def _unstuffed(case: Case) -> Iterator[Found]:
     if notes:
         last = notes[-1]
         yield Claim(None, f'the master does not stuff FF FF FD in what it sends '
-                    f'({name_of(last.detail[0])} to {last.device:03}), as the Python SDK: a '
-                    'device may miss it; mend its library', (('packets', str(len(notes))),))
+                    f'({name_of(last.detail.instruction)} to {last.device:03}), as the Python '
+                    'SDK: a device may miss it; mend its library', (('packets', str(len(notes))),))
 
 
 def _never_written(case: Case, device: DeviceReport) -> Found | None:
@@ -223,10 +222,13 @@ def _scan(case: Case) -> Iterator[Found]:
     pings = sum(stamp > case.now - PINGS_NS for cycle in case.report.cycles
                 for stamp in cycle.stamps
                 if cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,))
-    if pings >= SCANS and case.damage >= FEW:
-        yield Claim(None, 'the master sends one broadcast Ping after the other, and the answers '
-                    'collide: let it wait 0.8 s after each',
-                    (('broadcast Pings in 10 s', str(pings)),), Level.WARN)
+    if pings >= SCANS:
+        collide = case.damage >= FEW
+        yield Claim(None, 'the master sends one broadcast Ping after the other'
+                    f'{", and the answers collide" if collide else ""}: let it wait 0.8 s after '
+                    'each, as long as all IDs take',
+                    (('broadcast Pings in 10 s', str(pings)),),
+                    Level.WARN if collide else Level.OK)
     elif case.report.scanned:
         yield Claim(None, f'a scan: {len(case.report.scanned)} IDs were pinged and do not answer, '
                     f'{len(case.report.devices)} devices are known',

@@ -10,6 +10,8 @@ from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.collision import is_collision
+from dxl_monitor.doctor.collision import ran_into_answers
 from dxl_monitor.doctor.rate import likely_rate
 from dxl_monitor.doctor.rule import about
 from dxl_monitor.doctor.rule import Claim
@@ -84,6 +86,10 @@ def _noise(case: Case) -> Iterator[Found]:
     asked = _asked_damaged(case)
     if asked < BOTH_WAYS * case.damage and _most_hit(case) is not None:
         return
+    if is_collision(case):
+        yield Doubt(None, 'packets run into each other: two programs, a second device with an ID, '
+                    'or a master that does not wait for answers')
+        return
     way = 'in both directions' if asked >= BOTH_WAYS * case.damage else 'in answers'
     share_of = about(case.damage, packets + case.damage)
     yield Claim(None, f'{share_of} of the packets damaged, {way}, of '
@@ -95,7 +101,7 @@ def _noise(case: Case) -> Iterator[Found]:
 
 def _asked_damaged(case: Case) -> int:
     """Return how many instructions were damaged; an unknown code was a status."""
-    return sum(one.detail[0] in NAMES for one in case.incidents(ev.DAMAGED_INSTRUCTION))
+    return sum(one.detail.instruction in NAMES for one in case.incidents(ev.DAMAGED_INSTRUCTION))
 
 
 def _most_hit(case: Case) -> DeviceReport | None:
@@ -112,6 +118,9 @@ def _damaged_answers(case: Case) -> Iterator[Found]:
     if worst is None or _asked_damaged(case) >= \
             BOTH_WAYS * max(case.damage, case.spoilt):
         return
+    if case.count(ev.TOO_LONG, worst.id) >= FEW and ran_into_answers(case):
+        yield Doubt(worst.id, 'the master talks into its answers')
+        return
     window = worst.window
     yield Claim(worst.id, f'{about(window.spoilt, window.asked)} of its answers damaged, others '
                 'whole: cannot tell a bad cable from a second device with its ID; unplug it and '
@@ -121,6 +130,8 @@ def _damaged_answers(case: Case) -> Iterator[Found]:
 
 def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     twice = case.count(ev.SECOND_ANSWER, device.id)
+    if not twice and _alone_answers_again(case, device):
+        twice = case.count(ev.ANSWERED_AGAIN, device.id)
     window = device.window
     models = window.model_changes >= 2 and window.spoilt >= FEW
     if (twice < FEW or twice < 3 * case.count(ev.UNASKED, device.id)) and not models:
@@ -131,6 +142,23 @@ def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
                  (*case.looks_like(device.id), ('second answers', str(twice)),
                   ('damaged', str(window.spoilt)),
                   ('model changes', str(window.model_changes))))
+
+
+def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
+    """
+    Tell whether damage is where this device has answered, and then it answers once more.
+
+    A question that damage hid looks the same, once; it would be as often one to another device,
+    and the damage would hit the answers of others too. What a device of Protocol 1.0 says is
+    damage as long as it is not proven to be that.
+    """
+    if case.count(ev.PROTOCOL_1, device.id):
+        return False
+    again = case.count(ev.ANSWERED_AGAIN, device.id)
+    others = [one for one in case.report.devices
+              if one is not device and one.window.answers >= again]
+    return len(others) > 1 and again == case.count(ev.ANSWERED_AGAIN) \
+        and again >= MOSTLY * case.damage and not any(one.window.spoilt for one in others)
 
 
 def _turnaround(case: Case) -> Iterator[Found]:
@@ -177,7 +205,7 @@ def _echo(case: Case) -> Iterator[Found]:
                         'the echo off, or let the program skip it',
                         (('echoes', str(heard_back)),))
         return
-    again = [one for one in case.incidents(ev.REPEATED) if one.detail[1] < ECHO_US]
+    again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_US]
     answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
     if len(again) >= SOME and answered and len(again) > 0.5 * case.count(ev.REPEATED):
         yield Claim(None, 'every instruction is heard twice: the adapter echoes what its master '
@@ -212,7 +240,7 @@ def _protocol_1(case: Case) -> Iterator[Found]:
 
 def source_lost(case: Case) -> Iterator[Doubt]:
     """Say how much the source could not hand over."""
-    lost = sum(one.detail[0] for one in case.incidents(ev.SOURCE_LOST))
+    lost = sum(one.detail.number for one in case.incidents(ev.SOURCE_LOST))
     if lost:
         yield Doubt(None, f'{lost} USB events or bytes were not heard: what is missing cannot be '
                     'told from what was not said; take other devices off this USB bus')

@@ -28,7 +28,7 @@ TWICE = 2
 def _baud_code(case: Case, device: DeviceReport) -> Found | None:
     if device.model.protocol != FEETECH:
         return None
-    code = case.incidents(ev.BAUD_WRITTEN, device.id)[-1].detail[0]
+    code = case.incidents(ev.BAUD_WRITTEN, device.id)[-1].detail.value
     taken_for = LEROBOT_BAUDS.get(code)
     if taken_for is None:
         return None

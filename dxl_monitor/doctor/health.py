@@ -135,7 +135,7 @@ def _watchdog(case: Case, device: DeviceReport) -> Found | None:
     seen = case.values[device.id].get('Bus Watchdog')
     if seen is None:
         return None
-    refused = sum(one.detail[2] == RANGE and _is_goal(device, one.detail[1])
+    refused = sum(one.detail.error == RANGE and _is_goal(device, one.detail.address)
                   for one in case.incidents(ev.REFUSED, device.id)) \
         if case.count(ev.REFUSED, device.id) else 0
     tripped = seen.source == 'r' and seen.value.raw in TRIPPED

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from statistics import median
 
 from dxl_monitor.bus import evidence as ev
@@ -85,7 +86,7 @@ def _claim_blocking(case: Case, number: int, behind: list[int]) -> Claim:
 
 def _waiting(case: Case, number: int) -> tuple[tuple[str, str], ...]:
     """Return what each request without an answer costs the master."""
-    waits = [us for _, us, device in case.report.waits if device == number]
+    waits = [one.us for one in case.report.waits if one.device == number]
     return (('wait per request (ms)', f'{median(waits) / 1000:.1f}'),) if waits else ()
 
 
@@ -107,16 +108,16 @@ def _cut_off(case: Case, number: int) -> bool:
 
 # --- away and back -----------------------------------------------------------------------------
 
-def _absences(case: Case, device: int | None = None) -> list[Incident]:
+def _absences(case: Case, device: int | None = None) -> list[Incident[ev.SilentFor]]:
     """Return the returns after an absence that no Reboot or Factory Reset accounts for."""
     if not case.count(ev.RETURNED):
         return []
     ordered = {one.device for one in case.incidents(ev.REBOOTED)}
     return [one for one in case.incidents(ev.RETURNED, device)
-            if one.detail[0] >= AWAY_MS and one.device not in ordered]
+            if one.detail.ms >= AWAY_MS and one.device not in ordered]
 
 
-def _talks_since(case: Case, back: Incident) -> bool:
+def _talks_since(case: Case, back: Incident[ev.SilentFor]) -> bool:
     """Tell whether data came from it since; one that never gave any shall not be held up."""
     ages = _data_ages(case.devices[back.device]) if back.device in case.devices else []
     return not ages or min(ages) * S < case.now - back.stamp
@@ -135,7 +136,7 @@ def _dropout(case: Case, device: DeviceReport) -> Found | None:
                 if _talks_since(case, one) and case.now - one.stamp > SETTLED_S * S]
     if not absences:
         return None
-    away = max(one.detail[0] for one in absences)
+    away = max(one.detail.ms for one in absences)
     return Claim(device.id, f'was away for {away} ms: cannot tell a loose plug from a restart; '
                  'read Torque Enable or Realtime Tick to know',
                  (('absences', str(len(absences))), ('longest (ms)', str(away))))
@@ -145,9 +146,9 @@ def _rebooted(case: Case, device: DeviceReport) -> Found | None:
     for one in _absences(case, device.id):
         proof = _restart_proof(case, one)
         if proof and _talks_since(case, one):
-            return Claim(device.id, f'restarted by itself, {one.detail[0]} ms away ({proof}): '
+            return Claim(device.id, f'restarted by itself, {one.detail.ms} ms away ({proof}): '
                          'check its supply and plug, then set it up again, torque too',
-                         (('away (ms)', str(one.detail[0])), ('seen by', proof)))
+                         (('away (ms)', str(one.detail.ms)), ('seen by', proof)))
     return None
 
 
@@ -156,12 +157,12 @@ def _brown_out(case: Case) -> Iterator[Found]:
     if not absences:
         return
     last = max(absences, key=lambda one: one.stamp)
-    begin = last.stamp - last.detail[0] * MS
+    begin = last.stamp - last.detail.ms * MS
     together = [one for one in absences if one.stamp > begin]
     if len({one.device for one in together}) == 1:     # others waited behind it, unasked
         together += [other for number, device in case.devices.items()
                      if number != last.device and device.window.not_served and not device.alert
-                     and _restart_proof(case, other := last._replace(device=number))]
+                     and _restart_proof(case, other := replace(last, device=number))]
     ids = sorted({one.device for one in together})
     proofs = [proof for one in together if (proof := _restart_proof(case, one) or
                                             _dip(case, one.device))]
@@ -171,14 +172,14 @@ def _brown_out(case: Case) -> Iterator[Found]:
                     (('devices', listed(ids, 99)), ('seen by', proofs[0])), covers=tuple(ids))
 
 
-def _restart_proof(case: Case, back: Incident) -> str:
+def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     """Return what says that a device started again while it was away, '' if nothing does."""
     torque = case.values[back.device].get('Torque Enable') if back.device in case.values else None
     if torque is not None and torque.source == 'r' and not torque.value.raw \
-            and case.now - torque.age_s * S >= back.stamp and back.detail[1] > 0:
+            and case.now - torque.age_s * S >= back.stamp and back.detail.torque > 0:
         return 'Torque Enable fell to 0'
     samples = case.samples.get(back.device, ())
-    before = [one for one in samples if one.stamp < back.stamp - back.detail[0] * MS]
+    before = [one for one in samples if one.stamp < back.stamp - back.detail.ms * MS]
     after = [one for one in samples if one.stamp > back.stamp]
     if before and after and _tick_jumped(before[-1], after[0]):
         return 'Realtime Tick jumped back'

@@ -11,9 +11,11 @@ from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
 from math import log
+from typing import Any
 from typing import NamedTuple
 
 from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import IncidentKind
 from dxl_monitor.doctor.case import Case
 from msg_defs.reports import Level
 
@@ -73,7 +75,8 @@ def each(check: Callable[[Case, DeviceReport], Found | None]) -> Check:
     return check_all
 
 
-def each_with(kind: str, check: Callable[[Case, DeviceReport], Found | None]) -> Check:
+def each_with(kind: IncidentKind[Any],
+              check: Callable[[Case, DeviceReport], Found | None]) -> Check:
     """Do as each(), for the devices that a kind of incident is noted of: mostly none."""
     def check_some(case: Case) -> Iterator[Found]:
         if not case.count(kind):

@@ -13,13 +13,17 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
 from operator import attrgetter
+from statistics import median
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import key_of
+from dxl_monitor.doctor.collision import is_collision
+from dxl_monitor.doctor.collision import ran_into_answers
 from dxl_monitor.doctor.rhythm import answer_ns
+from dxl_monitor.doctor.rhythm import AT_ONCE_NS
 from dxl_monitor.doctor.rhythm import is_independent
 from dxl_monitor.doctor.rhythm import is_multiple
 from dxl_monitor.doctor.rhythm import Rhythm
@@ -38,7 +42,7 @@ MS = 1_000_000
 FEW = 3
 TOGETHER_NS = 3 * MS               # late answers closer than this belong to one
 FOREIGN_ENOUGH = 3               # instructions of another master that came to this one
-LOADED = 80.0                      # % of the wire time
+LOADED = 75.0                      # % of the wire time: what is left is no room for a retry
 LOAD_S = 3.0
 BLURRED = 3                        # times the resolution: what is narrower is no finding
 DELAY_MS = (0.4, 0.7)              # a Return Delay Time of 500 us, as measured
@@ -52,20 +56,45 @@ RESOLVED_MS = 4.0                  # between chunks; else all gaps count, not th
 GRID_NS = 16 * MS                  # exactly that is made by the adapter that we hear through
 LATENT = 0.6                       # share of the gaps
 WAITED_S = 3.0
+MANY = 10                          # vain waits
+SOON_US = 500                      # Return Delay Time as from the factory (e-Manual)
 
 
 def _impatient(case: Case) -> Iterator[Found]:
     again = Counter(case.repeats.values())
-    for one in _hidden_repeats(case):
-        again[one.detail[0]] += 1
+    again.update(one.detail.instruction for one in _hidden_repeats(case))
+    again.update(one.detail.instruction for one in _repeats_into_answers(case))
     if again.total() >= FEW:
         worst = again.most_common(1)[0][0]
         yield Claim(None, f'the master repeats {name_of(worst)} at once, {again.total()} times in '
                     '10 s: its time-out is shorter than the answers take; raise it',
                     (('repeated', str(again.total())),))
+        return
+    hasty = [one.us for one in case.waits(WAITED_S) if not one.is_spoilt]
+    if len(hasty) >= MANY and median(hasty) < SOON_US and case.damage >= FEW \
+            and any(case.lately(device, WAITED_S).answers for device in case.report.devices):
+        yield Claim(None, 'the master does not wait for answers, and talks into them: it gives up '
+                    f'within {SOON_US} us, before a servo answers as it comes from the factory; '
+                    'raise its time-out', (('given up at once', str(len(hasty))),))
 
 
-def _hidden_repeats(case: Case) -> list[Incident]:
+def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
+    """
+    Return the questions asked again while their answers were due, where they ran into them.
+
+    A master that repeats what came back damaged does not.
+    """
+    if not case.count(ev.TOO_LONG) or not ran_into_answers(case):
+        return []
+    longest: dict[int, float] = {}
+    for cycle in case.report.cycles:
+        within = 1.2 * answer_ns(cycle, case.report.baud) + AT_ONCE_NS
+        longest[cycle.instruction] = max(within, longest.get(cycle.instruction, 0.0))
+    return [one for one in case.incidents(ev.REPEATED)
+            if 1000 * one.detail.us < longest.get(one.detail.instruction, 0.0)]
+
+
+def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
     """
     Return the first of each group of answers that came again behind damage in an answer.
 
@@ -100,15 +129,15 @@ def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
     wrong = case.incidents(ev.WRONG_SIZE, device.id)
     if len(wrong) < FEW or case.count(ev.LATE, device.id):
         return None
-    size, asked = wrong[-1].detail
+    size, asked = wrong[-1].detail.got, wrong[-1].detail.wanted
     return Claim(device.id, f'answers {size} bytes to a read of {asked}: its firmware is at '
                  'fault, or a second device has its ID; update it, and ping its ID without it',
                  (('answers', str(len(wrong))),))
 
 
 def _wait(case: Case) -> str:
-    waits = sorted(us for _, us, _ in case.report.waits)
-    return f'{waits[len(waits) // 2] / 1000:.1f} ms' if waits else 'unknown'
+    waits = [one.us for one in case.report.waits]
+    return f'{median(waits) / 1000:.1f} ms' if waits else 'unknown'
 
 
 def _latency_timer(case: Case) -> Iterator[Found]:
@@ -198,9 +227,10 @@ def _two_masters(case: Case) -> Iterator[Found]:
         return
     one = min(case.rhythms, key=lambda rhythm: rhythm.base, default=None)
     if one is not None and one.is_steady and one.base > max(BLURRED * _blur_ms(case), 1.0) * MS:
+        collide = is_collision(case)           # as one program's questions never do
         for other in case.rhythms:
             if other is not one and not is_multiple(other, one) and other.is_steady \
-                    and is_independent(one, other) and is_independent(other, one):
+                    and (collide or (is_independent(one, other) and is_independent(other, one))):
                 yield Claim(None, f'{_words(one)} and {_words(other)} keep time apart: two '
                             'programs are on this bus; stop one',
                             (('damaged packets', str(case.damage)),))
@@ -249,7 +279,8 @@ RULES = (
     Rule('impatient_master', Level.WARN, 'an instruction repeated at once, and then not before '
          'its period is over', _impatient,
          ('noise', 'damaged_answers', 'missed_answers', 'late_answers', 'duplicate_id', 'jitter',
-          'stray_bytes', 'dropout')),
+          'stray_bytes', 'dropout', 'no_answer', 'sync_read_stops', 'all_silent', 'broken_cable',
+          'no_acks')),
     Rule('late_answers', Level.WARN, 'answers to an instruction that was given up, or of the size '
          'of the one before', _late_answers,
          ('duplicate_id', 'missed_answers', 'dropout', 'jitter', 'damaged_answers', 'noise',

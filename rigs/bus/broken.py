@@ -215,7 +215,9 @@ STATE: tuple[Scene, ...] = (
           _of(3, 'wrong_address'), (f.since(8.0),)),
     Scene('bus watchdog', m.beside(partial(m.poller, ping=True, rate=50.0), m.asks(
         frames.write(3, reg.WATCHDOG, b'\1'), 3), at=6.0, every_s=30.0), _of(3, 'watchdog'),
-        (f.register(3, reg.TORQUE, 1, 1), f.register(3, reg.WATCHDOG, 1, 255, at=8.0))),
+        (f.register(3, reg.TORQUE, 1, 1), f.register(3, reg.WATCHDOG, 1, 255, at=8.0)),
+        tuple(('torque_off', n) for n in (1, 2, 4, 5, 6)),
+        why='the torque of the others was never switched on, and goals are sent to them'),
     Scene('EEPROM written all the time', m.beside(
         partial(m.poller, ping=True), m.asks(frames.write(3, 20, bytes(4)), 3), every_s=0.1),
         _of(3, 'eeprom_wear'), (f.since(8.0),)),

@@ -208,6 +208,7 @@ def twin(number: int, at: float = 0.0, *, own_us: int = 40, model: str = 'XL430-
         def join() -> None:
             other = Servo(rig.wire, number, model, own_us=own_us)
             other._at = place
+            other.tremor = number + 1.6    # two joints never stand in the same place to the step
             other.put(reg.GOAL, 4, round(place))
             other.changed = rig.alter
             rig.alter()

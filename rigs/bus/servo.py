@@ -72,6 +72,7 @@ class Servo:
         self.volts: Callable[[], float] = lambda: 12.0
         self.heat: Callable[[], float] = lambda: 35.0
         self.changed: Callable[[], None] = lambda: None
+        self.tremor = float(number)    # where in its small movements it is
         self.asked = self.answered = 0
         self._registered = (0, b'')
         self._turn: _Turn | None = None
@@ -128,7 +129,7 @@ class Servo:
         if self.table[TORQUE] and not self.table[ERRORS]:
             step = 4000 * seconds              # steps per second
             self._at += max(-step, min(step, goal - self._at))
-        wobble = round(2 * sin(self.clock.now / 7e7 + self.number))
+        wobble = round(2 * sin(self.clock.now / 7e7 + self.tremor))
         self.put(PLACE, 4, round(self._at) + wobble)
         self.put(TICK, 2, (self.clock.now - self._born) // 1_000_000 % 32_768)
         self.put(LOAD, 2, round(40 * sin(self.clock.now / 3e8)))

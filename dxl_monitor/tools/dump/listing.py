@@ -8,6 +8,7 @@ they were at this frame: what takes it reads what it needs at once and does not 
 """
 
 from collections.abc import Callable
+from typing import Any
 from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
@@ -60,7 +61,7 @@ class Entry(NamedTuple):
     request: Request = NO_REQUEST
     device: Device | None = None
     blocks: tuple[Block, ...] = ()         # the parts of a combined status
-    notes: tuple[Incident, ...] = ()
+    notes: tuple[Incident[Any], ...] = ()
     data: bytes = b''
     reason: str = ''                       # why it is damaged: 'crc', 'cut', 'length'
     length: int = 0                        # bytes of noise
@@ -139,7 +140,7 @@ class Listing(Conversation):
             self._tell_missed(plan, counts, self._newest)
         self._heard(frame, self.evidence.newest(self.evidence.noted - before), side)
 
-    def _heard(self, frame: Frame, incidents: tuple[Incident, ...], side: str) -> None:
+    def _heard(self, frame: Frame, incidents: tuple[Incident[Any], ...], side: str) -> None:
         packet = packet_of(frame, self._newest)
         if frame[1][2] >= FAMILY:
             packet = packet._replace(offset=begin_of(frame[0], frame[1]))

@@ -1,0 +1,84 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What shows that two talked at the same time, which no cable and no ground can mend.
+
+A line that two drive is low where either pulls it low: of what both send, bits get lost and none
+is added. And what began later goes on alone when the other is over, so that the end of a question
+stands in the noise behind the answer that it ran into, without the header that it had.
+"""
+
+from __future__ import annotations
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.report import Cycle
+from dxl_monitor.doctor.case import Case
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import HEADER
+
+FEW = 3
+MOSTLY = 0.3                       # among damaged instructions; bits turned over by chance: 0.1
+TAIL = 6                           # bytes: the CRC is among them, so they are not there by chance
+_GROUPS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
+_WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
+
+
+def is_collision(case: Case) -> bool:
+    """Tell whether damage is what two talkers at once make of their instructions."""
+    damaged = case.incidents(ev.DAMAGED_INSTRUCTION)
+    if len(damaged) < FEW:
+        return False
+    used = {front for cycle in case.report.cycles if (front := _front_of(cycle)) is not None}
+    mixed = sum(_has_lost_bits(one.detail, used) for one in damaged)
+    return mixed >= FEW and mixed >= MOSTLY * len(damaged)
+
+
+def _has_lost_bits(front: ev.Front, used: set[ev.Front]) -> bool:
+    """Tell whether this begins no packet of the master, and is one of its with bits cleared."""
+    return front not in used and any(
+        front.instruction & ~one.instruction == 0 and front.length & ~one.length == 0
+        for one in used)
+
+
+def _front_of(cycle: Cycle) -> ev.Front | None:
+    """Return how the packets of an instruction begin behind their ID, None where that varies."""
+    code, many = cycle.instruction, len(cycle.ids)
+    if code == Instruction.PING:
+        return ev.Front(code, 3)
+    if code == Instruction.READ:
+        return ev.Front(code, 7)
+    if code in _WRITES:
+        return ev.Front(code, 5 + cycle.length)
+    if code in _GROUPS:
+        return ev.Front(code, 7 + many)
+    if code == Instruction.SYNC_WRITE:
+        return ev.Front(code, 7 + many * (1 + cycle.length))
+    return None
+
+
+def ran_into_answers(case: Case) -> int:
+    """Return how many questions ran into an answer, as far as the last noise shows it."""
+    noise = case.report.noise
+    found = 0
+    for cycle in case.report.cycles if case.damage else ():
+        packet = _question(cycle)
+        at = noise.find(packet[-TAIL:]) if packet else -1
+        while at >= 0:
+            begin = at + TAIL - len(packet)
+            found += begin >= 0 and noise[begin:begin + 3] != HEADER[:3]
+            at = noise.find(packet[-TAIL:], at + 1)
+    return found
+
+
+def _question(cycle: Cycle) -> bytes:
+    """Return the packet of a question that is the same each time, b'' for anything else."""
+    if not cycle.ids:
+        return b''
+    at = (cycle.address or 0).to_bytes(2, 'little') + cycle.length.to_bytes(2, 'little')
+    if cycle.instruction == Instruction.READ:
+        return encode(cycle.ids[0], cycle.instruction, at)
+    if cycle.instruction in _GROUPS:
+        return encode(BROADCAST, cycle.instruction, at + bytes(cycle.ids))
+    return b''

@@ -1,0 +1,143 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the rules of the doctor conclude from, and what refutes them: one bus, few packets."""
+
+from collections.abc import Iterable
+import struct
+
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import STATUS
+from msg_defs.reports import Level
+
+MODELS = Models()
+MS = 1_000_000
+S = 1_000_000_000
+ACCESS = 7
+GOAL, POSITION, MODEL = 116, 132, b'\x24\x04\x2e'          # an XL430-W250
+
+
+def read(number: int, at: int = POSITION, size: int = 4) -> bytes:
+    return encode(number, I.READ, struct.pack('<HH', at, size))
+
+
+def write(number: int, at: int, data: bytes) -> bytes:
+    return encode(number, I.WRITE, struct.pack('<H', at) + data)
+
+
+def says(number: int, data: bytes = b'', error: int = 0) -> bytes:
+    return encode(number, STATUS, data, error=error)
+
+
+def heard(chunks: Iterable[bytes], every_ms: float = 5.0, devices: int = 3) -> BusReport:
+    """Return what is told of a bus on which devices have answered Pings, and then this is said."""
+    monitor = Monitor('arm', MODELS, Settings())
+    now = 100 * S
+    pings = [one for number in range(1, devices + 1)
+             for one in (encode(number, I.PING), says(number, MODEL))]
+    report = monitor.report(now)
+    for chunk in [*pings, *chunks]:
+        now += int(every_ms * MS)
+        monitor.feed(chunk, now)
+        if now - report.stamp >= S // 2:
+            report = monitor.report(now)
+    return monitor.report(now)
+
+
+def names(report: BusReport) -> list[tuple[str, int | None]]:
+    return [(one.rule, one.device) for one in report.findings]
+
+
+def around(*between: bytes, devices: int = 3) -> list[bytes]:
+    """Return a turn of a loop over the devices, and something more."""
+    return [one for number in range(1, devices + 1)
+            for one in (read(number), says(number, bytes(4)))] + list(between)
+
+
+# --- one cause of all, and those of each -----------------------------------------------------
+
+def volts(*numbers: int) -> list[bytes]:
+    """Return reads of Present Input Voltage, 5.9 V."""
+    return [one for number in numbers for one in (read(number, 144, 2), says(number, b'\x3b\0'))]
+
+
+def test_a_supply_that_is_low_for_all_is_told_of_the_bus_alone() -> None:
+    assert names(heard(volts(1, 2, 3) * 4)) == [('voltage', None)]
+
+
+def test_a_supply_that_is_low_for_two_is_told_of_each() -> None:
+    assert names(heard(volts(1, 2) * 4)) == [('voltage', 1), ('voltage', 2)]
+
+
+# --- two at once -----------------------------------------------------------------------------
+
+CLASH = b'\x40\x01\x08\x02\x00\x80\x04'        # what two answers at once leave: no header
+
+
+def test_one_that_always_answers_once_more_behind_damage_is_two() -> None:
+    turn = around(read(2), says(2, bytes(4)), CLASH, says(2, bytes(4)))
+    assert names(heard(turn * 30))[0] == ('duplicate_id', 2)
+
+
+def test_where_others_answer_once_more_as_well_it_is_not_two_devices() -> None:
+    turn = around() + [one for number in (2, 3) for one in (
+        read(number), says(number, bytes(4)), CLASH, says(number, bytes(4)))]
+    assert 'duplicate_id' not in dict(names(heard(turn * 30)))
+
+
+def test_bits_that_two_talkers_lose_are_no_noise() -> None:
+    torn = read(1)[:7] + b'\0' + read(1)[8:]   # the code of a Read has lost its bit
+    report = heard(around(torn, read(1), says(1, bytes(4))) * 40)
+    assert 'noise' not in dict(names(report))
+    assert [one.message[:26] for one in report.doubts if one.rule == 'noise'] \
+        == ['packets run into each othe']
+
+
+def test_bits_that_turn_over_are_noise() -> None:
+    torn = read(1)[:9] + bytes((read(1)[9] ^ 1,)) + read(1)[10:]
+    report = heard(around(torn, read(1), says(1, bytes(4))) * 40)
+    assert names(report) == [('noise', None)]
+
+
+def test_a_master_that_does_not_wait_is_no_dead_device() -> None:
+    torn = says(3, bytes(4))[:9] + b'\x55\x55' + says(3, bytes(4))[11:]
+    turn = around(read(1) + read(2) + read(1) + read(3), torn)
+    assert names(heard(turn * 40)) == [('impatient_master', None)]
+
+
+# --- what refutes ----------------------------------------------------------------------------
+
+def test_who_answers_nothing_at_all_is_not_said_to_acknowledge_nothing() -> None:
+    goal = write(2, GOAL, bytes(4))
+    silent = around() * 10 + [read(2), goal, read(1), says(1, bytes(4))] * 120
+    assert names(heard(silent)) == [('no_answer', 2)]
+    only_writes = around() * 10 + around(goal) * 30
+    assert ('no_acks', 2) in names(heard(only_writes))
+
+
+def test_the_address_that_is_refused_most_is_told() -> None:
+    refused = [read(1, 611), says(1, b'', ACCESS)]
+    once = [read(1, 562), says(1, b'', ACCESS)]
+    [finding] = heard((once + refused * 3) * 3).findings
+    assert finding.message.startswith('address 611 refused 9 times')
+    assert heard(once * 2).findings == ()
+
+
+def test_a_ping_to_all_is_a_scan_and_too_many_are_told() -> None:
+    ping = encode(BROADCAST, I.PING)
+    answers = [says(number, MODEL) for number in (1, 2, 3)]
+    assert heard([ping, *answers] * 14).findings == ()
+    [finding] = heard([ping, *answers] * 15).findings
+    assert (finding.rule, finding.level) == ('scan', Level.OK)
+    assert 'collide' not in finding.message
+
+
+def test_two_of_protocol_1_prove_it_and_one_does_not() -> None:
+    other = b'\xff\xff\x09\x04\x02\x24\x02\xca'
+    assert 'protocol_1' not in dict(names(heard(around() * 10 + [other])))
+    assert 'protocol_1' in dict(names(heard((around() * 5 + [other]) * 4)))
