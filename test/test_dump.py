@@ -572,7 +572,7 @@ def test_no_control_code_of_a_capture_reaches_the_terminal(tmp_path, run, view):
     (['-', '--id', '0-999999999999'], 2, "'0-999999999999': no ID; "),
     (['-', '--instruction', '999'], 2, "'999': no instruction; "),
     (['-', '--instruction', 'sing'], 2, "'sing': no instruction; there are ping, read, "),
-    (['-', '--devices', '300'], 2, "devices: '300': an ID is at most 252; "),
+    (['-', '--devices', '300'], 2, "devices: '300': an ID is at most 253; "),
     (['-', '--devices', '1:MX-107'], 2, "devices: no model is called 'MX-107'; did you mean "),
     (['-', '--model-dirs', '/does/not/exist'], 2, 'model_dirs: /does/not/exist: '),
     (['-', '-w', '/does/not/exist/x'], 2, 'capture: /does/not/exist/x: No such file'),

@@ -31,8 +31,8 @@ def test_forms(text: str, devices: list[Expected]) -> None:
     ('knee', 'is not a device'),
     ('1:2:3:4', 'is not a device'),
     ('-3', 'is not a device'),
-    ('253', 'at most 252'),
-    ('1-300:MX-64', 'at most 252'),
+    ('254', 'at most 253'),
+    ('1-300:MX-64', 'at most 253'),
     ('9-3:MX-64', 'write 3-9'),
     ('1-3:MX-64:knee', 'one joint name for 3 devices'),
 ])

@@ -276,7 +276,7 @@ def test_every_ending_signal_ends_it_well(tmp_path, heard, again, number):
     ({'bauds': '[9600,9600,9600]'}, 'bauds: 3 rates for 1 ports; '),
     ({'bauds': '5000000'}, 'bauds: 5000000 is not possible; set an integer list in bit/s '),
     ({'names': '[a,b]'}, 'names: 2 names for 1 ports; '),
-    ({'devices': '[253]'}, "devices: '253': an ID is at most 252; "),
+    ({'devices': '[254]'}, "devices: '254': an ID is at most 253; "),
     ({'devices': "['1:MX-107']"}, "devices: no model is called 'MX-107'; did you mean "),
     ({'devices': "['left/1']"}, "devices: 'left/1' names no bus; "),
     ({'model_dirs': '/does/not/exist'}, 'model_dirs: /does/not/exist'),

@@ -19,6 +19,7 @@ from dxl_monitor.model.control_table import Field
 from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.control_table import UNKNOWN
 from msg_defs.dxl1_instruction import Dialect
+from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.timing import Series
 
 WINDOW_S = 10
@@ -26,8 +27,11 @@ RESOLVED_NEEDED = 0.2              # the share of answers that makes a latency w
 OWED_NS = 100_000_000              # no servo takes as long: its Return Delay Time ends at 0.5 ms
 _ERRORS_KEPT = 64                  # distinct (instruction, address, error)
 RETURN_LEVEL = 'Status Return Level'
+OFFSET = 'Homing Offset'
+TORQUE = 'Torque Enable'
 _SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
-_NUMBER_SIZE = 2                   # bytes of Model Number
+_OF_FEETECH = (OFFSET, TORQUE)     # how it is calibrated
+_NUMBER_SIZE = 2                   # of Model Number
 
 
 class Device:
@@ -113,7 +117,7 @@ class Device:
         return address < self._eeprom_end or address <= self._level_at < address + size
 
     def special_values(self, address: int, data: bytes) -> list[tuple[str, int]]:
-        """Return what these bytes say of ID, Baud Rate and Status Return Level: (name, raw)."""
+        """Return what these bytes say of the registers that are followed: (name, raw)."""
         end = address + len(data)
         return [(field.name, _special_value(field, data[field.at - address:field.end - address]))
                 for field in self._special if address <= field.at and field.end <= end]
@@ -183,9 +187,11 @@ class Device:
 @lru_cache(maxsize=256)
 def _special_of(model: Model) -> tuple[list[Field], int, int]:
     """Return the registers to follow; where those in EEPROM end; where Status Return Level is."""
-    special = [field for name in _SPECIAL if (field := model.by_name.get(name)) is not None]
+    names = _SPECIAL + (_OF_FEETECH if model.protocol == FEETECH.protocol else ())
+    special = [field for name in names if (field := model.by_name.get(name)) is not None]
     ends = [field.end for field in special if field.name != RETURN_LEVEL]
-    ends += [field.end for field in model.fields if field.memory == 'eeprom']
+    ends += [field.end for field in model.fields
+             if field.memory == 'eeprom' and 'w' in field.access]
     level_at = next((field.at for field in special if field.name == RETURN_LEVEL), -1)
     return special, max(ends, default=0), level_at
 

@@ -10,6 +10,7 @@ of 1 with "input voltage error". And which dialect the bus speaks (dialect.py). 
 frame known, the second is certain. What stays open is counted and changes nothing.
 """
 
+from collections import Counter
 from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
@@ -25,6 +26,7 @@ from msg_defs.dxl1_instruction import STATUS_BITS
 from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl1_packet import FAMILY
+from msg_defs.dxl1_packet import MIN_LENGTH
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_mixed import is_other
@@ -92,13 +94,16 @@ class Dialogue:
         self._awaited: dict[int, int] = {} # statuses to come: parameters, by ID
         self._errors: dict[int, int] = {}  # error byte of the last status, by ID
         self._meanings: dict[bytes, tuple[bytes, Request, dict[int, int]]] = {}
+        self._noise_seen: Counter[AnyFramer] = Counter()       # bytes of it, by framer
 
     def read(self, framer: AnyFramer, frames: list[Frame], stamp: int, side: str) -> list[Part]:
         """Return the frames of a chunk in the form of 2.0, as Conversation.take() takes them."""
         parts: list[Part] = []
         found: list[Frame] = []
+        is_noisy = False
         for frame in frames:
             flaw = frame[2]
+            is_noisy |= flaw is not None and flaw.noise_length > GLITCH
             if not is_other(frame):
                 found.append(frame)
             elif flaw is not None and flaw.reason:
@@ -116,7 +121,24 @@ class Dialogue:
                     found.append(self._meaning(frame, stamp, framer.bytes, side))
         if self._streak and isinstance(framer, MixedFramer) and framer.noise_ahead > GLITCH:
             self._reject()
+        if is_noisy:
+            self._look_at_noise(framer)
         return [*parts, (found, stamp, framer.bytes, side)]
+
+    def _look_at_noise(self, framer: AnyFramer) -> None:
+        """Count the answers in the noise that lack only the first byte of their header."""
+        fresh = framer.noise_bytes - self._noise_seen.get(framer, 0)
+        self._noise_seen[framer] += fresh
+        noise = framer.noise[-fresh:] if fresh else b''
+        at = noise.find(0xFF)
+        while 0 <= at < len(noise) - 4:
+            end = at + 3 + noise[at + 2]
+            device = self._roster.devices.get(noise[at + 1])
+            if device is not None and device.heard and noise[at + 2] >= MIN_LENGTH \
+                    and end <= len(noise) and sum(noise[at + 1:end]) & 0xFF == 0xFF:
+                device.counts.beheaded += 1
+                at = end - 1
+            at = noise.find(0xFF, at + 1)
 
     def _part(self, held: Held) -> Part:
         """Return a frame of an earlier chunk; its end stands for that of the chunk."""

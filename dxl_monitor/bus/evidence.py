@@ -114,6 +114,13 @@ class ModelNumbers(NamedTuple):
     now: int
 
 
+class Offsets(NamedTuple):
+    """Homing Offset of Feetech, raw: now, and before."""
+
+    now: int
+    before: int
+
+
 class Written(NamedTuple):
     """What was written, or an ID that none can have."""
 
@@ -148,6 +155,7 @@ ID_WRITTEN = IncidentKind[Written]('ID written')
 BAUD_WRITTEN = IncidentKind[Written]('Baud Rate written')     # the code
 OPEN = IncidentKind[Code]('undecided packet')                 # an instruction or a status (1.0)
 CALIBRATED = IncidentKind[Nothing]('calibrated')              # the position became the middle
+OFFSET_WRITTEN = IncidentKind[Offsets]('offset written')       # Homing Offset of Feetech
 REBOOTED = IncidentKind[Nothing]('rebooted')
 ACKS_STOPPED = IncidentKind[Much]('acks stopped')
 UNKNOWN_INSTRUCTION = IncidentKind[Code]('unknown instruction')

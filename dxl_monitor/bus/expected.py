@@ -16,7 +16,7 @@ from typing import NamedTuple
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import refuse_twice
 
-MAX_ID = 252
+MAX_ID = 253                       # in Protocol 2.0 252
 _ENTRY = re.compile(r'\s*(\d+)\s*(?:-\s*(\d+)\s*)?(?::([^:]*))?(?::([^:]*))?')
 _EXAMPLES = "write ID:MODEL:JOINT, e.g. '11:MX-106:left_knee', '1-20:MX-64' or '30'"
 

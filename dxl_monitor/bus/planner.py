@@ -25,9 +25,8 @@ from dxl_monitor.bus.plan import Effect
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.plan import Take
-from dxl_monitor.bus.plan import take_nothing
 from dxl_monitor.bus.report import IncidentKind
-from dxl_monitor.bus.roster import MAX_ID
+from dxl_monitor.bus.roster import MAX_ID_1
 from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.table import WRITTEN
 from msg_defs.dxl1_instruction import CALIBRATE
@@ -50,7 +49,6 @@ PLANS_LOOKED_AT = 64               # a master repeats fewer
 TARGETS_KEPT = 64                  # different lists of IDs in Sync Writes
 SLOTS_KEPT = 32_768                # the size of all plans together: 3000 different reads
 BYTES_PER_SLOT = 32                # so many bytes of a plan's key count as one slot
-NO_IDS = (0xFD, 0xFF)
 NO_PLAN = Plan(Request(0, 0xFF, Answers.NONE), {})
 
 _KEY_SIZE = {code: kind.key_size for code, kind in KINDS.items()}
@@ -155,11 +153,14 @@ class Planner:
             request = parse(body[3], body[0], unstuff(body[4:]))
         else:
             request = understood(body, self._roster.dialect)
+            self._roster.highest = MAX_ID_1
             for number in {request.id, *(access.id for access in request.accesses)} - {BROADCAST}:
                 self._roster.speaks(self._roster.device(number))
         plan = self._plan_of(request)
         oddities = _oddities(request, body, NAMES if body[2] < FAMILY
                              else self._roster.dialect.entries)
+        if self._roster.is_impossible(request.id):
+            oddities.append((ev.BAD_ID, ev.NO_DEVICE, ev.Written(request.id)))
         if oddities:
             plan.oddities = tuple(kind for kind, *_ in oddities)
             plan.counted = 1               # noted here, and it has no reads
@@ -168,7 +169,7 @@ class Planner:
         return plan
 
     def _plan_of(self, request: Request) -> Plan:
-        if request.id in NO_IDS:
+        if self._roster.is_impossible(request.id):
             return Plan(request, {})
         slots = {slot.device.number: slot for slot in self._makers[request.answers](request)}
         if request.answers is Answers.COMBINED and slots:
@@ -179,11 +180,12 @@ class Planner:
     def _ping_slots(self, request: Request) -> list[Slot]:
         device = self._roster.device(request.id)
         if device.dialect is not None:     # the 1.0 family answers without data
-            return [Slot(device, Due.ALWAYS, -1, 0, take_nothing)]
+            return [Slot(device, Due.ALWAYS, -1, 0, partial(self._roster.ponged, device))]
         return [Slot(device, Due.ALWAYS, -1, 3, partial(self._roster.pinged, device))]
 
     def _read_slots(self, request: Request) -> list[Slot]:
-        return [self._read_slot(access) for access in request.accesses if access.id <= MAX_ID]
+        highest = self._roster.highest
+        return [self._read_slot(access) for access in request.accesses if access.id <= highest]
 
     def _read_slot(self, access: Access) -> Slot:
         device = self._roster.device(access.id)
@@ -302,8 +304,6 @@ def _oddities(request: Request, body: bytes,
         found.append((ev.UNKNOWN_INSTRUCTION, number, ev.Code(instruction)))
     if request.malformed:
         found.append((ev.MALFORMED, number, ev.Front(instruction, len(body) - 4)))
-    if number in NO_IDS:
-        found.append((ev.BAD_ID, ev.NO_DEVICE, ev.Written(number)))
     return found
 
 

@@ -12,7 +12,9 @@ from collections.abc import Iterable
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.device import Device
+from dxl_monitor.bus.device import OFFSET
 from dxl_monitor.bus.device import RETURN_LEVEL
+from dxl_monitor.bus.device import TORQUE
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.table import IDENTITY
@@ -27,12 +29,15 @@ from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl_instruction import ERROR
 from msg_defs.dxl_instruction import MULTI_TURN
 from msg_defs.dxl_instruction import RESTORE
+from msg_defs.dxl_packet import BROADCAST
 
-MAX_ID = 252
+MAX_ID = 252                       # in Protocol 2.0
+MAX_ID_1 = 253                     # in the 1.0 family
 NO_ID = 255
 ABSENCE_MS = 50                    # missed for so long: it was away, which is worth a note
 FACTORY_ID = 1
 FACTORY_BAUD = 57_600
+MIDDLE = 128                       # as Torque Enable of Feetech: this position is the middle
 _RESET_KEEPS: dict[str, tuple[str, ...]] = {
     'all': (), 'all except ID': ('ID',), 'all except ID and Baud Rate': ('ID', 'Baud Rate'),
     '': ('ID', 'Baud Rate'),
@@ -49,8 +54,8 @@ class Roster:
     changed: called when a device has another ID or model, so that plans made before do not hold.
     """
 
-    __slots__ = ('_dummy', '_evidence', '_followers', '_models', 'baud', 'changed', 'devices',
-                 'dialect')
+    __slots__ = ('_dummy', '_evidence', '_followers', '_models', '_offsets', 'baud',
+                 'changed', 'devices', 'dialect', 'highest')
 
     def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
                  evidence: Evidence) -> None:
@@ -58,11 +63,14 @@ class Roster:
         self.baud = baud
         self._evidence = evidence
         self.devices: dict[int, Device] = {}
-        self.dialect = UNDECIDED           # for devices of the 1.0 family
+        self.dialect = UNDECIDED           # of the 1.0 family, for devices that speak it
+        self.highest = MAX_ID              # of the IDs that a device can have here
+        self._offsets: dict[Device, int] = {}
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.changed: Callable[[], None] = lambda: None
         self._followers = {'ID': self._follow_id, 'Baud Rate': self._follow_baud,
-                           RETURN_LEVEL: self._follow_return_level}
+                           RETURN_LEVEL: self._follow_return_level,
+                           OFFSET: self._follow_offset, TORQUE: self._follow_torque}
         for entry in expected:
             device = self.devices[entry.id] = Device(entry.id, entry.joint, expected=True)
             model = models.by_name(entry.model) if entry.model else None
@@ -76,7 +84,7 @@ class Roster:
         """Return the device with this ID, new at first sight; a dummy where no device can be."""
         device = self.devices.get(number)
         if device is None:
-            if number > MAX_ID:
+            if number > self.highest:
                 return self._dummy
             device = self.devices[number] = Device(number)
         return device
@@ -130,6 +138,10 @@ class Roster:
         device.identity_stamp = stamp
         device.is_unresolved = True
 
+    def ponged(self, device: Device, address: int, data: bytes, stamp: int, source: int) -> None:
+        """Count the answer to a Ping of the 1.0 family, which tells nothing more."""
+        device.counts.pongs += 1
+
     def resolve(self, device: Device) -> None:
         """Give a device the model that it said it is, before anything depends on that."""
         if not device.is_unresolved:
@@ -171,6 +183,10 @@ class Roster:
             firmware = data[field.at - address:field.end - address]
         self.pinged(device, 0, number + firmware, stamp, READ)
 
+    def is_impossible(self, number: int) -> bool:
+        """Tell whether no device can have this ID, and it is not everybody's either."""
+        return number > self.highest and number != BROADCAST
+
     def speak(self, dialect: Dialect) -> None:
         """Say which dialect of the 1.0 family is spoken here; devices are then known by it."""
         self.dialect = dialect
@@ -194,7 +210,7 @@ class Roster:
 
     def told_error(self, number: int, at: int, error: int, stamp: int) -> None:
         """Keep the error byte of a status of the 1.0 family where its table has it."""
-        if number <= MAX_ID:
+        if number <= self.highest:
             self.device(number).table.store(at, bytes([error]), stamp, READ)
 
     def calibrate(self, device: Device, stamp: int) -> None:
@@ -284,13 +300,24 @@ class Roster:
     def _follow_return_level(self, device: Device, value: int, stamp: int) -> None:
         device.set_return_level(value)
 
+    def _follow_offset(self, device: Device, value: int, stamp: int) -> None:
+        before = self._offsets.get(device, 0)
+        self._offsets[device] = value
+        if value != before:
+            self._evidence.note(stamp, ev.OFFSET_WRITTEN, device.number,
+                                ev.Offsets(value, before))
+
+    def _follow_torque(self, device: Device, value: int, stamp: int) -> None:
+        if value == MIDDLE:
+            self.calibrate(device, stamp)
+
     def _moved(self, device: Device, baud: int, in_words: str) -> None:
         if baud != self.baud:
             device.moved_to = in_words
             device.odd = True
 
     def _renumber(self, device: Device, number: int, stamp: int) -> None:
-        if number > MAX_ID or self.devices.get(device.number) is not device:
+        if number > self.highest or self.devices.get(device.number) is not device:
             return
         other = self.devices.get(number)
         if other is device or (

@@ -24,7 +24,6 @@ from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.planner import NO_PLAN
 from dxl_monitor.bus.planner import Planner
 from dxl_monitor.bus.report import Wait
-from dxl_monitor.bus.roster import MAX_ID
 from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.table import READ
 from msg_defs.dxl1_packet import begin_of
@@ -260,7 +259,7 @@ class Tracker:
     def _unasked(self, body: bytes, stamp: int) -> None:
         """Take a status that was not due: a sign of life, no more."""
         number = body[0]
-        if number > MAX_ID:
+        if number > self._roster.highest:
             self._note(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
             return
         device = self._roster.device(number)

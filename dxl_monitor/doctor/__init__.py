@@ -20,6 +20,7 @@ from dxl_monitor.doctor import damage
 from dxl_monitor.doctor import feetech
 from dxl_monitor.doctor import health
 from dxl_monitor.doctor import presence
+from dxl_monitor.doctor import setting_up
 from dxl_monitor.doctor import timing
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import History
@@ -38,8 +39,8 @@ HOLD_NS = 3 * S                    # a claim stands so much longer than its evid
 
 # In the order in which they are told where levels are equal: the causes of others first.
 RULES: tuple[Rule, ...] = (
-    *damage.RULES, *presence.RULES, *health.RULES, *timing.RULES, *configuration.RULES,
-    *feetech.RULES)
+    *setting_up.RULES, *damage.RULES, *presence.RULES, *health.RULES, *timing.RULES,
+    *configuration.RULES, *feetech.RULES)
 _RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
 # What can be told of a bus on which nothing happens any more.
 _AT_REST = ('sync_read_stops', 'no_answer', configuration.STOPPED)

@@ -212,7 +212,7 @@ def _impossible_id(case: Case) -> Iterator[Found]:
     for cycle in case.report.cycles:
         number = cycle.ids[0] if cycle.ids else 0
         asked = sum(stamp > case.now - PINGS_NS for stamp in cycle.stamps)
-        if number in NO_IDS and asked >= FEW:
+        if number in NO_IDS and number not in case.devices and asked >= FEW:
             yield Claim(None, f'the master asks ID {number}, which no device can have (0 to 252): '
                         'correct the ID in its program', (('asked in 10 s', str(asked)),))
             return

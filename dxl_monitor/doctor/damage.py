@@ -162,30 +162,41 @@ def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
 
 
 def _turnaround(case: Case) -> Iterator[Found]:
-    touched = [device for device in case.report.devices if device.window.repaired]
-    hit = [device for device in touched if device.window.repaired > FEW
-           and device.window.repaired > HEADERS * device.window.answers
-           and device.window.repaired > BY_CHANCE * device.window.spoilt]
-    worst = max((one.window.repaired for one in touched), default=0)
-    total = sum(one.window.repaired for one in touched)
-    if total <= BY_CHANCE * case.damage:
+    touched = [device for device in case.report.devices if _first_bytes(device)]
+    hit = [device for device in touched if _first_bytes(device) > FEW
+           and _first_bytes(device) > HEADERS * device.window.answers
+           and _first_bytes(device) > BY_CHANCE * device.window.spoilt]
+    worst = max((_first_bytes(one) for one in touched), default=0)
+    total = sum(_first_bytes(one) for one in touched)
+    beheaded = sum(device.window.beheaded for device in touched)
+    if total - beheaded <= BY_CHANCE * case.damage and beheaded <= case.damage:
         return
     if hit and len(touched) > 2 and worst < MOSTLY * total:
         hit = touched
-        repaired = sum(device.window.repaired for device in hit)
+        first = sum(_first_bytes(device) for device in hit)
         stray = case.mark(0).glitches - case.mark(10).glitches
-        answers = sum(device.window.answers for device in hit)
-        yield Claim(None, f'first byte of {share(repaired, answers)} of the answers damaged, '
+        answers = sum(_spoken(device) for device in hit)
+        yield Claim(None, f'first byte of {share(first, answers)} of the answers damaged, '
                     f'{len(hit)} devices: the line turns round too late; raise Return Delay Time '
                     'or mend the driver enable',
-                    (('answers', str(repaired)), ('packets with a stray byte', str(stray)),
+                    (('answers', str(first)), ('packets with a stray byte', str(stray)),
                      ('devices', listed([one.id for one in hit], 99))))
         return
     for device in hit:
-        window = device.window
-        yield Claim(device.id, f'first byte of {share(window.repaired, window.answers)} of its '
+        first = _first_bytes(device)
+        yield Claim(device.id, f'first byte of {share(first, _spoken(device))} of its '
                     'answers damaged: it talks before the line has turned; raise its Return '
-                    'Delay Time by a step or two', (('answers', str(window.repaired)),))
+                    'Delay Time by a step or two', (('answers', str(first)),))
+
+
+def _first_bytes(device: DeviceReport) -> int:
+    """Return how many answers were whole but for their first byte."""
+    return device.window.repaired + device.window.beheaded
+
+
+def _spoken(device: DeviceReport) -> int:
+    """Return how many answers came: those of 1.0 without their first byte were missed."""
+    return device.window.answers + device.window.beheaded
 
 
 def _stray_bytes(case: Case) -> Iterator[Found]:

@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rules about Feetech servos: what is peculiar to their EEPROM, baud codes and calibration."""
+"""Rules about Feetech servos: what is peculiar to EEPROM, baud codes and calibration there."""
 
 from __future__ import annotations
 
@@ -21,8 +21,11 @@ from msg_defs.reports import Level
 FEETECH = 'feetech'
 # What LeRobot takes these codes for (its tables of Feetech motors, commit 7427f31).
 LEROBOT_BAUDS = {5: 57_600, 6: 38_400, 7: 19_200}
-LOCKED_S = 10.0                    # so long ago: not the lock behind the writes of the window
 TWICE = 2
+FAMILY_1 = ('1', FEETECH)
+# What Lock does to a write of EEPROM (e-Manual, Protocol 1.0; Feetech, STS memory table).
+_OF_LOCK = {'1': ('does not take it', 'switch its power off and on, that unlocks it'),
+            FEETECH: ('forgets it at power-off', 'write 0 to Lock first, and 1 behind')}
 
 
 def _baud_code(case: Case, device: DeviceReport) -> Found | None:
@@ -40,22 +43,32 @@ def _baud_code(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _locked(case: Case, device: DeviceReport) -> Found | None:
-    lock = case.values[device.id].get('Lock')
-    if device.model.protocol != FEETECH or lock is None or lock.value.raw != 1 \
-            or lock.age_s < LOCKED_S or not device.window.eeprom_writes:
+    values = case.values[device.id]
+    lock = values.get('Lock')
+    if device.model.protocol not in FAMILY_1 or lock is None or lock.value.raw != 1:
         return None
-    return Claim(device.id, f'{device.window.eeprom_writes} writes to EEPROM while Lock is 1: the '
-                 'servo forgets them at power-off; write 0 to Lock first, and 1 behind',
-                 (('writes', str(device.window.eeprom_writes)),))
+    behind = [one.field.name for one in device.observed if one.source == 'w'
+              and one.field.memory == 'eeprom' and one.age_s < lock.age_s]
+    if not behind or not device.window.eeprom_writes:
+        return None
+    effect, remedy = _OF_LOCK[device.model.protocol]
+    return Claim(device.id, f'{behind[0]} written while Lock is 1: the servo {effect}; {remedy}',
+                 (('written', ', '.join(behind)),))
 
 
 def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
     times = case.count(ev.CALIBRATED, device.id)
-    if times < TWICE:
+    if times >= TWICE:
+        return Claim(device.id, f'calibrated {times} times within 10 s: each time the position it '
+                     'has then becomes the middle; do it once, with the joint in the middle',
+                     (('times', str(times)),))
+    offsets = case.incidents(ev.OFFSET_WRITTEN, device.id)
+    last = offsets[-1] if len(offsets) >= TWICE else None
+    if last is None or not all(last.detail):
         return None
-    return Claim(device.id, f'calibrated {times} times within 10 s: each time the position it has '
-                 'then becomes the middle; do it once, with the joint in the middle',
-                 (('times', str(times)),))
+    return Claim(device.id, f'Homing Offset written {len(offsets)} times within 10 s, {TWICE} '
+                 'without 0 between: what was measured last has the other in it; write 0, measure '
+                 'again', (('now, before', f'{last.detail.now}, {last.detail.before}'),))
 
 
 def _mixed_firmware(case: Case) -> Iterator[Found]:
@@ -78,10 +91,12 @@ def _mixed_firmware(case: Case) -> Iterator[Found]:
 
 RULES = (
     Rule('baud_code', Level.WARN, 'a write to Baud Rate of a Feetech servo',
-         each_with(ev.BAUD_WRITTEN, _baud_code)),
-    Rule('lock', Level.WARN, 'Lock and writes to EEPROM of a Feetech servo', each(_locked)),
-    Rule('calibrated_twice', Level.WARN, 'Calibrate (0x0B) of Feetech, seen twice',
-         each_with(ev.CALIBRATED, _calibrated_twice)),
+         each_with(ev.BAUD_WRITTEN, _baud_code), ('baud_moved', 'no_answer', 'sync_read_stops',
+                                                  'broken_cable', 'missed_answers', 'jitter')),
+    Rule('lock', Level.WARN, 'Lock is 1, and EEPROM was written behind that (Feetech and 1.0)',
+         each(_locked)),
+    Rule('calibrated_twice', Level.WARN, 'Calibrate (0x0B) or Torque Enable 128 of Feetech twice, '
+         'or Homing Offset without 0 between', each(_calibrated_twice)),
     Rule('mixed_firmware', Level.WARN, 'Firmware Version, major and minor, of Feetech servos',
          _mixed_firmware),
 )

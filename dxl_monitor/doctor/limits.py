@@ -19,7 +19,11 @@ class Limits(NamedTuple):
 
 
 _MX = Limits(80.0, 9.5, 16.0)
+_AX = Limits(70.0, 6.0, 14.0)
+_MX_1 = Limits(80.0, 6.0, 16.0)
 FACTORY = {
+    12: _AX, 18: _AX, 300: _AX,                    # AX-12A, AX-18A, AX-12W
+    29: _MX_1, 310: _MX_1, 320: _MX_1, 360: _MX_1,  # MX-28, MX-64, MX-106, MX-12W (1.0)
     311: _MX, 321: _MX, 30: _MX,                   # MX-64, MX-106, MX-28 (2.0)
     1020: Limits(80.0, 9.5, 16.0), 1030: Limits(80.0, 9.5, 16.0),      # XM430-W350, XM430-W210
     1060: Limits(72.0, 6.0, 14.0),                 # XL430-W250

@@ -53,9 +53,9 @@ def _all_silent(case: Case) -> Iterator[Found]:
                if device.missed_in_a_row or is_waiting(device)]
     if len(missing) > 1 and asked >= 5 and heard <= 0 and case.gone:
         first = case.gone[0] if len(case.gone) == 1 else None
-        alone = '' if first is None else f'; or {first:03} alone is dead, for which they all wait'
-        yield Claim(None, f'the master asks and none of {len(missing)} devices answers: switch '
-                    f'their power on, check the first cable{alone}; or listen on both directions',
+        alone = '' if first is None else f'; or {first:03} alone is dead and all wait for it'
+        yield Claim(None, f'the master asks, none of {len(missing)} devices answers: check power '
+                    f'and first cable{alone}; or listen on both directions',
                     (('instructions', str(asked)),))
 
 
@@ -162,13 +162,14 @@ def _brown_out(case: Case) -> Iterator[Found]:
     if len({one.device for one in together}) == 1:     # others waited behind it, unasked
         together += [other for number, device in case.devices.items()
                      if number != last.device and device.window.not_served and not device.alert
-                     and _restart_proof(case, other := replace(last, device=number))]
+                     and (_restart_proof(case, other := replace(last, device=number))
+                          or _dip(case, number))]
     ids = sorted({one.device for one in together})
     proofs = [proof for one in together if (proof := _restart_proof(case, one) or
                                             _dip(case, one.device))]
     if len(ids) > 1 and proofs:
         yield Claim(None, f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply broke '
-                    'down; check battery and cables, then set them up again',
+                    'down; check battery and cables, set up again',
                     (('devices', listed(ids, 99)), ('seen by', proofs[0])), covers=tuple(ids))
 
 

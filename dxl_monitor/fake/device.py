@@ -91,6 +91,11 @@ class FakeDevice(Registers):
         since = _by_prefix(_FAST_SINCE, self.model.name)
         return since is not None and self.firmware >= since + ('330' in self.model.name)
 
+    @property
+    def baud_codes(self) -> dict[int, int]:
+        """What the codes of Baud Rate mean (bit/s)."""
+        return BAUD_CODES
+
     def hears(self, baud: int, now: int) -> bool:
         """Tell whether it takes part in the traffic of a bus at `baud`."""
         return not self.silent and self.baud == baud and now >= self.up_at
@@ -105,6 +110,10 @@ class FakeDevice(Registers):
             return True
         reads = instruction in _READS
         return self.get('Status Return Level', 2) >= (1 if reads else 2)
+
+    def answer_level(self, level: int) -> None:
+        """Answer Pings (0), reads too (1), or everything (2)."""
+        self.set('Status Return Level', level)
 
     # --- what happens to it ----------------------------------------------------------------
 
@@ -194,7 +203,7 @@ class FakeDevice(Registers):
         self.id = self.image[field.at]
 
     def _take_baud(self, field: Field) -> None:
-        self.baud = BAUD_CODES.get(self.image[field.at], self.baud)
+        self.baud = self.baud_codes.get(self.image[field.at], self.baud)
 
     def _take_torque(self, field: Field) -> None:
         if self.hardware_error:      # shut down: it stays off until a start

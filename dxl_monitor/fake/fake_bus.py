@@ -23,6 +23,7 @@ from dxl_monitor.fake.faults import parse as parse_fault
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.shell import FakeBus
+from dxl_monitor.fake.traffic import FAMILY_1
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.fake.usb_adapter import FAMILIES
 from dxl_monitor.fake.usb_outlet import UsbOutlet
@@ -88,8 +89,7 @@ def _run(arguments: list[str]) -> int:
             print(f'{name:13} {kind.about}')
         return 0
     _check(options)
-    is_served = options.tap or options.dialect != '2'
-    pattern = options.pattern or ('none' if is_served else 'moving')
+    pattern = options.pattern or ('none' if options.tap else 'moving')
     devices = make_devices(options.devices or default_devices(pattern, options.dialect),
                            Models(options.model_dirs), options.baud, moving=pattern != 'none',
                            dialect=options.dialect)
@@ -126,9 +126,12 @@ def _finish(bus: FakeBus, truth_file: str | None) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    if options.dialect != '2' and options.pattern not in (None, 'none'):
-        raise UsageError(f'--dialect {options.dialect}: no pattern speaks it; leave --pattern '
-                         'out, and let a master of your own drive the devices')
+    spoken = FAMILY_1.get(PROTOCOLS[options.dialect], PATTERNS)
+    if options.pattern is not None and options.pattern not in spoken:
+        raise UsageError(f'--pattern {options.pattern}: not with --dialect {options.dialect}; '
+                         f'there are: {", ".join(spoken)}')
+    if options.baud is None:
+        options.baud = 2_000_000 if options.dialect == '2' else 1_000_000
     if options.baud <= 0:
         raise UsageError(f'--baud {options.baud}: no rate; give bits per second, e.g. 2000000')
     for name, unit in (('rate', 'cycles per second'), ('patience', 'ms'), ('seconds', 's')):
@@ -159,9 +162,9 @@ def _parser() -> argparse.ArgumentParser:
         'listen with usb:PATH')
     add('--adapter', choices=FAMILIES, default='ftdi', metavar='KIND',
         help=f'which adapter --usbmon shows: {", ".join(FAMILIES)} (default %(default)s)')
-    add('--baud', type=int, default=2_000_000, help='default %(default)s')
+    add('--baud', type=int, help='default 2000000, with the other dialects 1000000')
     add('--dialect', choices=PROTOCOLS, default='2', help='2: Dynamixel Protocol 2.0, dxl1: '
-        'Protocol 1.0, feetech: FT-SCS; the last two with --pattern none (default %(default)s)')
+        'Protocol 1.0, feetech: FT-SCS (default %(default)s)')
     add('--devices', nargs='+', metavar='ID:MODEL', help="like '1-20:MX-106' '101:BitFoot' "
         '(default: the robot of the thesis; with --pattern fast servos that can)')
     add('--model-dirs', nargs='+', metavar='DIR', default=[], help='more folders of model files')

@@ -17,14 +17,15 @@ from dxl_monitor.fake.device import FakeDevice
 from dxl_monitor.fake.device import Reply
 from dxl_monitor.fake.line import AnyFramer
 from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.registers import ACCESS
 from dxl_monitor.fake.registers import INSTRUCTION
 from dxl_monitor.fake.registers import OK
 from dxl_monitor.fake.registers import RANGE
 from dxl_monitor.fake.values import Sine
-from dxl_monitor.model.control_table import Field
 from dxl_monitor.model.control_table import Model
 from msg_defs import dxl1_packet
 from msg_defs.dxl1_instruction import CALIBRATE
+from msg_defs.dxl1_instruction import common_error
 from msg_defs.dxl1_instruction import Dialect
 from msg_defs.dxl1_instruction import in_common
 from msg_defs.dxl1_instruction import parse
@@ -41,7 +42,8 @@ _FACTORY = {'feetech': {'Baud Rate': 0, 'Status Return Level': 1, 'Return Delay 
                         'Operating Mode': 0},
             '1': {'Baud Rate': 1, 'Max Voltage Limit': 140, 'Min Voltage Limit': 60,
                   'Return Delay Time': 0, 'Shutdown': 36, 'Alarm LED': 36}}
-_ERRORS = {'1': {RANGE: 0x08, INSTRUCTION: 0x40}, 'feetech': {}}
+# Dynamixel: e-Manual, error byte. What is out of the table is out of range.
+_ERRORS = {'1': {RANGE: 0x08, ACCESS: 0x08, INSTRUCTION: 0x40}, 'feetech': {}}
 
 
 class Servo1(FakeDevice):
@@ -62,9 +64,13 @@ class Servo1(FakeDevice):
                     field = model.by_name[name]
                     image[field.at:field.end] = field.bytes_of(raw)
         self.factory = bytes(factory)
-        code = _code_of(model.by_name['Baud Rate'], baud)
-        if code is not None:
-            self.set('Baud Rate', code)
+        self.set('Baud Rate', next((k for k, v in self.baud_codes.items() if v == baud),
+                                   _FACTORY[model.protocol]['Baud Rate']))
+
+    @property
+    def baud_codes(self) -> dict[int, int]:
+        words = self.model.by_name['Baud Rate'].enum or {}
+        return {code: int(word) for code, word in words.items()}
 
     def error_byte(self, error: int) -> int:
         return error | self.hardware_error
@@ -77,6 +83,9 @@ class Servo1(FakeDevice):
         is_read = instruction in (Instruction.READ, Instruction.SYNC_READ, Instruction.BULK_READ)
         level = self.get('Status Return Level', 2) + self.is_feetech
         return level >= (1 if is_read else 2)
+
+    def answer_level(self, level: int) -> None:
+        self.set('Status Return Level', level - self.is_feetech)
 
     def execute(self, instruction: int, params: bytes, now: int) -> Reply:
         """Do what an instruction says; the error of the reply is a set of flags."""
@@ -95,9 +104,17 @@ class Servo1(FakeDevice):
         reply = super().execute(instruction, params, now)
         return Reply(_ERRORS[self.model.protocol].get(reply.error, OK), reply.params)
 
+    def read(self, address: int, length: int, now: int) -> Reply:
+        """Return registers; where Feetech has none it reads 0."""
+        reply = super().read(address, length, now)
+        if self.is_feetech and reply.error:
+            return Reply(OK, bytes(length))
+        return reply
+
     def write(self, address: int, data: bytes, now: int) -> Reply:
         """Write what may be written; bytes of registers that are read only stay."""
-        if not self.is_feetech and self._is_out_of_range(address, data):
+        if not self.is_feetech and (self._is_out_of_range(address, data)
+                                    or not self.is_readable(address, address + len(data))):
             return Reply(RANGE)
         goal = self.field('Goal Position')
         angle = self.angle(now)
@@ -119,10 +136,6 @@ class Servo1(FakeDevice):
         limit = 1023 if self.model.by_name['CW Angle Limit'].scale == 0.0051132693 else 4095
         return 0 <= at <= len(data) - 2 and goal.code_of(data[at:at + 2]) > limit
 
-    def _take_baud(self, field: Field) -> None:
-        rate = field.decode(bytes(self.image[field.at:field.end])).number
-        self.baud = int(rate) if rate else self.baud
-
     def _calibrate(self) -> None:
         self.rest_angle = 0.0
         self.set('Torque Enable', 0)
@@ -141,9 +154,16 @@ class Servo1(FakeDevice):
 class Line1(Line):
     """A line with packets of the 1.0 family."""
 
+    header = dxl1_packet.HEADER
+    repairs_headers = False
+    pings_tell_model = False
+    status_size = 6
+    addresses = 0x100
+
     def __init__(self, devices: Iterable[FakeDevice], baud: int, dialect: Dialect, *,
                  waits_in_line: bool = True) -> None:
         self.dialect = dialect
+        self.protocol = dialect.protocol
         super().__init__(devices, baud, waits_in_line=waits_in_line)
 
     def instruction_wire(self, number: int, instruction: int, params: bytes,
@@ -155,6 +175,12 @@ class Line1(Line):
 
     def understood(self, instruction: int, number: int, params: bytes) -> Request:
         return parse(instruction, number, narrow(instruction, params), self.dialect)
+
+    def knows(self, instruction: int) -> bool:
+        return instruction in self.dialect.entries
+
+    def common_error(self, error: int) -> int:
+        return common_error(error, self.dialect)
 
     def listener(self) -> AnyFramer:
         return dxl1_packet.Framer1()
@@ -177,7 +203,3 @@ def narrow(instruction: int, params: bytes) -> bytes:
                                 for at in range(0, len(params) - 4, 5))
     return params
 
-
-def _code_of(field: Field, rate: int) -> int | None:
-    """Return the code of a baud rate, None where the servo does not have it."""
-    return next((code for code, word in (field.enum or {}).items() if word == rate), None)

@@ -15,7 +15,6 @@ from dxl_monitor.fake.traffic import Ask
 from dxl_monitor.fake.traffic import read
 from dxl_monitor.fake.traffic import sync_read
 from dxl_monitor.fake.traffic import write
-from dxl_monitor.fake.values import BAUD_CODES
 from dxl_monitor.fake.values import Sine
 from dxl_monitor.fake.values import TEMPERATURE
 from dxl_monitor.fake.values import VOLTAGE
@@ -63,8 +62,8 @@ class Duplicate(Effect):
         original = self.device
         others = [device.model for device in self.line.chain
                   if device.model is not original.model and device.field('Torque Enable')]
-        self.twin = FakeDevice(original.id, (others or [original.model])[0], baud=self.line.baud,
-                               motion=Sine(phase=2.0))
+        self.twin = type(original)(original.id, (others or [original.model])[0],
+                                   baud=self.line.baud, motion=Sine(phase=2.0))
 
     def begin(self, now: int) -> None:
         self.line.add(self.twin)
@@ -75,24 +74,6 @@ class Duplicate(Effect):
     def step(self, now: int) -> None:
         # Now on top of the other's answer, now behind it.
         self.twin.set('Return Delay Time', self.rng.choice((5, FACTORY_DELAY)))
-
-
-class Baud(Effect):
-    """The master writes Baud Rate of the device, which is never heard again."""
-
-    def begin(self, now: int) -> None:
-        self._done = False
-
-    def asks(self, cycle: int) -> Iterable[Ask]:
-        rate = self.device.field('Baud Rate')
-        if self._done or rate is None:
-            return
-        self._done = True
-        torque = self.device.field('Torque Enable')
-        if torque is not None:
-            yield write(self.device.id, torque.at, b'\x00')
-        code = next(code for code, baud in BAUD_CODES.items() if baud != self.line.baud)
-        yield write(self.device.id, rate.at, bytes([code]))
 
 
 class Reboot(Effect):
@@ -150,18 +131,19 @@ class NoAck(Effect):
 
     def begin(self, now: int) -> None:
         for device in self.devices:
-            device.set('Status Return Level', self.level)
+            device.answer_level(self.level)
 
     def end(self, now: int) -> None:
         for device in self.devices:
-            device.set('Status Return Level', 2)
+            device.answer_level(2)
 
     def asks(self, cycle: int) -> Iterable[Ask]:
         count = len(self.line.chain)
         for device in self.devices:
-            led = device.field('LED')
+            led = device.field('LED') or device.field('Acceleration')
             if led is not None and cycle % count == device.id % count:
                 yield write(device.id, led.at, bytes(led.size))
+                self.scene.pace.pause = self.scene.pace.patience     # it waits for an answer
                 yield Ask(device.id, Instruction.PING)
 
 

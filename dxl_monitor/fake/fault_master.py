@@ -20,7 +20,8 @@ from msg_defs.dxl_instruction import Instruction
 
 LATENCY_NS = 16 * MS             # an FTDI adapter as delivered
 RIVAL_PERIOD_NS = 37 * MS
-PRO_TORQUE_ENABLE = 562          # in the PRO series; an X device has nothing there
+# Torque Enable of another series: PRO (an X device has nothing there); X (an AX has nothing).
+FOREIGN_TORQUE = {'2': 562, '1': 64}
 HEADER_LIKE = b'\xff\xff\xfd\x00'
 
 
@@ -79,8 +80,9 @@ class WrongMap(Effect):
 
     def asks(self, cycle: int) -> Iterable[Ask]:
         if cycle % 5 == 0:
-            yield write(self.device.id, PRO_TORQUE_ENABLE, b'\x01')
-            yield read(self.device.id, PRO_TORQUE_ENABLE, 1)
+            address = FOREIGN_TORQUE[self.line.protocol]
+            yield write(self.device.id, address, b'\x01')
+            yield read(self.device.id, address, 1)
 
 
 class Eeprom(Effect):
@@ -99,9 +101,10 @@ class EepromWear(Effect):
         self.device.set('Torque Enable', 0)
 
     def asks(self, cycle: int) -> Iterable[Ask]:
-        field = self.device.field('Homing Offset')
+        field = self.device.field('Homing Offset') or self.device.field('Temperature Limit')
         if field is not None:
-            yield write(self.device.id, field.at, bytes(field.size))
+            data = bytes(self.device.image[field.at:field.end])
+            yield write(self.device.id, field.at, data)
 
 
 class Unstuffed(Effect):

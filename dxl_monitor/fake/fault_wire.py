@@ -13,6 +13,8 @@ from dxl_monitor.fake.line import Burst
 from dxl_monitor.fake.line import Exchange
 from dxl_monitor.fake.line import STRAY
 from dxl_monitor.fake.line import wire_ns
+from msg_defs import dxl1_packet
+from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
@@ -33,7 +35,8 @@ class Flip(Effect):
             data[self.rng.randrange(len(data))] ^= 1 << self.rng.randrange(8)
             burst.data = bytes(data)
             # A lost first header byte is repaired by the framing.
-            burst.intact = burst.intact and data[1:4] == HEADER[1:] and data[0] != HEADER[0]
+            burst.intact = (burst.intact and self.line.repairs_headers
+                            and data[1:4] == HEADER[1:] and data[0] != HEADER[0])
 
 
 class Drop(Effect):
@@ -44,7 +47,8 @@ class Drop(Effect):
             at = self.rng.randrange(len(burst.data))
             rest = burst.data[:at] + burst.data[at + 1:]
             # Either FF of a header may be the one that is lost: the framing repairs it.
-            burst.intact &= burst.data.startswith(HEADER) and rest == burst.data[1:]
+            burst.intact &= (self.line.repairs_headers and burst.data.startswith(HEADER)
+                             and rest == burst.data[1:])
             burst.data = rest
 
 
@@ -55,13 +59,13 @@ class Header(Effect):
 
     def damage(self, burst: Burst) -> None:
         if burst.sender < 0 or not self.concerns(burst.sender) \
-                or not burst.data.startswith(HEADER) or self.rng.random() > OFTEN:
+                or not burst.data.startswith(self.line.header) or self.rng.random() > OFTEN:
             return
         count = self.rng.randint(1, self.longest)
         garbage = bytes(self.rng.choice((0x00, 0x80, 0xF8, 0xFE)) for _ in range(count))
         lost = self.rng.random() < 0.5
         burst.data = (b'' if lost else garbage) + burst.data[count:]
-        burst.intact = burst.intact and count == 1
+        burst.intact = burst.intact and count == 1 and self.line.repairs_headers
 
 
 class Turnaround(Header):
@@ -131,7 +135,7 @@ class Foreign(Effect):
 
     def stray(self, exchange: Exchange) -> Iterator[Burst]:
         if self.rng.random() < SOMETIMES:
-            status = encode(self.device.id, STATUS, bytes(4), 0)
+            status = self.line.status_wire(self.device.id, 0, bytes(4))
             yield Burst(exchange.end, status, self.device.id, self.line.baud)
 
 
@@ -142,12 +146,17 @@ class Protocol1(Effect):
 
     def stray(self, exchange: Exchange) -> Iterator[Burst]:
         if self.rng.random() < SOMETIMES:
-            asked = _protocol_1(self.number, b'\x02\x24\x08')
-            answer = _protocol_1(self.number, b'\x00' + bytes(range(0x20, 0x28)))
-            yield Burst(exchange.end, asked + answer, STRAY, self.line.baud, intact=False)
+            yield Burst(exchange.end, self.packets(), STRAY, self.line.baud, intact=False)
+
+    def packets(self) -> bytes:
+        """Return a question and its answer."""
+        return dxl1_packet.encode(self.number, Instruction.READ, b'\x24\x08') \
+            + dxl1_packet.encode(self.number, 0, bytes(range(0x20, 0x28)))
 
 
-def _protocol_1(number: int, content: bytes) -> bytes:
-    """Return a Protocol 1.0 packet: FF FF, id, length, content, inverted sum."""
-    body = bytes([number, len(content) + 1]) + content
-    return b'\xff\xff' + body + bytes([~sum(body) & 0xFF])
+class Protocol2(Protocol1):
+    """A Protocol 2.0 device on the same bus, and its master."""
+
+    def packets(self) -> bytes:
+        return encode(self.number, Instruction.READ, bytes((0x84, 0, 8, 0))) \
+            + encode(self.number, STATUS, bytes(range(0x20, 0x28)), 0)

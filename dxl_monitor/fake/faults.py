@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from dxl_monitor.fake import fault_device as in_device
 from dxl_monitor.fake import fault_master as in_master
+from dxl_monitor.fake import fault_setup as in_setup
 from dxl_monitor.fake import fault_wire as on_wire
 from dxl_monitor.fake.fault import Effect
 from dxl_monitor.fake.fault import Fault
@@ -21,12 +22,17 @@ from dxl_monitor.fake.fault import FaultScope
 from dxl_monitor.fake.fault import S
 from mecarover_serial.parameters import ParameterError
 
+ALL = ('2', '1', 'feetech')
+ONLY_2 = ('2',)
+FAMILY_1 = ('1', 'feetech')
+
 
 class FaultKind(NamedTuple):
     """A fault of the catalogue; `cause` numbers the field problem it plays (0: none of them)."""
 
     cause: int
     effect: type[Effect]
+    protocols: tuple[str, ...] = ALL       # in which it can happen
 
     @property
     def about(self) -> str:
@@ -39,7 +45,7 @@ KINDS: dict[str, FaultKind] = {
     'silent': FaultKind(1, in_device.Silent),
     'cable': FaultKind(1, in_device.Cable),
     'duplicate': FaultKind(3, in_device.Duplicate),
-    'baud': FaultKind(4, in_device.Baud),
+    'baud': FaultKind(4, in_setup.Baud),
     'wrong_baud': FaultKind(4, on_wire.WrongBaud),
     'impatient': FaultKind(5, in_master.Impatient),
     'latency': FaultKind(5, in_master.Latency),
@@ -55,22 +61,34 @@ KINDS: dict[str, FaultKind] = {
     'echo': FaultKind(10, on_wire.Echo),
     'two_masters': FaultKind(11, in_master.TwoMasters),
     'foreign': FaultKind(11, on_wire.Foreign),
-    'wrong_map': FaultKind(12, in_master.WrongMap),
-    'eeprom': FaultKind(13, in_master.Eeprom),
+    'wrong_map': FaultKind(12, in_master.WrongMap, ('2', '1')),
+    'eeprom': FaultKind(13, in_master.Eeprom, ONLY_2),
     'eeprom_wear': FaultKind(13, in_master.EepromWear),
     'no_ack': FaultKind(14, in_device.NoAck),
-    'ping_only': FaultKind(14, in_device.PingOnly),
-    'old_firmware': FaultKind(15, in_device.OldFirmware),
-    'unstuffed': FaultKind(16, in_master.Unstuffed),
+    'ping_only': FaultKind(14, in_device.PingOnly, ('2', '1')),
+    'old_firmware': FaultKind(15, in_device.OldFirmware, ONLY_2),
+    'unstuffed': FaultKind(16, in_master.Unstuffed, ONLY_2),
     'noise': FaultKind(17, on_wire.Noise),
     'flip': FaultKind(17, on_wire.Flip),
     'drop': FaultKind(17, on_wire.Drop),
-    'watchdog': FaultKind(18, in_device.Watchdog),
-    'protocol1': FaultKind(19, on_wire.Protocol1),
+    'watchdog': FaultKind(18, in_device.Watchdog, ONLY_2),
+    'protocol1': FaultKind(19, on_wire.Protocol1, ONLY_2),
+    'protocol2': FaultKind(19, on_wire.Protocol2, FAMILY_1),
     'hot': FaultKind(0, in_device.Hot),
     'low_voltage': FaultKind(0, in_device.LowVoltage),
     'unwritten': FaultKind(0, in_device.Unwritten),
     'jitter': FaultKind(0, in_master.Jitter),
+    'factory_id': FaultKind(3, in_setup.FactoryId),
+    'high_supply': FaultKind(0, in_setup.HighSupply, FAMILY_1),
+    'low_supply': FaultKind(0, in_setup.LowSupply, FAMILY_1),
+    'locked': FaultKind(13, in_setup.Locked, FAMILY_1),
+    'last_id': FaultKind(12, in_setup.LastId),
+    'layout': FaultKind(12, in_setup.ForeignLayout, ('feetech',)),
+    'baud_code': FaultKind(4, in_setup.BaudCode, ('feetech',)),
+    'mixed_firmware': FaultKind(15, in_setup.MixedFirmware, ('feetech',)),
+    'calibrated': FaultKind(0, in_setup.Calibrated, ('feetech',)),
+    'middle': FaultKind(0, in_setup.Middle, ('feetech',)),
+    'offset': FaultKind(0, in_setup.Offset, ('feetech',)),
 }
 
 
@@ -99,6 +117,9 @@ class Faults:
 
     def __init__(self, faults: list[Fault], scene: FaultScope) -> None:
         for fault in faults:
+            if scene.line.protocol not in KINDS[fault.name].protocols:
+                raise ParameterError(f'fault: {fault.name}: not with these servos; it is one of '
+                                     f'{" and ".join(KINDS[fault.name].protocols)}')
             if fault.id is not None and scene.line.at(fault.id) is None:
                 raise ParameterError(f'fault: {fault.name}:{fault.id}: no device has this ID; '
                                      'name one of --devices')

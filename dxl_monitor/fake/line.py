@@ -21,6 +21,7 @@ from msg_defs.crc import crc16
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import NAMES
 from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_packet import BROADCAST
@@ -64,7 +65,7 @@ class Burst:
 
 
 class Answer(NamedTuple):
-    """What one device sent: error byte and data, and where they stand on the line."""
+    """What one device sent: error byte as in 2.0 and data, and where they stand on the line."""
 
     id: int
     error: int
@@ -105,6 +106,13 @@ class Line:
     that all behind a silent one stay silent too; else they answer after its slot.
     """
 
+    protocol = '2'                   # as model files call it
+    header = HEADER
+    repairs_headers = True           # a listener takes a packet whose first byte is damaged
+    pings_tell_model = True
+    status_size = 11                 # bytes of a status without parameters
+    addresses = 0x10000              # that an instruction can name
+
     def __init__(self, devices: Iterable[FakeDevice], baud: int, *,
                  waits_in_line: bool = True) -> None:
         self.chain = list(devices)
@@ -122,6 +130,12 @@ class Line:
     def remove(self, device: FakeDevice) -> None:
         """Disconnect a device."""
         self.chain.remove(device)
+        self._index()
+
+    def renumber(self, device: FakeDevice, number: int) -> None:
+        """Give a device an ID by no instruction, also one that is taken."""
+        device.set('ID', number)
+        device.id = number
         self._index()
 
     def at(self, number: int) -> FakeDevice | None:
@@ -158,6 +172,14 @@ class Line:
     def understood(self, instruction: int, number: int, params: bytes) -> Request:
         """Return what an instruction asks for."""
         return parse(instruction, number, params)
+
+    def knows(self, instruction: int) -> bool:
+        """Tell whether there is such an instruction."""
+        return instruction in NAMES
+
+    def common_error(self, error: int) -> int:
+        """Return the error byte of a status as 2.0 would say it."""
+        return error
 
     def listener(self) -> AnyFramer:
         """Return what finds the instructions of a real master in its bytes."""
@@ -223,7 +245,7 @@ class Line:
         """Put a status on the line; return when it ends."""
         burst = Burst(start, self.status_wire(number, error, params), number, self.baud)
         exchange.bursts.append(burst)
-        exchange.answers.append(Answer(number, error, params, burst))
+        exchange.answers.append(Answer(number, self.common_error(error), params, burst))
         return burst.end
 
     def _everybody(self, exchange: Exchange, now: int) -> None:
@@ -241,7 +263,7 @@ class Line:
                        if device.acknowledges(exchange.request.instruction)]
             if not devices and self.waits_in_line:
                 return
-            end = now + (0 if devices else wire_ns(access.length + 11, self.baud))
+            end = now + (0 if devices else wire_ns(access.length + self.status_size, self.baud))
             for device in devices:
                 reply = device.read(access.address, access.length, now)
                 end = max(end, self._send(exchange, access.id, device.error_byte(reply.error),

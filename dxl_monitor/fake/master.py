@@ -33,7 +33,6 @@ from msg_defs.dxl_instruction import Answers
 PATIENCE_NS = 34_000_000         # SDK: two latency timers of 16 ms, and 2 ms
 GAP_NS = 100_000
 ENDLESS_NS = 100_000_000         # exchanges that run into each other for so long
-STATUS_SIZE = 11                 # bytes of a status without parameters
 BROADCAST_PING_NS = 3_000_000    # a master cannot know who will come last
 QUIET_NS = 10_000_000            # what an empty cycle of endless rate lasts
 
@@ -53,7 +52,7 @@ class Master:
         self.truth = Truth(line)
         self.pattern = pattern
         self._started = started
-        self._fleet = Fleet(line.chain)
+        self._fleet = Fleet(line)
         self._pace = Pace(round(S / rate) if rate else 0, gap, patience)
         self._rng = Random(seed)
         self._faults = Faults(list(faults), FaultScope(line, self._fleet, self._pace, self._rng))
@@ -163,7 +162,7 @@ class Master:
             wait = max(exchange.end - asked.end, BROADCAST_PING_NS)
         else:
             sizes = [access.length for access in exchange.request.accesses] or [0]
-            size = sum(sizes) + STATUS_SIZE * len(sizes)
+            size = sum(sizes) + self.line.status_size * len(sizes)
             wait = wire_ns(size, self.line.baud) + self._pace.patience
             if exchange.complete:
                 wait = min(wait, exchange.end - asked.end)

@@ -11,12 +11,12 @@ and 3 of the thesis, `moving` follows the cycle of its robot trace.
 from __future__ import annotations
 
 from collections.abc import Callable
-from collections.abc import Iterable
 from collections.abc import Iterator
 from typing import NamedTuple
 from typing import TypeVar
 
 from dxl_monitor.fake.device import FakeDevice
+from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.values import pack
 from dxl_monitor.model.control_table import Field
 from msg_defs.dxl_instruction import Instruction
@@ -52,11 +52,15 @@ Pattern = Callable[['Fleet', int, Clock], Iterator[Ask]]
 
 
 class Fleet:
-    """The devices as the master knows them: it looks up addresses once."""
+    """The devices of a line as the master knows them: it looks up addresses once."""
 
-    def __init__(self, devices: Iterable[FakeDevice]) -> None:
-        self.devices = list(devices)
-        self.ids = tuple(device.id for device in self.devices)
+    def __init__(self, line: Line) -> None:
+        self.knows = line.knows
+        self.pings_tell_model = line.pings_tell_model
+        self.devices = list(line.chain)
+        self._addresses = line.addresses
+        self.id_of = {device: device.id for device in self.devices}    # as it takes them for
+        self.ids = tuple(self.id_of.values())
         self.servos = [device for device in self.devices if device.field('Goal Position')]
         self.boards = [device for device in self.devices if not device.field('Goal Position')]
         self.unwritten: set[int] = set()     # the master never writes to these
@@ -67,22 +71,30 @@ class Fleet:
         if names not in self._spans:
             groups: dict[tuple[int, int], list[int]] = {}
             for device in self.devices:
-                fields = [field for name in names if (field := device.field(name)) is not None]
+                fields = [field for name in names if (field := device.field(name)) is not None
+                          and field.at < self._addresses]
                 if fields:
                     first, end = min(f.at for f in fields), max(f.end for f in fields)
-                    groups.setdefault((first, end - first), []).append(device.id)
+                    groups.setdefault((first, end - first), []).append(self.id_of[device])
             self._spans[names] = [CommonRange(*place, tuple(ids)) for place, ids in groups.items()]
         return self._spans[names]
+
+    def read(self, span: CommonRange) -> Iterator[Ask]:
+        """Read the same registers of several devices, one by one where there is no Sync Read."""
+        if self.knows(Instruction.SYNC_READ):
+            return sync_read(span)
+        return (read(number, span.address, span.length) for number in span.ids)
 
     def goals(self, now: int) -> list[tuple[Field, list[tuple[int, bytes]]]]:
         """Return each servo's Goal Position, devices with equal addresses together."""
         groups: dict[tuple[int, int], tuple[Field, list[tuple[int, bytes]]]] = {}
         for device in self.servos:
-            if device.id in self.unwritten or device.motion is None:
+            number = self.id_of[device]
+            if number in self.unwritten or device.motion is None:
                 continue
             field = device.model.by_name['Goal Position']
             data = pack(field, device.motion.angle(now * 1e-9 + LOOK_AHEAD_S))
-            groups.setdefault((field.at, field.size), (field, []))[1].append((device.id, data))
+            groups.setdefault((field.at, field.size), (field, []))[1].append((number, data))
         return list(groups.values())
 
 
@@ -146,39 +158,45 @@ def bulk_write(data: list[tuple[int, int, bytes]]) -> Iterator[Ask]:
 
 def start_up(fleet: Fleet, clock: Clock) -> Iterator[Ask]:
     """Do what a robot's master does first: look who is there, switch the torque on."""
-    for number in fleet.ids:
+    for device, number in fleet.id_of.items():
         yield Ask(number, Instruction.PING)
+        if not fleet.pings_tell_model:
+            yield read(number, device.model.by_name['Model Number'].at, 2)
     for device in fleet.servos:
         field = device.field('Torque Enable')
-        if field is not None and device.id not in fleet.unwritten:
-            yield write(device.id, field.at, b'\x01')
+        number = fleet.id_of[device]
+        if field is not None and number not in fleet.unwritten:
+            yield write(number, field.at, b'\x01')
 
 
 def moving(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
     """Walk like the robot of the trace: positions, one board after the other, goals."""
     for span in fleet.spans('Present Position', 'Present Velocity', 'Present Current'):
-        yield from sync_read(span)
+        yield from fleet.read(span)
     if fleet.boards:
         yield _read_board(fleet.boards[cycle % len(fleet.boards)])
     yield from _goals(fleet, clock)
     if cycle % SLOW == 1:
         for span in fleet.spans('Present Input Voltage', 'Present Temperature'):
-            yield from sync_read(span)
+            yield from fleet.read(span)
     if cycle % SLOW == 2:
         for span in fleet.spans('Hardware Error Status'):
-            yield from sync_read(span)
+            yield from fleet.read(span)
 
 
 def sync(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
     """Sync Read of positions and Sync Write of goals, nothing else."""
     for span in fleet.spans('Present Position'):
-        yield from sync_read(span)
+        yield from fleet.read(span)
     yield from _goals(fleet, clock)
 
 
 def bulk(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
-    """Bulk Read of positions and boards, Bulk Write of goals."""
+    """Bulk Read of positions and boards, Bulk Write (in 1.0 Sync Write) of goals."""
     yield from bulk_read(_everything(fleet))
+    if not fleet.knows(Instruction.BULK_WRITE):
+        yield from _goals(fleet, clock)
+        return
     goals = [(number, field.at, content) for field, data in fleet.goals(clock())
              for number, content in data]
     yield from bulk_write(goals)
@@ -201,7 +219,7 @@ def registered(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
             yield Ask(number, Instruction.REG_WRITE, words(field.at) + content)
     yield Ask(BROADCAST, Instruction.ACTION)
     for span in fleet.spans('Present Position'):
-        yield from sync_read(span)
+        yield from fleet.read(span)
 
 
 def read_write(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
@@ -290,4 +308,7 @@ PATTERNS: dict[str, Pattern] = {
     'read_write': read_write, 'ping': ping, 'broadcast': broadcast, 'idle': idle,
     'mixed': mixed, 'none': none,
 }
+# What a master can ask that has no more than the instructions of the 1.0 family.
+FAMILY_1 = {'1': ('moving', 'sync', 'bulk', 'registered', 'broadcast', 'idle', 'none'),
+            'feetech': ('moving', 'sync', 'registered', 'broadcast', 'idle', 'none')}
 _MIX: tuple[Pattern, ...] = (moving, sync, bulk, registered, read_write)

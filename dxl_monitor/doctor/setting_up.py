@@ -1,0 +1,176 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rules about servos that were not set up for this robot: ID, supply, table of another series."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.report import Cycle
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.limits import FACTORY
+from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Doubt
+from dxl_monitor.doctor.rule import each
+from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import listed
+from dxl_monitor.doctor.rule import MODEL
+from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Model
+from msg_defs.dxl_instruction import name_of
+from msg_defs.reports import Level
+
+S = 1_000_000_000
+FEW = 3
+FACTORY_ID = 1
+CLASHES = 0.5                      # share of its answers: a bad cable spoils fewer
+FRESH_S = 10.0
+BEYOND = 1.25                      # times the limit: made for another supply, not just near it
+FOR_12_V = 12.0                    # a limit from here on: the servo is made for 12 V
+WEAK = 8.6                         # V: two cells; an empty battery of three has more
+ONSET_S = 3.0                      # a supply that sags for a moment is none
+ALIVE = 1.0                        # V: with less it would not answer
+ALL = 3                            # as many: it is the supply, not one servo
+FAMILY_1 = ('1', 'feetech')
+TABLE_END = 256                    # what is behind cannot be addressed there
+RECENT_NS = 10 * S
+DUMP = 4                           # bytes: who reads more at once, looks at all there is
+# What stands there in other series (e-Manual; Feetech, memory tables of STS and SCS).
+_ELSEWHERE = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX and MX',
+              48: 'Lock of SCS', 55: 'Lock of STS', 64: 'Torque Enable of X',
+              116: 'Goal Position of X', 132: 'Present Position of X'}
+
+
+def _factory_id(case: Case) -> Iterator[Found]:
+    first = case.devices.get(FACTORY_ID)
+    absent = [device.id for device in case.report.devices
+              if device.last_heard_s is None and device.missed_in_a_row >= FEW]
+    if first is None or not absent or not _clashes(case, first):
+        return
+    yield Claim(FACTORY_ID, f'several servos answer as 001, and {listed(absent, 3)} never did: '
+                'new ones still have ID 1; connect one at a time and give each its ID',
+                (('never heard', listed(absent, 99)),
+                 ('spoilt', f'{first.window.spoilt} of {first.window.asked}')),
+                covers=tuple(absent))
+
+
+def _clashes(case: Case, device: DeviceReport) -> bool:
+    """Tell whether more than one device answers: twice, or over each other most of the time."""
+    window = device.window
+    return case.count(ev.SECOND_ANSWER, device.id) >= FEW or (
+        window.spoilt >= FEW and window.spoilt >= CLASHES * window.asked)
+
+
+def _wrong_supply(case: Case) -> Iterator[Found]:
+    high, low, unknown = [], [], []
+    for device in case.report.devices:
+        volts = _volts(case, device)
+        if volts is None:
+            continue
+        limit = _maximum(case, device)
+        if limit is None:
+            unknown.append(device.id)
+        elif volts > BEYOND * limit:
+            high.append((device, volts, limit))
+        elif limit >= FOR_12_V and _minimum(case, device) <= volts < WEAK:
+            low.append((device, volts, limit))
+    yield from _supply_claims(high, 'far above its limit of {limit:.1f} V: a servo for a lower '
+                              'voltage{others}; switch off, and check which servos these are',
+                              Level.ERROR)
+    yield from _supply_claims(low, 'while its limit is {limit:.1f} V: a servo for 12 V on a lower '
+                              'supply{others}, slow and weak; feed it 12 V', Level.WARN)
+    if unknown:
+        yield Doubt(None, f'{listed(unknown, 3)}: Max Voltage Limit never read, so whether they '
+                    'fit the supply cannot be told')
+
+
+def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
+                   level: Level) -> Iterator[Claim]:
+    """Claim each, or the first for all where it is many: then it is the supply."""
+    ids = tuple(device.id for device, _, _ in found)
+    many = len(found) >= ALL
+    for device, volts, limit in found[:1] if many else found:
+        others = f', {len(ids) - 1} others too' if many else ''
+        yield Claim(device.id, f'at {volts:.0f} V, ' + words.format(limit=limit, others=others),
+                    (('voltage (V)', f'{volts:.1f}'), ('limit (V)', f'{limit:.1f}'),
+                     ('devices', listed(ids, 99))), level, covers=ids)
+
+
+def _volts(case: Case, device: DeviceReport) -> float | None:
+    seen = case.values[device.id].get('Present Input Voltage')
+    if device.model.protocol not in FAMILY_1 or seen is None or seen.source != 'r' \
+            or seen.age_s > FRESH_S or seen.value.number is None or seen.value.number < ALIVE:
+        return None
+    return seen.value.number
+
+
+def _maximum(case: Case, device: DeviceReport) -> float | None:
+    """Return Max Voltage Limit: its own, or that of its model from the factory."""
+    own = case.values[device.id].get('Max Voltage Limit')
+    if own is not None and own.value.number is not None:
+        return own.value.number
+    limits = FACTORY.get(device.model_number or -1) if device.model.protocol == '1' else None
+    return None if limits is None else limits.high
+
+
+def _minimum(case: Case, device: DeviceReport) -> float:
+    """Return Min Voltage Limit where it was read, else 0: below it the supply has sagged."""
+    own = case.values[device.id].get('Min Voltage Limit')
+    return 0.0 if own is None or own.value.number is None else own.value.number
+
+
+def _layout(case: Case, device: DeviceReport) -> Found | None:
+    if device.model.protocol not in FAMILY_1:
+        return None
+    order = case.values[device.id].get('Byte Order')
+    place = device.model.by_name.get('Present Position')
+    if order is not None and place is not None \
+            and (order.value.raw == 1) != (place.byte_order == 'big'):
+        return Claim(device.id, f'says that its numbers are {order.value.text}, and those of '
+                     f'{device.model_name} are not: name its real model in `devices`')
+    for cycle in case.report.cycles:
+        if cycle.address is None or device.id not in cycle.ids or cycle.asked < FEW \
+                or cycle.stamps[-1] < case.now - RECENT_NS:
+            continue
+        unfit = _unfit(device.model, cycle)
+        if unfit:
+            return Claim(device.id, f'{name_of(cycle.instruction)} of {cycle.length} at '
+                         f'{cycle.address}, {unfit}: use the table of {device.model_name}',
+                         (('address', str(cycle.address)), ('times', str(cycle.asked))))
+    return None
+
+
+def _unfit(model: Model, cycle: Cycle) -> str:
+    """Return why an access does not fit the registers of a model, '' where it does."""
+    begin, end = cycle.address or 0, (cycle.address or 0) + cycle.length
+    fields = [field for field in model.fields if field.at < TABLE_END]
+    elsewhere = f' ({_ELSEWHERE[begin]})' if begin in _ELSEWHERE else ''
+    for field in fields:
+        if any(field.at < edge < field.end for edge in (begin, end)):
+            return f'which cuts {_spelt(field)}{elsewhere}'
+    if cycle.length <= DUMP and begin < TABLE_END \
+            and not any(field.at < end and field.end > begin for field in fields):
+        return f'where {model.name} has no register{elsewhere}'
+    return ''
+
+
+def _spelt(field: Field) -> str:
+    return f'{field.name} ({field.at}, {field.size} bytes)'
+
+
+RULES = (
+    Rule('factory_id', Level.ERROR, 'answers of ID 1 that collide, and asked IDs that were never '
+         'heard', _factory_id,
+         ('duplicate_id', 'damaged_answers', 'noise', 'no_answer', 'sync_read_stops',
+          'broken_cable', 'all_silent', 'missed_answers', 'stray_bytes', 'turnaround', 'dropout',
+          'foreign_answers', 'wrong_length', 'late_answers', 'jitter')),
+    Rule('wrong_supply', Level.ERROR, 'Present Input Voltage far from Max Voltage Limit '
+         '(Feetech and 1.0)', _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
+         onset_s=ONSET_S),
+    Rule('layout', Level.WARN, 'the master reads or writes where registers of this model do not '
+         'begin or end, or Byte Order is not that of the model (Feetech and 1.0)', each(_layout),
+         ('wrong_address',), needs=(MODEL,)),
+)

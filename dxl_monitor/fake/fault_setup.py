@@ -1,0 +1,185 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of servos that were not set up for this robot, or wrongly; mostly of the 1.0 family."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from dxl_monitor.fake.device import FakeDevice
+from dxl_monitor.fake.family_1 import MIDDLE
+from dxl_monitor.fake.fault import Effect
+from dxl_monitor.fake.fault_device import Hot
+from dxl_monitor.fake.traffic import Ask
+from dxl_monitor.fake.traffic import read
+from dxl_monitor.fake.traffic import write
+from dxl_monitor.fake.values import VOLTAGE
+from msg_defs.dxl1_instruction import CALIBRATE
+
+FACTORY_ID = 1
+LAST_ID = 253
+CODE_OF_TWO_MEANINGS = 5
+OLD_MINOR, NEW_MINOR = 9, 10
+SCS_LOCK = 48                    # in the SCS series; half of Torque Limit in an STS
+LOW_MAXIMUM = 80                 # Max Voltage Limit of a 7.4 V servo of Feetech, 0.1 V
+LOW_SUPPLY = 7.4
+TOO_MUCH = 1.5                   # times the limit, as 12 V on a servo for up to 8 V
+
+
+class Once(Effect):
+    """What the master does one time."""
+
+    def begin(self, now: int) -> None:
+        self._done = False
+
+    def asks(self, cycle: int) -> Iterable[Ask]:
+        if self._done:
+            return ()
+        self._done = True
+        return self.first()
+
+    def first(self) -> Iterable[Ask]:
+        """Return what the master asks, once."""
+        return ()
+
+
+class Baud(Once):
+    """The master writes Baud Rate of the device, which is never heard again."""
+
+    def first(self) -> Iterable[Ask]:
+        device = self.device
+        torque, rate = device.field('Torque Enable'), device.field('Baud Rate')
+        if rate is None:
+            return
+        if torque is not None:
+            yield write(device.id, torque.at, b'\x00')
+        yield write(device.id, rate.at, bytes([self.code()]))
+
+    def code(self) -> int:
+        """Return what is written."""
+        codes = self.device.baud_codes
+        return next(code for code, baud in codes.items() if baud != self.line.baud)
+
+
+class BaudCode(Baud):
+    """The master writes a baud code that Feetech and LeRobot read differently."""
+
+    def code(self) -> int:
+        return CODE_OF_TWO_MEANINGS
+
+
+class FactoryId(Effect):
+    """The device still has the ID of the factory, 1, beside the one that is meant to have it."""
+
+    exact = False
+
+    def begin(self, now: int) -> None:
+        self._own = {device: device.id for device in self.devices}
+        for device in self._own:
+            self.line.renumber(device, FACTORY_ID)
+
+    def end(self, now: int) -> None:
+        for device, number in self._own.items():
+            self.line.renumber(device, number)
+
+
+class LastId(Effect):
+    """The master asks ID 253, where nothing is."""
+
+    exact = False                # in Protocol 2.0 no device can be missed there
+
+    def asks(self, cycle: int) -> Iterable[Ask]:
+        if cycle % 20 == 0:
+            yield read(LAST_ID, 3, 2)
+
+
+class MixedFirmware(Once):
+    """The device has an older firmware than the others; the master reads that of all."""
+
+    def begin(self, now: int) -> None:
+        super().begin(now)
+        affected = self.device
+        for device in self.line.chain:
+            device.set('Firmware Version Minor', OLD_MINOR if device is affected else NEW_MINOR)
+
+    def first(self) -> Iterable[Ask]:
+        return [read(device.id, 0, 2) for device in self.line.chain]
+
+
+class Locked(Once):
+    """The master writes EEPROM while Lock is 1."""
+
+    def begin(self, now: int) -> None:
+        super().begin(now)
+        self.device.set('Lock', 1)
+
+    def first(self) -> Iterable[Ask]:
+        lock, limit = self.device.field('Lock'), self.device.field('Temperature Limit')
+        if lock is not None and limit is not None:
+            yield read(self.device.id, lock.at, 1)
+            yield write(self.device.id, limit.at, b'\x46')
+
+
+class Calibrated(Once):
+    """The master calibrates the device twice, by the instruction."""
+
+    def first(self) -> Iterable[Ask]:
+        return [Ask(self.device.id, CALIBRATE)] * 2
+
+
+class Middle(Once):
+    """The master calibrates the device twice, by Torque Enable 128."""
+
+    def first(self) -> Iterable[Ask]:
+        torque = self.device.field('Torque Enable')
+        return [] if torque is None else [write(self.device.id, torque.at, bytes([MIDDLE]))] * 2
+
+
+class Offset(Once):
+    """The master calibrates the device on top of the offset that it has."""
+
+    def first(self) -> Iterable[Ask]:
+        offset, place = self.device.field('Homing Offset'), self.device.field('Present Position')
+        if offset is not None and place is not None:
+            yield write(self.device.id, offset.at, offset.bytes_of(120))
+            yield read(self.device.id, place.at, place.size)
+            yield write(self.device.id, offset.at, offset.bytes_of(95))
+
+
+class ForeignLayout(Effect):
+    """The master uses the table of another series: Lock of an SCS servo, on an STS."""
+
+    def asks(self, cycle: int) -> Iterable[Ask]:
+        if cycle % 20 == 0:
+            yield write(self.device.id, SCS_LOCK, b'\x01')
+
+
+class HighSupply(Hot):
+    """The servo is made for a lower voltage: its limit is far below the supply."""
+
+    def begin(self, now: int) -> None:
+        for device in self.devices:
+            if device.model.protocol == 'feetech':
+                device.set('Max Voltage Limit', LOW_MAXIMUM)
+            device.voltage = TOO_MUCH * device.get('Max Voltage Limit') / 10
+            device.latch(_VOLTAGE, now)
+
+    def end(self, now: int) -> None:
+        for device in self.devices:
+            _recover(device, now)
+
+
+class LowSupply(HighSupply):
+    """A servo for 12 V on a supply of 7.4 V."""
+
+    def begin(self, now: int) -> None:
+        for device in self.devices:
+            device.voltage = LOW_SUPPLY
+
+
+def _recover(device: FakeDevice, now: int) -> None:
+    device.voltage = VOLTAGE
+    device.restart(now)
+
+
+_VOLTAGE = 0x01                  # the bit in the error byte, in both dialects
