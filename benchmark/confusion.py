@@ -205,7 +205,7 @@ def _sides(results: list[tuple[Case, Result]], sided: list[tuple[Case, Result]])
     lines = [
         '## With the sides known', '',
         "The same faults as the master's own port has them (`usb:`, `tap:`): what it wrote is "
-        'whole,', 'whatever the wire made of it, and while it writes it hears nothing. '
+        'whole,', 'also where the wire damaged it, and while it writes it hears nothing. '
         f'{right} of {len(sided)} are told as the',
         'one cause they are, on the right device, and nothing else. `wrong_baud` is not among '
         'them: the rate', 'comes with the source. What is told otherwise, or at another time:', '',

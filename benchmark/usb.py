@@ -41,7 +41,7 @@ from dxl_monitor.model.models import Models
 S = 1_000_000_000
 BAUD = 4_500_000
 TICK_NS = 1_000_000
-LATENCY_NS = 1_000_000          # of the adapter
+LATENCY_NS = 1_000_000          # what an adapter holds bytes back
 TRANSFER = 510                  # bytes of the line in a full one
 LEAD_NS = 1_500_000_000         # until the listener is there
 

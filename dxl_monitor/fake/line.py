@@ -360,7 +360,7 @@ def by_sides(burst: Burst, baud: int) -> Iterator[tuple[int, str, bytes]]:
     """
     Yield (time, side, bytes) of a burst as the master's own port has it.
 
-    What it writes is whole, whatever the wire makes of it, and while it sends it hears nothing.
+    What it writes is whole also where the wire damages it, and while it sends it hears nothing.
     """
     yield from ((start, OUT, data) for start, data in burst.said)
     deaf = [(start, start + wire_ns(len(data), baud)) for start, data in burst.said]

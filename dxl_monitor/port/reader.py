@@ -31,7 +31,7 @@ BUSY_NS = 3_000_000
 AT_ONCE_NS = 50_000              # waiting was so short that bytes were there already
 SILENT_S = 0.25                  # how long to wait once the line was reported idle
 READ_SIZE = 65_536
-NAME = 'dxl_reader'              # of the process
+NAME = 'dxl_reader'              # what the process is called
 
 # A record: its kind, a stamp, the largest gap so far (both ns), the size of the bytes behind it.
 HEAD = struct.Struct('<cqqI')

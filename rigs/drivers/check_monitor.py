@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bus is heard on adapters of its own: all of it, and the right one, whatever is plugged how."""
+"""A bus is heard on adapters of its own: all of it, and the right one in each place."""
 from __future__ import annotations
 
 from collections.abc import Iterator
