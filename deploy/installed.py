@@ -40,7 +40,9 @@ def _prefix(node: str, given: Path | None) -> Path:
 
 
 def _executables(prefix: Path, node: str) -> tuple[Path, ...]:
-    return prefix / 'lib' / NAME / node, prefix / 'bin' / node
+    found = prefix / 'lib' / NAME / node, prefix / 'bin' / node
+    # What lies in lib/ takes the python3 of its PATH, and a service has not that of a venv.
+    return found[::-1] if (prefix / 'pyvenv.cfg').exists() else found
 
 
 def _setup(prefix: Path) -> Path | None:

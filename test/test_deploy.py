@@ -222,6 +222,11 @@ def test_a_workspace_is_sourced_and_a_venv_is_not(robot):
     robot.install()
     [command] = re.findall('^ExecStart=(.*)$', robot.read('etc/systemd/system/' + UNITS[0]), re.M)
     assert command.startswith(f'{robot.prefix}/lib/mecarover_serial/vel2d_bridge --ros-args')
+    (robot.prefix / 'bin').mkdir()
+    (robot.prefix / 'bin/vel2d_bridge').touch()
+    robot.install()
+    [command] = re.findall('^ExecStart=(.*)$', robot.read('etc/systemd/system/' + UNITS[0]), re.M)
+    assert command.startswith(f'{robot.prefix}/bin/vel2d_bridge --ros-args'), 'its own Python'
 
 
 def test_the_command_line_survives_systemd(robot, tmp_path):
