@@ -36,7 +36,7 @@ from msg_defs.reports import Level
 from msg_defs.reports import worst
 
 MOST_AT_ONCE = 4                # questions; a day of 253 devices takes seconds of a core
-_MOST_POINTS = 20_000           # of all sources together: six values of each take 20 MB
+_MOST_POINTS = 20_000           # all sources together: six values of each take 20 MB
 _POINTS = 600
 _MOST_EVENTS = 1000             # on the page; a CSV has them all
 _ALL_EVENTS = 10_000_000

@@ -102,7 +102,7 @@ def test_a_servo_for_another_voltage() -> None:
             bus.ask(number, 2, b'\x3e\1', bytes([tenths]))
         bus.poll(1.2)
     found = bus.findings()
-    assert found['wrong_supply'][0] == 1               # of 3 the limit is not known
+    assert found['wrong_supply'][0] == 1               # the limit of 3 is not known
     assert 'limit of 8.0 V' in found['wrong_supply'][1]
     assert 'wrong_supply' in {one.rule for one in bus.monitor.report(bus.now).doubts}
 

@@ -15,6 +15,7 @@ from dxl_monitor.bus.dialogue import Dialogue
 from dxl_monitor.bus.dialogue import SLOW_NS
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.report import PROTOCOL_2
 from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.model.models import Models
@@ -190,7 +191,7 @@ class Conversation:
     def protocol(self) -> str:
         """Return what was heard here, in words: 'Dynamixel 2.0, Feetech'; '' for nothing yet."""
         other = self.dialogue.packets if self.dialogue is not None else 0
-        words = ['Dynamixel 2.0'] if self.total('packets') > other else []
+        words = [PROTOCOL_2] if self.total('packets') > other else []
         return ', '.join(words + [self.choice.dialect.name] * bool(other))
 
     def total(self, counter: str) -> int:

@@ -31,7 +31,7 @@ OFFSET = 'Homing Offset'
 TORQUE = 'Torque Enable'
 _SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
 _OF_FEETECH = (OFFSET, TORQUE)     # how it is calibrated
-_NUMBER_SIZE = 2                   # of Model Number
+_NUMBER_SIZE = 2                   # bytes: Model Number
 
 
 class Device:
@@ -47,11 +47,12 @@ class Device:
     """
 
     __slots__ = (
-        '_eeprom_end', '_level_at', '_special', 'acks', 'acks_missing', 'alert', 'asked_first',
-        'asked_stamp', 'counts', 'dialect', 'errors', 'expected', 'firmware', 'followed_end',
-        'heard', 'identity', 'identity_stamp', 'is_unresolved', 'joint', 'last_error', 'latency',
-        'latency_resolved', 'missed_in_a_row', 'model', 'model_number', 'moved_to', 'number',
-        'odd', 'owed', 'registered', 'return_level', 'snapshots', 'table', 'waiting_behind')
+        '_eeprom_end', '_given_up', '_level_at', '_special', 'acks', 'acks_missing', 'alert',
+        'asked_first', 'asked_stamp', 'counts', 'dialect', 'errors', 'expected', 'firmware',
+        'followed_end', 'heard', 'identity', 'identity_stamp', 'is_unresolved', 'joint',
+        'last_error', 'latency', 'latency_resolved', 'missed_in_a_row', 'model', 'model_number',
+        'moved_to', 'number', 'odd', 'owed', 'registered', 'return_level', 'snapshots', 'table',
+        'waiting_behind')
 
     def __init__(self, number: int, joint: str = '', expected: bool = False) -> None:
         self.number = number                       # its ID
@@ -73,6 +74,7 @@ class Device:
         self.heard = 0                             # stamp of the last status, 0 = never
         self.asked_stamp = 0                       # when it last did not answer
         self.owed = 0
+        self._given_up = -OWED_NS           # when an answer was last given up
         self.odd = True
         self.forget_return_level()
         self.reset_statistics()
@@ -139,12 +141,13 @@ class Device:
         self.acks = True
         self.acks_missing = 0
 
-    def miss(self, now: int, doubtful: bool) -> None:
-        """Count an answer that did not come, or perhaps came damaged."""
+    def miss(self, now: int, stamp: int, doubtful: bool) -> None:
+        """Count an answer that did not come, or perhaps came damaged; stamp: of the chunk."""
         self.counts.missed += 1
         self.counts.spoilt += doubtful
         self.missed_in_a_row += 1
-        self.owed = (self.owed if now - self.asked_stamp < OWED_NS else 0) + (not doubtful)
+        self.owed = (self.owed if self._is_lately(stamp) else 0) + (not doubtful)
+        self._given_up = stamp
         self.asked_stamp = now
         self.waiting_behind = None
         self.odd = True
@@ -158,10 +161,14 @@ class Device:
 
     def pays(self, stamp: int) -> bool:
         """Take an answer that is not due: whether one that was given up lately is still owed."""
-        if not self.owed or stamp - self.asked_stamp >= OWED_NS:
+        if not self.owed or not self._is_lately(stamp):
             return False
         self.owed -= 1
         return True
+
+    def _is_lately(self, stamp: int) -> bool:
+        # Stamps of chunks: the time on the wire is only as good as the chunk is short.
+        return stamp - self._given_up < OWED_NS
 
     def note_error(self, instruction: int, address: int, error: int) -> None:
         self.counts.refused += 1

@@ -50,11 +50,15 @@ class Duty:
                                 ev.Much(device.acks_missing))
         return bool(device.acks)
 
-    def miss(self, plan: Plan, slot: Slot, now: int, is_doubtful: bool) -> None:
-        """Count an answer that had to come and did not; is_doubtful: damage was in its place."""
+    def miss(self, plan: Plan, slot: Slot, now: int, stamp: int, is_doubtful: bool) -> None:
+        """
+        Count an answer that had to come and did not.
+
+        now: when, on the wire; stamp: of the chunk; is_doubtful: damage was in its place.
+        """
         device = slot.device
         plan.missed += 1
-        device.miss(now, is_doubtful)
+        device.miss(now, stamp, is_doubtful)
         device.counts.data_missed += slot.due is Due.READ
         if device.missed_in_a_row == 1:
             self._evidence.note(now, ev.MISSED, device.number,

@@ -27,6 +27,8 @@ from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.timing import Summary
 
+PROTOCOL_2 = 'Dynamixel 2.0'       # beside the names of the dialects of the 1.0 family
+
 # State words of a device.
 CONNECTED = 'connected'
 DISCONNECTED = 'disconnected'      # more answers missed in a row than missed_limit

@@ -63,8 +63,8 @@ class Roster:
         self.baud = baud
         self._evidence = evidence
         self.devices: dict[int, Device] = {}
-        self.dialect = UNDECIDED           # of the 1.0 family, for devices that speak it
-        self.highest = MAX_ID              # of the IDs that a device can have here
+        self.dialect = UNDECIDED           # in the 1.0 family, for devices that speak it
+        self.highest = MAX_ID              # the largest ID that a device can have here
         self._offsets: dict[Device, int] = {}
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.changed: Callable[[], None] = lambda: None

@@ -355,7 +355,7 @@ class Tracker:
             now = int(self._on_wire(began, received, stamp))
             if self._is_spoilt:
                 self._look_at_noise(due, now)
-            self._judge(due, now)
+            self._judge(due, now, stamp)
             if following == self._last:
                 self._note(now, ev.REPEATED, due[0].device.number,
                            ev.Again(following[3], self._since_asked(now)))
@@ -372,11 +372,11 @@ class Tracker:
         elif not self._spoke:
             self._speak_damaged(due[0], 0)
 
-    def _judge(self, due: list[Slot], now: int) -> None:
+    def _judge(self, due: list[Slot], now: int, stamp: int) -> None:
         """Count the missed, and those not served because the master gave up before them."""
         served, behind = self._plan.served(due, self._spoke)
         for slot in due[:served]:
-            self._duty.miss(self._plan, slot, now,
+            self._duty.miss(self._plan, slot, now, stamp,
                             self._is_spoilt or slot.device.number in self._spoke)
         for slot in due[served:]:
             slot.device.not_served(now, behind)

@@ -17,6 +17,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import PROTOCOL_2
 from msg_defs.crc import crc16
 from msg_defs.dxl1_packet import HEADER as FAMILY_HEADER
 from msg_defs.dxl_instruction import Instruction
@@ -72,7 +73,7 @@ class Wreck(NamedTuple):
 
 def shapes(report: BusReport) -> tuple[Shape, ...]:
     """Return what the master repeats and what is answered, in the form of this bus."""
-    is_2 = report.protocol.startswith('Dynamixel 2.0')
+    is_2 = report.protocol.startswith(PROTOCOL_2)
     found: dict[Shape, None] = {}
     for cycle in report.cycles:
         code = cycle.instruction

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import Cycle
+from dxl_monitor.bus.report import PROTOCOL_2
 from dxl_monitor.doctor.case import Case
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import BROADCAST
@@ -26,7 +27,9 @@ _WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
 
 
 def is_collision(case: Case) -> bool:
-    """Tell whether damage is what two talkers at once make of their instructions."""
+    """Tell whether damage is what two talkers at once make of instructions of Protocol 2.0."""
+    if case.report.protocol != PROTOCOL_2:
+        return False
     damaged = case.incidents(ev.DAMAGED_INSTRUCTION)
     if len(damaged) < FEW:
         return False

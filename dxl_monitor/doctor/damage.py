@@ -287,7 +287,8 @@ RULES = (
     Rule('protocol_1', Level.WARN, 'FF FF packets with the checksum of Protocol 1.0 in the noise',
          _protocol_1, ('stray_bytes', 'wrong_baud')),
     Rule('echo', Level.WARN, 'instructions that follow themselves at once', _echo,
-         (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'jitter', 'impatient_master')),
+         (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'jitter', 'impatient_master',
+          'late_answers')),
     Rule('duplicate_id', Level.ERROR, 'second answers to one instruction, or damage together with '
          'a model number that changes', each(_duplicate_id),
          ('noise', 'damaged_answers', 'turnaround', 'missed_answers', 'dropout', 'stray_bytes',

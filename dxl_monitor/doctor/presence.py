@@ -53,7 +53,7 @@ def _all_silent(case: Case) -> Iterator[Found]:
                if device.missed_in_a_row or is_waiting(device)]
     if len(missing) > 1 and asked >= 5 and heard <= 0 and case.gone:
         first = case.gone[0] if len(case.gone) == 1 else None
-        alone = '' if first is None else f'; or {first:03} alone is dead and all wait for it'
+        alone = '' if first is None else f'; or {first:03} is dead and all wait for it'
         yield Claim(None, f'the master asks, none of {len(missing)} devices answers: check power '
                     f'and first cable{alone}; or listen on both directions',
                     (('instructions', str(asked)),))

@@ -12,6 +12,7 @@ from typing import TextIO
 
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import PROTOCOL_2
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.joints import POSITION
 from dxl_monitor.model.control_table import UNKNOWN
@@ -117,7 +118,7 @@ def headline(report: BusReport) -> str:
     load = next((one.value or 0.0 for one in report.metrics if one.name == 'bus_load'), None)
     rate = 'rate not known yet' if load is None else f'{report.baud} baud  load {load:.0f} %'
     # Most buses speak 2.0, and the line is short: only what is less usual is said.
-    protocol = '' if report.protocol in ('', 'Dynamixel 2.0') else f'{report.protocol}  '
+    protocol = '' if report.protocol in ('', PROTOCOL_2) else f'{report.protocol}  '
     return (f'{report.name}  {rate}  {protocol}'
             f'{report.rates["packets"]:.0f} packets/s  {report.rates["errors"]:.1f} errors/s')
 
