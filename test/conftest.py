@@ -26,8 +26,8 @@ DOMAINS = range(1, 61)          # up to 101 keep clear of the ephemeral ports; b
 
 
 def pytest_addoption(parser):
-    parser.addoption('--times', type=int, default=2, metavar='N',
-                     help='how often signals, kills and the like are repeated (default 2)')
+    parser.addoption('--times', type=int, default=1, metavar='N',
+                     help='how often signals, kills and the like are repeated (default 1)')
     parser.addoption('--fault-times', type=int, default=1, metavar='N',
                      help='how often each fault is tried (default 1; figures are from 10)')
     parser.addoption('--histories', type=int, default=1500, metavar='N',
@@ -181,6 +181,13 @@ def clock(tmp_path):
     if shutil.which('cc') is None:
         pytest.skip('skipped: no C compiler for clock_step.c')
     return SteppedClock(tmp_path)
+
+
+@pytest.fixture
+def meeting_place():
+    """Return a folder with a path that is short enough for a Unix socket."""
+    with tempfile.TemporaryDirectory(prefix='tap_') as place:
+        yield place
 
 
 @pytest.fixture(scope='session')

@@ -18,7 +18,6 @@ import signal
 import socket
 import subprocess
 import sys
-from tempfile import TemporaryDirectory
 import zipfile
 
 from harness import Program
@@ -263,13 +262,6 @@ for turn in range(60):
         port.read(15)
 print('done')
 """
-
-
-@pytest.fixture
-def meeting_place():
-    """Return a folder with a path that is short enough for a Unix socket."""
-    with TemporaryDirectory(prefix='tap_') as place:
-        yield place
 
 
 @pytest.mark.alone

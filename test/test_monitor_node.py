@@ -213,8 +213,8 @@ def test_a_bus_is_heard_on_the_adapter_of_another_program(tmp_path, heard):
         heard.wait_status('dxl_monitor: bus', f'usb:{usb}: ', level=2)
 
 
-def test_a_bus_is_heard_inside_a_python_program(tmp_path, heard, monkeypatch):
-    monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path))
+def test_a_bus_is_heard_inside_a_python_program(tmp_path, heard, monkeypatch, meeting_place):
+    monkeypatch.setenv('XDG_RUNTIME_DIR', meeting_place)
     script = """
         import sys, time, serial
         from msg_defs.dxl_packet import encode

@@ -8,7 +8,6 @@ from pathlib import Path
 import socket
 import subprocess
 import sys
-from tempfile import TemporaryDirectory
 import time
 
 import pytest
@@ -63,13 +62,6 @@ def wait_for(condition, what):
     while not condition():
         assert time.monotonic() < deadline, f'waited in vain for: {what}'
         time.sleep(0.01)
-
-
-@pytest.fixture
-def place():
-    """Give a folder with a path short enough for a Unix socket."""
-    with TemporaryDirectory(prefix='own_') as folder:
-        yield folder
 
 
 def dump(*arguments, **more):
@@ -208,8 +200,8 @@ class Ear:
 
 @pytest.mark.alone
 @pytest.mark.parametrize('family', ['ftdi', 'cp210x'])
-def test_bus_is_heard_through_usb(place, family):
-    path = os.path.join(place, 'usb')
+def test_bus_is_heard_through_usb(meeting_place, family):
+    path = os.path.join(meeting_place, 'usb')
     line = Line(make_devices(DEVICES, MODELS, BAUD), BAUD)
     bus = FakeBus(Master(line, PATTERNS['moving'], rate=50.0),
                   usb=UsbOutlet(path, family, BAUD))
@@ -231,8 +223,8 @@ def test_bus_is_heard_through_usb(place, family):
 
 
 @pytest.mark.alone
-def test_adapter_that_is_unplugged_is_looked_for(place):
-    path = os.path.join(place, 'usb')
+def test_adapter_that_is_unplugged_is_looked_for(meeting_place):
+    path = os.path.join(meeting_place, 'usb')
     adapter = FakeAdapter('cdc-acm')
     told = adapter.plug(BEGAN) + adapter.sent(b'\xff\xff\xfd\x00', BEGAN) + adapter.unplug(BEGAN)
     with socket.socket(socket.AF_UNIX) as server:
@@ -254,8 +246,8 @@ def test_adapter_that_is_unplugged_is_looked_for(place):
 
 
 @pytest.mark.alone
-def test_tap_hears_the_port_that_is_named(place, monkeypatch):
-    monkeypatch.setenv('XDG_RUNTIME_DIR', place)
+def test_tap_hears_the_port_that_is_named(meeting_place, monkeypatch):
+    monkeypatch.setenv('XDG_RUNTIME_DIR', meeting_place)
     script = 'import serial, sys, time\n' \
              'ports = [serial.Serial(path, 57600) for path in sys.argv[1:]]\n' \
              'for number, port in enumerate(ports): port.write(b"%d" % number * 5)\n' \
@@ -282,16 +274,16 @@ def test_tap_hears_the_port_that_is_named(place, monkeypatch):
 
 
 @pytest.mark.alone
-def test_dump_of_a_tapped_program(place):
-    environ = {**os.environ, 'XDG_RUNTIME_DIR': place}
+def test_dump_of_a_tapped_program(meeting_place):
+    environ = {**os.environ, 'XDG_RUNTIME_DIR': meeting_place}
     ping = "bytes.fromhex('fffffd0001030001194e')"
     script = f'import serial, sys; port = serial.Serial(sys.argv[1], 57600); port.write({ping})'
     with Pty() as pty, subprocess.Popen(
             [sys.executable, '-m', 'dxl_monitor.tools.dump.main', 'tap:arm', '--json', '--count',
              '1'], cwd=ROOT, env=environ, stdout=subprocess.PIPE, text=True) as child:
         try:
-            wait_for(lambda: Path(place, 'mecarover_serial').is_dir() and any(
-                Path(place, 'mecarover_serial').iterdir()), 'the listener')
+            wait_for(lambda: Path(meeting_place, 'mecarover_serial').is_dir() and any(
+                Path(meeting_place, 'mecarover_serial').iterdir()), 'the listener')
             subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.tap', 'arm', '--',
                             sys.executable, '-c', script, pty.path], env=environ, cwd=ROOT,
                            check=True, timeout=60)

@@ -14,7 +14,6 @@ import select
 import signal
 import subprocess
 import sys
-from tempfile import TemporaryDirectory
 import textwrap
 import threading
 import time
@@ -77,12 +76,10 @@ PLAIN = """
 
 
 @pytest.fixture(autouse=True)
-def _meeting_place(monkeypatch):
-    """Give each test a folder of its own, with a path short enough for a Unix socket."""
+def _environment(monkeypatch, meeting_place):
+    """Give each test a folder of its own to meet in."""
     monkeypatch.delenv('PYTHONPATH', raising=False)
-    with TemporaryDirectory(prefix='tap_') as place:
-        monkeypatch.setenv('XDG_RUNTIME_DIR', place)
-        yield
+    monkeypatch.setenv('XDG_RUNTIME_DIR', meeting_place)
 
 
 class Peer(threading.Thread):

@@ -13,7 +13,6 @@ import re
 import shutil
 import subprocess
 import sys
-from tempfile import TemporaryDirectory
 import time
 
 import pytest
@@ -126,11 +125,10 @@ def bus(home):
     process.communicate(timeout=20)
 
 
-def test_a_person_runs_a_script_and_the_dead_servo_is_named(home, bus):
+def test_a_person_runs_a_script_and_the_dead_servo_is_named(home, bus, meeting_place):
     (home / 'my_script.py').write_text(SCRIPT)
-    with TemporaryDirectory(prefix='tap_') as place:   # short enough for a Unix socket
-        done = run(home, 'dxl_doctor', '--report', 'report.txt', 'run', '--', 'python',
-                   'my_script.py', bus, XDG_RUNTIME_DIR=place)
+    done = run(home, 'dxl_doctor', '--report', 'report.txt', 'run', '--', 'python',
+               'my_script.py', bus, XDG_RUNTIME_DIR=meeting_place)
     print(done.stdout, done.stderr, sep='\n')
     assert 'servo 2 answered 0 times\n' in done.stdout
     assert '1 error, 002: no answer' in done.stdout

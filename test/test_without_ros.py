@@ -6,7 +6,6 @@ import os
 from pathlib import Path
 import subprocess
 import sys
-from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -71,14 +70,13 @@ def test_files_are_judged_and_listed(recording, refused):
 
 @pytest.mark.alone
 @pytest.mark.parametrize('refused', [NEEDS_ROS, UNIX], ids=['no ROS', 'no fcntl'])
-def test_programs_are_run(refused):
-    with TemporaryDirectory(prefix='tap_') as place:
-        done = run(refused, 'dxl_monitor.tools.doctor.main', 'run', '--', sys.executable, '-c',
-                   'print("hello")', meeting_place=place)
-        assert (done.returncode, done.stdout.splitlines()[0]) == (1, 'hello')
-        done = run(refused, 'dxl_monitor.tools.tap', 'arm', '--', sys.executable, '-c', 'pass',
-                   meeting_place=place)
-        assert done.returncode == 0
+def test_programs_are_run(refused, meeting_place):
+    done = run(refused, 'dxl_monitor.tools.doctor.main', 'run', '--', sys.executable, '-c',
+               'print("hello")', meeting_place=meeting_place)
+    assert (done.returncode, done.stdout.splitlines()[0]) == (1, 'hello')
+    done = run(refused, 'dxl_monitor.tools.tap', 'arm', '--', sys.executable, '-c', 'pass',
+               meeting_place=meeting_place)
+    assert done.returncode == 0
 
 
 def test_a_recording_is_played_without_ros():

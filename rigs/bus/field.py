@@ -43,13 +43,13 @@ def xs_start(port: Port, ids: m.Ids) -> Program:
             yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number, 0)
 
 
-def _over_voltage(rig: Rig) -> None:
-    """Feed nine XL330 with 7.6 V, above their limit of 7.0 V."""
+def _supply(rig: Rig, volts: float) -> None:
+    """Feed nine XL330, whose limits are 3.5 and 7.0 V."""
     for number in NINE:
         servo = rig.servos[number]
         servo.put(reg.MAX_VOLTS, 2, 70)
         servo.put(reg.MIN_VOLTS, 2, 35)
-        servo.volts = lambda: 7.6
+        servo.volts = lambda: volts
 
 
 LIMITS = m.asks(frames.read(10, reg.MAX_VOLTS, 4), 10, 4)
@@ -58,7 +58,8 @@ _OF_2: tuple[Scene, ...] = (
     Scene('T10 wiring, nothing answers', m.poller, _of('all_silent'), (f.since(0.0),),
           _of(*WEAK, ids=(1, 2)), ids=(1, 2), absent=(1, 2)),
     Scene('T13 overload that is not cleared', partial(ROBOT, rate=46.0),
-          _of('hardware_error', ids=(17,)), (f.latched(17),), _of('torque_off', ids=(17,)),
+          _of('hardware_error', ids=(17,)),
+          (f.latched(17), partial(_supply, volts=5.0)), _of('torque_off', ids=(17,)),
           ids=NINE, model='XL330-M288'),
     Scene('T19 over-voltage latch of all', partial(SDK, rate=50.0),
           _of('hardware_error', ids=NINE) + _of('voltage'),
@@ -66,7 +67,8 @@ _OF_2: tuple[Scene, ...] = (
           _of('hardware_error', 'torque_off', ids=NINE), ids=NINE, model='XL330-M288'),
     Scene('T20 7.6 V at a limit of 7.0 V', m.beside(partial(ROBOT, rate=50.0), LIMITS),
           _of('voltage', 'hardware_error', ids=(*NINE, None)),
-          (f.since(0.0), _over_voltage, *(f.latched(number, 1, at=6.0) for number in NINE)),
+          (f.since(0.0), partial(_supply, volts=7.6),
+           *(f.latched(number, 1, at=6.0) for number in NINE)),
           _of('voltage', 'hardware_error', 'torque_off', ids=NINE), ids=NINE,
           model='XL330-M288'),
     Scene('T22 empty battery', ROBOT, _of('voltage', 'all_silent', 'brown_out')
