@@ -263,7 +263,7 @@ def test_tap_hears_the_port_that_is_named(meeting_place, monkeypatch):
                                  env=environment('arm'))
         try:
             wait_for(lambda: len(heard) == 2, 'both')
-            assert list(heard.values()) == [(OUT, b'0' * 5), (OUT, b'1' * 5)]
+            assert heard == dict(zip(names[:2], [(OUT, b'0' * 5), (OUT, b'1' * 5)], strict=True))
             assert second.path in listeners[0].problems()[0]
             assert listeners[2].state.is_open
         finally:
