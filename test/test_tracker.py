@@ -279,6 +279,14 @@ def test_after_damage_an_answer_is_life_only(lost: bytes) -> None:
     assert bus.counts(1).missed == 0
 
 
+@pytest.mark.parametrize(('error', 'known'), [(0, b'aaaa'), (4, None), (0x80, b'aaaa')])
+def test_after_damage_a_refusal_still_leaves_a_write_undone(error: int,
+                                                            known: bytes | None) -> None:
+    bus = Bus()
+    bus.hear(write(1, POSITION, b'aaaa'), b'\x01' * 9 + reply(1, b'', error), ping(2))
+    assert bus.known(1, POSITION) == known
+
+
 def test_the_next_instruction_ends_the_doubt() -> None:
     bus = Bus()
     bus.hear(read(1), damaged(read(1)), read(1), reply(1, b'aaaa'))

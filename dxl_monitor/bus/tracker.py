@@ -199,9 +199,12 @@ class Tracker:
         device = slot.device
         device.counts.answers += 1
         self._roster.heard(device, error, stamp)
+        code = error & ~ALERT
         if self.is_doubtful:
+            if code:                           # if it answers this write, nothing was written
+                self._deferred = None
             return
-        device.last_error = code = error & ~ALERT
+        device.last_error = code
         if code:
             self._refused(slot, code, stamp)
         elif len(data) != slot.size - 5:
@@ -290,8 +293,6 @@ class Tracker:
         self._note(stamp, ev.LATE, device.number, ev.Lateness(self._since_asked(stamp)))
         if len(body) == _ACK_SIZE and body[2] < FAMILY and not body[4] & ~ALERT:
             device.acknowledged()              # Pings and reads are answered with data
-
-    # --- damage --------------------------------------------------------------------------------
 
     def _flawed(self, body: bytes, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
