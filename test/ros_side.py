@@ -19,6 +19,7 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter import Parameter
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import DurabilityPolicy
@@ -99,6 +100,16 @@ class Graph:
             for status in getattr(message, 'status', ()):
                 self.statuses[status.name] = status
         self.node.create_subscription(kind, topic, hear, 100)
+
+    def used_by(self, name):
+        """Return what a node publishes, subscribes and serves; None where it is not (any more)."""
+        try:
+            return tuple({topic for topic, _ in ask(name, '/')} for ask in (
+                self.node.get_publisher_names_and_types_by_node,
+                self.node.get_subscriber_names_and_types_by_node,
+                self.node.get_service_names_and_types_by_node))
+        except NodeNameNonExistentError:    # or that of an earlier test has just left
+            return None
 
     def values(self, name):
         """Return the values of a status by key."""

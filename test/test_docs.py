@@ -233,17 +233,11 @@ def test_policy_allows_every_timing_topic(node, prefix):
 
 def running(graph, node, complete):
     """Return what a node publishes, subscribes and serves, once that is `complete`."""
-    me = graph.node
-
     def used():
-        return tuple({name for name, _ in ask(node, '/')} for ask in (
-            me.get_publisher_names_and_types_by_node,
-            me.get_subscriber_names_and_types_by_node,
-            me.get_service_names_and_types_by_node))
+        found = graph.used_by(node)
+        return found if found is not None and complete(found) else None
 
-    wait(lambda: node in me.get_node_names())
-    wait(lambda: complete(used()))
-    return used()
+    return wait(used)
 
 
 @pytest.mark.ros
