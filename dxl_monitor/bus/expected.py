@@ -16,7 +16,8 @@ from typing import NamedTuple
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import refuse_twice
 
-MAX_ID = 253                       # in Protocol 2.0 252
+MAX_ID = 252                       # in Protocol 2.0
+MAX_ID_1 = 253                     # in the 1.0 family
 _ENTRY = re.compile(r'\s*(\d+)\s*(?:-\s*(\d+)\s*)?(?::([^:]*))?(?::([^:]*))?')
 _EXAMPLES = "write ID:MODEL:JOINT, e.g. '11:MX-106:left_knee', '1-20:MX-64' or '30'"
 
@@ -49,8 +50,8 @@ def _parse_entry(entry: str) -> list[Expected]:
     first = int(match[1])
     last = first if match[2] is None else int(match[2])
     model, joint = ((part or '').strip() for part in match.group(3, 4))
-    if last > MAX_ID:
-        raise ParameterError(f'devices: {entry!r}: an ID is at most {MAX_ID}; {_EXAMPLES}')
+    if last > MAX_ID_1:
+        raise ParameterError(f'devices: {entry!r}: an ID is at most {MAX_ID_1}; {_EXAMPLES}')
     if last < first:
         raise ParameterError(f'devices: {entry!r}: the range runs backwards; '
                              f'write {last}-{first}')

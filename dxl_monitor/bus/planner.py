@@ -17,6 +17,7 @@ from typing import NamedTuple
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.evidence import Evidence
+from dxl_monitor.bus.expected import MAX_ID_1
 from dxl_monitor.bus.plan import Action
 from dxl_monitor.bus.plan import Begin
 from dxl_monitor.bus.plan import combined_slot
@@ -26,7 +27,6 @@ from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.plan import Take
 from dxl_monitor.bus.report import IncidentKind
-from dxl_monitor.bus.roster import MAX_ID_1
 from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.table import WRITTEN
 from msg_defs.dxl1_instruction import CALIBRATE

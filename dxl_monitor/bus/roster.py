@@ -17,6 +17,7 @@ from dxl_monitor.bus.device import RETURN_LEVEL
 from dxl_monitor.bus.device import TORQUE
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.expected import MAX_ID
 from dxl_monitor.bus.table import IDENTITY
 from dxl_monitor.bus.table import READ
 from dxl_monitor.bus.table import WRITTEN
@@ -31,8 +32,6 @@ from msg_defs.dxl_instruction import MULTI_TURN
 from msg_defs.dxl_instruction import RESTORE
 from msg_defs.dxl_packet import BROADCAST
 
-MAX_ID = 252                       # in Protocol 2.0
-MAX_ID_1 = 253                     # in the 1.0 family
 NO_ID = 255
 ABSENCE_MS = 50                    # missed for so long: it was away, which is worth a note
 FACTORY_ID = 1
