@@ -371,6 +371,22 @@ def test_the_capture_of_a_report_says_it_too(reported):
     assert 'this is from the capture' in again.stderr
 
 
+@pytest.mark.parametrize('left_out, said', [(False, ''), (True, (
+    'dxl_doctor: its capture, read by this version, also says no answer of 005, XL430-W250\n'))])
+def test_only_what_the_report_lacks_is_told_of_its_capture(tmp_path, left_out, said):
+    path = tmp_path / 'report.txt'
+    doctor('--report', path, capture(tmp_path / 'bus.txt', 'silent:4:2', 'silent:5:2'))
+    head, line = re.match(r'(?s)(.*\n)(\{"verdict".*)', path.read_text()).groups()
+    line, rest = line.split('\n', 1)
+    stored = json.loads(line)
+    stored['verdict']['wrong'] = []    # rounded otherwise, the screen may put others together
+    if left_out:
+        told = stored['json']['buses'][0]['findings']
+        told[:] = [finding for finding in told if finding['device'] != 5]
+    path.write_text(head + json.dumps(stored) + '\n' + rest)
+    assert doctor(path).stderr == said
+
+
 def test_a_report_says_nothing_of_its_maker(reported):
     path, _ = reported
     readable, packed_part = path.read_text().split(report.CAPTURE)

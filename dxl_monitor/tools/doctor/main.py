@@ -41,6 +41,7 @@ from dxl_monitor.tools.doctor.report import report
 from dxl_monitor.tools.doctor.report_file import SavedReport
 from dxl_monitor.tools.doctor.screen import screen
 from dxl_monitor.tools.doctor.verdict import as_json
+from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
 from mecarover_serial.cli import DONE
@@ -233,17 +234,18 @@ def _retell(stored: SavedReport, models: Models, options: argparse.Namespace) ->
                   quiet=[] if examination.bytes else [NOTHING])
     said = stored.said or now
     _show(said, stored.as_json or as_json(now, buses, seconds), options)
-    for problem in (*stored.problems, *_difference(said, now)):
+    for problem in (*stored.problems, *_difference(stored, buses)):
         print(f'dxl_doctor: {problem}', file=sys.stderr)
     return said.code
 
 
-def _difference(then: Verdict, now: Verdict) -> list[str]:
+def _difference(then: SavedReport, now: Sequence[BusSummary]) -> list[str]:
     """Say what the capture of a report tells that the report does not."""
-    before = {(entry.rule, entry.who) for entry in then.wrong}
-    new = [entry for entry in now.wrong if entry.rule and (entry.rule, entry.who) not in before]
-    return [f'its capture, read by this version, also says {entry.rule.replace("_", " ")} of '
-            f'{entry.who}' for entry in new]
+    if then.told is None:
+        return []
+    return [f'its capture, read by this version, also says {one.finding.rule.replace("_", " ")} '
+            f'of {bus.who(one.finding.device)}' for bus in now for one in bus.told
+            if (bus.report.name, one.finding.rule, str(one.finding.device)) not in then.told]
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -43,10 +43,15 @@ _PACKED: tuple[tuple[bytes, Callable[[io.BytesIO], Any]], ...] = (
 
 
 class SavedReport(NamedTuple):
-    """What was left of a report. said: None where that part is damaged; problems: a line each."""
+    """
+    What was left of a report. None: that part is damaged; problems: a line each.
+
+    told: each finding as (bus, rule, device): one by one, however the screen put them together.
+    """
 
     said: Verdict | None
     as_json: dict[str, Any] | None
+    told: frozenset[tuple[str, str, str]] | None
     devices: tuple[str, ...]
     protocol: str
     chunks: tuple[Chunk, ...]
@@ -74,8 +79,8 @@ def load(path: str) -> SavedReport | None:
     stored = stored or {}
     as_json = stored.get('json')
     return SavedReport(_verdict(stored), as_json if isinstance(as_json, dict) else None,
-                       tuple(_texts(stored.get('devices'))), str(stored.get('protocol', '')),
-                       chunks, reader.wires, tuple(problems))
+                       _told(as_json), tuple(_texts(stored.get('devices'))),
+                       str(stored.get('protocol', '')), chunks, reader.wires, tuple(problems))
 
 
 def _unpacked(data: bytes) -> bytes:
@@ -153,6 +158,14 @@ def _verdict(stored: dict[str, Any]) -> Verdict | None:
             tuple(_texts(said['unknown'])), tuple(_texts(said['quiet'])),
             _text(said.get('protocol', '')))
     except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _told(as_json: Any) -> frozenset[tuple[str, str, str]] | None:
+    try:
+        return frozenset((str(bus['name']), str(finding['rule']), str(finding['device']))
+                         for bus in as_json['buses'] for finding in bus['findings'])
+    except (KeyError, TypeError, IndexError):
         return None
 
 
