@@ -17,7 +17,9 @@ import time
 from typing import Any
 import urllib.request
 
+from mecarover_demo.scenes import BOOKS
 from mecarover_demo.scenes import judge
+from mecarover_demo.scenes import judge_books
 from mecarover_demo.scenes import Scene
 from mecarover_demo.scenes import SceneResult
 from mecarover_demo.scenes import SCENES
@@ -59,6 +61,7 @@ def _main(arguments: list[str]) -> int:
         finally:
             operator.close()
         stage.end()
+        verdicts.append(show.compare_books())
         verdicts += [SceneResult(name, code == 0, f'ended with {code}')
                      for name, code in stage.exit_codes.items()]
     return _conclude(verdicts)
@@ -87,9 +90,10 @@ class Show:
         self._bridge = stage.start('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}')
         self._table = DeviceTable()
         self._stage = stage
+        self._books = os.path.join(folder, 'books.json')
         devices = ','.join(DEVICES)
         stage.start('dxl_monitor.fake.fake_bus', '--link', bus, '--devices', devices, '--fault',
-                    f'silent:{SILENT_ID}:{SILENT_AT_S}:{SILENT_FOR_S}')
+                    f'silent:{SILENT_ID}:{SILENT_AT_S}:{SILENT_FOR_S}', '--truth', self._books)
         stage.start('dxl_monitor.main', '--ros-args', '-p', f'ports:={bus}', '-p',
                     f'devices:={list(DEVICES)}')
         self._dashboard = stage.start('mecarover_dashboard.main', '--port', _page_port(),
@@ -108,6 +112,17 @@ class Show:
             round_ += 1
         self.verdicts += self._table.verdicts(SILENT_ID)
         return self.verdicts
+
+    def compare_books(self) -> SceneResult:
+        """Compare what the monitor counted with what the fake bus, which has ended, knows."""
+        try:
+            with open(self._books, encoding='utf-8') as file:
+                books = json.load(file)
+        except (OSError, ValueError) as error:
+            return SceneResult(BOOKS, False, f'no books of the fake bus: {error}')
+        verdict = judge_books(self._table.missed(self._operator.statuses), books)
+        print(f'  {verdict.mark}  {BOOKS:24} {verdict.text}', flush=True)
+        return verdict
 
     def _await_ready(self, deadline: float) -> None:
         """Wait until the bridge listens and the monitor reports."""
@@ -148,8 +163,7 @@ class Show:
             self._await_ready(end + READY_S)
         verdict = judge(scene, begin, end, self._set_points)
         self.verdicts.append(verdict)
-        mark = 'ok    ' if verdict.passed else 'FAILED'
-        print(f'  {mark}  {scene.name:24} {verdict.text}', flush=True)
+        print(f'  {verdict.mark}  {scene.name:24} {verdict.text}', flush=True)
 
     def _listen(self, seconds: float) -> None:
         """Take what topics and the MCU say for so long, and show it."""

@@ -8,8 +8,10 @@ are what the fake MCU prints, in mm/s and rad/s, stamps on the monotonic clock i
 """
 from __future__ import annotations
 
+from collections.abc import Mapping
 from collections.abc import Sequence
 import math
+from typing import Any
 from typing import NamedTuple
 
 from msg_defs.vel2d import STOP
@@ -30,6 +32,7 @@ class Scene(NamedTuple):
     kill: bool = False
 
 
+BOOKS = 'missed answers'
 SCENES = (
     Scene('forward', 1.5, Vel2d(0.3, 0.0, 0.0)),
     Scene('strafe left', 1.5, Vel2d(0.0, 0.2, 0.0)),
@@ -63,6 +66,11 @@ class SceneResult(NamedTuple):
     passed: bool
     text: str
 
+    @property
+    def mark(self) -> str:
+        """How it went, in a word of six columns."""
+        return 'ok    ' if self.passed else 'FAILED'
+
 
 def judge(scene: Scene, begin: float, end: float,
           set_points: Sequence[TakenSetPoint]) -> SceneResult:
@@ -94,6 +102,23 @@ def _judge_stillness(scene: Scene, begin: float, end: float,
     after = max(0.0, stopped - begin)
     text = f'stopped after {after:.2f} s' if after else 'stands still'
     return SceneResult(scene.name, after <= TIME_OUT_BOUND_S, text)
+
+
+def judge_books(missed: Mapping[str, int], books: Mapping[str, Any]) -> SceneResult:
+    """
+    Judge the answers that the monitor calls missed, per device ('007'), by the fake bus' books.
+
+    The monitor began later, so it may have seen fewer. Bytes that it did not fetch in time are
+    lost as in a UART: then it is right to miss answers that were given.
+    """
+    given = {f'{int(number):03}': known['missed'] for number, known in books['devices'].items()}
+    wrong = [f'{name}: {count}, in truth {given.get(name, 0)}'
+             for name, count in missed.items() if count > given.get(name, 0)]
+    lost = books['totals']['bus']['overrun']
+    if wrong and lost:
+        return SceneResult(BOOKS, True, f'cannot tell: the busy machine lost {lost} bytes')
+    text = '; '.join(wrong) or f'{sum(missed.values())} seen, in truth {sum(given.values())}'
+    return SceneResult(BOOKS, not wrong, text)
 
 
 def _close(one: Vel2d, other: Vel2d) -> bool:

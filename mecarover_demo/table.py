@@ -51,6 +51,11 @@ class DeviceTable:
             self._shown_s = now_s
             print(_render(devices), flush=True)
 
+    def missed(self, statuses: Mapping[str, Any]) -> dict[str, int]:
+        """Return how many answers each device missed, by its three digits."""
+        return {name[:3]: int(_values(status).get(keys.MISSED_ANSWERS, 0))
+                for name, status in self.devices(statuses).items()}
+
     def verdicts(self, silenced: int) -> list[SceneResult]:
         """Judge what was seen: all there, the silenced one lost and found, no other lost."""
         name = f'{silenced:03}'

@@ -25,6 +25,7 @@ from msg_defs.reports import Level
 
 S = 1_000_000_000
 REPORT_NS = S // 2
+ARRIVAL_NS = S // 5                # a chunk may be handed over so long after its stamp
 TRAFFIC_S, SILENCE_S = 10.0, 5.0   # for a live source without --seconds
 _PAUSE_NS = 12 * S                 # a longer pause of a file is passed over: all is forgotten then
 

@@ -28,6 +28,7 @@ from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor import machine
 from dxl_monitor.tools.doctor import quiet
 from dxl_monitor.tools.doctor import report_file
+from dxl_monitor.tools.doctor.examination import ARRIVAL_NS
 from dxl_monitor.tools.doctor.examination import Examination
 from dxl_monitor.tools.doctor.examination import SILENCE_S
 from dxl_monitor.tools.doctor.examination import TRAFFIC_S
@@ -138,7 +139,7 @@ def _listen(source: Source | Program, examination: Examination, limit_s: float |
                 if chunk is not None:
                     examination.take(chunk, source.wire(chunk.bus))
                 elif source.is_live:
-                    examination.pass_time(time.monotonic_ns())
+                    examination.pass_time(time.monotonic_ns() - ARRIVAL_NS)
                 now_s = time.monotonic() - began_s
                 if _has_enough(source, examination, now_s, limit_s):
                     is_over = False
