@@ -94,8 +94,9 @@ def snapshot(device: Device, now: int, quiet_s: float, limits: Thresholds) -> Sn
     window = device.window()
     verdict = judge(device, window, quiet_s, limits)
     report = DeviceReport(
-        id=device.number, name=_name(device), joint=device.joint, model=device.model,
-        model_number=device.model_number, model_name=_model_name(device),
+        id=device.number, name=_name(device), joint=device.joint,
+        protocol=device.dialect.name if device.dialect is not None else words.PROTOCOL_2,
+        model=device.model, model_number=device.model_number, model_name=_model_name(device),
         firmware=device.firmware, state=verdict.state, level=verdict.level,
         message=verdict.message, totals=device.counts.copy(),
         window=window, missed_in_a_row=device.missed_in_a_row,

@@ -5,10 +5,13 @@
 from collections.abc import Iterable
 import struct
 
+import pytest
+
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
+from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
@@ -141,3 +144,47 @@ def test_two_of_protocol_1_prove_it_and_one_does_not() -> None:
     other = b'\xff\xff\x09\x04\x02\x24\x02\xca'
     assert 'protocol_1' not in dict(names(heard(around() * 10 + [other])))
     assert 'protocol_1' in dict(names(heard((around() * 5 + [other]) * 4)))
+
+
+DYNAMIXEL_1, FEETECH, EITHER = b'\x24\x02', b'\x38\x02', b'\x50\x02'     # reads of each
+MOVE = 'set these devices to Protocol {} if they have it, or give them another bus'
+PART = 'give these devices a bus of their own'
+
+
+def mixed(of_2: Iterable[int], of_1: Iterable[int], what: bytes, turns: int = 100) -> list[bytes]:
+    """Return turns of two loops on one bus, each over its devices."""
+    return [*[one for number in of_2 for one in (read(number), says(number, bytes(4)))],
+            *[one for number in of_1
+              for one in (encode_1(number, I.READ, what), encode_1(number, 0, b'\0\2'))]] * turns
+
+
+@pytest.mark.parametrize(('of_2', 'of_1', 'what', 'message'), [
+    ((1, 2, 3), (7,), DYNAMIXEL_1,
+     'Dynamixel 1.0, ID 007, on a bus of Dynamixel 2.0: ' + MOVE.format('2.0')),
+    ((1, 2, 3), (7,), EITHER,
+     'Dynamixel 1.0 or Feetech, ID 007, on a bus of Dynamixel 2.0: ' + MOVE.format('2.0')),
+    ((1,), (7,), DYNAMIXEL_1,
+     'Dynamixel 1.0, ID 007, on a bus of Dynamixel 2.0: ' + MOVE.format('2.0')),
+    ((1, 2, 3), (7,), FEETECH, f'Feetech, ID 007, on a bus of Dynamixel 2.0: {PART}'),
+    ((9,), (1, 2, 3), DYNAMIXEL_1,
+     'Dynamixel 2.0, ID 009, on a bus of Dynamixel 1.0: ' + MOVE.format('1.0')),
+    ((9,), (1, 2), EITHER,
+     'Dynamixel 2.0, ID 009, on a bus of Dynamixel 1.0 or Feetech: ' + MOVE.format('1.0')),
+    ((9,), (1, 2, 3), FEETECH, f'Dynamixel 2.0, ID 009, on a bus of Feetech: {PART}'),
+])
+def test_of_two_protocols_the_fewer_devices_are_told_to_go(
+        of_2: tuple[int, ...], of_1: tuple[int, ...], what: bytes, message: str) -> None:
+    report = heard(mixed(of_2, of_1, what), devices=0)
+    assert [(one.rule, one.message) for one in report.findings] == [('protocol_1', message)]
+
+
+def test_questions_of_2_0_that_none_answers_do_not_make_a_bus_of_two_protocols() -> None:
+    """A program that looks for servos asks in both protocols, once."""
+    scan = [encode(number, I.PING) for number in range(10)]
+    report = heard(scan + mixed((), (1, 2, 3), FEETECH, 400), devices=0)
+    assert 'protocol_1' not in dict(names(report))
+
+
+def test_two_protocols_are_told_no_longer_than_both_answer() -> None:
+    gone = mixed((9,), (1, 2, 3), FEETECH) + mixed((), (1, 2, 3), FEETECH, 700)
+    assert 'protocol_1' not in dict(names(heard(gone, devices=0)))

@@ -163,6 +163,7 @@ class DeviceReport(NamedTuple):
     id: int
     name: str                      # '011', with the joint name where `devices` gives one
     joint: str                     # '' if none
+    protocol: str                  # what it speaks, in words
     model: Model                   # control_table.UNKNOWN until it is learned
     model_number: int | None
     model_name: str                # 'MX-106', or 'unknown', or 'unknown (1234)'

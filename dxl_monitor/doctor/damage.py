@@ -22,6 +22,8 @@ from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import share
+from msg_defs.dxl1_instruction import FEETECH
+from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl_instruction import NAMES
 from msg_defs.reports import Level
 
@@ -242,11 +244,25 @@ def _foreign_answers(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _protocol_1(case: Case) -> Iterator[Found]:
-    ids = sorted({one.device for one in case.incidents(ev.PROTOCOL_1)})
-    if case.count(ev.PROTOCOL_1) > 1:
-        yield Claim(None, f'packets of Protocol 1.0, ID {listed(ids, 4)}: set these devices to '
-                    'Protocol 2.0 or give them a bus of their own',
-                    (('packets', str(case.count(ev.PROTOCOL_1))),))
+    if case.count(ev.PROTOCOL_1) <= 1:
+        return
+    answered = [device for device in case.report.devices if device.window.answers]
+    of_2 = [device.id for device in answered if device.protocol == words.PROTOCOL_2]
+    others = [device for device in answered if device.protocol != words.PROTOCOL_2]
+    if not of_2 and case.report.protocol not in ('', words.PROTOCOL_2):
+        return                         # all that answer speak the 1.0 family: it is their bus
+    name = others[0].protocol if others else UNDECIDED.name
+    if len(of_2) < len(others):
+        who, host, ids, to = words.PROTOCOL_2, name, of_2, '1.0'
+    else:
+        who, host, to = name, words.PROTOCOL_2, '2.0'
+        ids = [device.id for device in others] \
+            or sorted({one.device for one in case.incidents(ev.PROTOCOL_1)})
+    remedy = 'give these devices a bus of their own'
+    if name != FEETECH.name:           # which has no setting for it
+        remedy = f'set these devices to Protocol {to} if they have it, or give them another bus'
+    yield Claim(None, f'{who}, ID {listed(ids, 4)}, on a bus of {host}: {remedy}',
+                (('packets', str(case.count(ev.PROTOCOL_1))),))
 
 
 def source_lost(case: Case) -> Iterator[Doubt]:
@@ -284,8 +300,8 @@ RULES = (
     Rule('baud_moved', Level.WARN, 'a write to Baud Rate, and silence', each(_baud_moved),
          ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter'),
          holds=False),
-    Rule('protocol_1', Level.WARN, 'FF FF packets with the checksum of Protocol 1.0 in the noise',
-         _protocol_1, ('stray_bytes', 'wrong_baud')),
+    Rule('protocol_1', Level.WARN, 'packets of Protocol 2.0 and of the 1.0 family', _protocol_1,
+         ('stray_bytes', 'wrong_baud')),
     Rule('echo', Level.WARN, 'instructions that follow themselves at once', _echo,
          (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'jitter', 'impatient_master',
           'late_answers')),
