@@ -35,9 +35,11 @@ def main(arguments: Sequence[str]) -> None:
     options = _parser().parse_args(arguments)
     if options.trace is not None and not options.trace.is_file():
         raise UsageError(f'--trace: {options.trace} is not a file; give the raw bytes of a bus')
+    if options.rounds is not None and options.rounds < 1:
+        raise UsageError('--rounds: nothing is measured in fewer than 1; give 1 or more')
     settings = Options(quick=options.quick, trace=options.trace,
                        seconds=2.0 if options.quick else options.seconds,
-                       settle_s=options.settle,
+                       settle_s=options.settle, asked_rounds=options.rounds,
                        soak_minutes=options.soak or 0.0, load_minutes=options.load or 0.0)
     print(', '.join(f'{key}: {value}' for key, value in machine().items()), flush=True)
     figures: list[Figure] = []
@@ -57,6 +59,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--write', action='store_true',
                         help=f'put tables into docs/benchmarks.md: {", ".join(ON_THE_PAGE)}')
     parser.add_argument('--quick', action='store_true', help='few and short rounds: a smoke test')
+    parser.add_argument('--rounds', type=int, metavar='N',
+                        help='how often each case is measured (9, or as the section needs)')
     parser.add_argument('--only', choices=PLAIN, action='append', help='one section (repeatable)')
     parser.add_argument('--thesis', action='store_true',
                         help='only the six experiments; with --only, those sections too')

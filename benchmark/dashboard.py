@@ -64,7 +64,7 @@ def run(options: Options) -> list[Figure]:
         for device in range(1, SERVOS + 1):
             page.wait(device, _is_well, START_S)
         took = []
-        for at in range(options.rounds if options.quick else ROUNDS):
+        for at in range(options.asked_rounds or (options.rounds if options.quick else ROUNDS)):
             device = 1 + at % SERVOS
             time.sleep(rng.uniform(0.5, 1.5))
             bus.tell({'id': device, 'silent': True})

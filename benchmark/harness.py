@@ -39,10 +39,11 @@ class Options(NamedTuple):
     settle_s: float = 1.0               # before it is measured
     soak_minutes: float = 5.0
     load_minutes: float = 5.0
+    asked_rounds: int | None = None     # else what is usual
 
     @property
     def rounds(self) -> int:
-        return 3 if self.quick else 9
+        return self.asked_rounds or (3 if self.quick else 9)
 
 
 class Figure(NamedTuple):

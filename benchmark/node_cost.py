@@ -42,7 +42,7 @@ def run(options: Options) -> list[Figure]:
             'thread': partial(through_node, traffic, options.seconds, *ALL_TOPICS,
                               module=THREAD_NODE),
             'reader': partial(through_reader, traffic, options.seconds)}
-        runs = interleaved(cases, 1 if options.quick else ROUNDS)
+        runs = interleaved(cases, options.asked_rounds or (1 if options.quick else ROUNDS))
         figures += _figures(name, wanted, runs)
     return figures
 

@@ -18,13 +18,13 @@ from rclpy.clock import Clock
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.driver import adapter
+from dxl_monitor.port.listener import STARTING
 from dxl_monitor.port.listener import TAKE_EVERY_S
 from dxl_monitor.port.reader import NAME as READER_NAME
 from dxl_monitor.port.source_name import is_live
@@ -64,7 +64,7 @@ OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
 LOOK_S = 0.1                # whether something cannot wait for the next report
 APART_NS = 200_000_000      # ... and at least so long after the one before
 BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s behind at most
-AGAIN_NS = 50_000_000       # until it is looked again whether that is over
+AGAIN_NS = 50_000_000       # until it is looked again whether that is over; at the start too
 PATIENCE_NS = 2_500_000_000     # longer is not a freeze: its reader hangs; a dashboard waits 4 s
 
 
@@ -165,6 +165,7 @@ class JointStates:
     """dxl/joint_states of one bus."""
 
     def __init__(self, node: Node, monitor: Monitor, topic: str) -> None:
+        from sensor_msgs.msg import JointState  # here, as in msg_defs/ros.py
         self._monitor = monitor
         self._since = 0
         self._publisher = overridable_publisher(node, JointState, topic, qos_profile_sensor_data)
@@ -208,7 +209,7 @@ class MonitorNode:
             [one.bus.label for one in self._buses])
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
         self._timer = self.node.create_timer(
-            self._period_s, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            1e-9 * AGAIN_NS, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.node.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._joint_states = self._start_joint_states(values['joint_state_rate'])
         self._is_stopped = False
@@ -216,6 +217,7 @@ class MonitorNode:
             self._recorder.start()
         for one in self._buses:
             one.listener.start()
+        self._started = time.monotonic_ns()
 
     def stop(self) -> None:
         """Close the ports, then the capture."""
@@ -255,16 +257,31 @@ class MonitorNode:
         """Publish a slice of the report; make a new report when there is none left."""
         if self._is_stopped:            # closed ports are as they should be now
             return
+        heard: list[Heard] = []
         if not self._waiting:
             now = time.monotonic_ns()
-            if self._is_behind(now):
+            if self._is_early(now) or self._is_behind(now):
                 self._timer.timer_period_ns = AGAIN_NS
                 self._timer.reset()
                 return
-            self._report(now)
+            heard = self._hear(now)
+            self._waiting.extend(slices(self._statuses(heard, True)))
             self._timer.timer_period_ns = int(1e9 * self._period_s / max(1, len(self._waiting)))
         if self._waiting:
             self._tables.publish(self._table_arrays.array(self._waiting.popleft(), self._stamp()))
+        if heard:
+            self._tell(heard)
+            self._tell_capture()
+
+    def _is_early(self, now: int) -> bool:
+        """
+        Return whether the first report must wait: for a subscriber, and until ports were tried.
+
+        After a period it waits no more.
+        """
+        return not self._reported and now - self._started < 1e9 * self._period_s and (
+            not self._tables.get_subscription_count()
+            or any(one.listener.state.kind == STARTING for one in self._buses))
 
     def _is_behind(self, now: int) -> bool:
         behind = [one.is_behind(now) for one in self._buses]     # each: it notes since when
@@ -280,21 +297,16 @@ class MonitorNode:
     def _count_alarms(self) -> int:
         return sum(one.monitor.alarms() for one in self._buses)
 
-    def _report(self, now: int) -> None:
-        heard = self._hear(now)
-        self._tell_capture()
-        self._waiting.extend(slices(self._statuses(heard, True)))
-        self._tell(heard)
-
     def _hear(self, now: int) -> list[Heard]:
         self._alarms, self._reported = self._count_alarms(), now
-        heard = [(one, one.report(now), one.port_state()) for one in self._buses]
-        for one, _, port in heard:
-            self._tell_port(one.listener.state.text, port)
-        return heard
+        return [(one, one.report(now), one.port_state()) for one in self._buses]
 
     def _tell(self, heard: list[Heard]) -> None:
-        """Publish the overview when it is time or a level changed, and timing when it is time."""
+        """
+        Publish the overview when it is time or a level changed, and timing when it is time.
+
+        Logging comes last: the first line of a process takes rclpy 30 ms.
+        """
         levels = [level for _, report, port in heard for level in (
             bool(port.problem), bool(port.warning), report.level,
             *(device.level for device in report.devices))]
@@ -306,6 +318,8 @@ class MonitorNode:
         if is_time:
             self._overview_s = now_s
             self._publish_timing([report for _, report, _ in heard])
+        for one, _, port in heard:
+            self._tell_port(one.listener.state.text, port)
 
     def _statuses(self, heard: list[Heard], whole: bool) -> list[Status]:
         node = full_name(self.node)

@@ -20,7 +20,6 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_msgs.msg import KeyValue
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from msg_defs.reports import ALL
@@ -155,8 +154,9 @@ def _set_values(
                  for key, value in after[len(messages):]]
 
 
-def joint_state(joints: Sequence[Joint], stamp: Time) -> JointState:
+def joint_state(joints: Sequence[Joint], stamp: Time) -> Any:
     """Build a JointState: NaN where one joint has no value, an empty list where none has."""
+    from sensor_msgs.msg import JointState  # here: 30 modules that most nodes do without
     message = JointState(name=[safe_text(joint.name) for joint in joints])
     message.header.stamp = stamp
     message.position = _column([joint.position for joint in joints])

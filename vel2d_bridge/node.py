@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 import time
 from typing import Any
 
@@ -79,6 +80,7 @@ class Bridge:
         self._timing = Timing()
         self._mcu = McuLog()
         self._sent: deque[Sent] = deque(maxlen=KEPT_FRAMES)
+        self._changes: deque[PortError | None] = deque()    # to be logged; None: open
         self._hopeless: PortError | None = None
         self._inspection = Inspection(self._port, [DEADMAN_NAME])
         self._said: set[str] = set()                # complaints that still stand
@@ -110,7 +112,9 @@ class Bridge:
 
     def stop(self) -> None:
         """Stop the rover, close the port, end the deadman."""
-        if not self._link.close():
+        has_stopped = self._link.close()
+        self._log_changes()
+        if not has_stopped:
             self._log.error(f'{self._port}: {NO_STOP} on; switch it off')
 
     def suspend(self) -> None:
@@ -206,13 +210,10 @@ class Bridge:
             self._sent.append(sent)
 
     def _on_change(self, problem: PortError | None) -> None:
-        if problem is None:
-            self._log.info(f'{self._port}: open at {self._values["baud"]} baud; sending stops '
-                           'until a command comes')
-        elif problem.kind in HOPELESS and not self._link.state().openings:
+        if problem is not None and problem.kind in HOPELESS and not self._link.state().openings:
             self._hopeless = problem
         else:
-            self._log.error(str(problem))
+            self._changes.append(problem)
 
     # Looking around and reporting
 
@@ -227,7 +228,23 @@ class Bridge:
         self._write_logs()
         self._report()
 
+    def _log_changes(self) -> None:
+        """
+        Log what happened to the port: not in its thread, where stops would wait for that.
+
+        The first line of a process takes rclpy 30 ms.
+        """
+        with suppress(IndexError):      # none left; two threads may come here at the end
+            while True:
+                problem = self._changes.popleft()
+                if problem is None:     # two lines: rclpy ties a severity to a place in the code
+                    self._log.info(f'{self._port}: open at {self._values["baud"]} baud; sending '
+                                   'stops until a command comes')
+                else:
+                    self._log.error(str(problem))
+
     def _write_logs(self) -> None:
+        self._log_changes()
         self._say_new([*self._link_warnings(), *self._subscriber.warnings])
         crc = CRC_INPUTS[self._values['crc_input']]
         while self._sent:

@@ -37,6 +37,7 @@ from msg_defs.uart import idle_s
 ERRORS_EVERY_NS = 1_000_000_000
 # The process stamps, so its records can wait: many at a time cost a quarter less than a few.
 TAKE_EVERY_S = 0.05
+STARTING = 'starting'           # the kind of state before the port was tried
 
 
 class ListenerState(NamedTuple):
@@ -74,7 +75,7 @@ class Listener:
                  in_thread: bool = False) -> None:
         self.port = port
         self.baud = baud
-        self.state = ListenerState(False, 'starting', f'{port}: not opened yet',
+        self.state = ListenerState(False, STARTING, f'{port}: not opened yet',
                                    time.monotonic_ns())
         self.latency_timer_ms: int | None = None     # an FTDI adapter's
         self.low_latency = False

@@ -9,6 +9,7 @@ import queue
 import sys
 import time
 
+from dxl_monitor.port.listener import STARTING
 from dxl_monitor.port.source_name import bus_name
 from dxl_monitor.port.source_name import has_sides
 from dxl_monitor.port.source_name import listener_on
@@ -42,7 +43,7 @@ class LivePort(Source):
         self._words = ''
         self._listener = listener_on(name, baud, self._take, on_change=self._change)
         self._listener.start()
-        while self._listener.state.kind == 'starting':
+        while self._listener.state.kind == STARTING:
             time.sleep(0.005)
         if not self._listener.state.is_open:
             words = self._listener.state.text
