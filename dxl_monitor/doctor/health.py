@@ -5,12 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.doctor.case import Case
-from dxl_monitor.doctor.limits import FACTORY
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import each
@@ -27,6 +27,34 @@ TRIPPED = (0xFF, -1)
 RANGE = 4
 FEW = 3
 _ERRORS = ('Hardware Error Status', 'Error Code')
+
+
+class Limits(NamedTuple):
+    """
+    The limits that a servo has from the factory, for where the master never read its own.
+
+    Initial values of Temperature Limit, Min and Max Voltage Limit in the control tables
+    (e-Manual). degrees: °C; low and high: V.
+    """
+
+    degrees: float
+    low: float
+    high: float
+
+
+_MX = Limits(80.0, 9.5, 16.0)
+_AX = Limits(70.0, 6.0, 14.0)
+_MX_1 = Limits(80.0, 6.0, 16.0)
+# By model number. A model that is not here is not judged before its own limits are seen.
+FACTORY = {
+    12: _AX, 18: _AX, 300: _AX,                    # AX-12A, AX-18A, AX-12W
+    29: _MX_1, 310: _MX_1, 320: _MX_1, 360: _MX_1,  # MX-28, MX-64, MX-106, MX-12W (1.0)
+    311: _MX, 321: _MX, 30: _MX,                   # MX-64, MX-106, MX-28 (2.0)
+    1020: Limits(80.0, 9.5, 16.0), 1030: Limits(80.0, 9.5, 16.0),      # XM430-W350, XM430-W210
+    1060: Limits(72.0, 6.0, 14.0),                 # XL430-W250
+    1120: Limits(80.0, 10.0, 16.0), 1130: Limits(80.0, 10.0, 16.0),    # XM540-W270, XM540-W150
+    1190: Limits(70.0, 3.5, 7.0), 1200: Limits(70.0, 3.5, 7.0),        # XL330-M077, XL330-M288
+}
 
 
 def _fresh(case: Case, device: DeviceReport, name: str) -> float | None:

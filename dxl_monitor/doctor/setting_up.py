@@ -10,7 +10,7 @@ from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
-from dxl_monitor.doctor.limits import FACTORY
+from dxl_monitor.doctor.health import FACTORY
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import each
