@@ -103,6 +103,9 @@ def test_an_instruction(copy: Callable[[str], Copy]) -> None:
 
 """),
                 ('    Instruction.REBOOT: ', '    Instruction.HOME: FakeDevice._on_home,\n'))
+    code.change('msg_defs/dxl1_instruction.py', (
+        "             0x92: _BULK_READ},\n    errors={0: 'input voltage'",
+        "             0x21: DialectInstruction('Home', Layout.NOTHING, Answers.ACK),\n"))
     assert code.run('-c', """
 from dxl_monitor.bus.conversation import Conversation
 from dxl_monitor.fake.device import FakeDevice
@@ -122,6 +125,25 @@ ask(2, b'\\x84\\0\\4\\0')
 known = bus.roster.devices[1].table.bytes(132, 4) is not None
 print(name_of(0x21), ask(0x21).error, known, bus.roster.devices[1].table.bytes(132, 4))
 """) == 'Home 0 True None'
+    assert code.run('-c', """
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.fake.family_1 import Servo1
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from msg_defs.dxl1_instruction import DYNAMIXEL_1, name_of
+from msg_defs.dxl1_packet import encode
+models = Models()
+bus = Monitor('', models, Settings(1_000_000, (Expected(1, 'AX-12A'),), protocol='1'))
+servo = Servo1(1, models.by_name('AX-12A'))
+def ask(stamp, instruction, wire=b'', params=b''):
+    reply = servo.execute(instruction, params, 0)
+    bus.feed(encode(1, instruction, wire), stamp)
+    bus.feed(encode(1, servo.error_byte(reply.error), reply.params), stamp + 300_000)
+    return [one.field.name for one in bus.report(stamp + 300_000_000).devices[0].observed]
+first = ask(10**11, 2, bytes((36, 2)), bytes((36, 0, 2, 0)))
+print(first, name_of(0x21, DYNAMIXEL_1), ask(10**11 + 10**9, 0x21))
+""") == "['Present Position'] Home []"
 
 
 def test_a_finding(copy: Callable[[str], Copy]) -> None:
@@ -190,4 +212,30 @@ class Hex(Source):
         return Hex(name.removeprefix('hex:'))
 """))
     said = code.run('-m', 'dxl_monitor.tools.dump.main', 'hex:fffffd0001030001194e')
+    assert 'Ping' in said
+
+
+def test_a_live_source(copy: Callable[[str], Copy]) -> None:
+    code = copy('a source of bytes')
+    code.change('dxl_monitor/port/hex_listener.py', ('', """\
+import time
+
+from dxl_monitor.port.listener import Listener
+
+
+class HexListener(Listener):
+    def _listen_once(self) -> None:
+        self._say_open()
+        self._hear(bytes.fromhex(self.port.removeprefix('hex:')), time.monotonic_ns())
+        while not self._stopping:
+            self._pause(1.0)
+"""), named='dxl_monitor/port/')
+    code.change('dxl_monitor/port/source_name.py',
+                ("TAP, USB = 'tap:'", "HEX = 'hex:'\n"),
+                ("has_sides(name) or '://'", 'name.startswith(HEX) or '),
+                ('    from dxl_monitor.port.usb_listener',
+                 '    from dxl_monitor.port.hex_listener import HexListener\n'),
+                ('TAP: TapListener', 'HEX: HexListener, '))
+    said = code.run('-m', 'dxl_monitor.tools.dump.main', '--count', '1',
+                    'hex:fffffd0001030001194e')
     assert 'Ping' in said
