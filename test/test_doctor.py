@@ -279,6 +279,23 @@ def test_a_master_that_asks_two_things_in_turn_does_not_repeat_itself() -> None:
     assert [one.repeats for one in rhythms((cycle,), stamps[-1], 2_000_000)] == [[]]
 
 
+@pytest.mark.parametrize(('instruction', 'behind_ms', 'every', 'found'), [
+    (I.READ, 1.0, 16, 1),
+    (I.READ, 1.5, 16, 1),
+    (I.READ, 1.7, 16, 0),          # the answer was over before
+    (I.READ, 1.0, 2, 0),           # so often it is part of the cycle
+    (I.WRITE, 1.0, 16, 0),         # to another device, or with other data
+])
+def test_a_question_that_is_asked_again_at_once(instruction: int, behind_ms: float, every: int,
+                                                found: int) -> None:
+    stamps = [int((20 * n + late) * MS) for n in range(24)
+              for late in ((0, behind_ms) if n % every == every // 2 else (0,))]
+    cycle = Cycle(instruction, (1,), 132, 4, 32, 0, tuple(stamps))
+    (rhythm,) = rhythms((cycle,), stamps[-1], 2_000_000)
+    assert len(rhythm.repeats) == found
+    assert all(int(behind_ms * MS) == again - before for before, again in rhythm.repeats)
+
+
 # --- what a user sees --------------------------------------------------------------------------
 
 def test_the_robot_trace() -> None:

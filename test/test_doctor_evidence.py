@@ -21,7 +21,8 @@ from msg_defs.reports import Level
 MODELS = Models()
 MS = 1_000_000
 S = 1_000_000_000
-ACCESS = 7
+SUM, RANGE, LENGTH, ACCESS = 3, 4, 5, 7
+RETURN_DELAY, TORQUE, VOLTAGE = 9, 64, 144
 GOAL, POSITION, MODEL = 116, 132, b'\x24\x04\x2e'          # an XL430-W250
 
 
@@ -66,7 +67,8 @@ def around(*between: bytes, devices: int = 3) -> list[bytes]:
 
 def volts(*numbers: int) -> list[bytes]:
     """Return reads of Present Input Voltage, 5.9 V."""
-    return [one for number in numbers for one in (read(number, 144, 2), says(number, b'\x3b\0'))]
+    return [one for number in numbers
+            for one in (read(number, VOLTAGE, 2), says(number, b'\x3b\0'))]
 
 
 def test_a_supply_that_is_low_for_all_is_told_of_the_bus_alone() -> None:
@@ -188,3 +190,116 @@ def test_questions_of_2_0_that_none_answers_do_not_make_a_bus_of_two_protocols()
 def test_two_protocols_are_told_no_longer_than_both_answer() -> None:
     gone = mixed((9,), (1, 2, 3), FEETECH) + mixed((), (1, 2, 3), FEETECH, 700)
     assert 'protocol_1' not in dict(names(heard(gone, devices=0)))
+
+
+# --- what is refused -------------------------------------------------------------------------
+
+@pytest.mark.parametrize(('refused', 'error', 'expected'), [
+    (read(1, 611), ACCESS, [('wrong_address', 1)]),
+    (read(1, 611), LENGTH, [('wrong_address', 1)]),
+    (write(1, GOAL, bytes(4)), RANGE, [('wrong_address', 1)]),
+    (write(1, RETURN_DELAY, b'\0'), RANGE, [('wrong_address', 1)]),
+    (write(1, RETURN_DELAY, b'\0'), ACCESS, [('eeprom_locked', 1)]),
+    (write(1, GOAL, bytes(4)), SUM, []),           # the address is not what it refuses
+])
+def test_what_is_refused_tells_why(refused: bytes, error: int,
+                                   expected: list[tuple[str, int]]) -> None:
+    assert names(heard([refused, says(1, b'', error)] * 3)) == expected
+    assert names(heard([refused, says(1, b'', error)] * 2)) == []
+
+
+@pytest.mark.parametrize(('writes', 'hours'), [(29, None), (30, '9.3 hours'), (40, '6.9 hours')])
+def test_how_long_eeprom_lasts(writes: int, hours: str | None) -> None:
+    report = heard([write(1, RETURN_DELAY, b'\0'), says(1)] * writes)
+    said = [one.message for one in report.findings if one.rule == 'eeprom_wear']
+    assert len(said) == (hours is not None)
+    assert all(str(hours) in message for message in said)
+
+
+# --- away and back ---------------------------------------------------------------------------
+
+def turns(count: int, *silent: int) -> list[bytes]:
+    """Return turns of a loop over three devices, some of which say nothing."""
+    return [one for number in (1, 2, 3) for one in (read(number), says(number, bytes(4)))
+            if number not in silent or one == read(number)] * count
+
+
+def tells(number: int, at: int, *data: int) -> list[bytes]:
+    return [read(number, at, len(data)), says(number, bytes(data))]
+
+
+def absence(before: list[bytes], after: list[bytes], *silent: int) -> list[tuple[str, int | None]]:
+    """Return what is told of devices that were silent and are back for more than two seconds."""
+    return names(heard([*turns(20), *before, *turns(30), *turns(10, *silent), *turns(2), *after,
+                        *turns(90)]))
+
+
+@pytest.mark.parametrize(('before', 'after', 'rule'), [
+    (tells(2, TORQUE, 1), tells(2, TORQUE, 0), 'rebooted'),
+    (tells(2, TORQUE, 0), tells(2, TORQUE, 0), 'dropout'),          # it was off before
+    (tells(2, TORQUE, 1), tells(2, TORQUE, 1), 'dropout'),
+    (tells(2, TORQUE, 1), [], 'dropout'),
+    (tells(2, TORQUE, 1), [write(2, TORQUE, b'\0'), says(2)], 'dropout'),     # the master did it
+])
+def test_torque_that_fell_by_itself_proves_a_restart(before: list[bytes], after: list[bytes],
+                                                     rule: str) -> None:
+    assert absence(before, after, 2)[0] == (rule, 2)
+
+
+LOW, FULL = (0x46, 0), (0x78, 0)               # 7 V, 12 V
+
+
+@pytest.mark.parametrize(('before', 'after', 'silent', 'expected'), [
+    (tells(2, VOLTAGE, *LOW), tells(2, VOLTAGE, *FULL), (2, 3), [('brown_out', None)]),
+    (tells(2, VOLTAGE, *FULL), tells(2, VOLTAGE, *FULL), (2, 3), [('dropout', 2), ('dropout', 3)]),
+    (tells(2, TORQUE, 1), tells(2, TORQUE, 0), (2, 3), [('brown_out', None)]),
+    (tells(2, VOLTAGE, *LOW), tells(2, VOLTAGE, *FULL), (2,), [('dropout', 2)]),
+])
+def test_a_supply_that_broke_down_shows_in_several(
+        before: list[bytes], after: list[bytes], silent: tuple[int, ...],
+        expected: list[tuple[str, int | None]]) -> None:
+    assert absence(before, after, *silent) == expected
+
+
+def test_one_away_after_the_other_is_no_supply_that_broke_down() -> None:
+    low, full = tells(2, VOLTAGE, *LOW), tells(2, VOLTAGE, *FULL)
+    away = [*turns(20), *low, *turns(30), *turns(10, 2), *turns(10), *turns(10, 3), *full]
+    assert names(heard([*away, *turns(90)])) == [('dropout', 2), ('dropout', 3)]
+
+
+@pytest.mark.parametrize(('third', 'expected'), [(0, ('brown_out', None)), (1, ('rebooted', 2))])
+def test_one_that_waited_behind_another_may_have_restarted_too(
+        third: int, expected: tuple[str, int | None]) -> None:
+    ask = encode(BROADCAST, I.SYNC_READ, struct.pack('<HH', POSITION, 4) + b'\x01\x02\x03')
+    all_ = [ask, *(says(number, bytes(4)) for number in (1, 2, 3))]
+    before = [one for number in (2, 3) for one in tells(number, TORQUE, 1)]
+    after = [*tells(2, TORQUE, 0), *tells(3, TORQUE, third)]
+    report = heard([*before, *all_ * 60, *[ask, says(1, bytes(4))] * 30, *all_ * 2, *after,
+                    *all_ * 120])
+    assert names(report)[:1] == [expected]
+
+
+def motion(count: int, *follow: int) -> list[bytes]:
+    """Return a loop that moves three goals; some devices follow."""
+    said = []
+    for step in range(count):
+        place = struct.pack('<i', 10 * step)
+        for number in (1, 2, 3):
+            said += [write(number, GOAL, place), says(number), read(number),
+                     says(number, place if number in follow else bytes(4))]
+    return said
+
+
+@pytest.mark.parametrize(('said', 'expected', 'words'), [
+    (motion(90, 1, 3), [('torque_off', 2)], 'others follow'),
+    (motion(90, 1, 2, 3), [], ''),
+    (motion(90), [], ''),                          # perhaps nothing shall move
+    (motion(35, 1, 3), [], ''),                    # not for long enough
+    (tells(2, TORQUE, 0) + motion(35), [('torque_off', 2)], 'its torque is off'),
+    (tells(2, TORQUE, 1) + motion(35), [], ''),
+])
+def test_goals_that_move_and_a_position_that_stands(
+        said: list[bytes], expected: list[tuple[str, int]], words: str) -> None:
+    report = heard(said)
+    assert names(report) == expected
+    assert all(words in one.message for one in report.findings)
