@@ -15,7 +15,6 @@ from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-import copy
 import os
 from pathlib import Path
 import random
@@ -29,6 +28,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[1]
 TIMEOUT_S = 120
 _BUS = ('test_tracker.py', 'test_monitor.py')
+_DIALECTS = ('test_dialogue.py', 'test_doctor_feetech.py')
 _DOCTOR = ('test_doctor_evidence.py', 'test_doctor.py', 'test_monitor.py')
 FILES = {
     'msg_defs/crc.py': ('test_vel2d.py', 'test_dxl_packet.py', 'test_dxl_instruction.py'),
@@ -40,9 +40,15 @@ FILES = {
     'dxl_monitor/bus/duty.py': _BUS,
     'dxl_monitor/bus/table.py': ('test_table.py', *_BUS),
     'dxl_monitor/bus/expected.py': ('test_expected.py',),
+    **{f'dxl_monitor/bus/{name}.py': (*_BUS, *_DIALECTS) for name in (
+        'conversation', 'evidence', 'plan', 'report')},
+    **{f'dxl_monitor/bus/{name}.py': (*_DIALECTS, *_BUS) for name in ('dialect', 'dialogue')},
     **{f'dxl_monitor/doctor/{name}.py': _DOCTOR for name in (
-        'collision', 'configuration', 'damage', 'health', 'presence', 'rate', 'rhythm',
-        'timing')},
+        '__init__', 'case', 'collision', 'configuration', 'damage', 'health', 'presence', 'rate',
+        'rhythm', 'rule', 'timing')},
+    **{f'dxl_monitor/doctor/{name}.py': ('test_doctor_feetech.py', *_DOCTOR) for name in (
+        'feetech', 'setting_up')},
+    'dxl_monitor/doctor/bits.py': ('test_bits.py', *_DOCTOR),
     'vel2d_bridge/gate.py': ('test_gate.py', 'test_bridge_safety.py'),
     'vel2d_bridge/pacer.py': ('test_pacer.py', 'test_bridge_safety.py', 'test_link.py'),
 }
@@ -94,13 +100,14 @@ Change = tuple[str, Callable[[Any], object]]
 
 
 class Mutant(NamedTuple):
-    """One change: the line it is in, what it is, and the whole source with it."""
+    """One change: the line it is in, what it is, where in the tree of its file it is."""
 
     file: str
     line: int
     text: str
     change: str
-    source: str
+    node: int                      # in the order of ast.walk
+    number: int                    # among the changes of the node
 
     def __str__(self) -> str:
         return f'{self.file}:{self.line}: {self.change}: {self.text}'
@@ -109,6 +116,15 @@ class Mutant(NamedTuple):
     def changes_nothing(self) -> bool:
         return any(self.text.startswith(line) and self.change.startswith(change)
                    for line, change in EQUIVALENT)
+
+    @property
+    def source(self) -> str:
+        """The whole file with the change."""
+        tree = ast.parse((ROOT / self.file).read_text())
+        node = list(ast.walk(tree))[self.node]
+        _, apply = list(_changes(node))[self.number]
+        apply(node)
+        return ast.unparse(tree)
 
 
 def mutants(file: str) -> Iterator[Mutant]:
@@ -121,13 +137,10 @@ def mutants(file: str) -> Iterator[Mutant]:
     for index, node in enumerate(ast.walk(tree)):
         if id(node) in left_alone:
             continue
-        for what, apply in _changes(node):
-            twin = copy.deepcopy(tree)
-            target = list(ast.walk(twin))[index]
-            description = f'{what} in column {getattr(node, "col_offset", 0)}'
-            apply(target)
+        for number, (what, _) in enumerate(_changes(node)):
             line = getattr(node, 'lineno', 1)
-            yield Mutant(file, line, lines[line - 1].strip(), description, ast.unparse(twin))
+            yield Mutant(file, line, lines[line - 1].strip(),
+                         f'{what} in column {getattr(node, "col_offset", 0)}', index, number)
 
 
 def _changes(node: ast.AST) -> Iterator[Change]:
@@ -261,9 +274,9 @@ def main() -> int:
     chosen = sample(options.count, options.seed, options.file or list(FILES))
     with TemporaryDirectory() as folder, ThreadPoolExecutor(options.jobs) as pool:
         copies = [Copy(Path(folder, str(n))) for n in range(options.jobs)]
-        for file in {one.file for one in chosen}:
-            if not copies[0].passes(FILES[file]):
-                print(f'{file}: its tests fail as it is; mend them first', file=sys.stderr)
+        for tests in {FILES[one.file] for one in chosen}:
+            if not copies[0].passes(tests):
+                print(f'{", ".join(tests)}: one fails as it is; mend it first', file=sys.stderr)
                 return 1
         survivors = list(_survivors(chosen, copies, pool))
     judged = [one for one in chosen if not one.changes_nothing]
