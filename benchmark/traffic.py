@@ -3,14 +3,16 @@
 """
 What the benchmarks put on the bus: packets as they follow each other on the wire.
 
-Taken from the simulated bus with 20 devices of the five models of the thesis, or from a recorded
-trace. The first two kinds are experiments 2 and 3 of the thesis; in `moving robot` nearly every
-packet is different, as with a robot that moves.
+Taken from the simulated bus, with Protocol 2.0 of 20 devices of the five models of the thesis, or
+from a recorded trace. The first two kinds are experiments 2 and 3 of the thesis; in `moving robot`
+nearly every packet is different, as with a robot that moves.
 """
 
+from itertools import islice
 from pathlib import Path
 
 from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.fake_bus import make_line
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.traffic import PATTERNS
@@ -25,6 +27,10 @@ FAST_ROBOT = ('1-10:XM430-W350', '11-20:XL430-W250')
 FAST = 'fast reads'
 KINDS = {'read/write': 'read_write', 'ping': 'ping', 'moving robot': 'moving', FAST: 'fast'}
 TRACE = 'trace'
+BAUD_1 = 1_000_000
+# The 1.0 family: what fake_bus calls it, and its devices, all of which move.
+KINDS_1 = {'Feetech': ('feetech', ('1-6:STS3215',)),
+           'Protocol 1.0': ('dxl1', ('1-5:AX-12A', '6-8:MX-28(1.0)'))}
 LONGEST = 256                   # piece of a trace: no packet on that robot is longer
 
 
@@ -42,6 +48,15 @@ def packets(kind: str, count: int = PACKETS, devices: tuple[str, ...] = ()) -> l
         if len(pieces) > count:
             break
     return pieces[:count]
+
+
+def packets_1(kind: str, count: int = PACKETS) -> list[bytes]:
+    """Return the first packets of a robot of the 1.0 family that moves."""
+    dialect, devices = KINDS_1[kind]
+    line = make_line(make_devices(list(devices), Models(), BAUD_1, dialect=dialect), BAUD_1,
+                     dialect)
+    bursts = Master(line, PATTERNS['moving'], rate=0, gap=0).bursts()
+    return [burst.data for burst in islice(bursts, count)]
 
 
 def trace_packets(path: Path) -> list[bytes]:

@@ -79,9 +79,13 @@ def main():
               f'{found["false"]} false ({found["expected"]:.1f} expected of {found["tried"]:,} '
               f'candidates), memory {found["growth_mb"]:+.1f} MB, '
               f'{time.process_time() - begin:.0f} s CPU', flush=True)
-        limit = found['expected'] + 5 * math.sqrt(found['expected']) + 3
-        failed |= found['false'] > limit or found['growth_mb'] > GROWTH_MB
+        failed |= found['false'] > limit(found['expected']) or found['growth_mb'] > GROWTH_MB
     return int(failed)
+
+
+def limit(expected):
+    """Return what chance hardly ever exceeds."""
+    return expected + 5 * math.sqrt(expected) + 3
 
 
 def candidates(block, sent):
@@ -101,6 +105,15 @@ def good_in(stream):
     return [body for _, body, _ in framer.good]
 
 
+def chunks(chance, block):
+    """Yield a block in chunks of 1 to 4096 bytes."""
+    at = 0
+    while at < len(block):
+        size = chance.choice((chance.randrange(1, 64), 512, 4096))
+        yield block[at:at + size]
+        at += size
+
+
 def run(make, size, chance, traffic, sent):
     """Feed so many bytes in chunks of all sizes; check the accounts at every chunk."""
     conversation = Conversation(Models())
@@ -110,10 +123,7 @@ def run(make, size, chance, traffic, sent):
     while total < size:
         block = make(chance, traffic)
         tried += candidates(block, sent)
-        at = 0
-        while at < len(block):
-            chunk = block[at:at + chance.choice((chance.randrange(1, 64), 512, 4096))]
-            at += len(chunk)
+        for chunk in chunks(chance, block):
             total += len(chunk)
             now += 5_000 * len(chunk)
             monitor.feed(chunk, now)

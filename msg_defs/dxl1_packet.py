@@ -39,6 +39,15 @@ def begin_of(end: int, body: bytes) -> int:
     return end - body[1] - 4
 
 
+def ends_with_another(body: bytes) -> bool:
+    """Return whether a good frame ends with a whole one, as one does that lost its own end."""
+    if HEADER not in body[4:]:
+        return False
+    data = body[4:] + bytes([~(sum(body) - body[2]) & 0xFF])
+    last = Framer1().frames(data)[-1:]
+    return any(end == len(data) and (flaw is None or not flaw.reason) for end, _, flaw in last)
+
+
 class Framer1(StreamFramer):
     """
     Finds the frames of the 1.0 family in a stream that comes in chunks of any size.

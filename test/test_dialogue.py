@@ -282,6 +282,60 @@ def test_three_behind_each_other_are_proof_and_none_of_them_is_lost() -> None:
     assert bus.monitor.conversation.framer.pending == 0        # nothing is held back from now on
 
 
+TORN = (encode(0xFE, 0x82, b'\x38\2\1\2\4\5\6\x19'),     # it lost a byte, and took one too many
+        encode(0xFE, 0x83, b'\x2a\2\7\xd0\7\2\xd0\7'),
+        encode(0x82, 0x38, b'\2\1\2\3'), encode(9, 2, b'\x38\2'))
+
+
+@pytest.mark.parametrize('protocol', ['auto', 'feetech'])
+@pytest.mark.parametrize('torn', TORN)
+def test_a_frame_that_damage_made_names_no_device(protocol: str, torn: bytes) -> None:
+    """Its sum is right by chance, and behind it is the rest of the packet that it ran into."""
+    bus = Bus(protocol)
+    for step in range(2):
+        bus.ask(*cycle(step))
+        bus.ask(torn + PING[1:], *(encode(one, 0, b'\xd0\7') for one in SO_101))
+    bus.say(*cycle())
+    assert set(bus.devices()) == set(SO_101)
+    assert bus.report().kinds['undecided packet'] >= 1
+
+
+def test_a_frame_that_ends_with_a_whole_packet_names_no_device() -> None:
+    bus = Bus('feetech')
+    answer = encode(1, 0)                          # what makes the sum of the outer one right
+    for code in range(256):
+        torn = encode(9, code, answer[:-1])
+        if torn.endswith(answer):
+            bus.ask(*cycle())
+            bus.ask(torn)
+            bus.ask(*cycle())
+            assert set(bus.devices()) == set(SO_101)
+            return
+    raise AssertionError('no code makes one')
+
+
+@pytest.mark.parametrize('protocol', ['auto', 'feetech'])
+def test_a_new_servo_is_there_with_its_first_answer(protocol: str) -> None:
+    bus = Bus(protocol)
+    bus.ask(*cycle())
+    bus.ask(encode(9, 1), encode(9, 0))
+    bus.ask(encode(10, 1), after_ms=40)            # silent
+    bus.ask(*cycle(), after_ms=40)
+    found = bus.devices()
+    assert (found[9].totals.answers, found[9].totals.missed) == (1, 0)
+    assert (found[10].totals.answers, found[10].totals.missed) == (0, 1)
+    assert bus.report().counters['Instructions'] == 6
+
+
+def test_a_new_servo_is_found_where_a_stray_byte_is_ahead_of_each_packet() -> None:
+    bus = Bus()
+    bus.ask(*cycle())
+    for _ in range(4):
+        for one in [*cycle(), encode(9, 2, b'\x38\2'), encode(9, 0, b'\xd0\7')]:
+            bus.say(b'\0' + one)
+    assert bus.devices()[9].totals.answers >= 1
+
+
 def packets_of_2_0(bus: Bus) -> int:
     framer = bus.monitor.conversation.framer
     assert isinstance(framer, MixedFramer)
@@ -416,6 +470,7 @@ def test_a_wrong_length_of_2_0_is_not_taken_for_one_of_the_1_0_family() -> None:
 # ---- which dialect ------------------------------------------------------------------------------
 
 def dialect(bus: Bus) -> str:
+    bus.report()                   # the line is idle: nothing waits for what is behind it
     return bus.monitor.conversation.choice.dialect.name
 
 

@@ -157,10 +157,17 @@ class Conversation:
             for side, framer in self.framers.items():
                 if framer.pending:
                     self._flush(side, framer, last)
+            self._settle()
             self.tracker.settle(now)
         elif now - last > self.idle_ns:
+            self._settle()
             for framer in self.framers.values():
                 framer.interrupt()
+
+    def _settle(self) -> None:
+        """Take what waited for something behind it, for nothing is."""
+        if self.dialogue is not None and (part := self.dialogue.settle()) is not None:
+            self.take(*part)
 
     def change(self, change: Change, stamp: int) -> None:
         """Take what a source said beside bytes."""
@@ -174,12 +181,14 @@ class Conversation:
         elif what in (CLOSED, GONE, LOST):
             for side, framer in self.framers.items():
                 self._flush(side, framer, stamp)
+            self._settle()
             self.tracker.lose_track(stamp, value if what == LOST else 0)
 
     def _set_baud(self, baud: int, stamp: int) -> None:
         """Begin on a new wire: what was on the other one is over, and no damage here."""
         for side, framer in self.framers.items():
             self._flush(side, framer, stamp)
+        self._settle()
         self.tracker.lose_track(stamp, 0)
         self.settings = self.settings._replace(baud=baud)
         self.byte_ns = self.tracker.byte_ns = byte_ns(baud)

@@ -8,15 +8,18 @@ right sum of eight bits proves little, several directly behind each other do. Wh
 instruction or a status, which have the same form: FF FF 01 02 01 FB is a Ping of 1, and the answer
 of 1 with "input voltage error". And which dialect the bus speaks (dialect.py). With the side of a
 frame known, the second is certain. What stays open is counted and changes nothing.
+
+A frame that names an ID for the first time waits for what is behind it (stranger.py).
 """
 
 from collections import Counter
-from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.dialect import DialectChoice
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.roster import Roster
+from dxl_monitor.bus.stranger import Held
+from dxl_monitor.bus.stranger import Strangers
 from msg_defs import dxl1_packet
 from msg_defs.dxl1_instruction import common_error
 from msg_defs.dxl1_instruction import fits
@@ -58,15 +61,6 @@ _SYNC_WRITE = 0x83
 _WRITES = (0x03, 0x04, 0x83)
 
 
-class Held(NamedTuple):
-    """A good frame that is not proven yet, and where it came from."""
-
-    framer: MixedFramer
-    frame: Frame
-    stamp: int
-    side: str
-
-
 class Dialogue:
     """
     Reads the frames of one bus in order.
@@ -86,6 +80,8 @@ class Dialogue:
         self.packets = 0                   # those of the 1.0 family
         self.proven: set[int] = set()      # the IDs that speak the 1.0 family here
         self._single = 0                   # good frames that were given up
+        self._stranger: Held | None = None # names an ID for the first time, and was the last
+        self._strangers = Strangers(roster)
         self._request = _NOTHING
         self._asked = b''                  # the body of the last instruction
         self._asked_ns = 0.0               # when it ended
@@ -104,21 +100,25 @@ class Dialogue:
         for frame in frames:
             flaw = frame[2]
             is_noisy |= flaw is not None and flaw.noise_length > GLITCH
+            if self._stranger is not None:
+                self._resolve(framer, flaw, parts, found)
             if not is_other(frame):
                 found.append(frame)
             elif flaw is not None and flaw.reason:
                 if not isinstance(framer, MixedFramer) or self._is_ours(frame[1][0]):
                     found.append(self._damaged(framer, frame, flaw, side))
             elif not isinstance(framer, MixedFramer):
-                found.append(self._meaning(frame, stamp, framer.bytes, side))
+                self._hear(Held(framer, frame, stamp, framer.bytes, side), found)
             elif self.proven and (flaw is None or flaw.noise_length <= GLITCH):
                 self._claim(framer, frame, stamp)
-                found.append(self._meaning(frame, stamp, framer.bytes, side))
+                self._hear(Held(framer, frame, stamp, framer.bytes, side), found)
             else:
-                proven = self._proven(Held(framer, frame, stamp, side))
+                proven = self._proven(Held(framer, frame, stamp, framer.bytes, side))
                 parts.extend(self._part(one) for one in proven[:-1])
-                if proven:
-                    found.append(self._meaning(frame, stamp, framer.bytes, side))
+                if proven[1:]:
+                    found.append(self._meant(proven[-1]))
+                elif proven:               # behind noise, on a bus of this family
+                    self._hear(proven[0], found)
         if self._streak and isinstance(framer, MixedFramer) and framer.noise_ahead > GLITCH:
             self._reject()
         if is_noisy:
@@ -140,10 +140,53 @@ class Dialogue:
                 at = end - 1
             at = noise.find(0xFF, at + 1)
 
+    def _meant(self, held: Held) -> Frame:
+        return self._meaning(held.frame, held.stamp, held.received, held.side)
+
     def _part(self, held: Held) -> Part:
-        """Return a frame of an earlier chunk; its end stands for that of the chunk."""
-        end = held.frame[0]
-        return [self._meaning(held.frame, held.stamp, end, held.side)], held.stamp, end, held.side
+        """Return what a frame of an earlier chunk means."""
+        return [self._meant(held)], held.stamp, held.received, held.side
+
+    # --- does this ID exist? --------------------------------------------------------------------
+
+    def _hear(self, held: Held, found: list[Frame]) -> None:
+        """Take a frame, or wait for the next if it names a new ID."""
+        body = held.frame[1]
+        if held.side != OUT and body[0] not in self._awaited \
+                and self._strangers.new_id(body) is not None:
+            self._stranger = held
+        else:
+            found.append(self._meant(held))
+
+    def _resolve(self, framer: AnyFramer, flaw: Flaw | None, parts: list[Part],
+                 found: list[Frame]) -> None:
+        """Decide on the frame that waits, for another has come."""
+        held = self._stranger
+        if held is None:
+            return
+        is_same = framer is held.framer
+        is_next = not is_same or flaw is None or not (flaw.reason or flaw.noise_length)
+        frame = self._met(held, is_next)
+        if is_same and held.received == framer.bytes:          # of this chunk
+            found.append(frame)
+        else:
+            parts.append(([frame], held.stamp, held.received, held.side))
+
+    def settle(self) -> Part | None:
+        """Return the frame that waits, if the line is idle behind it."""
+        held = self._stranger
+        if held is None or held.framer.pending:
+            return None
+        frame = self._met(held, not held.framer.noise_ahead)
+        return [frame], held.stamp, held.received, held.side
+
+    def _met(self, held: Held, is_next: bool) -> Frame:
+        """Return what the frame that waits means; is_next: there is no noise behind it."""
+        self._stranger = None
+        if held.frame[1][0] in self._awaited or self._strangers.exists(held, is_next):
+            return self._meant(held)
+        self.packets += 1
+        return held.frame[0], held.frame[1], Flaw(OPEN, False, 0)
 
     # --- is it one? -----------------------------------------------------------------------------
 
@@ -165,8 +208,8 @@ class Dialogue:
         return []
 
     def _claimed(self, streak: list[Held]) -> list[Held]:
-        for framer, frame, stamp, _ in streak:
-            self._claim(framer, frame, stamp)
+        for held in streak:
+            self._claim(held.framer, held.frame, held.stamp)
         return streak
 
     def _claim(self, framer: MixedFramer, frame: Frame, stamp: int) -> None:
