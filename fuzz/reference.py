@@ -4,7 +4,7 @@
 Reference: the rules of both wires a second time, as plainly as they can be put.
 
 The targets compare with it, so it takes nothing from the package: not a constant, not a CRC.
-It sees a stream as a whole and is slow. Sources: e-Manual, Protocol 2.0; docs/frame.md.
+It sees a stream as a whole and is slow. Sources: e-Manual, Protocol 2.0 and 1.0; docs/frame.md.
 """
 
 from typing import NamedTuple
@@ -151,3 +151,21 @@ def _fate_1(data: bytes, idle: bool) -> int | None:
     for byte in data[2:size - 1]:
         total += byte
     return size if data[size - 1] == 255 - total % 256 else 0
+
+
+class Said(NamedTuple):
+    """A packet of the 1.0 family and who said it: the master, or else a servo."""
+
+    is_master: bool
+    number: int                    # the ID in it
+    code: int                      # instruction or error byte
+    params: bytes
+    after_ns: int                  # silence in front of it
+
+    @property
+    def wire(self) -> bytes:
+        content = bytes([self.number, len(self.params) + 2, self.code]) + self.params
+        total = 0
+        for byte in content:
+            total += byte
+        return b'\xff\xff' + content + bytes([255 - total % 256])

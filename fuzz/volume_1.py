@@ -35,7 +35,7 @@ from msg_defs.dxl1_packet import Framer1
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl_mixed import MixedFramer
 
-SUMS = 256                          # of so many candidates one has the right sum by chance
+SUMS = 256                          # one of so many candidates has the right sum by chance
 FEETECH, = (kind for kind, (dialect, _) in KINDS_1.items() if dialect == 'feetech')
 PING = b'\x01\x02\x01'              # which two pieces of TRICKY make when they meet
 BAUD = 1_000_000

@@ -167,7 +167,7 @@ class Dialogue:
         is_same = framer is held.framer
         is_next = not is_same or flaw is None or not (flaw.reason or flaw.noise_length)
         frame = self._met(held, is_next)
-        if is_same and held.received == framer.bytes:          # of this chunk
+        if is_same and held.received == framer.bytes:          # in this chunk
             found.append(frame)
         else:
             parts.append(([frame], held.stamp, held.received, held.side))

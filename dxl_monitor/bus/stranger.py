@@ -16,7 +16,7 @@ from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl1_packet import ends_with_another
 from msg_defs.dxl_packet import Frame
 
-SIGHTINGS = 3                      # as on a bus with stray bytes, where noise is around all
+SIGHTINGS = 3                      # on a bus with stray bytes, noise is around all packets
 SIGHTING_NS = 1_000_000_000        # at most, from one to the next
 # Where the IDs begin in the body of what is said to several, and how far apart they are: 0 for
 # one more than the size that stands in front of them.
