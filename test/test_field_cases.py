@@ -4,6 +4,8 @@
 
 import re
 
+import pytest
+
 from benchmark.field_cases import PAGE
 from benchmark.field_cases import results
 from dxl_monitor.doctor import RULES
@@ -23,6 +25,8 @@ def test_what_is_expected_are_rules():
     assert {rule for scene in PLAYED for rule, _ in scene.expected} - known == set()
 
 
-def test_a_case_is_told_as_its_thread_found():
-    [found] = results(['T10'])
-    assert (found.verdict, found.told) == ('right', (('all_silent', None),))
+@pytest.mark.parametrize(('case', 'cause'), [
+    ('T10', 'all_silent'), ('T44', 'two_masters'), ('T58', 'impatient_master')])
+def test_a_case_is_told_as_its_thread_found(case, cause):
+    [found] = results([case])
+    assert (found.verdict, found.told) == ('right', ((cause, None),))

@@ -28,10 +28,13 @@ from dxl_monitor.doctor.bits import look
 from dxl_monitor.doctor.bits import shapes
 from dxl_monitor.doctor.bits import Wreck
 from dxl_monitor.doctor.bits import wrecks
+from dxl_monitor.doctor.combs import Comb
+from dxl_monitor.doctor.combs import two_combs
 from dxl_monitor.doctor.rhythm import Rhythm
 from dxl_monitor.doctor.rhythm import rhythms
 
 S = 1_000_000_000
+MS = 1_000_000
 WINDOW_NS = 10 * S
 KEPT = 1000                        # incidents of a kind; and as many marks of time
 RHYTHM_NS = S // 2 + S // 4        # between two looks at the rhythms: they cost most
@@ -46,6 +49,14 @@ _FOLLOWED = ('Goal Position', 'Present Position', 'Realtime Tick', 'Present Inpu
 
 Counted = tuple[int, dict[int, Counts]]        # stamp, the totals of each device
 Key = tuple[int, tuple[int, ...], int | None]  # a cycle's instruction, IDs, address
+
+
+class TwoClocks(NamedTuple):
+    """One instruction that two loops repeat; when that was seen last."""
+
+    stamp: int
+    cycle: Cycle
+    combs: tuple[Comb, Comb]
 
 
 class Mark(NamedTuple):
@@ -84,6 +95,7 @@ class Case:
         self.quiet_s = 0.0             # since the last instruction, where that is unusual
         self.wrecks: list[Wreck] = []  # damaged packets that are recognised
         self.steady = steady           # instructions that kept time, once
+        self.clocks: list[TwoClocks] = []      # instructions that two loops repeat
         self._counts = counts
         self.marks = marks
         self.samples = samples
@@ -149,6 +161,11 @@ class Case:
         return {device.id: {one.field.name: one for one in device.observed}
                 for device in self.report.devices}
 
+    @cached_property
+    def blur_ms(self) -> float:
+        """How finely the chunks tell time: the usual time between two of them."""
+        return _blur_ms(self.report)
+
     def was_asked(self, begin: int, end: int, but: Cycle) -> bool:
         """Tell whether anything else was asked between two stamps, or in the same chunks."""
         return any(begin <= stamp <= end for cycle in self.report.cycles if cycle is not but
@@ -197,6 +214,11 @@ def is_waiting(device: DeviceReport) -> bool:
     return device.waiting_behind is not None and device.state != words.CONNECTED
 
 
+def _blur_ms(report: BusReport) -> float:
+    return next((one.window.p50 for one in report.metrics
+                 if one.name == 'time_between_buffers' and one.window is not None), 0.0)
+
+
 class History:
     """What is remembered from report to report."""
 
@@ -213,6 +235,7 @@ class History:
         self._rhythms: tuple[int, list[Rhythm]] = (0, [])
         self._counts: deque[Counted] = deque(maxlen=KEPT)
         self._steady: set[Key] = set()
+        self._clocks: dict[Key, TwoClocks] = {}
         self._asked = self._pause = 0  # stamp of the last instruction, and how old it was
         self._pauses: deque[tuple[int, int]] = deque(maxlen=KEPT)
         self._wrecks: deque[tuple[int, Wreck]] = deque(maxlen=KEPT)
@@ -236,8 +259,10 @@ class History:
         if fresh:
             self._rhythms = (report.stamp, rhythms(report.cycles, report.stamp, report.baud))
             self._steady |= {key_of(one.cycle) for one in self._rhythms[1] if one.is_even}
+            self._look_for_clocks(report, before)
         case = Case(report, self._seen, self._marks, self._samples, self._repeats,
                     self._rhythms[1], self._counts, self._steady)
+        case.clocks = list(self._clocks.values())
         case.quiet_s = self._quiet_s(report)
         case.wrecks = self._recognised(report, before)
         self._sample(case, before)
@@ -248,6 +273,19 @@ class History:
         for stamp in [stamp for stamp in self._repeats if stamp < before]:
             del self._repeats[stamp]
         return case
+
+    def _look_for_clocks(self, report: BusReport, before: int) -> None:
+        """
+        Remember which instructions two loops repeat.
+
+        Where they run into each other the combs have gaps; what was seen before that counts.
+        """
+        self._clocks = {key: one for key, one in self._clocks.items() if one.stamp >= before}
+        for rhythm in self._rhythms[1]:
+            combs = None if rhythm.is_even else two_combs(rhythm.cycle.stamps,
+                                                          MS * _blur_ms(report))
+            if combs is not None:
+                self._clocks[key_of(rhythm.cycle)] = TwoClocks(report.stamp, rhythm.cycle, combs)
 
     def _recognised(self, report: BusReport, before: int) -> list[Wreck]:
         """Return the damaged packets of the window; those of this report are looked at now."""

@@ -17,17 +17,24 @@ from dxl_monitor.doctor.case import Case
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
-from msg_defs.dxl_packet import HEADER
 
 FEW = 3
 MOSTLY = 0.3                       # among damaged instructions; bits turned over by chance: 0.1
+FLIPPED = 2                        # wrong bits: more is no noise but another packet
 TAIL = 6                           # bytes: the CRC is among them, so they are not there by chance
 _GROUPS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 _WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
 
 
 def is_collision(case: Case) -> bool:
-    """Tell whether damage is what two talkers at once make of instructions of Protocol 2.0."""
+    """
+    Tell whether damage is what two talkers at once make.
+
+    Either two loops repeat one instruction, and a question was laid over something; or damaged
+    instructions of Protocol 2.0 have lost bits.
+    """
+    if case.clocks and case.damage >= FEW and ran_into_answers(case):
+        return True
     if case.report.protocol != PROTOCOL_2:
         return False
     damaged = case.incidents(ev.DAMAGED_INSTRUCTION)
@@ -70,9 +77,14 @@ def ran_into_answers(case: Case) -> int:
         at = noise.find(packet[-TAIL:]) if packet else -1
         while at >= 0:
             begin = at + TAIL - len(packet)
-            found += begin >= 0 and noise[begin:begin + 3] != HEADER[:3]
+            found += begin >= 0 and _wrong(noise[begin:at], packet) > FLIPPED
             at = noise.find(packet[-TAIL:], at + 1)
     return found
+
+
+def _wrong(got: bytes, packet: bytes) -> int:
+    """Return how many bits of the front of a packet are wrong."""
+    return (int.from_bytes(got, 'big') ^ int.from_bytes(packet[:len(got)], 'big')).bit_count()
 
 
 def _question(cycle: Cycle) -> bytes:

@@ -35,7 +35,8 @@ STATUS_SIZE = 11                   # bytes, without parameters
 INSIDE = 8                         # repetitions of one rhythm while the other went on
 BINS = 16
 ALTERNATE = 0.9                    # share of the periods with just one of the other in it
-UNEVEN = 0.05                      # from the next whole number
+UNEVEN = 0.05                      # relative: from the next whole number
+FINE = 0.02                        # the same, of means of many periods
 
 
 class Rhythm(NamedTuple):
@@ -64,6 +65,16 @@ class Rhythm(NamedTuple):
                 found.append((self.cycle.stamps[at], self.cycle.stamps[at + 1]))
         regular = 2 * len(found) + sum(whole) >= MOSTLY * len(whole)
         return found if regular and len(found) <= RARELY * len(whole) else []
+
+    def turn(self, since: int) -> float:
+        """
+        Return the mean (ns) of its usual periods since a stamp, 0 where they are too few.
+
+        It is finer than the time between two chunks.
+        """
+        usual = [period for stamp, period in zip(self.cycle.stamps, self.periods, strict=False)
+                 if stamp >= since and abs(period - self.base) < AGREE * self.base]
+        return sum(usual) / len(usual) if len(usual) >= INSIDE else 0.0
 
     @property
     def is_even(self) -> bool:
@@ -127,8 +138,19 @@ def spread_of(periods: Sequence[int]) -> float:
 
 def is_multiple(slow: Rhythm, fast: Rhythm) -> bool:
     """Tell whether one period fits the other a whole number of times: one program's, as a rule."""
-    ratio = slow.base / max(1, fast.base)
-    return abs(ratio - round(ratio)) < UNEVEN * ratio
+    return is_whole(slow.base / max(1, fast.base), UNEVEN)
+
+
+def is_locked(slow: Rhythm, fast: Rhythm) -> bool:
+    """Tell the same more finely, by the time in which both are known; True where that is short."""
+    since = max(slow.cycle.stamps[0], fast.cycle.stamps[0])
+    one, other = slow.turn(since), fast.turn(since)
+    return not (one and other) or is_whole(one / other, FINE)
+
+
+def is_whole(ratio: float, uneven: float) -> bool:
+    """Tell whether a ratio is a whole number, but for a share of itself."""
+    return abs(ratio - round(ratio)) < uneven * ratio
 
 
 def is_independent(one: Rhythm, other: Rhythm) -> bool:

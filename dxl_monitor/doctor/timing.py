@@ -9,6 +9,7 @@ periods are judged in parts of themselves (rhythm.py).
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
@@ -16,6 +17,7 @@ from operator import attrgetter
 from statistics import median
 
 from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.doctor.case import Case
@@ -25,14 +27,17 @@ from dxl_monitor.doctor.collision import ran_into_answers
 from dxl_monitor.doctor.rhythm import answer_ns
 from dxl_monitor.doctor.rhythm import AT_ONCE_NS
 from dxl_monitor.doctor.rhythm import is_independent
+from dxl_monitor.doctor.rhythm import is_locked
 from dxl_monitor.doctor.rhythm import is_multiple
 from dxl_monitor.doctor.rhythm import Rhythm
+from dxl_monitor.doctor.rhythm import WRITES
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import each_with
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
+from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
@@ -56,6 +61,11 @@ RESOLVED_MS = 4.0                  # between chunks; else all gaps count, not th
 GRID_NS = 16 * MS                  # exactly that is made by the adapter that we hear through
 LATENT = 0.6                       # share of the gaps
 WAITED_S = 3.0
+LATE_S = 10.0
+NO_WAIT_US = 50                   # less than any answer takes on the wire
+MOSTLY = 0.7
+RARELY = 0.1                      # questions behind a write: noise would hit as few of them
+BEHIND_NS = 2 * MS               # as far as chunks tell time
 MANY = 10                          # vain waits
 SOON_US = 500                      # Return Delay Time as from the factory (e-Manual)
 
@@ -76,6 +86,43 @@ def _impatient(case: Case) -> Iterator[Found]:
         yield Claim(None, 'the master does not wait for answers, and talks into them: it gives up '
                     f'within {SOON_US} us, before a servo answers as it comes from the factory; '
                     'raise its time-out', (('given up at once', str(len(hasty))),))
+        return
+    behind = _questions_into_acks(case)
+    if behind:
+        yield Claim(None, 'the master writes and does not wait for the acknowledgement: its next '
+                    f'question ran into it {behind} times in 10 s; let it wait, or use Sync Write',
+                    (('questions spoilt behind a write', str(behind)),))
+
+
+def _questions_into_acks(case: Case) -> int:
+    """
+    Return how many answers were spoilt right behind a write that nothing acknowledged, else 0.
+
+    Noise would spoil the answers to other questions too; where many questions stand behind a
+    write, that cannot be told.
+    """
+    spoilt = [wait.stamp - 1000 * wait.us for wait in case.waits(LATE_S) if wait.is_spoilt]
+    if len(spoilt) < FEW:
+        return 0
+    writes = sorted(stamp for cycle in case.report.cycles for stamp in cycle.stamps
+                    if cycle.instruction == Instruction.WRITE and not _acknowledges(case, cycle))
+    asked = [stamp for cycle in case.report.cycles if cycle.instruction not in WRITES
+             for stamp in cycle.stamps]
+    behind = sum(_is_behind(writes, stamp) for stamp in spoilt)
+    usual = sum(_is_behind(writes, stamp) for stamp in asked)
+    return behind if behind >= max(FEW, MOSTLY * len(spoilt)) \
+        and usual <= RARELY * len(asked) else 0
+
+
+def _acknowledges(case: Case, cycle: Cycle) -> bool:
+    return any(number not in case.devices or case.devices[number].acks is not None
+               for number in cycle.ids)
+
+
+def _is_behind(writes: list[int], stamp: int) -> bool:
+    """Tell whether a write came so shortly before that its answer was still due."""
+    at = bisect_right(writes, stamp + BEHIND_NS)
+    return at > 0 and writes[at - 1] >= stamp - BEHIND_NS
 
 
 def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
@@ -118,11 +165,22 @@ def _late_answers(case: Case) -> Iterator[Found]:
             first[one.device] += 1
         before = one.stamp
     for number, count in first.most_common(1):
-        if count >= FEW:
+        if count < FEW:
+            return
+        if _is_cut_short(case):
+            yield Doubt(number, 'the next question comes into its answers, before a wait: two '
+                        'programs, or one that does not wait')
+        else:
             yield Claim(number, 'answers when the master has given up, into the next question: '
                         'lower its Return Delay Time or raise the time-out',
                         (('late answers', str(count)), ('waits', _wait(case))),
                         covers=tuple(case.devices))
+
+
+def _is_cut_short(case: Case) -> bool:
+    """Tell whether questions came as no wait for an answer ends, so that none was given up."""
+    waits = [one.us for one in case.waits(LATE_S) if not one.is_spoilt]
+    return bool(waits) and median(waits) < NO_WAIT_US
 
 
 def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
@@ -146,7 +204,7 @@ def _latency_timer(case: Case) -> Iterator[Found]:
     stamps = sorted((stamp, answers[number], number)
                     for number, cycle in enumerate(case.report.cycles)
                     for stamp in cycle.stamps if stamp > case.now - S)
-    is_coarse = _blur_ms(case) > RESOLVED_MS
+    is_coarse = case.blur_ms > RESOLVED_MS
     gaps = [((number, following), two - one, answer)
             for (one, answer, number), (two, _, following) in pairwise(stamps)
             if answer or is_coarse]
@@ -225,23 +283,46 @@ def _two_masters(case: Case) -> Iterator[Found]:
         yield Claim(None, f'{foreign} instructions came to the master that it did not send: '
                     'another program is on this bus; stop one', (('instructions', str(foreign)),))
         return
+    pair = _apart(case)
+    collide = is_collision(case)
+    if pair is None:
+        for clocks in case.clocks:
+            fast, slow = sorted(comb.period / MS for comb in clocks.combs)
+            words = f'{_words(clocks.cycle, fast * MS)} and every {slow:.0f} ms'
+            if collide:
+                yield _two(case, words)
+            else:
+                yield Doubt(None, f'{words}: two programs, or one with two timers')
+            return
+    else:
+        one, other = pair
+        yield _two(case, f'{_words(one.cycle, one.base)} and {_words(other.cycle, other.base)}')
+
+
+def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
+    """Return two instructions that keep time apart from each other."""
     one = min(case.rhythms, key=lambda rhythm: rhythm.base, default=None)
-    if one is not None and one.is_steady and one.base > max(BLURRED * _blur_ms(case), 1.0) * MS:
-        collide = is_collision(case)           # as one program's questions never do
-        for other in case.rhythms:
-            if other is not one and not is_multiple(other, one) and other.is_steady \
-                    and (collide or (is_independent(one, other) and is_independent(other, one))):
-                yield Claim(None, f'{_words(one)} and {_words(other)} keep time apart: two '
-                            'programs are on this bus; stop one',
-                            (('damaged packets', str(case.damage)),))
-                return
+    if one is None or not one.is_steady or one.base <= max(BLURRED * case.blur_ms, 1.0) * MS:
+        return None
+    collide = is_collision(case)               # as one program's questions never do
+    for other in case.rhythms:
+        if other is not one and other.is_steady and (
+                (collide and not is_locked(other, one))
+                or (not is_multiple(other, one) and is_independent(one, other)
+                    and is_independent(other, one))):
+            return one, other
+    return None
 
 
-def _words(rhythm: Rhythm) -> str:
-    cycle = rhythm.cycle
+def _two(case: Case, words: str) -> Claim:
+    return Claim(None, f'{words}: two programs, or two threads without a lock; let only one ask',
+                 (('damaged packets', str(case.damage)),))
+
+
+def _words(cycle: Cycle, period: float) -> str:
     whom = f'{cycle.ids[0]:03}' if len(cycle.ids) == 1 else f'{len(cycle.ids)} IDs'
     at = f' at {cycle.address}' if cycle.address is not None else ''
-    return f'{name_of(cycle.instruction)} of {whom}{at} every {rhythm.base / MS:.0f} ms'
+    return f'{name_of(cycle.instruction)} of {whom}{at} every {period / MS:.0f} ms'
 
 
 def _jitter(case: Case) -> Iterator[Found]:
@@ -256,18 +337,12 @@ def _jitter(case: Case) -> Iterator[Found]:
     ordered = sorted(best.periods)
     edge = len(ordered) // 10
     low, high = ordered[edge] / MS, ordered[-1 - edge] / MS
-    if best.jitter > JITTERY and high - low > BLURRED * _blur_ms(case) \
+    if best.jitter > JITTERY and high - low > BLURRED * case.blur_ms \
             and key_of(best.cycle) in case.steady:
         yield Claim(None, "the master's cycle was regular and is not any more: its computer is "
                     'busy, or its loop does too much; give it a higher priority',
                     (('spread', f'{best.spread:.2f}'),
                      ('cycle (ms)', f'{low:.1f} to {high:.1f}, {best.period / MS:.1f} as a rule')))
-
-
-def _blur_ms(case: Case) -> float:
-    """Return how finely the chunks tell time: the usual time between two of them."""
-    return next((one.window.p50 for one in case.report.metrics
-                 if one.name == 'time_between_buffers' and one.window is not None), 0.0)
 
 
 RULES = (

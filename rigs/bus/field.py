@@ -111,14 +111,13 @@ PLAYED: tuple[Scene, ...] = tuple(sorted((*_OF_2, *OF_1), key=lambda one: one.na
 
 # What is not played, or cannot be told from the wire: why, and what would tell it.
 NOT_PLAYED: tuple[tuple[str, str], ...] = (
-    ('T06', 'an ID write; the servo of the generator keeps its ID'),
     ('T16', 'which of two causes made the message is not on the wire; reading the firmware would'),
     ('T17', 'servos in protection are silent, as without supply: measure the supply'),
     ('T31, T32', 'a servo at another rate is silent, as without supply: listen while a Wizard '
      'scans all rates'),
     ('T46', 'no byte of any master: dxl_doctor says so, with the usual reasons'),
     ('T47', 'all is answered, and the program does not use it: there is no rule for that yet'),
-    ('T55', 'an instruction of another protocol, which this generator does not have'),
-    ('T58', 'writes sent without a wait; the programs of the generator all wait'),
+    ('T55', 'an instruction that only one adapter knows: it goes unanswered, all else is well; '
+     'there is no rule for that yet'),
     ('T62', 'nothing leaves the adapter: dxl_doctor says so, with the usual reasons'),
 )

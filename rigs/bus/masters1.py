@@ -118,6 +118,31 @@ def read_write(port: Port, ids: Ids, *, print_ms: float = 4.0) -> Program:
                 yield Sleep(port.now + round(port.random.expovariate(1 / print_ms) * MS))
 
 
+def set_id(port: Port, ids: Ids, *, to: int = 5) -> Program:
+    """Give a Feetech servo another ID as a simple tool does; Lock goes to the old one."""
+    old = ids[0]
+    yield from ask(port, frames.packet(old, frames.PING), old)
+    for at, value in ((55, 0), (5, to), (55, 1)):
+        yield from ask(port, frames.write(old, at, bytes((value,))), old)
+    while True:
+        yield from ask(port, frames.packet(to, frames.PING), to)
+        yield from ask(port, frames.read(to, 56, 2), to, 2)
+        yield Sleep(port.now + 50 * MS)
+
+
+def sweep(port: Port, ids: Ids, *, rate: float = 30.0, turns: int = 20) -> Program:
+    """Switch the torque of all on without a wait, again and again, and read them one by one."""
+    due = port.now
+    while True:
+        for number in ids:
+            yield Say(frames.write(number, 40, b'\1'))
+        for _ in range(turns):
+            for number in ids:
+                yield from ask(port, frames.read(number, 56, 2), number, 2)
+            sleep, due = port.pace(due, 1000 / rate)
+            yield sleep
+
+
 def rounds(port: Port, ids: Ids, *, rate: float = 16.0, size: int = 8) -> Program:
     """Read state from one servo after the other, as dynamixel_motor and pypot do."""
     due = port.now

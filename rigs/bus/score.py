@@ -83,7 +83,7 @@ def compare(scene: Scene, rig: Rig, told_of_it: Iterable[tuple[BusReport, float 
             after = since
     if not scene.expected:
         false.update(_misses(report, rig))
-    return Result(scene.name, scene.expected, _verdict(scene, told, bool(false)), told,
+    return Result(scene.name, scene.expected, verdict_of(scene, told, bool(false)), told,
                   tuple((when, key) for key, when in false.items()), after, doubts)
 
 
@@ -107,7 +107,8 @@ def _misses(report: BusReport, rig: Rig) -> dict[Key, float]:
             and rig.servos[device.id].asked == rig.servos[device.id].answered}
 
 
-def _verdict(scene: Scene, told: tuple[Key, ...], is_wrong: bool) -> str:
+def verdict_of(scene: Scene, told: tuple[Key, ...], is_wrong: bool) -> str:
+    """Return the verdict of what was told, the first of it first; is_wrong: some was false."""
     if is_wrong:
         return WRONG
     if not scene.expected:

@@ -49,6 +49,7 @@ class Servo1:
         self.own_us = own_us
         self.errors = 0
         self.is_on = True
+        self.tremor = float(number)    # where in its small movements it is
         self.loses: Callable[[], bool] = lambda: False
         self.changed: Callable[[], None] = lambda: None
         self.asked = self.answered = 0
@@ -78,7 +79,7 @@ class Servo1:
         goal = int.from_bytes(self.table[kind.goal_at:kind.goal_at + 2], 'little')
         if self.table[kind.torque_at] and not self.errors & 0x20:
             self._at += max(-4000 * seconds, min(4000 * seconds, goal - self._at))
-        wobble = 2 * sin(self.clock.now / 7e7 + self.number)
+        wobble = 2 * sin(self.clock.now / 7e7 + self.tremor)
         self.put(kind.place_at, 2, max(0, round(self._at + wobble)))
         self.put(kind.volts_at, 1, 120)
         self.put(kind.volts_at + 1, 1, 35)         # the temperature, in both families
