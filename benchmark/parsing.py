@@ -34,8 +34,8 @@ CHUNKS = (4096, 64)
 QUICK_PACKETS = 5_000
 FULL_PACKETS = 25_000
 SDK_PACKETS = 2_000                # for the official client, which takes several times as long
+SETTINGS = Settings(baud=BAUD)
 SDK = 'dynamixel-sdk rxPacket'
-_BYTE_NS = 10 * 10**9 // BAUD
 
 
 class Memory:
@@ -74,24 +74,25 @@ def measure(kind: str, pieces: Sequence[bytes], rounds: int) -> list[Figure]:
     statuses = _statuses(data)[:SDK_PACKETS]
     models = Models()
     cases: dict[str, Callable[[], float]] = {
-        f'monitor, chunks of {size}': partial(monitor_us, models, _chunks(data, size))
+        f'monitor, chunks of {size}': partial(monitor_us, models, cut(data, size))
         for size in CHUNKS}
     cases[f'framing alone, chunks of {CHUNKS[0]}'] = partial(
-        framing_us, _chunks(data, CHUNKS[0]))
+        framing_us, cut(data, CHUNKS[0]))
     if statuses:
         cases[SDK] = partial(sdk_us, statuses)
     results = interleaved(cases, rounds)
     return _figures(kind, results, 8 * len(data) / _packet_count(data))
 
 
-def monitor_us(models: Models, chunks: Sequence[bytes]) -> float:
+def monitor_us(models: Models, chunks: Sequence[bytes], settings: Settings = SETTINGS) -> float:
     """Return the CPU time per packet of a fresh monitor, in us."""
-    monitor = Monitor('bus', models, Settings(baud=BAUD))
+    monitor = Monitor('bus', models, settings)
+    byte_ns = 10 * 10**9 // settings.baud
     stamps = []
     received = 0
     for chunk in chunks:
         received += len(chunk)
-        stamps.append(1 + received * _BYTE_NS)
+        stamps.append(1 + received * byte_ns)
     feed = monitor.feed
     start = time.process_time_ns()
     for chunk, stamp in zip(chunks, stamps, strict=True):
@@ -133,7 +134,8 @@ def _figures(kind: str, results: dict[str, list[float]], bits: float) -> list[Fi
     return figures
 
 
-def _chunks(data: bytes, size: int) -> list[bytes]:
+def cut(data: bytes, size: int) -> list[bytes]:
+    """Return data in chunks of a size."""
     return [data[at:at + size] for at in range(0, len(data), size)]
 
 

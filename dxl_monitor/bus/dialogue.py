@@ -107,18 +107,16 @@ class Dialogue:
             elif flaw is not None and flaw.reason:
                 if not isinstance(framer, MixedFramer) or self._is_ours(frame[1][0]):
                     found.append(self._damaged(framer, frame, flaw, side))
-            elif not isinstance(framer, MixedFramer):
-                self._hear(Held(framer, frame, stamp, framer.bytes, side), found)
-            elif self.proven and (flaw is None or flaw.noise_length <= GLITCH):
-                self._claim(framer, frame, stamp)
-                self._hear(Held(framer, frame, stamp, framer.bytes, side), found)
+            elif not isinstance(framer, MixedFramer) \
+                    or (self.proven and (flaw is None or flaw.noise_length <= GLITCH)):
+                if isinstance(framer, MixedFramer):
+                    self._claim(framer, frame, stamp)
+                if side != OUT and self._is_new(frame[1]):
+                    self._stranger = Held(framer, frame, stamp, framer.bytes, side)
+                else:
+                    found.append(self._meaning(frame, stamp, framer.bytes, side))
             else:
-                proven = self._proven(Held(framer, frame, stamp, framer.bytes, side))
-                parts.extend(self._part(one) for one in proven[:-1])
-                if proven[1:]:
-                    found.append(self._meant(proven[-1]))
-                elif proven:               # behind noise, on a bus of this family
-                    self._hear(proven[0], found)
+                self._weigh(Held(framer, frame, stamp, framer.bytes, side), parts, found)
         if self._streak and isinstance(framer, MixedFramer) and framer.noise_ahead > GLITCH:
             self._reject()
         if is_noisy:
@@ -149,14 +147,9 @@ class Dialogue:
 
     # --- does this ID exist? --------------------------------------------------------------------
 
-    def _hear(self, held: Held, found: list[Frame]) -> None:
-        """Take a frame, or wait for the next if it names a new ID."""
-        body = held.frame[1]
-        if held.side != OUT and body[0] not in self._awaited \
-                and self._strangers.new_id(body) is not None:
-            self._stranger = held
-        else:
-            found.append(self._meant(held))
+    def _is_new(self, body: bytes) -> bool:
+        return body[0] not in self._roster.devices and body[0] not in self._awaited \
+            and self._strangers.new_id(body) is not None
 
     def _resolve(self, framer: AnyFramer, flaw: Flaw | None, parts: list[Part],
                  found: list[Frame]) -> None:
@@ -189,6 +182,15 @@ class Dialogue:
         return held.frame[0], held.frame[1], Flaw(OPEN, False, 0)
 
     # --- is it one? -----------------------------------------------------------------------------
+
+    def _weigh(self, one: Held, parts: list[Part], found: list[Frame]) -> None:
+        """Take a good frame that may be chance, and those that it proves."""
+        proven = self._proven(one)
+        parts.extend(self._part(held) for held in proven[:-1])
+        if len(proven) == 1 and one.side != OUT and self._is_new(one.frame[1]):
+            self._stranger = one               # behind noise, on a bus of this family
+        elif proven:
+            found.append(self._meant(one))
 
     def _proven(self, one: Held) -> list[Held]:
         """Return the good frames that are proven by this one, in order, itself the last."""

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.doctor.case import Case
@@ -81,8 +82,10 @@ def _hardware_error(case: Case, device: DeviceReport) -> Found | None:
     if seen is None:
         return Claim(device.id, f'alert in its answers{torque}: an error is latched; read '
                      'Hardware Error Status, then reboot it', figures, Level.WARN)
+    # Of the 1.0 family only a few servos know the instruction Reboot.
+    remedy = 'send Reboot' if device.protocol == words.PROTOCOL_2 else 'switch it off and on'
     return Claim(device.id, f'{seen.value.text} error latched{torque}: remove the cause, then '
-                 'send Reboot; until then it does not move', figures)
+                 f'{remedy}; until then it does not move', figures)
 
 
 def _is_off(torque: Observed | None) -> bool:

@@ -1,0 +1,77 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Full tracking of the 1.0 family from memory, as in parsing.py; the makers' own clients beside.
+
+Feetech's robot is read with feetech-servo-sdk (which LeRobot uses), that of Protocol 1.0 with
+dynamixel-sdk: `rxPacket` alone, on the statuses of the same traffic. The monitor is told the
+protocol, or finds it out (`auto`). CPU time per packet; cases take turns.
+"""
+
+from collections.abc import Callable
+from collections.abc import Sequence
+from functools import partial
+import time
+from typing import Any
+
+from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
+from scservo_sdk.protocol_packet_handler import protocol_packet_handler
+
+from benchmark.harness import Figure
+from benchmark.harness import interleaved
+from benchmark.harness import Options
+from benchmark.parsing import CHUNKS
+from benchmark.parsing import cut
+from benchmark.parsing import FULL_PACKETS
+from benchmark.parsing import Memory
+from benchmark.parsing import monitor_us
+from benchmark.parsing import QUICK_PACKETS
+from benchmark.parsing import SDK_PACKETS
+from benchmark.traffic import BAUD_1
+from benchmark.traffic import KINDS_1
+from benchmark.traffic import packets_1
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.model.models import Models
+
+CLIENTS = {'Feetech': ('feetech', 'feetech-servo-sdk', protocol_packet_handler),
+           'Protocol 1.0': ('1', 'dynamixel-sdk', Protocol1PacketHandler)}
+LAST_ERROR = 0x7F                  # what the clients take for a status
+
+
+def run(options: Options) -> list[Figure]:
+    """Measure both dialects."""
+    count = QUICK_PACKETS if options.quick else FULL_PACKETS
+    return [figure for kind in KINDS_1
+            for figure in measure(kind, packets_1(kind, count), options.rounds)]
+
+
+def measure(kind: str, pieces: Sequence[bytes], rounds: int) -> list[Figure]:
+    """Return the figures of one dialect: us per packet, and times the client's rate."""
+    protocol, client, handler = CLIENTS[kind]
+    data = b''.join(pieces)
+    statuses = [one for one in pieces if one[2] <= 252 and one[4] <= LAST_ERROR][:SDK_PACKETS]
+    models = Models()
+    cases: dict[str, Callable[[], float]] = {
+        f'monitor, {told}, chunks of {size}': partial(
+            monitor_us, models, cut(data, size), Settings(baud=BAUD_1, protocol=told))
+        for told in (protocol, 'auto') for size in CHUNKS}
+    theirs = f'{client} rxPacket'
+    cases[theirs] = partial(client_us, handler, statuses)
+    results = interleaved(cases, rounds)
+    section = f'parsing: {kind}, {len(data) / len(pieces):.1f} bytes per packet'
+    figures = [Figure(section, name, 'us/packet', values) for name, values in results.items()]
+    for name, values in results.items():
+        if name != theirs:
+            ratios = [one / ours for one, ours in zip(results[theirs], values, strict=True)]
+            figures.append(Figure(section, f"{name}: times the client's rate", '', ratios))
+    return figures
+
+
+def client_us(handler: Callable[[], Any], statuses: Sequence[bytes]) -> float:
+    """Return the CPU time per status of a client's parser, in us."""
+    parser = handler()
+    port = Memory(b''.join(statuses))
+    start = time.process_time_ns()
+    for _ in statuses:
+        parser.rxPacket(port)
+    return (time.process_time_ns() - start) / 1000 / len(statuses)
