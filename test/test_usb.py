@@ -35,6 +35,7 @@ from dxl_monitor.port.adapters import Ch341
 from dxl_monitor.port.adapters import Cp210x
 from dxl_monitor.port.adapters import Ftdi
 from dxl_monitor.port.adapters import Setup
+from dxl_monitor.port.usb_port import adapter_of
 from dxl_monitor.port.usb_port import UsbPort
 from dxl_monitor.port.usb_survey import Survey
 from dxl_monitor.port.usbmon import Records
@@ -159,6 +160,41 @@ def test_lines_and_errors_of_the_others():
     assert Ch341().control(Setup(0x40, 0xA4, 0xFF9F, 0), b'') == [('dtr', 1), ('rts', 1)]
     assert Cp210x().control(Setup(0x41, 0x07, 0x0301, 0), b'') == [('dtr', 1), ('rts', 0)]
     assert Cp210x().control(Setup(0x41, 0x12, 0x000F, 0), b'') == [('purged', 3)]
+
+
+@pytest.mark.parametrize(('adapter', 'setup', 'said'), [
+    (Ftdi(), (0x40, 0, 1), [('purged', 1)]),
+    (Ftdi(), (0x40, 0, 2), [('purged', 2)]),
+    (Ftdi(), (0x40, 0, 0), []),                        # a reset
+    (Ftdi(), (0x40, 1, 0x0303), [('dtr', 1), ('rts', 1)]),
+    (Ftdi(), (0x40, 1, 0x0200), [('rts', 0)]),         # the high byte says which are meant
+    (Ftdi(), (0x40, 9, 1), [('latency_timer_ms', 1)]),
+    (Ftdi(), (0xC0, 10, 0), []),                       # it asks for that one
+    (Cp210x(), (0x41, 0x01, 0x20), [('baud', 115_200)]),
+    (Cp210x(), (0x41, 0x01, 0), []),
+    (Cp210x(), (0xC1, 0x1D, 0), []),
+    (CdcAcm(), (0xA1, 0x21, 0), []),
+    (CdcAcm(), (0x21, 0x23, 0xFFFF), []),              # a break that the master sends
+])
+def test_what_the_requests_of_a_driver_set(adapter, setup, said):
+    assert adapter.control(Setup(*setup, 0), b'') == said
+
+
+@pytest.mark.parametrize(('registers', 'baud'), [
+    (0xB282, 9600), (0xCC83, 115_200), (0xF383, 460_800), (0xFA83, 1_000_000),
+    (0xFA87, 2_000_000), (0xFC87, 3_000_000)])
+def test_ch341_divisor(registers, baud):
+    assert Ch341().control(Setup(0x40, 0x9A, 0x1312, registers), b'') == [('baud', baud)]
+
+
+def test_what_is_no_notice_of_a_cdc_adapter_says_nothing():
+    for data in (b'', bytes.fromhex('a120000001000200'), bytes.fromhex('a1000000010002005000')):
+        assert CdcAcm().interrupt(data) == []
+
+
+@pytest.mark.parametrize(('told', 'used'), [(0, 64), (64, 64), (512, 512)])
+def test_a_chip_that_does_not_say_its_packet_size_has_small_ones(told, used):
+    assert adapter_of(0x0403, 0x6001, 0x0600, 0xFF, told).packet_size == used
 
 
 @given(data=st.binary(max_size=200).map(lambda data: data.replace(b'\1', b'\xec')),
