@@ -126,7 +126,7 @@ def _summary(part: _Partial | None) -> Summary | None:
 class Series:
     """Samples of one quantity; `refused` counts those that were no number."""
 
-    __slots__ = ('_end', '_lock', '_slice', '_state', '_width', 'refused', 'window_s')
+    __slots__ = ('_closed', '_end', '_lock', '_slice', '_state', '_width', 'refused', 'window_s')
 
     def __init__(self, window_s: float = 10.0) -> None:
         self.window_s = window_s
@@ -134,6 +134,8 @@ class Series:
         self._width = int(window_s * 1e9 / SLICES)
         self._lock = Lock()         # between reset and a change of slice, not for adding
         self._slice = _Slice(0, 0.0)
+        # Slices that take no more, and what they come to: so a second look costs one slice.
+        self._closed: tuple[tuple[_Slice, ...], _Partial | None] = ((), None)
         self.reset()
 
     def reset(self) -> None:
@@ -161,12 +163,23 @@ class Series:
         """Return what the window holds: the slice of now and the nine before it; None if empty."""
         oldest = now_ns // self._width - SLICES + 1
         _, slices = self._state
-        return _summary(_merge(piece.part() for piece in slices if piece.index >= oldest))
+        return _summary(self._merged(tuple(
+            piece for piece in slices if piece.index >= oldest)))
 
     def total(self) -> Summary | None:
         """Return the statistics since start or reset; None if there was nothing."""
         past, slices = self._state
-        return _summary(_merge((past, *(piece.part() for piece in slices))))
+        return _summary(_merge((past, self._merged(slices))))
+
+    def _merged(self, slices: tuple[_Slice, ...]) -> _Partial | None:
+        """Return what these slices come to; all but the last take no more."""
+        if not slices:
+            return None
+        known, closed = self._closed
+        if known != slices[:-1]:
+            closed = _merge(piece.part() for piece in slices[:-1])
+            self._closed = slices[:-1], closed
+        return _merge((closed, slices[-1].part()))
 
     def _open_slice(self, value: float, now_ns: int) -> None:
         index = now_ns // self._width

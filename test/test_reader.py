@@ -241,9 +241,9 @@ class Line:
             self.due += self.script[0][0] if self.script else 0
         return data
 
-    def run(self) -> reader.Loop:
+    def run(self, byte_ns: float = 0.0) -> reader.Loop:
         loop = reader.Loop(self.wait, self.read, lambda *chunk: self.heard.append(chunk),
-                           self.idle.append, idle_s=0.02)
+                           self.idle.append, idle_s=0.02, byte_ns=byte_ns)
         loop.run(lambda: not self.script and bool(self.idle))
         return loop
 
@@ -254,6 +254,23 @@ def test_a_busy_line_is_let_gather_and_a_pause_ends_that(monkeypatch: pytest.Mon
     assert line.heard == [(b'a', 50 * MS), (b'b', 55 * MS), (b'cd', 57 * MS)]
     assert line.idle == [77 * MS]
     assert loop.largest_gap == 0                # it never came late
+
+
+def test_a_line_without_pauses_is_let_gather_for_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    full = [(MS, b'f' * 100)] * 20              # 1 MBd: 100 bytes take 1 ms
+    line = Line(monkeypatch, [(50 * MS, b'a'), *full, (2 * MS, b'b'), (5 * MS, b'c')])
+    line.run(10_000)
+    sizes = [len(chunk) for chunk, _ in line.heard]
+    assert sizes[:4] == [1, 200, 300, 500]      # what gathered for 1, 2 and 4 ms beside a wait
+    assert set(sizes[4:-2]) == {500}
+    assert line.heard[-2:] == [(b'b', 76 * MS), (b'c', 78 * MS)]    # a pause: for 1 ms again
+
+
+def test_how_long_bytes_may_gather_is_a_question_of_the_rate() -> None:
+    def longest_s(baud: int) -> float:
+        return reader.Loop(bool, bytes, print, print, idle_s=0.02, byte_ns=1e10 / baud)._longest_s
+    assert longest_s(1_000_000) == 0.004
+    assert longest_s(4_500_000) * 450_000 == pytest.approx(1024)    # a driver has 4096
 
 
 def test_the_largest_gap_counts_only_while_bytes_waited(monkeypatch: pytest.MonkeyPatch) -> None:

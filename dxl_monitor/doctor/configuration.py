@@ -211,8 +211,10 @@ def _master_stopped(case: Case) -> Iterator[Found]:
 def _impossible_id(case: Case) -> Iterator[Found]:
     for cycle in case.report.cycles:
         number = cycle.ids[0] if cycle.ids else 0
+        if number not in NO_IDS or number in case.devices:
+            continue
         asked = sum(stamp > case.now - PINGS_NS for stamp in cycle.stamps)
-        if number in NO_IDS and number not in case.devices and asked >= FEW:
+        if asked >= FEW:
             yield Claim(None, f'the master asks ID {number}, which no device can have (0 to 252): '
                         'correct the ID in its program', (('asked in 10 s', str(asked)),))
             return

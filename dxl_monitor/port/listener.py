@@ -32,6 +32,7 @@ from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
 from msg_defs.heard import Change
 from msg_defs.heard import UNKNOWN
+from msg_defs.uart import byte_ns
 from msg_defs.uart import idle_s
 
 ERRORS_EVERY_NS = 1_000_000_000
@@ -178,14 +179,16 @@ class Listener:
             self._hear(chunk, stamp)
 
         loop = reader.Loop(wait, port.read, hear, self._idle,
-                           idle_s=self.idle_s, gather_s=self._gather_s)
+                           idle_s=self.idle_s, gather_s=self._gather_s,
+                           byte_ns=byte_ns(self.baud))
         loop.run(lambda: self._stopping)
 
     def _listen_by_process(self, port: Port, fd: int) -> str:
         """Have a process read until we are stopped; return why that cannot be, if so."""
         while not self._stopping:
             try:
-                process = ReaderProcess(fd, self.idle_s, self._gather_s, self._wake_read)
+                process = ReaderProcess(fd, self.idle_s, self._gather_s, self._wake_read,
+                                        byte_ns=byte_ns(self.baud))
             except OSError as error:
                 return error.strerror or str(error)
             with process:

@@ -27,6 +27,11 @@ from typing import Any
 # bytes are therefore let gather before they are read. After a pause they are read at once, so that
 # an instruction and the answer to it come in two chunks and their distance can be told.
 GATHER_S = 0.001
+# A line without pauses hides how far apart its packets are. So there bytes gather for longer,
+# twice as long after each full chunk: at most a quarter of the 4096 bytes a driver has room for.
+GATHER_LONGEST_S = 0.004
+GATHER_BYTES = 1024
+FULL = 0.75                      # at least this share of the time there were bytes on the line
 BUSY_NS = 3_000_000
 AT_ONCE_NS = 50_000              # waiting was so short that bytes were there already
 SILENT_S = 0.25                  # how long to wait once the line was reported idle
@@ -47,19 +52,22 @@ class Loop:
 
     wait(seconds) returns whether there is something to read, read() all of it (perhaps nothing).
     on_idle(stamp): nothing came until then; again and again as long as nothing comes.
-    largest_gap (ns): the longest time between two reads in which bytes were waiting.
+    largest_gap (ns): the longest time between two reads in which bytes were waiting. byte_ns: what
+    a byte takes on the line, 0 where that is not known or what is read are not its bytes.
     """
 
     def __init__(self, wait: Callable[[float], bool], read: Callable[[], bytes],
                  on_chunk: Callable[[bytes, int], object], on_idle: Callable[[int], object], *,
-                 idle_s: float, gather_s: float = GATHER_S) -> None:
+                 idle_s: float, gather_s: float = GATHER_S, byte_ns: float = 0.0) -> None:
         self.largest_gap = 0
         self._wait = wait
         self._read = read
         self._on_chunk = on_chunk
         self._on_idle = on_idle
         self._idle_s = idle_s
-        self._gather_s = gather_s
+        self._gather_s = self._shortest_s = gather_s
+        self._longest_s = max(gather_s, min(GATHER_LONGEST_S, GATHER_BYTES * byte_ns / 1e9))
+        self._byte_ns = byte_ns
         self._last_read = 0
 
     def run(self, is_over: Callable[[], bool] = lambda: False) -> None:
@@ -93,8 +101,11 @@ class Loop:
         stamp = time.monotonic_ns()
         if not chunk:
             return False
+        since = stamp - self._last_read
         if was_waiting:
-            self.largest_gap = max(self.largest_gap, stamp - self._last_read)
+            self.largest_gap = max(self.largest_gap, since)
+        is_full = len(chunk) * self._byte_ns > FULL * since
+        self._gather_s = min(2 * self._gather_s, self._longest_s) if is_full else self._shortest_s
         self._last_read = stamp
         self._on_chunk(chunk, stamp)
         return True
@@ -103,14 +114,15 @@ class Loop:
 class _Process:
     """Reads `port` and writes records to `pipe`, which may block."""
 
-    def __init__(self, port: int, pipe: int, idle_s: float, gather_s: float) -> None:
+    def __init__(self, port: int, pipe: int, idle_s: float, gather_s: float,
+                 byte_ns: float) -> None:
         self._port = port
         self._pipe = pipe
         self._poll = select.poll()
         self._poll.register(port, select.POLLIN)
         self._poll.register(_CONTROL, select.POLLIN)
         self._loop = Loop(self._wait, self._read, self._chunk, self._idle,
-                          idle_s=idle_s, gather_s=gather_s)
+                          idle_s=idle_s, gather_s=gather_s, byte_ns=byte_ns)
         self._ring: Any = None
 
     def run(self, usb: list[str]) -> None:
@@ -175,13 +187,13 @@ def _usb_ring() -> Any:
 
 
 def main(arguments: list[str]) -> None:
-    """Be the process; arguments: port and pipe (descriptors), idle_s, gather_s, [usb]."""
+    """Be the process; arguments: port and pipe (descriptors), idle_s, gather_s, byte_ns, [usb]."""
     for number in _IGNORED:             # they are for the node; when it goes, this goes
         signal.signal(number, signal.SIG_IGN)
     with suppress(OSError), open('/proc/self/comm', 'w') as name:
         name.write(NAME)
-    port, pipe, idle_s, gather_s, *usb = arguments
-    _Process(int(port), int(pipe), float(idle_s), float(gather_s)).run(usb)
+    port, pipe, idle_s, gather_s, byte_ns, *usb = arguments
+    _Process(int(port), int(pipe), float(idle_s), float(gather_s), float(byte_ns)).run(usb)
 
 
 if __name__ == '__main__':

@@ -41,11 +41,11 @@ class ReaderProcess:
     """A running reader; OSError when it cannot be started. Leaving the context ends it."""
 
     def __init__(self, port: int, idle_s: float, gather_s: float, wake: int,
-                 usb: Sequence[int] = ()) -> None:
+                 usb: Sequence[int] = (), *, byte_ns: float = 0.0) -> None:
         """
         Start; port and wake are descriptors, the latter interrupts `wait`.
 
-        usb: where the port is /dev/usbmonN, what of it is read (reader.py).
+        usb: where the port is /dev/usbmonN, what of it is read (reader.py). byte_ns: reader.Loop.
         """
         self.is_over = False             # it ended, by itself or by force; all it said was taken
         self._rest = b''
@@ -62,7 +62,7 @@ class ReaderProcess:
             self._process = subprocess.Popen(
                 # -I -S: none of the environment's Python paths and hooks, no site-packages.
                 [sys.executable, '-I', '-S', reader.__file__, str(port), str(pipe), str(idle_s),
-                 str(gather_s), *map(str, usb)],
+                 str(gather_s), str(byte_ns), *map(str, usb)],
                 pass_fds=(port, pipe), stdin=control, stdout=null, stderr=null, cwd='/',
                 start_new_session=True)
             self._ours = ours.pop_all()
