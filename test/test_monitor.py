@@ -294,6 +294,16 @@ def test_a_long_idle_line_decides_what_is_pending() -> None:
     assert counters['Truncated Packets'] == 1
 
 
+def test_behind_a_pause_the_next_packet_tells_that_one_was_cut_off() -> None:
+    bus = Bus()
+    bus.hear(READ[:9])
+    bus.now += bus.monitor.conversation.idle_ns + 1
+    bus.monitor.flush_if_idle(bus.now)
+    bus.hear(READ + REPLY)
+    counters = bus.report().counters
+    assert (counters['Truncated Packets'], counters['CRC Errors']) == (1, 0)
+
+
 def test_a_pause_between_two_chunks_does_the_same_without_being_asked() -> None:
     bus = Bus()
     bus.hear(READ[:9])

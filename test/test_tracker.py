@@ -884,6 +884,15 @@ def test_a_status_that_began_in_the_chunk_of_the_instruction_tells_no_latency() 
     assert bus.device(1).latency.total() is None
 
 
+@pytest.mark.parametrize(('together', 'is_told'), [(4, True), (5, False)])
+def test_a_latency_that_few_answers_tell_is_not_told(together: int, is_told: bool) -> None:
+    bus = Bus()
+    bus.hear(read(1), reply(1, b'aaaa'), *[read(1) + reply(1, b'aaaa')] * together)
+    window, total, resolved = bus.device(1).latency_report(bus.now)
+    assert resolved == 1 / (1 + together)
+    assert (window is not None, total is not None) == (is_told, is_told)
+
+
 # --- any bytes ---
 
 
@@ -1015,6 +1024,12 @@ def test_what_an_answer_is_worth_is_noted_exactly() -> None:
     assert notes(bus)[-1][1:] == (ev.UNASKED, 7, (I.READ, 3))
     bus.hear(read(1), ping(2), reply(1, b'1234'))
     assert [kind for _, kind, _, _ in notes(bus)][-2:] == [ev.MISSED, ev.LATE]
+
+
+def test_a_group_asks_up_to_the_highest_id_and_none_above() -> None:
+    bus = Bus()
+    bus.hear(sync_read(252, 253), reply(252, b'aaaa'))
+    assert (set(bus.roster.devices), bus.known(252, POSITION)) == ({252}, b'aaaa')
 
 
 def test_damage_is_noted_exactly() -> None:

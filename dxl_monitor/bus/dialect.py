@@ -22,8 +22,8 @@ STRONG = 4                         # as much decides, if the other has no more t
 WEAK = 1
 # Of Dynamixel: Torque Enable to Moving Speed, Present Position. Of Feetech: Torque Enable,
 # Acceleration and Goal Position, Present Position and more. The other has something else there.
-_DYNAMIXEL_AT = {(24, 1), (25, 1), (30, 2), (30, 4), (32, 2), (36, 2), (36, 4), (36, 6), (36, 8)}
-_FEETECH_AT = {(41, 7), (42, 2), (42, 6), (55, 1), (56, 2), (56, 4), (56, 6), (56, 8), (56, 15),
+DYNAMIXEL_AT = {(24, 1), (25, 1), (30, 2), (30, 4), (32, 2), (36, 2), (36, 4), (36, 6), (36, 8)}
+FEETECH_AT = {(41, 7), (42, 2), (42, 6), (55, 1), (56, 2), (56, 4), (56, 6), (56, 8), (56, 15),
                (58, 2), (60, 2), (62, 1), (63, 1)}
 _READ = 0x02
 _BY_NAME = {'1': DYNAMIXEL_1, 'feetech': FEETECH}
@@ -55,9 +55,9 @@ class DialectChoice:
         if not request.accesses:
             return False
         where = request.accesses[0].address, request.accesses[0].length
-        if where in _DYNAMIXEL_AT:
+        if where in DYNAMIXEL_AT:
             return self._vote(DYNAMIXEL_1, WEAK)
-        if where in _FEETECH_AT:
+        if where in FEETECH_AT:
             return self._vote(FEETECH, WEAK)
         return False
 
