@@ -161,7 +161,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('commit', help='what git calls it, e.g. 7820283')
     parser.add_argument('--pairs', type=int, default=PAIRS, help='rounds (%(default)s)')
     parser.add_argument('--trace', type=Path, metavar='FILE', help='raw bytes of a real bus')
-    parser.add_argument('--only', default='', metavar='TEXT', help='kinds whose name has this')
+    parser.add_argument('--only', default='', metavar='TEXT', help='kinds with this in their name')
     return parser
 
 

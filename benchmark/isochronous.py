@@ -48,7 +48,7 @@ class Kernel:
 
     def __init__(self) -> None:
         self.memory = bytearray(usb_ring.RING_SIZE)
-        self.spent_ns = 0              # in here: it is no work of the reader
+        self.spent_ns = 0              # in here: it is not the work of the reader
         self.events = 0
         self._dropped = 0
         self._begin = time.monotonic_ns()

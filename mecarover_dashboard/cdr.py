@@ -4,7 +4,7 @@
 The statuses in a serialised DiagnosticArray, without ROS: read what is looked at, skip the rest.
 
 A dashboard looks at one table out of 253; leaving the others as bytes costs a seventh of letting
-rclpy make objects of them. And text that is no UTF-8 is shown with U+FFFD: rclpy would raise in
+rclpy make objects of them. And text that is not UTF-8 is shown with U+FFFD: rclpy would raise in
 the executor. Source: OMG CDR (XCDR1), alignment counted from behind the four bytes in front.
 """
 from __future__ import annotations

@@ -40,7 +40,7 @@ _SCHEMA = f"""
     CREATE INDEX events_at ON events(at);
     PRAGMA user_version = {VERSION};
 """
-_FAR = 1e12                     # beyond this a value is no measurement
+_FAR = 1e12                     # beyond this a value is not a measurement
 
 
 _UNKNOWN = (1, 0)               # low above high: the value is not known, and not carried forward

@@ -3,7 +3,7 @@
 """
 Statuses to the lines of mecarover_status: one per bridge, per bus and per sick device.
 
-Pure; times are monotonic seconds of arrival. What is no status of ours is left out.
+Pure; times are monotonic seconds of arrival. What is not a status of ours is left out.
 """
 from __future__ import annotations
 

@@ -207,7 +207,7 @@ def figures(values: list[tuple[str, str]]) -> list[float | None]:
 
 
 def calm(text: str, digits: int = 2) -> str:
-    """Round a number: what only jitters is no change."""
+    """Round a number: what only jitters is not a change."""
     value = finite(text)
     return text if value is None else number(float(f'{value:.{digits}g}'))
 

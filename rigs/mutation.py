@@ -87,6 +87,7 @@ EQUIVALENT = {
     ('elif self.proven and (flaw is None or', 'LtE -> Lt'): 'the long way says the same',
     ('_FIRST_PART = 4', '4 -> 5'): 'the long way says the same',
     ('if not parts or len(body) != parts', 'without not'): 'the long way says the same',
+    ('while at < len(noise)', 'Lt -> LtE'): 'behind the end there is nothing to find',
 }
 
 COMPARE: dict[type[ast.cmpop], type[ast.cmpop]] = {

@@ -202,6 +202,7 @@ def test_an_alert_of_unknown_reason() -> None:
     (31, b'\x50', 146, b'\x4a', {}),
     (31, b'\x50', 146, b'\x4b', {'too_hot': Level.WARN}),
     (31, b'\x50', 146, b'\x50', {'too_hot': Level.ERROR}),
+    (31, b'\x3c', 146, b'\x3c', {'too_hot': Level.ERROR}),         # its own, not that of its model
     (34, b'\x5f\x00', 144, b'\x62\x00', {}),
     (34, b'\x5f\x00', 144, b'\x61\x00', {'voltage': Level.WARN}),
     (34, b'\x5f\x00', 144, b'\x5e\x00', {'voltage': Level.ERROR}),

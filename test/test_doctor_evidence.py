@@ -95,9 +95,16 @@ def test_where_others_answer_once_more_as_well_it_is_not_two_devices() -> None:
     assert 'duplicate_id' not in dict(names(heard(turn * 30)))
 
 
-def test_bits_that_two_talkers_lose_are_no_noise() -> None:
-    torn = read(1)[:7] + b'\0' + read(1)[8:]   # the code of a Read has lost its bit
-    report = heard(around(torn, read(1), says(1, bytes(4))) * 40)
+GOALS = encode(BROADCAST, I.SYNC_WRITE, struct.pack('<HH', GOAL, 4) + bytes(15))
+
+
+@pytest.mark.parametrize(('turn', 'said', 'code'), [
+    (around(read(1), says(1, bytes(4))), read(1), 0),
+    (around(GOALS), GOALS, I.SYNC_READ),
+])
+def test_bits_that_two_talkers_lose_are_no_noise(turn: list[bytes], said: bytes,
+                                                 code: int) -> None:
+    report = heard([said[:7] + bytes((code,)) + said[8:], *turn] * 40)
     assert 'noise' not in dict(names(report))
     assert [one.message[:26] for one in report.doubts if one.rule == 'noise'] \
         == ['packets run into each othe']
@@ -206,6 +213,10 @@ def test_what_is_refused_tells_why(refused: bytes, error: int,
                                    expected: list[tuple[str, int]]) -> None:
     assert names(heard([refused, says(1, b'', error)] * 3)) == expected
     assert names(heard([refused, says(1, b'', error)] * 2)) == []
+
+
+def test_what_needs_the_model_is_not_said_without_it() -> None:
+    assert names(heard([read(9, 611), says(9, b'', ACCESS)] * 3, devices=0)) == [('refused', 9)]
 
 
 @pytest.mark.parametrize(('writes', 'hours'), [(29, None), (30, '9.3 hours'), (40, '6.9 hours')])

@@ -3,7 +3,7 @@
 """
 What the MCU says on the line back, as lines fit for a log.
 
-Text is cut into lines; what is no text is counted, never printed. Bounded: a babbling MCU costs
+Text is cut into lines; what is not text is counted, never printed. Bounded: a babbling MCU costs
 no memory and a few lines per second. The two lines by which the firmware of the mecarover thesis
 refuses a frame are counted instead of logged. Pure; `now` is monotonic ns.
 """

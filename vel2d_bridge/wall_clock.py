@@ -5,7 +5,7 @@ Wall clock: how long a message waited in the middleware, told by a clock that ma
 
 The middleware stamps reception with the system clock. A step of that clock (NTP, a Pi without a
 battery) must neither refuse good commands nor let old ones pass for long. A suspend of the machine
-is no step: `now` is CLOCK_BOOTTIME, which goes on meanwhile. Pure; all times ns.
+is not a step: `now` is CLOCK_BOOTTIME, which goes on meanwhile. Pure; all times ns.
 """
 from __future__ import annotations
 

@@ -172,7 +172,7 @@ _APART_NS = 100_000_000             # between two that are kept, where each pack
 _ERRORS_KEPT = 50
 _WAITS_KEPT = 256
 
-# The lines of the error log; what is not listed here is no error. at(address) is the
+# The lines of the error log; what is not listed here is not an error. at(address) is the
 # name of a register, or its address.
 _TEXTS: dict[str, Callable[[Any, Callable[[int], str]], str]] = {
     DAMAGED_STATUS: lambda d, at: 'status with a wrong CRC',

@@ -150,7 +150,7 @@ class Plan:
         """
         Return how many of the due had their turn, and the ID that the others wait behind.
 
-        due: the slots without an answer, in order; spoke: IDs whose answer was damaged.
+        due: the slots without an answer, in order; spoke: IDs with a damaged answer.
         """
         waiting, silent = 0, set(due)
         for slot in reversed(self.slots.values()):

@@ -304,7 +304,7 @@ class Tracker:
             return True
         device = self._roster.devices.get(body[0]) if body[3] == STATUS else None
         if flaw.noise_length > GLITCH:
-            self._spoil(not self._is_cut, side)        # what a fast reply left is no noise
+            self._spoil(not self._is_cut, side)        # left by a fast reply: not noise
             self._is_cut = False
         elif flaw.noise_length:
             self._evidence.counts[ev.GLITCH] += 1

@@ -242,7 +242,7 @@ def _are_same(known: Sequence[Wreck]) -> bool:
 
 
 def _period(known: Sequence[Wreck]) -> int:
-    """Return the distance (bits) whose multiples lie between the wrong bits, 0 if none does."""
+    """Return the distance (bits) of which the gaps between wrong bits are multiples, or 0."""
     gaps = [later.at - one.at for wreck in known for one, later in zip(
         wreck.flips, wreck.flips[1:], strict=False)
         if one.at >= 0 and later.at - one.at >= FAR][-GAPS_KEPT:]

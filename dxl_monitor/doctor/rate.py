@@ -15,7 +15,7 @@ CERTAIN = 2                        # bytes of a header as it looks: fewer say no
 
 
 def likely_rate(noise: bytes, baud: int) -> int | None:
-    """Return the Dynamixel rate whose headers would look like these bytes; None if unsure."""
+    """Return the Dynamixel rate at which headers look like these bytes; None if unsure."""
     counts = {rate: noise.count(look) for rate, look in _looks(baud).items()}
     best = max(counts, key=lambda rate: (counts[rate], len(_looks(baud)[rate])))
     rivals = [rate for rate in counts if counts[rate] == counts[best]

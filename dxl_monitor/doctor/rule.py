@@ -23,7 +23,7 @@ MODEL = 'its model'                # a need: what stands where in its control ta
 
 
 class Claim(NamedTuple):
-    """A cause found; device None = the bus. covers: devices whose trouble it accounts for too."""
+    """A cause found; device None = the bus. covers: devices with trouble of this cause."""
 
     device: int | None
     message: str
@@ -50,7 +50,7 @@ class Rule(NamedTuple):
     """
     One cause. name: as in the key finding.<name> and in docs/doctor.md.
 
-    explains: rules whose claims are consequences of this one, on its device and those it covers,
+    explains: rules with claims that follow from this one, on its device and those it covers,
     and of the bus; a claim about the bus explains those of all devices. needs: what must be known
     of a device before the rule may say anything of it; the Doctor sees to that.
     """
