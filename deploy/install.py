@@ -42,6 +42,7 @@ SETTINGS = Path('/etc') / NAME
 LOGS = Path('/var/log') / NAME          # systemd makes it, LogsDirectory=
 UNITS = Path('/etc/systemd/system')
 GROUP = 'dialout'
+STATE = Path('/var/lib') / NAME         # the same, StateDirectory=
 HISTORY = Path('/var/lib/mecarover_dashboard')          # systemd makes it, StateDirectory=
 SERVICES = {'vel2d_bridge': 'bridge', 'dxl_monitor': 'monitor', 'dxl_dashboard': ''}
 # ... the unit and its settings file, '' where there is none
@@ -274,6 +275,9 @@ class Site:
                   f'sudo gpasswd -d {self._options.user} {GROUP} undoes that too')
         if LOGS.exists():
             print(f'note: the logs stay in {LOGS}; sudo rm -r {LOGS} removes them')
+        if STATE.exists():
+            print(f'note: whether the bridge is switched off stays in {STATE}; sudo rm -r {STATE} '
+                  'removes it')
         if HISTORY.exists():
             print(f'note: the history stays in {HISTORY}; sudo rm -r {HISTORY} removes it')
         rules = _read(str(RULES))

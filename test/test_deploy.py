@@ -159,8 +159,10 @@ def test_uninstall_says_what_stays_and_what_undoes_it(tmp_path, monkeypatch, cap
     monkeypatch.syspath_prepend(str(INSTALLER.parent))
     install = importlib.import_module('install')
     (tmp_path / 'log').mkdir()
+    (tmp_path / 'state').mkdir()
     (tmp_path / 'rules').write_text('KERNEL=="ttyAMA0", SYMLINK+="mecarover_mcu", TAG+="x"\n')
     monkeypatch.setattr(install, 'LOGS', tmp_path / 'log')
+    monkeypatch.setattr(install, 'STATE', tmp_path / 'state')
     monkeypatch.setattr(install, 'RULES', tmp_path / 'rules')
     monkeypatch.setattr(install, '_members', lambda: ['robot'])
     monkeypatch.setattr(install, '_succeeds', lambda *command: False)
@@ -168,6 +170,7 @@ def test_uninstall_says_what_stays_and_what_undoes_it(tmp_path, monkeypatch, cap
     install.Site(options, tmp_path)._tell_what_stays()
     told = capsys.readouterr().out
     for command in ('sudo gpasswd -d robot dialout', f'sudo rm -r {tmp_path}/log',
+                    f'sudo rm -r {tmp_path}/state',
                     'sudo systemctl enable --now serial-getty@ttyAMA0.service', 'latency timer'):
         assert command in told
 

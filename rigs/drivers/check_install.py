@@ -1,45 +1,84 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The installer from its dry run to what an uninstall leaves, with a real udev and systemd."""
+"""
+The installer and its services, with a real udev and systemd.
+
+From its dry run, over a start, an unplugging and kill -9, to what an uninstall leaves.
+"""
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import pytest
 
+from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.master import Master
+from dxl_monitor.fake.shell import FakeBus
+from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.model.models import Models
 from rigs.drivers.adapters import Adapter
 from rigs.drivers.adapters import Ftdi
 from rigs.drivers.guest import Guest
+from rigs.drivers.guest import INSIDE
 from rigs.drivers.guest import SOURCE
+from rigs.drivers.guest import Unit
+from rigs.drivers.guest import until
+from rigs.drivers.guest import WITHOUT_ROS
 from rigs.drivers.image import VENV
+from rigs.drivers.lead import Lead
 from rigs.drivers.lead import Mcu
 
 TTY = 'ttyS1'
 GETTY = f'serial-getty@{TTY}'
 SERIAL = 'FT9INST'
 INSTALLER = f'python3 {SOURCE}/deploy/install.py --prefix {VENV}'
+BAUD = 2_000_000
+SERVICES = ('vel2d_bridge', 'dxl_monitor', 'dxl_dashboard')
+OPEN = ('/dev/mecarover_mcu: open', '/dev/mecarover_dxl: open')
+# Where the processor is emulated a node starts in minutes, and the dead man is slow, too.
+PATIENCE = r'[Service]\nTimeoutStartSec=infinity\nTimeoutStopSec=60\nWatchdogSec=600\n'
+START_S = 600.0
+# What the page knows of the last device of the bus.
+ON_PAGE = """/usr/bin/python3 -c "
+import urllib.request
+page = urllib.request.urlopen('http://127.0.0.1:8420/metrics', timeout=60).read().decode()
+assert 'mecarover_device_level' in page and 'id=\\"3\\"' in page
+" """
 
 
 @pytest.fixture(scope='module')
 def bus(guest: Guest) -> Iterator[Adapter]:
-    """Plug an adapter in; its far end is silent."""
-    mcu = Mcu()
-    with mcu.running(), Ftdi(guest, mcu.path, gather=False, serial=SERIAL) as adapter:
+    """Plug an adapter in; three devices answer a master at its far end, once in a second."""
+    devices = make_devices(['1-3:MX-64'], Models(), BAUD)
+    fake = FakeBus(Master(Line(devices, BAUD), PATTERNS['moving'], rate=1.0))
+    fake.start()
+    with Ftdi(guest, fake.path, gather=False, serial=SERIAL) as adapter:
         yield adapter
+    fake.stop()
 
 
 @pytest.fixture(scope='module')
-def installed(guest: Guest, bus: Adapter) -> str:
+def mcu(guest: Guest) -> Iterator[Mcu]:
+    """Put an MCU at the far end of the UART."""
+    mcu = Mcu()
+    with mcu.running(), Lead(guest.uart, mcu.path, gather=True):
+        yield mcu
+
+
+@pytest.fixture(scope='module')
+def installed(guest: Guest, bus: Adapter, mcu: Mcu) -> str:
     """Install as robot, where a login was on the UART; return what the installer said."""
+    if not guest.has_kvm:
+        for service in SERVICES:
+            folder = f'/etc/systemd/system/{service}.service.d'
+            guest.run(f"mkdir -p {folder} && printf '{PATIENCE}' > {folder}/patience.conf")
     guest.run(f'systemctl enable --now {GETTY}')
-    options = f'--mcu /dev/{TTY} --bus {bus.path}'
+    options = f'--mcu /dev/{TTY} --bus {bus.path} --dashboard'
     dry = guest.run(f'{INSTALLER} {options} --dry-run', 'robot', timeout_s=200).out
     assert '    | User=robot' in dry
     assert guest.run('ls /etc/mecarover_serial', check=False).code
-    done = guest.run(f'{INSTALLER} {options} --yes', 'robot', timeout_s=300).out
-    # Without a processor of its own the guest starts ROS in minutes: here it is not waited for.
-    guest.run('systemctl stop vel2d_bridge dxl_monitor', timeout_s=200)
-    return done
+    return guest.run(f'{INSTALLER} {options} --yes', 'robot', timeout_s=300).out
 
 
 def test_the_installer_ends_a_login_and_gives_the_port_back_to_its_group(
@@ -62,23 +101,65 @@ def test_the_names_of_the_ports_come_with_the_rules_and_with_each_plug(
 
 
 def test_systemd_accepts_the_units_and_starts_them_at_boot(guest: Guest, installed: str) -> None:
-    for unit in ('vel2d_bridge', 'dxl_monitor'):
+    for unit in SERVICES:
         assert guest.run(f'systemctl is-enabled {unit}').out == 'enabled\n'
         guest.run(f'systemd-analyze verify --man=no /etc/systemd/system/{unit}.service')
 
 
+def test_the_services_that_the_installer_started_open_their_ports(
+        guest: Guest, installed: str, mcu: Mcu) -> None:
+    for service, said in zip(SERVICES, OPEN, strict=False):
+        Unit(guest, service).wait_for(said, timeout_s=START_S)
+    until(lambda: mcu.set_points)
+    assert not mcu.drives
+
+
+def test_the_service_of_the_page_shows_what_the_monitor_hears(
+        guest: Guest, installed: str) -> None:
+    guest.wait(ON_PAGE, timeout_s=START_S)
+    assert guest.run('stat -c %U /var/lib/mecarover_dashboard').out == 'robot\n'
+
+
+def test_the_monitors_service_outlives_its_adapter(
+        guest: Guest, installed: str, bus: Adapter) -> None:
+    monitor = Unit(guest, 'dxl_monitor')
+    before = monitor.pid()
+    bus.unplug()
+    monitor.wait_for('/dev/mecarover_dxl', 'plug', timeout_s=START_S)
+    bus.plug()
+    guest.wait(f'[ $(journalctl -q -b -u {monitor.name} | grep -c "{OPEN[1]}") -ge 2 ]',
+               timeout_s=START_S)
+    assert monitor.pid() == before
+
+
+def test_a_bridge_that_is_killed_stops_the_rover_and_drives_again_by_itself(
+        guest: Guest, installed: str, mcu: Mcu) -> None:
+    bridge = Unit(guest, 'vel2d_bridge')
+    before = bridge.pid()
+    planner = guest.start('planner', f'env -u {WITHOUT_ROS} python {INSIDE}/commands.py', 'robot')
+    until(lambda: mcu.drives, START_S)
+    bridge.signal('KILL')
+    until(lambda: not mcu.drives)
+    until(lambda: mcu.drives, START_S)
+    assert bridge.pid() != before
+    planner.stop()
+    until(lambda: not mcu.drives)
+
+
 def test_an_uninstall_says_what_stays_and_its_commands_undo_that(
         guest: Guest, installed: str) -> None:
-    guest.run('mkdir -p /var/log/mecarover_serial')
     said = guest.run(f'{INSTALLER} --uninstall --yes', 'robot', timeout_s=200).out
     assert 'latency timer' in said
-    undo = [f'sudo systemctl enable --now {GETTY}', 'sudo rm -r /var/log/mecarover_serial',
-            'sudo gpasswd -d robot dialout']
-    for command in undo[:2]:
+    for service in SERVICES:
+        assert guest.run(f'systemctl is-active {service}', check=False).code
+    stays = [f'sudo rm -r /var/{name}' for name in (
+        'log/mecarover_serial', 'lib/mecarover_serial', 'lib/mecarover_dashboard')]
+    for command in (f'sudo systemctl enable --now {GETTY}', *stays):
         assert command in said
         guest.run(command, 'robot')
-    assert undo[2] in said
+    assert 'sudo gpasswd -d robot dialout' in said
     assert guest.run(f'systemctl is-active {GETTY}.service').out == 'active\n'
-    left = guest.run('find /etc /var/log -path "*mecarover*"').out.splitlines()
+    left = guest.run('find /etc /var/log /var/lib -path "*mecarover*"').out.splitlines()
     assert all(path.startswith('/etc/mecarover_serial.removed') for path in left), left
+    guest.run('rm -rf ' + ' '.join(f'/etc/systemd/system/{one}.service.d' for one in SERVICES))
     guest.run(f'systemctl disable --now {GETTY}; udevadm trigger --action=add --settle /dev/{TTY}')

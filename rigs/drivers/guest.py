@@ -31,6 +31,12 @@ SOURCE = f'{SHARED}/source'     # and this clone in it
 INSIDE = f'{SOURCE}/rigs/drivers/inside'
 PATH = f'{VENV}/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin'
 KERNEL_LINE = 'root=/dev/vda rw console=ttyS0 quiet net.ifnames=0'
+# Emulated, a processor without what makes the kernel load modules and walk tables of five levels;
+# there is nothing to protect from its speculation.
+EMULATED = ['-accel', 'tcg,tb-size=256', '-cpu', 'Nehalem']
+UNPROTECTED = ' mitigations=off'
+# The wheels of ROS start each Python of the venv a second time, for the libraries of ROS.
+WITHOUT_ROS = '_ROS_WHEELS_BOOTSTRAP_COMPLETE'
 
 
 def can_use_kvm() -> bool:
@@ -70,12 +76,12 @@ class Guest:
 
     def _options(self, image: Image) -> list[str]:
         folder = self._folder
-        accelerator = ['-accel', 'kvm', '-cpu', 'host'] if self.has_kvm else [
-            '-accel', 'tcg,tb-size=256', '-cpu', 'max']
+        accelerator = ['-accel', 'kvm', '-cpu', 'host'] if self.has_kvm else EMULATED
+        kernel_line = KERNEL_LINE if self.has_kvm else KERNEL_LINE + UNPROTECTED
         return [
             *accelerator, '-machine', 'pc', '-smp', '1', '-m', '1024', '-nodefaults',
             '-display', 'none', '-no-user-config', '-nic', 'none',
-            '-kernel', str(image.kernel), '-initrd', str(image.initrd), '-append', KERNEL_LINE,
+            '-kernel', str(image.kernel), '-initrd', str(image.initrd), '-append', kernel_line,
             '-drive', f'file={image.disk},format=raw,if=virtio,snapshot=on',
             '-qmp', f'unix:{folder}/qmp,server=on,wait=off',
             '-chardev', f'socket,id=agent,path={folder}/agent,server=on,wait=off',
@@ -133,8 +139,9 @@ class Guest:
     def run(self, command: str, user: str = 'root', *, check: bool = True,
             timeout_s: float = 60.0, stdin: str = '') -> Done:
         """Run a line of shell and wait for its end; `check`: raise Failed if that is not 0."""
-        inner = ['timeout', '-k', '2', str(timeout_s), 'env', f'PATH={PATH}', 'LANG=C.UTF-8',
-                 f'HOME={self._home(user)}', 'PYTHONUNBUFFERED=1', 'bash', '-c', command]
+        inner = ['timeout', '-k', '2', str(timeout_s), 'env', f'PATH={PATH}',
+                 f'{WITHOUT_ROS}=1', 'LANG=C.UTF-8', f'HOME={self._home(user)}',
+                 'PYTHONUNBUFFERED=1', 'bash', '-c', command]
         as_user = [] if user == 'root' else ['runuser', '-u', user, '--']
         program, *arguments = [*as_user, *inner]
         pid = self._agent.ask('guest-exec', {
@@ -160,7 +167,7 @@ class Guest:
         name = f'{name}-{self._started}'
         self.run(f'systemd-run -q --unit={name} --uid={user} --collect -p KillMode=control-group '
                  f'-E PATH={PATH} -E LANG=C.UTF-8 -E HOME={self._home(user)} '
-                 f'-E PYTHONUNBUFFERED=1 -E RCUTILS_COLORIZED_OUTPUT=0 '
+                 f'-E PYTHONUNBUFFERED=1 -E {WITHOUT_ROS}=1 -E RCUTILS_COLORIZED_OUTPUT=0 '
                  f'bash -c {shlex.quote("exec " + command)}')
         return Unit(self, name)
 
@@ -226,7 +233,7 @@ class Unit:
         self._guest = guest
 
     def log(self) -> str:
-        return self._guest.run(f'journalctl -q -u {self.name} -o cat --no-pager').out
+        return self._guest.run(f'journalctl -q -b -u {self.name} -o cat --no-pager').out
 
     def wait_for(self, *parts: str, timeout_s: float = 60.0) -> str:
         """Wait for a line of the log that holds all of `parts`, and return it."""
@@ -242,6 +249,10 @@ class Unit:
 
     def signal(self, name: str, whom: str = 'main') -> None:
         self._guest.run(f'systemctl kill -s {name} --kill-whom={whom} {self.name}')
+
+    def pid(self) -> str:
+        """Return the ID of its main process, '0' while there is none."""
+        return self._guest.run(f'systemctl show -P MainPID {self.name}').out.strip()
 
     def is_active(self) -> bool:
         return self._guest.run(f'systemctl is-active -q {self.name}', check=False).code == 0
