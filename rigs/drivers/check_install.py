@@ -3,7 +3,7 @@
 """
 The installer and its services, with a real udev and systemd.
 
-From its dry run, over a start, an unplugging and kill -9, to what an uninstall leaves.
+From its dry run, over an unplugging, kill -9 and a reboot, to what an uninstall leaves.
 """
 from __future__ import annotations
 
@@ -144,6 +144,17 @@ def test_a_bridge_that_is_killed_stops_the_rover_and_drives_again_by_itself(
     assert bridge.pid() != before
     planner.stop()
     until(lambda: not mcu.drives)
+
+
+def test_after_a_reboot_all_services_are_back(guest: Guest, installed: str, mcu: Mcu) -> None:
+    known = len(mcu.set_points)
+    guest.reboot()
+    for service, said in zip(SERVICES, OPEN, strict=False):
+        Unit(guest, service).wait_for(said, timeout_s=START_S)
+    guest.wait(ON_PAGE, timeout_s=START_S)
+    ended = len(mcu.set_points)
+    until(lambda: len(mcu.set_points) > ended)
+    assert all(point.is_stop for point in mcu.set_points[known:])
 
 
 def test_an_uninstall_says_what_stays_and_its_commands_undo_that(

@@ -8,6 +8,7 @@ from pathlib import Path
 import shutil
 import subprocess
 import sys
+import tarfile
 from typing import Any
 
 import pytest
@@ -15,9 +16,12 @@ import pytest
 from rigs.drivers.guest import Guest
 from rigs.drivers.guest import SHARED
 from rigs.drivers.image import image
+from rigs.drivers.image import PYTHON
 from rigs.drivers.image import VENV
 
 ROOT = Path(__file__).parents[2]
+PACKAGE = 'package.tar'             # made of this clone, unpacked in the guest
+COMPILED = 'compiled'               # the folders in it, as -i of compileall takes them
 GUEST = pytest.StashKey[str]()
 
 
@@ -40,7 +44,7 @@ def guest(tmp_path_factory: pytest.TempPathFactory, request: Any) -> Iterator[Gu
 
 
 def pack(folder: Path) -> None:
-    """Copy what git knows of this clone into the folder that the guest sees, and a wheel of it."""
+    """Put what git knows of this clone where the guest sees it, and what pip makes of that."""
     source = folder / 'source'
     names = subprocess.run(
         ['git', '-C', str(ROOT), 'ls-files', '-z', '--cached', '--others', '--exclude-standard'],
@@ -49,13 +53,27 @@ def pack(folder: Path) -> None:
         if name and (ROOT / name).is_file():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, source / name)
-    subprocess.run([sys.executable, '-m', 'pip', '-qq', 'wheel', '--no-deps',
-                    '--no-build-isolation', '-w', str(folder), str(source)], check=True)
+    # Emulated, pip takes two minutes; what it puts there is the same for each machine, but for
+    # the folder of the libraries and the first line of the programs.
+    made = folder / 'made'
+    subprocess.run([sys.executable, '-m', 'pip', '-qq', 'install', '--no-deps', '--no-index',
+                    '--no-build-isolation', '--ignore-installed', '--prefix', str(made),
+                    str(source)], check=True)
+    [libraries] = made.glob('lib/python3*')
+    place = Path('lib', f'python{PYTHON}')
+    libraries.rename(made / place)
+    for program in made.glob('bin/*'):
+        program.write_text(program.read_text().replace(sys.executable, f'{VENV}/bin/python3'))
+    with tarfile.open(folder / PACKAGE, 'w') as tar:
+        tar.add(made, '.')
+    (folder / COMPILED).write_text(''.join(
+        f'{VENV}/{path.parent.relative_to(made)}\n'
+        for path in (made / place).glob('site-packages/*/__init__.py')))
 
 
 def install(guest: Guest) -> None:
-    guest.run(f'{VENV}/bin/pip install -qq --no-deps --no-index --force-reinstall '
-              f'{SHARED}/*.whl', timeout_s=600)
+    guest.run(f'tar -C {VENV} --no-same-owner -xf {SHARED}/{PACKAGE} && '
+              f'python -m compileall -q -i {SHARED}/{COMPILED}', timeout_s=600)
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
