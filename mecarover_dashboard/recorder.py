@@ -61,7 +61,7 @@ class Event(NamedTuple):
 class _LastSeen:
     """What was seen of a source last."""
 
-    __slots__ = ('arrived', 'errors', 'findings', 'is_new', 'row', 'state', 'window')
+    __slots__ = ('arrived', 'error_s', 'errors', 'findings', 'is_new', 'row', 'state', 'window')
 
     def __init__(self) -> None:
         self.arrived = -1.0
@@ -71,6 +71,7 @@ class _LastSeen:
         self.window: Window | None = None
         self.is_new = False     # the window is not written as it is now
         self.errors = 0         # in this window
+        self.error_s: float | None = None   # monotonic s of the last one that was noted
 
 
 class HistoryRecorder:
@@ -144,11 +145,12 @@ class HistoryRecorder:
 
     def _take_errors(self, known: _LastSeen, source: Subject, row: Row, offset_s: float) -> None:
         """Note the errors that are new, the oldest first, as many as there is room for."""
-        until = self._until.get(source.name, 0.0)
-        new = [(at_s + offset_s, text) for at_s, text in row['errors']
-               if at_s is not None and at_s + offset_s > until + 0.001]
-        for at, text in sorted(new):
-            self._until[source.name] = at
+        if known.error_s is None:
+            known.error_s = self._until.get(source.name, 0.0) - offset_s + rows.JITTER_S
+        new = [(at_s, text) for at_s, text in row['errors']
+               if at_s is not None and at_s > known.error_s]
+        for at_s, text in sorted(new):
+            known.error_s, at = at_s, at_s + offset_s      # the two clocks tremble: one judges
             known.errors += 1
             if known.errors < MOST_ERRORS:
                 self._events.append(Event(at, source, 'error', Level.ERROR, text))

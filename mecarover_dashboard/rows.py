@@ -28,7 +28,7 @@ _NAMING = 3                         # Model, Firmware Version, State
 _ASIDE = (keys.RUNNING, keys.PART)      # keys of a bus shown elsewhere, or nowhere
 _LEVELS = frozenset(Level)
 _OBSERVED_LIMIT = 100_000           # characters of its JSON
-_JITTER_S = 0.3                     # "seen at" that differs by less is the same time
+JITTER_S = 0.3                      # "seen at" that differs by less is the same time
 _BRIDGE = {'link': {keys.PORT, keys.STATE},
            'commands': {keys.TOPIC, keys.MESSAGE_TYPE}}
 _DEVICE = re.compile(r'\d{3}(?: |$)')
@@ -255,7 +255,7 @@ def _first(status: RawStatus, names: tuple[bytes, ...]) -> tuple[str, str]:
 
 
 def _steady(when_s: float, before_s: float | None) -> float:
-    if before_s is not None and abs(when_s - before_s) < _JITTER_S:
+    if before_s is not None and abs(when_s - before_s) < JITTER_S:
         return before_s
     return round(when_s, 2)
 

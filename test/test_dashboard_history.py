@@ -165,6 +165,18 @@ def test_a_restart_records_no_error_twice(writer, path):
     assert not [event for event in looked_at(robot, [100.0], again)[1] if event.kind == 'error']
 
 
+def test_no_error_is_noted_twice_where_the_two_clocks_are_read_late():
+    robot, state, recorder = SyntheticRobot(), State(), HistoryRecorder()
+    robot.lost = {7}
+    noted = []
+    for second, late in ((100.0, 0.0), (100.1, 0.4), (100.15, -0.2), (100.2, 2.0)):
+        for topic, message in robot.messages(100.0):
+            state.take(topic, message, second)
+        recorder.look(state, second, NIGHT + second + late)
+        noted.append([event.text for event in recorder.taken()[1] if event.kind == 'error'])
+    assert noted[0] and noted[1:] == [[], [], []]
+
+
 def test_a_day_is_kept_and_no_more(writer, path, monkeypatch):
     day = [window(NIGHT + hour * HOURS, 1.0) for hour in range(30)]
     writer.write(day, [Event(one.at, KNEE, 'state', 2, 'lost') for one in day])
