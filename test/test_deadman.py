@@ -41,6 +41,8 @@ from vel2d_bridge.link import Link
 deadman = Deadman()
 link = Link(sys.argv[1], 115200, Gate(), deadman=deadman)
 link.start()
+while len(deadman.pids) < 2:
+    time.sleep(0.01)
 print(*deadman.pids, flush=True)
 while not select.select([sys.stdin], [], [], 0.01)[0]:
     link.offer(Vel2d(0.5, 0.0, 0.0))
@@ -227,6 +229,24 @@ def test_half_of_a_heartbeat_is_not_believed():
         assert watch._last_beat(now) == now - second // 20
     words[BEATEN] = now
     assert watch._last_beat(now) == now
+
+
+UNBORN = """
+from vel2d_bridge.deadman import Deadman
+from vel2d_bridge.watch import WATCH
+
+deadman = Deadman()
+deadman._words[WATCH] = 0            # as if it took longer than the bridge waits for it
+deadman._is_gone = lambda: False
+deadman.leave()
+print('done')
+"""
+
+
+def test_one_that_is_not_born_yet_leaves_the_group_of_the_bridge_alone():
+    done = subprocess.run([sys.executable, '-c', UNBORN], cwd=Path(__file__).parents[1], text=True,
+                          capture_output=True, timeout=PATIENCE_S, start_new_session=True)
+    assert (done.returncode, done.stdout) == (0, 'done\n')
 
 
 def test_after_a_kill_the_burst_is_out_and_the_port_is_free(mcu):

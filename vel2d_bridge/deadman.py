@@ -58,8 +58,9 @@ class Deadman:
 
     @property
     def pids(self) -> list[int]:
-        """The processes it consists of: the dead man first, then its server."""
-        return [self._words[WATCH], self._words[SERVER]]
+        """The processes it consists of, as far as they are born: the dead man, then its server."""
+        # 0 to os.kill is each process of our group: that would end who launched us, too.
+        return [pid for pid in (self._words[WATCH], self._words[SERVER]) if pid]
 
     def hold(self, fd: int, stop_frame: bytes, baud: int, path: str = '') -> None:
         """
