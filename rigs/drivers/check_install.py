@@ -78,7 +78,17 @@ def installed(guest: Guest, bus: Adapter, mcu: Mcu) -> str:
     dry = guest.run(f'{INSTALLER} {options} --dry-run', 'robot', timeout_s=200).out
     assert '    | User=robot' in dry
     assert guest.run('ls /etc/mecarover_serial', check=False).code
-    return guest.run(f'{INSTALLER} {options} --yes', 'robot', timeout_s=300).out
+    done = guest.run(f'{INSTALLER} {options} --yes', 'robot', timeout_s=300).out
+    guest.run(f'systemctl stop {" ".join(SERVICES)}', timeout_s=200)
+    return done
+
+
+@pytest.fixture(scope='module')
+def services(guest: Guest, installed: str, request: pytest.FixtureRequest) -> None:
+    """Start what was installed."""
+    if not guest.has_kvm and not request.config.getoption('--services'):
+        pytest.skip('without KVM the services start in minutes; --services runs this')
+    guest.run(f'systemctl start --no-block {" ".join(SERVICES)}')
 
 
 def test_the_installer_ends_a_login_and_gives_the_port_back_to_its_group(
@@ -106,8 +116,8 @@ def test_systemd_accepts_the_units_and_starts_them_at_boot(guest: Guest, install
         guest.run(f'systemd-analyze verify --man=no /etc/systemd/system/{unit}.service')
 
 
-def test_the_services_that_the_installer_started_open_their_ports(
-        guest: Guest, installed: str, mcu: Mcu) -> None:
+def test_the_services_open_their_ports_and_stop_the_rover_first(
+        guest: Guest, services: None, mcu: Mcu) -> None:
     for service, said in zip(SERVICES, OPEN, strict=False):
         Unit(guest, service).wait_for(said, timeout_s=START_S)
     until(lambda: mcu.set_points)
@@ -115,13 +125,13 @@ def test_the_services_that_the_installer_started_open_their_ports(
 
 
 def test_the_service_of_the_page_shows_what_the_monitor_hears(
-        guest: Guest, installed: str) -> None:
+        guest: Guest, services: None) -> None:
     guest.wait(ON_PAGE, timeout_s=START_S)
     assert guest.run('stat -c %U /var/lib/mecarover_dashboard').out == 'robot\n'
 
 
 def test_the_monitors_service_outlives_its_adapter(
-        guest: Guest, installed: str, bus: Adapter) -> None:
+        guest: Guest, services: None, bus: Adapter) -> None:
     monitor = Unit(guest, 'dxl_monitor')
     before = monitor.pid()
     bus.unplug()
@@ -133,7 +143,7 @@ def test_the_monitors_service_outlives_its_adapter(
 
 
 def test_a_bridge_that_is_killed_stops_the_rover_and_drives_again_by_itself(
-        guest: Guest, installed: str, mcu: Mcu) -> None:
+        guest: Guest, services: None, mcu: Mcu) -> None:
     bridge = Unit(guest, 'vel2d_bridge')
     before = bridge.pid()
     planner = guest.start('planner', f'env -u {WITHOUT_ROS} python {INSIDE}/commands.py', 'robot')
@@ -146,7 +156,7 @@ def test_a_bridge_that_is_killed_stops_the_rover_and_drives_again_by_itself(
     until(lambda: not mcu.drives)
 
 
-def test_after_a_reboot_all_services_are_back(guest: Guest, installed: str, mcu: Mcu) -> None:
+def test_after_a_reboot_all_services_are_back(guest: Guest, services: None, mcu: Mcu) -> None:
     known = len(mcu.set_points)
     guest.reboot()
     for service, said in zip(SERVICES, OPEN, strict=False):

@@ -25,6 +25,11 @@ COMPILED = 'compiled'               # the folders in it, as -i of compileall tak
 GUEST = pytest.StashKey[str]()
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption('--services', action='store_true',
+                     help='run the checks of the three services without KVM too (20 minutes)')
+
+
 @pytest.fixture(scope='session')
 def guest(tmp_path_factory: pytest.TempPathFactory, request: Any) -> Iterator[Guest]:
     """Boot the guest, with this clone installed in it."""
