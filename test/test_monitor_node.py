@@ -71,7 +71,7 @@ def values(status):
 
 def test_the_robot_on_the_topics(tmp_path, heard):
     with fake_bus(tmp_path / 'bus', '--devices', '1-3:MX-106,4:BitFoot', '--fault',
-                  'silent:3:4:3'), \
+                  'silent:3:8:5'), \
             monitor([tmp_path / 'bus'], devices="['1-2:MX-106','3:MX-106:knee','4:BitFoot']"):
         wait(lambda: set(devices(heard)) == {1, 2, 3, 4})
         wait(lambda: 'Present Position (rad)' in values(heard.statuses['dxl_monitor: 001'])
@@ -89,7 +89,9 @@ def test_the_robot_on_the_topics(tmp_path, heard):
         assert int(table['Fields not observed']) > 0
         knee = next(name for name in tables if name.startswith('dxl_monitor: 003'))
         assert 'knee' in knee
-        heard.wait_status(knee, 'disconnected', level=2)
+        wait(lambda: (2, 'disconnected') in [
+            (status.level[0], values(status)['State']) for message in heard.heard['/diagnostics']
+            for status in message.status if status.name == knee])
         assert heard.level('dxl_monitor: 001') == 0
         wait(lambda: values(heard.statuses[knee])['State'] == 'connected')
         assert 'dxl_monitor: timing/bus_load' in heard.statuses
