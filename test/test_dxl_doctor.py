@@ -111,6 +111,14 @@ def test_the_cause_its_device_by_name_and_what_to_do():
     assert re.match(r'seen from [34]\.\d s on; .*wait per request', first.evidence)
 
 
+def test_a_recording_that_is_cut_accuses_none():
+    chunks = heard(seconds=3.0)
+    for end in range(len(chunks) - 30, len(chunks)):
+        for left_of_the_last in (None, 5):
+            cut = [*chunks[:end], chunks[end]._replace(data=chunks[end].data[:left_of_the_last])]
+            assert said(cut).wrong == ()
+
+
 def test_what_is_over_is_told_as_over():
     found = said(heard('silent:4:1:2.5', seconds=9.0))
     told = {entry.rule: entry for entry in found.wrong}

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dxl_monitor.bus.conversation import ANSWER_NS
 from dxl_monitor.bus.conversation import DEFAULTS
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.expected import parse_all
@@ -21,6 +20,8 @@ from dxl_monitor.record.capture import Wire
 from dxl_monitor.tools.doctor.course import Course
 from dxl_monitor.tools.doctor.excerpt import Excerpt
 from dxl_monitor.tools.doctor.verdict import BusSummary
+from msg_defs.heard import Change
+from msg_defs.heard import CLOSED
 from msg_defs.reports import Level
 
 S = 1_000_000_000
@@ -91,10 +92,14 @@ class Examination:
         return (self.last - self.first) / S
 
     def finish(self, now: int, is_over: bool) -> None:
-        """Look for the last time; is_over: nothing more will come, what is pending is judged."""
+        """
+        Look for the last time; is_over: nothing more will come.
+
+        What is pending then is not judged: a file may end between a question and its answer.
+        """
         if is_over:
             for monitor in self._monitors.values():
-                monitor.flush_if_idle(now + 2 * ANSWER_NS)
+                monitor.change(Change(CLOSED, 1), now)
         self._look(now)
 
     def summary(self) -> str:
