@@ -32,6 +32,8 @@ from mecarover_serial.cli import no_ros
 from mecarover_serial.cli import run_tool
 from msg_defs.vel2d import STOP
 
+DOMAINS = range(91, 101)         # up to 101 keep clear of the ports that the kernel gives out
+_LOCK = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
 READY_S = 20.0          # starting everything on a busy machine; discovery alone takes up to 2.5 s
 COMMAND_PERIOD_S = 0.05
 SILENT_ID, SILENT_AT_S, SILENT_FOR_S = 7, 6, 4
@@ -46,14 +48,20 @@ def main() -> int:
 
 def _main(arguments: list[str]) -> int:
     options = _parser().parse_args(arguments)
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    domain = own_domain()
+    os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(domain))
     try:
         from mecarover_demo.node import Operator
     except ImportError as error:
         return no_ros('demo', error)
     operator = Operator()
+    if operator.is_in_company():
+        operator.close()
+        raise OSError(f'there are other nodes in ROS domain {domain}: what this publishes on '
+                      'cmd_vel could drive a rover; end them, or wait 20 s where they were killed')
+    print(f'demo: its topics are in their own domain: export ROS_DOMAIN_ID={domain}', flush=True)
     with tempfile.TemporaryDirectory(prefix='mecarover-') as folder, Stage() as stage:
-        show = Show(stage, operator, folder)
+        show = Show(stage, operator, folder, _page_port(domain))
         try:
             verdicts = show.run(options.seconds)
         except KeyboardInterrupt:
@@ -67,6 +75,21 @@ def _main(arguments: list[str]) -> int:
     return _conclude(verdicts)
 
 
+def own_domain() -> int:
+    """
+    Return a ROS domain that no other demo of this machine has; ROS_DOMAIN_ID does not count.
+
+    In the domain of a robot the demo would drive that robot.
+    """
+    for number in DOMAINS:
+        try:
+            _LOCK.bind(f'\0mecarover_demo_{number}')    # until this process ends
+        except OSError:
+            continue
+        return number
+    raise OSError(f'{len(DOMAINS)} demos run on this machine already; end one')
+
+
 def _conclude(verdicts: list[SceneResult]) -> int:
     failed = [one for one in verdicts if not one.passed]
     for one in failed:
@@ -78,7 +101,7 @@ def _conclude(verdicts: list[SceneResult]) -> int:
 class Show:
     """One run of the demo."""
 
-    def __init__(self, stage: Stage, operator: Any, folder: str) -> None:
+    def __init__(self, stage: Stage, operator: Any, folder: str, page_port: str) -> None:
         self.verdicts: list[SceneResult] = []
         self._operator = operator
         self._set_points: list[TakenSetPoint] = []
@@ -96,7 +119,7 @@ class Show:
                     f'silent:{SILENT_ID}:{SILENT_AT_S}:{SILENT_FOR_S}', '--truth', self._books)
         stage.start('dxl_monitor.main', '--ros-args', '-p', f'ports:={bus}', '-p',
                     f'devices:={list(DEVICES)}')
-        self._dashboard = stage.start('mecarover_dashboard.main', '--port', _page_port(),
+        self._dashboard = stage.start('mecarover_dashboard.main', '--port', page_port,
                                         '--history', 'none')
 
     def run(self, seconds: float | None) -> list[SceneResult]:
@@ -137,7 +160,11 @@ class Show:
 
     def _see_dashboard(self) -> SceneResult:
         """Say where the page is, and load it."""
-        line = next((line for line in self._dashboard.lines if 'http://' in line), '')
+        deadline = time.monotonic() + READY_S
+        while not (line := next((one for one in self._dashboard.lines if 'http://' in one), '')):
+            if time.monotonic() > deadline:
+                return SceneResult('dashboard', False, f'no address after {READY_S:g} s')
+            self._operator.spin(COMMAND_PERIOD_S)
         address = line[line.find('http://'):].split(' ')[0]
         print(f'demo: dashboard on {address}', flush=True)
         try:
@@ -183,10 +210,11 @@ class Show:
                       f'{record["what"]}', flush=True)
 
 
-def _page_port() -> str:
-    """Return the usual port of the dashboard, or 0 (any) while another one has it."""
+def _page_port(domain: int) -> str:
+    """Return the usual port of the dashboard; 0 (any) for a second demo, or where it is taken."""
     with socket.socket() as probe:
-        return '0' if probe.connect_ex(('127.0.0.1', 8420)) == 0 else '8420'
+        is_taken = probe.connect_ex(('127.0.0.1', 8420)) == 0
+    return '0' if is_taken or domain != DOMAINS[0] else '8420'
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -3,6 +3,7 @@
 """The demo's own node: publishes cmd_vel as a teleop would, and hears the diagnostics."""
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -13,6 +14,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from msg_defs.status_keys import COMMANDS_RECEIVED
 from msg_defs.vel2d import Vel2d
+
+DISCOVERY_S = 2.0       # so long may it take to hear of a node that is there
 
 
 class Operator:
@@ -45,6 +48,15 @@ class Operator:
         status = self.statuses.get('vel2d_bridge: commands')
         return status is not None and any(
             pair.key == COMMANDS_RECEIVED and int(pair.value) > 0 for pair in status.values)
+
+    def is_in_company(self) -> bool:
+        """Tell whether another node is in this domain, before anything was started."""
+        deadline = time.monotonic() + DISCOVERY_S
+        while time.monotonic() < deadline:
+            if len(self._node.get_node_names()) > 1:
+                return True
+            self.spin(0.1)
+        return False
 
     def forget(self) -> None:
         """Forget what the bridge reported: it was killed, the next report is of another one."""

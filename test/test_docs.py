@@ -32,7 +32,8 @@ SETTINGS = {'bridge.yaml': BRIDGE, 'monitor.yaml': MONITOR}
 TOOLS = {path.name for path in (ROOT / 'resource/executables').iterdir()}
 # Programs of others that our pages name.
 FOREIGN = {'cd', 'git', 'mkdir', 'source', 'rosdep', 'colcon', 'ros2', 'sudo', 'systemctl',
-           'journalctl', 'rqt_plot', 'export', 'ssh', 'pip', 'xset', 'python', 'jq', 'docker'}
+           'journalctl', 'rqt_plot', 'export', 'ssh', 'pip', 'xset', 'python', 'python3', 'jq',
+           'docker'}
 
 
 def pages():
