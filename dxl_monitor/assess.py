@@ -59,11 +59,11 @@ def judge(device: Device, window: Counts, quiet_s: float, limits: Thresholds) ->
                           f'disconnected: {device.missed_in_a_row} answers missed')
     if not device.heard:
         return _never_heard(device)
+    if quiet_s > limits.silent_after:
+        return Assessment(words.SILENT, Level.STALE, f'silent: not asked for {quiet_s:.0f} s')
     if device.waiting_behind is not None:
         return Assessment(words.WAITING, Level.WARN,
                           f'asked but not served: waiting behind {device.waiting_behind:03}')
-    if quiet_s > limits.silent_after:
-        return Assessment(words.SILENT, Level.STALE, f'silent: not asked for {quiet_s:.0f} s')
     return Assessment(words.CONNECTED, *_degraded(device, window, limits))
 
 

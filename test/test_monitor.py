@@ -159,6 +159,17 @@ def test_waiting_behind_a_silent_one() -> None:
     assert [bus.device(n).state for n in (1, 2, 3)] == ['connected'] * 3
 
 
+def test_a_device_that_waited_is_silent_when_the_master_stops() -> None:
+    bus = Bus()
+    for number in (1, 2, 3):
+        bus.hear(encode(number, I.PING), encode(number, STATUS, b'\x37\x01\x29', error=0))
+    bus.hear(POSITIONS, encode(1, STATUS, bytes(4), error=0))       # and then no more, ever
+    bus.wait(2)
+    assert [bus.device(n).state for n in (2, 3)] == ['connected', 'waiting']
+    bus.wait(8)
+    assert [bus.device(n).state for n in (1, 2, 3)] == ['silent'] * 3
+
+
 def test_loss_is_that_of_the_last_ten_seconds() -> None:
     bus = Bus()
     bus.hear(PING, PONG)
