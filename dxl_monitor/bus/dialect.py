@@ -24,7 +24,7 @@ WEAK = 1
 # Acceleration and Goal Position, Present Position and more. The other has something else there.
 DYNAMIXEL_AT = {(24, 1), (25, 1), (30, 2), (30, 4), (32, 2), (36, 2), (36, 4), (36, 6), (36, 8)}
 FEETECH_AT = {(41, 7), (42, 2), (42, 6), (55, 1), (56, 2), (56, 4), (56, 6), (56, 8), (56, 15),
-               (58, 2), (60, 2), (62, 1), (63, 1)}
+              (58, 2), (60, 2), (62, 1), (63, 1)}
 _READ = 0x02
 _BY_NAME = {'1': DYNAMIXEL_1, 'feetech': FEETECH}
 
