@@ -4,6 +4,7 @@
 
 import json
 import os
+from tempfile import TemporaryDirectory
 import xml.dom.minidom
 
 import pytest
@@ -22,6 +23,7 @@ from benchmark.isochronous import beside_a_camera
 from benchmark.isochronous import Kernel
 from benchmark.isochronous import MS
 from benchmark.isochronous import OURS
+from benchmark.thread_node import in_thread
 from benchmark.traffic import KINDS
 from benchmark.traffic import packets
 from benchmark.traffic import ROBOT
@@ -53,6 +55,12 @@ def test_beside_a_camera_only_the_events_of_the_adapter_are_copied():
     kernel._begin -= 200 * MS               # the reader was held up for longer than the ring lasts
     kernel._fill()
     assert kernel._dropped > 0
+
+
+def test_the_node_beside_which_the_reader_process_is_measured_reads_in_a_thread():
+    with in_thread as listener_on, TemporaryDirectory() as folder:
+        listener = listener_on(f'{folder}/port', 57600, print, print)
+        assert listener._in_thread
 
 
 def test_a_figure_is_the_median_with_its_spread():
