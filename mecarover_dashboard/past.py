@@ -130,7 +130,7 @@ def _time(text: str | None, default: float, name: str) -> float:
     except ValueError:
         value = math.nan
     if not 0 <= value < 1e11:
-        raise ValueError(f'{name}: {text[:40]!r} is no time; give Unix seconds')
+        raise ValueError(f'{name}: {text[:40]!r} is not a time; give Unix seconds')
     return value
 
 

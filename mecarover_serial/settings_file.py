@@ -29,7 +29,7 @@ def without(text: str, names: Iterable[str]) -> str:
     except RecursionError:
         raise SettingsError('too many brackets in brackets') from None
     if root is not None and not isinstance(root, yaml.MappingNode):
-        raise SettingsError('this is no file with parameters')
+        raise SettingsError('this is not a file with parameters')
     removed = _remove(root, frozenset(names), False) if root is not None else 0
     return str(yaml.serialize(root)) if removed else text
 

@@ -459,7 +459,7 @@ def test_a_report_overwrites_no_other_file(tmp_path):
     mine.write_text('years of work')
     done = doctor('--report', mine, capture(tmp_path / 'bus.txt'))
     assert (done.returncode, mine.read_text()) == (2, 'years of work')
-    assert 'is no report' in done.stderr
+    assert 'is not a report' in done.stderr
 
 
 def test_a_report_is_bounded():

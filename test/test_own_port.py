@@ -301,8 +301,8 @@ def test_names_of_sources():
 
 @pytest.mark.parametrize(('name', 'words'), [
     ('usb:/dev/ttyUSB77', 'usb:/dev/ttyUSB77: is not there; plug the adapter in'),
-    ('usb:', 'is not there'), ('tap:', 'is no name for a tap'),
-    ('tap:a b', 'is no name for a tap')])
+    ('usb:', 'is not there'), ('tap:', 'is not a name for a tap'),
+    ('tap:a b', 'is not a name for a tap')])
 def test_wrong_names_are_one_line(name, words):
     done = dump(name, '--seconds', '1')
     assert done.returncode == 1

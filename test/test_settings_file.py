@@ -39,7 +39,7 @@ def test_a_file_without_them_is_left_alone(text):
 
 
 @pytest.mark.parametrize(('text', 'words'), [
-    ('a: [1\n', 'line 2'), ('just words', 'no file with parameters'), ('- a\n- b', 'no file with'),
+    ('a: [1\n', 'line 2'), ('just words', 'not a file with param'), ('- a\n- b', 'not a file'),
     ('[' * 100_000, 'brackets'), ('a: \0', 'special characters')])
 def test_what_is_no_settings_file_is_said(text, words):
     with pytest.raises(SettingsError, match=words):

@@ -390,7 +390,7 @@ def test_command_line():
     assert 'opened no port through pyserial' in silent.stderr
     assert 'usb:/dev/ttyUSB0' in silent.stderr
     for arguments, words in ((('arm',), 'COMMAND: none given'),
-                             (('a/b', '--', 'true'), "'a/b' is no name for a tap")):
+                             (('a/b', '--', 'true'), "'a/b' is not a name for a tap")):
         wrong = tap(*arguments)
         assert wrong.returncode == 2
         assert words in wrong.stderr

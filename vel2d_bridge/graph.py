@@ -35,7 +35,7 @@ class Absence:
     """
     For how long cmd_vel has had no publisher.
 
-    After a start discovery takes up to 2.5 s to find one that is there: less is no news.
+    After a start discovery takes up to 2.5 s to find one that is there; until then we cannot tell.
     """
 
     def __init__(self, now: int) -> None:

@@ -20,7 +20,7 @@ from msg_defs.dxl_packet import encode
 
 FEW = 3
 MOSTLY = 0.3                       # among damaged instructions; bits turned over by chance: 0.1
-FLIPPED = 2                        # wrong bits: more is no noise but another packet
+FLIPPED = 2                        # wrong bits: more is another packet, not noise
 TAIL = 6                           # bytes: the CRC is among them, so they are not there by chance
 _GROUPS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 _WRITES = (Instruction.WRITE, Instruction.REG_WRITE)

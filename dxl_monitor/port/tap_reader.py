@@ -69,7 +69,7 @@ def why_no_name(name: str) -> str:
     """Return what is wrong with the name of a tap, '' for nothing."""
     if name and set(name) <= _NAME_CHARACTERS and len(name) <= _NAME_LIMIT:
         return ''
-    return (f'{name!r} is no name for a tap; take 1 to {_NAME_LIMIT} letters, digits, '
+    return (f'{name!r} is not a name for a tap; take 1 to {_NAME_LIMIT} letters, digits, '
             '_ or -')
 
 

@@ -69,7 +69,7 @@ class Place(NamedTuple):
 def adapter_of(vendor: int, product: int, version: int = 0, interface_class: int | None = None,
                packet_size: int = 64) -> Adapter | None:
     """
-    Return what speaks the language of this device, None where it is no serial adapter we know.
+    Return what speaks the language of this device; None: not a serial adapter that we know.
 
     version: bcdDevice. interface_class: of the interface that holds the bulk endpoints.
     """

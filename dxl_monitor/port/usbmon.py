@@ -4,7 +4,7 @@
 Events of a USB bus, as usbmon (Linux) and USBPcap (Windows) write them down. Pure.
 
 Sources: kernel Documentation/usb/usbmon.rst; tcpdump.org, link types 189 and 220; desowin.org,
-USBPcap capture format. What is no event gives None; nothing here raises on what is in a file.
+USBPcap capture format. What is not an event gives None; nothing here raises on what is in a file.
 """
 
 from __future__ import annotations

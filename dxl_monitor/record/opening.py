@@ -83,5 +83,5 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
         return UsbFile(name, file, head, baud, adapter)
     if adapter is not None:
         file.close()
-        raise UsageError(f'--adapter {adapter}: {name} is no file of USB events; leave it out')
+        raise UsageError(f'--adapter {adapter}: {name} is not a file of USB events; leave it out')
     return (CaptureFile if head.startswith(MAGIC) else RawFile)(name, file, head, baud)

@@ -54,11 +54,11 @@ def check_report(path: str | None) -> None:
     if not os.path.exists(path):
         return
     if not os.path.isfile(path):
-        raise UsageError(f'--report {path}: is no file; give another name')
+        raise UsageError(f'--report {path}: is not a file; give another name')
     with open(path, 'rb') as file:
         head = file.read(len(MAGIC))
     if head and head != MAGIC.encode():
-        raise UsageError(f'--report {path}: is there and is no report; give another name')
+        raise UsageError(f'--report {path}: is there and is not a report; give another name')
 
 
 def anonymous(buses: Sequence[BusSummary]) -> list[BusSummary]:
