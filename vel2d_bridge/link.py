@@ -171,6 +171,12 @@ class Link:
             self._deadman.leave()
         return not (self._owes_stop or self.gate.stopping)
 
+    @property
+    def freezes(self) -> int:
+        """As in `state`, which takes longer: asked before each command is written."""
+        with self._lock:
+            return self._pacer.freezes
+
     def state(self) -> LinkState:
         with self._lock:
             pacer, gate = self._pacer, self.gate

@@ -172,9 +172,9 @@ class Bridge:
     def _on_command(self, twist: Any, waited: int, stamp_age: int | None) -> None:
         self._notice_freeze()
         now = time.monotonic_ns()
-        self._timing.command_came(now, stamp_age)
         velocity = Vel2d(twist.linear.x, twist.linear.y, twist.angular.z)
         verdict = self._link.offer(velocity, waited=waited, stamp_age=stamp_age)
+        self._timing.command_came(now, stamp_age)       # only now: the frame is on its way
         if verdict is not Outcome.ACCEPTED:
             self._refused = verdict, now
             if now - self._told.get(verdict, -THROTTLE_NS) >= THROTTLE_NS:
@@ -188,7 +188,7 @@ class Bridge:
 
     def _notice_freeze(self) -> None:
         """Hear only what is published from now on, if this process was frozen."""
-        freezes = self._link.state().freezes
+        freezes = self._link.freezes
         if freezes != self._known_freezes:
             self._known_freezes = freezes
             self._subscriber.renew()
