@@ -216,6 +216,7 @@ class Line:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, script: list[tuple[int, bytes]]) -> None:
         self.now = 0
         self.due = 0
+        self.waits = 0
         self.script = script
         self.heard: list[tuple[bytes, int]] = []
         self.idle: list[int] = []
@@ -229,6 +230,7 @@ class Line:
         self.now += round(seconds * 1e9)
 
     def wait(self, seconds: float) -> bool:
+        self.waits += 1
         end = self.now + round(seconds * 1e9)
         is_ready = bool(self.script) and self.due <= end
         self.now = max(self.now, self.due) if is_ready else end
@@ -261,16 +263,17 @@ def test_a_line_without_pauses_is_let_gather_for_longer(monkeypatch: pytest.Monk
     line = Line(monkeypatch, [(50 * MS, b'a'), *full, (2 * MS, b'b'), (5 * MS, b'c')])
     line.run(10_000)
     sizes = [len(chunk) for chunk, _ in line.heard]
-    assert sizes[:4] == [1, 200, 300, 500]      # what gathered for 1, 2 and 4 ms beside a wait
-    assert set(sizes[4:-2]) == {500}
-    assert line.heard[-2:] == [(b'b', 76 * MS), (b'c', 78 * MS)]    # a pause: for 1 ms again
+    assert sizes[:4] == [1, 200, 200, 400]      # what gathered for 1 ms beside a wait, 2 and 4 ms
+    assert set(sizes[4:-3]) == {400}
+    assert line.waits == 4                      # for a and its follower, in the pause, at the end
+    assert line.heard[-2:] == [(b'b', 74 * MS), (b'c', 77 * MS)]    # a pause: for 1 ms again
 
 
 def test_how_long_bytes_may_gather_is_a_question_of_the_rate() -> None:
     def longest_s(baud: int) -> float:
         return reader.Loop(bool, bytes, print, print, idle_s=0.02, byte_ns=1e10 / baud)._longest_s
     assert longest_s(1_000_000) == 0.004
-    assert longest_s(4_500_000) * 450_000 == pytest.approx(1024)    # a driver has 4096
+    assert longest_s(4_500_000) * 450_000 == pytest.approx(1536)    # a driver has 4096
 
 
 def test_the_largest_gap_counts_only_while_bytes_waited(monkeypatch: pytest.MonkeyPatch) -> None:
