@@ -10,6 +10,7 @@ all stamps, with periods that do not fit each other, are two loops.
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Iterator
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -37,22 +38,24 @@ def two_combs(stamps: Sequence[int], blur_ns: float) -> tuple[Comb, Comb] | None
     for one in _combs(stamps, blur_ns):
         taken = {*one.teeth}
         rest = [stamp for at, stamp in enumerate(stamps) if at not in taken]
-        for other in _combs(rest, blur_ns):
-            if len(one.teeth) + len(other.teeth) >= ALL * len(stamps) \
-                    and not is_whole(max(one.period, other.period)
-                                     / min(one.period, other.period), UNEVEN):
+        for other in _combs(rest, blur_ns, ALL * len(stamps) - len(one.teeth)):
+            if not is_whole(max(one.period, other.period) / min(one.period, other.period),
+                            UNEVEN):
                 return one, other
     return None
 
 
-def _combs(stamps: Sequence[int], blur_ns: float) -> list[Comb]:
-    """Return the combs that begin with the first stamp and go on to the last."""
-    found = []
+def _combs(stamps: Sequence[int], blur_ns: float, least: float = 0.0) -> Iterator[Comb]:
+    """Yield the combs of at least so many teeth, from the first stamp to the last."""
+    least = max(ENOUGH, least)
     for stamp in stamps[1:1 + TRIES]:
-        comb = _comb(stamps, float(stamp - stamps[0]), blur_ns)
-        if comb is not None:
-            found.append(comb)
-    return found
+        period = stamp - stamps[0]
+        # Fitted to its teeth a period becomes shorter, but by less than its slack.
+        if (stamps[-1] - stamps[0]) / (1 - 1 / BLURRED) < (least - 1) * period:
+            return
+        comb = _comb(stamps, float(period), blur_ns)
+        if comb is not None and len(comb.teeth) >= least:
+            yield comb
 
 
 def _comb(stamps: Sequence[int], period: float, blur_ns: float) -> Comb | None:
@@ -66,7 +69,7 @@ def _comb(stamps: Sequence[int], period: float, blur_ns: float) -> Comb | None:
         if period < BLURRED * slack:
             return None
         at = _nearest(stamps, due, teeth[-1] + 1)
-        if at is not None and abs(stamps[at] - due) <= slack:
+        if abs(stamps[at] - due) <= slack:
             teeth.append(at)
             period = (stamps[at] - begin) / places
         elif places - len(teeth) >= 2 + (1 - FULL) * places:
@@ -77,7 +80,7 @@ def _comb(stamps: Sequence[int], period: float, blur_ns: float) -> Comb | None:
     return Comb(period, tuple(teeth))
 
 
-def _nearest(stamps: Sequence[int], due: float, first: int) -> int | None:
+def _nearest(stamps: Sequence[int], due: float, first: int) -> int:
+    """Return the stamp from `first` on that is nearest to `due`, which is not behind the last."""
     at = bisect_left(stamps, due, first)
-    near = [one for one in (at - 1, at) if first <= one < len(stamps)]
-    return min(near, key=lambda one: abs(stamps[one] - due), default=None)
+    return at - 1 if at > first and due - stamps[at - 1] <= stamps[at] - due else at
