@@ -20,6 +20,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_msgs.msg import KeyValue
+from rclpy.event_handler import PublisherEventCallbacks
 from std_msgs.msg import Float64
 
 from msg_defs.reports import ALL
@@ -44,6 +45,9 @@ STATUSES_PER_MESSAGE = 30
 BYTES_PER_MESSAGE = 60_000      # one UDP datagram takes less than 64 KiB
 QUEUE_DEPTH = 10                # publishers: reliable, keep last
 
+# A publisher that warns of subscribers with another QoS is two things more that the executor looks
+# at each time it wakes. Of those with plain figures there are many.
+_NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 _LEVELS = {level: bytes([level]) for level in Level}    # DiagnosticStatus.level is a byte string
 _UNSAFE = re.compile('[\0\ud800-\udfff]')
 
@@ -256,6 +260,8 @@ class TimingPublisher:
     def _publisher(self, kind: type, topic: str) -> Any:
         publisher = self._publishers.get(topic)
         if publisher is None:
-            publisher = self._node.create_publisher(kind, f'{self._prefix}/{topic}', QUEUE_DEPTH)
+            publisher = self._node.create_publisher(
+                kind, f'{self._prefix}/{topic}', QUEUE_DEPTH,
+                event_callbacks=None if kind is DiagnosticArray else _NO_EVENTS)
             self._publishers[topic] = publisher
         return publisher

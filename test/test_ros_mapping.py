@@ -160,15 +160,18 @@ class RecordingNode:
     def __init__(self, name):
         self.name = name
         self.types = {}
+        self.without_events = set()
         self.published = {}
 
     def get_fully_qualified_name(self):
         return f'/{self.name}'
 
-    def create_publisher(self, kind, topic, depth):
+    def create_publisher(self, kind, topic, depth, event_callbacks=None):
         assert topic not in self.types, 'a publisher is made once'
         assert depth == 10
         self.types[topic] = kind
+        if event_callbacks is not None and not event_callbacks.use_default_callbacks:
+            self.without_events.add(topic)
         messages = self.published.setdefault(topic, [])
         return SimpleNamespace(publish=messages.append)
 
@@ -244,6 +247,7 @@ def test_timing_topics_of_several_buses_with_devices(ros, monkeypatch):
     load = [Metric('bus_load', '%', value=50.0, bus=bus) for bus in ('left arm', 'left-arm')]
     node = publish(ros, [*load, metric('reply_latency', bus='left arm', device='011')],
                    buses=['left arm', 'left-arm'])
+    assert node.without_events == set(node.types) - {'dxl/timing'}      # the executor's work
     assert set(node.types) == {
         'dxl/timing',
         'dxl/timing/left_arm/bus_load_percent', 'dxl/timing/left_arm_2/bus_load_percent',
