@@ -28,9 +28,9 @@ from typing import Any
 # an instruction and the answer to it come in two chunks and their distance can be told.
 GATHER_S = 0.001
 # A line without pauses hides how far apart its packets are. So there bytes gather for longer,
-# twice as long after each full chunk, and nobody waits for the first of them: that is a wake-up,
-# which costs more than the read. At most 3/8 of the 4096 bytes a driver has room for: the rest is for a process
-# that comes late, 5.7 ms at 4.5 MBd.
+# twice as long after each full chunk. They are read without a wait for the first of them: it would
+# take more CPU than the read. At most 3/8 of the 4096 bytes that a driver has room for; what is
+# left is for a process that comes 5.7 ms late at 4.5 MBd.
 GATHER_LONGEST_S = 0.004
 GATHER_BYTES = 1536
 FULL = 0.75                      # at least this share of the time there were bytes on the line
