@@ -228,6 +228,10 @@ def test_a_file_without_a_byte(tmp_path):
     (('run',), 2, 'stands behind --'),
     (('setup.py', '--report', '/no/such/folder/x'), 2, 'no file can be made'),
     (('/dev/null', '--', 'python'), 2, 'stands behind --'),
+    (('setup.py',), 2, 'not a recording; write: dxl_doctor run -- python setup.py'),
+    (('--devices', '1', 'run', 'python', 'my x.py'), 2,
+     "-- is missing in front of the program; write dxl_doctor --devices 1 run -- python 'my x.py'"
+     ),
     (('x', '--seconds', '0'), 2, '--seconds'),
     (('no_such_file',), 1, 'no such file or port'),
     (('/dev/ttyNONE0',), 1, 'is not there'),

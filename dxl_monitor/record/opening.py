@@ -3,13 +3,16 @@
 """
 One function that opens any source by its name: a port, usb:, tap:, a file, or stdin.
 
-Files are told apart by content: captures, USB events (pcap, pcapng, usbmon), raw bytes.
+Files are told apart by content: captures, USB events (pcap, pcapng, usbmon), raw bytes. Text that
+is no capture is refused: no packet is text, and a program is given here by mistake.
 """
 
 from __future__ import annotations
 
+import codecs
 from io import BufferedReader
 import os
+import shlex
 import stat
 import sys
 
@@ -27,6 +30,8 @@ from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import why_not
 
 HEAD_SIZE = 64
+_HEARS = {'dxl_doctor': 'dxl_doctor run -- python {}',
+          'dxl_dump': 'dxl_tap arm -- python {}, and dxl_dump tap:arm in another terminal'}
 _PACKED = {b'\x1f\x8b\x08': 'gzip', b'\xfd7zXZ': 'xz', b'\x28\xb5\x2f\xfd': 'zstd',
            b'BZh': 'bzip2', b'PK\x03\x04': 'zip'}
 
@@ -47,12 +52,16 @@ def open_source(tool: str, name: str, baud: int | None, adapter: str | None = No
         from dxl_monitor.record.live import LivePort  # needs fcntl, and files do not
 
         return LivePort(name, baud, tool)
-    return open_file(name, baud, adapter)
+    return open_file(name, baud, adapter, tool)
 
 
-def open_file(name: str, baud: int | None, adapter: str | None = None) -> File:
-    """Return a capture, a file of USB events or a file of bytes as a source."""
-    return _file(name, open(name, 'rb'), baud, adapter)
+def open_file(name: str, baud: int | None, adapter: str | None = None, tool: str = '') -> File:
+    """
+    Return a capture, a file of USB events or a file of bytes as a source.
+
+    tool: who is told how it hears a program, where the file is one.
+    """
+    return _file(name, open(name, 'rb'), baud, adapter, tool)
 
 
 def _is_device(name: str) -> bool:
@@ -68,7 +77,8 @@ def _is_device(name: str) -> bool:
     return stat.S_ISCHR(mode)
 
 
-def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None) -> File:
+def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None,
+          tool: str = '') -> File:
     head = b''
     # A pipe gives what is there, at least a byte: that is too few to tell.
     while len(head) < HEAD_SIZE and (more := file.read1(HEAD_SIZE - len(head))):
@@ -84,4 +94,24 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
     if adapter is not None:
         file.close()
         raise UsageError(f'--adapter {adapter}: {name} is not a file of USB events; leave it out')
-    return (CaptureFile if head.startswith(MAGIC) else RawFile)(name, file, head, baud)
+    if head.startswith(MAGIC):
+        return CaptureFile(name, file, head, baud)
+    if stat.S_ISREG(os.fstat(file.fileno()).st_mode) and is_text(head + file.peek()):
+        file.close()
+        raise UsageError(f'{name}: is text, not a recording; {_instead(name, tool)}')
+    return RawFile(name, file, head, baud)
+
+
+def is_text(begin: bytes) -> bool:
+    """Tell whether a file that begins so is text; a packet has a byte 255, which no text has."""
+    try:
+        text = codecs.getincrementaldecoder('utf-8')().decode(begin)   # its last letter may be cut
+    except UnicodeDecodeError:
+        return False
+    return bool(text) and all(letter.isprintable() or letter.isspace() for letter in text)
+
+
+def _instead(name: str, tool: str) -> str:
+    if tool in _HEARS and name.endswith('.py'):
+        return f'write: {_HEARS[tool].format(shlex.quote(name))}'
+    return f'give a pcap file, raw bytes or a capture (begins with {MAGIC.decode().strip()!r})'

@@ -68,8 +68,7 @@ def main() -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    mark = arguments.index('--') if '--' in arguments else len(arguments)
-    options, command = _parser().parse_args(arguments[:mark]), arguments[mark + 1:]
+    options, command = _parse(arguments)
     if options.explain is not None:
         return _explain(options.explain)
     _check(options, command)
@@ -95,6 +94,20 @@ def _run(arguments: list[str]) -> int:
     for problem in source.problems():
         print(f'dxl_doctor: {printable(problem)}', file=sys.stderr)
     return said.code
+
+
+def _parse(arguments: Sequence[str]) -> tuple[argparse.Namespace, Sequence[str]]:
+    """Return the options, and the command behind --."""
+    mark = arguments.index('--') if '--' in arguments else len(arguments)
+    parser = _parser()
+    options, left = parser.parse_known_args(arguments[:mark])
+    if left and options.source == RUN and mark == len(arguments):
+        command = arguments[arguments.index(RUN) + 1:]
+        raise UsageError(f'{RUN}: -- is missing in front of the program; write dxl_doctor '
+                         + shlex.join([*arguments[:-len(command)], '--', *command]))
+    if left:
+        parser.error(f'unrecognized arguments: {" ".join(left)}')
+    return options, arguments[mark + 1:]
 
 
 def _explain(pasted: str) -> int:

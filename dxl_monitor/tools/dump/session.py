@@ -20,7 +20,6 @@ import time
 from types import TracebackType
 from typing import BinaryIO
 
-from dxl_monitor.bus.conversation import ANSWER_NS
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.bus.report import BusReport
@@ -43,6 +42,8 @@ from dxl_monitor.tools.dump.stats import stats
 from dxl_monitor.tools.dump.stats import summary
 from mecarover_serial.cli import printable
 from mecarover_serial.cli import UsageError
+from msg_defs.heard import Change
+from msg_defs.heard import CLOSED
 
 PAINT_S = {'changes': 0.2, 'stats': 1.0}
 PROGRESS_S = 0.5
@@ -235,9 +236,9 @@ class Session:
             print('\r\033[K', end='', file=sys.stderr, flush=True)
         is_live = self._source.is_live
         now = time.monotonic_ns() if is_live else self._last
-        if not is_live:            # nothing more will come
+        if not is_live:            # it may end between a question and its answer
             for monitor in self._monitors.values():
-                monitor.flush_if_idle(now + 2 * ANSWER_NS)
+                monitor.change(Change(CLOSED, 1), now)
         reports = self._reports(now)
         self._paint_screen(reports, is_last=True)
         if self._options.summary:
