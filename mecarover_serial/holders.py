@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 ROOT = Path('/')
 _LOGINS = ('getty', 'login')    # parts of the names of programs that offer one
+PTYS = range(136, 144)          # major numbers
 _TTY_NR = 4                     # field of /proc/PID/stat behind the name, see proc_pid_stat(5)
 
 
@@ -70,8 +71,16 @@ def _has_open(process: Path, device: int) -> bool:
             with suppress(OSError):
                 status = entry.stat()
                 if stat.S_ISCHR(status.st_mode) and status.st_rdev == device:
-                    return True
+                    return not _is_other_end(process, device)
     return False
+
+
+def _is_other_end(process: Path, device: int) -> bool:
+    """Tell whether a process made this pty: a simulated bus holds both ends of its own."""
+    if os.major(device) not in PTYS:
+        return False
+    index = f'tty-index:\t{os.minor(device)}'
+    return any(index in file_text(entry).splitlines() for entry in (process / 'fdinfo').iterdir())
 
 
 def file_text(path: Path) -> str:

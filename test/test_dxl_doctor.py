@@ -182,6 +182,22 @@ def test_without_times_nothing_is_said_of_times():
     assert any('no times' in text for text in found.unknown)
 
 
+def test_more_bytes_than_the_rate_can_carry_are_a_wrong_rate():
+    """With -b too low; a burst behind a pause in delivery is none."""
+    chunks = heard(seconds=5.0)
+    size = sum(len(chunk.data) for chunk in chunks)
+    for share, rules in ((1.1, set()), (1.3, {'wrong_baud'})):
+        named = Wire('bus', int(size * 10 / share / 5.0))
+        assert {entry.rule for entry in said(chunks, wire=named).wrong} & {'wrong_baud'} == rules
+    [trouble] = said(chunks, wire=named).wrong
+    assert trouble.message == f'more bytes than {named.baud} Bd can carry: the bus is faster, ' \
+        'set -b to its rate'
+    late = [chunk._replace(stamp=max(chunk.stamp, SECOND * 4)) for chunk in chunks]
+    first = [chunks[0], *late[1:]]
+    named = Wire('bus', int(size * 10 / 0.9 / 5.0))
+    assert 'wrong_baud' not in {entry.rule for entry in said(first, wire=named).wrong}
+
+
 FAULTS = ((), ('silent:4:2',), ('silent:4:2', 'latched:7:1'),
           ('noise::1', 'silent:4:1', 'latched:7:1', 'latched:8:1', 'latched:9:1'))
 

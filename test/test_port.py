@@ -310,6 +310,25 @@ def test_a_real_process_is_seen_by_its_controlling_terminal(tmp_path):
         process.stdin.close()
 
 
+def test_the_other_end_of_a_pty_does_not_hold_it():
+    """A simulated bus holds both ends of its own; 'in use by' names who else is there."""
+    makes = '_, near = os.openpty(); print(os.ttyname(near), flush=True)'
+    opens = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
+    with pipes(makes) as bus:
+        path = bus.stdout.readline().strip()
+        assert holders(path) == []
+        with pipes(opens, path) as other:
+            other.stdout.readline()
+            assert [one.name.rpartition(' ')[2] for one in holders(path)] == [f'{other.pid})']
+
+
+def pipes(script, *arguments):
+    """Start a program that ends with its standard input."""
+    return subprocess.Popen([sys.executable, '-c', f'import os, sys; {script}; sys.stdin.read()',
+                             *arguments], text=True, stdin=subprocess.PIPE,
+                            stdout=subprocess.PIPE)
+
+
 def test_joined_the_group_after_the_session_began(tmp_path, monkeypatch):
     port = tmp_path / 'ttyUSB0'
     port.touch()

@@ -26,6 +26,7 @@ from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl_instruction import NAMES
 from msg_defs.reports import Level
+from msg_defs.uart import byte_ns
 
 FEW = 3
 SOME = 5
@@ -37,6 +38,7 @@ MOSTLY = 0.7
 BOTH_WAYS = 0.2                    # share of damage in instructions: both directions suffer
 GARBLED = 0.005                    # by chance, this share of the bytes is packets at most
 BYTES_NEEDED = 300
+IMPOSSIBLE, FULL_NS = 120.0, 3 * 1_000_000_000     # % of the wire time, and for so long
 ECHO_US = 100
 ECHO_S = (1.0, 10.0)              # soon, where much is said
 ONSET_S = 1.0                      # by then it has shown whether something else does it
@@ -55,6 +57,11 @@ def _wrong_baud(case: Case) -> Iterator[Found]:
     good = report.counters['Packet Bytes'] - before.packet_bytes
     if not report.baud:                # it is still to be learned
         return
+    load = _load(case)
+    if load > IMPOSSIBLE:
+        yield Claim(None, f'more bytes than {report.baud} Bd can carry: the bus is faster, set '
+                    '`bauds` to its rate', (('load (%)', f'{load:.0f}'),))
+        return
     if got < BYTES_NEEDED or good > GARBLED * got or case.count(ev.PROTOCOL_1):
         return
     rate = likely_rate(report.noise, report.baud)
@@ -63,6 +70,15 @@ def _wrong_baud(case: Case) -> Iterator[Found]:
     errors = case.mark(0).framing - before.framing
     yield Claim(None, f'{got} bytes and no packets at {report.baud} Bd: {remedy}',
                 (('bytes', str(got)), ('framing errors', str(errors))))
+
+
+def _load(case: Case) -> float:
+    """Return the share of wire time since the start (%), 0 while it may be a burst, or an echo."""
+    report = case.report
+    heard_ns = case.now - report.started
+    if report.has_sides or heard_ns < FULL_NS:
+        return 0.0
+    return 100 * report.counters['Bytes'] * byte_ns(report.baud) / heard_ns
 
 
 def _baud_moved(case: Case, device: DeviceReport) -> Found | None:
@@ -293,8 +309,8 @@ def _elsewhere(case: Case) -> Iterator[Found]:
 
 
 RULES = (
-    Rule('wrong_baud', Level.ERROR, 'bytes, and hardly a packet among them', _wrong_baud,
-         _ALL_ELSE),
+    Rule('wrong_baud', Level.ERROR, 'bytes, and hardly a packet among them; or too many',
+         _wrong_baud, _ALL_ELSE),
     Rule('overrun', Level.WARN, "the serial driver's overrun counters", _overrun,
          (*_OF_THE_WIRE, 'jitter')),
     Rule('baud_moved', Level.WARN, 'a write to Baud Rate, and silence', each(_baud_moved),
