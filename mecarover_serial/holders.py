@@ -80,7 +80,7 @@ def _is_other_end(process: Path, device: int) -> bool:
     if os.major(device) not in PTYS:
         return False
     index = f'tty-index:\t{os.minor(device)}'
-    return any(index in file_text(entry).splitlines() for entry in (process / 'fdinfo').iterdir())
+    return any(index in file_text(entry).splitlines() for entry in (process / 'fdinfo').glob('*'))
 
 
 def file_text(path: Path) -> str:

@@ -252,6 +252,8 @@ def test_a_file_without_a_byte(tmp_path):
     (('no_such_file',), 1, 'no such file or port'),
     (('/dev/ttyNONE0',), 1, 'is not there'),
     (('run', '--', 'no_such_program'), 1, 'check the name of the program'),
+    (('run', '--', 'no_such.py', '1'), 1, 'directory; write python no_such.py'),
+    (('run', 'my.py', '-v'), 2, 'write dxl_doctor run -- python my.py -v'),
 ])
 def test_a_mistake_is_one_line(arguments, code, words):
     done = doctor(*arguments)

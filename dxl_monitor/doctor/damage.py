@@ -38,7 +38,8 @@ MOSTLY = 0.7
 BOTH_WAYS = 0.2                    # share of damage in instructions: both directions suffer
 GARBLED = 0.005                    # by chance, this share of the bytes is packets at most
 BYTES_NEEDED = 300
-IMPOSSIBLE, FULL_NS = 120.0, 3 * 1_000_000_000     # % of the wire time, and for so long
+IMPOSSIBLE = 120.0                 # % of the wire time
+BURST_NS = 1_000_000_000           # of wire time that a source may hand over late
 ECHO_US = 100
 ECHO_S = (1.0, 10.0)              # soon, where much is said
 ONSET_S = 1.0                      # by then it has shown whether something else does it
@@ -73,12 +74,13 @@ def _wrong_baud(case: Case) -> Iterator[Found]:
 
 
 def _load(case: Case) -> float:
-    """Return the share of wire time since the start (%), 0 while it may be a burst, or an echo."""
+    """Return the share of wire time since the start (%), 0 where it may be a burst, or an echo."""
     report = case.report
-    heard_ns = case.now - report.started
-    if report.has_sides or heard_ns < FULL_NS:
+    heard_ns = max(1, case.now - report.started)
+    needed_ns = report.counters['Bytes'] * byte_ns(report.baud)
+    if report.has_sides or needed_ns - heard_ns < BURST_NS:
         return 0.0
-    return 100 * report.counters['Bytes'] * byte_ns(report.baud) / heard_ns
+    return 100 * needed_ns / heard_ns
 
 
 def _baud_moved(case: Case, device: DeviceReport) -> Found | None:

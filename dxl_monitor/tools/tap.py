@@ -10,9 +10,11 @@ as the child does. It runs on Linux, macOS and Windows, with the standard librar
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from contextlib import suppress
 import os
 from pathlib import Path
+import shlex
 import signal
 import subprocess
 import sys
@@ -53,8 +55,7 @@ def main() -> int:
                   'a program of another kind is heard with usb:/dev/ttyUSB0', file=sys.stderr)
         return code
     except OSError as error:
-        print(f'dxl_tap: {command[0]}: {error.strerror}; check the name of the program',
-              file=sys.stderr)
+        print(f'dxl_tap: {command[0]}: {error.strerror}; {remedy(command)}', file=sys.stderr)
         return COULD_NOT_RUN
     finally:
         os.unlink(path)
@@ -86,6 +87,18 @@ def _follow(child: subprocess.Popen[bytes]) -> int:
     hand_signals_on(child)
     code = child.wait()
     return 128 - code if code < 0 else code
+
+
+def with_python(command: Sequence[str]) -> list[str]:
+    """Return a command as it was meant: a script of Python needs it in front."""
+    return ['python', *command] if command[0].endswith('.py') else list(command)
+
+
+def remedy(command: Sequence[str]) -> str:
+    """Return what to do about a command that cannot be started."""
+    meant = with_python(command)[:2]
+    return f'write {shlex.join(meant)}' if meant[0] != command[0] \
+        else 'check the name of the program'
 
 
 def _parser() -> argparse.ArgumentParser:

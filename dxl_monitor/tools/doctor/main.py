@@ -45,6 +45,7 @@ from dxl_monitor.tools.doctor.verdict import as_json
 from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
+from dxl_monitor.tools.tap import with_python
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import printable
 from mecarover_serial.cli import run_tool
@@ -102,9 +103,10 @@ def _parse(arguments: Sequence[str]) -> tuple[argparse.Namespace, Sequence[str]]
     parser = _parser()
     options, left = parser.parse_known_args(arguments[:mark])
     if left and options.source == RUN and mark == len(arguments):
-        command = arguments[arguments.index(RUN) + 1:]
+        at = arguments.index(RUN) + 1
+        command = with_python(arguments[at:])
         raise UsageError(f'{RUN}: -- is missing in front of the program; write dxl_doctor '
-                         + shlex.join([*arguments[:-len(command)], '--', *command]))
+                         + shlex.join([*arguments[:at], '--', *command]))
     if left:
         parser.error(f'unrecognized arguments: {" ".join(left)}')
     return options, arguments[mark + 1:]

@@ -23,6 +23,7 @@ from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.tools.tap import environment
 from dxl_monitor.tools.tap import hand_signals_on
+from dxl_monitor.tools.tap import remedy
 
 TICK_S = 0.1
 REST_S = 1.0                       # for what the program said last
@@ -43,7 +44,7 @@ class Program:
             self._child = subprocess.Popen(command, env=environment(name))
         except OSError as error:
             self._reader.close()
-            raise OSError(error.errno, f'{error.strerror}; check the name of the program',
+            raise OSError(error.errno, f'{error.strerror}; {remedy(command)}',
                           command[0]) from error
         hand_signals_on(self._child)
 

@@ -31,6 +31,7 @@ _STATES = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard',
            words.ASKED: 'asked, never heard', words.SILENT: 'not asked at present'}
 _NO_PACKETS = ('bytes, but no packet: listen at the rate of the bus (-b), and check that it is a '
                'servo bus, with D+ and D- not swapped')
+_NO_MODEL = 'model unknown (--devices names it)'
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
 
 
@@ -147,7 +148,7 @@ def _heard(bus: BusSummary) -> list[DeviceGroup]:
 
 def _kind(device: DeviceReport) -> tuple[str, Level]:
     firmware = f', firmware {device.firmware}' if device.firmware is not None else ''
-    model = device.model_name if device.model_name != 'unknown' else 'model unknown'
+    model = device.model_name if device.model_name != 'unknown' else _NO_MODEL
     return f'{model}{firmware}: {_STATES.get(device.state, device.state)}', device.level
 
 
