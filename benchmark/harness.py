@@ -25,6 +25,8 @@ from typing import Any
 from typing import NamedTuple
 from typing import TypeVar
 
+from mecarover_serial.ros_domain import BENCHMARKS
+
 Result = TypeVar('Result')
 REPOSITORY = Path(__file__).resolve().parents[1]
 _TICKS = os.sysconf('SC_CLK_TCK')
@@ -199,7 +201,7 @@ def _status(path: Path, key: str) -> int:
 def ros_environment() -> dict[str, str]:
     """Return an environment in which the nodes of this run meet no others."""
     return {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-            'ROS_DOMAIN_ID': str(random.SystemRandom().randrange(61, 102)),
+            'ROS_DOMAIN_ID': str(random.SystemRandom().choice(BENCHMARKS)),
             'PYTHONPATH': os.pathsep.join(
                 filter(None, (str(REPOSITORY), os.environ.get('PYTHONPATH'))))}
 

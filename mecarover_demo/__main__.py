@@ -30,10 +30,10 @@ from mecarover_demo.table import DeviceTable
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import no_ros
 from mecarover_serial.cli import run_tool
+from mecarover_serial.ros_domain import DEMOS
+from mecarover_serial.ros_domain import Domain
 from msg_defs.vel2d import STOP
 
-DOMAINS = range(91, 101)         # up to 101 keep clear of the ports that the kernel gives out
-_LOCK = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
 READY_S = 20.0          # starting everything on a busy machine; discovery alone takes up to 2.5 s
 COMMAND_PERIOD_S = 0.05
 SILENT_ID, SILENT_AT_S, SILENT_FOR_S = 7, 6, 4
@@ -48,7 +48,8 @@ def main() -> int:
 
 def _main(arguments: list[str]) -> int:
     options = _parser().parse_args(arguments)
-    domain = own_domain()
+    own = Domain(DEMOS)     # not ROS_DOMAIN_ID: in the domain of a robot the demo would drive it
+    domain = own.number
     os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(domain))
     try:
         from mecarover_demo.node import Operator
@@ -73,21 +74,6 @@ def _main(arguments: list[str]) -> int:
         verdicts += [SceneResult(name, code == 0, f'ended with {code}')
                      for name, code in stage.exit_codes.items()]
     return _conclude(verdicts)
-
-
-def own_domain() -> int:
-    """
-    Return a ROS domain that no other demo of this machine has; ROS_DOMAIN_ID does not count.
-
-    In the domain of a robot the demo would drive that robot.
-    """
-    for number in DOMAINS:
-        try:
-            _LOCK.bind(f'\0mecarover_demo_{number}')    # until this process ends
-        except OSError:
-            continue
-        return number
-    raise OSError(f'{len(DOMAINS)} demos run on this machine already; end one')
 
 
 def _conclude(verdicts: list[SceneResult]) -> int:
@@ -214,7 +200,7 @@ def _page_port(domain: int) -> str:
     """Return the usual port of the dashboard; 0 (any) for a second demo, or where it is taken."""
     with socket.socket() as probe:
         is_taken = probe.connect_ex(('127.0.0.1', 8420)) == 0
-    return '0' if is_taken or domain != DOMAINS[0] else '8420'
+    return '0' if is_taken or domain != DEMOS[0] else '8420'
 
 
 def _parser() -> argparse.ArgumentParser:

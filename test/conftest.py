@@ -5,14 +5,11 @@ from collections import defaultdict
 from contextlib import contextmanager
 from functools import cache
 import importlib
-from itertools import cycle
-from itertools import islice
 import os
 from pathlib import Path
 import re
 import shutil
 import signal
-import socket
 from statistics import median
 import struct
 import subprocess
@@ -21,8 +18,10 @@ import tempfile
 from harness import Mcu
 import pytest
 
+from mecarover_serial.ros_domain import Domain
+from mecarover_serial.ros_domain import TESTS
+
 LAUNCH_TESTS = re.compile(r'test_(launch|launch_arguments|respawn)\.py\b')
-DOMAINS = range(1, 61)          # up to 101 keep clear of the ephemeral ports; benchmarks: 61...
 
 
 def pytest_addoption(parser):
@@ -37,7 +36,7 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     """Isolate this process and its children: before anything imports rclpy."""
-    config.domain = Domain()
+    config.domain = Domain(TESTS, os.getpid())
     config.log_dir = tempfile.TemporaryDirectory(prefix='ros_log_', ignore_cleanup_errors=True)
     os.environ.update({
         'ROS_DOMAIN_ID': str(config.domain.number),
@@ -57,25 +56,6 @@ def pytest_configure(config):
 def pytest_unconfigure(config):
     config.log_dir.cleanup()
     config.domain.release()
-
-
-class Domain:
-    """A ROS domain that no other test process on this machine has."""
-
-    def __init__(self):
-        # The name of an abstract socket is a lock that the kernel takes back in any case.
-        self._lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        for number in islice(cycle(DOMAINS), os.getpid() % len(DOMAINS), len(DOMAINS) * 2):
-            try:
-                self._lock.bind(f'\0ros_domain_of_a_test_{number}')
-            except OSError:
-                continue
-            self.number = number
-            return
-        raise RuntimeError('all ROS domains are taken; end some test processes')
-
-    def release(self):
-        self._lock.close()
 
 
 @cache
