@@ -20,8 +20,8 @@ from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 
 # Each is a module with run(options) -> list of figures.
-PLAIN = ('parsing', 'parsing_1', 'doctor', 'usb', 'node_cost', 'bridge', 'start_up', 'messages',
-         'dashboard')
+PLAIN = ('parsing', 'parsing_1', 'doctor', 'usb', 'tap', 'node_cost', 'bridge', 'start_up',
+         'messages', 'dashboard')
 RIGS = {'load': 'rigs', 'soak': 'rigs'}  # in another folder than this one
 ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
 NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'messages', 'dashboard', *ALONE)

@@ -17,7 +17,7 @@ QUIET_S = 0.5
 def main(source: str, baud: str) -> None:
     monitor = Monitor('bus', Models(), Settings(baud=int(baud)), idle_is_told=True)
     listener = listener_on(source, int(baud), monitor.feed, monitor.flush_if_idle,
-                           on_change=monitor.change)
+                           on_change=monitor.change, on_pieces=monitor.feed_pieces)
     listener.start()
     while not listener.state.is_open:
         time.sleep(0.01)

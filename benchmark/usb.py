@@ -53,6 +53,10 @@ class Run(NamedTuple):
     sent: int
     lost: int
 
+    @property
+    def cpu_per_byte(self) -> float:
+        return self.cpu / (self.sent - self.lost)
+
 
 def run(options: Options) -> list[Figure]:
     """Play the stream both ways, one round after the other."""
@@ -67,9 +71,11 @@ def run(options: Options) -> list[Figure]:
             Figure(section, 'CPU of listener, reader and monitor', '%',
                    [100 * one.cpu for one in runs]),
             Figure(section, f'bytes lost of {runs[0].sent}', 'B', [one.lost for one in runs])]
-    pairs = zip(results['usb:'], results['tty'], strict=True)
-    figures.append(Figure('usb: beside the tty', 'CPU', 'times',
-                          [usb.cpu / tty.cpu for usb, tty in pairs]))
+    pairs = list(zip(results['usb:'], results['tty'], strict=True))
+    figures += [Figure('usb: beside the tty', 'CPU', 'times',
+                       [usb.cpu / tty.cpu for usb, tty in pairs]),
+                Figure('usb: beside the tty', 'CPU per byte that was heard', 'times',
+                       [usb.cpu_per_byte / tty.cpu_per_byte for usb, tty in pairs])]
     cameras = [beside_a_camera(seconds) for _ in range(options.rounds)]
     section = 'usb: beside a camera of 24 MB/s'
     return [*figures,

@@ -9,6 +9,7 @@ clock here measures how long a chunk takes.
 
 from collections import deque
 from collections.abc import Callable
+from collections.abc import Sequence
 from operator import attrgetter
 from threading import Lock
 from time import monotonic_ns
@@ -96,20 +97,28 @@ class Monitor:
 
         side: who put them on the wire, where the source can tell; then OUT is stamped as written.
         """
+        self.feed_pieces(((chunk, stamp, side),))
+
+    def feed_pieces(self, pieces: Sequence[tuple[bytes, int, str]]) -> None:
+        """Take what one read brought, in pieces with a stamp and a side each, as feed() does."""
+        said, stamp, size = self.conversation, 0, 0
         with self._lock:
             began = self._clock()
-            if self._idle_is_told:
-                self._listen_until(stamp)
-            else:
-                on_wire_ns = 0 if side == OUT else int(len(chunk) * self.conversation.byte_ns)
-                self._flush_if_idle(stamp - on_wire_ns)
-            self.conversation.hear(chunk, stamp, side)
-            if stamp >= self._next_tick:
-                self._tick(stamp)
-            if self._last:
-                self._time_between.add((stamp - self._last) / 1e6, stamp)
-            self._last = stamp
-            self._buffer_size.add(float(len(chunk)), stamp)    # sorted in faster than an int
+            before = self._last
+            for chunk, stamp, side in pieces:
+                if self._idle_is_told:
+                    self._listen_until(stamp)
+                else:
+                    on_wire_ns = 0 if side == OUT else int(len(chunk) * said.byte_ns)
+                    self._flush_if_idle(stamp - on_wire_ns)
+                said.hear(chunk, stamp, side)
+                if stamp >= self._next_tick:
+                    self._tick(stamp)
+                self._last = stamp
+                size += len(chunk)
+            if before:
+                self._time_between.add((stamp - before) / 1e6, stamp)
+            self._buffer_size.add(float(size), stamp)      # sorted in faster than an int
             self._time_per_buffer.add((self._clock() - began) / 1e6, stamp)
 
     def change(self, change: Change, stamp: int) -> None:

@@ -83,6 +83,7 @@ class MonitoredBus:
             bus.port, bus.settings.baud,
             self.monitor.feed if recorder is None else self._record_and_feed,
             self.monitor.flush_if_idle, on_change=self._change,
+            on_pieces=self.monitor.feed_pieces if recorder is None else None,
             take_every_s=min(TAKE_EVERY_S, 0.5 / (joint_state_rate or 1.0)))
 
     @cached_property

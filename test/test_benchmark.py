@@ -11,11 +11,13 @@ import pytest
 
 from benchmark import page
 from benchmark import plot
+from benchmark import tap
 from benchmark.against import bound
 from benchmark.harness import as_json
 from benchmark.harness import Child
 from benchmark.harness import Figure
 from benchmark.harness import interleaved
+from benchmark.harness import Options
 from benchmark.harness import quantile
 from benchmark.harness import table
 from benchmark.harness import usage
@@ -55,6 +57,12 @@ def test_beside_a_camera_only_the_events_of_the_adapter_are_copied():
     kernel._begin -= 200 * MS               # the reader was held up for longer than the ring lasts
     kernel._fill()
     assert kernel._dropped > 0
+
+
+def test_the_masters_beside_each_other_are_tapped_heard_and_neither():
+    figures = tap.run(Options(asked_rounds=2))         # it raises where nothing was heard
+    assert len(figures) == 10
+    assert all(value > 0 for figure in figures if not figure.beside for value in figure.values)
 
 
 def test_the_node_beside_which_the_reader_process_is_measured_reads_in_a_thread():

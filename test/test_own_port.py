@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Listening to the port that the master itself uses: usb:, tap: and files of USB events."""
 
+from functools import cache
+from itertools import groupby
 import json
 import os
 from pathlib import Path
@@ -18,13 +20,17 @@ from usb_files import log
 from usb_files import MMAPPED
 from usb_files import pcap
 from usb_files import REAL
-from usb_files import side
 
 from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.fake.fake_bus import default_devices
 from dxl_monitor.fake.fake_bus import make_devices
+from dxl_monitor.fake.fake_bus import make_line
+from dxl_monitor.fake.fake_bus import PROTOCOLS
 from dxl_monitor.fake.line import Line
+from dxl_monitor.fake.line import MASTER
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.shell import FakeBus
+from dxl_monitor.fake.traffic import FAMILY_1
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.fake.usb_adapter import FakeAdapter
 from dxl_monitor.fake.usb_adapter import FAMILIES
@@ -363,27 +369,49 @@ def test_file_without_an_adapter(tmp_path):
         open_source('dxl_dump', str(file), None)
 
 
-@pytest.mark.parametrize('family', FAMILIES)
-@pytest.mark.parametrize('pattern', ['moving', 'mixed', 'bulk', 'ping'])
-def test_same_report_through_every_adapter(family, pattern):
-    """The bytes of a bus, cut into small transfers, lead to the report that the pty gives."""
-    master = Master(Line(make_devices(DEVICES, MODELS, BAUD), BAUD), PATTERNS[pattern], rate=50.0)
-    bursts = list(master.bursts(2_000_000_000))
-    adapter = FakeAdapter(family, 37)
-    stream = adapter.plug(BEGAN) + adapter.set_baud(BAUD, BEGAN)
-    plain = Monitor('bus', MODELS, Settings(BAUD))
-    usb = Monitor('bus', MODELS, Settings(BAUD))
+# What is said, as PROTOCOLS and PATTERNS name it; sizes of transfers, status bytes included.
+SCENES = [('2', name) for name in PATTERNS if name != 'none'] + [
+    (dialect, name) for dialect in FAMILY_1 for name in FAMILY_1[dialect] if name != 'none']
+SIZES = [*range(1, 67), 127, 128, 129, 510, 511, 512, 513, 1024]
+
+
+@cache
+def scene(dialect, pattern):
+    """Return the bursts of half a second, and what a monitor makes of them on a pty."""
+    told = next(name for name, protocol in PROTOCOLS.items() if protocol == dialect)
+    devices = make_devices(default_devices(pattern, told), MODELS, BAUD, dialect=told)
+    master = Master(make_line(devices, BAUD, told), PATTERNS[pattern], rate=50.0)
+    bursts = list(master.bursts(500_000_000))
+    plain = Monitor('bus', MODELS, Settings(BAUD, protocol=dialect))
     for burst in bursts:
         plain.feed(burst.data, burst.end)
-        is_master = burst.sender == -1
-        stream += adapter.sent(burst.data, BEGAN + burst.start) if is_master \
-            else adapter.received(burst.data, BEGAN + burst.end)
-    heard = hear(events(stream))
-    for one in heard:
-        if one.data:
-            usb.feed(one.data, one.stamp - BEGAN, one.side)
-    assert side(heard, OUT) + side(heard, IN)
-    reports = [monitor.report(3_000_000_000) for monitor in (plain, usb)]
-    keep = [(report.counters, report.kinds, [(one.id, one.totals, one.model_name, one.state)
-                                             for one in report.devices]) for report in reports]
-    assert keep[0] == keep[1]
+    return bursts, said_of(plain)
+
+
+def said_of(monitor):
+    report = monitor.report(3_000_000_000)
+    return report.counters, report.kinds, [
+        (one.id, one.totals, one.model_name, one.state) for one in report.devices]
+
+
+@pytest.mark.parametrize('turn', range(7))
+@pytest.mark.parametrize('family', FAMILIES)
+def test_same_report_through_every_adapter_cut_at_every_size(family, turn):
+    """Each size once with each family, each scene at least three times: what the pty gives."""
+    for number, size in list(enumerate(SIZES))[turn::7]:
+        dialect, pattern = SCENES[number % len(SCENES)]
+        bursts, expected = scene(dialect, pattern)
+        adapter = FakeAdapter(family, size)
+        stream = adapter.plug(BEGAN) + adapter.set_baud(BAUD, BEGAN)
+        for is_master, some in groupby(bursts, lambda burst: burst.sender == MASTER):
+            said = list(some)
+            if is_master:
+                stream += b''.join(adapter.sent(one.data, BEGAN + one.start) for one in said)
+            else:                              # answers in a row are gathered, then cut
+                stream += adapter.received(b''.join(one.data for one in said),
+                                           BEGAN + said[-1].end)
+        usb = Monitor('bus', MODELS, Settings(BAUD, protocol=dialect))
+        heard = [one for one in hear(events(stream)) if one.data]
+        usb.feed_pieces([(one.data, one.stamp - BEGAN, one.side) for one in heard])
+        assert max(len(one.data) for one in heard if one.side == IN) <= size
+        assert said_of(usb) == expected, (dialect, pattern, size)

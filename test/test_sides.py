@@ -89,6 +89,21 @@ def test_every_byte_is_in_one_counter_of_its_side(chunks, gap_ms):
     bus.report(stamp + S)
 
 
+@given(chunks=st.lists(st.tuples(st.sampled_from((PING_1, PONG_1, READ_1, ANSWER_1)),
+                                 st.integers(0, 30), st.sampled_from((OUT, IN, UNKNOWN)))),
+       pieces=st.integers(1, 5))
+@STEADY
+def test_pieces_of_one_read_say_what_each_of_them_would(chunks, pieces):
+    single, joined = monitor(), monitor()
+    stamped = [(data, S + MS * sum(gap for _, gap, _ in chunks[:n]), side)
+               for n, (data, _, side) in enumerate(chunks)]
+    for piece in stamped:
+        single.feed(*piece)
+    for at in range(0, len(stamped), pieces):
+        joined.feed_pieces(stamped[at:at + pieces])
+    assert comparable(single.report(9 * S)) == comparable(joined.report(9 * S))
+
+
 def play(*events, gap=MS):
     """Return the report of a bus that hears these (side, bytes) or changes, each a ms later."""
     bus = monitor()

@@ -6,6 +6,7 @@ USB events to bytes with a side: real captures, all families of adapters, files 
 The real captures do not come from the authors of the decoders; tshark, if installed, is asked too.
 """
 
+from functools import partial
 import io
 import shutil
 import struct
@@ -192,6 +193,19 @@ def test_what_is_no_notice_of_a_cdc_adapter_says_nothing():
         assert CdcAcm().interrupt(data) == []
 
 
+@pytest.mark.parametrize('size', range(1, 11))
+def test_notice_of_a_cdc_adapter_may_come_in_several_packets(size):
+    notice = bytes.fromhex('a1200000010002001000')
+    acm = CdcAcm()
+    for _ in range(2):
+        said = [one for at in range(0, len(notice), size)
+                for one in acm.interrupt(notice[at:at + size])]
+        assert said == [('framing', 1)]
+    assert acm.interrupt(notice[:8]) == []         # its end was not heard: the next one is whole
+    assert acm.interrupt(notice) == [('framing', 1)]
+    assert acm.interrupt(notice[8:]) == []
+
+
 @pytest.mark.parametrize(('told', 'used'), [(0, 64), (64, 64), (512, 512)])
 def test_a_chip_that_does_not_say_its_packet_size_has_small_ones(told, used):
     assert adapter_of(0x0403, 0x6001, 0x0600, 0xFF, told).packet_size == used
@@ -228,6 +242,44 @@ def test_idle_transfers_say_nothing():
     adapter = FakeAdapter('ftdi')
     whole = stream(adapter, [(OUT, b'\xff\xff')])
     assert len(hear(events(whole + adapter.idle(BEGAN) * 3))) == len(hear(events(whole)))
+
+
+@pytest.mark.parametrize('family', FAMILIES)
+@given(chunks=CHUNKS, transfer_size=st.integers(1, 1200), data=st.data())
+@STEADY
+def test_the_short_way_through_the_stream_says_the_same(family, chunks, transfer_size, data):
+    """Records.events() with UsbPort.skim(), in pieces of any size, against one event at a time."""
+    adapter = FakeAdapter(family, transfer_size, has_events=data.draw(st.booleans()))
+    whole = bytearray(stream(adapter, chunks) + adapter.idle(BEGAN) + adapter.unplug(BEGAN))
+    head = len(adapter.plug(BEGAN))
+    for at in data.draw(st.lists(st.integers(head, len(whole) - 1), max_size=3)):
+        whole[at] ^= data.draw(st.sampled_from((1, 0x0E, 0x80)))
+    place, kind = next((one.place, type(one.adapter)) for one in survey_of(whole[:head]).ports())
+    size = FAMILIES[family].packet_size
+    slow, fast = UsbPort(place, kind(size)), UsbPort(place, kind(size))
+    expected = [one for event in Records().events(bytes(whole)) if (one := slow.take(event))]
+    records, found = Records(), []
+    borders = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=8)))
+    for begin, end in zip([0, *borders], [*borders, len(whole)], strict=True):
+        for event in records.events(bytes(whole[begin:end]), partial(fast.skim, found=found)):
+            told = fast.take(event)
+            found += [] if told is None else [tuple(told)]
+    assert [(*one, [])[:4] for one in found] == [tuple(one) for one in expected]
+
+
+def test_nearly_all_of_a_real_capture_goes_the_short_way():
+    whole = (REAL / 'healthy.bin').read_bytes()
+    one, = survey_of(whole).ports()
+    port, found = UsbPort(one.place, one.adapter), []
+    list(Records().events(whole, partial(port.skim, found=found)))
+    assert len(found) > 0.9 * len([heard for heard in hear(events(whole)) if heard.data])
+
+
+def survey_of(whole):
+    survey = Survey()
+    for event in events(bytes(whole)):
+        survey.take(event)
+    return survey
 
 
 def test_port_is_known_without_its_descriptors():

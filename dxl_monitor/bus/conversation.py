@@ -125,7 +125,7 @@ class Conversation:
     def _turn(self, stamp: int) -> None:
         """Decide an answer that stopped on its way, before what the master says next is taken."""
         framer = self.framers.get(IN)
-        if framer is not None and framer.pending and stamp - self._heard_in > self.idle_ns:
+        if framer is not None and stamp - self._heard_in > self.idle_ns and framer.pending:
             self._flush(IN, framer, self._heard_in)
 
     def _flush(self, side: str, framer: AnyFramer, stamp: int) -> None:

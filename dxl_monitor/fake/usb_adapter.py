@@ -125,7 +125,8 @@ class FakeAdapter:
         if self._has_events:
             data = data.replace(bytes([_CP210X_ESCAPE]), bytes([_CP210X_ESCAPE, 0]))
         if self._status:
-            size = self._family.packet_size - len(self._status)
+            packet = min(self._family.packet_size, self._transfer_size)
+            size = max(1, packet - len(self._status))
             packets = [self._status + data[at:at + size] for at in range(0, len(data), size)]
             count = max(1, self._transfer_size // self._family.packet_size)
             rows = [b''.join(packets[at:at + count]) for at in range(0, len(packets), count)]

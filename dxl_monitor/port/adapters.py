@@ -67,6 +67,10 @@ class Adapter:
         """Return the bytes of the line in one transfer to the host, and what else it says."""
         return data, []
 
+    def bare(self, data: bytes) -> bytes | None:
+        """Return what received() does where it has nothing else to say; None: ask that."""
+        return data
+
     def sent(self, data: bytes) -> bytes:
         """Return the bytes of the line in one transfer from the host."""
         return data
@@ -101,6 +105,12 @@ class Ftdi(Adapter):
         changes = [change for packet in packets for change in self._line(packet)]
         return b''.join([packet[self._STATUS_SIZE:] for packet in packets]), changes
 
+    def bare(self, data: bytes) -> bytes | None:
+        size = len(data)
+        if size > self.packet_size or (size > self._STATUS_SIZE and data[1] & 0x1E):
+            return None
+        return data[self._STATUS_SIZE:]
+
     def _line(self, packet: bytes) -> list[Change]:
         if len(packet) <= self._STATUS_SIZE or not packet[1] & 0x1E:
             return []
@@ -133,7 +143,12 @@ class CdcAcm(Adapter):
 
     name = 'CDC-ACM'
     _NOTICE = b'\xa1\x20'
+    _HEAD_SIZE, _STATE_SIZE = 8, 2
     _ERRORS = ((0x04, BREAK), (0x10, FRAMING), (0x20, PARITY), (0x40, OVERRUN))
+
+    def __init__(self, packet_size: int = 64, is_multi: bool = False) -> None:
+        super().__init__(packet_size, is_multi)
+        self._rest = b''           # begin of a notice that is longer than a packet
 
     def control(self, setup: Setup, data: bytes) -> list[Change]:
         if setup.kind != _CLASS_OUT:
@@ -145,9 +160,17 @@ class CdcAcm(Adapter):
         return []
 
     def interrupt(self, data: bytes) -> list[Change]:
-        if data[:2] != self._NOTICE or len(data) < 10:
+        # Boards with an endpoint of 8 bytes cut the 10 bytes of a notice; Linux joins them too.
+        if data[:2] != self._NOTICE:
+            data = self._rest + data
+        self._rest = b''
+        size = self._HEAD_SIZE + self._STATE_SIZE
+        if data[:2] != self._NOTICE[:len(data)]:
             return []
-        return [Change(what, 1) for bit, what in self._ERRORS if data[8] & bit]
+        if len(data) < size:
+            self._rest = data
+            return []
+        return [Change(what, 1) for bit, what in self._ERRORS if data[self._HEAD_SIZE] & bit]
 
 
 class Ch341(Adapter):
@@ -202,6 +225,9 @@ class Cp210x(Adapter):
         if request == 0x15:
             self._escape = bytes([value & 0xFF]) if value & 0xFF else b''
         return []
+
+    def bare(self, data: bytes) -> bytes | None:
+        return None if self._escape else data
 
     def received(self, data: bytes) -> tuple[bytes, list[Change]]:
         if not self._escape:

@@ -13,6 +13,7 @@ earlier by the wire time.
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Sequence
 import os
 import select
 import threading
@@ -38,6 +39,7 @@ from msg_defs.uart import idle_s
 ERRORS_EVERY_NS = 1_000_000_000
 # The process stamps, so its records can wait: many at a time cost a quarter less than a few.
 TAKE_EVERY_S = 0.05
+Piece = tuple[bytes, int, str]   # bytes, stamp, side
 STARTING = 'starting'           # the kind of state before the port was tried
 
 
@@ -67,11 +69,14 @@ class Listener:
     on_chunk(bytes, stamp[, side]) for what was read; on_idle(stamp) when nothing came until then,
     a few times a second while it lasts. Without either, the port was not read. on_change(change,
     stamp): what the source said beside bytes; only some do (usb_listener.py, tap_listener.py).
+    on_pieces(pieces): what one read brought of a source with sides, (bytes, stamp, side) each;
+    without it each of them goes to on_chunk.
     """
 
     def __init__(self, port: str, baud: int, on_chunk: Callable[..., object],
                  on_idle: Callable[[int], object] = lambda now: None, *,
                  on_change: Callable[[Change, int], object] = lambda change, stamp: None,
+                 on_pieces: Callable[[Sequence[Piece]], object] | None = None,
                  gather_s: float = reader.GATHER_S, take_every_s: float = TAKE_EVERY_S,
                  in_thread: bool = False) -> None:
         self.port = port
@@ -85,6 +90,7 @@ class Listener:
         self._on_chunk = on_chunk
         self._on_idle = on_idle
         self._on_change = on_change
+        self._on_pieces = on_pieces or self._each_piece
         self._gather_s = gather_s
         self._take_every_s = take_every_s
         self._in_thread = in_thread
@@ -236,6 +242,18 @@ class Listener:
         if stamp - self._errors_at > ERRORS_EVERY_NS:
             self._errors_at = stamp
             self._count_errors()
+
+    def _hear_pieces(self, pieces: Sequence[Piece]) -> None:
+        """Count and hand on what one read brought, in pieces with a side and a stamp each."""
+        self._bytes += sum(len(data) for data, _, _ in pieces)
+        self._reads += 1
+        self._backoff.reset()
+        self._on_pieces(pieces)
+        self.listened = pieces[-1][1]
+
+    def _each_piece(self, pieces: Sequence[Piece]) -> None:
+        for piece in pieces:
+            self._on_chunk(*piece)
 
     def _idle(self, stamp: int) -> None:
         self._on_idle(stamp)

@@ -10,6 +10,7 @@ time, so that one that comes back under another number is followed.
 
 from __future__ import annotations
 
+from functools import partial
 import os
 import socket
 import stat
@@ -39,6 +40,7 @@ from msg_defs.heard import LATENCY_TIMER
 from msg_defs.heard import LOST
 
 _MONITOR = '/dev/usbmon{}'
+_AT_ONCE_NS = 100_000               # two clocks were read without a pause between
 _STATUS_BYTES = 2                  # an FTDI transfer of no more carries no data
 
 
@@ -95,8 +97,8 @@ class UsbListener(Listener):
     def _read(self, fd: int, usb: tuple[int, ...]) -> None:
         """Have a process read; raise PortError when the adapter or the stream has gone."""
         while not self._stopping:
-            with ReaderProcess(fd, self.idle_s, self._gather_s, self._wake_read,
-                               usb) as process:
+            gather_s = max(self._gather_s, reader.GATHER_LONGEST_S)    # events have stamps
+            with ReaderProcess(fd, self.idle_s, gather_s, self._wake_read, usb) as process:
                 self._follow_process(process)
                 if not self._stopping:
                     self._say_open(f'; its reader ended with {process.end()}, the next one reads '
@@ -134,20 +136,39 @@ class UsbListener(Listener):
 
     def _take_events(self, data: bytes, read_at: int) -> None:
         """Take what was read at this moment; the events have stamps of the wall-clock."""
-        to_monotonic = time.monotonic_ns() - time.time_ns()
-        for event in self._records.events(data):
+        to_monotonic = _to_monotonic()
+        found: list[tuple[int, str, bytes]] = []
+        skim = partial(self._usb.skim, found=found) if self._usb is not None else None
+        for event in self._records.events(data, skim):
             usb = self._usb or self._known_by(event)
             heard = usb.take(event) if usb is not None else None
             if heard is None:
                 continue
-            self._newest = max(self._newest, min(read_at, heard.stamp + to_monotonic))
-            for change in heard.changes:
-                self._change(change)
+            if heard.changes:
+                self._hear_found(found, read_at, to_monotonic)
+                self._newest = max(self._newest, min(read_at, heard.stamp + to_monotonic))
+                for change in heard.changes:
+                    self._change(change)
             if heard.data:
-                self._last = self._newest
-                self._hear(heard.data, self._newest, heard.side)
+                found.append((heard.stamp, heard.side, heard.data))
             if any(change.what == GONE for change in heard.changes):
+                self._hear_found(found, read_at, to_monotonic)
                 raise self._gone()
+        self._hear_found(found, read_at, to_monotonic)
+
+    def _hear_found(self, found: list[tuple[int, str, bytes]], read_at: int,
+                    to_monotonic: int) -> None:
+        """Hand on bytes with stamps of the wall-clock: no time is before the one in front."""
+        if not found:
+            return
+        newest = self._newest
+        pieces = []
+        for stamp, side, data in found:
+            newest = max(newest, min(read_at, stamp + to_monotonic))
+            pieces.append((data, newest, side))
+        found.clear()
+        self._newest = self._last = newest
+        self._hear_pieces(pieces)
 
     def _change(self, change: Change) -> None:
         if change.what == BAUD:
@@ -166,6 +187,15 @@ class UsbListener(Listener):
     def _gone(self) -> PortError:
         return PortError(self.port, Reason('lost', 'the adapter was unplugged',
                                            'plug it in again; it is looked for'))
+
+
+def _to_monotonic() -> int:
+    """Return the ns from the wall-clock to the monotonic one, read without a pause between."""
+    for _ in range(10):
+        before, wall, behind = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        if behind - before < _AT_ONCE_NS:
+            break
+    return behind - wall
 
 
 def _is_socket(name: str) -> bool:

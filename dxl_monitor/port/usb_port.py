@@ -9,6 +9,7 @@ the host. Neither is the time on the wire: an adapter gathers what it receives.
 
 from __future__ import annotations
 
+import struct
 from typing import NamedTuple
 
 from dxl_monitor.port.adapters import Adapter
@@ -19,9 +20,12 @@ from dxl_monitor.port.adapters import Ftdi
 from dxl_monitor.port.adapters import Setup
 from dxl_monitor.port.usbmon import BULK
 from dxl_monitor.port.usbmon import CONTROL
+from dxl_monitor.port.usbmon import DONE
+from dxl_monitor.port.usbmon import HEADER_SIZE
 from dxl_monitor.port.usbmon import INPUT
 from dxl_monitor.port.usbmon import INTERRUPT
 from dxl_monitor.port.usbmon import KILLED
+from dxl_monitor.port.usbmon import SUBMITTED
 from dxl_monitor.port.usbmon import UNPLUGGED
 from dxl_monitor.port.usbmon import UsbEvent
 from msg_defs.heard import Change
@@ -41,6 +45,9 @@ _CH341 = ((0x1A86, 0x7523), (0x1A86, 0x7522), (0x1A86, 0x5523), (0x4348, 0x5523)
           (0x1A86, 0xE523), (0x2184, 0x0057), (0x9986, 0x7523))
 _CP210X_VENDOR = 0x10C4
 _COMMUNICATION_DATA = 0x0A         # class of an interface
+# Of a header as usbmon.py has it: number, what kind of event, seconds, us, status, size, kept.
+_SKIMMED = struct.Struct('<QQqiiII')
+_TAKEN = 'taken'                   # the end of an output
 
 
 class Heard(NamedTuple):
@@ -110,6 +117,41 @@ class UsbPort:
         self._reads_interrupts = reads_interrupts
         self._setups: dict[int, bytes] = {}            # control transfers under way
         self._sizes: dict[int, int] = {}               # data on their way to the adapter
+        self._kinds = _kinds(place)
+
+    def skim(self, data: bytes, at: int, found: list[tuple[int, str, bytes]]) -> int:
+        """
+        Take the whole bulk transfers without a fault that begin here, as Records.events() asks.
+
+        Nearly all events are of that kind. found: gets stamp, side and bytes of each; take() says
+        the same of it.
+        """
+        unpack, kind_of, bare = _SKIMMED.unpack_from, self._kinds.get, self.adapter.bare
+        size = len(data)
+        last = size - HEADER_SIZE
+        while at <= last:
+            number, kind, seconds, us, status, moved, kept = unpack(data, at)
+            side = kind_of(kind)
+            begin = at + HEADER_SIZE
+            end = begin + kept
+            if side is None or end > size or not 0 <= us < 1_000_000 or seconds < 0:
+                break
+            if side is _TAKEN:
+                if status or kept:
+                    break
+                self._sizes.pop(number, None)
+            elif kept != moved or (status and side is IN):
+                break
+            else:
+                line = bare(data[begin:end]) if side is IN else self.adapter.sent(data[begin:end])
+                if line is None:
+                    break
+                if side is OUT:
+                    self._remember_size(number, moved)
+                if line:
+                    found.append((seconds * 1_000_000_000 + us * 1000, side, line))
+            at = end
+        return at
 
     def take(self, event: UsbEvent) -> Heard | None:
         """Return what an event says about the port, None for nothing."""
@@ -136,9 +178,7 @@ class UsbPort:
             changes += more
             return Heard(event.stamp, IN, data, changes) if data or changes else None
         if not event.is_done:
-            if len(self._sizes) >= PENDING_LIMIT:
-                del self._sizes[next(iter(self._sizes))]
-            self._sizes[event.number] = event.size
+            self._remember_size(event.number, event.size)
             data = self.adapter.sent(event.data)
             return Heard(event.stamp, OUT, data, self._cut(event)) if data or event.size else None
         missing = self._sizes.pop(event.number, event.size) - event.size
@@ -146,6 +186,11 @@ class UsbPort:
             return None
         is_lost = event.status != 0 and missing > 0
         return self._heard(event, [Change(NOT_SENT, missing)] * is_lost + self._end_words(event))
+
+    def _remember_size(self, number: int, size: int) -> None:
+        if len(self._sizes) >= PENDING_LIMIT:
+            del self._sizes[next(iter(self._sizes))]
+        self._sizes[number] = size
 
     @staticmethod
     def _cut(event: UsbEvent) -> list[Change]:
@@ -178,6 +223,21 @@ class UsbPort:
     @staticmethod
     def _heard(event: UsbEvent, changes: list[Change]) -> Heard | None:
         return Heard(event.stamp, UNKNOWN, b'', changes) if changes else None
+
+
+def _kinds(place: Place) -> dict[int, str]:
+    """Return what events of a bulk transfer say, by the 8 bytes of their header that tell it."""
+    def key(kind: int, endpoint: int, data_flag: int) -> int:
+        return int.from_bytes(struct.pack('<BBBBHBB', kind, BULK, endpoint, place.device,
+                                          place.bus, ord('-'), data_flag), 'little')
+
+    kinds = {}
+    for number in (place.bulk_in,) if place.bulk_in else range(1, 16):
+        kinds[key(DONE, number | INPUT, 0)] = IN
+    for number in (place.bulk_out,) if place.bulk_in else range(1, 16):
+        kinds[key(SUBMITTED, number, 0)] = OUT
+        kinds[key(DONE, number, ord('>'))] = _TAKEN
+    return kinds
 
 
 def _remember(memory: dict[int, bytes] | dict[int, int], number: int, what: object) -> None:

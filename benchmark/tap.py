@@ -1,0 +1,76 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a tap adds to a call of pyserial: the same master without it, with it, and with a reader.
+
+The three are processes that live all the time and take turns, a few ms each, in a new order each
+round. What they read is there before, so that no other end is measured.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from contextlib import suppress
+from functools import partial
+import os
+import tempfile
+from unittest.mock import patch
+
+from benchmark.harness import Child
+from benchmark.harness import Figure
+from benchmark.harness import interleaved
+from benchmark.harness import Options
+from benchmark.tap_master import PACKET
+from dxl_monitor.tools.tap import environment
+from mecarover_serial.pty import Pty
+
+CALLS = 200                        # of each kind in a turn: less than a pty has room for
+ROUNDS = 50
+PLAIN, ALONE, HEARD = 'without a tap', 'tapped, nobody listens', 'tapped and heard'
+WANTED = 'wanted: at most 10 at the median'
+
+
+def run(options: Options) -> list[Figure]:
+    """Time the calls; a figure has the median of each turn."""
+    rounds = options.asked_rounds or (5 if options.quick else ROUNDS)
+    with tempfile.TemporaryDirectory() as folder, patch.dict(
+            os.environ, XDG_RUNTIME_DIR=folder), ExitStack() as stack:
+        listener = stack.enter_context(Child('benchmark.heard', 'tap:heard', '0'))
+        listener.hear()
+        cases = {name: partial(_turn, *_master(stack, env)) for name, env in (
+            (PLAIN, None), (ALONE, environment('alone')), (HEARD, environment('heard')))}
+        for turn in cases.values():            # the first calls are slower
+            turn()
+        turns = interleaved(cases, rounds)
+        listener.tell('report')
+        said = listener.hear()['bytes']
+    if said != 2 * CALLS * len(PACKET) * (rounds + 1):
+        raise OSError(f'the listener heard {said} bytes; so this measures nothing')
+    return [figure for call in ('write', 'read') for figure in _figures(call, turns)]
+
+
+def _master(stack: ExitStack, env: dict[str, str] | None) -> tuple[Child, Pty]:
+    pty = stack.enter_context(Pty())
+    master = stack.enter_context(Child('benchmark.tap_master', pty.path, env=env))
+    master.hear()
+    return master, pty
+
+
+def _turn(master: Child, pty: Pty) -> dict[str, float]:
+    """Have a master write and read; return the median times (us) of both."""
+    os.write(pty.master, PACKET * CALLS)
+    master.tell(CALLS)
+    times: dict[str, float] = master.hear()
+    with suppress(BlockingIOError):
+        while os.read(pty.master, 65_536):
+            pass
+    return times
+
+
+def _figures(call: str, turns: dict[str, list[dict[str, float]]]) -> list[Figure]:
+    section = f'tap: one {call} of {len(PACKET)} bytes through pyserial'
+    times = {name: [one[call] for one in ones] for name, ones in turns.items()}
+    return [Figure(section, name, 'us', values) for name, values in times.items()] + [
+        Figure(section, f'{name}: added', 'us',
+               [tapped - plain for tapped, plain in zip(times[name], times[PLAIN], strict=True)],
+               WANTED) for name in (ALONE, HEARD)]
