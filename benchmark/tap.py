@@ -24,9 +24,9 @@ from benchmark.tap_master import PACKET
 from dxl_monitor.tools.tap import environment
 from mecarover_serial.pty import Pty
 
-CALLS = 200                        # of each kind in a turn: less than a pty has room for
+CALLS = 200                        # in a turn, each kind: less than a pty has room for
 ROUNDS = 50
-PLAIN, ALONE, HEARD = 'without a tap', 'tapped, nobody listens', 'tapped and heard'
+PLAIN, ALONE, HEARD = 'without a tap', 'tapped, no listener', 'tapped and heard'
 WANTED = 'wanted: at most 10 at the median'
 
 

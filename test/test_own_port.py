@@ -359,7 +359,7 @@ def test_adapter_is_chosen_where_there_are_several(tmp_path):
     assert len(dump(file, '--adapter', '3.4', '--json').stdout.splitlines()) == len(
         dump(REAL / 'acm.bin', '--json').stdout.splitlines()) > 100
     assert '--adapter 9.9: is not in it' in dump(file, '--adapter', '9.9').stderr
-    assert 'no file of USB events' in dump(REAL / 'README.md', '--adapter', '1.1').stderr
+    assert 'not a file of USB events' in dump(REAL / 'README.md', '--adapter', '1.1').stderr
 
 
 def test_file_without_an_adapter(tmp_path):
