@@ -1,12 +1,13 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-One run of traffic through a pty: into the real node dxl_monitor, or into the bare reader.
+One run of traffic through ptys: into the real node dxl_monitor, or into bare readers.
 
 Every run has processes of its own: writer, node or reader, and this one, which only listens to
 dxl/timing. What is said about the node is what the node says about itself on that topic.
 """
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 import os
 from pathlib import Path
@@ -31,6 +32,7 @@ SETTLE_S = 1.0
 QUEUE_DEPTH = 100                              # 253 devices come in 14 messages at once
 START_S = 30.0
 PREFIX = 'dxl_monitor: timing/'
+Metrics = dict[str, dict[str, float]]         # by name and key, e.g. 'max (ms)'
 
 
 class Traffic(NamedTuple):
@@ -44,7 +46,7 @@ class Traffic(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What came out of a run; `metrics` since the reset, by name and key, e.g. 'max (ms)'."""
+    """What came out of a run; `metrics` since the reset."""
 
     seconds: float
     sent: int
@@ -56,63 +58,97 @@ class Run(NamedTuple):
     resident_mb: float
     growth_mb: float                    # more resident memory at the end
     longest_gap_ms: float               # between two reads
-    metrics: dict[str, dict[str, float]]
+    metrics: Metrics
 
 
 def through_reader(traffic: Traffic, seconds: float, settle_s: float = SETTLE_S) -> Run:
     """Measure what the bare reader makes of the traffic."""
+    return several_through_readers([traffic], seconds, settle_s)[0]
+
+
+def several_through_readers(buses: Sequence[Traffic], seconds: float,
+                            settle_s: float = SETTLE_S) -> list[Run]:
+    """Measure bare readers, one for each bus, all at the same time."""
     with ExitStack() as stack:
-        writer, port = _writer(stack, traffic)
-        reader = stack.enter_context(Child('benchmark.reader', port))
-        reader.hear()
-        writer.tell({'settle': settle_s, 'seconds': seconds})
-        writer.hear()
-        reader.tell('begin')
-        before = usage(reader.pid)
-        result = writer.hear()
-        after = usage(reader.pid)
-        reader.tell('report')
-        longest = reader.hear()['longest_gap_ms']
-        writer.tell('done')
-    return _run(result, before, after, longest, {})
+        writers, ports = _writers(stack, buses)
+        readers = [stack.enter_context(Child('benchmark.reader', port)) for port in ports]
+        for reader in readers:
+            reader.hear()
+        _begin(writers, seconds, settle_s)
+        for reader in readers:
+            reader.tell('begin')
+        before = [usage(reader.pid) for reader in readers]
+        results = [writer.hear() for writer in writers]
+        after = [usage(reader.pid) for reader in readers]
+        for reader in readers:
+            reader.tell('report')
+        longest = [reader.hear()['longest_gap_ms'] for reader in readers]
+        for writer in writers:
+            writer.tell('done')
+    return [_run(*one, {}) for one in zip(results, before, after, longest, strict=True)]
 
 
 def through_node(traffic: Traffic, seconds: float, *parameters: str, module: str = NODE,
                  settle_s: float = SETTLE_S) -> Run:
     """Measure what the node makes of the traffic; parameters as 'name:=value'."""
+    return several_through_node([traffic], seconds, *parameters, module=module,
+                                settle_s=settle_s)[0]
+
+
+def several_through_node(buses: Sequence[Traffic], seconds: float, *parameters: str,
+                         module: str = NODE, settle_s: float = SETTLE_S) -> list[Run]:
+    """Measure one node that hears all buses: a run for each; CPU and memory are the node's."""
     env = ros_environment()
     os.environ.update(env)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         with ExitStack() as stack:
-            writer, port = _writer(stack, traffic)
-            given = (f'ports:={port}', f'bauds:={traffic.baud}', *parameters)
+            writers, ports = _writers(stack, buses)
+            names = [f'bus{number}' for number in range(len(buses))]
+            given = (f'ports:={ports}', f'bauds:={[one.baud for one in buses]}',
+                     f'names:={names}', *parameters)
             node = stack.enter_context(Child(
                 module, '--ros-args', *(word for one in given for word in ('-p', one)), env=env))
             subscriber = _Subscriber()
             subscriber.wait(START_S)
-            writer.tell({'settle': settle_s, 'seconds': seconds})
-            writer.hear()
+            _begin(writers, seconds, settle_s)
             subscriber.reset()
             before = usage(node.pid)
-            result = writer.hear()
+            results = [writer.hear() for writer in writers]
             after = usage(node.pid)
             metrics = subscriber.figures(since=time.time_ns())
-            writer.tell('done')
+            for writer in writers:
+                writer.tell('done')
     finally:
         rclpy.try_shutdown()
-    longest = metrics['time_between_buffers']['since start max (ms)']
-    return _run(result, before, after, longest, metrics)
+    found = [metrics] if len(buses) == 1 else [_of_bus(name, metrics) for name in names]
+    return [_run(result, before, after, one['time_between_buffers']['since start max (ms)'], one)
+            for result, one in zip(results, found, strict=True)]
 
 
-def _writer(stack: ExitStack, traffic: Traffic) -> tuple[Child, str]:
-    writer = stack.enter_context(Child('benchmark.writer'))
-    writer.tell({**traffic._asdict(), 'trace': str(traffic.trace)})
-    return writer, writer.hear()['port']
+def _of_bus(name: str, metrics: Metrics) -> Metrics:
+    return {key.removeprefix(f'{name}/'): values for key, values in metrics.items()
+            if key.startswith(f'{name}/')}
+
+
+def _writers(stack: ExitStack, buses: Sequence[Traffic]) -> tuple[list[Child], list[str]]:
+    """Return a writer for each bus, and their ports."""
+    writers = [stack.enter_context(Child('benchmark.writer')) for _ in buses]
+    for writer, traffic in zip(writers, buses, strict=True):
+        writer.tell({**traffic._asdict(), 'trace': str(traffic.trace)})
+    return writers, [writer.hear()['port'] for writer in writers]
+
+
+def _begin(writers: Sequence[Child], seconds: float, settle_s: float) -> None:
+    """Have them write, and return when what they write is measured."""
+    for writer in writers:
+        writer.tell({'settle': settle_s, 'seconds': seconds})
+    for writer in writers:
+        writer.hear()
 
 
 def _run(result: dict[str, Any], before: Any, after: Any, longest_gap_ms: float,
-         metrics: dict[str, dict[str, float]]) -> Run:
+         metrics: Metrics) -> Run:
     seconds = result['seconds']
     return Run(seconds, result['sent'], result['taken'], result['overrun'] + result['unheard'],
                result['gap_us'], (after.cpu_s - before.cpu_s) / seconds,
@@ -131,7 +167,7 @@ class _Subscriber:
                 DiagnosticArray, topic, lambda message: None, QUEUE_DEPTH, raw=True)
         self._service = self._node.create_client(Trigger, '/dxl_monitor/reset_statistics')
         self._stamp = 0         # the last message's: those in the queue may be old
-        self._metrics: dict[str, dict[str, float]] = {}
+        self._metrics: Metrics = {}
 
     def _hear(self, array: DiagnosticArray) -> None:
         self._stamp = array.header.stamp.sec * 1_000_000_000 + array.header.stamp.nanosec
@@ -143,7 +179,7 @@ class _Subscriber:
         """Wait until the node says something."""
         self.figures(0, seconds)
 
-    def figures(self, since: int, seconds: float = 10.0) -> dict[str, dict[str, float]]:
+    def figures(self, since: int, seconds: float = 10.0) -> Metrics:
         """Return what the node says after a moment (ns since the epoch)."""
         deadline = time.monotonic() + seconds
         while self._stamp <= since:
