@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The ROS side of the monitor: parameters, one listener and one monitor per bus, timers that publish.
+The ROS side of the monitor: parameters, one listener and one monitor per bus, what is published.
 
 Bytes are taken in by the taps' threads; what is published is made from reports, a few statuses
 at a time, so that 253 devices neither fill a message nor hold up the executor.
@@ -40,6 +40,7 @@ from dxl_monitor.status import bus_status
 from dxl_monitor.status import device_metrics
 from dxl_monitor.status import device_status
 from dxl_monitor.status import PortState
+from dxl_monitor.timers import Timers
 from mecarover_serial.inspection import Inspection
 from mecarover_serial.node import declare
 from mecarover_serial.node import overridable_publisher
@@ -61,6 +62,7 @@ from msg_defs.ros import to_ros_time
 from msg_defs.ros import to_time
 
 OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
+CHECK_S = 1.0               # whether the timers are well
 LOOK_S = 0.1                # whether something cannot wait for the next report
 APART_NS = 200_000_000      # ... and at least so long after the one before
 BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s behind at most
@@ -209,24 +211,25 @@ class MonitorNode:
             self.node, 'dxl', values['timing_topics'],
             [one.bus.label for one in self._buses])
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
-        self._timer = self.node.create_timer(
-            1e-9 * AGAIN_NS, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timers = Timers()
+        self._timer = self._timers.add(1e-9 * AGAIN_NS, self._tick)
         self._joint_states = self._start_joint_states(values['joint_state_rate'])
-        # Each time a timer wakes the executor costs far more than a look.
-        if values['joint_state_rate'] * LOOK_S < 1:
-            self.node.create_timer(
-                LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timers.add(LOOK_S, self._look)
+        self.node.create_timer(CHECK_S, self._timers.check,
+                               clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._is_stopped = False
         if self._recorder is not None:
             self._recorder.start()
         for one in self._buses:
             one.listener.start()
         self._started = time.monotonic_ns()
+        self._timers.start()
 
     def stop(self) -> None:
         """Close the ports, then the capture."""
         if not self._is_stopped:
             self._is_stopped = True
+            self._timers.stop()
             for one in self._buses:
                 one.listener.stop()
             if self._recorder is not None:
@@ -246,8 +249,7 @@ class MonitorNode:
         """Return the publishers of joint states, none at rate 0; a timer works them."""
         if not rate:
             return []
-        self.node.create_timer(1.0 / rate, self._publish_joints,
-                               clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timers.add(1.0 / rate, self._publish_joints)
         parts = topic_names([one.bus.label for one in self._buses if one.bus.label])
         return [JointStates(self.node, one.monitor, '/'.join(filter(None, (
             'dxl/joint_states', parts.get(one.bus.label))))) for one in self._buses]
@@ -256,7 +258,6 @@ class MonitorNode:
         now, now_ros = time.monotonic_ns(), self.node.get_clock().now().nanoseconds
         for one in self._joint_states:
             one.publish(now, now_ros)
-        self._look()
 
     def _tick(self) -> None:
         """Publish a slice of the report; make a new report when there is none left."""
@@ -266,12 +267,11 @@ class MonitorNode:
         if not self._waiting:
             now = time.monotonic_ns()
             if self._is_early(now) or self._is_behind(now):
-                self._timer.timer_period_ns = AGAIN_NS
-                self._timer.reset()
+                self._timer.period_s = 1e-9 * AGAIN_NS
                 return
             heard = self._hear(now)
             self._waiting.extend(slices(self._statuses(heard, True)))
-            self._timer.timer_period_ns = int(1e9 * self._period_s / max(1, len(self._waiting)))
+            self._timer.period_s = self._period_s / max(1, len(self._waiting))
         if self._waiting:
             self._tables.publish(self._table_arrays.array(self._waiting.popleft(), self._stamp()))
         if heard:
