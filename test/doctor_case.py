@@ -1,0 +1,101 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A case of the doctor made by hand: devices, incidents and counts, without any packets."""
+
+from collections import deque
+from collections.abc import Iterable
+from typing import Any
+
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import Counts
+from dxl_monitor.bus.report import Cycle
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import Incident
+from dxl_monitor.bus.report import ReplyLatency
+from dxl_monitor.bus.table import Observed
+from dxl_monitor.doctor import RULES
+from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.case import Mark
+from dxl_monitor.doctor.case import Sample
+from dxl_monitor.doctor.rhythm import Rhythm
+from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Doubt
+from dxl_monitor.model.control_table import UNKNOWN
+from dxl_monitor.model.models import Models
+from msg_defs.reports import Level
+from msg_defs.timing import Summary
+
+MODELS = Models()
+S = 1_000_000_000
+MS = 1_000_000
+NOW = 100 * S
+RULE = {one.name: one for one in RULES}
+
+def summary(p50: float, p95: float = 0.0, count: int = 5) -> Summary:
+    return Summary(count, p50, 0.0, p50, p95, p50, p95 or p50, p95 or p50)
+
+
+def seen(device: DeviceReport, registers: dict[str, int], source: str = 'r',
+         age_s: float = 0.5) -> tuple[Observed, ...]:
+    fields = [(device.model.by_name[name], raw) for name, raw in registers.items()]
+    return tuple(Observed(field, field.decode(field.bytes_of(raw)), age_s, source)
+                 for field, raw in fields)
+
+
+def device(number: int = 1, model: str = 'XL430-W250', state: str = words.CONNECTED,
+           registers: dict[str, int] | None = None, written: dict[str, int] | None = None,
+           age_s: float = 0.5, totals: dict[str, int] | None = None, delay: Summary | None = None,
+           window: dict[str, int] | None = None, **other: Any) -> DeviceReport:
+    found = MODELS.by_name(model) if model else None
+    one = DeviceReport(
+        number, f'{number:03}', '', words.PROTOCOL_2, found or UNKNOWN,
+        found.number if found else None, model or 'unknown', 50, state, Level.OK, state,
+        Counts(**(totals or {})), Counts(**(window or {})), 0, None, 0.1, False, '', None, None, 0,
+        (), 0, ReplyLatency(delay, None, 1.0), {})._replace(**other)
+    return one._replace(observed=seen(one, registers or {}, age_s=age_s)
+                        + seen(one, written or {}, 'w', age_s))
+
+
+def note(kind: Any, detail: Any, count: int, number: int = 1,
+         every_ms: float = 300.0) -> list[Incident[Any]]:
+    """Return as many incidents of a kind, the last of them just now."""
+    return [Incident(NOW - int(place * every_ms * MS), kind, number, detail)
+            for place in reversed(range(count))]
+
+
+def asks(code: int, *ids: int, at: int | None = 132, size: int = 4, asked: int = 30,
+         stamps: Iterable[int] = (NOW,)) -> Cycle:
+    return Cycle(code, ids, at, size, asked, 0, tuple(stamps))
+
+
+COUNTERS = dict.fromkeys(('Bytes', 'Packet Bytes', 'Packets', 'Instructions', 'Noise Bytes'), 0)
+
+
+def case(*devices: DeviceReport, notes: Iterable[Incident[Any]] = (),
+         counters: dict[str, int] | None = None, marks: dict[float, dict[str, int]] | None = None,
+         samples: dict[int, list[Sample]] | None = None, repeats: dict[int, int] | None = None,
+         rhythms: list[Rhythm] | None = None, steady: set[Any] | None = None,
+         counts: list[tuple[int, dict[int, Counts]]] | None = None, quiet_s: float = 0.0,
+         **report: Any) -> Case:
+    """Return a bus of 1 MBd, heard since 60 s. marks: what was counted, by how long ago (s)."""
+    by_kind: dict[str, deque[Incident[Any]]] = {}
+    for one in notes:
+        by_kind.setdefault(one.kind, deque()).append(one)
+    nothing = dict.fromkeys(Mark._fields[1:], 0)
+    told = BusReport(
+        'arm', NOW, NOW - 60 * S, 1_000_000, Level.OK, 'ok', tuple(devices),
+        COUNTERS | (counters or {}), {}, (), (), (), (), (), b'', 0.01, {})._replace(**report)
+    found = Case(
+        told, by_kind,
+        deque(Mark(NOW - int(age * S), **{**nothing, **values})
+              for age, values in sorted((marks or {10: {}, 0: {}}).items(), reverse=True)),
+        {number: deque(some) for number, some in (samples or {}).items()}, repeats or {},
+        rhythms or [], deque(counts or [(NOW - 10 * S, {})]), steady or set())
+    found.quiet_s = quiet_s
+    return found
+
+
+def told(rule: str, **parts: Any) -> list[Claim | Doubt]:
+    """Return what a rule says of a case."""
+    return list(RULE[rule].check(case(*parts.pop('devices', ()), **parts)))

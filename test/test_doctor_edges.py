@@ -1,0 +1,344 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The thresholds of the doctor's rules, on both sides of the edge, and the words and figures told.
+
+Each row is a case that is just enough for a rule, and the changes that make it too little. A case
+is made by hand: what a bus must say to bring it about is in test_doctor_evidence.py.
+"""
+
+from typing import Any
+
+from doctor_case import asks
+from doctor_case import device
+from doctor_case import note
+from doctor_case import NOW
+from doctor_case import S
+from doctor_case import told
+import pytest
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import Incident
+from dxl_monitor.bus.report import Wait
+from dxl_monitor.doctor.rule import Claim
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_packet import BROADCAST
+
+# --- what is just enough ---------------------------------------------------------------------
+
+def spoken(number: int = 1, **parts: Any) -> DeviceReport:
+    """Return a device that gave 1000 answers in 10 s."""
+    return device(number, **{'window': {'answers': 1000}, 'totals': {'answers': 1000}, **parts})
+
+
+def damage(count: int, asked: int = 0, every_ms: float = 300.0) -> list[Incident[Any]]:
+    return note(ev.DAMAGED_INSTRUCTION, ev.Front(I.READ, 7), asked) + note(
+        ev.DAMAGED_STATUS, ev.Front(0x55, 8), count - asked, every_ms=every_ms)
+
+
+TWO_HIT = (spoken(1, window={'answers': 8, 'spoilt': 2}),
+           spoken(2, window={'answers': 8, 'spoilt': 2}))
+ONE_HIT = (spoken(1, window={'answers': 93, 'missed': 7, 'spoilt': 7}),
+           spoken(2, window={'answers': 97, 'missed': 3, 'spoilt': 3}))
+SILENT = {'state': words.DISCONNECTED, 'missed_in_a_row': 9, 'last_heard_s': 1.6,
+          'window': {'missed': 9}}
+LOST = {'window': {'answers': 297, 'missed': 3}}
+MISSED = note(ev.MISSED, ev.Unanswered(I.READ, 132), 3)
+GLITCHES = {10: {'glitches': 2}, 0: {'glitches': 7}}
+FAST_READ = asks(I.FAST_SYNC_READ, 1, 2, asked=3, stamps=(NOW - 2 * S,))
+
+
+ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]]]] = [
+    ('wrong_baud',
+     {'counters': {'Bytes': 400, 'Packet Bytes': 51},
+      'marks': {3: {}, 2: {'bytes': 100, 'packet_bytes': 50, 'framing': 4}, 0: {'framing': 9}}},
+     "300 bytes and no packets at 1000000 Bd: cannot tell the right one from it: set `bauds` to "
+     "the bus's rate", {'bytes': '300', 'framing errors': '5'},
+     [{'counters': {'Bytes': 399, 'Packet Bytes': 51}},
+      {'counters': {'Bytes': 400, 'Packet Bytes': 52}}, {'baud': 0},
+      {'notes': note(ev.PROTOCOL_1, ev.Code(2), 1)}]),
+    ('overrun', {'marks': {10: {'overruns': 2}, 0: {'overruns': 3}}},
+     'this computer lost bytes 1 times: losses and damage are its own; give the monitor a higher '
+     'priority or a better adapter', {'overruns': '1'},
+     [{'marks': {10: {'overruns': 3}, 0: {'overruns': 3}}}]),
+    ('baud_moved', {'devices': [device(state=words.MOVED, message='moved to 57600 Bd')]},
+     'moved to 57600 Bd, the bus is at 1000000 Bd: write it back at its new rate, or move the '
+     'others and the master too', {}, [{'devices': [device()]}]),
+    ('noise', {'devices': TWO_HIT, 'notes': damage(5, 1, 1000 / 3), 'counters': {'Packets': 5000}},
+     'less than 0.2 % of the packets damaged, in both directions, of several devices: check '
+     'termination, ground, shielding and motor cables',
+     {'share': '0.1 %', 'damaged instructions': '1', 'devices': '001, 002'},
+     [{'counters': {'Packets': 5001}}, {'notes': damage(5, 1, 332)}]),
+    ('noise', {'devices': TWO_HIT, 'notes': damage(6, 1), 'counters': {'Packets': 94}},
+     'about 5 % of the packets damaged, in answers, of several devices: check termination, '
+     'ground, shielding and motor cables',
+     {'share': '6.0 %', 'damaged instructions': '1', 'devices': '001, 002'},
+     [{'devices': ONE_HIT}]),
+    ('damaged_answers', {'devices': ONE_HIT, 'notes': damage(10, 1)},
+     'about 5 % of its answers damaged, others whole: cannot tell a bad cable from a second '
+     'device with its ID; unplug it and ping', {'share': '7.0 %', 'damaged': '7 of 100'},
+     [{'devices': [spoken(1, window={'answers': 93, 'missed': 6, 'spoilt': 6}), ONE_HIT[1]]},
+      {'devices': [spoken(1, window={'answers': 93, 'missed': 2, 'spoilt': 2})]},
+      {'notes': damage(10, 2)}]),
+    ('duplicate_id', {'devices': [spoken(3)], 'notes': note(ev.SECOND_ANSWER, ev.Code(2), 3, 3)
+                      + note(ev.UNASKED, ev.Stranger(2, 0), 1, 3)},
+     'answered twice: two devices have this ID; unplug one and give it another',
+     {'second answers': '3', 'damaged': '0', 'model changes': '0'},
+     [{'notes': note(ev.SECOND_ANSWER, ev.Code(I.READ), 2, 3)},
+      {'notes': note(ev.SECOND_ANSWER, ev.Code(I.READ), 5, 3)
+       + note(ev.UNASKED, ev.Stranger(2, 0), 2, 3)}]),
+    ('duplicate_id', {'devices': [spoken(window={'model_changes': 2, 'spoilt': 3})]},
+     'answered twice, by two models: two devices have this ID; unplug one and give it another',
+     {'second answers': '0', 'damaged': '3', 'model changes': '2'},
+     [{'devices': [spoken(window={'model_changes': 1, 'spoilt': 3})]},
+      {'devices': [spoken(window={'model_changes': 2, 'spoilt': 2})]}]),
+    ('duplicate_id', {'devices': [spoken(), spoken(2, window={'answers': 7}),
+                                  spoken(3, window={'answers': 7})],
+                      'notes': note(ev.ANSWERED_AGAIN, ev.Code(2), 7) + damage(10)},
+     'answered twice: two devices have this ID; unplug one and give it another',
+     {'second answers': '7', 'damaged': '0', 'model changes': '0'},
+     [{'devices': [spoken(), spoken(2)]},
+      {'devices': [spoken(), spoken(2), spoken(3, window={'answers': 6})]},
+      {'devices': [spoken(), spoken(2), spoken(3, window={'answers': 9, 'spoilt': 1})]},
+      {'notes': note(ev.ANSWERED_AGAIN, ev.Code(2), 7) + damage(11)},
+      {'notes': note(ev.ANSWERED_AGAIN, ev.Code(2), 7) + damage(10)
+       + note(ev.ANSWERED_AGAIN, ev.Code(2), 1, 2)},
+      {'notes': note(ev.ANSWERED_AGAIN, ev.Code(2), 7) + note(ev.PROTOCOL_1, ev.Code(2), 1)}]),
+    ('turnaround', {'devices': [spoken(window={'answers': 399, 'repaired': 4}), spoken(2)]},
+     'first byte of 1.0 % of its answers damaged: it talks before the line has turned; raise its '
+     'Return Delay Time by a step or two', {'answers': '4'},
+     [{'devices': [spoken(window={'answers': 400, 'repaired': 4})]},
+      {'devices': [spoken(window={'answers': 299, 'repaired': 3})]},
+      {'devices': [spoken(window={'answers': 399, 'repaired': 4, 'spoilt': 32})]},
+      {'notes': damage(32)}]),
+    ('turnaround', {'devices': [spoken(1, window={'answers': 90, 'repaired': 6}),
+                                spoken(2, window={'answers': 90, 'repaired': 2}),
+                                spoken(3, window={'answers': 89, 'beheaded': 1})],
+                    'marks': GLITCHES},
+     'first byte of 3.3 % of the answers damaged, 3 devices: the line turns round too late; raise '
+     'Return Delay Time or mend the driver enable',
+     {'answers': '9', 'packets with a stray byte': '5', 'devices': '001, 002, 003'}, []),
+    ('stray_bytes', {'marks': GLITCHES, 'counters': {'Packets': 4999}},
+     'a stray byte or two ahead of 0.1 % of the packets: driver enable switches late or the line '
+     'floats; add bias resistors', {'packets': '5'},
+     [{'counters': {'Packets': 5000}}, {'marks': {10: {'glitches': 3}, 0: {'glitches': 7}}}]),
+    ('echo', {'has_sides': True, 'marks': {10: {}, 1: {'echoes': 1, 'instructions': 10},
+                                           0: {'echoes': 6, 'instructions': 19}}},
+     'what the master sends comes back to it: its adapter echoes; switch the echo off, or let the '
+     'program skip it', {'echoes': '5'},
+     [{'marks': {10: {}, 1: {'echoes': 1, 'instructions': 10},
+                 0: {'echoes': 6, 'instructions': 20}}},
+      {'marks': {10: {}, 1: {'echoes': 2, 'instructions': 10},
+                 0: {'echoes': 6, 'instructions': 14}}}]),
+    ('echo', {'cycles': (asks(I.READ, 1),), 'notes': [
+        *note(ev.REPEATED, ev.Again(2, 99), 5), *note(ev.REPEATED, ev.Again(2, 100), 4)]},
+     'every instruction is heard twice: the adapter echoes what its master sends; switch the echo '
+     'off, losses counted here are not real', {'echoes': '5'},
+     [{'notes': note(ev.REPEATED, ev.Again(2, 99), 4)}, {'cycles': (asks(I.READ, 1, asked=0),)},
+      {'notes': note(ev.REPEATED, ev.Again(2, 99), 5) + note(ev.REPEATED, ev.Again(2, 100), 5)}]),
+    ('foreign_answers', {'devices': [spoken(4)],
+                         'notes': note(ev.UNASKED, ev.Stranger(2, 0), 3, 4)},
+     '3 answers that the master here did not ask for: another master asks it where this port does '
+     'not hear; find and stop that', {'answers': '3'},
+     [{'notes': note(ev.UNASKED, ev.Stranger(2, 0), 2, 4)},
+      {'notes': note(ev.UNASKED, ev.Stranger(2, 0), 3, 4)
+       + note(ev.PROTOCOL_1, ev.Code(2), 1, 4)}]),
+    ('not_sent', {'notes': note(ev.NOT_SENT, ev.Code(2), 2, 7) + note(ev.NOT_SENT, ev.Code(2), 1)},
+     '3 instructions never left the adapter: switch flow control off in the program and let it '
+     'not clear its output behind a write; else plug the adapter in again',
+     {'instructions': '3', 'to': '001, 007'}, [{'notes': note(ev.NOT_SENT, ev.Code(2), 2)}]),
+    # presence
+    ('all_silent', {'devices': [device(1, **SILENT), device(2, missed_in_a_row=1)],
+                    'counters': {'Instructions': 5}, 'marks': {2: {}, 0: {}}},
+     'the master asks, none of 2 devices answers: check power and first cable; or 001 is dead and '
+     'all wait for it; or listen on both directions', {'instructions': '5'},
+     [{'counters': {'Instructions': 4}}, {'devices': [device(1, **SILENT), device(2)]},
+      {'devices': [device(1, **SILENT), device(2, missed_in_a_row=1, totals={'answers': 1})]},
+      {'devices': [device(1, **{**SILENT, 'last_heard_s': 1.5}), device(2, missed_in_a_row=1)]},
+      {'devices': [device(1, **{**SILENT, 'window': {'missed': 9, 'garbled': 5}}),
+                   device(2, missed_in_a_row=1)]}]),
+    ('all_silent', {'devices': [device(1, **SILENT), device(2, **SILENT)],
+                    'counters': {'Instructions': 9}, 'marks': {1.6: {'instructions': 2}, 0: {}}},
+     'the master asks, none of 2 devices answers: check power and first cable; or listen on both '
+     'directions', {'instructions': '7'}, []),
+    ('no_answer', {'devices': [device(2, **SILENT), spoken(3)], 'waits': (
+        Wait(NOW, 3000, 2, False), Wait(NOW, 9000, 3, False), Wait(NOW, 4000, 2, True))},
+     'no answer, silent for more than 1 s, others answer: check its power, cable and ID',
+     {'requests without an answer': '9', 'wait per request (ms)': '3.5'},
+     [{'devices': [device(2, **{**SILENT, 'last_heard_s': 1.5})]},
+      {'devices': [device(2, **{**SILENT, 'state': words.CONNECTED})]}]),
+    ('no_answer', {'devices': [device(2, **{**SILENT, 'state': words.ASKED, 'last_heard_s': None,
+                                            'missed_in_a_row': 5})]},
+     'no answer, never heard: check its power, cable and ID', {'requests without an answer': '5'},
+     [{'devices': [device(2, **{**SILENT, 'state': words.ASKED, 'last_heard_s': None,
+                                'missed_in_a_row': 4})]}]),
+    ('sync_read_stops', {'devices': [device(2, **SILENT), *(device(
+        number, state=words.DISCONNECTED, waiting_behind=2) for number in (3, 4, 5))]},
+     'silent, and the Sync Read ends there: 003, 004 and 1 more behind it get no turn; check its '
+     'power and cable, or leave it out', {'not served': '003, 004, 005'},
+     [{'devices': [device(2, **SILENT), device(3, waiting_behind=2)]}]),
+    ('broken_cable', {'devices': [device(1), device(2, **SILENT), device(3, **SILENT)],
+                      'chain': (1, 2, 3)},
+     'it and all behind it are silent: the cable between 001 and 002 is broken or unplugged',
+     {'silent': '002, 003'},
+     [{'chain': (2, 3)}, {'chain': (2, 3, 1)}, {'chain': (1, 2)}]),
+    ('missed_answers', {'devices': [spoken(window={'answers': 296, 'missed': 3})],
+                        'notes': MISSED},
+     'about 1 % of its answers missing, with nothing in their place: check its plugs; a device '
+     'that did not understand looks the same', {'loss': '1.0 %', 'missed': '3 of 299'},
+     [{'devices': [spoken(**LOST)]}, {'notes': MISSED[1:]},
+      {'devices': [spoken(window={'answers': 199, 'missed': 3, 'spoilt': 1})]},
+      {'devices': [spoken(missed_in_a_row=4, window={'answers': 199, 'missed': 4})]},
+      {'notes': MISSED + note(ev.REBOOTED, ev.NOTHING, 1)}]),
+    ('ping_only', {'devices': [device(totals={'answers': 2, 'pongs': 2, 'data_missed': 3},
+                                      window={'answers': 2, 'missed': 3})]},
+     'answers Pings, but no reads: set Status Return Level to 1 or 2', {'missed': '3 of 5'},
+     [{'devices': [device(totals={'answers': 1, 'pongs': 1, 'data_missed': 3})]},
+      {'devices': [device(totals={'answers': 3, 'pongs': 2, 'data_missed': 3})]},
+      {'devices': [device(totals={'answers': 2, 'pongs': 2, 'data_missed': 2})]},
+      {'devices': [device(totals={'answers': 2, 'pongs': 2, 'data_missed': 3, 'spoilt': 1})]}]),
+    # health
+    ('hardware_error', {'devices': [device(alert=True, window={'alerts': 2}, registers={
+        'Hardware Error Status': 32, 'Torque Enable': 0})]},
+     'overload error latched, torque is off: remove the cause, then send Reboot; until then it '
+     'does not move', {'answers with alert': '2'},
+     [{'devices': [device(window={'alerts': 2})]}, {'devices': [device(alert=True)]}]),
+    ('watchdog', {'devices': [device(registers={'Bus Watchdog': 50})],
+                  'notes': note(ev.REFUSED, ev.Refusal(3, 116, 4), 3)
+                  + note(ev.REFUSED, ev.Refusal(3, 116, 5), 1)},
+     'Bus Watchdog tripped, 3 goals refused: the master was silent too long; write 0 to Bus '
+     'Watchdog, then send goals without such gaps', {'goals refused': '3', 'read': 'no'},
+     [{'notes': note(ev.REFUSED, ev.Refusal(3, 116, 4), 2)},
+      {'notes': note(ev.REFUSED, ev.Refusal(3, 64, 4), 3)},
+      {'devices': [device(registers={'Bus Watchdog': 0})]}, {'devices': [device()]}]),
+    ('too_hot', {'devices': [device(registers={'Present Temperature': 67})]},
+     'near its limit of 72 °C from the factory, where it shuts down: reduce load or holding '
+     'torque, let it cool', {'temperature (°C)': '67', 'limit (°C)': '72'},
+     [{'devices': [device(registers={'Present Temperature': 66})]},
+      {'devices': [device(registers={'Present Temperature': 67}, age_s=10.1)]},
+      {'devices': [device(written={'Present Temperature': 67})]}]),
+    # setting up
+    ('wrong_supply', {'devices': [device(2, 'STS3215', registers={
+        'Max Voltage Limit': 80, 'Present Input Voltage': 101})]},
+     'at 10 V, far above its limit of 8.0 V: a servo for a lower voltage; switch off, and check '
+     'which servos these are',
+     {'voltage (V)': '10.1', 'limit (V)': '8.0', 'devices': '002'},
+     [{'devices': [device(2, 'STS3215', registers={
+         'Max Voltage Limit': 80, 'Present Input Voltage': 100})]},
+      {'devices': [device(2, 'STS3215', age_s=10.1, registers={
+          'Max Voltage Limit': 80, 'Present Input Voltage': 101})]}]),
+    ('wrong_supply', {'devices': [device(2, 'STS3215', registers={
+        'Max Voltage Limit': 120, 'Min Voltage Limit': 60, 'Present Input Voltage': 85})]},
+     'at 8 V, while its limit is 12.0 V: a servo for 12 V on a lower supply, slow and weak; feed '
+     'it 12 V', {'voltage (V)': '8.5', 'limit (V)': '12.0', 'devices': '002'},
+     [{'devices': [device(2, 'STS3215', registers={
+         'Max Voltage Limit': 120, 'Present Input Voltage': 86})]},
+      {'devices': [device(2, 'STS3215', registers={
+          'Max Voltage Limit': 119, 'Present Input Voltage': 85})]},
+      {'devices': [device(2, 'STS3215', registers={
+          'Max Voltage Limit': 120, 'Min Voltage Limit': 86, 'Present Input Voltage': 85})]}]),
+    ('factory_id', {'devices': [spoken(1, window={'answers': 3, 'missed': 3, 'spoilt': 3}),
+                                device(2, missed_in_a_row=3, last_heard_s=None)]},
+     'several servos answer as 001, and 002 never did: new ones still have ID 1; connect one at a '
+     'time and give each its ID', {'never heard': '002', 'spoilt': '3 of 6'},
+     [{'devices': [spoken(1, window={'answers': 4, 'missed': 3, 'spoilt': 3}),
+                   device(2, missed_in_a_row=3, last_heard_s=None)]},
+      {'devices': [spoken(1, window={'missed': 2, 'spoilt': 2}),
+                   device(2, missed_in_a_row=3, last_heard_s=None)]},
+      {'devices': [spoken(1, window={'missed': 3, 'spoilt': 3}),
+                   device(2, missed_in_a_row=2, last_heard_s=None)]}]),
+    ('layout', {'devices': [device(2, 'STS3215')],
+                'cycles': (asks(I.READ, 2, at=57, size=1, asked=3, stamps=(NOW - 10 * S,)),)},
+     'Read of 1 at 57, which cuts Present Position (56, 2 bytes): use the table of STS3215',
+     {'address': '57', 'times': '3'},
+     [{'cycles': (asks(I.READ, 2, at=57, size=1, asked=2),)},
+      {'cycles': (asks(I.READ, 2, at=57, size=1, stamps=(NOW - 10 * S - 1,)),)},
+      {'cycles': (asks(I.READ, 2, at=56, size=2),)}, {'cycles': (asks(I.READ, 3, at=57, size=1),)},
+      {'devices': [device(2)]}]),
+    # configuration
+    ('eeprom_locked', {'devices': [device(registers={'Torque Enable': 1})],
+                       'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 9, 7), 3)},
+     'write to Return Delay Time (9) refused 3 times: EEPROM takes no writes while the torque is '
+     'on; switch it off first', {'refused': '3'},
+     [{'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 9, 7), 2)},
+      {'notes': note(ev.REFUSED, ev.Refusal(I.READ, 9, 7), 3)},
+      {'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 7), 3)},
+      {'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 0, 7), 3)},
+      {'devices': [device(registers={'Torque Enable': 0})]}]),
+    ('wrong_address', {'devices': [device()],
+                       'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 4), 3)},
+     'address 116 refused 3 times (Data Range): the value is out of the range of Goal '
+     'Position; limit it', {'refused': '3'},
+     [{'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 4), 2)},
+      {'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 3), 3)}]),
+    ('eeprom_wear', {'devices': [device(window={'eeprom_writes': 30})]},
+     'EEPROM written 30 times in 10 s: it lasts some 100 000 writes, 9.3 hours at this rate; '
+     'write only what changes', {'writes in 10 s': '30'},
+     [{'devices': [device(window={'eeprom_writes': 29})]}]),
+    ('no_acks', {'devices': [device(acks_missing=3, missed_in_a_row=3, totals={'answers': 1})]},
+     'acknowledges no writes (Status Return Level below 2): a master that waits for it loses a '
+     'time-out each; use Sync Write or level 2', {},
+     [{'devices': [device(acks_missing=3)]},
+      {'devices': [device(acks_missing=2, totals={'answers': 1})]},
+      {'devices': [device(acks_missing=3, missed_in_a_row=4, totals={'answers': 1})]}]),
+    ('no_acks', {'devices': [device(status_return_level=1, totals={'answers': 1})]},
+     'acknowledges no writes (Status Return Level 1): a master that waits for it loses a time-out '
+     'each; use Sync Write or level 2', {},
+     [{'devices': [device(status_return_level=2, totals={'answers': 1})]},
+      {'devices': [device(status_return_level=1, acks=True, totals={'answers': 1})]}]),
+    ('fast_read_unsupported', {'devices': [spoken(1, firmware=44), spoken(2)],
+                               'cycles': (FAST_READ,)},
+     'answers, but never a fast read (XL430-W250, firmware 44): update it or use plain Sync Read; '
+     'devices behind it get no turn', {'fast reads': '3'},
+     [{'cycles': (FAST_READ._replace(asked=2),)},
+      {'cycles': (FAST_READ._replace(stamps=(NOW - 2 * S - 1,)),)},
+      {'cycles': (FAST_READ._replace(instruction=I.SYNC_READ),)},
+      {'devices': [spoken(number, totals={'answers': 9, 'fast_answers': 1})
+                   for number in (1, 2)]}]),
+    ('never_written', {'devices': [spoken(totals={'reads': 20}), spoken(2, window={'writes': 1})],
+                       'started': NOW - 3 * S},
+     'polled 20 times and never written, others are (002): forgotten in the program?',
+     {'reads': '20'},
+     [{'devices': [spoken(totals={'reads': 19}), spoken(2, window={'writes': 1})]},
+      {'devices': [spoken(totals={'reads': 20, 'writes': 1}), spoken(2, window={'writes': 1})]},
+      {'devices': [device(totals={'reads': 20}), spoken(2, window={'writes': 1})]},
+      {'started': NOW - 3 * S + 1}]),
+    ('refused', {'devices': [device(model='')],
+                 'notes': note(ev.REFUSED, ev.Refusal(I.READ, 0, 7), 3)},
+     'refuses Read at 0 (Access): name its model in `devices` to learn what stands there',
+     {'refused': '3'},
+     [{'notes': note(ev.REFUSED, ev.Refusal(I.READ, 0, 7), 2)}, {'devices': [device()]},
+      {'notes': note(ev.REFUSED, ev.Refusal(I.READ, -1, 7), 3)}]),
+    ('master_stopped', {'quiet_s': 1.2, 'last_byte_s': 1.2, 'asked': NOW - 57 * S},
+     'the master stopped 3.0 s after listening began: look at its program; what is said of '
+     'devices is from then', {'stopped after (s)': '3.0'},
+     [{'quiet_s': 1.19}, {'last_byte_s': 1.19}, {'asked': NOW - 57 * S - 1}]),
+    ('impossible_id', {'cycles': (asks(I.PING, 253, stamps=(
+        NOW - 10 * S, NOW - 10 * S + 1, NOW - 1, NOW)),)},
+     'the master asks ID 253, which no device can have (0 to 252): correct the ID in its program',
+     {'asked in 10 s': '3'},
+     [{'cycles': (asks(I.PING, 253, stamps=(NOW - 10 * S, NOW - 1, NOW)),)},
+      {'cycles': (asks(I.PING, 252, stamps=(NOW,) * 3),)}, {'devices': [device(253)]}]),
+    ('scan', {'cycles': (asks(I.PING, BROADCAST, stamps=(
+        NOW - 10 * S, *[NOW - 10 * S + 1] * 15)),), 'notes': damage(3)},
+     'the master sends one broadcast Ping after the other, and the answers collide: let it wait '
+     '0.8 s after each, as long as all IDs take', {'broadcast Pings in 10 s': '15'},
+     [{'cycles': (asks(I.PING, BROADCAST, stamps=(NOW - 10 * S, *[NOW - 10 * S + 1] * 14)),)}]),
+    ('scan', {'scanned': (4, 5), 'devices': [device(1)]},
+     'a scan: 2 IDs were pinged and do not answer, 1 devices are known',
+     {'without an answer': '004, 005'}, [{'scanned': ()}]),
+]
+
+
+@pytest.mark.parametrize(('rule', 'enough', 'message', 'figures', 'too_little'), ENOUGH,
+                         ids=[row[0] for row in ENOUGH])
+def test_a_rule_speaks_from_its_edge_on(rule: str, enough: dict[str, Any], message: str,
+                                        figures: dict[str, str],
+                                        too_little: list[dict[str, Any]]) -> None:
+    [claim] = [one for one in told(rule, **enough) if isinstance(one, Claim)]
+    assert (claim.message, dict(claim.figures)) == (message, figures)
+    for less in too_little:
+        assert [one for one in told(rule, **{**enough, **less}) if isinstance(one, Claim)] == [], \
+            less

@@ -1,0 +1,474 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The doctor's rules about time and what they are made of: edges, words, what is remembered."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from doctor_case import asks
+from doctor_case import case
+from doctor_case import COUNTERS
+from doctor_case import device
+from doctor_case import MS
+from doctor_case import note
+from doctor_case import NOW
+from doctor_case import RULE
+from doctor_case import S
+from doctor_case import summary
+from doctor_case import told
+import pytest
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.report import Counts
+from dxl_monitor.bus.report import Cycle
+from dxl_monitor.bus.report import Wait
+from dxl_monitor.doctor.case import History
+from dxl_monitor.doctor.case import is_waiting
+from dxl_monitor.doctor.case import key_of
+from dxl_monitor.doctor.case import Sample
+from dxl_monitor.doctor.case import TwoClocks
+from dxl_monitor.doctor.collision import is_collision
+from dxl_monitor.doctor.collision import ran_into_answers
+from dxl_monitor.doctor.combs import Comb
+from dxl_monitor.doctor.rhythm import answer_ns
+from dxl_monitor.doctor.rhythm import is_locked
+from dxl_monitor.doctor.rhythm import rhythms
+from dxl_monitor.doctor.rule import about
+from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Doubt
+from dxl_monitor.doctor.rule import listed
+from dxl_monitor.doctor.rule import longer_than
+from dxl_monitor.doctor.rule import share
+from dxl_monitor.port.driver import LineErrors
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_packet import encode
+from msg_defs.reports import Metric
+
+
+def waits(count: int, us: int, ago_s: float = 0.0, spoilt: bool = False) -> tuple[Wait, ...]:
+    return (Wait(NOW - int(ago_s * S), us, 1, spoilt),) * count
+
+
+def damaged(count: int) -> list[Any]:
+    return note(ev.DAMAGED_STATUS, ev.Front(0x55, 8), count)
+
+
+def late(count: int, apart_ms: float = 3.001, number: int = 1) -> list[Any]:
+    return note(ev.LATE, ev.Lateness(100), count, number, apart_ms)
+
+
+def blurred(ms: float) -> tuple[Metric, ...]:
+    """Return what is told of the time between two chunks."""
+    return (Metric('time_between_buffers', 'ms', summary(ms)),)
+
+
+def every(gaps_ms: Iterable[float], number: int = 1, code: int = I.READ) -> Cycle:
+    """Return an instruction that came at these distances, the last time just now."""
+    stamps = [NOW]
+    for gap in gaps_ms:
+        stamps.insert(0, stamps[0] - int(gap * MS))
+    return asks(code, number, stamps=stamps)
+
+
+ANSWERS = {'totals': {'answers': 9, 'reads': 600}, 'window': {'answers': 9}}
+# One answer to a read of 4 bytes is 0.15 ms on the wire at 1 MBd.
+SIXTEEN = tuple(asks(I.READ, number, stamps=[NOW - n * 200 * MS - number * 16 * MS
+                                             for n in reversed(range(5))])
+                for number in range(1, 8))
+HANDFUL = asks(I.WRITE, 1, stamps=[NOW - n * 20 * MS - MS for n in range(30)])
+UNPACED = asks(I.READ, 2, stamps=[NOW - n * 100 * MS - 10 * MS for n in range(30)])
+
+ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]]]] = [
+    ('impatient_master', {'repeats': {1: I.READ, 2: I.READ, 3: I.PING}},
+     'the master repeats Read at once, 3 times in 10 s: its time-out is shorter than the answers '
+     'take; raise it', {'repeated': '3'}, [{'repeats': {1: I.READ, 2: I.READ}}]),
+    ('impatient_master', {'notes': [one for number in (1, 2) for one in note(
+        ev.ANSWERED_AGAIN, ev.Code(I.READ), 2, number, 100 + number)]
+        + note(ev.DAMAGED_INSTRUCTION, ev.Front(2, 7), 1)},
+     'the master repeats Read at once, 3 times in 10 s: its time-out is shorter than the answers '
+     'take; raise it', {'repeated': '3'},
+     [{'notes': note(ev.ANSWERED_AGAIN, ev.Code(I.READ), 4)},
+      {'notes': [one for number in (1, 2) for one in note(
+          ev.ANSWERED_AGAIN, ev.Code(I.READ), 2, number, 100 + number)]
+          + note(ev.DAMAGED_INSTRUCTION, ev.Front(2, 7), 2)}]),
+    ('impatient_master', {'devices': [device(**ANSWERS)], 'waits': waits(10, 499, 3.0),
+                          'notes': damaged(3)},
+     'the master does not wait for answers, and talks into them: it gives up within 500 us, '
+     'before a servo answers as it comes from the factory; raise its time-out',
+     {'given up at once': '10'},
+     [{'waits': waits(10, 500)}, {'waits': waits(9, 499)}, {'waits': waits(10, 499, 3.001)},
+      {'waits': waits(10, 499, spoilt=True)}, {'notes': damaged(2)}, {'devices': [device()]}]),
+    ('impatient_master', {'devices': [device(1), device(2, acks=False)], 'cycles': (
+        HANDFUL._replace(stamps=tuple(UNPACED.stamps[n] - 2 * MS for n in range(3))), UNPACED),
+        'waits': tuple(Wait(UNPACED.stamps[n] + 500_000, 500, 2, True) for n in range(3))},
+     'the master writes and does not wait for the acknowledgement: its next question ran into it '
+     '3 times in 10 s; let it wait, or use Sync Write', {'questions spoilt behind a write': '3'},
+     [{'devices': [device(1, acks=True), device(2)]},
+      {'waits': tuple(Wait(UNPACED.stamps[n] + 500_000, 500, 2, True) for n in range(2))},
+      {'cycles': (HANDFUL._replace(stamps=tuple(
+          UNPACED.stamps[n] - 2 * MS - 1 for n in range(3))), UNPACED)},
+      {'cycles': (HANDFUL._replace(stamps=tuple(
+          UNPACED.stamps[n] - MS for n in range(4))), UNPACED)}]),
+    ('late_answers', {'notes': late(3), 'waits': waits(1, 2500)},
+     'answers when the master has given up, into the next question: lower its Return Delay Time '
+     'or raise the time-out', {'late answers': '3', 'waits': '2.5 ms'},
+     [{'notes': late(2)}, {'notes': late(3, 3.0)}, {'waits': waits(1, 49)}]),
+    ('wrong_length', {'devices': [device(3)], 'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 3, 3)},
+     'answers 2 bytes to a read of 4: its firmware is at fault, or a second device has its ID; '
+     'update it, and ping its ID without it', {'answers': '3'},
+     [{'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 2, 3)},
+      {'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 3, 3) + late(1, number=3)}]),
+    ('bus_too_slow', {'counters': {'Bytes': 225_100},
+                      'marks': {4: {'bytes': 9}, 3: {'bytes': 99}, 0: {}}},
+     'the line is busy for more than 75 % of the time: no room for a retry; raise the baud rate, '
+     'or read less', {'load (%)': '75', 'bytes per second': '75000'},
+     [{'counters': {'Bytes': 225_099}}, {'baud': 2_000_000}, {'marks': {0.9: {}, 0: {}}}]),
+    ('two_masters', {'notes': note(ev.FOREIGN, ev.Code(2), 3)},
+     '3 instructions came to the master that it did not send: another program is on this bus; '
+     'stop one', {'instructions': '3'}, [{'notes': note(ev.FOREIGN, ev.Code(2), 2)}]),
+    ('return_delay', {'devices': [device(delay=summary(0.41, 0.55), **ANSWERS)]},
+     'waits 0.4 ms before each answer (reply latency): write 0 to Return Delay Time, that saves 4 '
+     'ms of bus time per second', {'delay (ms)': '0.41', 'read': 'measured'},
+     [{'devices': [device(delay=summary(0.39, 0.5))]}, {'devices': [device(delay=summary(0.71))]},
+      {'devices': [device(delay=summary(0.41, 0.57))]},
+      {'devices': [device(delay=summary(0.41, 0.55, 4))]}]),
+    ('return_delay', {'devices': [device(registers={'Return Delay Time': 250}, **ANSWERS)]},
+     'waits 0.5 ms before each answer (Return Delay Time): write 0 to Return Delay Time, that '
+     'saves 5 ms of bus time per second', {'delay (ms)': '0.50', 'read': 'yes'},
+     [{'devices': [device(registers={'Return Delay Time': 199}, **ANSWERS)]},
+      {'devices': [device(registers={'Return Delay Time': 0}, delay=summary(0.5))]}]),
+    ('latency_timer', {'cycles': SIXTEEN},
+     "most instructions come 16 ms after the answer before: the latency timer of the master's "
+     'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
+     [{'cycles': (*SIXTEEN, HANDFUL._replace(instruction=I.READ))}, {'metrics': blurred(4.1)},
+      {'cycles': SIXTEEN[:1]}, {'cycles': tuple(one._replace(stamps=tuple(
+          NOW - (NOW - stamp) * 14 // 16 for stamp in one.stamps)) for one in SIXTEEN)}]),
+]
+
+
+@pytest.mark.parametrize(('rule', 'enough', 'message', 'figures', 'too_little'), ENOUGH,
+                         ids=[row[0] for row in ENOUGH])
+def test_a_rule_speaks_from_its_edge_on(rule: str, enough: dict[str, Any], message: str,
+                                        figures: dict[str, str],
+                                        too_little: list[dict[str, Any]]) -> None:
+    [claim] = [one for one in told(rule, **enough) if isinstance(one, Claim)]
+    assert (claim.message, dict(claim.figures)) == (message, figures)
+    for less in too_little:
+        assert [one for one in told(rule, **{**enough, **less}) if isinstance(one, Claim)] == [], \
+            less
+
+
+# --- what it cannot tell ---------------------------------------------------------------------
+
+DOUBTS: list[tuple[str, dict[str, Any], int | None, str]] = [
+    ('noise', {'notes': damaged(4)}, None,
+     '4 damaged packets in 10 s are too few to name a cause'),
+    ('noise', {'notes': note(ev.SOURCE_LOST, ev.Much(3), 2)}, None,
+     '6 USB events or bytes were not heard: what is missing cannot be told from what was not '
+     'said; take other devices off this USB bus'),
+    ('models', {'devices': [device(9, ''), device(8, '', last_heard_s=None)],
+                'started': NOW - 3 * S}, None,
+     '009: model not known, so registers have no names and some causes are not looked for; set '
+     '`devices`, or let the master Ping'),
+    ('no_answer', {'devices': [device(3, state=words.EXPECTED, last_heard_s=None)]}, 3,
+     'in `devices`, but the master never asks it'),
+    ('late_answers', {'notes': late(3, number=2), 'waits': waits(1, 49)}, 2,
+     'the next question comes into its answers, before a wait: two programs, or one that does not '
+     'wait'),
+    ('too_hot', {'devices': [device(4, 'MX-106', model_number=9, registers={
+        'Present Temperature': 99})]}, None, '004: Temperature Limit never read'),
+    ('voltage', {'devices': [device(4, 'MX-106', model_number=9, registers={
+        'Present Input Voltage': 99})]}, None, '004: voltage limits never read'),
+    ('wrong_supply', {'devices': [device(4, 'STS3215', registers={
+        'Present Input Voltage': 99})]}, None,
+     '004: Max Voltage Limit never read, so whether they fit the supply cannot be told'),
+    ('never_written', {'devices': [device(5, totals={'reads': 20}, window={'answers': 1})]}, 5,
+     'polled and never written, as all others: perhaps this master only looks'),
+    ('return_delay', {'devices': [device(5, window={'answers': 1}), device(6)]}, None,
+     '005: reply latency not resolved by the adapter and Return Delay Time never read'),
+]
+
+
+@pytest.mark.parametrize(('rule', 'parts', 'number', 'reason'), DOUBTS,
+                         ids=[row[0] for row in DOUBTS])
+def test_what_cannot_be_told_is_said(rule: str, parts: dict[str, Any], number: int | None,
+                                     reason: str) -> None:
+    assert [one for one in told(rule, **parts) if isinstance(one, Doubt)] \
+        == [Doubt(number, reason)]
+
+
+@pytest.mark.parametrize(('rule', 'parts'), [
+    ('noise', {}), ('models', {'devices': [device(9, '')], 'started': NOW - 3 * S + 1}),
+    ('models', {'devices': [device(9)]}),
+    ('no_answer', {'devices': [device(3, state=words.EXPECTED)]}),
+    ('no_answer', {'devices': [device(3, state=words.EXPECTED, last_heard_s=None,
+                                      window={'missed': 1})]}),
+    ('return_delay', {'devices': [device(registers={'Return Delay Time': 0}, **ANSWERS)]}),
+])
+def test_without_a_reason_no_doubt_is_told(rule: str, parts: dict[str, Any]) -> None:
+    assert told(rule, **parts) == []
+
+
+# --- words -----------------------------------------------------------------------------------
+
+@pytest.mark.parametrize(('spelt', 'expected'), [
+    (share(1, 3), '33 %'), (share(995, 10000), '10 %'), (share(994, 10000), '9.9 %'),
+    (share(1, 0), '0.0 %'),
+    (about(2, 1000), 'less than 0.2 %'), (about(21, 10000), 'about 0.2 %'),
+    (about(3, 100), 'about 2 %'), (about(1, 1), 'about 100 %'), (about(0, 0), 'less than 0.2 %'),
+    (longer_than(0.3), 'more than 1 s'), (longer_than(5), 'more than 5 s'),
+    (longer_than(59), 'more than 30 s'), (longer_than(60), 'more than 1 min'),
+    (longer_than(7300), 'more than 60 min'),
+    (listed(range(1, 7)), '001, 002, 003, 004, 005, 006'),
+    (listed(range(1, 8)), '001, 002, 003, 004, 005, 006 and 1 more'),
+    (listed([12, 3, 4], 2), '012, 003 and 1 more'),
+])
+def test_shares_times_and_ids_are_spelt_in_steps(spelt: str, expected: str) -> None:
+    assert spelt == expected
+
+
+# --- rhythms and collisions ------------------------------------------------------------------
+
+def test_how_long_the_answers_to_an_instruction_take() -> None:
+    assert answer_ns(asks(I.SYNC_READ, 1, 2), 1_000_000) == 2 * 15 * 10_000
+    assert answer_ns(asks(I.WRITE, 1, size=0), 1_000_000) == 11 * 10_000
+    assert answer_ns(asks(I.SYNC_WRITE, 1, 2), 1_000_000) == 0
+
+
+@pytest.mark.parametrize(('gaps', 'is_steady', 'is_even'), [
+    ([20] * 20, True, True),
+    ([20, 20, 20, 20, 40] * 4, True, False),           # some were lost
+    ([20, 20, 20, 40, 50] * 4, True, False),           # four of five keep time
+    ([20, 20, 24, 50, 31] * 4, False, False),
+    ([20, 20, 20, 20, 20, 20, 20, 24, 24, 16] * 2, False, True),
+])
+def test_what_keeps_time(gaps: list[float], is_steady: bool, is_even: bool) -> None:
+    [rhythm] = rhythms((every(gaps),), NOW, 1_000_000)
+    assert (rhythm.is_steady, rhythm.is_even) == (is_steady, is_even)
+
+
+@pytest.mark.parametrize(('gaps', 'other', 'locked'), [
+    (20.0, 40.0, True), (20.0, 41.5, False), (20.0, 40.5, True), (20.0, 20.3, True)])
+def test_two_periods_that_fit_each_other(gaps: float, other: float, locked: bool) -> None:
+    one, two = rhythms((every([gaps] * 30), every([other] * 15, 2)), NOW, 1_000_000)
+    assert is_locked(two, one) == locked
+
+
+def test_what_was_seen_for_a_short_time_is_taken_to_fit() -> None:
+    one, two = rhythms((every([20.0] * 30), every([31.0] * 12, 2)), NOW, 1_000_000)
+    assert not is_locked(two, one)
+    one, two = rhythms((every([20.0] * 30), every([31.0] * 5 + [93.0] * 7, 2)), NOW, 1_000_000)
+    assert is_locked(two, one)
+
+
+def test_only_what_is_repeated_and_goes_on_is_a_rhythm() -> None:
+    assert len(rhythms((every([20] * 12),), NOW, 1_000_000)) == 1
+    assert rhythms((every([20] * 11),), NOW, 1_000_000) == []
+    assert rhythms((every([20] * 12),), NOW + 2 * S, 1_000_000) == []
+    assert len(rhythms((every([20] * 12),), NOW + 2 * S - 1, 1_000_000)) == 1
+    assert len(rhythms((every([20] * 12),) * 9, NOW, 1_000_000)) == 8
+
+
+READ_OF_3 = encode(3, I.READ, b'\x84\0\4\0')
+
+
+@pytest.mark.parametrize(('noise', 'count'), [
+    (bytes(len(READ_OF_3) - 6) + READ_OF_3[-6:], 1),
+    ((bytes(len(READ_OF_3) - 6) + READ_OF_3[-6:]) * 2, 2),
+    (READ_OF_3, 0),                                    # it is whole: nothing was in its place
+    (b'\xfc' + READ_OF_3[1:], 0),                      # two wrong bits are noise
+    (b'\xf8' + READ_OF_3[1:], 1),
+    (READ_OF_3[1:], 0),                                # its begin is not known
+])
+def test_the_end_of_a_question_behind_an_answer(noise: bytes, count: int) -> None:
+    cycles = (asks(I.PING, 3), asks(I.READ, 3))
+    assert ran_into_answers(case(cycles=cycles, noise=noise, notes=damaged(1))) == count
+    assert ran_into_answers(case(cycles=cycles, noise=noise)) == 0
+
+
+FRONTS = {
+    'Ping': (asks(I.PING, 3), ev.Front(I.PING, 2)),
+    'Read': (asks(I.READ, 3), ev.Front(0, 7)),
+    'Write': (asks(I.WRITE, 3, size=4), ev.Front(I.WRITE, 8)),
+    'Reg Write': (asks(I.REG_WRITE, 3, size=4), ev.Front(0, 9)),
+    'Sync Read': (asks(I.SYNC_READ, 1, 2, 3), ev.Front(I.SYNC_READ, 8)),
+    'Fast Sync Read': (asks(I.FAST_SYNC_READ, 1, 2, 3), ev.Front(I.FAST_SYNC_READ, 2)),
+    'Sync Write': (asks(I.SYNC_WRITE, 1, 2, size=4), ev.Front(I.SYNC_WRITE, 16)),
+}
+
+
+@pytest.mark.parametrize('name', FRONTS)
+def test_bits_that_are_lost_from_any_instruction_are_a_collision(name: str) -> None:
+    cycle, front = FRONTS[name]
+
+    def collides(front: ev.Front, count: int, others: int = 0, protocol: str = words.PROTOCOL_2,
+                 ) -> bool:
+        return is_collision(case(cycles=(cycle,), protocol=protocol, notes=[
+            *note(ev.DAMAGED_INSTRUCTION, front, count),
+            *note(ev.DAMAGED_INSTRUCTION, ev.Front(0xFF, 0xFFFF), others)]))
+
+    assert collides(front, 3)
+    assert collides(front, 3, 7)
+    assert not collides(front, 3, 8)
+    assert not collides(front, 2)
+    assert not collides(front, 3, protocol='Feetech')
+    assert not collides(ev.Front(front.instruction, front.length | 0x100), 3)  # bits were added
+    whole = {'Ping': 3, 'Read': 7, 'Write': 9, 'Reg Write': 9, 'Sync Read': 10,
+             'Fast Sync Read': 10, 'Sync Write': 17}[name]
+    assert not collides(ev.Front(cycle.instruction, whole), 9)     # a packet as it shall be
+
+
+# --- two masters -----------------------------------------------------------------------------
+
+CLASHES = note(ev.DAMAGED_INSTRUCTION, ev.Front(0, 2), 3)
+
+
+def two_clocks(**parts: Any) -> list[Claim | Doubt]:
+    """Return what is said of one instruction that two loops repeat."""
+    found = case(**parts)
+    found.clocks = [TwoClocks(NOW, asks(I.READ, 3), (Comb(31.0 * MS, ()), Comb(20.0 * MS, ())))]
+    return list(RULE['two_masters'].check(found))
+
+
+def test_one_instruction_of_two_loops_is_two_programs_where_packets_collide() -> None:
+    words = 'Read of 003 at 132 every 20 ms and every 31 ms: two programs, or '
+    assert two_clocks() == [Doubt(None, words + 'one with two timers')]
+    assert two_clocks(cycles=(asks(I.READ, 3),), protocol='Dynamixel 2.0', notes=CLASHES) == [
+        Claim(None, words + 'two threads without a lock; let only one ask',
+              (('damaged packets', '3'),))]
+
+
+@pytest.mark.parametrize(('other_ms', 'blur_ms', 'is_told'), [
+    (37.0, 1.0, True), (40.0, 1.0, False), (37.0, 6.6, True), (37.0, 6.7, False)])
+def test_two_rhythms_that_do_not_fit_are_two_programs(other_ms: float, blur_ms: float,
+                                                      is_told: bool) -> None:
+    cycles = every([20.0] * 60), every([other_ms] * 32, 2)._replace(address=None)
+    found = told('two_masters', metrics=blurred(blur_ms), rhythms=rhythms(cycles, NOW, 1_000_000))
+    assert [one.message for one in found if isinstance(one, Claim)] == [
+        'Read of 001 at 132 every 20 ms and Read of 002 every 37 ms: two programs, or two threads '
+        'without a lock; let only one ask'] * is_told
+
+
+UNSTEADY = [20, 20, 31, 20, 23, 43, 38, 20, 35, 26, 41, 29, 33, 37, 24, 22, 40, 28, 34, 30] * 2
+
+
+@pytest.mark.parametrize(('gaps', 'parts', 'is_told'), [
+    (UNSTEADY, {}, True), ([20.0] * 40, {}, False),
+    (UNSTEADY, {'steady': set()}, False), (UNSTEADY, {'waits': waits(1, 500, 3.0)}, False),
+    (UNSTEADY, {'waits': waits(1, 500, 3.001)}, True), (UNSTEADY, {'metrics': blurred(6.6)}, True),
+    (UNSTEADY, {'metrics': blurred(6.7)}, False),
+])
+def test_a_cycle_that_was_regular_and_is_not(gaps: list[float], parts: dict[str, Any],
+                                             is_told: bool) -> None:
+    cycle = every(gaps)
+    found = told('jitter', **{'rhythms': rhythms((cycle,), NOW, 1_000_000),
+                              'steady': {key_of(cycle)}, **parts})
+    assert [dict(one.figures) for one in found if isinstance(one, Claim)] == [
+        {'spread': '0.67', 'cycle (ms)': '20.0 to 40.0, 30.0 as a rule'}] * is_told
+
+
+# --- what is remembered ----------------------------------------------------------------------
+
+def test_the_count_of_so_long_ago_is_the_newest_that_is_old_enough() -> None:
+    found = case(marks={10: {'bytes': 1}, 2: {'bytes': 2}, 1.9: {'bytes': 3}, 0: {'bytes': 4}})
+    assert [found.mark(age).bytes for age in (60, 10, 2, 1.95, 0)] == [1, 1, 2, 2, 4]
+
+
+def test_what_happened_lately_to_a_device_is_counted_from_then_on() -> None:
+    one = device(totals={'answers': 9})
+    found = case(one, counts=[(NOW - 3 * S, {1: Counts(answers=2)}),
+                              (NOW - 2 * S, {1: Counts(answers=5)})])
+    assert [found.lately(one, age).answers for age in (9, 3, 2.5, 2, 1)] == [7, 7, 7, 4, 4]
+    assert found.lately(device(2, totals={'answers': 4}), 2).answers == 4
+
+
+def test_damage_has_gone_on_from_its_first_to_its_last() -> None:
+    assert case().damage_s == 0.0
+    assert case(notes=note(ev.CUT, ev.Front(2, 7), 5)).damage_s == pytest.approx(1.2)
+    assert case(notes=note(ev.BAD_LENGTH, ev.Length(7), 2)).damage == 2
+
+
+@pytest.mark.parametrize(('parts', 'gone'), [
+    ({'state': words.DISCONNECTED, 'last_heard_s': 1.6}, True),
+    ({'state': words.DISCONNECTED, 'last_heard_s': 1.5}, False),
+    ({'state': words.CONNECTED, 'last_heard_s': 9}, False),
+    ({'state': words.EXPECTED, 'last_heard_s': None, 'missed_in_a_row': 5}, True),
+    ({'state': words.EXPECTED, 'last_heard_s': None, 'missed_in_a_row': 4}, False),
+    ({'state': words.DISCONNECTED, 'last_heard_s': 9, 'window': {'missed': 10, 'garbled': 5}},
+     True),
+    ({'state': words.DISCONNECTED, 'last_heard_s': 9, 'window': {'missed': 10, 'garbled': 6}},
+     False),
+    ({'state': words.ASKED, 'last_heard_s': None, 'missed_in_a_row': 9,
+      'window': {'missed': 10, 'garbled': 9}}, True),
+    ({'state': words.ASKED, 'last_heard_s': None, 'missed_in_a_row': 9,
+      'window': {'missed': 10, 'garbled': 10}}, False),
+])
+def test_who_is_gone(parts: dict[str, Any], gone: bool) -> None:
+    assert case(device(7, **parts)).gone == [7] * gone
+
+
+def test_who_waits_behind_another() -> None:
+    assert is_waiting(device(state=words.WAITING, waiting_behind=2))
+    assert not is_waiting(device(state=words.WAITING))
+    assert not is_waiting(device(waiting_behind=2))
+
+
+def asked_at(history: History, *pairs: tuple[float, float]) -> list[float]:
+    """Return how long it was quiet, by reports at s with the last instruction at s."""
+    return [round(history.take(case(asked=int(asked * S), stamp=int(now * S)).report).quiet_s, 3)
+            for now, asked in pairs]
+
+
+def test_a_pause_is_quiet_where_the_master_does_not_often_pause_like_that() -> None:
+    assert asked_at(History(), (100, 100), (100.625, 100), (100.626, 100)) == [0, 0, 0.626]
+    assert asked_at(History(), (100, 0)) == [0]
+    paused = History()
+    assert asked_at(paused, (100, 100), (101, 100), (102, 102)) == [0, 1, 0]
+    assert asked_at(paused, (104, 102), (104.1, 102)) == [0, 2.1]
+    for minute, quiet_s in ((60, 0), (60.1, 1.5)):     # so long a usual one is remembered
+        paused = History()
+        assert asked_at(paused, (100, 100), (101, 100), (102, 101.9)) == [0, 1, 0]
+        assert asked_at(paused, (102 + minute, 100.5 + minute)) == [quiet_s]
+
+
+def test_an_incident_is_taken_once_and_forgotten_after_ten_seconds() -> None:
+    history = History()
+    one, two = note(ev.CUT, ev.Front(2, 7), 2)
+    report = case().report
+    assert history.take(report._replace(incidents=(one,))).count(ev.CUT) == 1
+    assert history.take(report._replace(incidents=(one, two))).count(ev.CUT) == 2
+    later = report._replace(incidents=(one, two))
+    assert history.take(later._replace(stamp=one.stamp + 10 * S)).count(ev.CUT) == 2
+    assert history.take(later._replace(stamp=one.stamp + 10 * S + 1)).count(ev.CUT) == 1
+    assert history.take(later._replace(stamp=two.stamp + 10 * S + 1)).count(ev.CUT) == 0
+
+
+def test_after_a_reset_the_history_begins_again() -> None:
+    history = History()
+    [one] = note(ev.CUT, ev.Front(2, 7), 1)
+    counted = case(counters={'Bytes': 5}, incidents=(one,)).report
+    assert history.take(counted).count(ev.CUT) == 1
+    assert history.take(counted._replace(incidents=())).count(ev.CUT) == 1
+    assert history.take(counted._replace(counters=COUNTERS, incidents=())).count(ev.CUT) == 0
+
+
+def test_a_mark_counts_what_the_driver_and_the_devices_did() -> None:
+    found = History().take(case(
+        device(totals={'answers': 2}), device(2, totals={'answers': 3}),
+        counters={'Bytes': 9, 'Packet Bytes': 8, 'Packets': 7, 'Instructions': 6},
+        kinds={ev.GLITCH: 4, ev.ECHO: 5},
+        line_errors=LineErrors(overrun=1, buf_overrun=2, frame=10, parity=40, breaks=20)).report)
+    assert tuple(found.mark(0)) == (NOW, 9, 8, 7, 6, 5, 4, 5, 3, 30)
+
+
+def test_samples_are_those_of_the_last_ten_seconds() -> None:
+    history = History()
+    moving = device(registers={'Goal Position': 9, 'Present Position': 7,
+                               'Present Input Voltage': 120, 'Realtime Tick': 1500})
+    for age in (10, 0):
+        found = history.take(case(moving, stamp=NOW - age * S).report)
+    assert list(found.samples[1]) == [Sample(NOW - age * S, 9, 7, 1.5, 12.0) for age in (10, 0)]
+    found = history.take(case(moving, stamp=NOW + 1).report)
+    assert [one.stamp for one in found.samples[1]] == [NOW, NOW + 1]
+    assert History().take(case(device(registers={'Goal Position': 9})).report).samples == {}
