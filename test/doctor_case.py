@@ -31,6 +31,9 @@ S = 1_000_000_000
 MS = 1_000_000
 NOW = 100 * S
 RULE = {one.name: one for one in RULES}
+OF_THE_BUS = {'wrong_baud', 'overrun', 'noise', 'stray_bytes', 'echo', 'not_sent', 'all_silent',
+              'brown_out', 'master_stopped', 'impossible_id', 'scan', 'impatient_master',
+              'bus_too_slow', 'two_masters', 'latency_timer', 'jitter'}
 
 def summary(p50: float, p95: float = 0.0, count: int = 5) -> Summary:
     return Summary(count, p50, 0.0, p50, p95, p50, p95 or p50, p95 or p50)
@@ -99,3 +102,8 @@ def case(*devices: DeviceReport, notes: Iterable[Incident[Any]] = (),
 def told(rule: str, **parts: Any) -> list[Claim | Doubt]:
     """Return what a rule says of a case."""
     return list(RULE[rule].check(case(*parts.pop('devices', ()), **parts)))
+
+
+def claims(rule: str, **parts: Any) -> list[Claim]:
+    """Return what a rule claims of a case, without its doubts."""
+    return [one for one in told(rule, **parts) if isinstance(one, Claim)]

@@ -4,11 +4,16 @@
 
 from random import Random
 
+from doctor_case import asks
+from doctor_case import case
 import pytest
 
 from benchmark import damage
 from dxl_monitor.doctor import bits
 from dxl_monitor.doctor.bits import Shape
+from dxl_monitor.doctor.bits import Wreck
+from dxl_monitor.doctor.bits import WrongBit
+from msg_defs.dxl_instruction import Instruction as I
 from rigs.bus import frames
 from rigs.bus import uart
 from rigs.bus import wrecked
@@ -116,6 +121,76 @@ def test_where_it_is_not_clear_nothing_is_said():
     same = bytearray(ANSWERS[0])
     same[7] ^= 0x14
     assert looks(bytes(same) * 50) == ''
+
+
+# --- how much it takes -------------------------------------------------------------------------
+
+def wreck(at=11, bit=0, is_up=True, is_late=None, device=3):
+    return Wreck(device, 15, (WrongBit(at, bit, is_up, is_late),))
+
+
+WHOLE_HEAD = Wreck(3, 15, ())
+
+
+def apart(ups, downs):
+    """Return wrecks with a wrong bit each, no two of them alike."""
+    return [wreck(10 * at + 1, 0, at < ups) for at in range(ups + downs)]
+
+
+def pairs(count, gap, others=0, other=50):
+    """Return wrecks with two wrong bits so far apart; others with another distance."""
+    return [Wreck(3, 40, (WrongBit(20 + at, at % 7, at % 2 == 0, None),
+                          WrongBit(20 + at + (gap if at < count else other), 0, True, None)))
+            for at in range(count + others)]
+
+
+@pytest.mark.parametrize(('found', 'said'), [
+    ([wreck(11 + at, 7) for at in range(8)], bits.CLOCK),
+    ([wreck(11 + at, 7) for at in range(7)], ''),
+    ([wreck(11 + at, 7) for at in range(7)] + [WHOLE_HEAD], ''),
+    ([wreck(11 + at, 7) for at in range(18)] + [wreck(500), wreck(600)], bits.CLOCK),
+    ([wreck(11 + at, 7) for at in range(17)] + [wreck(500 + at) for at in range(3)],
+     f'{bits.LEVEL}: 0 read as 1 each time'),
+    ([WHOLE_HEAD] * 19 + [wreck()], f'{bits.SPEAKERS}: the heads are whole, data and checksums '
+                                    'are not'),
+    ([WHOLE_HEAD] * 17 + [wreck()] * 3, ''),
+    (apart(19, 1), f'{bits.LEVEL}: 0 read as 1 each time'),
+    (apart(1, 19), f'{bits.LEVEL}: 1 read as 0 each time'),
+    (apart(18, 2), ''), (apart(15, 5), ''), (apart(14, 6), bits.INTERFERENCE),
+    (apart(6, 14), bits.INTERFERENCE),
+    ([wreck()] * 9, ''),                               # the same bit each time
+    (pairs(16, 33), f'{bits.PWM}: wrong bits about 33 bits apart, or a multiple'),
+    (pairs(15, 33), bits.INTERFERENCE), (pairs(16, 30), bits.INTERFERENCE),
+    (pairs(20, 14), bits.INTERFERENCE),                # one pulse
+    (pairs(18, 33, 6, 49), f'{bits.PWM}: wrong bits about 16 bits apart, or a multiple'),
+])
+def test_a_picture_needs_enough_of_one_kind(found, said):
+    assert bits.look(found) == said
+
+
+def test_what_is_due_is_what_answers_the_questions():
+    cycles = (asks(I.READ, 3, size=2), asks(I.SYNC_READ, 4, 5), asks(I.WRITE, 6),
+              asks(I.PING, 7), asks(I.PING, 8, 9), asks(I.SYNC_WRITE, 10), asks(I.READ, 3, size=2))
+    of_2 = case(cycles=cycles, protocol='Dynamixel 2.0').report
+    head = b'\xff\xff\xfd\0'
+    assert bits.shapes(of_2) == (
+        Shape(head + b'\3\6\0\x55', 13, 3), Shape(head + b'\4\x08\0\x55', 15, 4),
+        Shape(head + b'\5\x08\0\x55', 15, 5), Shape(head + b'\6\4\0\x55', 11, 6),
+        Shape(head + b'\7\7\0\x55', 14, 7))
+    of_1 = case(cycles=cycles[:4], protocol='Feetech').report
+    assert bits.shapes(of_1) == (
+        Shape(b'\xff\xff\3\4\0', 8, 3), Shape(b'\xff\xff\4\6\0', 10, 4),
+        Shape(b'\xff\xff\5\6\0', 10, 5), Shape(b'\xff\xff\6\2\0', 6, 6),
+        Shape(b'\xff\xff\7\2\0', 6, 7))
+
+
+@pytest.mark.parametrize(('turned', 'is_known'), [(7, True), (8, False)])
+def test_fewer_than_an_eighth_of_the_known_bits_are_wrong(turned, is_known):
+    wrong = bytearray(ANSWERS[0])
+    for bit in range(turned):
+        wrong[bit // 2] ^= 1 << bit % 2
+    found = bits.wrecks(bytes(wrong), (DUE,))
+    assert [len(one.flips) for one in found] == [7] * is_known
 
 
 # --- the page -----------------------------------------------------------------------------------

@@ -92,6 +92,14 @@ def test_an_so_101_is_followed_from_the_first_byte_on(protocol: str) -> None:
     assert bus.report().findings == ()
 
 
+def test_an_error_without_data_is_the_answer_to_a_read() -> None:
+    bus = Bus('1')
+    bus.ask(encode(1, 2, b'\x24\2'), encode(1, 0, b'\0\2'))
+    bus.ask(encode(1, 2, b'\x24\2'), encode(1, 1))         # it looks like a Ping of 1
+    assert bus.report().counters['Instructions'] == 2
+    assert bus.devices()[1].totals.answers == 2
+
+
 def test_a_model_that_is_read_names_the_registers() -> None:
     bus = Bus()
     bus.ask(encode(3, 1), encode(3, 0))

@@ -10,11 +10,13 @@ is made by hand: what a bus must say to bring it about is in test_doctor_evidenc
 from typing import Any
 
 from doctor_case import asks
+from doctor_case import claims
 from doctor_case import device
+from doctor_case import MODELS
 from doctor_case import note
 from doctor_case import NOW
+from doctor_case import OF_THE_BUS
 from doctor_case import S
-from doctor_case import told
 import pytest
 
 from dxl_monitor.bus import evidence as ev
@@ -22,9 +24,11 @@ from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import Wait
-from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.case import Sample
+from dxl_monitor.doctor.health import FACTORY
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
+from msg_defs.reports import Level
 
 # --- what is just enough ---------------------------------------------------------------------
 
@@ -48,6 +52,32 @@ LOST = {'window': {'answers': 297, 'missed': 3}}
 MISSED = note(ev.MISSED, ev.Unanswered(I.READ, 132), 3)
 GLITCHES = {10: {'glitches': 2}, 0: {'glitches': 7}}
 FAST_READ = asks(I.FAST_SYNC_READ, 1, 2, asked=3, stamps=(NOW - 2 * S,))
+
+
+def back(ms: int, number: int = 1, torque: int = -1,
+         ago_s: float = 2.5) -> list[Incident[ev.SilentFor]]:
+    """Return a return after so long an absence."""
+    return [Incident(NOW - int(ago_s * S), ev.RETURNED, number, ev.SilentFor(ms, torque))]
+
+
+def sample(ago_s: float, goal: float | None = None, position: float | None = None,
+           tick: float | None = None, voltage: float | None = None) -> Sample:
+    return Sample(NOW - int(ago_s * S), goal, position, tick, voltage)
+
+
+def ticks(before: float, after: float) -> list[Sample]:
+    """Return Realtime Tick before an absence and 2 s later, behind it."""
+    return [sample(4, tick=before), sample(2, tick=after)]
+
+
+def volts(before: float, after: float) -> list[Sample]:
+    return [sample(4, voltage=before), sample(1, voltage=after)]
+
+
+def moves(seconds: float, goal: float, position: float) -> list[Sample]:
+    """Return a goal and a position that move so far in so long; the first sample is not used."""
+    return [sample(seconds + 0.05, 1000, 1000), sample(seconds, 0, 0),
+            sample(0, goal, position)]
 
 
 ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]]]] = [
@@ -82,7 +112,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      [{'devices': [spoken(1, window={'answers': 93, 'missed': 6, 'spoilt': 6}), ONE_HIT[1]]},
       {'devices': [spoken(1, window={'answers': 93, 'missed': 2, 'spoilt': 2})]},
       {'notes': damage(10, 2)}]),
-    ('duplicate_id', {'devices': [spoken(3)], 'notes': note(ev.SECOND_ANSWER, ev.Code(2), 3, 3)
+    ('duplicate_id', {'whom': 3,
+      'devices': [spoken(3)], 'notes': note(ev.SECOND_ANSWER, ev.Code(2), 3, 3)
                       + note(ev.UNASKED, ev.Stranger(2, 0), 1, 3)},
      'answered twice: two devices have this ID; unplug one and give it another',
      {'second answers': '3', 'damaged': '0', 'model changes': '0'},
@@ -113,7 +144,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'devices': [spoken(window={'answers': 299, 'repaired': 3})]},
       {'devices': [spoken(window={'answers': 399, 'repaired': 4, 'spoilt': 32})]},
       {'notes': damage(32)}]),
-    ('turnaround', {'devices': [spoken(1, window={'answers': 90, 'repaired': 6}),
+    ('turnaround', {'whom': None,
+      'devices': [spoken(1, window={'answers': 90, 'repaired': 6}),
                                 spoken(2, window={'answers': 90, 'repaired': 2}),
                                 spoken(3, window={'answers': 89, 'beheaded': 1})],
                     'marks': GLITCHES},
@@ -138,7 +170,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      'off, losses counted here are not real', {'echoes': '5'},
      [{'notes': note(ev.REPEATED, ev.Again(2, 99), 4)}, {'cycles': (asks(I.READ, 1, asked=0),)},
       {'notes': note(ev.REPEATED, ev.Again(2, 99), 5) + note(ev.REPEATED, ev.Again(2, 100), 5)}]),
-    ('foreign_answers', {'devices': [spoken(4)],
+    ('foreign_answers', {'whom': 4,
+      'devices': [spoken(4)],
                          'notes': note(ev.UNASKED, ev.Stranger(2, 0), 3, 4)},
      '3 answers that the master here did not ask for: another master asks it where this port does '
      'not hear; find and stop that', {'answers': '3'},
@@ -163,27 +196,82 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
                     'counters': {'Instructions': 9}, 'marks': {1.6: {'instructions': 2}, 0: {}}},
      'the master asks, none of 2 devices answers: check power and first cable; or listen on both '
      'directions', {'instructions': '7'}, []),
-    ('no_answer', {'devices': [device(2, **SILENT), spoken(3)], 'waits': (
-        Wait(NOW, 3000, 2, False), Wait(NOW, 9000, 3, False), Wait(NOW, 4000, 2, True))},
+    ('no_answer', {'whom': 2,
+      'devices': [device(2, **SILENT), spoken(3)], 'waits': (
+        Wait(NOW, 93_000, 2, False), Wait(NOW, 9000, 3, False), Wait(NOW, 94_000, 2, True))},
      'no answer, silent for more than 1 s, others answer: check its power, cable and ID',
-     {'requests without an answer': '9', 'wait per request (ms)': '3.5'},
+     {'requests without an answer': '9', 'wait per request (ms)': '93.5'},
      [{'devices': [device(2, **{**SILENT, 'last_heard_s': 1.5})]},
       {'devices': [device(2, **{**SILENT, 'state': words.CONNECTED})]}]),
-    ('no_answer', {'devices': [device(2, **{**SILENT, 'state': words.ASKED, 'last_heard_s': None,
+    ('no_answer', {'whom': 2,
+      'devices': [device(2, **{**SILENT, 'state': words.ASKED, 'last_heard_s': None,
                                             'missed_in_a_row': 5})]},
      'no answer, never heard: check its power, cable and ID', {'requests without an answer': '5'},
      [{'devices': [device(2, **{**SILENT, 'state': words.ASKED, 'last_heard_s': None,
                                 'missed_in_a_row': 4})]}]),
-    ('sync_read_stops', {'devices': [device(2, **SILENT), *(device(
+    ('sync_read_stops', {'whom': 2,
+      'devices': [device(2, **SILENT), *(device(
         number, state=words.DISCONNECTED, waiting_behind=2) for number in (3, 4, 5))]},
      'silent, and the Sync Read ends there: 003, 004 and 1 more behind it get no turn; check its '
      'power and cable, or leave it out', {'not served': '003, 004, 005'},
      [{'devices': [device(2, **SILENT), device(3, waiting_behind=2)]}]),
-    ('broken_cable', {'devices': [device(1), device(2, **SILENT), device(3, **SILENT)],
-                      'chain': (1, 2, 3)},
+    ('broken_cable', {'whom': 2, 'covers': (2, 3, 4),
+      'devices': [device(1), *(device(n, **SILENT) for n in (2, 3, 4))],
+                      'chain': (1, 2, 3, 4)},
      'it and all behind it are silent: the cable between 001 and 002 is broken or unplugged',
-     {'silent': '002, 003'},
-     [{'chain': (2, 3)}, {'chain': (2, 3, 1)}, {'chain': (1, 2)}]),
+     {'silent': '002, 003, 004'},
+     [{'chain': (2, 3, 4)}, {'chain': (2, 3, 1)}, {'chain': (1, 2)},
+      {'chain': (5, 2, 3, 1), 'devices': [device(1), device(5), device(2, **SILENT),
+                                          device(3, **SILENT)]}]),
+    ('rebooted', {'devices': [device(registers={'Torque Enable': 0}, age_s=2.0)],
+                  'notes': back(100, torque=1)},
+     'restarted by itself, 100 ms away (Torque Enable fell to 0): check its supply and plug, then '
+     'set it up again, torque too', {'away (ms)': '100', 'seen by': 'Torque Enable fell to 0'},
+     [{'notes': back(99, torque=1)}, {'notes': back(100, torque=0)},
+      {'notes': back(100, torque=-1)},
+      {'devices': [device(written={'Torque Enable': 0}, age_s=2.0)]},
+      {'devices': [device(registers={'Torque Enable': 0}, age_s=2.6)]},
+      {'devices': [device(registers={'Torque Enable': 1}, age_s=2.0)]},
+      {'notes': back(100, torque=1) + note(ev.REBOOTED, ev.NOTHING, 1)}]),
+    ('rebooted', {'devices': [device()], 'notes': back(500), 'samples': {1: ticks(20.0, 20.9)}},
+     'restarted by itself, 500 ms away (Realtime Tick jumped back): check its supply and plug, '
+     'then set it up again, torque too',
+     {'away (ms)': '500', 'seen by': 'Realtime Tick jumped back'},
+     [{'samples': {1: ticks(20.0, now)}} for now in (21.5, 21.9, 22.1, 30.0)]
+     + [{'samples': {1: ticks(32.0, now)}} for now in (1.232, 0.9)]
+     + [{'samples': {1: ticks(0.1, 32.0)}}]),
+    ('dropout', {'devices': [spoken(window={'missed': 4, 'spoilt': 2})],
+                 'notes': [*back(300), *note(ev.DISCONNECTED, ev.Much(5), 1)]},
+     'was away for 300 ms: cannot tell a loose plug from a restart; read Torque Enable or '
+     'Realtime Tick to know', {'absences': '1', 'longest (ms)': '300'},
+     [{'notes': back(300)}, {'devices': [spoken(window={'missed': 4, 'spoilt': 3})]},
+      {'notes': [*back(300, ago_s=2.0), *note(ev.DISCONNECTED, ev.Much(5), 1)]},
+      {'devices': [spoken(window={'missed': 4}, registers={'Present Position': 1}, age_s=2.5)]}]),
+    ('brown_out', {'covers': (2, 3),
+      'devices': [device(1), device(2), device(3)],
+                   'notes': back(300, 2) + back(400, 3, ago_s=2.701),
+                   'samples': {2: volts(8.9, 10.0)}},
+     '002, 003 restarted together (002 saw 8.9 V before, 10.0 V now): the supply broke down; '
+     'check battery and cables, set up again',
+     {'devices': '002, 003', 'seen by': '002 saw 8.9 V before, 10.0 V now'},
+     [{'samples': {2: volts(9.0, 10.0)}}, {'notes': back(300, 2)},
+      {'notes': back(300, 2) + back(400, 3, ago_s=2.8)}]),
+    ('torque_off', {'devices': [device(registers={'Present Position': 5, 'Torque Enable': 0})],
+                    'samples': {1: moves(1.0, 20, 6)}},
+     'goals are sent to it and its torque is off: switch it on (Torque Enable 1), after a restart '
+     'with all its settings', {},
+     [{'samples': {1: moves(1.0, 19, 6)}}, {'samples': {1: moves(1.0, 20, 7)}},
+      {'samples': {1: moves(0.99, 20, 6)}},
+      {'devices': [device(registers={'Present Position': 5, 'Torque Enable': 1})]},
+      {'devices': [device(registers={'Torque Enable': 0})]}]),
+    ('torque_off', {'devices': [device(registers={'Present Position': 5}), device(2)],
+                    'samples': {1: moves(2.45, 50, 0), 2: moves(3.9, 0, 20)[1:]}},
+     'its goal moves and it stands, others follow: its torque is off or it is blocked; read '
+     'Torque Enable, switch it on', {},
+     [{'samples': {1: moves(2.44, 50, 0), 2: moves(3.9, 0, 20)[1:]}},
+      {'samples': {1: moves(2.45, 50, 0), 2: moves(3.9, 0, 19)[1:]}},
+      {'samples': {1: moves(2.45, 50, 0)}},
+      {'devices': [device(registers={'Present Position': 5}, age_s=1.1), device(2)]}]),
     ('missed_answers', {'devices': [spoken(window={'answers': 296, 'missed': 3})],
                         'notes': MISSED},
      'about 1 % of its answers missing, with nothing in their place: check its plugs; a device '
@@ -213,14 +301,16 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      [{'notes': note(ev.REFUSED, ev.Refusal(3, 116, 4), 2)},
       {'notes': note(ev.REFUSED, ev.Refusal(3, 64, 4), 3)},
       {'devices': [device(registers={'Bus Watchdog': 0})]}, {'devices': [device()]}]),
-    ('too_hot', {'devices': [device(registers={'Present Temperature': 67})]},
+    ('too_hot', {'level': Level.WARN,
+      'devices': [device(registers={'Present Temperature': 67})]},
      'near its limit of 72 °C from the factory, where it shuts down: reduce load or holding '
      'torque, let it cool', {'temperature (°C)': '67', 'limit (°C)': '72'},
      [{'devices': [device(registers={'Present Temperature': 66})]},
       {'devices': [device(registers={'Present Temperature': 67}, age_s=10.1)]},
       {'devices': [device(written={'Present Temperature': 67})]}]),
     # setting up
-    ('wrong_supply', {'devices': [device(2, 'STS3215', registers={
+    ('wrong_supply', {'whom': 2, 'level': Level.ERROR, 'covers': (2,),
+      'devices': [device(2, 'STS3215', registers={
         'Max Voltage Limit': 80, 'Present Input Voltage': 101})]},
      'at 10 V, far above its limit of 8.0 V: a servo for a lower voltage; switch off, and check '
      'which servos these are',
@@ -229,7 +319,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
          'Max Voltage Limit': 80, 'Present Input Voltage': 100})]},
       {'devices': [device(2, 'STS3215', age_s=10.1, registers={
           'Max Voltage Limit': 80, 'Present Input Voltage': 101})]}]),
-    ('wrong_supply', {'devices': [device(2, 'STS3215', registers={
+    ('wrong_supply', {'whom': 2, 'level': Level.WARN, 'covers': (2,),
+      'devices': [device(2, 'STS3215', registers={
         'Max Voltage Limit': 120, 'Min Voltage Limit': 60, 'Present Input Voltage': 85})]},
      'at 8 V, while its limit is 12.0 V: a servo for 12 V on a lower supply, slow and weak; feed '
      'it 12 V', {'voltage (V)': '8.5', 'limit (V)': '12.0', 'devices': '002'},
@@ -239,7 +330,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
           'Max Voltage Limit': 119, 'Present Input Voltage': 85})]},
       {'devices': [device(2, 'STS3215', registers={
           'Max Voltage Limit': 120, 'Min Voltage Limit': 86, 'Present Input Voltage': 85})]}]),
-    ('factory_id', {'devices': [spoken(1, window={'answers': 3, 'missed': 3, 'spoilt': 3}),
+    ('factory_id', {'covers': (2,),
+      'devices': [spoken(1, window={'answers': 3, 'missed': 3, 'spoilt': 3}),
                                 device(2, missed_in_a_row=3, last_heard_s=None)]},
      'several servos answer as 001, and 002 never did: new ones still have ID 1; connect one at a '
      'time and give each its ID', {'never heard': '002', 'spoilt': '3 of 6'},
@@ -249,7 +341,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
                    device(2, missed_in_a_row=3, last_heard_s=None)]},
       {'devices': [spoken(1, window={'missed': 3, 'spoilt': 3}),
                    device(2, missed_in_a_row=2, last_heard_s=None)]}]),
-    ('layout', {'devices': [device(2, 'STS3215')],
+    ('layout', {'whom': 2,
+      'devices': [device(2, 'STS3215')],
                 'cycles': (asks(I.READ, 2, at=57, size=1, asked=3, stamps=(NOW - 10 * S,)),)},
      'Read of 1 at 57, which cuts Present Position (56, 2 bytes): use the table of STS3215',
      {'address': '57', 'times': '3'},
@@ -288,7 +381,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      'each; use Sync Write or level 2', {},
      [{'devices': [device(status_return_level=2, totals={'answers': 1})]},
       {'devices': [device(status_return_level=1, acks=True, totals={'answers': 1})]}]),
-    ('fast_read_unsupported', {'devices': [spoken(1, firmware=44), spoken(2)],
+    ('fast_read_unsupported', {'covers': (1, 2),
+      'devices': [spoken(1, firmware=44), spoken(2)],
                                'cycles': (FAST_READ,)},
      'answers, but never a fast read (XL430-W250, firmware 44): update it or use plain Sync Read; '
      'devices behind it get no turn', {'fast reads': '3'},
@@ -321,7 +415,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      {'asked in 10 s': '3'},
      [{'cycles': (asks(I.PING, 253, stamps=(NOW - 10 * S, NOW - 1, NOW)),)},
       {'cycles': (asks(I.PING, 252, stamps=(NOW,) * 3),)}, {'devices': [device(253)]}]),
-    ('scan', {'cycles': (asks(I.PING, BROADCAST, stamps=(
+    ('scan', {'level': Level.WARN,
+      'cycles': (asks(I.PING, BROADCAST, stamps=(
         NOW - 10 * S, *[NOW - 10 * S + 1] * 15)),), 'notes': damage(3)},
      'the master sends one broadcast Ping after the other, and the answers collide: let it wait '
      '0.8 s after each, as long as all IDs take', {'broadcast Pings in 10 s': '15'},
@@ -337,8 +432,31 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
 def test_a_rule_speaks_from_its_edge_on(rule: str, enough: dict[str, Any], message: str,
                                         figures: dict[str, str],
                                         too_little: list[dict[str, Any]]) -> None:
-    [claim] = [one for one in told(rule, **enough) if isinstance(one, Claim)]
+    enough = dict(enough)
+    of = {name: enough.pop(name, usual) for name, usual in (
+        ('whom', None if rule in OF_THE_BUS else 1), ('level', None), ('covers', ()))}
+    [claim] = claims(rule, **enough)
     assert (claim.message, dict(claim.figures)) == (message, figures)
+    assert (claim.device, claim.level, claim.covers) == tuple(of.values())
     for less in too_little:
-        assert [one for one in told(rule, **{**enough, **less}) if isinstance(one, Claim)] == [], \
-            less
+        assert claims(rule, **{**enough, **less}) == [], less
+
+
+# Initial values of Temperature Limit (°C), Min and Max Voltage Limit (V), e-Manual.
+FROM_THE_FACTORY = {
+    **dict.fromkeys(('AX-12A', 'AX-18A', 'AX-12W'), (70, 6, 14)),
+    **dict.fromkeys(('MX-64', 'MX-106', 'MX-28', 'XM430-W350', 'XM430-W210'), (80, 9.5, 16)),
+    'XL430-W250': (72, 6, 14), 'XM540-W270': (80, 10, 16), 'XM540-W150': (80, 10, 16),
+    'XL330-M077': (70, 3.5, 7), 'XL330-M288': (70, 3.5, 7),
+}
+
+
+@pytest.mark.parametrize('name', FROM_THE_FACTORY)
+def test_the_limits_from_the_factory(name: str) -> None:
+    model = MODELS.by_name(name)
+    assert model is not None
+    assert FACTORY[model.number or 0] == FROM_THE_FACTORY[name]
+
+
+def test_the_limits_of_the_mx_of_protocol_1() -> None:
+    assert [FACTORY[number] for number in (29, 310, 320, 360)] == [(80, 6, 16)] * 4

@@ -2,16 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The doctor's rules about time and what they are made of: edges, words, what is remembered."""
 
+from collections.abc import Callable
 from collections.abc import Iterable
 from typing import Any
 
 from doctor_case import asks
 from doctor_case import case
+from doctor_case import claims
 from doctor_case import COUNTERS
 from doctor_case import device
 from doctor_case import MS
 from doctor_case import note
 from doctor_case import NOW
+from doctor_case import OF_THE_BUS
 from doctor_case import RULE
 from doctor_case import S
 from doctor_case import summary
@@ -31,6 +34,7 @@ from dxl_monitor.doctor.case import TwoClocks
 from dxl_monitor.doctor.collision import is_collision
 from dxl_monitor.doctor.collision import ran_into_answers
 from dxl_monitor.doctor.combs import Comb
+from dxl_monitor.doctor.rate import likely_rate
 from dxl_monitor.doctor.rhythm import answer_ns
 from dxl_monitor.doctor.rhythm import is_locked
 from dxl_monitor.doctor.rhythm import rhythms
@@ -43,7 +47,9 @@ from dxl_monitor.doctor.rule import share
 from dxl_monitor.port.driver import LineErrors
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
+from msg_defs.reports import Level
 from msg_defs.reports import Metric
+from msg_defs.uart import heard_at
 
 
 def waits(count: int, us: int, ago_s: float = 0.0, spoilt: bool = False) -> tuple[Wait, ...]:
@@ -79,6 +85,11 @@ SIXTEEN = tuple(asks(I.READ, number, stamps=[NOW - n * 200 * MS - number * 16 * 
 HANDFUL = asks(I.WRITE, 1, stamps=[NOW - n * 20 * MS - MS for n in range(30)])
 UNPACED = asks(I.READ, 2, stamps=[NOW - n * 100 * MS - 10 * MS for n in range(30)])
 
+READ_OF_3 = encode(3, I.READ, b'\x84\0\4\0')
+CUT_IN = bytes(len(READ_OF_3) - 6) + READ_OF_3[-6:]            # a question that ran into an answer
+# As many gaps within a second as 16 ms each leave room for, most of them such.
+FULL = [NOW - sum(([16 * MS] * 42 + [11 * MS] * 28)[:n]) for n in reversed(range(71))]
+
 ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]]]] = [
     ('impatient_master', {'repeats': {1: I.READ, 2: I.READ, 3: I.PING}},
      'the master repeats Read at once, 3 times in 10 s: its time-out is shorter than the answers '
@@ -110,20 +121,39 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
           UNPACED.stamps[n] - 2 * MS - 1 for n in range(3))), UNPACED)},
       {'cycles': (HANDFUL._replace(stamps=tuple(
           UNPACED.stamps[n] - MS for n in range(4))), UNPACED)}]),
-    ('late_answers', {'notes': late(3), 'waits': waits(1, 2500)},
+    ('impatient_master', {'cycles': (asks(I.READ, 3),), 'noise': CUT_IN, 'notes': [
+        *note(ev.TOO_LONG, ev.Sizes(1, 2), 1), *damaged(1),
+        *note(ev.REPEATED, ev.Again(I.READ, 1679), 3), *note(ev.REPEATED, ev.Again(1, 9), 1)]},
+     'the master repeats Read at once, 3 times in 10 s: its time-out is shorter than the answers '
+     'take; raise it', {'repeated': '3'},
+     [{'noise': b''}, {'notes': [*note(ev.TOO_LONG, ev.Sizes(1, 2), 1), *damaged(1),
+                                 *note(ev.REPEATED, ev.Again(I.READ, 1680), 3)]},
+      {'notes': [*damaged(1), *note(ev.REPEATED, ev.Again(I.READ, 1679), 3)]}]),
+    ('late_answers', {'notes': late(3), 'waits': waits(1, 95_000)},
      'answers when the master has given up, into the next question: lower its Return Delay Time '
-     'or raise the time-out', {'late answers': '3', 'waits': '2.5 ms'},
+     'or raise the time-out', {'late answers': '3', 'waits': '95.0 ms'},
      [{'notes': late(2)}, {'notes': late(3, 3.0)}, {'waits': waits(1, 49)}]),
-    ('wrong_length', {'devices': [device(3)], 'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 3, 3)},
+    ('wrong_length', {'whom': 3,
+      'devices': [device(3)], 'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 3, 3)},
      'answers 2 bytes to a read of 4: its firmware is at fault, or a second device has its ID; '
      'update it, and ping its ID without it', {'answers': '3'},
      [{'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 2, 3)},
       {'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 3, 3) + late(1, number=3)}]),
-    ('bus_too_slow', {'counters': {'Bytes': 225_100},
+    ('bus_too_slow', {'level': Level.OK,
+      'counters': {'Bytes': 225_100},
                       'marks': {4: {'bytes': 9}, 3: {'bytes': 99}, 0: {}}},
      'the line is busy for more than 75 % of the time: no room for a retry; raise the baud rate, '
      'or read less', {'load (%)': '75', 'bytes per second': '75000'},
      [{'counters': {'Bytes': 225_099}}, {'baud': 2_000_000}, {'marks': {0.9: {}, 0: {}}}]),
+    ('bus_too_slow', {'level': Level.OK,
+      'counters': {'Bytes': 90_000}, 'marks': {1: {}, 0: {}}},
+     'the line is busy for more than 75 % of the time: no room for a retry; raise the baud rate, '
+     'or read less', {'load (%)': '90', 'bytes per second': '90000'}, []),
+    *(('bus_too_slow', {'level': Level.WARN, 'counters': {'Bytes': 90_000},
+                        'marks': {1: {}, 0: {}}, **harm},
+       'the line is busy for more than 75 % of the time: no room for a retry; raise the baud '
+       'rate, or read less', {'load (%)': '90', 'bytes per second': '90000'}, [])
+      for harm in ({'notes': damaged(1)}, {'devices': [device(window={'missed': 1})]})),
     ('two_masters', {'notes': note(ev.FOREIGN, ev.Code(2), 3)},
      '3 instructions came to the master that it did not send: another program is on this bus; '
      'stop one', {'instructions': '3'}, [{'notes': note(ev.FOREIGN, ev.Code(2), 2)}]),
@@ -138,10 +168,16 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      'saves 5 ms of bus time per second', {'delay (ms)': '0.50', 'read': 'yes'},
      [{'devices': [device(registers={'Return Delay Time': 199}, **ANSWERS)]},
       {'devices': [device(registers={'Return Delay Time': 0}, delay=summary(0.5))]}]),
+    ('latency_timer', {'cycles': (asks(I.READ, 1, stamps=FULL[::2]),
+                                  asks(I.READ, 2, stamps=FULL[1::2]))},
+     "most instructions come 16 ms after the answer before: the latency timer of the master's "
+     'adapter; set it to 1 ms', {'16 ms later': '42 of 70'}, []),
     ('latency_timer', {'cycles': SIXTEEN},
      "most instructions come 16 ms after the answer before: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
      [{'cycles': (*SIXTEEN, HANDFUL._replace(instruction=I.READ))}, {'metrics': blurred(4.1)},
+      {'cycles': (asks(I.READ, 1, stamps=FULL[::2]), asks(I.READ, 2, stamps=FULL[1::2]),
+                  asks(I.READ, 3, stamps=(NOW - S + 1,)))},
       {'cycles': SIXTEEN[:1]}, {'cycles': tuple(one._replace(stamps=tuple(
           NOW - (NOW - stamp) * 14 // 16 for stamp in one.stamps)) for one in SIXTEEN)}]),
 ]
@@ -152,11 +188,14 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
 def test_a_rule_speaks_from_its_edge_on(rule: str, enough: dict[str, Any], message: str,
                                         figures: dict[str, str],
                                         too_little: list[dict[str, Any]]) -> None:
-    [claim] = [one for one in told(rule, **enough) if isinstance(one, Claim)]
+    enough = dict(enough)
+    of = {name: enough.pop(name, usual) for name, usual in (
+        ('whom', None if rule in OF_THE_BUS else 1), ('level', None), ('covers', ()))}
+    [claim] = claims(rule, **enough)
     assert (claim.message, dict(claim.figures)) == (message, figures)
+    assert (claim.device, claim.level, claim.covers) == tuple(of.values())
     for less in too_little:
-        assert [one for one in told(rule, **{**enough, **less}) if isinstance(one, Claim)] == [], \
-            less
+        assert claims(rule, **{**enough, **less}) == [], less
 
 
 # --- what it cannot tell ---------------------------------------------------------------------
@@ -210,22 +249,40 @@ def test_without_a_reason_no_doubt_is_told(rule: str, parts: dict[str, Any]) -> 
     assert told(rule, **parts) == []
 
 
+def test_what_is_noted_of_an_id_that_is_no_device_is_not_told_of_one() -> None:
+    assert told('foreign_answers', notes=note(ev.UNASKED, ev.Stranger(2, 0), 3, 9)) == []
+
+
 # --- words -----------------------------------------------------------------------------------
 
-@pytest.mark.parametrize(('spelt', 'expected'), [
-    (share(1, 3), '33 %'), (share(995, 10000), '10 %'), (share(994, 10000), '9.9 %'),
-    (share(1, 0), '0.0 %'),
-    (about(2, 1000), 'less than 0.2 %'), (about(21, 10000), 'about 0.2 %'),
-    (about(3, 100), 'about 2 %'), (about(1, 1), 'about 100 %'), (about(0, 0), 'less than 0.2 %'),
-    (longer_than(0.3), 'more than 1 s'), (longer_than(5), 'more than 5 s'),
-    (longer_than(59), 'more than 30 s'), (longer_than(60), 'more than 1 min'),
-    (longer_than(7300), 'more than 60 min'),
-    (listed(range(1, 7)), '001, 002, 003, 004, 005, 006'),
-    (listed(range(1, 8)), '001, 002, 003, 004, 005, 006 and 1 more'),
-    (listed([12, 3, 4], 2), '012, 003 and 1 more'),
+STEPS = {1: '1 s', 5: '5 s', 10: '10 s', 30: '30 s', 60: '1 min', 300: '5 min', 600: '10 min',
+         1800: '30 min', 3600: '60 min'}
+
+
+def test_a_time_is_spelt_in_steps() -> None:
+    assert {step: longer_than(step) for step in STEPS} \
+        == {step: f'more than {text}' for step, text in STEPS.items()}
+    assert [longer_than(step - 0.1) for step in STEPS] \
+        == ['more than 1 s', *(longer_than(step) for step in list(STEPS)[:-1])]
+
+
+@pytest.mark.parametrize(('spell', 'of', 'expected'), [
+    (share, (1, 3), '33 %'), (share, (995, 10000), '10 %'), (share, (994, 10000), '9.9 %'),
+    (share, (1, 0), '0.0 %'), (share, (104, 1000), '10 %'),
+    (about, (2, 1000), 'less than 0.2 %'), (about, (21, 10000), 'about 0.2 %'),
+    (about, (3, 100), 'about 2 %'), (about, (1, 1), 'about 100 %'), (about, (0, 0), 'less than '
+                                                                     '0.2 %'),
+    *((about, (step, 100), f'about {step} %') for step in (0.5, 1, 2, 5, 10, 20, 50)),
+    *((about, (step, 100), f'about {near} %') for step, near in (
+        (0.71, 1), (0.7, 0.5), (1.42, 2), (1.41, 1), (7.08, 10), (7.07, 5), (14.2, 20),
+        (14.1, 10), (31.7, 50), (31.6, 20), (70.8, 100), (70.7, 50))),
+    (listed, (range(1, 7),), '001, 002, 003, 004, 005, 006'),
+    (listed, (range(1, 8),), '001, 002, 003, 004, 005, 006 and 1 more'),
+    (listed, ([12, 3, 4], 2), '012, 003 and 1 more'),
 ])
-def test_shares_times_and_ids_are_spelt_in_steps(spelt: str, expected: str) -> None:
-    assert spelt == expected
+def test_shares_and_ids_are_spelt_in_steps(spell: Callable[..., str], of: tuple[Any, ...],
+                                           expected: str) -> None:
+    assert spell(*of) == expected
 
 
 # --- rhythms and collisions ------------------------------------------------------------------
@@ -262,6 +319,25 @@ def test_what_was_seen_for_a_short_time_is_taken_to_fit() -> None:
     assert is_locked(two, one)
 
 
+@pytest.mark.parametrize(('whole', 'odd', 'count'), [(9, 4, 1), (8, 5, 0)])
+def test_a_repetition_is_told_where_four_of_five_periods_are_regular(whole: int, odd: int,
+                                                                     count: int) -> None:
+    [rhythm] = rhythms((every([20] * (whole - 1) + [1, 19, 20] + [30] * odd),), NOW, 1_000_000)
+    assert len(rhythm.repeats) == count
+
+
+@pytest.mark.parametrize(('gaps', 'has_order'), [
+    ([10, 12, 14, 16, 18, 20, 22, 26], False), ([10, 12, 14, 16, 18, 20, 20, 26], True)])
+def test_jitter_has_many_different_periods(gaps: list[float], has_order: bool) -> None:
+    [rhythm] = rhythms((every(gaps * 2),), NOW, 1_000_000)
+    assert (rhythm.jitter == 0) == has_order
+
+
+@pytest.mark.parametrize(('headers', 'rate'), [(3, 1_000_000), (2, None)])
+def test_a_rate_is_told_from_three_headers_on(headers: int, rate: int | None) -> None:
+    assert likely_rate(heard_at(READ_OF_3, 2.0) * headers, 2_000_000) == rate
+
+
 def test_only_what_is_repeated_and_goes_on_is_a_rhythm() -> None:
     assert len(rhythms((every([20] * 12),), NOW, 1_000_000)) == 1
     assert rhythms((every([20] * 11),), NOW, 1_000_000) == []
@@ -270,12 +346,9 @@ def test_only_what_is_repeated_and_goes_on_is_a_rhythm() -> None:
     assert len(rhythms((every([20] * 12),) * 9, NOW, 1_000_000)) == 8
 
 
-READ_OF_3 = encode(3, I.READ, b'\x84\0\4\0')
-
-
 @pytest.mark.parametrize(('noise', 'count'), [
-    (bytes(len(READ_OF_3) - 6) + READ_OF_3[-6:], 1),
-    ((bytes(len(READ_OF_3) - 6) + READ_OF_3[-6:]) * 2, 2),
+    (CUT_IN, 1),
+    (CUT_IN * 2, 2),
     (READ_OF_3, 0),                                    # it is whole: nothing was in its place
     (b'\xfc' + READ_OF_3[1:], 0),                      # two wrong bits are noise
     (b'\xf8' + READ_OF_3[1:], 1),
@@ -364,7 +437,7 @@ def test_a_cycle_that_was_regular_and_is_not(gaps: list[float], parts: dict[str,
     cycle = every(gaps)
     found = told('jitter', **{'rhythms': rhythms((cycle,), NOW, 1_000_000),
                               'steady': {key_of(cycle)}, **parts})
-    assert [dict(one.figures) for one in found if isinstance(one, Claim)] == [
+    assert [dict(one.figures) for one in found] == [
         {'spread': '0.67', 'cycle (ms)': '20.0 to 40.0, 30.0 as a rule'}] * is_told
 
 

@@ -1,0 +1,520 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The rooms of the bus at their edges: limits on both sides, words of the log, bounds."""
+
+from typing import Any
+
+import pytest
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.device import Device
+from dxl_monitor.bus.dialect import DialectChoice
+from dxl_monitor.bus.dialect import DYNAMIXEL_AT
+from dxl_monitor.bus.dialect import FEETECH_AT
+from dxl_monitor.bus.duty import Duty
+from dxl_monitor.bus.evidence import Evidence
+from dxl_monitor.bus.evidence import text_of
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.plan import Due
+from dxl_monitor.bus.plan import Plan
+from dxl_monitor.bus.plan import Slot
+from dxl_monitor.bus.plan import take_nothing
+from dxl_monitor.bus.planner import Planner
+from dxl_monitor.bus.report import Counts
+from dxl_monitor.bus.report import Incident
+from dxl_monitor.bus.report import Wait
+from dxl_monitor.bus.roster import Roster
+from dxl_monitor.bus.stranger import Held
+from dxl_monitor.bus.stranger import Strangers
+from dxl_monitor.bus.table import READ
+from dxl_monitor.bus.table import Table
+from dxl_monitor.bus.table import WRITTEN
+from dxl_monitor.model.models import Models
+from msg_defs.dxl1_instruction import DYNAMIXEL_1
+from msg_defs.dxl1_instruction import FEETECH
+from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl_instruction import Access
+from msg_defs.dxl_instruction import Answers
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_instruction import Request
+from msg_defs.dxl_instruction import RESTORE
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import Flaw
+
+MODELS = Models()
+S = 1_000_000_000
+MS = 1_000_000
+
+
+def roster(*expected: Expected, baud: int = 1_000_000) -> Roster:
+    return Roster(MODELS, expected, baud, Evidence())
+
+
+def notes(one: Roster) -> list[tuple[str, int, Any]]:
+    return [(note.kind, note.device, note.detail) for note in one._evidence.incidents()]
+
+
+def test_what_a_bus_is_taken_for_where_nothing_is_said() -> None:
+    assert Settings() == (2_000_000, (), 4, 1.0, 5.0, 'auto', 0.0, 'auto')
+
+
+# --- the log ---------------------------------------------------------------------------------
+
+TEXTS = [
+    (ev.DAMAGED_STATUS, ev.Front(0x55, 8), 'status with a wrong CRC'),
+    (ev.DAMAGED_INSTRUCTION, ev.Front(2, 7), 'Read with a wrong CRC'),
+    (ev.BAD_LENGTH, ev.Length(2), 'packet with Length 2'),
+    (ev.CUT, ev.Front(2, 7), 'Read that ends before its Length of 7'),
+    (ev.MISSED, ev.Unanswered(2, 0), 'no answer to Read at 0'),
+    (ev.MISSED, ev.Unanswered(1, -1), 'no answer to Ping'),
+    (ev.DISCONNECTED, ev.Much(5), 'disconnected: 5 answers missed'),
+    (ev.REFUSED, ev.Refusal(3, 116, 7), 'Write at 116 refused: Access'),
+    (ev.ALERT, ev.NOTHING, 'alert'),
+    (ev.SECOND_ANSWER, ev.Code(2), 'second answer to one Read'),
+    (ev.UNASKED, ev.Stranger(2, 0), 'answer that was not asked for'),
+    (ev.LATE, ev.Lateness(300), 'answer 300 us too late'),
+    (ev.WRONG_SIZE, ev.Sizes(2, 4), 'answer of 2 bytes to a read of 4'),
+    (ev.FAST_CUT, ev.Sizes(1, 3), 'fast reply ends after 1 of 3 devices'),
+    (ev.UNKNOWN_INSTRUCTION, ev.Code(0x77), 'unknown instruction 0x77'),
+    (ev.MALFORMED, ev.Front(2, 3), 'Read that makes no sense (3 bytes)'),
+    (ev.BAD_ID, ev.Written(255), 'packet with ID 255'),
+    (ev.FOREIGN, ev.Code(2), 'Read of another master'),
+    (ev.NOT_SENT, ev.Code(2), 'Read that did not leave the adapter'),
+    (ev.SOURCE_LOST, ev.Much(9), '9 events or bytes that were not heard'),
+    (ev.REBOOTED, ev.NOTHING, ''),                 # no error
+]
+
+
+@pytest.mark.parametrize(('kind', 'detail', 'text'), TEXTS, ids=[text for *_, text in TEXTS])
+def test_what_happened_in_words(kind: Any, detail: Any, text: str) -> None:
+    assert text_of(Incident(1, kind, 0, detail)) == text
+    evidence = Evidence()
+    evidence.note(1, kind, 0, detail)
+    evidence.note(2, kind, -1, detail)
+    lines = [one.text for one in evidence.errors(lambda device, address: str(address))]
+    assert lines == [f'000: {text}', text] * bool(text)
+
+
+def test_the_log_keeps_the_last_50_and_the_doctor_the_last_1000() -> None:
+    evidence = Evidence()
+    for stamp in range(1001):
+        evidence.note(stamp, ev.ALERT, 1, ev.NOTHING)
+        evidence.note_wait(Wait(stamp, 1, 1, False))
+    assert [evidence.errors(lambda *_: '')[at].stamp for at in (0, -1)] == [951, 1000]
+    assert len(evidence.errors(lambda *_: '')) == 50
+    assert len(evidence.incidents()) == 1000 and evidence.incidents()[0].stamp == 1
+    assert evidence.counts[ev.ALERT] == evidence.noted == 1001
+    assert [one.stamp for one in evidence.newest(2)] == [999, 1000]
+    assert len(evidence.newest(2000)) == 1000
+    assert evidence.newest(0) == ()
+    assert evidence.waits()[-1].stamp == 1000
+
+
+def test_what_may_come_with_each_packet_is_kept_once_in_a_while() -> None:
+    evidence = Evidence()
+    stamps = (0, ev._APART_NS - 1, ev._APART_NS, 2 * ev._APART_NS - 1)
+    for stamp in stamps:
+        evidence.note_often(stamp, ev.PROTOCOL_1, 1, ev.Code(2))
+    assert [one.stamp for one in evidence.incidents()] == [0, ev._APART_NS]
+    assert evidence.counts[ev.PROTOCOL_1] == 4
+
+
+@pytest.mark.parametrize(('body', 'reason', 'expected'), [
+    (b'\x07\x03\0', 'crc', (ev.DAMAGED_INSTRUCTION, 7, ev.Front(0, 3))),
+    (b'\x07\x03\x01\x55', 'crc', (ev.DAMAGED_STATUS, 7, ev.Front(0x55, 259))),
+    (b'\x07\x03\x01\x02', 'length', (ev.BAD_LENGTH, -1, ev.Length(259))),
+    (b'\x07\x03\x01\x02', 'cut', (ev.CUT, -1, ev.Front(2, 259))),
+    (b'\x07\x03\x01\x02', 'open', (ev.OPEN, 7, ev.Code(2))),
+])
+def test_a_damaged_frame_is_noted_by_what_is_wrong(body: bytes, reason: str,
+                                                   expected: tuple[Any, ...]) -> None:
+    evidence = Evidence()
+    evidence.note_damage(1, body, reason)
+    [found] = evidence.incidents()
+    assert (found.kind, found.device, found.detail) == expected
+
+
+def packet_1(number: int, size: int) -> bytes:
+    """Return a packet of Protocol 1.0 with this Length."""
+    rest = bytes([number, size]) + bytes(size - 1)
+    return b'\xff\xff' + rest + bytes([~sum(rest) & 0xFF])
+
+
+@pytest.mark.parametrize(('noise', 'fresh', 'devices'), [
+    (packet_1(9, 2), 1, [9]), (packet_1(9, 2), 6, [9]), (packet_1(9, 2) + b'\0', 1, []),
+    (packet_1(9, 2) + b'\0', 2, [9]), (b'\0' + packet_1(0, 0x40), 1, [0]),
+    (packet_1(9, 0x41), 80, []), (packet_1(0xFC, 2), 6, [0xFC]), (packet_1(0xFD, 2), 6, []),
+    (packet_1(9, 2) + packet_1(8, 3), 99, [9, 8]), (packet_1(9, 2)[:-1] + b'\0', 6, []),
+    (packet_1(9, 4)[:-1], 7, []), (b'\xff' + packet_1(9, 2), 6, [9]),
+])
+def test_packets_of_protocol_1_in_noise(noise: bytes, fresh: int, devices: list[int]) -> None:
+    evidence = Evidence()
+    evidence.look_at_noise(noise, fresh, 5)
+    assert [(one.stamp, one.kind, one.device, one.detail) for one in evidence.incidents()] \
+        == [(5, ev.PROTOCOL_1, number, ev.Code(0)) for number in devices]
+
+
+# --- devices ---------------------------------------------------------------------------------
+
+def test_counts_of_a_window_and_their_loss() -> None:
+    before, now = Counts(answers=2, missed=1, alerts=4), Counts(answers=5, missed=2, alerts=4)
+    window = now.since(before)
+    assert (window.answers, window.missed, window.alerts) == (3, 1, 0)
+    assert (window.asked, window.loss) == (4, 0.25)
+    assert Counts().loss == 0.0
+    twin = now.copy()
+    twin.answers += 1
+    assert now.answers == 5
+    assert dict(now.published())['Missed Answers'] == 2
+    assert len(now.published()) == 8
+
+
+@pytest.mark.parametrize(('after_ns', 'is_late'), [(99_999_999, True), (100_000_000, False)])
+def test_an_answer_is_owed_for_a_tenth_of_a_second(after_ns: int, is_late: bool) -> None:
+    device = Device(1)
+    assert not device.pays(0)
+    device.miss(5 * S, 5 * S, False)
+    device.miss(5 * S, 5 * S + 99_999_999, False)
+    assert device.owed == 2
+    assert device.pays(5 * S + 99_999_999 + after_ns) is is_late
+    device.miss(6 * S, 6 * S, True)
+    assert device.owed == 0                        # long ago, and this one came damaged
+    assert (device.missed_in_a_row, device.counts.missed, device.counts.spoilt) == (3, 3, 1)
+
+
+def test_64_different_errors_of_a_device_are_kept() -> None:
+    device = Device(1)
+    for address in [*range(65), 0]:
+        device.note_error(3, address, 7)
+    assert len(device.errors) == 64
+    assert device.errors[3, 0, 7] == 2
+    assert device.counts.refused == 66
+
+
+@pytest.mark.parametrize(('away_ms', 'is_noted'), [(49.9, False), (50, True)])
+def test_an_absence_is_noted_from_50_ms_on(away_ms: float, is_noted: bool) -> None:
+    one = roster(Expected(4, 'XL430-W250'))
+    device = one.device(4)
+    one.heard(device, 0, S)
+    device.table.store(64, b'\1', S, READ)
+    one.heard(device, 0, 2 * S)                    # it was not asked: no absence
+    device.miss(2 * S, 2 * S, False)
+    one.heard(device, 0, 2 * S + int(away_ms * MS))
+    assert notes(one) == [(ev.RETURNED, 4, ev.SilentFor(50, 1))] * is_noted
+    assert device.missed_in_a_row == 0
+
+
+def test_an_alert_is_noted_when_it_begins_and_counted_each_time() -> None:
+    one = roster()
+    device = one.device(4)
+    for error in (0x7F, 0x80, 0x85, 0, 0x80):
+        one.heard(device, error, S)
+    assert notes(one) == [(ev.ALERT, 4, ev.NOTHING)] * 2
+    assert (device.counts.alerts, device.alert, device.odd) == (3, True, True)
+
+
+def test_an_id_that_no_device_can_have_gets_none() -> None:
+    one = roster()
+    assert one.device(252).number == 252
+    assert one.device(253) is one.device(255)
+    assert list(one.devices) == [252]
+    assert [one.is_impossible(number) for number in (252, 253, 254, 255)] \
+        == [False, True, False, True]
+    one.told_error(253, 30, 1, S)
+    assert list(one.devices) == [252]
+    one.told_error(251, 30, 1, S)
+    assert one.devices[251].table.byte(30) == 1
+
+
+def test_who_says_the_same_of_himself_again_stays_who_he_is() -> None:
+    one = roster()
+    changes: list[int] = []
+    one.changed = lambda: changes.append(1)
+    device = one.device(4)
+    for data in (b'\x24\x04\x2e', b'\x24\x04\x2e'):
+        one.pinged(device, 0, data, S, READ)
+        one.resolve(device)
+    assert (device.counts.pongs, len(changes), device.firmware) == (2, 1, 0x2e)
+    device.table.store(132, bytes(4), S, READ)
+    one.pinged(device, 0, b'\x24\x04\x2f', S, READ)                # new firmware
+    one.resolve(device)
+    assert (len(changes), device.firmware, notes(one)) == (2, 0x2f, [])
+    assert device.table.byte(132) == 0
+    one.pinged(device, 0, b'\x37\x01\x2f', S, READ)                # another servo
+    one.resolve(device)
+    assert notes(one) == [(ev.MODEL, 4, ev.ModelNumbers(0x424, 0x137))]
+    assert (device.counts.model_changes, device.table.byte(132)) == (1, None)
+    one.ponged(device, 0, b'', S, READ)
+    assert device.counts.pongs == 5
+
+
+def test_only_a_backup_that_is_restored_changes_a_device() -> None:
+    one = roster(Expected(4, 'XL430-W250'))
+    table = one.device(4).table
+    for address in (0, 7, 8, 9, 64):
+        table.store(address, b'\1', S, READ)
+    one.restore(one.device(4), 'store', S)
+    assert (notes(one), table.byte(64)) == ([], 1)
+    one.restore(one.device(4), RESTORE, S)
+    assert notes(one) == [(ev.REBOOTED, 4, ev.NOTHING)]
+    assert [table.byte(address) for address in (7, 8, 9, 64)] == [1, 1, None, None]
+
+
+def test_a_register_is_named_where_its_model_is_known() -> None:
+    one = roster(Expected(4, 'XL430-W250'))
+    assert [one.register_name(number, 132) for number in (4, 5)] == ['Present Position', '132']
+    assert one.register_name(4, 5000) == '5000'
+
+
+def test_an_offset_is_noted_when_it_changes() -> None:
+    one = roster(Expected(2, 'STS3215'))
+    for value in (0, 7, 7, 9):
+        one.write(one.device(2), 31, bytes([value, 0]), S)
+    assert notes(one) == [(ev.OFFSET_WRITTEN, 2, ev.Offsets(7, 0)),
+                          (ev.OFFSET_WRITTEN, 2, ev.Offsets(9, 7))]
+    one.write(one.device(2), 40, b'\x7f', S)
+    assert len(notes(one)) == 2
+    one.write(one.device(2), 40, b'\x80', S)
+    assert notes(one)[2:] == [(ev.CALIBRATED, 2, ev.NOTHING)]
+
+
+@pytest.mark.parametrize(('code', 'baud', 'moved_to'), [
+    (3, 57_600, '1000000 Bd'), (3, 1_000_000, ''), (1, 1_000_000, '57600 Bd')])
+def test_where_a_device_goes_at_a_written_rate(code: int, baud: int, moved_to: str) -> None:
+    one = roster(Expected(4, 'XL430-W250'), baud=baud)
+    one.write(one.device(4), 8, bytes([code]), S)
+    assert one.device(4).moved_to == moved_to
+    assert notes(one) == [(ev.BAUD_WRITTEN, 4, ev.Written(code))]
+    assert one.device(4).counts.eeprom_writes == one.device(4).counts.writes == 1
+
+
+@pytest.mark.parametrize(('other', 'number'), [('none', 9), ('dead', 9), ('alive', 4)])
+def test_an_id_is_taken_over_where_nothing_answers_to_it(other: str, number: int) -> None:
+    one = roster(Expected(4, 'XL430-W250'), Expected(9, 'XL430-W250', 'elbow'))
+    changes: list[int] = []
+    one.changed = lambda: changes.append(1)
+    device = one.device(4)
+    if other != 'none':
+        one.heard(one.device(9), 0, S)
+    if other == 'dead':
+        one.device(9).miss(S, S, False)
+    one.write(device, 7, b'\x09', S)
+    assert (device.number, device.joint, bool(changes)) == (
+        number, 'elbow' if number == 9 else '', number == 9)
+    assert one.devices[number] is device
+    one.write(device, 7, b'\xfd', S)               # 253 is no ID of a device
+    assert device.number == number
+
+
+def test_after_a_calibration_the_place_is_unknown_and_the_rest_is_known() -> None:
+    one = roster(Expected(2, 'STS3215'))
+    table = one.device(2).table
+    table.store(31, bytes(2), S, READ)
+    table.store(56, bytes(2), S, READ)
+    table.store(62, b'\x79', S, READ)
+    one.calibrate(one.device(2), S)
+    assert [table.byte(at) for at in (31, 56, 62)] == [None, None, 0x79]
+
+
+# --- the table -------------------------------------------------------------------------------
+
+def test_a_span_that_is_long_or_one_too_many_is_put_in_place_at_once() -> None:
+    table = Table()
+    for at in range(64):
+        table.store(at, b'\1', S, READ)
+    assert len(table._latest) == 64
+    table.store(63, b'\2', S, READ)
+    assert len(table._latest) == 64
+    table.store(64, b'\1', S, READ)
+    assert table._latest == {}
+    table.store(0, bytes(256), S, READ)
+    assert len(table._latest) == 1
+    table.store(0, bytes(257), S, READ)
+    assert table._latest == {}
+
+
+def test_nothing_is_kept_from_the_limit_on() -> None:
+    table = Table()
+    table.limit = 10
+    table.store(8, b'\1\2\3\4', S, READ)
+    table.store(10, b'\5', S, READ)
+    table.store(12, b'\5', S, READ)
+    assert table.known() == [(8, b'\1\2')]
+    assert [table.byte(at) for at in (7, 8, 9, 10)] == [None, 1, 2, None]
+    assert [table.bytes(8, 2), table.bytes(8, 3), table.bytes(7, 2)] == [b'\1\2', None, None]
+
+
+def test_a_register_has_the_meaning_that_another_gives_it() -> None:
+    model = MODELS.by_name('XL430-W250')
+    assert model is not None
+    table, raw = Table(), model.by_name['Profile Velocity']
+    assert table.in_force(raw, model) is raw           # Drive Mode was not seen
+    for mode, of in ((b'\x04', 4), (b'\x01', 0), (b'\x05', 4)):
+        table.store(10, mode, S, READ)
+        assert raw.cases is not None
+        assert table.in_force(raw, model) is raw.cases.fields[of]
+
+
+def test_what_was_seen_is_told_in_runs() -> None:
+    table = Table()
+    for at, data in ((0, b'\0'), (2, b'\1\2'), (5, b'\3')):
+        table.store(at, data, S, WRITTEN)
+    assert table.known() == [(0, b'\0'), (2, b'\1\2'), (5, b'\3')]
+    table.clear()
+    assert table.known() == []
+
+
+# --- who must answer -------------------------------------------------------------------------
+
+def due(level: int | None, asked: Due, write_acks: str = 'auto', acks: bool | None = None,
+        missing: int = 0, missed: int = 0) -> bool:
+    one = roster()
+    device = one.device(3)
+    device.return_level, device.acks = level, acks
+    device.acks_missing, device.missed_in_a_row = missing, missed
+    duty = Duty(write_acks, 4, one, one._evidence)
+    return duty.is_due(Slot(device, asked, 0, 0, take_nothing))
+
+
+@pytest.mark.parametrize(('parts', 'expected'), [
+    ((0, Due.READ), False), ((1, Due.READ), True), ((None, Due.READ), True),
+    ((0, Due.ALWAYS), True), ((None, Due.ACK), False), ((None, Due.ACK, 'always'), True),
+    ((2, Due.ACK, 'never', True), False), ((2, Due.ACK, 'auto', True), True),
+    ((1, Due.ACK, 'auto', False), False), ((2, Due.ACK, 'auto', True, 1), True),
+    ((2, Due.ACK, 'auto', True, 2), False), ((2, Due.ACK, 'auto', True, 2, 1), False),
+    ((2, Due.ACK, 'auto', True, 2, 2), True),
+])
+def test_whether_an_answer_had_to_come(parts: tuple[Any, ...], expected: bool) -> None:
+    assert due(*parts) is expected
+
+
+def test_the_first_miss_and_the_one_over_the_limit_are_noted() -> None:
+    one = roster()
+    plan = Plan(Request(I.READ, 3, Answers.DATA, (Access(3, 132, 4, b''),)), {})
+    slot = Slot(one.device(3), Due.READ, 132, 4, take_nothing)
+    for turn in range(7):
+        Duty('auto', 4, one, one._evidence).miss(plan, slot, turn, turn, False)
+    assert notes(one) == [(ev.MISSED, 3, ev.Unanswered(I.READ, 132)),
+                          (ev.DISCONNECTED, 3, ev.Much(5))]
+    assert [note.stamp for note in one._evidence.incidents()] == [0, 4]
+    assert (plan.missed, one.device(3).counts.data_missed) == (7, 7)
+
+
+def plan_of(*numbers: int) -> Plan:
+    return Plan(Request(I.SYNC_READ, 254, Answers.DATA, tuple(
+        Access(number, 132, 4, b'') for number in numbers)), {
+            number: Slot(Device(number), Due.READ, 132, 4, take_nothing) for number in numbers})
+
+
+@pytest.mark.parametrize(('silent', 'spoke', 'expected'), [
+    ((2, 3), set(), (1, 2)), ((3,), set(), (1, 3)), ((1,), set(), (1, 1)),
+    ((1, 3), set(), (2, 3)), ((1, 2, 3), set(), (1, 1)), ((2, 3), {2}, (1, 2)),
+    ((1, 2, 3), {1}, (1, 1)),
+])
+def test_who_had_its_turn(silent: tuple[int, ...], spoke: set[int],
+                          expected: tuple[int, int]) -> None:
+    plan = plan_of(1, 2, 3)
+    assert plan.served([plan.slots[number] for number in silent], spoke) == expected
+    assert (plan.size, plan.address) == (14, 132)
+
+
+def test_plans_are_counted_and_forgotten_without_losing_counts() -> None:
+    one = roster()
+    planner = Planner(one, one._evidence, lambda *_: None)
+    read = encode(3, I.READ, b'\x84\0\4\0')[4:-2]
+    plan = planner.plan_for(read, S)
+    assert planner.plan_for(read, S) is plan
+    plan.asked += 5
+    planner.plans()
+    assert (one.device(3).counts.reads, planner.instructions()) == (5, 5)
+    planner.forget_plans()
+    assert (one.device(3).counts.reads, planner.instructions(), planner.known) == (5, 5, {})
+    again = planner.plan_for(read, S)
+    again.asked += 2
+    assert planner.instructions() == 7
+    assert planner.has_answer(3, 9)
+    assert not planner.has_answer(3, 8)
+    assert not planner.has_answer(4, 9)
+
+
+# --- dialects and strangers ------------------------------------------------------------------
+
+def said(code: int, address: int = -1, length: int = 0) -> Request:
+    accesses = (Access(1, address, length, b''),) if address >= 0 else ()
+    return Request(code, 1, Answers.DATA, accesses)
+
+
+@pytest.mark.parametrize(('requests', 'dialect'), [
+    ([said(2, 36, 2)] * 3, UNDECIDED), ([said(2, 36, 2)] * 4, DYNAMIXEL_1),
+    ([said(2, 56, 2)] * 3, UNDECIDED), ([said(2, 56, 2)] * 4, FEETECH),
+    ([said(2, 36, 2)] + [said(2, 56, 2)] * 3, UNDECIDED),
+    ([said(2, 36, 2)] + [said(2, 56, 2)] * 4, FEETECH),
+    ([said(2, 36, 2)] * 2 + [said(2, 56, 2)] * 7, UNDECIDED),
+    ([said(2, 36, 2)] * 2 + [said(2, 56, 2)] * 8, FEETECH),
+    ([said(0x0B)], FEETECH), ([said(2, 50, 2)] * 9, UNDECIDED), ([said(1)] * 9, UNDECIDED),
+    ([said(2, 56, 2)] * 99 + [said(2, 36, 2)] * 16, FEETECH),
+])
+def test_signs_decide_what_a_bus_speaks(requests: list[Request], dialect: Any) -> None:
+    choice = DialectChoice(MODELS)
+    decided = [choice.asked(one) for one in requests]
+    assert choice.dialect is dialect
+    assert sum(decided) == (dialect is not UNDECIDED)
+    fixed = DialectChoice(MODELS, '1')
+    assert not any(fixed.asked(one) for one in requests)
+    assert fixed.dialect is DYNAMIXEL_1
+
+
+@pytest.mark.parametrize(('address', 'data', 'dialect'), [
+    (0, b'\x0c\0', DYNAMIXEL_1), (3, b'\x09\x03', FEETECH), (0, b'\0\0\0\x09\x03', FEETECH),
+    (3, b'\x09', UNDECIDED), (4, b'\x09\x03', UNDECIDED), (0, b'\xf0\xf0', UNDECIDED)])
+def test_a_model_number_decides_what_a_bus_speaks(address: int, data: bytes,
+                                                  dialect: Any) -> None:
+    choice = DialectChoice(MODELS)
+    assert choice.told(said(2, address, len(data)), data) == (dialect is not UNDECIDED)
+    assert choice.dialect is dialect
+    assert not choice.told(said(3, address, len(data)), data)
+
+
+@pytest.mark.parametrize(('places', 'name', 'told'), [
+    (DYNAMIXEL_AT, 'AX-12A', {'Torque Enable', 'LED', 'Goal Position', 'Goal Velocity',
+                              'Present Position'}),
+    (FEETECH_AT, 'STS3215', {'Acceleration', 'Goal Position', 'Lock', 'Present Position',
+                             'Present Velocity', 'Present Load', 'Present Input Voltage',
+                             'Present Temperature'}),
+])
+def test_the_places_that_tell_a_dialect_are_registers_of_it(
+        places: set[tuple[int, int]], name: str, told: set[str]) -> None:
+    model = MODELS.by_name(name)
+    assert model is not None
+    assert {model.by_address[at].name for at, _ in places} == told
+    assert {at + size for at, size in places} <= {field.end for field in model.fields}
+
+
+def test_listed_devices_decide_what_a_bus_speaks() -> None:
+    choice = DialectChoice(MODELS)
+    choice.expect([None, FEETECH, FEETECH])
+    assert choice.dialect is FEETECH
+    both = DialectChoice(MODELS)
+    both.expect([DYNAMIXEL_1, FEETECH])
+    assert both.dialect is DYNAMIXEL_1 or both.dialect is UNDECIDED
+
+
+def held(number: int, stamp: int, noise: int = 0) -> Held:
+    body = bytes([number, 2, 0xFE, 1])
+    return Held(None, (0, body, Flaw('', False, noise) if noise else None), stamp, 0, '')
+
+
+def test_a_new_id_is_believed_alone_or_at_its_third_sighting_within_a_second_each() -> None:
+    assert Strangers(roster()).exists(held(7, S), True)
+    strangers = Strangers(roster())
+    assert not strangers.exists(held(7, S), False)
+    assert not strangers.exists(held(7, 2 * S), False)
+    assert strangers.exists(held(7, 3 * S), False)
+    strangers = Strangers(roster())
+    for stamp in (S, 2 * S, 3 * S + 1, 4 * S + 1):
+        assert not strangers.exists(held(7, stamp, 1), True)
+    assert strangers.exists(held(7, 5 * S + 1, 1), True)
+    known = roster()
+    known.device(7)
+    assert Strangers(known).exists(held(7, S), False)
