@@ -24,7 +24,7 @@ from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
 
-ALIKE = 1 / 6                      # so many of the known bits may differ: by chance half do
+ALIKE = 1 / 8                      # fewer of the known bits are wrong: by chance half are
 ENOUGH = 8                         # wrecks, and flips, that make a picture
 NEARLY_ALL = 0.9
 MOSTLY = 0.7
@@ -112,15 +112,16 @@ def wrecks(noise: bytes, due: Sequence[Shape]) -> list[Wreck]:
 
 
 def _nearest(noise: bytes, at: int, due: Sequence[Shape]) -> Shape | None:
-    best, least = None, 1.0
+    best, least = None, ALIKE
     for shape in due:
         known = shape.known
         got = noise[at:at + len(known)]
         if len(got) < len(known):
             continue
         wrong = (int.from_bytes(got, 'big') ^ int.from_bytes(known, 'big')).bit_count()
-        if wrong <= ALIKE * 8 * len(known) and wrong / len(known) < least:
-            best, least = shape, wrong / len(known)
+        share = wrong / (8 * len(known))
+        if share < least:
+            best, least = shape, share
     return best
 
 

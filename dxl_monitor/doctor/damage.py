@@ -186,12 +186,11 @@ def _turnaround(case: Case) -> Iterator[Found]:
     hit = [device for device in touched if _first_bytes(device) > FEW
            and _first_bytes(device) > HEADERS * device.window.answers
            and _first_bytes(device) > BY_CHANCE * device.window.spoilt]
-    worst = max((_first_bytes(one) for one in touched), default=0)
     total = sum(_first_bytes(one) for one in touched)
     beheaded = sum(device.window.beheaded for device in touched)
     if total - beheaded <= BY_CHANCE * case.damage and beheaded <= case.damage:
         return
-    if hit and len(touched) > 2 and worst < MOSTLY * total:
+    if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < MOSTLY * total:
         hit = touched
         first = sum(_first_bytes(device) for device in hit)
         stray = case.mark(0).glitches - case.mark(10).glitches

@@ -79,8 +79,6 @@ def each_with(kind: IncidentKind[Any],
               check: Callable[[Case, DeviceReport], Found | None]) -> Check:
     """Do as each(), for the devices that a kind of incident is noted of: mostly none."""
     def check_some(case: Case) -> Iterator[Found]:
-        if not case.count(kind):
-            return
         for number in sorted({one.device for one in case.incidents(kind)}):
             device = case.devices.get(number)
             found = None if device is None else check(case, device)
