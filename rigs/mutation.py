@@ -4,9 +4,10 @@
 Mutation: which changes to the core do its tests not notice? (python -m rigs.mutation).
 
 Every mutant is one small change to one of FILES: an operator, a constant, a condition, a call
-left out. A sample of them, seeded, is put in place one by one in a copy of the package, and the
-tests of that file run against it. What passes has survived: a hole in the tests, or a change
-that changes nothing (then it is named in EQUIVALENT, with the reason).
+left out. A sample of them, seeded, is tried one by one in memory against the tests of FILES, of
+them only those that call the changed function (mutation_worker.py). What passes has survived: a
+hole in the tests, or a change that changes nothing (then it is named in EQUIVALENT, with the
+reason).
 """
 
 import argparse
@@ -14,46 +15,34 @@ import ast
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-import os
-from pathlib import Path
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 import random
-import shutil
-import subprocess
 import sys
-from tempfile import TemporaryDirectory
 from typing import Any
 from typing import NamedTuple
 
-ROOT = Path(__file__).parents[1]
-TIMEOUT_S = 120
-_BUS = ('test_tracker.py', 'test_monitor.py')
-_DIALECTS = ('test_dialogue.py', 'test_doctor_feetech.py')
-_DOCTOR = ('test_doctor_evidence.py', 'test_doctor.py', 'test_monitor.py')
+from rigs.mutation_worker import print_now
+from rigs.mutation_worker import ROOT
+from rigs.mutation_worker import run
+from rigs.mutation_worker import Worker
+
+_BUS = ('test_bus_edges.py', 'test_tracker.py', 'test_monitor.py', 'test_table.py',
+        'test_dialogue.py', 'test_sides.py', 'test_expected.py')
+_DOCTOR = ('test_doctor_evidence.py', 'test_doctor_edges.py', 'test_doctor_time.py',
+           'test_doctor.py', 'test_doctor_feetech.py', 'test_bits.py', 'test_combs.py')
 FILES = {
     'msg_defs/crc.py': ('test_vel2d.py', 'test_dxl_packet.py', 'test_dxl_instruction.py'),
     'msg_defs/dxl_packet.py': ('test_dxl_packet.py', 'test_tracker.py', 'test_fuzz.py'),
-    'dxl_monitor/bus/tracker.py': ('test_tracker.py', 'test_monitor.py', 'test_doctor.py'),
-    'dxl_monitor/bus/planner.py': _BUS,
-    'dxl_monitor/bus/roster.py': _BUS,
-    'dxl_monitor/bus/device.py': _BUS,
-    'dxl_monitor/bus/duty.py': _BUS,
-    'dxl_monitor/bus/table.py': ('test_table.py', *_BUS),
-    'dxl_monitor/bus/expected.py': ('test_expected.py',),
-    **{f'dxl_monitor/bus/{name}.py': (*_BUS, *_DIALECTS) for name in (
-        'conversation', 'evidence', 'plan', 'report')},
-    **{f'dxl_monitor/bus/{name}.py': (*_DIALECTS, *_BUS) for name in ('dialect', 'dialogue')},
+    **{f'dxl_monitor/bus/{name}.py': _BUS for name in (
+        'conversation', 'device', 'dialect', 'dialogue', 'duty', 'evidence', 'expected', 'plan',
+        'planner', 'report', 'roster', 'stranger', 'table', 'tracker')},
     **{f'dxl_monitor/doctor/{name}.py': _DOCTOR for name in (
-        '__init__', 'case', 'collision', 'configuration', 'damage', 'health', 'presence', 'rate',
-        'rhythm', 'rule', 'timing')},
-    **{f'dxl_monitor/doctor/{name}.py': ('test_doctor_feetech.py', *_DOCTOR) for name in (
-        'feetech', 'setting_up')},
-    'dxl_monitor/doctor/bits.py': ('test_bits.py', *_DOCTOR),
+        '__init__', 'bits', 'case', 'collision', 'combs', 'configuration', 'damage', 'feetech',
+        'health', 'presence', 'rate', 'rhythm', 'rule', 'setting_up', 'timing')},
     'vel2d_bridge/gate.py': ('test_gate.py', 'test_bridge_safety.py'),
     'vel2d_bridge/pacer.py': ('test_pacer.py', 'test_bridge_safety.py', 'test_link.py'),
 }
-# Only what is quick: without ROS, and of the fuzz tests the machines and the kept inputs.
-SELECT = ('-m', 'not ros and not slow', '-k', 'not any_input and not volume and not fuzzer_says')
 
 # Mutants that change nothing that anybody could see: how their line and their change begin.
 _NS = 'a ns more or less than never'
@@ -87,6 +76,9 @@ EQUIVALENT = {
     ('elif self.proven and (flaw is None or', 'LtE -> Lt'): 'the long way says the same',
     ('_FIRST_PART = 4', '4 -> 5'): 'the long way says the same',
     ('if not parts or len(body) != parts', 'without not'): 'the long way says the same',
+    ('is_noisy = False', 'False -> True'): 'what is looked at then is too short for an answer',
+    ('SIZE_LIMIT = 0x4000', '16384 -> 16385'): 'no table reaches as far',
+    ('@lru_cache(maxsize=', ''): 'what is forgotten is worked out again',
     ('while at < len(noise)', 'Lt -> LtE'): 'behind the end there is nothing to find',
 }
 
@@ -123,14 +115,13 @@ class Mutant(NamedTuple):
         return any(self.text.startswith(line) and self.change.startswith(change)
                    for line, change in EQUIVALENT)
 
-    @property
-    def source(self) -> str:
-        """The whole file with the change."""
+    def tree(self) -> tuple[ast.Module, ast.AST]:
+        """Return the whole file with the change, and the node that is changed."""
         tree = ast.parse((ROOT / self.file).read_text())
         node = list(ast.walk(tree))[self.node]
         _, apply = list(_changes(node))[self.number]
         apply(node)
-        return ast.unparse(tree)
+        return tree, node
 
 
 def mutants(file: str) -> Iterator[Mutant]:
@@ -238,80 +229,44 @@ def sample(count: int, seed: int, files: Sequence[str]) -> list[Mutant]:
     return sorted(chosen, key=lambda one: (one.file, one.line, one.change))
 
 
-class Copy:
-    """A copy of the package in which mutants are put in place."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder / 'package'
-        shutil.copytree(ROOT, self._folder, symlinks=True, ignore=shutil.ignore_patterns(
-            '.git', '.venv', '.*_cache', '.hypothesis', '__pycache__', '*.egg-info'))
-
-    def passes_with(self, mutant: Mutant) -> bool | None:
-        """Tell whether the tests of its file pass with the mutant in place."""
-        path = self._folder / mutant.file
-        before = path.read_text()
-        path.write_text(mutant.source)
-        try:
-            return self.passes(FILES[mutant.file])
-        finally:
-            path.write_text(before)
-
-    def passes(self, tests: Sequence[str]) -> bool | None:
-        """Tell whether these tests pass; None when they do not end in time."""
-        code = -1
-        while code < 0:                              # somebody ended them: that says nothing
-            process = subprocess.Popen(
-                [sys.executable, '-B', '-m', 'pytest', '-qx', '-p', 'no:cacheprovider', *SELECT,
-                 *(f'test/{name}' for name in tests)], cwd=self._folder, start_new_session=True,
-                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                env={**os.environ, 'PYTHONPATH': str(self._folder), 'PYTHONHASHSEED': '0',
-                     'PYTEST_DISABLE_PLUGIN_AUTOLOAD': '1'})   # they take longer than most tests
-            try:
-                code = process.wait(TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, 9)
-                process.wait()
-                return None
-        return code == 0
-
-
 def main() -> int:
     options = _parser().parse_args()
-    chosen = sample(options.count, options.seed, options.file or list(FILES))
-    with TemporaryDirectory() as folder, ThreadPoolExecutor(options.jobs) as pool:
-        copies = [Copy(Path(folder, str(n))) for n in range(options.jobs)]
-        for tests in {FILES[one.file] for one in chosen}:
-            if not copies[0].passes(tests):
-                print(f'{", ".join(tests)}: one fails as it is; mend it first', file=sys.stderr)
-                return 1
-        survivors = list(_survivors(chosen, copies, pool))
+    files = [file for file in FILES if file.startswith(tuple(options.file or ['']))]
+    chosen = sample(options.count, options.seed, files)
+    tests = sorted({f'test/{name}' for one in chosen for name in FILES[one.file]})
+    return run(tests, lambda worker: _judge(worker, chosen, options))
+
+
+def _judge(worker: Worker, chosen: list[Mutant], options: argparse.Namespace) -> int:
+    failing = [one.name for one in worker.recorded if not one.passed]
+    if failing or not worker.recorded:
+        print_now(f'{", ".join(failing) or "no tests"}: fails as it is; mend it first')
+        return 1
+    global _worker
+    _worker = worker                       # for the processes that are forked here
+    with ProcessPoolExecutor(options.jobs, get_context('fork')) as pool:
+        survived = [mutant for mutant, is_noticed in zip(chosen, pool.map(_try, chosen),
+                                                         strict=True) if not is_noticed]
     judged = [one for one in chosen if not one.changes_nothing]
-    noticed = len(judged) - len([one for one in survivors if not one.changes_nothing])
-    print(f'{noticed} of {len(judged)} mutants noticed: {100 * noticed / len(judged):.1f} % '
-          f'({len(chosen) - len(judged)} more change nothing; seed {options.seed})')
+    noticed = len(judged) - len([one for one in survived if not one.changes_nothing])
+    print_now(f'{noticed} of {len(judged)} mutants noticed: {100 * noticed / len(judged):.1f} % '
+              f'({len(chosen) - len(judged)} more change nothing; seed {options.seed})')
     return 0
 
 
-def _survivors(chosen: list[Mutant], copies: list[Copy],
-               pool: ThreadPoolExecutor) -> Iterator[Mutant]:
-    """Yield who survives, and say so at once; each copy works on its share."""
-    def work(copy_: Copy, share: list[Mutant]) -> list[Mutant]:
-        found = []
-        for mutant in share:
-            passed = copy_.passes_with(mutant)
-            if passed:
-                found.append(mutant)
-                what = 'changes nothing' if mutant.changes_nothing else 'survived'
-                print(f'{what}: {mutant}', flush=True)
-            elif passed is None:
-                print(f'noticed, as its tests do not end: {mutant}', flush=True)
-            elif mutant.changes_nothing:
-                print(f'noticed, which it cannot be: {mutant}', flush=True)
-        return found
+_worker: Worker
 
-    shares = [chosen[n::len(copies)] for n in range(len(copies))]
-    for found in pool.map(work, copies, shares):
-        yield from found
+
+def _try(mutant: Mutant) -> bool:
+    """Return whether a mutant is noticed; say at once what is worth a look."""
+    is_noticed = _worker.notices(mutant.file, *mutant.tree())
+    if is_noticed is None:
+        print_now(f'noticed, as its tests do not end: {mutant}')
+    elif not is_noticed:
+        print_now(f'{"changes nothing" if mutant.changes_nothing else "survived"}: {mutant}')
+    elif mutant.changes_nothing:
+        print_now(f'noticed, which it cannot be: {mutant}')
+    return is_noticed is not False
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -320,8 +275,9 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add('--count', type=int, default=300, help='size of the sample (default %(default)s)')
     add('--seed', type=int, default=1, help='of the sample (default %(default)s)')
-    add('--jobs', type=int, default=2, help='at the same time (default %(default)s)')
-    add('--file', choices=list(FILES), action='append', help='only this one (repeatable)')
+    add('--jobs', type=int, default=1, help='at the same time (default %(default)s)')
+    add('--file', metavar='PATH', action='append',
+        help='only files that begin so, as dxl_monitor/bus/ (repeatable)')
     return parser
 
 
