@@ -365,8 +365,20 @@ def test_adapter_is_chosen_where_there_are_several(tmp_path):
 def test_file_without_an_adapter(tmp_path):
     file = tmp_path / 'none.pcap'
     file.write_bytes(pcap(MMAPPED, b''))
-    with pytest.raises(UsageError, match='no serial adapter is in it'):
+    with pytest.raises(UsageError, match='no serial adapter is in it; was'):
         open_source('dxl_dump', str(file), None)
+    file.write_bytes(pcap(MMAPPED, FakeAdapter('ftdi').idle(BEGAN))[:-1])
+    with pytest.raises(UsageError, match=r'no serial adapter is in it \(.*cut off'):
+        open_source('dxl_dump', str(file), None)
+
+
+def test_the_only_adapter_of_a_file_is_read_though_it_carried_nothing(tmp_path):
+    file = tmp_path / 'quiet.pcap'
+    adapter = FakeAdapter('ftdi')
+    file.write_bytes(pcap(MMAPPED, adapter.plug(BEGAN) + adapter.idle(BEGAN))[:-1])
+    done = dump(file)
+    assert (done.returncode, done.stdout) == (0, '')
+    assert 'cut off' in done.stderr
 
 
 # What is said, as PROTOCOLS and PATTERNS name it; sizes of transfers, status bytes included.

@@ -41,7 +41,7 @@ class UsbFile(File):
         survey = Survey()
         for event in self._events:
             survey.take(event)
-        found = _chosen(name, survey.ports(), adapter)
+        found = _chosen(name, survey.ports(), adapter, self._events.problems)
         self._port = UsbPort(found.place, found.adapter)
         bus = 'stdin' if name == '-' else os.path.basename(name).partition('.')[0]
         self._wire = Wire(bus, baud or 0, port=name)
@@ -88,16 +88,17 @@ def _seekable(file: BufferedReader, head: bytes) -> BinaryIO:
     return copy
 
 
-def _chosen(name: str, ports: list[Found], adapter: str | None) -> Found:
-    """Return the port that was asked for, or the only one with bytes."""
+def _chosen(name: str, ports: list[Found], adapter: str | None, problems: list[str]) -> Found:
+    """Return the port that was asked for, or the only one, or the only one with bytes."""
     named = [one for one in ports if one.place.words == adapter]
-    used = named or [one for one in ports if one.size]
+    used = named or [one for one in ports if one.size] or ports
     if len(used) == 1 and (named or adapter is None):
         return used[0]
     if not ports:
-        raise UsageError(f'{name}: no serial adapter is in it; was the right bus recorded, from '
-                         'before the port was used?')
-    known = '; '.join(one.words for one in used or ports)
+        beside = ''.join(f' ({problem})' for problem in problems[:1])
+        raise UsageError(f'{name}: no serial adapter is in it{beside}; was the right bus '
+                         'recorded, from before the port was used?')
+    known = '; '.join(one.words for one in used)
     problem = f'--adapter {adapter}: is not in it' if adapter else 'several adapters are in it'
     raise UsageError(f'{name}: {problem}: {known}; choose with --adapter '
-                     f'{(used or ports)[0].place.words}')
+                     f'{used[0].place.words}')
