@@ -77,17 +77,19 @@ class _First(Framer):
         return self._scan(self._buffer, True)
 
     def _flaw(self, data: bytes, done: int, mark: int) -> Flaw:
-        begin = max(done, mark - 1)
-        is_repaired = mark == done or data[mark - 1] != 0xFF
-        if is_repaired and self.is_shared:
+        begin = mark - 1
+        is_repaired = mark == done or data[begin] != 0xFF
+        if is_repaired and (mark == done or self.is_shared):
             begin = mark
         gap = data[done:begin]
-        if self.gaps or self.is_looking or (len(gap) > _SHORT and _HOLDS.search(gap)):
+        if self.gaps or self.is_looking or (begin - done > _SHORT and _HOLDS.search(gap)):
             self.gaps.append((self.bytes - len(data) + done, gap, True))
         else:
             self.noise_ahead = 0
-        self.repaired += is_repaired
-        self._give_up(gap)
+        if is_repaired:
+            self.repaired += 1
+        if gap:
+            self._give_up(gap)
         flaw = ahead(is_repaired, self._noise_length)
         self._noise_length = 0
         return flaw
@@ -226,12 +228,13 @@ class MixedFramer:
 
     def frames(self, chunk: Data) -> list[Frame]:
         """Return what this chunk completes, in the order of the wire."""
-        self.bytes += len(chunk)
-        if self._proven or self.claimed or self._is_open or self._first.is_looking:
+        first = self._first
+        if self._proven or self.claimed or self._is_open or first.is_looking:
             self._look_closely()
-        found = self._first.frames(chunk)
+        found = first.frames(chunk)
+        self.bytes = first.bytes
         self.has_other = self.held > 0
-        return self._mixed(found) if self._first.gaps or self._is_open else found
+        return self._mixed(found) if first.gaps or self._is_open else found
 
     def flush_frames(self) -> list[Frame]:
         """Decide what is left, because the line is idle."""

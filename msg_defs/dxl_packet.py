@@ -136,15 +136,15 @@ class StreamFramer:
 
     def frames(self, chunk: bytes) -> list[Frame]:
         """Return what this chunk completes; damaged frames are among it, with a flaw."""
-        cut = self._cut_off(chunk) if self._is_interrupted and chunk else None
+        if self._is_interrupted and chunk:
+            return self._cut_off(chunk) + self.frames(chunk)
         self.bytes += len(chunk)
         if self._buffer:
             chunk = self._buffer + chunk
             if len(chunk) < self._wanted:
                 self._buffer = chunk
-                return cut or []
-        found = self._scan(chunk, False)
-        return cut + found if cut else found
+                return []
+        return self._scan(chunk, False)
 
     def interrupt(self) -> None:
         """
@@ -177,8 +177,9 @@ class StreamFramer:
 
     def _give_up(self, noise: bytes) -> None:
         if noise:
-            self.noise_bytes += len(noise)
-            self._noise_length += len(noise)
+            size = len(noise)
+            self.noise_bytes += size
+            self._noise_length += size
             self.noise = (self.noise + noise)[-NOISE_KEPT:]
 
 
@@ -214,25 +215,26 @@ class Framer(StreamFramer):
         while 0 <= mark < judged:
             length = data[mark + 4] | data[mark + 5] << 8
             end = mark + 6 + length
-            if end > size and length <= MAX_LENGTH and not final:
+            if end <= size:
+                body = data[mark + 3:end - 2]
+                if (length <= MAX_LENGTH and crc_of(body, HEADER_CRC, CRC16_TABLE)
+                        == data[end - 2] | data[end - 1] << 8
+                        and (length > 3 or (length == 3 and body[3] != STATUS))):
+                    if mark == done + 1 and data[done] == 0xFF and not noisy:
+                        found.append((base + end, body, None))
+                    else:
+                        found.append((base + end, body, self._flaw(data, done, mark)))
+                        noisy = 0
+                    done = end
+                    mark = find(_TAIL, end)
+                    continue
+            elif length <= MAX_LENGTH and not final:
                 wanted = end
                 break
-            body = data[mark + 3:end - 2]
-            if (2 < length <= MAX_LENGTH and end <= size
-                    and crc_of(body, HEADER_CRC, CRC16_TABLE) == data[end - 2] | data[end - 1] << 8
-                    and (length > 3 or body[3] != STATUS)):
-                if mark == done + 1 and data[done] == 0xFF and not noisy:
-                    found.append((base + end, body, None))
-                else:
-                    found.append((base + end, body, self._flaw(data, done, mark)))
-                    noisy = 0
-                done = end
-                mark = find(_TAIL, end)
-            else:
-                if mark > done and data[mark - 1] == 0xFF:
-                    found.append(self._damaged(data, base, done, mark, length))
-                    damaged += 1
-                mark = find(_TAIL, mark + 1)
+            if mark > done and data[mark - 1] == 0xFF:
+                found.append(self._damaged(data, base, done, mark, length))
+                damaged += 1
+            mark = find(_TAIL, mark + 1)
         self.packets += len(found) - damaged
         start = mark - 1 if mark >= 0 else size - len(_TAIL)       # it may still become a frame
         self._keep(data, done, size if final else max(done, start))
@@ -243,7 +245,7 @@ class Framer(StreamFramer):
         """Return what is unusual about a good frame: noise in front of it, a damaged header."""
         repaired = mark == done or data[mark - 1] != 0xFF
         self.repaired += repaired
-        self._give_up(data[done:max(done, mark - 1)])
+        self._give_up(data[done:mark if mark == done else mark - 1])
         flaw = ahead(repaired, self._noise_length)
         self._noise_length = 0
         return flaw

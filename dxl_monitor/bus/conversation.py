@@ -111,11 +111,12 @@ class Conversation:
         framer = self.framers.get(side)
         if framer is None:
             framer = self.framers[side] = self._new_framer(side)
-        if side == OUT:
-            self._turn(stamp)
-            stamp += int(len(chunk) * self.byte_ns)
-        elif side:
-            self._heard_in = stamp
+        if side:
+            if side == OUT:
+                self._turn(stamp)
+                stamp += int(len(chunk) * self.byte_ns)
+            else:
+                self._heard_in = stamp
         frames = framer.frames(chunk)
         if framer.has_other:
             self._read(framer, frames, stamp, side)

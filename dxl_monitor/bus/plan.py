@@ -10,14 +10,15 @@ tracker looks a plan up by the bytes that say who and where, and an answer finds
 from collections import deque
 from collections.abc import Callable
 from enum import Enum
+from struct import Struct
 from typing import Any
-from typing import NamedTuple
 
 from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.evidence import UNKNOWN_INSTRUCTION
 from dxl_monitor.bus.table import READ
 from msg_defs.crc import bare_crc16
 from msg_defs.crc import CRC16_TABLE
+from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER_CRC
@@ -31,7 +32,6 @@ Effect = tuple[Action, tuple[Any, ...]]
 # waits for the device to accept it, None where nothing waits.
 Begin = Callable[[bytes, int], Effect | None]
 STAMPS_KEPT = 64
-_FIRST_PART = 4                    # offset in the body of a fast reply: id, length, 0x55
 _STATUS_FRONT = 5                  # a status body before its data: id, length, 0x55, error
 _NO_SIZE = -1
 
@@ -72,38 +72,64 @@ def take_nothing(address: int, data: bytes, stamp: int, source: int) -> None:
     """Store nothing: there are no data, or the parts of the status have slots of their own."""
 
 
-class FastPart(NamedTuple):
+class FastReply:
     """
-    Where a device stands in a whole fast reply: offsets in its body, which begins with the ID.
+    The whole fast reply to an instruction, each part with its own CRC.
 
-    at: of its error byte; end: behind its data, where the CRC is that covers all before it;
-    id: what stands behind the error byte.
+    Struct takes all parts out of the body in one call: slices of each cost more.
     """
 
-    at: int
-    end: int
-    id: int
-    slot: Slot
+    __slots__ = ('_covered', '_fields', '_ids', 'slots')
+
+    def __init__(self, accesses: tuple[Access, ...], slots: dict[int, Slot]) -> None:
+        self.slots = [slots[access.id] for access in accesses]
+        self._ids = tuple(access.id for access in accesses)
+        # The ID, length and 0x55 of the frame; then error byte, ID and data of each part. Its CRC
+        # follows, but for the last part: that CRC is the one of the frame.
+        self._fields = Struct('<4x' + 'H'.join(f'BB{access.length}s' for access in accesses))
+        # What each of those CRCs covers beyond the one before, which it covers too.
+        self._covered = Struct('<' + ''.join(
+            f'{(6 if n == 0 else 4) + access.length}s'
+            for n, access in enumerate(accesses[:-1])))
+
+    def read(self, body: bytes) -> tuple[Any, ...]:
+        """
+        Return error byte, ID, data and CRC of all parts in a row; () unless each part holds.
+
+        The last CRC alone does not tell: a device takes its CRC from what it heard, so that one
+        is right too where an earlier part was damaged on the way.
+        """
+        if len(body) != self._fields.size:
+            return ()
+        fields = self._fields.unpack(body)
+        if fields[1::4] != self._ids:
+            return ()
+        crc = HEADER_CRC
+        for covered, said in zip(self._covered.unpack_from(body), fields[3::4], strict=True):
+            crc = bare_crc16(covered, crc, CRC16_TABLE)
+            if crc != said:
+                return ()
+        return fields
 
 
 class Plan:
     """
     One instruction. slots: who must answer, in the order of answering, by ID.
 
-    The combined status of a fast read is the first of the slots, under the broadcast ID; parts:
-    what it is made of, empty where one of them has no slot.
-    oddities: the kinds of incident that each of these instructions is; the first is noted, the
-    others are counted.
+    The combined status of a fast read is the first of the slots, under the broadcast ID;
+    fast_reply: what it is made of, None where a part of it has no slot. oddities: the kinds
+    of incident that each of these instructions is; the first is noted, the others are counted.
     """
 
-    __slots__ = ('asked', 'begin', 'counted', 'missed', 'oddities', 'parts', 'request', 'slots',
-                 'stamps')
+    __slots__ = ('asked', 'begin', 'counted', 'fast_reply', 'missed', 'oddities', 'request',
+                 'slots', 'stamps')
 
     def __init__(self, request: Request, slots: dict[int, Slot], begin: Begin | None = None,
                  oddities: tuple[str, ...] = ()) -> None:
         self.request = request
         self.slots = slots
-        self.parts = _parts(request, slots) if BROADCAST in slots else ()
+        self.fast_reply = FastReply(request.accesses, slots) if BROADCAST in slots and all(
+            access.id in slots for access in request.accesses) else None
         self.begin = begin
         self.oddities = oddities
         self.asked = 0
@@ -111,25 +137,31 @@ class Plan:
         self.missed = 0
         self.stamps: deque[int] = deque(maxlen=STAMPS_KEPT)
 
-    def take_whole(self, body: bytes, stamp: int,
+    def take_whole(self, awaited: int, body: bytes, stamp: int,
                    answer: Callable[[Slot, int, bytes, int], object]) -> bool:
         """
         Take a fast reply of which every part holds; leave any other as it is and return False.
 
-        answer: takes a part that needs more than storing: slot, error byte, data, stamp.
+        awaited: how many parts are still to come, all of them if it is the first reply. answer:
+        takes a part that needs more than storing: slot, error byte, data, stamp.
         """
-        if not _all_hold(body, self.parts):
+        reply = self.fast_reply
+        if reply is None or awaited != len(reply.slots):
             return False
-        for at, end, _, slot in self.parts:
+        fields = reply.read(body)
+        if not fields:
+            return False
+        for slot, error, data in zip(reply.slots, fields[::4], fields[2::4], strict=True):
             device = slot.device
-            device.counts.fast_answers += 1
-            if body[at] or device.odd:
-                answer(slot, body[at], body[at + 2:end], stamp)
+            counts = device.counts
+            counts.fast_answers += 1
+            if error or device.odd:
+                answer(slot, error, data, stamp)
             else:
-                device.counts.answers += 1
+                counts.answers += 1
                 device.heard = stamp
                 device.last_error = 0
-                slot.take(slot.address, body[at + 2:end], stamp, READ)
+                slot.take(slot.address, data, stamp, READ)
         return True
 
     def failed(self, there: int, last_whole: int,
@@ -152,6 +184,8 @@ class Plan:
 
         due: the slots without an answer, in order; spoke: IDs with a damaged answer.
         """
+        if len(due) == 1 and not spoke:
+            return 1, due[0].device.number     # the usual case, without a look at all slots
         waiting, silent = 0, set(due)
         for slot in reversed(self.slots.values()):
             if slot.device.number in spoke:
@@ -176,38 +210,3 @@ class Plan:
     def address(self) -> int:
         """The address it is about, -1 if none."""
         return self.request.accesses[0].address if self.request.accesses else -1
-
-
-def _parts(request: Request, slots: dict[int, Slot]) -> tuple[FastPart, ...]:
-    parts: list[FastPart] = []
-    at = _FIRST_PART
-    for access in request.accesses:
-        if access.id not in slots:
-            return ()
-        end = at + 2 + access.length
-        parts.append(FastPart(at, end, access.id, slots[access.id]))
-        at = end + 2
-    return tuple(parts)
-
-
-def _all_hold(body: bytes, parts: tuple[FastPart, ...]) -> bool:
-    """
-    Return whether a good frame is the whole fast reply of these parts, each with its own CRC.
-
-    The last CRC alone does not tell: a device takes its CRC from what it heard, so that one is
-    right too where an earlier part was damaged on the way.
-    """
-    if not parts or len(body) != parts[-1][1]:
-        return False
-    crc = HEADER_CRC
-    covered = 0                    # bytes that crc covers
-    for at, end, number, _ in parts:
-        if body[at + 1] != number:
-            return False
-        if end == len(body):
-            break                  # its CRC is that of the frame
-        crc = bare_crc16(body[covered:end], crc, CRC16_TABLE)
-        if crc != body[end] | body[end + 1] << 8:
-            return False
-        covered = end
-    return True

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from collections.abc import Container
 from functools import partial
 from itertools import islice
+from struct import Struct
 from typing import Any
 from typing import NamedTuple
 
@@ -76,7 +77,8 @@ class Planner:
         self._on_ack = on_ack
         self.known: dict[bytes, Plan] = {}     # by what tells one from another
         self._size = 0                 # size of all plans, in slots
-        self._targets: dict[bytes, list[Target]] = {}  # by address, size and IDs of a Sync Write
+        # Of a Sync Write, by address, size and IDs.
+        self._targets: dict[bytes, tuple[list[Target], Struct]] = {}
         self._retired = 0              # instructions of forgotten plans
         roster.changed = self.forget_plans
         self._actions: dict[int, Action] = {
@@ -235,25 +237,24 @@ class Planner:
             self._note_malformed(body, stamp)      # once it is unstuffed
             return
         key = params[:4] + ids
-        targets = self._targets.get(key)
-        if targets is None:
-            targets = self._find_targets(key, address, size, ids)
-        at = 5
-        for device, store, is_changed in targets:  # as Roster.write(), which costs a call more
-            data = params[at:at + size]
-            at += size + 1
-            device.counts.writes += 1
+        targets, layout = self._targets.get(key) or self._find_targets(key, address, size, ids)
+        parts = layout.unpack_from(params, 4)      # all at once: slices of each cost more
+        for (device, store, is_changed), data in zip(targets, parts, strict=True):
+            device.counts.writes += 1              # as Roster.write(), which costs a call more
             store(address, data, stamp, WRITTEN)
             if is_changed or device.is_unresolved:
                 self._roster.follow(device, address, data, stamp)
 
-    def _find_targets(self, key: bytes, address: int, size: int, ids: bytes) -> list[Target]:
+    def _find_targets(self, key: bytes, address: int, size: int,
+                      ids: bytes) -> tuple[list[Target], Struct]:
+        """Return the devices of a Sync Write, and the layout of ID and data of each."""
         if len(self._targets) >= TARGETS_KEPT:
             self._targets.clear()
         devices = [self._roster.device(number) for number in ids]
-        targets = self._targets[key] = [
-            Target(one, one.table.store, one.is_changed_by(address, size)) for one in devices]
-        return targets
+        found = self._targets[key] = [
+            Target(one, one.table.store, one.is_changed_by(address, size))
+            for one in devices], Struct(f'x{size}s' * len(ids))
+        return found
 
     def _bulk_write(self, is_known: bool, body: bytes, stamp: int) -> None:
         """Write what makes sense; is_known: that not all of it does is noted already."""

@@ -27,6 +27,7 @@ from dxl_monitor.model.models import Models
 from msg_defs.dxl1_instruction import Dialect
 from msg_defs.dxl1_instruction import DIALECTS
 from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import ERROR
 from msg_defs.dxl_instruction import MULTI_TURN
 from msg_defs.dxl_instruction import RESTORE
@@ -98,17 +99,19 @@ class Roster:
 
     def heard(self, device: Device, error: int, stamp: int) -> None:
         """Take any status as a sign of life; error is its error byte, alert bit included."""
-        silence_ms = (stamp - device.heard) // 1_000_000
-        if device.missed_in_a_row and device.heard and silence_ms >= ABSENCE_MS:
-            self._evidence.note(stamp, ev.RETURNED, device.number,
-                                ev.SilentFor(silence_ms, self._torque(device)))
-        alert = error >= 0x80
-        if alert and not device.alert:
-            self._evidence.note(stamp, ev.ALERT, device.number, ev.NOTHING)
-        device.counts.alerts += alert
+        if device.missed_in_a_row:
+            silence_ms = (stamp - device.heard) // 1_000_000
+            if device.heard and silence_ms >= ABSENCE_MS:
+                self._evidence.note(stamp, ev.RETURNED, device.number,
+                                    ev.SilentFor(silence_ms, self._torque(device)))
+            device.missed_in_a_row = 0
+        alert = error >= ALERT
+        if alert:
+            if not device.alert:
+                self._evidence.note(stamp, ev.ALERT, device.number, ev.NOTHING)
+            device.counts.alerts += 1
         device.alert = alert
         device.heard = stamp
-        device.missed_in_a_row = 0
         device.waiting_behind = None
         device.moved_to = ''
         device.odd = alert

@@ -6,8 +6,7 @@ Tracker: pairs every status with the instruction it answers.
 Rules: an instruction closes the one before, and a device that had to answer that one and did not
 is missed; any status is life; only a status that surely answers the pending instruction touches a
 table. After a damaged packet, or noise long enough to hide one, nothing is sure until the next
-instruction.
-Nothing on the wire raises, and nothing here grows with what is on the wire.
+instruction. Nothing on the wire raises, and nothing here grows with what is on the wire.
 
 Where the side of a frame is known, damage on the way to the master hides no instruction: what the
 next answers belong to stays certain. An instruction from there is an echo, or of another master.
@@ -149,8 +148,7 @@ class Tracker:
         """Give up waiting: the line is idle for longer than any answer takes."""
         if self._slots or self._deferred is not None:
             self._close(b'', 0, 0, stamp)
-        self._plan = NO_PLAN
-        self._slots = {}
+        self._plan, self._slots = NO_PLAN, {}
 
     @property
     def asked(self) -> int:
@@ -187,11 +185,14 @@ class Tracker:
     def _unusual(self, slot: Slot, body: bytes, stamp: int) -> None:
         """Take an awaited status that is damaged in its context, stuffed, an error or a return."""
         if body[0] == BROADCAST:
-            if not self.is_doubtful and len(self._slots) == len(self._plan.parts) \
-                    and self._plan.take_whole(body, stamp, self._answer):
+            if not self.is_doubtful and self._plan.take_whole(
+                    len(self._slots), body, stamp, self._answer):
                 self._slots.clear()
             else:
                 self._combined(body + body_crc(body).to_bytes(2, 'little'), stamp)
+        elif self.is_doubtful and not body[4] and not slot.device.odd:
+            slot.device.counts.answers += 1    # as _answer(), which costs more: often behind noise
+            slot.device.heard = stamp
         else:
             self._answer(slot, body[4], unstuff(body[5:]), stamp)
 
@@ -228,21 +229,18 @@ class Tracker:
             action(*arguments)
 
     def _refused(self, slot: Slot, code: int, stamp: int) -> None:
-        instruction = self._plan.request.instruction
         if slot.due is Due.ACK:
             self._deferred = None
             slot.device.acknowledged()
-        slot.device.note_error(instruction, slot.address, code)
-        self._note(stamp, ev.REFUSED, slot.device.number,
-                   ev.Refusal(instruction, slot.address, code))
+        refusal = ev.Refusal(self._plan.request.instruction, slot.address, code)
+        slot.device.note_error(*refusal)
+        self._note(stamp, ev.REFUSED, slot.device.number, refusal)
 
     def _combined(self, body: bytes, stamp: int) -> bool:
         """Take the parts of a fast reply; return whether it breaks off behind a whole one."""
         accesses = self._plan.request.accesses
         blocks = split_combined(body, accesses)        # each part that holds proves itself
-        there = len(blocks)
-        if there < len(accesses):
-            there = max(there, blocks_in(body, accesses))
+        there = max(len(blocks), blocks_in(body, accesses))
         for block in blocks:
             slot = self._slots.pop(block.id, None)
             if slot is not None:
@@ -280,12 +278,10 @@ class Tracker:
                 self._note(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
         elif not self._plan.is_understood and request.id in (number, BROADCAST):
             pass                   # it may have asked for this answer
-        elif device.pays(stamp):
+        elif device.pays(stamp) or (number in self._given_up and number not in self._plan.slots):
             self._late(device, stamp, body)
         elif number in self._plan.slots:
             self._note(stamp, ev.SECOND_ANSWER, number, ev.Code(request.instruction))
-        elif number in self._given_up:
-            self._late(device, stamp, body)
         else:
             self._note(stamp, ev.UNASKED, number, ev.Stranger(request.instruction, body[4]))
 
@@ -296,29 +292,33 @@ class Tracker:
 
     def _flawed(self, body: bytes, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
+        reason, is_repaired, noise = flaw
         self._is_flawed = True
-        self._noise = flaw.noise_length
-        if flaw.reason:
-            self._spoil(flaw.noise_length > GLITCH, side)
-            self._spoil(self._damaged(body, flaw.reason, stamp), side)
+        self._noise = noise
+        if reason:
+            if noise > GLITCH:
+                self._spoil(side)
+            if self._damaged(body, reason, stamp):
+                self._spoil(side)
             return True
         device = self._roster.devices.get(body[0]) if body[3] == STATUS else None
-        if flaw.noise_length > GLITCH:
-            self._spoil(not self._is_cut, side)        # left by a fast reply: not noise
+        if noise > GLITCH:
+            if not self._is_cut:               # else left by a fast reply: not noise
+                self._spoil(side)
             self._is_cut = False
-        elif flaw.noise_length:
+        elif noise:
             self._evidence.counts[ev.GLITCH] += 1
             if device is not None:
                 device.counts.glitches += 1
-        if flaw.repaired and device is not None:
+        if is_repaired and device is not None:
             device.counts.repaired += 1
             self._spoke.add(device.number)     # whether the others understood it, is not known
         return False
 
-    def _spoil(self, is_damaged: bool, side: str) -> None:
+    def _spoil(self, side: str) -> None:
         """Take note of damage; where the side is not known it may have hidden an instruction."""
-        self._is_spoilt |= is_damaged
-        self.is_doubtful |= is_damaged and side != IN
+        self._is_spoilt = True
+        self.is_doubtful |= side != IN
 
     def _damaged(self, body: bytes, reason: str, stamp: int) -> bool:
         """Note a damaged frame; return whether it leaves a doubt about what else is answered."""
