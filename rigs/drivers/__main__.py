@@ -12,8 +12,8 @@ import sys
 
 import pytest
 
+from rigs.debian import Missing
 from rigs.drivers.image import image
-from rigs.drivers.image import Missing
 
 
 def main(options: list[str]) -> int:

@@ -19,6 +19,7 @@ class Adapter:
 
     def __init__(self, guest: Guest, fake: str, *, gather: bool) -> None:
         self.lead: Lead | None = None
+        self.handed = 0             # bytes that came to the fake, over all leads until now
         self._guest = guest
         self._fake = fake
         self._gather = gather
@@ -44,6 +45,7 @@ class Adapter:
     def _disconnect(self) -> None:
         if self.lead is not None:
             self.lead.__exit__()
+            self.handed += self.lead.handed
         self.lead = None
 
     def _wait_node(self) -> None:

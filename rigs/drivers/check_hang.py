@@ -7,7 +7,6 @@ import time
 
 from rigs.drivers.adapters import Acm
 from rigs.drivers.guest import Guest
-from rigs.drivers.guest import until
 from rigs.drivers.rover import Record
 from rigs.drivers.rover import rover_on
 
@@ -26,5 +25,5 @@ def test_a_board_that_hangs_for_25_s_is_told_before_it_revives(
         time.sleep(max(0.0, begin + HANG_S - time.monotonic()))
         board.signal('CONT')
         known = len(rover.mcu.set_points)
-        until(lambda: any(point.is_stop for point in rover.mcu.set_points[known:]))
+        guest.until(lambda: any(point.is_stop for point in rover.mcu.set_points[known:]))
         rover.drive()

@@ -23,7 +23,6 @@ from rigs.drivers.guest import Guest
 from rigs.drivers.guest import INSIDE
 from rigs.drivers.guest import SOURCE
 from rigs.drivers.guest import Unit
-from rigs.drivers.guest import until
 from rigs.drivers.guest import WITHOUT_ROS
 from rigs.drivers.image import VENV
 from rigs.drivers.lead import Lead
@@ -35,16 +34,23 @@ SERIAL = 'FT9INST'
 INSTALLER = f'python3 {SOURCE}/deploy/install.py --prefix {VENV}'
 BAUD = 2_000_000
 SERVICES = ('vel2d_bridge', 'dxl_monitor', 'dxl_dashboard')
-OPEN = ('/dev/mecarover_mcu: open', '/dev/mecarover_dxl: open')
-# Where the processor is emulated a node starts in minutes, and the dead man is slow, too.
+OPEN = {'vel2d_bridge': '/dev/mecarover_mcu: open', 'dxl_monitor': '/dev/mecarover_dxl: open'}
+# Where the processor is emulated a node starts in a minute, and the dead man is slow, too.
 PATIENCE = r'[Service]\nTimeoutStartSec=infinity\nTimeoutStopSec=60\nWatchdogSec=600\n'
 START_S = 600.0
-# What the page knows of the last device of the bus.
-ON_PAGE = """/usr/bin/python3 -c "
+# Waits until the page knows the last device of the bus.
+ON_PAGE = """
+import time
 import urllib.request
-page = urllib.request.urlopen('http://127.0.0.1:8420/metrics', timeout=60).read().decode()
-assert 'mecarover_device_level' in page and 'id=\\"3\\"' in page
-" """
+while True:
+    try:
+        page = urllib.request.urlopen('http://127.0.0.1:8420/metrics', timeout=60).read().decode()
+    except OSError:
+        page = ''
+    if 'mecarover_device_level' in page and 'id="3"' in page:
+        break
+    time.sleep(2)
+"""
 
 
 @pytest.fixture(scope='module')
@@ -67,7 +73,13 @@ def mcu(guest: Guest) -> Iterator[Mcu]:
 
 
 @pytest.fixture(scope='module')
-def installed(guest: Guest, bus: Adapter, mcu: Mcu) -> str:
+def wanted(guest: Guest, request: pytest.FixtureRequest) -> bool:
+    """Tell whether the services are to run."""
+    return guest.has_kvm or bool(request.config.getoption('--services'))
+
+
+@pytest.fixture(scope='module')
+def installed(guest: Guest, bus: Adapter, mcu: Mcu, wanted: bool) -> str:
     """Install as robot, where a login was on the UART; return what the installer said."""
     if not guest.has_kvm:
         for service in SERVICES:
@@ -79,16 +91,24 @@ def installed(guest: Guest, bus: Adapter, mcu: Mcu) -> str:
     assert '    | User=robot' in dry
     assert guest.run('ls /etc/mecarover_serial', check=False).code
     done = guest.run(f'{INSTALLER} {options} --yes', 'robot', timeout_s=300).out
-    guest.run(f'systemctl stop {" ".join(SERVICES)}', timeout_s=200)
+    if not wanted:
+        guest.run(f'systemctl stop {" ".join(SERVICES)}', timeout_s=200)
     return done
 
 
 @pytest.fixture(scope='module')
-def services(guest: Guest, installed: str, request: pytest.FixtureRequest) -> None:
-    """Start what was installed."""
-    if not guest.has_kvm and not request.config.getoption('--services'):
+def services(guest: Guest, installed: str, wanted: bool) -> None:
+    """Wait until what the installer started runs."""
+    if not wanted:
         pytest.skip('without KVM the services start in minutes; --services runs this')
-    guest.run(f'systemctl start --no-block {" ".join(SERVICES)}')
+    wait_started(guest)
+
+
+def wait_started(guest: Guest) -> None:
+    """Wait until the ports are open and the page shows what the monitor hears."""
+    for service, said in OPEN.items():
+        Unit(guest, service).wait_for(said, timeout_s=START_S)
+    guest.run('python3 -', stdin=ON_PAGE, timeout_s=START_S)
 
 
 def test_the_installer_ends_a_login_and_gives_the_port_back_to_its_group(
@@ -116,18 +136,18 @@ def test_systemd_accepts_the_units_and_starts_them_at_boot(guest: Guest, install
         guest.run(f'systemd-analyze verify --man=no /etc/systemd/system/{unit}.service')
 
 
-def test_the_services_open_their_ports_and_stop_the_rover_first(
+def test_the_installer_starts_the_bridge_which_stops_the_rover_first(
         guest: Guest, services: None, mcu: Mcu) -> None:
-    for service, said in zip(SERVICES, OPEN, strict=False):
-        Unit(guest, service).wait_for(said, timeout_s=START_S)
-    until(lambda: mcu.set_points)
-    assert not mcu.drives
+    guest.until(lambda: mcu.set_points)
+    assert all(point.is_stop for point in mcu.set_points)
 
 
-def test_the_service_of_the_page_shows_what_the_monitor_hears(
+def test_the_installer_starts_the_page_which_shows_what_the_monitor_hears(
         guest: Guest, services: None) -> None:
-    guest.wait(ON_PAGE, timeout_s=START_S)
     assert guest.run('stat -c %U /var/lib/mecarover_dashboard').out == 'robot\n'
+    for service in SERVICES:
+        assert guest.run(f'systemctl show -P ActiveState,SubState {service}').out.split() == [
+            'active', 'running']
 
 
 def test_the_monitors_service_outlives_its_adapter(
@@ -137,34 +157,38 @@ def test_the_monitors_service_outlives_its_adapter(
     bus.unplug()
     monitor.wait_for('/dev/mecarover_dxl', 'plug', timeout_s=START_S)
     bus.plug()
-    guest.wait(f'[ $(journalctl -q -b -u {monitor.name} | grep -c "{OPEN[1]}") -ge 2 ]',
-               timeout_s=START_S)
+    monitor.wait_for(OPEN[monitor.name], times=2, timeout_s=START_S)
     assert monitor.pid() == before
 
 
-def test_a_bridge_that_is_killed_stops_the_rover_and_drives_again_by_itself(
+def test_what_is_killed_systemd_starts_again_and_the_rover_stops_and_drives_on(
         guest: Guest, services: None, mcu: Mcu) -> None:
-    bridge = Unit(guest, 'vel2d_bridge')
-    before = bridge.pid()
+    units = [Unit(guest, service) for service in SERVICES]
+    before = [unit.pid() for unit in units]
     planner = guest.start('planner', f'env -u {WITHOUT_ROS} python {INSIDE}/commands.py', 'robot')
-    until(lambda: mcu.drives, START_S)
-    bridge.signal('KILL')
-    until(lambda: not mcu.drives)
-    until(lambda: mcu.drives, START_S)
-    assert bridge.pid() != before
+    guest.until(lambda: mcu.drives, START_S)
+    for unit in units:
+        unit.signal('KILL')
+    guest.until(lambda: not mcu.drives)
+    guest.until(lambda: mcu.drives, START_S)
     planner.stop()
-    until(lambda: not mcu.drives)
+    guest.until(lambda: not mcu.drives)
+    Unit(guest, 'dxl_monitor').wait_for(OPEN['dxl_monitor'], times=3, timeout_s=START_S)
+    guest.run('python3 -', stdin=ON_PAGE, timeout_s=START_S)
+    for unit, pid in zip(units, before, strict=True):
+        assert unit.pid() not in ('0', pid)
+        assert guest.run(f'systemctl show -P NRestarts {unit.name}').out == '1\n'
 
 
 def test_after_a_reboot_all_services_are_back(guest: Guest, services: None, mcu: Mcu) -> None:
     known = len(mcu.set_points)
     guest.reboot()
-    for service, said in zip(SERVICES, OPEN, strict=False):
-        Unit(guest, service).wait_for(said, timeout_s=START_S)
-    guest.wait(ON_PAGE, timeout_s=START_S)
+    wait_started(guest)
     ended = len(mcu.set_points)
-    until(lambda: len(mcu.set_points) > ended)
+    guest.until(lambda: len(mcu.set_points) > ended)
     assert all(point.is_stop for point in mcu.set_points[known:])
+    assert guest.run('readlink -f /dev/mecarover_mcu').out == f'/dev/{TTY}\n'
+    assert guest.run(f'systemctl is-active {GETTY}', check=False).code
 
 
 def test_an_uninstall_says_what_stays_and_its_commands_undo_that(

@@ -23,7 +23,6 @@ from rigs.drivers.adapters import Adapter
 from rigs.drivers.adapters import Ftdi
 from rigs.drivers.guest import Guest
 from rigs.drivers.guest import Unit
-from rigs.drivers.guest import until
 
 BAUD = 2_000_000
 SECONDS = 10.0
@@ -60,7 +59,7 @@ def test_every_byte_of_19_devices_at_2000000_baud_is_heard(
         bus.join()
         time.sleep(SETTLE_S)
         dump.signal('INT')
-        until(lambda: not dump.is_active())
+        guest.until(lambda: not dump.is_active())
         [heard] = [json.loads(line) for line in dump.log().splitlines() if line.startswith('{')]
     sent = bus.totals()['bus']
     assert (sent['overrun'], sent['unheard']) == (0, 0)
@@ -86,7 +85,7 @@ def test_two_adapters_that_change_places_stay_the_bus_that_they_are(guest: Guest
         for bus in buses:
             bus.start()
         for dump, wanted in zip(dumps, ({1, 2, 3}, {11, 12, 13}), strict=True):
-            until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)  # type: ignore[misc]
+            guest.until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)  # type: ignore[misc]
         before = guest.run(f'readlink -f {left.path} {right.path}').out.split()
         left.unplug()
         right.unplug()
@@ -96,7 +95,7 @@ def test_two_adapters_that_change_places_stay_the_bus_that_they_are(guest: Guest
         known = [len(dump.log()) for dump in dumps]
         for dump, length in zip(dumps, known, strict=True):
             dump.wait_for('the port is open again')
-            until(lambda dump=dump, length=length: len(dump.log()) > length + 2000)  # type: ignore[misc]
+            guest.until(lambda dump=dump, length=length: len(dump.log()) > length + 2000)  # type: ignore[misc]
         assert [heard_ids(dump) for dump in dumps] == [{1, 2, 3}, {11, 12, 13}]
         for dump in dumps:
             dump.stop()
@@ -118,5 +117,5 @@ def test_two_adapters_with_one_serial_number_are_told_apart_by_their_sockets(
         for bus in buses:
             bus.start()
         for dump, wanted in zip(dumps, ({1, 2, 3}, {11, 12, 13}), strict=True):
-            until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)  # type: ignore[misc]
+            guest.until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)  # type: ignore[misc]
             dump.stop()

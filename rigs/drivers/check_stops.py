@@ -10,7 +10,6 @@ import pytest
 
 from rigs.drivers.adapters import KINDS
 from rigs.drivers.guest import Guest
-from rigs.drivers.guest import until
 from rigs.drivers.rover import Record
 from rigs.drivers.rover import Rover
 from rigs.drivers.rover import rover_on
@@ -49,9 +48,11 @@ def test_the_rover_stops_first_each_time_that_the_cable_is_back(
     for _ in range(REPLUGS):
         rover.drive()
         rover.adapter.unplug()
+        rover.guest.until(lambda: rover.mcu.has_taken(rover.adapter.handed))
         known = len(rover.mcu.set_points)
         rover.adapter.plug()
-        until(lambda known=known: len(rover.mcu.set_points) > known)   # type: ignore[misc]
+        rover.guest.until(
+            lambda known=known: len(rover.mcu.set_points) > known)     # type: ignore[misc]
         assert rover.mcu.set_points[known].is_stop
     rover.drive()
     record_property('figure', f'{REPLUGS} times')
@@ -66,5 +67,5 @@ def test_the_rover_stops_when_the_bridge_is_ended(
     rover.drive()
     rover.bridge.signal('TERM')
     rover.stopped(record_property)
-    until(lambda: not rover.bridge.is_active())
+    rover.guest.until(lambda: not rover.bridge.is_active())
     assert 'Traceback' not in rover.bridge.log()

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-import shutil
 import subprocess
 import sys
 import tarfile
@@ -13,13 +12,13 @@ from typing import Any
 
 import pytest
 
+from rigs.debian import PYTHON
 from rigs.drivers.guest import Guest
 from rigs.drivers.guest import SHARED
 from rigs.drivers.image import image
-from rigs.drivers.image import PYTHON
 from rigs.drivers.image import VENV
+from rigs.source import copy_source
 
-ROOT = Path(__file__).parents[2]
 PACKAGE = 'package.tar'             # made of this clone, unpacked in the guest
 COMPILED = 'compiled'               # the folders in it, as -i of compileall takes them
 GUEST = pytest.StashKey[str]()
@@ -51,13 +50,7 @@ def guest(tmp_path_factory: pytest.TempPathFactory, request: Any) -> Iterator[Gu
 def pack(folder: Path) -> None:
     """Put what git knows of this clone where the guest sees it, and what pip makes of that."""
     source = folder / 'source'
-    names = subprocess.run(
-        ['git', '-C', str(ROOT), 'ls-files', '-z', '--cached', '--others', '--exclude-standard'],
-        capture_output=True, check=True).stdout.decode().split('\0')
-    for name in names:
-        if name and (ROOT / name).is_file():
-            (source / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / name, source / name)
+    copy_source(source)
     # Emulated, pip takes two minutes; what it puts there is the same for each machine, but for
     # the folder of the libraries and the first line of the programs.
     made = folder / 'made'

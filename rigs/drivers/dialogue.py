@@ -11,6 +11,7 @@ from typing import Any
 
 _READ_SIZE = 65_536
 _SYNC_S = 2.0
+ANSWER_S = 300.0                # an emulated processor that has much to do answers late
 
 
 class Refused(Exception):
@@ -27,7 +28,7 @@ class Dialogue:
         self._buffer = b''
 
     def ask(self, command: str, arguments: dict[str, Any] | None = None,
-            timeout_s: float = 30.0) -> Any:
+            timeout_s: float = ANSWER_S) -> Any:
         """Return what is answered; raise Refused, or TimeoutError."""
         self._send(command, arguments or {})
         while True:
@@ -38,7 +39,8 @@ class Dialogue:
                 return answer['return']
             self._keep(answer)
 
-    def wait_event(self, name: str, device: str | None = None, timeout_s: float = 60.0) -> None:
+    def wait_event(self, name: str, device: str | None = None,
+                   timeout_s: float = ANSWER_S) -> None:
         """Wait for an event of QEMU (of a device), one that came before included; forget it."""
         while True:
             for event in self.events:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from contextlib import suppress
 import os
 from pathlib import Path
+import re
 import shlex
 import subprocess
 import time
@@ -26,6 +27,8 @@ from rigs.drivers.image import VENV
 KVM = Path('/dev/kvm')
 BOOT_S = 600.0                  # without KVM it takes minutes
 POLL_S = 0.1
+MOST_POLL_S = 1.0               # each look costs an emulated processor something
+HELD_UP = 8                     # a program in the guest may take so many times its time-out
 SHARED = '/run/shared'          # where the guest sees the folder of this run
 SOURCE = f'{SHARED}/source'     # and this clone in it
 INSIDE = f'{SOURCE}/rigs/drivers/inside'
@@ -134,12 +137,34 @@ class Guest:
             self._qmp.ask('quit')
         self._process.wait(30)
 
+    # Waiting
+
+    def clock(self) -> float:
+        """Return seconds of a clock that stands while this machine lets the guest not run."""
+        return time.monotonic() - self._held_up_s()
+
+    def _held_up_s(self) -> float:
+        """Return how long the virtual CPU was ready to run and another program ran."""
+        for task in Path(f'/proc/{self._process.pid}/task').iterdir():
+            with suppress(OSError):
+                if (task / 'comm').read_text().startswith('CPU '):
+                    return int((task / 'schedstat').read_text().split()[1]) / 1e9
+        return 0.0
+
+    def until(self, condition: Callable[[], object], timeout_s: float = 60.0) -> None:
+        """Wait for something on this machine."""
+        deadline = self.clock() + timeout_s
+        while not condition():
+            if self.clock() > deadline:
+                raise Failed(f'not within {timeout_s} s')
+            time.sleep(POLL_S / 10)
+
     # Programs inside
 
     def run(self, command: str, user: str = 'root', *, check: bool = True,
             timeout_s: float = 60.0, stdin: str = '') -> Done:
         """Run a line of shell and wait for its end; `check`: raise Failed if that is not 0."""
-        inner = ['timeout', '-k', '2', str(timeout_s), 'env', f'PATH={PATH}',
+        inner = ['timeout', '-k', '2', str(HELD_UP * timeout_s), 'env', f'PATH={PATH}',
                  f'{WITHOUT_ROS}=1', 'LANG=C.UTF-8', f'HOME={self._home(user)}',
                  'PYTHONUNBUFFERED=1', 'bash', '-c', command]
         as_user = [] if user == 'root' else ['runuser', '-u', user, '--']
@@ -147,13 +172,13 @@ class Guest:
         pid = self._agent.ask('guest-exec', {
             'path': program, 'arg': arguments, 'capture-output': True,
             'input-data': base64.b64encode(stdin.encode()).decode()})['pid']
-        deadline = time.monotonic() + timeout_s + 10
+        deadline = self.clock() + timeout_s
         pause_s = POLL_S / 10
         while not (status := self._agent.ask('guest-exec-status', {'pid': pid}))['exited']:
-            if time.monotonic() > deadline:
-                raise Failed(f'{command}: did not end')
+            if self.clock() > deadline:
+                raise Failed(f'{command}: did not end in {timeout_s} s')
             time.sleep(pause_s)
-            pause_s = min(2 * pause_s, POLL_S)
+            pause_s = min(1.2 * pause_s, MOST_POLL_S)
         done = Done(status.get('exitcode', 128 + status.get('signal', 0)),
                     *(base64.b64decode(status.get(name, '')).decode(errors='replace')
                       for name in ('out-data', 'err-data')))
@@ -177,9 +202,9 @@ class Guest:
 
     def wait(self, command: str, user: str = 'root', timeout_s: float = 60.0) -> Done:
         """Run a line of shell again and again until it succeeds."""
-        deadline = time.monotonic() + timeout_s
+        deadline = self.clock() + timeout_s
         while (done := self.run(command, user, check=False)).code:
-            if time.monotonic() > deadline:
+            if self.clock() > deadline:
                 raise Failed(f'{command}: not within {timeout_s} s\n{done.out}{done.err}')
             time.sleep(POLL_S)
         return done
@@ -215,16 +240,6 @@ class Guest:
         return self._folder / 'gadget'
 
 
-def until(condition: Callable[[], object], timeout_s: float = 60.0) -> float:
-    """Wait for something on this machine; return the seconds that it took."""
-    begin = time.monotonic()
-    while not condition():
-        if time.monotonic() > begin + timeout_s:
-            raise Failed(f'not within {timeout_s} s')
-        time.sleep(POLL_S / 10)
-    return time.monotonic() - begin
-
-
 class Unit:
     """A unit of systemd in the guest."""
 
@@ -235,17 +250,16 @@ class Unit:
     def log(self) -> str:
         return self._guest.run(f'journalctl -q -b -u {self.name} -o cat --no-pager').out
 
-    def wait_for(self, *parts: str, timeout_s: float = 60.0) -> str:
-        """Wait for a line of the log that holds all of `parts`, and return it."""
-        deadline = time.monotonic() + timeout_s
-        while True:
-            log = self.log()
-            for line in log.splitlines():
-                if all(part in line for part in parts):
-                    return line
-            if time.monotonic() > deadline:
-                raise Failed(f'{self.name}: nothing said of {parts} in {timeout_s} s:\n{log}')
-            time.sleep(POLL_S)
+    def wait_for(self, *parts: str, times: int = 1, timeout_s: float = 60.0) -> str:
+        """Wait for so many lines of this boot's log with `parts` in order; return the last."""
+        pattern = '.*'.join(re.sub(r'([][.*^$\\])', r'\\\1', part) for part in parts)
+        # One program that follows the log: asking again and again is dear where it is emulated.
+        look = (f'grep -m {times} -e {shlex.quote(pattern)} '
+                f'< <(exec journalctl -q -b -f --no-tail -u {self.name} -o cat 2>/dev/null)')
+        try:
+            return self._guest.run(look, timeout_s=timeout_s).out.splitlines()[-1]
+        except Failed as error:
+            raise Failed(f'{self.name}: {error}\n{self.log()}') from None
 
     def signal(self, name: str, whom: str = 'main') -> None:
         self._guest.run(f'systemctl kill -s {name} --kill-whom={whom} {self.name}')

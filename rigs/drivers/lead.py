@@ -36,6 +36,7 @@ class Lead:
         self._adapter.setblocking(False)
         self._fake = os.open(fake, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         tty.setraw(self._fake)
+        self.handed = 0             # bytes that came to the fake
         self._held = b''
         self._held_at = 0.0
         self._done = threading.Event()
@@ -79,7 +80,7 @@ class Lead:
 
     def _hand_on(self) -> None:
         with suppress(OSError):
-            os.write(self._fake, self._held)
+            self.handed += os.write(self._fake, self._held)
         self._held = b''
 
     def _to_guest(self) -> None:
@@ -101,6 +102,12 @@ class Mcu(FakeMcu):
         taken = super().pump(timeout_s)
         self.set_points += taken
         return taken
+
+    def has_taken(self, handed: int) -> bool:
+        """Tell whether all of the bytes that were handed on are taken, its queue empty."""
+        totals = self.receiver.totals
+        return (totals.received >= handed
+                and len(self.set_points) >= totals.frames - totals.queue_full)
 
     @property
     def drives(self) -> bool:

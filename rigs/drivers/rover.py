@@ -13,7 +13,6 @@ from rigs.drivers.adapters import Adapter
 from rigs.drivers.guest import Guest
 from rigs.drivers.guest import INSIDE
 from rigs.drivers.guest import Unit
-from rigs.drivers.guest import until
 from rigs.drivers.lead import Mcu
 
 Record = Callable[[str, Any], None]
@@ -25,22 +24,22 @@ class Rover:
     def __init__(self, guest: Guest, adapter: Adapter, mcu: Mcu) -> None:
         self.adapter = adapter
         self.mcu = mcu
-        self._guest = guest
+        self.guest = guest
         self.bridge = self._start()
 
     def _start(self) -> Unit:
-        return self._guest.start(
+        return self.guest.start(
             'bridge', f'python {INSIDE}/rover.py {self.adapter.path}', 'robot')
 
     def drive(self) -> None:
         """Have it drive; start the bridge again where it has ended."""
         if not self.bridge.is_active():
             self.bridge = self._start()
-        until(lambda: self.mcu.drives, 120)
+        self.guest.until(lambda: self.mcu.drives, 120)
 
     def stopped(self, record: Record) -> None:
         """Wait until the wheels stand; keep how long after the last frame with a velocity."""
-        until(lambda: not self.mcu.drives)
+        self.guest.until(lambda: not self.mcu.drives)
         moving = max(point.stamp for point in self.mcu.set_points if not point.is_stop)
         stop = min(point.stamp for point in self.mcu.set_points if point.stamp > moving)
         record('figure', f'stop {(stop - moving) / 1e9:.2f} s after the last frame')

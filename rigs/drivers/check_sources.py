@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bus is heard through usbmon while an unchanged dynamixel-sdk drives it, on real drivers."""
+"""A bus is heard without a second adapter while dynamixel-sdk drives it: usbmon and a tap."""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -18,11 +18,13 @@ from dxl_monitor.model.models import Models
 from rigs.drivers.adapters import Acm
 from rigs.drivers.adapters import Adapter
 from rigs.drivers.adapters import Ftdi
+from rigs.drivers.adapters import KINDS
 from rigs.drivers.guest import Guest
 from rigs.drivers.guest import SOURCE
 from rigs.drivers.image import VENV
 
 BAUD = 1_000_000
+TAP = 'arm'
 INSTALLER = f'python3 {SOURCE}/deploy/install.py --prefix {VENV}'
 MASTER = """
 import sys
@@ -36,6 +38,9 @@ for servo in (1, 2, 3):
     assert packet.read4ByteTxRx(port, servo, 132)[1] == 0
 port.closePort()
 """
+SAID = [part for servo in (1, 2, 3) for part in (
+    ('out', 'Ping', servo), ('in', 'Status', servo),
+    ('out', 'Read', servo), ('in', 'Status', servo))]
 
 
 @pytest.fixture
@@ -90,9 +95,29 @@ def test_usbmon_shows_every_packet_of_a_master_and_follows_its_adapter(
         dump.signal('INT')
         log = dump.log()
         dump.stop()
+    record_property('figure', f'{both_sides(log, 2)} packets, both sides')
+
+
+@pytest.mark.parametrize('kind', KINDS, ids=lambda kind: kind.driver)
+def test_a_tap_shows_every_packet_of_a_master_and_follows_it_to_its_next_start(
+        guest: Guest, bus: FakeBus, kind: type[Adapter], record_property: Any) -> None:
+    dump = guest.start('dump', f'dxl_dump tap:{TAP} --json --full', 'robot')
+    guest.wait(f'ls /tmp/mecarover_serial-*/{TAP}.*', timeout_s=200)
+    with kind(guest, bus.path, gather=False) as adapter:
+        for wanted in (6, 12):
+            guest.run(f'dxl_tap {TAP} -- python - {adapter.path}', 'robot', stdin=MASTER,
+                      timeout_s=300)
+            guest.wait(f'[ $(journalctl -q -u {dump.name} -o cat | grep -c Status) -ge {wanted} ]')
+            adapter.unplug()
+            adapter.plug()
+    dump.signal('INT')
+    log = dump.log()
+    dump.stop()
+    record_property('figure', f'{both_sides(log, 2)} packets, both sides')
+
+
+def both_sides(log: str, times: int) -> int:
+    """Hold that a dump shows what the master and the servos said; return how many packets."""
     packets = [json.loads(line) for line in log.splitlines() if line.startswith('{')]
-    said = [(one['side'], one['instruction'], one['id']) for one in packets]
-    assert said == 2 * [part for servo in (1, 2, 3) for part in (
-        ('out', 'Ping', servo), ('in', 'Status', servo),
-        ('out', 'Read', servo), ('in', 'Status', servo))]
-    record_property('figure', f'{len(packets)} packets, both sides')
+    assert [(one['side'], one['instruction'], one['id']) for one in packets] == times * SAID
+    return len(packets)
