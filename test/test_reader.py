@@ -82,8 +82,10 @@ def test_equal_bytes_in_equal_order(cable: Pty, in_thread: bool) -> None:
 def test_only_the_process_reads_and_nobody_can_write(cable: Pty, ear: Ear) -> None:
     pid = pid_of(ear)
     wait_for(lambda: 'dxl_reader' in Path(f'/proc/{pid}/comm').read_text(), 'its name')
+    name, fds = f'/proc/{pid}/comm', Path(f'/proc/{pid}/fd')    # still open while it is written
+    wait_for(lambda: name not in map(os.path.realpath, fds.iterdir()), 'the end of that')
     flags = {}
-    for entry in Path(f'/proc/{pid}/fd').iterdir():
+    for entry in fds.iterdir():
         info = Path(f'/proc/{pid}/fdinfo/{entry.name}').read_text()
         flags[int(entry.name)] = (os.readlink(entry), int(info.split('flags:')[1].split()[0], 8))
     ports = [flag for path, flag in flags.values() if path == cable.path]
