@@ -7,7 +7,7 @@ Every mutant is one small change to one of FILES: an operator, a constant, a con
 left out. A sample of them, seeded, is tried one by one in memory against the tests of FILES, of
 them only those that call the changed function (mutation_worker.py). What passes has survived: a
 hole in the tests, or a change that changes nothing (then it is named in EQUIVALENT, with the
-reason).
+reason). --unchanged checks the tool: without the changes, nothing may be noticed.
 """
 
 import argparse
@@ -22,6 +22,7 @@ import sys
 from typing import Any
 from typing import NamedTuple
 
+from rigs.mutation_worker import NotJudged
 from rigs.mutation_worker import print_now
 from rigs.mutation_worker import ROOT
 from rigs.mutation_worker import run
@@ -76,8 +77,6 @@ EQUIVALENT = {
     ('elif self.proven and (flaw is None or', 'LtE -> Lt'): 'the long way says the same',
     ('_FIRST_PART = 4', '4 -> 5'): 'the long way says the same',
     ('if not parts or len(body) != parts', 'without not'): 'the long way says the same',
-    ('is_noisy = False', 'False -> True'): 'what is looked at then is too short for an answer',
-    ('SIZE_LIMIT = 0x4000', '16384 -> 16385'): 'no table reaches as far',
     ('@lru_cache(maxsize=', ''): 'what is forgotten is worked out again',
     ('while at < len(noise)', 'Lt -> LtE'): 'behind the end there is nothing to find',
 }
@@ -115,12 +114,13 @@ class Mutant(NamedTuple):
         return any(self.text.startswith(line) and self.change.startswith(change)
                    for line, change in EQUIVALENT)
 
-    def tree(self) -> tuple[ast.Module, ast.AST]:
-        """Return the whole file with the change, and the node that is changed."""
+    def tree(self, *, unchanged: bool = False) -> tuple[ast.Module, ast.AST]:
+        """Return the whole file with the change or without, and the node that is changed."""
         tree = ast.parse((ROOT / self.file).read_text())
         node = list(ast.walk(tree))[self.node]
         _, apply = list(_changes(node))[self.number]
-        apply(node)
+        if not unchanged:
+            apply(node)
         return tree, node
 
 
@@ -245,23 +245,31 @@ def _judge(worker: Worker, chosen: list[Mutant], options: argparse.Namespace) ->
     global _worker
     _worker = worker                       # for the processes that are forked here
     with ProcessPoolExecutor(options.jobs, get_context('fork')) as pool:
-        survived = [mutant for mutant, is_noticed in zip(chosen, pool.map(_try, chosen),
-                                                         strict=True) if not is_noticed]
-    judged = [one for one in chosen if not one.changes_nothing]
-    noticed = len(judged) - len([one for one in survived if not one.changes_nothing])
-    print_now(f'{noticed} of {len(judged)} mutants noticed: {100 * noticed / len(judged):.1f} % '
-              f'({len(chosen) - len(judged)} more change nothing; seed {options.seed})')
-    return 0
+        found = list(pool.map(_try, chosen, [options.unchanged] * len(chosen)))
+    judged = [is_noticed for mutant, is_noticed in zip(chosen, found, strict=True)
+              if is_noticed is not None and (options.unchanged or not mutant.changes_nothing)]
+    share = 100 * sum(judged) / len(judged) if judged else 0.0
+    print_now(f'{sum(judged)} of {len(judged)} mutants noticed: {share:.1f} % '
+              f'({found.count(None)} not judged, {len(found) - found.count(None) - len(judged)} '
+              f'more change nothing; seed {options.seed})')
+    return int(None in found or (options.unchanged and any(judged)))
 
 
 _worker: Worker
 
 
-def _try(mutant: Mutant) -> bool:
-    """Return whether a mutant is noticed; say at once what is worth a look."""
-    is_noticed = _worker.notices(mutant.file, *mutant.tree())
+def _try(mutant: Mutant, unchanged: bool) -> bool | None:
+    """Return whether a mutant is noticed, None if not judged; say at once what needs a look."""
+    try:
+        is_noticed = _worker.notices(mutant.file, *mutant.tree(unchanged=unchanged))
+    except NotJudged as error:
+        print_now(f'not judged ({error}): {mutant}')
+        return None
     if is_noticed is None:
         print_now(f'noticed, as its tests do not end: {mutant}')
+    elif unchanged:
+        if is_noticed:
+            print_now(f'noticed without its change: {mutant}')
     elif not is_noticed:
         print_now(f'{"changes nothing" if mutant.changes_nothing else "survived"}: {mutant}')
     elif mutant.changes_nothing:
@@ -276,6 +284,7 @@ def _parser() -> argparse.ArgumentParser:
     add('--count', type=int, default=300, help='size of the sample (default %(default)s)')
     add('--seed', type=int, default=1, help='of the sample (default %(default)s)')
     add('--jobs', type=int, default=1, help='at the same time (default %(default)s)')
+    add('--unchanged', action='store_true', help='check the tool: leave each change out')
     add('--file', metavar='PATH', action='append',
         help='only files that begin so, as dxl_monitor/bus/ (repeatable)')
     return parser

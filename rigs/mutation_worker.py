@@ -34,7 +34,12 @@ ROOT = Path(__file__).parents[1]
 FUNCTIONS = ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda
 LEAST_S = 10.0                     # a mutant has so long, and longer where its tests are slow
 ENDED = b'+'                       # what a child says first that ran to its end
+BROKEN = b'!'                      # and one that did not
 SLOWER = 10                        # times as long as the tests took: it does not end
+
+
+class NotJudged(Exception):
+    """The tool itself went wrong, or could not run the tests: that says nothing of a mutant."""
 
 
 class Recorded(NamedTuple):
@@ -59,13 +64,20 @@ class Worker:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         self._items = session.items
+        if session.testsfailed:                    # each test would seem to fail
+            print_now('test files that cannot be read; mend them first')
+            return True
         answer = _forked(lambda: _record(session), 3600.0)
         self.recorded = pickle.loads(answer or pickle.dumps([]))
         self.result = self._work(self)
         return True
 
     def notices(self, file: str, tree: ast.Module, node: ast.AST) -> bool | None:
-        """Tell whether a test fails with this tree of a file; None if they do not end."""
+        """
+        Tell whether a test fails with this tree of a file; None if they do not end.
+
+        What is no failure of a test raises NotJudged.
+        """
         path = str(ROOT / file)
         function = _innermost(tree, node)
         tests = [one for one in self.recorded if one.passed and (
@@ -136,7 +148,9 @@ def _run_again(names: list[str], path: str, code: CodeType) -> bytes:
     chosen = Chosen(order)
     files = sorted({name.partition('::')[0] for name in names})
     result = pytest.main([*OPTIONS, '-x', *files], plugins=[chosen]) if names else 0
-    return chosen.failed.encode() or (b'' if result == 0 else b'import')
+    if not chosen.failed and (result or chosen.missing):
+        raise NotJudged(f'pytest ended with {int(result)}, {chosen.missing} tests were not there')
+    return chosen.failed.encode()
 
 
 class Chosen:
@@ -145,12 +159,19 @@ class Chosen:
     def __init__(self, order: dict[str, int]) -> None:
         self._order = order
         self.failed = ''
+        self.missing = 0           # a change can rename tests
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         items[:] = sorted((one for one in items if one.nodeid in self._order),
                           key=lambda one: self._order[one.nodeid])
+        self.missing = len(self._order) - len(items)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            self.failed = report.nodeid
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        """Note a test file that cannot be read, as with a module that raises."""
         if report.failed:
             self.failed = report.nodeid
 
@@ -200,17 +221,21 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 
 def _forked(run: Callable[[], bytes], limit_s: float) -> bytes | None:
-    """Return what a function returns in a child of its own; None if it takes too long."""
+    """
+    Return what a function returns in a child of its own; None if it takes too long.
+
+    Where it raises there, or the child dies, NotJudged says so.
+    """
     reading, writing = os.pipe()
     child = os.fork()
     if not child:
         os.setsid()
         try:
-            answer = run()
+            answer = ENDED + run()
         except BaseException as error:
-            answer = f'{type(error).__name__}'.encode()
+            answer = BROKEN + f'{type(error).__name__}: {error}'.encode()
         with open(writing, 'wb') as pipe:
-            pipe.write(ENDED + answer)
+            pipe.write(answer)
         os._exit(0)
     os.close(writing)
     until = time.monotonic() + limit_s
@@ -226,7 +251,9 @@ def _forked(run: Callable[[], bytes], limit_s: float) -> bytes | None:
     os.waitpid(child, 0)
     if part is None:
         return None
-    return answer.removeprefix(ENDED) if answer.startswith(ENDED) else b'died'
+    if not answer.startswith(ENDED):
+        raise NotJudged(answer.removeprefix(BROKEN).decode() or 'died')
+    return answer.removeprefix(ENDED)
 
 
 def print_now(line: str) -> None:

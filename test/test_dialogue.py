@@ -381,6 +381,15 @@ def test_damage_is_counted_and_makes_the_next_answer_doubtful() -> None:
     assert (device.totals.answers, device.totals.missed, device.totals.damaged) == (2, 2, 2)
 
 
+def test_an_answer_without_its_first_byte_may_come_in_two_chunks() -> None:
+    bus = Bus('feetech', Expected(1, 'STS3215'))
+    question, answer = encode(1, 2, b'\x38\2'), encode(1, 0, b'\0\x08')
+    bus.ask(question, answer)
+    bus.ask(question, answer[1:4], answer[4:])
+    bus.ask(question, answer)
+    assert bus.devices()[1].totals.beheaded == 1
+
+
 # ---- both on one wire ---------------------------------------------------------------------------
 
 READ_2, REPLY_2 = encode_2(11, 2, b'\x84\0\4\0'), encode_2(11, STATUS, b'\0\x08\0\0', 0)
