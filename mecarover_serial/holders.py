@@ -22,10 +22,11 @@ _TTY_NR = 4                     # field of /proc/PID/stat behind the name, see p
 
 
 class Holder(NamedTuple):
-    """A process that is on a terminal: 'name (pid N)', and whether it offers a login there."""
+    """A process that is on a terminal: 'name (pid N)', and what it does there."""
 
     name: str
-    is_login: bool
+    is_login: bool                 # it offers a login
+    is_maker: bool                 # it made this pty: a simulated bus holds both ends of its own
 
 
 def holders(path: str, root: Path = ROOT) -> list[Holder]:
@@ -46,7 +47,8 @@ def _holders(path: str, root: Path) -> Iterator[Holder]:
         is_login = any(part in program for part in _LOGINS)
         if (is_login and _is_told_of(process, name)) or (device and (
                 _controlling(process) == device or _has_open(process, device))):
-            yield Holder(f'{program or "a process"} (pid {process.name})', is_login)
+            yield Holder(f'{program or "a process"} (pid {process.name})', is_login,
+                         _has_made(process, device))
 
 
 def _is_told_of(process: Path, tty: str) -> bool:
@@ -71,12 +73,12 @@ def _has_open(process: Path, device: int) -> bool:
             with suppress(OSError):
                 status = entry.stat()
                 if stat.S_ISCHR(status.st_mode) and status.st_rdev == device:
-                    return not _is_other_end(process, device)
+                    return True
     return False
 
 
-def _is_other_end(process: Path, device: int) -> bool:
-    """Tell whether a process made this pty: a simulated bus holds both ends of its own."""
+def _has_made(process: Path, device: int) -> bool:
+    """Tell whether a process has the other end of a pty."""
     if os.major(device) not in PTYS:
         return False
     index = f'tty-index:\t{os.minor(device)}'

@@ -204,7 +204,8 @@ def _end_login(path: str) -> str:
 def _busy(path: str) -> Reason:
     who = holders(path)
     if who:
-        return Reason('busy', f'in use by {", ".join(one.name for one in who)}',
+        in_the_way = [one for one in who if not one.is_maker] or who
+        return Reason('busy', f'in use by {", ".join(one.name for one in in_the_way)}',
                       'stop that program')
     return Reason('busy', 'in use by another process',
                   f'stop that program; sudo fuser -v {path} names it')

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tests' own side of the ROS graph. Imported only where rclpy is (fixture `ros`)."""
 from collections import defaultdict
+from contextlib import suppress
 import threading
 import time
 
@@ -15,6 +16,7 @@ from rcl_interfaces.srv import GetParameters
 from rcl_interfaces.srv import ListParameters
 from rcl_interfaces.srv import SetParameters
 import rclpy
+from rclpy._rclpy_pybind11 import InvalidHandle
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
@@ -81,7 +83,9 @@ class Graph:
     def _spin(self):
         """Not Executor.spin: shutting that down from outside races with its callbacks."""
         while not self._is_over:
-            self._executor.spin_once(timeout_sec=0.1)
+            # A publisher may be destroyed while the executor looks at what it waits for.
+            with suppress(InvalidHandle):
+                self._executor.spin_once(timeout_sec=0.1)
 
     def __enter__(self):
         self._thread.start()

@@ -334,7 +334,7 @@ def test_many_sources_share_the_points_of_an_answer(path, monkeypatch):
 
 @pytest.mark.parametrize(('query', 'words'), [
     ({'from': 'yesterday'}, "from: 'yesterday' is not a time; give Unix seconds"),
-    ({'to': '-1'}, "to: '-1' is no time"), ({'to': 'nan'}, "to: 'nan' is no time"),
+    ({'to': '-1'}, "to: '-1' is not a time"), ({'to': 'nan'}, "to: 'nan' is not a time"),
     ({'from': 5, 'to': 4}, 'from: is after to; swap them'),
     ({'points': '0'}, 'points: a number from 1 to 10000')])
 def test_questions_that_make_no_sense(path, query, words):

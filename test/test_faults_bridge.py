@@ -140,7 +140,8 @@ def test_a_flood_of_commands(mcu, rover, row, recovery):
         row.end_of_quiet()
     frames = row.drives()
     seconds = (frames[-1].stamp - frames[0].stamp) / 1e9
-    assert len(frames) < 31 * seconds + 10
+    # Read late, they stand closer together than they were sent.
+    assert len(frames) < 31 * (seconds + row.late_s()) + 10
     commanded = [one.velocity.omega for one in frames]
     assert commanded == sorted(commanded)
     assert all(one.velocity != STOP for one in row.frames(frames[0].stamp)[:len(frames)]) \
