@@ -90,7 +90,8 @@ def installed(guest: Guest, bus: Adapter, mcu: Mcu, wanted: bool) -> str:
     dry = guest.run(f'{INSTALLER} {options} --dry-run', 'robot', timeout_s=200).out
     assert '    | User=robot' in dry
     assert guest.run('ls /etc/mecarover_serial', check=False).code
-    done = guest.run(f'{INSTALLER} {options} --yes', 'robot', timeout_s=300).out
+    # It starts the three services, each with a Python of its own.
+    done = guest.run(f'{INSTALLER} {options} --yes', 'robot', timeout_s=START_S).out
     if not wanted:
         guest.run(f'systemctl stop {" ".join(SERVICES)}', timeout_s=200)
     return done
