@@ -797,8 +797,20 @@ def test_a_cut_fast_reply_keeps_the_whole_blocks_and_names_the_first_missing() -
         whole = (size - 8) // 8
         assert [bus.known(n, POSITION) is not None for n in (1, 2, 3)] == [
             n <= whole for n in (1, 2, 3)]
+        assert [bus.counts(n).fast_answers for n in (1, 2, 3)] == [n <= whole for n in (1, 2, 3)]
         assert [bus.counts(n).missed for n in (1, 2, 3)] == [n == whole + 1 for n in (1, 2, 3)]
         assert [bus.counts(n).not_served for n in (1, 2, 3)] == [n > whole + 1 for n in (1, 2, 3)]
+
+
+@pytest.mark.parametrize('numbers', [(1,), (1, 2), (1, 2, 3, 4)])
+def test_a_fast_reply_of_more_or_fewer_devices_than_were_asked_is_split(
+        numbers: tuple[int, ...]) -> None:
+    bus = Bus()
+    bus.hear(fast_read(1, 2, 3), fast_reply({number: b'aaaa' for number in numbers}), ping(9))
+    there = [number in numbers for number in (1, 2, 3)]
+    assert [bus.known(n, POSITION) is not None for n in (1, 2, 3)] == there
+    assert [bus.counts(n).fast_answers for n in (1, 2, 3)] == there
+    assert 4 not in bus.roster.devices
 
 
 def test_a_fast_reply_cut_by_the_next_instruction_is_kept_too() -> None:
