@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.conversation import ANSWER_NS
+from dxl_monitor.bus.conversation import Conversation
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.dialect import DialectChoice
@@ -205,6 +207,10 @@ def test_an_absence_is_noted_from_50_ms_on(away_ms: float, is_noted: bool) -> No
     assert device.missed_in_a_row == 0
 
 
+def test_of_a_device_that_never_answered_no_latency_is_told() -> None:
+    assert Device(1).latency_report(S) == (None, None, 0.0)
+
+
 def test_an_alert_is_noted_when_it_begins_and_counted_each_time() -> None:
     one = roster()
     device = one.device(4)
@@ -401,6 +407,15 @@ def test_the_first_miss_and_the_one_over_the_limit_are_noted() -> None:
     assert (plan.missed, one.device(3).counts.data_missed) == (7, 7)
 
 
+@pytest.mark.parametrize(('idle_ns', 'missed'), [(ANSWER_NS, 0), (ANSWER_NS + 1, 1)])
+def test_an_answer_is_given_up_behind_an_idle_line_of_more_than_a_second(
+        idle_ns: int, missed: int) -> None:
+    one = Conversation(MODELS)
+    one.hear(encode(3, I.READ, b'\x84\0\4\0'), S)
+    one.pause(S, S + idle_ns)
+    assert one.roster.devices[3].counts.missed == missed
+
+
 def plan_of(*numbers: int) -> Plan:
     return Plan(Request(I.SYNC_READ, 254, Answers.DATA, tuple(
         Access(number, 132, 4, b'') for number in numbers)), {
@@ -438,6 +453,41 @@ def test_plans_are_counted_and_forgotten_without_losing_counts() -> None:
     assert not planner.has_answer(4, 9)
 
 
+def test_an_answer_is_looked_for_in_the_first_64_plans() -> None:
+    one = roster()
+    planner = Planner(one, one._evidence, lambda *_: None)
+    for number in range(65):
+        planner.plan_for(encode(number, I.READ, b'\x84\0\4\0')[4:-2], S)
+    assert [planner.has_answer(number, 9) for number in (0, 63, 64)] == [True, True, False]
+
+
+def test_64_lists_of_sync_writes_are_kept() -> None:
+    one = roster()
+    planner = Planner(one, one._evidence, lambda *_: None)
+    for number, kept in ((62, 63), (63, 64), (63, 64), (64, 1)):
+        for other in range(63 if number == 62 else 0):
+            planner._sync_write(b'\xfe\x08\0\x83\x74\0\1\0' + bytes([other, 7]), S)
+        planner._sync_write(b'\xfe\x08\0\x83\x74\0\1\0' + bytes([number, 7]), S)
+        assert len(planner._targets) == kept
+    assert [one.devices[number].counts.writes for number in (61, 62, 63, 64)] == [1, 2, 2, 1]
+
+
+@pytest.mark.parametrize(('data', 'detail'), [
+    (b'\xff\xff\xfd', [ev.Code(3)]), (b'\xff\xff\xfd\xfd', []),
+    (b'\xff\xff\xfd\xfd\xff\xff\xfd', [ev.Code(3)]), (b'\xff\xff\0\xfd', []),
+])
+def test_what_a_master_did_not_stuff_is_noted(data: bytes, detail: list[ev.Code]) -> None:
+    one = roster()
+    planner = Planner(one, one._evidence, lambda *_: None)
+    body = b'\3\7\0\3\x74\0' + data
+    begin = planner.plan_for(body, S).begin
+    assert begin is not None
+    action, arguments = begin(body, S) or (None, ())
+    assert action == one.write
+    assert arguments == (one.device(3), 116, data.replace(b'\xfd\xfd', b'\xfd'), S)
+    assert notes(one) == [(ev.UNSTUFFED, 3, code) for code in detail]
+
+
 # --- dialects and strangers ------------------------------------------------------------------
 
 def said(code: int, address: int = -1, length: int = 0) -> Request:
@@ -467,6 +517,7 @@ def test_signs_decide_what_a_bus_speaks(requests: list[Request], dialect: Any) -
 
 @pytest.mark.parametrize(('address', 'data', 'dialect'), [
     (0, b'\x0c\0', DYNAMIXEL_1), (3, b'\x09\x03', FEETECH), (0, b'\0\0\0\x09\x03', FEETECH),
+    (0, b'\x40\x01', DYNAMIXEL_1), (0, b'\x40\x02', UNDECIDED),
     (3, b'\x09', UNDECIDED), (4, b'\x09\x03', UNDECIDED), (0, b'\xf0\xf0', UNDECIDED)])
 def test_a_model_number_decides_what_a_bus_speaks(address: int, data: bytes,
                                                   dialect: Any) -> None:
@@ -477,17 +528,20 @@ def test_a_model_number_decides_what_a_bus_speaks(address: int, data: bytes,
 
 
 @pytest.mark.parametrize(('places', 'name', 'told'), [
-    (DYNAMIXEL_AT, 'AX-12A', {'Torque Enable', 'LED', 'Goal Position', 'Goal Velocity',
-                              'Present Position'}),
-    (FEETECH_AT, 'STS3215', {'Acceleration', 'Goal Position', 'Lock', 'Present Position',
-                             'Present Velocity', 'Present Load', 'Present Input Voltage',
-                             'Present Temperature'}),
+    (DYNAMIXEL_AT, 'AX-12A', {
+        'Torque Enable': {1}, 'LED': {1}, 'Goal Position': {2, 4}, 'Goal Velocity': {2},
+        'Present Position': {2, 4, 6, 8}}),
+    (FEETECH_AT, 'STS3215', {
+        'Acceleration': {7}, 'Goal Position': {2, 6}, 'Lock': {1},
+        'Present Position': {2, 4, 6, 8, 15}, 'Present Velocity': {2}, 'Present Load': {2},
+        'Present Input Voltage': {1}, 'Present Temperature': {1}}),
 ])
 def test_the_places_that_tell_a_dialect_are_registers_of_it(
-        places: set[tuple[int, int]], name: str, told: set[str]) -> None:
+        places: set[tuple[int, int]], name: str, told: dict[str, set[int]]) -> None:
     model = MODELS.by_name(name)
     assert model is not None
-    assert {model.by_address[at].name for at, _ in places} == told
+    assert {(model.by_address[at].name, size) for at, size in places} \
+        == {(register, size) for register, sizes in told.items() for size in sizes}
     assert {at + size for at, size in places} <= {field.end for field in model.fields}
 
 

@@ -13,6 +13,8 @@ import pytest
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.dialect import DYNAMIXEL_AT
 from dxl_monitor.bus.dialect import FEETECH_AT
+from dxl_monitor.bus.dialogue import QUICK_NS
+from dxl_monitor.bus.dialogue import SLOW_NS
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
@@ -221,6 +223,27 @@ def test_ff_ff_fd_in_the_data_is_neither_stuffed_nor_a_header(protocol: str) -> 
     assert 'unstuffed' not in bus.report().kinds
 
 
+@pytest.mark.parametrize(('waited_ns', 'instructions', 'answers', 'still_open'), [
+    (QUICK_NS, 2, 3, 0), (QUICK_NS + 1, 2, 2, 1), (SLOW_NS - 1, 2, 2, 1), (SLOW_NS, 3, 2, 0)])
+def test_what_has_the_form_of_both_is_told_by_when_it_came(
+        waited_ns: int, instructions: int, answers: int, still_open: int) -> None:
+    bus = Bus('feetech')
+    bus.ask(PING, encode(1, 0))
+    bus.ask(PING)
+    bus.now += len(PING) * BYTE_NS + waited_ns
+    bus.monitor.feed(PING, bus.now)
+    report = bus.report()
+    assert (report.counters['Instructions'], report.devices[0].totals.answers,
+            report.kinds.get('undecided packet', 0)) == (instructions, answers - 1, still_open)
+
+
+def test_the_first_acknowledgement_may_look_like_a_ping() -> None:
+    bus = Bus('feetech', Expected(1, 'STS3215'))
+    bus.ask(encode(1, 3, b'\x2a\0\x08'), PING)          # it is of "voltage"
+    assert bus.report().counters['Instructions'] == 1
+    assert bus.devices()[1].totals.answers == 1
+
+
 # ---- the sides are known ------------------------------------------------------------------------
 
 def sided(bus: Bus, *said: tuple[str, bytes]) -> None:
@@ -390,6 +413,31 @@ def test_an_answer_without_its_first_byte_may_come_in_two_chunks() -> None:
     assert bus.devices()[1].totals.beheaded == 1
 
 
+BEHEADED = encode(1, 0, b'\0\x08')[1:]
+
+
+@pytest.mark.parametrize(('noise', 'count'), [
+    (BEHEADED, 1), (BEHEADED * 2, 2), (encode(1, 0)[1:], 1), (b'\0\1' + BEHEADED + b'\0', 1),
+    (BEHEADED[:-1], 0), (BEHEADED[:-1] + b'\0', 0), (encode(9, 0, b'\0\x08')[1:], 0),
+])
+def test_answers_that_lack_their_first_byte_are_counted(noise: bytes, count: int) -> None:
+    bus = Bus('feetech', Expected(9))
+    for answer in (encode(1, 0, b'\0\x08'), noise, encode(1, 0, b'\0\x08')):
+        bus.ask(encode(1, 2, b'\x38\2'), answer)
+    assert {number: device.totals.beheaded for number, device in bus.devices().items()} \
+        == {1: count, 9: 0}
+
+
+@pytest.mark.parametrize(('number', 'errors'), [(6, 1), (77, 0)])
+def test_a_damaged_packet_counts_as_one_where_its_id_is_known(number: int, errors: int) -> None:
+    bus = Bus()
+    bus.ask(*cycle())
+    bus.ask(encode(number, 2, b'\x38\2')[:-1] + b'\0', after_ms=40)
+    bus.ask(*cycle(), after_ms=40)
+    found = bus.report().counters
+    assert (found['CRC Errors'], found['Noise Bytes']) == (errors, 8)
+
+
 # ---- both on one wire ---------------------------------------------------------------------------
 
 READ_2, REPLY_2 = encode_2(11, 2, b'\x84\0\4\0'), encode_2(11, STATUS, b'\0\x08\0\0', 0)
@@ -423,7 +471,18 @@ def test_2_only_hears_no_other_protocol() -> None:
     for _ in range(5):
         bus.ask(*cycle())
     assert bus.report().devices == ()
-    assert bus.report().counters['Packets'] == 0
+    assert (bus.report().counters['Packets'], bus.report().protocol) == (0, '')
+    bus.ask(READ_2)
+    assert bus.report().protocol == 'Dynamixel 2.0'
+
+
+def test_a_bus_says_what_was_heard_on_it() -> None:
+    bus = Bus()
+    assert bus.report().protocol == ''
+    bus.ask(*cycle())
+    assert bus.report().protocol == 'Feetech'
+    bus.ask(READ_2, REPLY_2)
+    assert bus.report().protocol == 'Dynamixel 2.0, Feetech'
 
 
 pieces = st.one_of(

@@ -565,6 +565,15 @@ def test_a_bulk_write_counts_as_far_as_it_makes_sense() -> None:
     assert bus.evidence.counts[ev.MALFORMED] == 2
 
 
+def test_a_bulk_write_that_makes_no_sense_behind_one_that_does_is_noted() -> None:
+    bus = Bus()
+    whole = b'\x01' + words(GOAL, 4) + b'aaaa'
+    for last in (b'\x02' + words(GOAL, 4) + b'bbbb', b'\x02' + words(GOAL, 5) + b'dddd'):
+        bus.hear(encode(BROADCAST, I.BULK_WRITE, whole + last))
+    assert notes(bus) == [(bus.now, ev.MALFORMED, BROADCAST, (I.BULK_WRITE, len(whole + last)))]
+    assert (bus.known(1, GOAL), bus.known(2, GOAL)) == (b'aaaa', b'bbbb')
+
+
 def test_a_sync_write_to_one_device_is_no_write() -> None:
     """It has no data where a Write has them."""
     bus = Bus()
@@ -806,7 +815,7 @@ def test_a_cut_fast_reply_keeps_the_whole_blocks_and_names_the_first_missing() -
 def test_a_fast_reply_of_more_or_fewer_devices_than_were_asked_is_split(
         numbers: tuple[int, ...]) -> None:
     bus = Bus()
-    bus.hear(fast_read(1, 2, 3), fast_reply({number: b'aaaa' for number in numbers}), ping(9))
+    bus.hear(fast_read(1, 2, 3), fast_reply(dict.fromkeys(numbers, b'aaaa')), ping(9))
     there = [number in numbers for number in (1, 2, 3)]
     assert [bus.known(n, POSITION) is not None for n in (1, 2, 3)] == there
     assert [bus.counts(n).fast_answers for n in (1, 2, 3)] == there
