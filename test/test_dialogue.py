@@ -237,9 +237,10 @@ def test_what_has_the_form_of_both_is_told_by_when_it_came(
             report.kinds.get('undecided packet', 0)) == (instructions, answers - 1, still_open)
 
 
-def test_the_first_acknowledgement_may_look_like_a_ping() -> None:
+@pytest.mark.parametrize('asked', [encode(1, 3, b'\x2a\0\x08'), encode(1, 0x0B)])
+def test_the_first_acknowledgement_may_look_like_a_ping(asked: bytes) -> None:
     bus = Bus('feetech', Expected(1, 'STS3215'))
-    bus.ask(encode(1, 3, b'\x2a\0\x08'), PING)          # it is of "voltage"
+    bus.ask(asked, PING)                           # it is of "voltage"
     assert bus.report().counters['Instructions'] == 1
     assert bus.devices()[1].totals.answers == 1
 
@@ -288,6 +289,8 @@ def test_an_adapter_that_echoes_is_no_servo() -> None:
     assert {number: device.totals.answers for number, device in found.items()} == {
         **dict.fromkeys(SO_101, 10), 1: 20, 9: 0}
     assert bus.report().counters['Instructions'] == 40
+    kinds = bus.report().kinds
+    assert (kinds['echo'], kinds.get('bad id', 0)) == (40, 0)
 
 
 # ---- what is proof ------------------------------------------------------------------------------
@@ -646,6 +649,7 @@ def test_calibrate_and_reset() -> None:
 def test_a_broadcast_ping_is_answered_one_after_the_other() -> None:
     bus = Bus('feetech')
     bus.ask(encode(0xFE, 1), *(encode(one, 0) for one in SO_101))
+    assert {device.protocol for device in bus.devices().values()} == {'Feetech'}
     assert {number: device.totals.answers for number, device in bus.devices().items()} \
         == dict.fromkeys(SO_101, 1)
     assert bus.report().counters['Unasked Answers'] == 0
