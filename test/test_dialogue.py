@@ -237,9 +237,11 @@ def test_what_has_the_form_of_both_is_told_by_when_it_came(
             report.kinds.get('undecided packet', 0)) == (instructions, answers - 1, still_open)
 
 
-@pytest.mark.parametrize('asked', [encode(1, 3, b'\x2a\0\x08'), encode(1, 0x0B)])
-def test_the_first_acknowledgement_may_look_like_a_ping(asked: bytes) -> None:
-    bus = Bus('feetech', Expected(1, 'STS3215'))
+@pytest.mark.parametrize(('protocol', 'asked'), [
+    ('feetech', encode(1, 3, b'\x2a\0\x08')), ('feetech', encode(1, 0x0B)),
+    ('1', encode(1, 8))])
+def test_the_first_acknowledgement_may_look_like_a_ping(protocol: str, asked: bytes) -> None:
+    bus = Bus(protocol, Expected(1))
     bus.ask(asked, PING)                           # it is of "voltage"
     assert bus.report().counters['Instructions'] == 1
     assert bus.devices()[1].totals.answers == 1

@@ -655,9 +655,15 @@ def test_a_restored_backup_forgets_everything_a_stored_one_nothing() -> None:
     assert bus.known(1, 9, 1) is None
 
 
-def test_a_written_id_is_followed() -> None:
+@pytest.mark.parametrize('how', [
+    (write(1, 7, b'\x09'), reply(1)),
+    (encode(BROADCAST, I.SYNC_WRITE, words(7, 1) + b'\x01\x09'),),
+    (encode(BROADCAST, I.BULK_WRITE, b'\x01' + words(7, 1) + b'\x09'),),
+    (encode(1, I.REG_WRITE, words(7) + b'\x09'), reply(1), encode(1, I.ACTION), reply(1)),
+])
+def test_a_written_id_is_followed(how: tuple[bytes, ...]) -> None:
     bus = filled(Bus())
-    bus.hear(write(1, 7, b'\x09'), reply(1), read(9), reply(9, b'qqqq'))
+    bus.hear(*how, read(9), reply(9, b'qqqq'))
     assert list(bus.roster.devices) == [9]
     assert bus.known(9, POSITION) == b'qqqq'
     assert bus.known(9, GOAL) == b'gggg'
