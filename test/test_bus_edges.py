@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus.conversation import ANSWER_NS
 from dxl_monitor.bus.conversation import Conversation
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.device import Device
@@ -407,7 +406,7 @@ def test_the_first_miss_and_the_one_over_the_limit_are_noted() -> None:
     assert (plan.missed, one.device(3).counts.data_missed) == (7, 7)
 
 
-@pytest.mark.parametrize(('idle_ns', 'missed'), [(ANSWER_NS, 0), (ANSWER_NS + 1, 1)])
+@pytest.mark.parametrize(('idle_ns', 'missed'), [(S, 0), (S + 1, 1)])
 def test_an_answer_is_given_up_behind_an_idle_line_of_more_than_a_second(
         idle_ns: int, missed: int) -> None:
     one = Conversation(MODELS)

@@ -13,8 +13,6 @@ import pytest
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.dialect import DYNAMIXEL_AT
 from dxl_monitor.bus.dialect import FEETECH_AT
-from dxl_monitor.bus.dialogue import QUICK_NS
-from dxl_monitor.bus.dialogue import SLOW_NS
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
@@ -224,7 +222,7 @@ def test_ff_ff_fd_in_the_data_is_neither_stuffed_nor_a_header(protocol: str) -> 
 
 
 @pytest.mark.parametrize(('waited_ns', 'instructions', 'answers', 'still_open'), [
-    (QUICK_NS, 2, 3, 0), (QUICK_NS + 1, 2, 2, 1), (SLOW_NS - 1, 2, 2, 1), (SLOW_NS, 3, 2, 0)])
+    (3_000_000, 2, 3, 0), (3_000_001, 2, 2, 1), (8_999_999, 2, 2, 1), (9_000_000, 3, 2, 0)])
 def test_what_has_the_form_of_both_is_told_by_when_it_came(
         waited_ns: int, instructions: int, answers: int, still_open: int) -> None:
     bus = Bus('feetech')
