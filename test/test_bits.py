@@ -153,6 +153,7 @@ def pairs(count, gap, others=0, other=50):
      f'{bits.LEVEL}: 0 read as 1 each time'),
     ([WHOLE_HEAD] * 19 + [wreck()], f'{bits.SPEAKERS}: the heads are whole, data and checksums '
                                     'are not'),
+    ([WHOLE_HEAD] * 18 + [wreck()] * 2, ''),
     ([WHOLE_HEAD] * 17 + [wreck()] * 3, ''),
     (apart(19, 1), f'{bits.LEVEL}: 0 read as 1 each time'),
     (apart(1, 19), f'{bits.LEVEL}: 1 read as 0 each time'),

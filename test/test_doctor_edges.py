@@ -21,6 +21,7 @@ import pytest
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import report as words
+from dxl_monitor.bus.report import Counts
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import Wait
@@ -76,8 +77,8 @@ def volts(before: float, after: float) -> list[Sample]:
 
 def moves(seconds: float, goal: float, position: float) -> list[Sample]:
     """Return a goal and a position that move so far in so long; the first sample is not used."""
-    return [sample(seconds + 0.05, 1000, 1000), sample(seconds, 0, 0),
-            sample(0, goal, position)]
+    return [sample(seconds + 0.05, 1000, 1000), sample(seconds, 100, 200),
+            sample(0, 100 + goal, 200 + position)]
 
 
 ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]]]] = [
@@ -391,6 +392,25 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'cycles': (FAST_READ._replace(instruction=I.SYNC_READ),)},
       {'devices': [spoken(number, totals={'answers': 9, 'fast_answers': 1})
                    for number in (1, 2)]}]),
+    ('fast_read_unsupported', {'covers': (1,), 'devices': [device(1)],
+      'cycles': (asks(I.FAST_SYNC_READ, 1, asked=3),),
+      'notes': note(ev.REFUSED, ev.Refusal(I.FAST_SYNC_READ, -1, 2), 3)},
+     'answers, but never a fast read (XL430-W250, firmware 50): update it or use plain Sync Read; '
+     'devices behind it get no turn', {'fast reads': '3'},
+     [{'notes': note(ev.REFUSED, ev.Refusal(I.FAST_SYNC_READ, -1, 2), 2)},
+      {'notes': note(ev.REFUSED, ev.Refusal(I.FAST_SYNC_READ, -1, 3), 3)},
+      {'notes': note(ev.REFUSED, ev.Refusal(I.READ, -1, 2), 3)}]),
+    ('fast_read_unsupported', {'whom': 2, 'covers': (2, 3),
+      'devices': [spoken(1, totals={'fast_answers': 1}), device(2, totals={'answers': 3}),
+                  spoken(3)],
+      'cycles': (asks(I.FAST_BULK_READ, 1, 2, 3, asked=3), FAST_READ._replace(ids=(2, 3)))},
+     'answers, but never a fast read (XL430-W250, firmware 50): update it or use plain Sync Read; '
+     'devices behind it get no turn', {'fast reads': '3'},
+     [{'devices': [spoken(1, totals={'fast_answers': 1}), device(2, totals={'answers': 2}),
+                   spoken(3)]},
+      {'devices': [spoken(1, totals={'fast_answers': 1}), device(
+          2, totals={'answers': 3}, last_heard_s=9.0), spoken(3)],
+       'counts': [(NOW - 2 * S, {2: Counts(answers=1)})]}]),
     ('never_written', {'devices': [spoken(totals={'reads': 20}), spoken(2, window={'writes': 1})],
                        'started': NOW - 3 * S},
      'polled 20 times and never written, others are (002): forgotten in the program?',
@@ -440,6 +460,38 @@ def test_a_rule_speaks_from_its_edge_on(rule: str, enough: dict[str, Any], messa
     assert (claim.device, claim.level, claim.covers) == tuple(of.values())
     for less in too_little:
         assert claims(rule, **{**enough, **less}) == [], less
+
+
+@pytest.mark.parametrize(('number', 'firmware', 'is_told'), [
+    *((number, 255, True) for number in (30, 311, 321)),
+    (29, 0, False), (312, 0, False), (320, 0, False), (999, 0, False), (1400, 0, False),
+    (1999, 0, False), (2130, 0, False),
+    (1000, 44, True), (1000, 45, False), (1189, 44, True), (1189, 45, False), (1190, 45, True),
+    (1190, 46, False), (1249, 45, True), (1250, 44, True), (1250, 45, False), (1399, 44, True),
+    (2000, 11, True), (2000, 12, False), (2129, 11, True), (None, 0, False), (1060, None, False),
+])
+def test_the_firmware_from_which_on_fast_reads_are_known(number: int | None, firmware: int | None,
+                                                         is_told: bool) -> None:
+    one = device(model_number=number, firmware=firmware, totals={'answers': 9})
+    assert len(claims('fast_read_unsupported', cycles=(asks(I.FAST_SYNC_READ, 1),), devices=[one],
+                      counts=[(NOW - 10 * S, {1: Counts(answers=9)})])) == is_told
+
+
+# Baud codes of Feetech, and what LeRobot takes them for (its tables, commit 7427f31).
+LEROBOT_BAUDS = {4: None, 5: 57_600, 6: 38_400, 7: 19_200, 8: None}
+
+
+@pytest.mark.parametrize('code', LEROBOT_BAUDS)
+def test_the_baud_codes_that_lerobot_reads_differently(code: int) -> None:
+    def told(model: str) -> list[str]:
+        return [one.message for one in claims(
+            'baud_code', devices=[device(model=model)],
+            notes=note(ev.BAUD_WRITTEN, ev.Written(code), 1))]
+
+    found = told('STS3215')
+    assert [f' {LEROBOT_BAUDS[code]} in LeRobot' in one for one in found] \
+        == [True] * (LEROBOT_BAUDS[code] is not None)
+    assert told('XL430-W250') == []
 
 
 # Initial values of Temperature Limit (°C), Min and Max Voltage Limit (V), e-Manual.

@@ -36,6 +36,7 @@ from dxl_monitor.doctor.collision import ran_into_answers
 from dxl_monitor.doctor.combs import Comb
 from dxl_monitor.doctor.rate import likely_rate
 from dxl_monitor.doctor.rhythm import answer_ns
+from dxl_monitor.doctor.rhythm import is_independent
 from dxl_monitor.doctor.rhythm import is_locked
 from dxl_monitor.doctor.rhythm import rhythms
 from dxl_monitor.doctor.rule import about
@@ -79,9 +80,14 @@ def every(gaps_ms: Iterable[float], number: int = 1, code: int = I.READ) -> Cycl
 
 ANSWERS = {'totals': {'answers': 9, 'reads': 600}, 'window': {'answers': 9}}
 # One answer to a read of 4 bytes is 0.15 ms on the wire at 1 MBd.
-SIXTEEN = tuple(asks(I.READ, number, stamps=[NOW - n * 200 * MS - number * 16 * MS
-                                             for n in reversed(range(5))])
-                for number in range(1, 8))
+def apart(gap_ms: float) -> tuple[Cycle, ...]:
+    """Return seven reads so far from each other, five times in a second."""
+    return tuple(asks(I.READ, number, stamps=[NOW - n * 200 * MS - number * round(gap_ms * MS)
+                                              for n in reversed(range(5))])
+                 for number in range(1, 8))
+
+
+SIXTEEN = apart(16)
 HANDFUL = asks(I.WRITE, 1, stamps=[NOW - n * 20 * MS - MS for n in range(30)])
 UNPACED = asks(I.READ, 2, stamps=[NOW - n * 100 * MS - 10 * MS for n in range(30)])
 
@@ -172,6 +178,10 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
                                   asks(I.READ, 2, stamps=FULL[1::2]))},
      "most instructions come 16 ms after the answer before: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '42 of 70'}, []),
+    ('latency_timer', {'cycles': apart(16.016), 'metrics': blurred(4.1)},
+     "most instructions come 16 ms after the answer before: the latency timer of the master's "
+     'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
+     [{'cycles': apart(16.015999)}, {'cycles': apart(15.985)}]),
     ('latency_timer', {'cycles': SIXTEEN},
      "most instructions come 16 ms after the answer before: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
@@ -298,6 +308,7 @@ def test_how_long_the_answers_to_an_instruction_take() -> None:
     ([20, 20, 20, 20, 40] * 4, True, False),           # some were lost
     ([20, 20, 20, 40, 50] * 4, True, False),           # four of five keep time
     ([20, 20, 24, 50, 31] * 4, False, False),
+    ([20, 20, 20, 25] * 5, False, False), ([20, 20, 20, 24.9] * 5, False, True),
     ([20, 20, 20, 20, 20, 20, 20, 24, 24, 16] * 2, False, True),
 ])
 def test_what_keeps_time(gaps: list[float], is_steady: bool, is_even: bool) -> None:
@@ -317,6 +328,34 @@ def test_what_was_seen_for_a_short_time_is_taken_to_fit() -> None:
     assert not is_locked(two, one)
     one, two = rhythms((every([20.0] * 30), every([31.0] * 5 + [93.0] * 7, 2)), NOW, 1_000_000)
     assert is_locked(two, one)
+
+
+def together(one_ms: Iterable[float], other_ms: Iterable[float]) -> bool:
+    """Tell of two instructions that came at these times whether one knows of the other."""
+    one, other = (rhythms((asks(I.READ, number, stamps=[
+        NOW - S + int(at * MS) for at in times]),), NOW, 1_000_000)[0]
+        for number, times in ((1, one_ms), (2, other_ms)))
+    return is_independent(one, other)
+
+
+def spread(count: int, places: int, apart_ms: float = 40.0) -> list[float]:
+    """Return times at so many places of a period of 16 ms: a part of it each."""
+    return [apart_ms * 16 / 20 * n - n % 5 / 1000 + n % places + 0.5 for n in range(count)]
+
+
+TICKS = [16.0 * n for n in range(60)]
+
+
+@pytest.mark.parametrize(('one', 'other', 'is_told'), [
+    (TICKS, spread(20, 8), True), (TICKS, spread(20, 7), False), (TICKS, spread(20, 1), False),
+    (TICKS, spread(13, 6), True), (TICKS, spread(13, 5), False),
+    (TICKS[:14], spread(20, 16)[:20], False),          # only seven of them are within the other
+    (TICKS[:16], spread(20, 16)[:20], True),
+    (TICKS, [16.0 * n + n % 16 + 0.5 for n in range(40)], False),       # they alternate
+])
+def test_another_program_asks_anywhere_in_the_cycle(one: list[float], other: list[float],
+                                                    is_told: bool) -> None:
+    assert together(one, other) == is_told
 
 
 @pytest.mark.parametrize(('whole', 'odd', 'count'), [(9, 4, 1), (8, 5, 0)])

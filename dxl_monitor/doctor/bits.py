@@ -27,6 +27,7 @@ from msg_defs.dxl_packet import STATUS
 ALIKE = 1 / 8                      # fewer of the known bits are wrong: by chance half are
 ENOUGH = 8                         # wrecks, and flips, that make a picture
 NEARLY_ALL = 0.9
+NEARLY_NONE = 0.1
 MOSTLY = 0.7
 OFTEN = 1 / 4                      # packets of a kind that are wrong in the same way: no chance
 SEVERAL = 16                       # distances between wrong bits that can show a period
@@ -196,7 +197,7 @@ def look(found: Sequence[Wreck]) -> str:
     if len(found) < ENOUGH:
         return ''
     known = [wreck for wreck in found if wreck.flips]
-    if len(known) <= (1 - NEARLY_ALL) * len(found):
+    if len(known) < NEARLY_NONE * len(found):
         return f'{SPEAKERS}: the heads are whole, data and checksums are not'
     flips = [flip for wreck in known for flip in wreck.flips]
     if len(flips) < ENOUGH:
@@ -219,7 +220,7 @@ def _by_direction(known: Sequence[Wreck], flips: Sequence[WrongBit]) -> str:
     rarer = min(ups, len(first) - ups)
     if rarer > BOTH_WAYS * len(first):
         return INTERFERENCE if is_single else ''
-    if rarer > (1 - NEARLY_ALL) * len(first):
+    if rarer >= NEARLY_NONE * len(first):
         return ''
     was, became = ('0', '1') if 2 * ups > len(first) else ('1', '0')
     late = [flip.is_late for flip in flips if flip.is_late is not None]

@@ -1,0 +1,79 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the doctor keeps from report to report: of a silent bus, of damage."""
+
+from typing import Any
+
+from doctor_case import asks
+from doctor_case import case
+from doctor_case import device
+from doctor_case import note
+from doctor_case import NOW
+from doctor_case import S
+import pytest
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.doctor import Doctor
+from dxl_monitor.doctor.case import History
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import STATUS
+
+LOST = tuple(note(ev.SOURCE_LOST, ev.Much(3), 1))
+MANY_LOST = '3 USB events or bytes were not heard'
+
+
+def silent(pause_s: float = 1.0, last_byte_s: float | None = 1.0, **parts: Any) -> BusReport:
+    """Return a report of a bus on which the master asked so long ago."""
+    return case(*parts.pop('devices', ()), **{
+        'asked': NOW - int(pause_s * S), 'last_byte_s': last_byte_s, **parts}).report
+
+
+def doubts(report: BusReport) -> list[str]:
+    return [one.message.partition(':')[0] for one in report.doubts]
+
+
+# --- a bus on which nothing happens any more ---------------------------------------------------
+
+def test_what_was_not_heard_is_told_of_a_bus_that_was_silent_from_the_first_report_on() -> None:
+    assert [one[:15] for one in doubts(Doctor().examine(silent(incidents=LOST)))] \
+        == [MANY_LOST[:15]]
+    assert doubts(Doctor().examine(silent())) == []
+
+
+def test_the_doubts_of_a_bus_stand_while_it_is_silent() -> None:
+    doctor = Doctor()
+    unknown = device(9, '')
+    first = doctor.examine(silent(0.0, devices=[unknown]))
+    assert doubts(first) == ['009']
+    later = doctor.examine(silent(0.0, devices=[unknown], stamp=NOW + S))
+    assert doubts(later) == ['009']
+
+
+@pytest.mark.parametrize(('last_byte_s', 'is_judged'), [(0.5, True), (0.51, False), (None, True)])
+def test_a_bus_is_judged_while_there_are_bytes(last_byte_s: float | None, is_judged: bool) -> None:
+    wrong = device(state=words.MOVED, message='moved to 57600 Bd')
+    found = Doctor().examine(silent(last_byte_s=last_byte_s, devices=[wrong]))
+    assert [one.rule for one in found.findings] == ['baud_moved'] * is_judged
+
+
+# --- what is remembered of damage --------------------------------------------------------------
+
+WRONG = bytearray(encode(3, STATUS, bytes((0, 8, 0, 0)), error=0))
+WRONG[5] ^= 4
+
+
+def noisy(count: int, seconds: float = 0.0, noise: bytes = bytes(WRONG)) -> BusReport:
+    return case(cycles=(asks(I.READ, 3),), protocol=words.PROTOCOL_2, noise=noise,
+                counters={'Noise Bytes': count}, stamp=NOW + int(seconds * S)).report
+
+
+def test_a_wreck_is_looked_at_once_and_forgotten_after_ten_seconds() -> None:
+    history = History()
+    size = len(WRONG)
+    assert [len(history.take(noisy(count, seconds)).wrecks) for count, seconds in (
+        (size, 0), (size, 1), (2 * size, 2), (2 * size + 1, 3), (2 * size + 1, 10),
+        (2 * size + 1, 10.001), (2 * size + 1, 12), (2 * size + 1, 12.001))] \
+        == [1, 1, 2, 2, 2, 1, 1, 0]
