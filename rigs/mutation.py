@@ -12,6 +12,7 @@ reason). --unchanged checks the tool: without the changes, nothing may be notice
 
 import argparse
 import ast
+from collections import Counter
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
@@ -224,9 +225,20 @@ def _is_type(node: ast.AST) -> bool:
 
 
 def sample(count: int, seed: int, files: Sequence[str]) -> list[Mutant]:
-    """Draw from all mutants of these files, each as likely as any other."""
-    everything = [one for file in files for one in mutants(file)]
-    chosen = random.Random(seed).sample(everything, min(count, len(everything)))
+    """
+    Draw from all mutants of these files, each as likely as any other.
+
+    A line that is added or changed leaves those of the other lines in the sample or out of it.
+    """
+    alike: Counter[tuple[str, str, str]] = Counter()
+
+    def lot(one: Mutant) -> float:
+        what = one.file, one.text, one.change
+        alike[what] += 1
+        return random.Random(f'{seed} {what} {alike[what]}').random()
+
+    drawn = {one: lot(one) for file in files for one in mutants(file)}
+    chosen = sorted(drawn, key=drawn.__getitem__)[:count]
     return sorted(chosen, key=lambda one: (one.file, one.line, one.change))
 
 

@@ -87,6 +87,16 @@ def test_bytes_that_are_no_packet_are_none():
     assert bits.wrecks(b'', (DUE,)) == bits.wrecks(ANSWERS[0], ()) == []
 
 
+HEAD = DUE.known
+
+
+@pytest.mark.parametrize('noise', [
+    ANSWERS[0][:-1], HEAD + b'\0\xff\xff\0\0\0\0', HEAD + b'\0\0\0\0\0\0\xff'])
+def test_a_packet_that_breaks_off_is_no_wreck(noise):
+    assert bits.wrecks(noise, (DUE,)) == []
+    assert len(bits.wrecks(HEAD + b'\0\xff\0\xff\0\xff\0', (DUE,))) == 1
+
+
 # --- what it looks like ------------------------------------------------------------------------
 
 @pytest.mark.parametrize(('draw', 'said'), [
@@ -144,6 +154,12 @@ def pairs(count, gap, others=0, other=50):
             for at in range(count + others)]
 
 
+def bursts(late):
+    """Return ten wrecks with three wrong bits in a byte each, as late as these in turn."""
+    return [Wreck(3, 15, tuple(WrongBit(10 * at + 1 + bit, bit, True, late[at % len(late)])
+                               for bit in range(3))) for at in range(10)]
+
+
 @pytest.mark.parametrize(('found', 'said'), [
     ([wreck(11 + at, 7) for at in range(8)], bits.CLOCK),
     ([wreck(11 + at, 7) for at in range(7)], ''),
@@ -159,6 +175,9 @@ def pairs(count, gap, others=0, other=50):
     (apart(1, 19), f'{bits.LEVEL}: 1 read as 0 each time'),
     (apart(18, 2), ''), (apart(15, 5), ''), (apart(14, 6), bits.INTERFERENCE),
     (apart(6, 14), bits.INTERFERENCE),
+    ([wreck(11, device=number) for number in range(8)], f'{bits.LEVEL}: 0 read as 1 each time'),
+    (bursts([None]), ''), (bursts([True] * 9 + [False]), f'{bits.LEVEL}: 0 read as 1 each time'),
+    (bursts([True] * 8 + [False] * 2), ''),
     ([wreck()] * 9, ''),                               # the same bit each time
     (pairs(16, 33), f'{bits.PWM}: wrong bits about 33 bits apart, or a multiple'),
     (pairs(15, 33), bits.INTERFERENCE), (pairs(16, 30), bits.INTERFERENCE),

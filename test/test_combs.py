@@ -44,6 +44,14 @@ def test_a_clock_that_leaves_one_out_now_and_then_is_still_one(missing: int) -> 
     assert two_combs(last(clock(20.0, 2), slow), BLUR_NS) is not None
 
 
+@pytest.mark.parametrize(('missing', 'is_told'), [((5, 9, 13), True), ((5, 8, 11, 14), False)])
+def test_a_clock_that_leaves_out_more_than_three_of_twenty_is_none(missing: tuple[int, ...],
+                                                                   is_told: bool) -> None:
+    stamps = sorted([20 * MS * n for n in range(30)]
+                    + [7 * MS + 31 * MS * n for n in range(20) if n not in missing])
+    assert (two_combs(stamps, 0.5 * MS) is not None) == is_told
+
+
 @pytest.mark.parametrize('seed', range(30))
 def test_one_program_is_not_two(seed: int) -> None:
     rng = random.Random(seed)

@@ -27,6 +27,8 @@ from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.doctor.case import Sample
 from dxl_monitor.doctor.health import FACTORY
+from msg_defs.dxl1_instruction import FEETECH
+from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.reports import Level
@@ -75,6 +77,9 @@ def volts(before: float, after: float) -> list[Sample]:
     return [sample(4, voltage=before), sample(1, voltage=after)]
 
 
+STANDING = [sample(2.4, 1, 1), sample(2.2, 100, 200), sample(1, 120, 200)]
+
+
 def moves(seconds: float, goal: float, position: float) -> list[Sample]:
     """Return a goal and a position that move so far in so long; the first sample is not used."""
     return [sample(seconds + 0.05, 1000, 1000), sample(seconds, 100, 200),
@@ -90,6 +95,37 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      [{'counters': {'Bytes': 399, 'Packet Bytes': 51}},
       {'counters': {'Bytes': 400, 'Packet Bytes': 52}}, {'baud': 0},
       {'notes': note(ev.PROTOCOL_1, ev.Code(2), 1)}]),
+    ('wrong_baud', {'counters': {'Bytes': 600_001, 'Packet Bytes': 600_001},
+                    'started': NOW - 5 * S},
+     'more bytes than 1000000 Bd can carry: the bus is faster, set `bauds` to its rate',
+     {'load (%)': '120'},
+     [{'counters': {'Bytes': 600_000, 'Packet Bytes': 600_000}}, {'has_sides': True},
+      {'baud': 0}]),
+    ('wrong_baud', {'counters': {'Bytes': 500_000, 'Packet Bytes': 500_000},
+                    'started': NOW - 4 * S},
+     'more bytes than 1000000 Bd can carry: the bus is faster, set `bauds` to its rate',
+     {'load (%)': '125'},
+     [{'counters': {'Bytes': 499_999, 'Packet Bytes': 499_999}}]),
+    ('protocol_1', {'whom': None, 'protocol': words.PROTOCOL_2,
+                    'notes': note(ev.PROTOCOL_1, ev.Code(2), 2, 8)
+                    + note(ev.PROTOCOL_1, ev.Code(2), 1, 7)},
+     f'{UNDECIDED.name}, ID 007, 008, on a bus of Dynamixel 2.0: set these devices to Protocol '
+     '2.0 if they have it, or give them another bus', {'packets': '3'},
+     [{'notes': note(ev.PROTOCOL_1, ev.Code(2), 1)}, {'protocol': 'Feetech'}]),
+    ('protocol_1', {'whom': None, 'protocol': words.PROTOCOL_2,
+                    'devices': [*(spoken(number) for number in range(1, 7)),
+                                *(spoken(number, protocol=FEETECH.name)
+                                  for number in range(11, 17)), device(20)],
+                    'notes': note(ev.PROTOCOL_1, ev.Code(2), 2)},
+     f'{FEETECH.name}, ID 011, 012, 013, 014 and 2 more, on a bus of Dynamixel 2.0: give these '
+     'devices a bus of their own', {'packets': '2'}, []),
+    ('protocol_1', {'whom': None, 'protocol': 'Dynamixel 1.0',
+                    'devices': [spoken(1), *(spoken(number, protocol='Dynamixel 1.0')
+                                             for number in (2, 3))],
+                    'notes': note(ev.PROTOCOL_1, ev.Code(2), 2)},
+     'Dynamixel 2.0, ID 001, on a bus of Dynamixel 1.0: set these devices to Protocol 1.0 if they '
+     'have it, or give them another bus', {'packets': '2'},
+     [{'devices': [spoken(2, protocol='Dynamixel 1.0')]}]),
     ('overrun', {'marks': {10: {'overruns': 2}, 0: {'overruns': 3}}},
      'this computer lost bytes 1 times: losses and damage are its own; give the monitor a higher '
      'priority or a better adapter', {'overruns': '1'},
@@ -165,6 +201,11 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
                  0: {'echoes': 6, 'instructions': 20}}},
       {'marks': {10: {}, 1: {'echoes': 2, 'instructions': 10},
                  0: {'echoes': 6, 'instructions': 14}}}]),
+    ('echo', {'has_sides': True, 'marks': {11: {}, 10: {'echoes': 1, 'instructions': 10},
+                                           2: {'echoes': 3, 'instructions': 12},
+                                           0: {'echoes': 6, 'instructions': 19}}},
+     'what the master sends comes back to it: its adapter echoes; switch the echo off, or let the '
+     'program skip it', {'echoes': '5'}, []),
     ('echo', {'cycles': (asks(I.READ, 1),), 'notes': [
         *note(ev.REPEATED, ev.Again(2, 99), 5), *note(ev.REPEATED, ev.Again(2, 100), 4)]},
      'every instruction is heard twice: the adapter echoes what its master sends; switch the echo '
@@ -240,7 +281,16 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      {'away (ms)': '500', 'seen by': 'Realtime Tick jumped back'},
      [{'samples': {1: ticks(20.0, now)}} for now in (21.5, 21.9, 22.1, 30.0)]
      + [{'samples': {1: ticks(32.0, now)}} for now in (1.232, 0.9)]
-     + [{'samples': {1: ticks(0.1, 32.0)}}]),
+     + [{'samples': {1: ticks(30.5, 0.232)}}]
+     + [{'samples': {1: ticks(0.1, 32.0)}}, {'samples': {1: ticks(20.0, 20.9)[1:]}},
+        {'samples': {1: [sample(4), sample(2, tick=0.1)]}},
+        {'samples': {1: [sample(4, tick=20.0), sample(2)]}}]),
+    ('rebooted', {'devices': [device()], 'notes': back(500), 'samples': {1: [
+        sample(6, 0, 0), sample(5, 90, 90), *STANDING]}},
+     'restarted by itself, 500 ms away (follows its goal no more): check its supply and plug, then '
+     'set it up again, torque too', {'away (ms)': '500', 'seen by': 'follows its goal no more'},
+     [{'samples': {1: [sample(8, 0, 0), sample(6, 0, 0), sample(5, 90, 0), *STANDING]}},
+      {'samples': {1: STANDING[:-1]}}]),
     ('dropout', {'devices': [spoken(window={'missed': 4, 'spoilt': 2})],
                  'notes': [*back(300), *note(ev.DISCONNECTED, ev.Much(5), 1)]},
      'was away for 300 ms: cannot tell a loose plug from a restart; read Torque Enable or '
@@ -265,13 +315,14 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'samples': {1: moves(0.99, 20, 6)}},
       {'devices': [device(registers={'Present Position': 5, 'Torque Enable': 1})]},
       {'devices': [device(registers={'Torque Enable': 0})]}]),
-    ('torque_off', {'devices': [device(registers={'Present Position': 5}), device(2)],
+    ('torque_off', {'devices': [device(registers={'Present Position': 5}, age_s=1.0), device(2)],
                     'samples': {1: moves(2.45, 50, 0), 2: moves(3.9, 0, 20)[1:]}},
      'its goal moves and it stands, others follow: its torque is off or it is blocked; read '
      'Torque Enable, switch it on', {},
      [{'samples': {1: moves(2.44, 50, 0), 2: moves(3.9, 0, 20)[1:]}},
       {'samples': {1: moves(2.45, 50, 0), 2: moves(3.9, 0, 19)[1:]}},
-      {'samples': {1: moves(2.45, 50, 0)}},
+      {'samples': {1: moves(2.45, 50, 0)}}, {'devices': [device(
+          registers={'Torque Enable': 0}, written={'Present Position': 5}), device(2)]},
       {'devices': [device(registers={'Present Position': 5}, age_s=1.1), device(2)]}]),
     ('missed_answers', {'devices': [spoken(window={'answers': 296, 'missed': 3})],
                         'notes': MISSED},
@@ -294,6 +345,16 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      'overload error latched, torque is off: remove the cause, then send Reboot; until then it '
      'does not move', {'answers with alert': '2'},
      [{'devices': [device(window={'alerts': 2})]}, {'devices': [device(alert=True)]}]),
+    *(('voltage', {'level': level, 'devices': [device(registers={'Present Input Voltage': raw})]},
+       f'its supply is near or {side} V from the factory: {remedy}',
+       {'voltage (V)': f'{raw / 10:.1f}'}, [])
+      for level, raw, side, remedy in (
+          *((level, raw, 'below its limit of 6.0', 'charge the battery, check cable gauge and the '
+             'load on the chain') for level, raw in (
+              (Level.ERROR, 10), (Level.ERROR, 59), (Level.WARN, 60), (Level.WARN, 62))),
+          *((level, raw, 'above its limit of 14.0', 'lower the supply, or give braking current '
+             'somewhere to go') for level, raw in (
+              (Level.WARN, 138), (Level.WARN, 140), (Level.ERROR, 141))))),
     ('watchdog', {'devices': [device(registers={'Bus Watchdog': 50})],
                   'notes': note(ev.REFUSED, ev.Refusal(3, 116, 4), 3)
                   + note(ev.REFUSED, ev.Refusal(3, 116, 5), 1)},
@@ -367,6 +428,21 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      'Position; limit it', {'refused': '3'},
      [{'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 4), 2)},
       {'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 3), 3)}]),
+    *(('wrong_address', {'devices': [device()],
+                         'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, at, error), 3)},
+       f'address {at} refused 3 times ({why}', {'refused': '3'}, [])
+      for at, error, why in (
+          (132, 7, 'Access): Present Position (r, 4 bytes) cannot be used like that'),
+          (116, 5, 'Data Length): Goal Position (rw, 4 bytes) cannot be used like that'),
+          (562, 7, 'Access): Torque Enable of the PRO series; use the control table of '
+                   'XL430-W250'),
+          (15, 4, 'Data Range): XL430-W250 has no register there; check the control table in '
+                   'use'))),
+    ('wrong_address', {'devices': [device()],
+                       'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 132, 7), 2)
+                       + note(ev.REFUSED, ev.Refusal(I.REG_WRITE, 132, 7), 1)},
+     'address 132 refused 3 times (Access): Present Position (r, 4 bytes) cannot be used like '
+     'that', {'refused': '3'}, []),
     ('eeprom_wear', {'devices': [device(window={'eeprom_writes': 30})]},
      'EEPROM written 30 times in 10 s: it lasts some 100 000 writes, 9.3 hours at this rate; '
      'write only what changes', {'writes in 10 s': '30'},
@@ -400,6 +476,10 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      [{'notes': note(ev.REFUSED, ev.Refusal(I.FAST_SYNC_READ, -1, 2), 2)},
       {'notes': note(ev.REFUSED, ev.Refusal(I.FAST_SYNC_READ, -1, 3), 3)},
       {'notes': note(ev.REFUSED, ev.Refusal(I.READ, -1, 2), 3)}]),
+    ('fast_read_unsupported', {'covers': (1,), 'devices': [spoken(1, firmware=None)],
+      'cycles': (asks(I.FAST_SYNC_READ, 1),)},
+     'answers, but never a fast read (XL430-W250): update it or use plain Sync Read; devices '
+     'behind it get no turn', {'fast reads': '30'}, []),
     ('fast_read_unsupported', {'whom': 2, 'covers': (2, 3),
       'devices': [spoken(1, totals={'fast_answers': 1}), device(2, totals={'answers': 3}),
                   spoken(3)],
@@ -492,6 +572,23 @@ def test_the_baud_codes_that_lerobot_reads_differently(code: int) -> None:
     assert [f' {LEROBOT_BAUDS[code]} in LeRobot' in one for one in found] \
         == [True] * (LEROBOT_BAUDS[code] is not None)
     assert told('XL430-W250') == []
+
+
+@pytest.mark.parametrize('volts', [9, 63, 136])
+def test_a_voltage_within_its_limits_is_none_to_tell(volts: int) -> None:
+    assert claims('voltage', devices=[device(registers={'Present Input Voltage': volts})]) == []
+
+
+@pytest.mark.parametrize(('volts', 'level'), [((62, 60, 138), Level.WARN),
+                                              ((62, 59, 138), Level.ERROR)])
+def test_three_that_are_near_a_limit_are_the_supply(volts: tuple[int, ...], level: Level) -> None:
+    devices = [device(number, registers={'Present Input Voltage': raw})
+               for number, raw in enumerate(volts, 1)]
+    assert [one.device for one in claims('voltage', devices=devices[:2])] == [1, 2]
+    found = claims('voltage', devices=devices)[-1]
+    assert (found.device, found.level, found.figures) == (
+        None, level, (('devices', '001, 002, 003'),))
+    assert found.message.startswith('3 devices near or beyond a voltage limit')
 
 
 # Initial values of Temperature Limit (°C), Min and Max Voltage Limit (V), e-Manual.

@@ -80,11 +80,11 @@ def every(gaps_ms: Iterable[float], number: int = 1, code: int = I.READ) -> Cycl
 
 ANSWERS = {'totals': {'answers': 9, 'reads': 600}, 'window': {'answers': 9}}
 # One answer to a read of 4 bytes is 0.15 ms on the wire at 1 MBd.
-def apart(gap_ms: float) -> tuple[Cycle, ...]:
+def apart(gap_ms: float, size: int = 4) -> tuple[Cycle, ...]:
     """Return seven reads so far from each other, five times in a second."""
-    return tuple(asks(I.READ, number, stamps=[NOW - n * 200 * MS - number * round(gap_ms * MS)
-                                              for n in reversed(range(5))])
-                 for number in range(1, 8))
+    return tuple(asks(I.READ, number, size=size, stamps=[
+        NOW - n * 200 * MS - number * round(gap_ms * MS) for n in reversed(range(5))])
+        for number in range(1, 8))
 
 
 SIXTEEN = apart(16)
@@ -109,6 +109,11 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'notes': [one for number in (1, 2) for one in note(
           ev.ANSWERED_AGAIN, ev.Code(I.READ), 2, number, 100 + number)]
           + note(ev.DAMAGED_INSTRUCTION, ev.Front(2, 7), 2)}]),
+    ('impatient_master', {'notes': note(ev.ANSWERED_AGAIN, ev.Code(I.READ), 3)
+                          + note(ev.ANSWERED_AGAIN, ev.Code(I.READ), 2, 2)
+                          + note(ev.DAMAGED_INSTRUCTION, ev.Front(2, 7), 2)},
+     'the master repeats Read at once, 4 times in 10 s: its time-out is shorter than the answers '
+     'take; raise it', {'repeated': '4'}, []),
     ('impatient_master', {'devices': [device(**ANSWERS)], 'waits': waits(10, 499, 3.0),
                           'notes': damaged(3)},
      'the master does not wait for answers, and talks into them: it gives up within 500 us, '
@@ -182,6 +187,10 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      "most instructions come 16 ms after the answer before: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
      [{'cycles': apart(16.015999)}, {'cycles': apart(15.985)}]),
+    ('latency_timer', {'cycles': apart(19, 289)},      # an answer takes 3 ms
+     "most instructions come 16 ms after the answer before: the latency timer of the master's "
+     'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
+     [{'cycles': apart(19)}, {'cycles': apart(17.999, 289)[:1]}, {'cycles': apart(21.6, 289)}]),
     ('latency_timer', {'cycles': SIXTEEN},
      "most instructions come 16 ms after the answer before: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
@@ -365,6 +374,26 @@ def test_a_repetition_is_told_where_four_of_five_periods_are_regular(whole: int,
     assert len(rhythm.repeats) == count
 
 
+@pytest.mark.parametrize(('before', 'count'), [(10, 1), (13, 0)])
+def test_what_is_repeated_came_in_time_before(before: float, count: int) -> None:
+    newest_first = [10] * 8 + [8.4, 1.6, before] + [10] * 12        # 8.4 alone is not in time
+    [rhythm] = rhythms((every(newest_first),), NOW, 1_000_000)
+    assert len(rhythm.repeats) == count
+
+
+def test_the_usual_period_is_a_mean_of_eight_or_more() -> None:
+    [rhythm] = rhythms((every([23.0] * 2 + [21.0] * 8 + [20.0] * 30),), NOW, 1_000_000)
+    stamps = rhythm.cycle.stamps
+    assert rhythm.turn(stamps[0]) == pytest.approx((30 * 20 + 8 * 21) / 38 * MS)
+    assert rhythm.turn(stamps[30]) == 21.0 * MS        # 23 is not usual: it is off by 15 %
+    assert rhythm.turn(stamps[30] + 1) == 0.0
+
+
+def test_two_periods_are_compared_by_the_time_in_which_both_are_known() -> None:
+    slow, fast = rhythms((every([40.0] * 15), every([20.0] * 30 + [20.9] * 12, 2)), NOW, 1_000_000)
+    assert is_locked(slow, fast)
+
+
 @pytest.mark.parametrize(('gaps', 'has_order'), [
     ([10, 12, 14, 16, 18, 20, 22, 26], False), ([10, 12, 14, 16, 18, 20, 20, 26], True)])
 def test_jitter_has_many_different_periods(gaps: list[float], has_order: bool) -> None:
@@ -387,14 +416,14 @@ def test_only_what_is_repeated_and_goes_on_is_a_rhythm() -> None:
 
 @pytest.mark.parametrize(('noise', 'count'), [
     (CUT_IN, 1),
-    (CUT_IN * 2, 2),
+    (CUT_IN * 2, 2), (CUT_IN[-6:] + CUT_IN, 1),
     (READ_OF_3, 0),                                    # it is whole: nothing was in its place
     (b'\xfc' + READ_OF_3[1:], 0),                      # two wrong bits are noise
     (b'\xf8' + READ_OF_3[1:], 1),
     (READ_OF_3[1:], 0),                                # its begin is not known
 ])
 def test_the_end_of_a_question_behind_an_answer(noise: bytes, count: int) -> None:
-    cycles = (asks(I.PING, 3), asks(I.READ, 3))
+    cycles = (asks(I.PING, 3), asks(I.READ), asks(I.READ, 3, at=None), asks(I.READ, 3))
     assert ran_into_answers(case(cycles=cycles, noise=noise, notes=damaged(1))) == count
     assert ran_into_answers(case(cycles=cycles, noise=noise)) == 0
 
@@ -554,6 +583,20 @@ def test_an_incident_is_taken_once_and_forgotten_after_ten_seconds() -> None:
     assert history.take(later._replace(stamp=one.stamp + 10 * S)).count(ev.CUT) == 2
     assert history.take(later._replace(stamp=one.stamp + 10 * S + 1)).count(ev.CUT) == 1
     assert history.take(later._replace(stamp=two.stamp + 10 * S + 1)).count(ev.CUT) == 0
+
+
+def test_rhythms_are_looked_for_every_three_quarters_of_a_second() -> None:
+    history = History()
+    cycles = (every([20] * 20),)
+    assert [len(history.take(case(stamp=NOW + int(at * S), cycles=some).report).rhythms)
+            for at, some in ((0, ()), (0.749, cycles), (0.75, cycles), (1.499, ()), (1.5, ()))] \
+        == [0, 0, 1, 1, 0]
+
+
+def test_a_thousand_incidents_of_a_kind_are_kept() -> None:
+    many = tuple(note(ev.CUT, ev.Front(2, 7), 1001, every_ms=1.0))
+    found = History().take(case(incidents=many).report)
+    assert [one.stamp for one in found.incidents(ev.CUT)] == [one.stamp for one in many[1:]]
 
 
 def test_after_a_reset_the_history_begins_again() -> None:

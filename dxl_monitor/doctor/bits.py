@@ -167,7 +167,7 @@ def _one_flip_2(got: bytes) -> WrongBit | None:
     if place is None:
         return None
     byte, bit = place
-    return _flip(byte, bit, got[byte], got[byte] ^ 1 << bit)
+    return _flip(byte, bit, got[byte], got[byte])          # the bit before it is as it was sent
 
 
 @lru_cache(maxsize=64)

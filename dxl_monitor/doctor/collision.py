@@ -78,7 +78,7 @@ def ran_into_answers(case: Case) -> int:
         while at >= 0:
             begin = at + TAIL - len(packet)
             found += begin >= 0 and _wrong(noise[begin:at], packet) > FLIPPED
-            at = noise.find(packet[-TAIL:], at + 1)
+            at = noise.find(packet[-TAIL:], at + TAIL)
     return found
 
 
@@ -89,9 +89,9 @@ def _wrong(got: bytes, packet: bytes) -> int:
 
 def _question(cycle: Cycle) -> bytes:
     """Return the packet of a question that is the same each time, b'' for anything else."""
-    if not cycle.ids:
+    if not cycle.ids or cycle.address is None:
         return b''
-    at = (cycle.address or 0).to_bytes(2, 'little') + cycle.length.to_bytes(2, 'little')
+    at = cycle.address.to_bytes(2, 'little') + cycle.length.to_bytes(2, 'little')
     if cycle.instruction == Instruction.READ:
         return encode(cycle.ids[0], cycle.instruction, at)
     if cycle.instruction in _GROUPS:

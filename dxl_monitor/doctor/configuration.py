@@ -210,7 +210,7 @@ def _master_stopped(case: Case) -> Iterator[Found]:
 
 def _impossible_id(case: Case) -> Iterator[Found]:
     for cycle in case.report.cycles:
-        number = cycle.ids[0] if cycle.ids else 0
+        number = next(iter(cycle.ids), None)
         if number not in NO_IDS or number in case.devices:
             continue
         asked = sum(stamp > case.now - PINGS_NS for stamp in cycle.stamps)

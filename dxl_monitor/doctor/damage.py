@@ -19,6 +19,7 @@ from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import each
 from dxl_monitor.doctor.rule import each_with
 from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import share
@@ -116,7 +117,7 @@ def _noise(case: Case) -> Iterator[Found]:
                 'several devices: check termination, ground, shielding and motor cables',
                 (*case.looks_like(),
                  ('share', share(case.damage, packets + case.damage)),
-                 ('damaged instructions', str(asked)), ('devices', listed(hit, 99))))
+                 ('damaged instructions', str(asked)), ('devices', in_full(hit))))
 
 
 def _asked_damaged(case: Case) -> int:
@@ -199,7 +200,7 @@ def _turnaround(case: Case) -> Iterator[Found]:
                     f'{len(hit)} devices: the line turns round too late; raise Return Delay Time '
                     'or mend the driver enable',
                     (('answers', str(first)), ('packets with a stray byte', str(stray)),
-                     ('devices', listed([one.id for one in hit], 99))))
+                     ('devices', in_full([one.id for one in hit]))))
         return
     for device in hit:
         first = _first_bytes(device)
@@ -298,7 +299,7 @@ def _not_sent(case: Case) -> Iterator[Found]:
         yield Claim(None, f'{count} instructions never left the adapter: switch flow control off '
                     'in the program and let it not clear its output behind a write; else plug the '
                     'adapter in again',
-                    (('instructions', str(count)), ('to', listed(asked, 99))))
+                    (('instructions', str(count)), ('to', in_full(asked))))
 
 
 def _elsewhere(case: Case) -> Iterator[Found]:

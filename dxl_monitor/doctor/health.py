@@ -16,6 +16,7 @@ from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import each
 from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
 from msg_defs.reports import Level
@@ -145,7 +146,7 @@ def _voltage(case: Case) -> Iterator[Found]:
         worst = Level.ERROR if any(one.level is Level.ERROR for one in found) else Level.WARN
         yield Claim(None, f'{len(found)} devices near or beyond a voltage limit: it is the '
                     'supply; measure it, charge the battery, check cable gauge',
-                    (('devices', listed([one.device for one in found if one.device], 99)),), worst)
+                    (('devices', in_full([one.device for one in found if one.device])),), worst)
     if unknown:
         yield Doubt(None, f'{listed(unknown, 3)}: voltage limits never read')
 

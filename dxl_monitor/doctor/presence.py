@@ -23,6 +23,7 @@ from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import each
 from dxl_monitor.doctor.rule import each_with
 from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import longer_than
 from dxl_monitor.doctor.rule import MODEL
@@ -81,7 +82,7 @@ def _claim_gone(case: Case, number: int) -> Claim:
 def _claim_blocking(case: Case, number: int, behind: list[int]) -> Claim:
     return Claim(number, f'silent, and the Sync Read ends there: {listed(behind, 2)} behind it '
                  'get no turn; check its power and cable, or leave it out',
-                 (('not served', listed(behind, 99)), *_waiting(case, number)))
+                 (('not served', in_full(behind)), *_waiting(case, number)))
 
 
 def _waiting(case: Case, number: int) -> tuple[tuple[str, str], ...]:
@@ -99,7 +100,7 @@ def _broken_cable(case: Case) -> Iterator[Found]:
     if 0 < tail < len(chain) and sum(number in case.gone for number in lost) > 1:
         yield Claim(lost[0], f'it and all behind it are silent: the cable between '
                     f'{chain[-1 - tail]:03} and {lost[0]:03} is broken or unplugged',
-                    (('silent', listed(lost, 99)),), covers=tuple(lost))
+                    (('silent', in_full(lost)),), covers=tuple(lost))
 
 
 def _cut_off(case: Case, number: int) -> bool:
@@ -170,7 +171,7 @@ def _brown_out(case: Case) -> Iterator[Found]:
     if len(ids) > 1 and proofs:
         yield Claim(None, f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply broke '
                     'down; check battery and cables, set up again',
-                    (('devices', listed(ids, 99)), ('seen by', proofs[0])), covers=tuple(ids))
+                    (('devices', in_full(ids)), ('seen by', proofs[0])), covers=tuple(ids))
 
 
 def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:

@@ -106,8 +106,13 @@ def longer_than(seconds: float) -> str:
     return f'more than {step} s' if step < 60 else f'more than {step // 60} min'
 
 
+def in_full(numbers: Iterable[int]) -> str:
+    """Spell all IDs, for a figure: '003, 004'."""
+    return ', '.join(f'{number:03}' for number in numbers)
+
+
 def listed(numbers: Iterable[int], most: int = 6) -> str:
     """Spell IDs: '003, 004 and 9 more'."""
-    ids = [f'{number:03}' for number in numbers]
+    ids = in_full(numbers).split(', ')
     more = f' and {len(ids) - most} more' if len(ids) > most else ''
     return ', '.join(ids[:most]) + more

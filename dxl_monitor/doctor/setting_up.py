@@ -15,6 +15,7 @@ from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import each
 from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import MODEL
 from dxl_monitor.doctor.rule import Rule
@@ -52,7 +53,7 @@ def _factory_id(case: Case) -> Iterator[Found]:
         return
     yield Claim(FACTORY_ID, f'several servos answer as 001, and {listed(absent, 3)} never did: '
                 'new ones still have ID 1; connect one at a time and give each its ID',
-                (('never heard', listed(absent, 99)),
+                (('never heard', in_full(absent)),
                  ('spoilt', f'{first.window.spoilt} of {first.window.asked}')),
                 covers=tuple(absent))
 
@@ -96,7 +97,7 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
         others = f', {len(ids) - 1} others too' if many else ''
         yield Claim(device.id, f'at {volts:.0f} V, ' + words.format(limit=limit, others=others),
                     (('voltage (V)', f'{volts:.1f}'), ('limit (V)', f'{limit:.1f}'),
-                     ('devices', listed(ids, 99))), level, covers=ids)
+                     ('devices', in_full(ids))), level, covers=ids)
 
 
 def _volts(case: Case, device: DeviceReport) -> float | None:
@@ -117,9 +118,9 @@ def _maximum(case: Case, device: DeviceReport) -> float | None:
 
 
 def _minimum(case: Case, device: DeviceReport) -> float:
-    """Return Min Voltage Limit where it was read, else 0: below it the supply has sagged."""
+    """Return Min Voltage Limit, where it was read: below it the supply has sagged."""
     own = case.values[device.id].get('Min Voltage Limit')
-    return 0.0 if own is None or own.value.number is None else own.value.number
+    return ALIVE if own is None or own.value.number is None else own.value.number
 
 
 def _layout(case: Case, device: DeviceReport) -> Found | None:
