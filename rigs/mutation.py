@@ -58,6 +58,8 @@ EQUIVALENT = {
     ('self, velocity: Vel2d, now: int, *, waited: int = 0', '0 -> 1'): _NS,
     ('(0 < self._timeout < waited', '0 -> 1'): _NS,
     ('(stamp_age is not None and 0 < oldest', '0 -> 1'): _NS,
+    ('self._asked = self._pause = 0', '0 -> 1'): _NS,
+    ('self._rhythms: tuple[int, list[Rhythm]] = (0', '0 -> 1'): _NS,
     ('NEVER = 2**63 - 1', ''): 'later than anything, in any spelling',
     ('self._resend = max(', '0 -> 1 in column 89'): 'a resend_rate is 0 or at least 2',
     ('self._burst_zeros_left = 0', '0 -> 1'): _NOT_READ,

@@ -178,6 +178,8 @@ def bursts(late):
     ([wreck(11, device=number) for number in range(8)], f'{bits.LEVEL}: 0 read as 1 each time'),
     (bursts([None]), ''), (bursts([True] * 9 + [False]), f'{bits.LEVEL}: 0 read as 1 each time'),
     (bursts([True] * 8 + [False] * 2), ''),
+    ([wreck(11 + 10 * (at % 4)) for at in range(8)], ''),      # a quarter each: no chance
+    ([wreck(11 + 10 * (at % 5)) for at in range(10)], f'{bits.LEVEL}: 0 read as 1 each time'),
     ([wreck()] * 9, ''),                               # the same bit each time
     (pairs(16, 33), f'{bits.PWM}: wrong bits about 33 bits apart, or a multiple'),
     (pairs(15, 33), bits.INTERFERENCE), (pairs(16, 30), bits.INTERFERENCE),

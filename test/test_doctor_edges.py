@@ -206,7 +206,7 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
                                            0: {'echoes': 6, 'instructions': 19}}},
      'what the master sends comes back to it: its adapter echoes; switch the echo off, or let the '
      'program skip it', {'echoes': '5'}, []),
-    ('echo', {'cycles': (asks(I.READ, 1),), 'notes': [
+    ('echo', {'cycles': (asks(I.READ, 1, asked=1),), 'notes': [
         *note(ev.REPEATED, ev.Again(2, 99), 5), *note(ev.REPEATED, ev.Again(2, 100), 4)]},
      'every instruction is heard twice: the adapter echoes what its master sends; switch the echo '
      'off, losses counted here are not real', {'echoes': '5'},
@@ -284,11 +284,14 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      + [{'samples': {1: ticks(30.5, 0.232)}}]
      + [{'samples': {1: ticks(0.1, 32.0)}}, {'samples': {1: ticks(20.0, 20.9)[1:]}},
         {'samples': {1: [sample(4), sample(2, tick=0.1)]}},
+        {'samples': {1: [sample(4, tick=20.0), sample(2.5, tick=1.0)]}},
+        {'samples': {1: [sample(3, tick=20.0), sample(2, tick=1.0)]}},
         {'samples': {1: [sample(4, tick=20.0), sample(2)]}}]),
     ('rebooted', {'devices': [device()], 'notes': back(500), 'samples': {1: [
         sample(6, 0, 0), sample(5, 90, 90), *STANDING]}},
-     'restarted by itself, 500 ms away (follows its goal no more): check its supply and plug, then '
-     'set it up again, torque too', {'away (ms)': '500', 'seen by': 'follows its goal no more'},
+     'restarted by itself, 500 ms away (follows its goal no more): check its supply and plug, '
+     'then set it up again, torque too',
+     {'away (ms)': '500', 'seen by': 'follows its goal no more'},
      [{'samples': {1: [sample(8, 0, 0), sample(6, 0, 0), sample(5, 90, 0), *STANDING]}},
       {'samples': {1: STANDING[:-1]}}]),
     ('dropout', {'devices': [spoken(window={'missed': 4, 'spoilt': 2})],
@@ -410,8 +413,17 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      {'address': '57', 'times': '3'},
      [{'cycles': (asks(I.READ, 2, at=57, size=1, asked=2),)},
       {'cycles': (asks(I.READ, 2, at=57, size=1, stamps=(NOW - 10 * S - 1,)),)},
-      {'cycles': (asks(I.READ, 2, at=56, size=2),)}, {'cycles': (asks(I.READ, 3, at=57, size=1),)},
+      {'cycles': (asks(I.READ, 2, at=56, size=2),)},
+      {'cycles': (asks(I.READ, 2, at=73, size=5),)}, {'cycles': (asks(I.READ, 3, at=57, size=1),)},
       {'devices': [device(2)]}]),
+    *(('layout', {'devices': [device(model='STS3215')],
+                  'cycles': (asks(I.WRITE, 1, at=at, size=size),)},
+       f'Write of {size} at {at}, {why}: use the table of STS3215',
+       {'address': str(at), 'times': '30'}, [])
+      for at, size, why in (
+          (73, 4, 'where STS3215 has no register'), (50, 1, 'where STS3215 has no register'),
+          (132, 4, 'where STS3215 has no register (Present Position of X)'),
+          (116, 4, 'where STS3215 has no register (Goal Position of X)'))),
     # configuration
     ('eeprom_locked', {'devices': [device(registers={'Torque Enable': 1})],
                        'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 9, 7), 3)},
@@ -434,8 +446,10 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       for at, error, why in (
           (132, 7, 'Access): Present Position (r, 4 bytes) cannot be used like that'),
           (116, 5, 'Data Length): Goal Position (rw, 4 bytes) cannot be used like that'),
-          (562, 7, 'Access): Torque Enable of the PRO series; use the control table of '
-                   'XL430-W250'),
+          *((at, 7, f'Access): {name} of the PRO series; use the control table of XL430-W250')
+            for at, name in ((562, 'Torque Enable'), (596, 'Goal Position'),
+                             (600, 'Goal Velocity'), (604, 'Goal Torque'),
+                             (611, 'Present Position'), (615, 'Present Velocity'))),
           (15, 4, 'Data Range): XL430-W250 has no register there; check the control table in '
                    'use'))),
     ('wrong_address', {'devices': [device()],

@@ -16,6 +16,7 @@ from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor import Doctor
+from dxl_monitor.doctor import RULES
 from dxl_monitor.doctor.case import History
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
@@ -57,6 +58,14 @@ def test_a_bus_is_judged_while_there_are_bytes(last_byte_s: float | None, is_jud
     wrong = device(state=words.MOVED, message='moved to 57600 Bd')
     found = Doctor().examine(silent(last_byte_s=last_byte_s, devices=[wrong]))
     assert [one.rule for one in found.findings] == ['baud_moved'] * is_judged
+
+
+def test_the_states_end_with_the_state() -> None:
+    assert {one.name for one in RULES if not one.holds} == {
+        'baud_moved', 'hardware_error', 'all_silent', 'broken_cable', 'sync_read_stops',
+        'no_answer', 'master_stopped', 'scan'}
+    assert {one.name: one.onset_s for one in RULES if one.onset_s} == {
+        'two_masters': 1.0, 'jitter': 3.0, 'damaged_answers': 1.0, 'wrong_supply': 3.0}
 
 
 # --- what is remembered of damage --------------------------------------------------------------

@@ -88,6 +88,7 @@ def apart(gap_ms: float, size: int = 4) -> tuple[Cycle, ...]:
 
 
 SIXTEEN = apart(16)
+ELEVEN = [NOW - n * 16 * MS for n in reversed(range(11))]
 HANDFUL = asks(I.WRITE, 1, stamps=[NOW - n * 20 * MS - MS for n in range(30)])
 UNPACED = asks(I.READ, 2, stamps=[NOW - n * 100 * MS - 10 * MS for n in range(30)])
 
@@ -127,11 +128,20 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      'the master writes and does not wait for the acknowledgement: its next question ran into it '
      '3 times in 10 s; let it wait, or use Sync Write', {'questions spoilt behind a write': '3'},
      [{'devices': [device(1, acks=True), device(2)]},
+      {'cycles': (HANDFUL._replace(stamps=tuple(
+          UNPACED.stamps[n] + 2 * MS + 1 for n in range(3))), UNPACED)},
       {'waits': tuple(Wait(UNPACED.stamps[n] + 500_000, 500, 2, True) for n in range(2))},
       {'cycles': (HANDFUL._replace(stamps=tuple(
           UNPACED.stamps[n] - 2 * MS - 1 for n in range(3))), UNPACED)},
       {'cycles': (HANDFUL._replace(stamps=tuple(
           UNPACED.stamps[n] - MS for n in range(4))), UNPACED)}]),
+    ('impatient_master', {'devices': [device(1), device(2, acks=False)], 'cycles': (
+        HANDFUL._replace(stamps=tuple(UNPACED.stamps[n] + at for n, at in enumerate(
+            (-MS, MS, 2 * MS)))), UNPACED),
+        'waits': tuple(Wait(UNPACED.stamps[n] + 500_000, 500, 2, True) for n in range(3))},
+     'the master writes and does not wait for the acknowledgement: its next question ran into it '
+     '3 times in 10 s; let it wait, or use Sync Write', {'questions spoilt behind a write': '3'},
+     []),
     ('impatient_master', {'cycles': (asks(I.READ, 3),), 'noise': CUT_IN, 'notes': [
         *note(ev.TOO_LONG, ev.Sizes(1, 2), 1), *damaged(1),
         *note(ev.REPEATED, ev.Again(I.READ, 1679), 3), *note(ev.REPEATED, ev.Again(1, 9), 1)]},
@@ -187,6 +197,12 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      "most instructions come 16 ms after the answer before: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
      [{'cycles': apart(16.015999)}, {'cycles': apart(15.985)}]),
+    ('latency_timer', {'cycles': (asks(I.READ, 1, stamps=ELEVEN[::2]),
+                                  asks(I.READ, 2, stamps=ELEVEN[1::2]))},
+     "most instructions come 16 ms after the answer before: the latency timer of the master's "
+     'adapter; set it to 1 ms', {'16 ms later': '10 of 10'},
+     [{'cycles': (asks(I.READ, 1, stamps=ELEVEN[2::2]),
+                  asks(I.READ, 2, stamps=ELEVEN[1::2]))}]),
     ('latency_timer', {'cycles': apart(19, 289)},      # an answer takes 3 ms
      "most instructions come 16 ms after the answer before: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
@@ -263,6 +279,9 @@ def test_what_cannot_be_told_is_said(rule: str, parts: dict[str, Any], number: i
     ('no_answer', {'devices': [device(3, state=words.EXPECTED, last_heard_s=None,
                                       window={'missed': 1})]}),
     ('return_delay', {'devices': [device(registers={'Return Delay Time': 0}, **ANSWERS)]}),
+    *(('voltage', {'devices': [device(4, 'MX-106', model_number=9, registers={
+        'Present Input Voltage': 120, **limit})]})
+      for limit in ({'Max Voltage Limit': 160}, {'Min Voltage Limit': 95})),
 ])
 def test_without_a_reason_no_doubt_is_told(rule: str, parts: dict[str, Any]) -> None:
     assert told(rule, **parts) == []
@@ -352,6 +371,11 @@ def spread(count: int, places: int, apart_ms: float = 40.0) -> list[float]:
     return [apart_ms * 16 / 20 * n - n % 5 / 1000 + n % places + 0.5 for n in range(count)]
 
 
+def alternating(*but: int) -> list[float]:
+    """Return 21 times with one tick between each two, but for so many."""
+    return [16.0 * n + n % 15 for n in range(21 + len(but)) if n not in but]
+
+
 TICKS = [16.0 * n for n in range(60)]
 
 
@@ -361,10 +385,18 @@ TICKS = [16.0 * n for n in range(60)]
     (TICKS[:14], spread(20, 16)[:20], False),          # only seven of them are within the other
     (TICKS[:16], spread(20, 16)[:20], True),
     (TICKS, [16.0 * n + n % 16 + 0.5 for n in range(40)], False),       # they alternate
+    (TICKS, alternating(5, 12), False), (TICKS, alternating(5, 12, 18), True),
 ])
 def test_another_program_asks_anywhere_in_the_cycle(one: list[float], other: list[float],
                                                     is_told: bool) -> None:
     assert together(one, other) == is_told
+
+
+def test_a_place_in_the_cycle_is_a_share_of_that_cycle() -> None:
+    gaps = [10 + 7 * n % 20 for n in range(40)]
+    begins = [float(sum(gaps[:n])) for n in range(40)]
+    halves = [begins[n] + gaps[n] / 2 for n in range(0, 39, 2)]
+    assert not together(begins, halves)
 
 
 @pytest.mark.parametrize(('whole', 'odd', 'count'), [(9, 4, 1), (8, 5, 0)])
@@ -583,6 +615,15 @@ def test_an_incident_is_taken_once_and_forgotten_after_ten_seconds() -> None:
     assert history.take(later._replace(stamp=one.stamp + 10 * S)).count(ev.CUT) == 2
     assert history.take(later._replace(stamp=one.stamp + 10 * S + 1)).count(ev.CUT) == 1
     assert history.take(later._replace(stamp=two.stamp + 10 * S + 1)).count(ev.CUT) == 0
+
+
+@pytest.mark.parametrize(('between', 'count'), [
+    ((), 1), ((NOW - 160 * MS,), 0), ((NOW - 159 * MS,), 0), ((NOW - 159 * MS + 1,), 1)])
+def test_a_repetition_with_another_question_between_is_none(between: tuple[int, ...],
+                                                            count: int) -> None:
+    again = every([20] * 7 + [19, 1] + [20] * 14)      # 160 ms before the last, and 159
+    found = History().take(case(cycles=(again, asks(I.PING, 2, stamps=between))).report)
+    assert len(found.repeats) == count
 
 
 def test_rhythms_are_looked_for_every_three_quarters_of_a_second() -> None:

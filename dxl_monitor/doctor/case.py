@@ -253,8 +253,9 @@ class History:
         while self._marks[0].stamp < before:
             self._marks.popleft()
             self._counts.popleft()
-        for kind in [kind for kind, many in self._seen.items() if _age(many, before)]:
-            del self._seen[kind]
+        for many in self._seen.values():
+            while many and many[0].stamp < before:
+                many.popleft()
         fresh = report.stamp - self._rhythms[0] >= RHYTHM_NS
         if fresh:
             self._rhythms = (report.stamp, rhythms(report.cycles, report.stamp, report.baud))
@@ -304,8 +305,7 @@ class History:
             return 0.0
         pause = report.stamp - report.asked
         if report.asked != self._asked:
-            if self._asked:
-                self._pauses.append((report.stamp, self._pause))
+            self._pauses.append((report.stamp, self._pause))
             self._asked = report.asked
         self._pause = pause
         while self._pauses and self._pauses[0][0] < report.stamp - PAUSES_NS:
@@ -338,13 +338,6 @@ class History:
                                   tick and tick.value.number, voltage and voltage.value.number))
             while samples[0].stamp < before:
                 samples.popleft()
-
-
-def _age(incidents: deque[Incident[Any]], before: int) -> bool:
-    """Drop what is too old; tell whether nothing is left."""
-    while incidents and incidents[0].stamp < before:
-        incidents.popleft()
-    return not incidents
 
 
 def _mark(report: BusReport) -> Mark:

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.health import FACTORY
@@ -136,7 +135,7 @@ def _layout(case: Case, device: DeviceReport) -> Found | None:
         if cycle.address is None or device.id not in cycle.ids or cycle.asked < FEW \
                 or cycle.stamps[-1] < case.now - RECENT_NS:
             continue
-        unfit = _unfit(device.model, cycle)
+        unfit = _unfit(device.model, cycle.address, cycle.length)
         if unfit:
             return Claim(device.id, f'{name_of(cycle.instruction)} of {cycle.length} at '
                          f'{cycle.address}, {unfit}: use the table of {device.model_name}',
@@ -144,15 +143,15 @@ def _layout(case: Case, device: DeviceReport) -> Found | None:
     return None
 
 
-def _unfit(model: Model, cycle: Cycle) -> str:
+def _unfit(model: Model, begin: int, length: int) -> str:
     """Return why an access does not fit the registers of a model, '' where it does."""
-    begin, end = cycle.address or 0, (cycle.address or 0) + cycle.length
+    end = begin + length
     fields = [field for field in model.fields if field.at < TABLE_END]
     elsewhere = f' ({_ELSEWHERE[begin]})' if begin in _ELSEWHERE else ''
     for field in fields:
         if any(field.at < edge < field.end for edge in (begin, end)):
             return f'which cuts {_spelt(field)}{elsewhere}'
-    if cycle.length <= DUMP and begin < TABLE_END \
+    if length <= DUMP and begin < TABLE_END \
             and not any(field.at < end and field.end > begin for field in fields):
         return f'where {model.name} has no register{elsewhere}'
     return ''
