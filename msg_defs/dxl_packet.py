@@ -137,7 +137,7 @@ class StreamFramer:
     def frames(self, chunk: bytes) -> list[Frame]:
         """Return what this chunk completes; damaged frames are among it, with a flaw."""
         if self._is_interrupted and chunk:
-            return self._cut_off(chunk) + self.frames(chunk)
+            return self._cut_off(chunk) + StreamFramer.frames(self, chunk)
         self.bytes += len(chunk)
         if self._buffer:
             chunk = self._buffer + chunk
