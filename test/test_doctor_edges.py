@@ -414,14 +414,17 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      [{'cycles': (asks(I.READ, 2, at=57, size=1, asked=2),)},
       {'cycles': (asks(I.READ, 2, at=57, size=1, stamps=(NOW - 10 * S - 1,)),)},
       {'cycles': (asks(I.READ, 2, at=56, size=2),)},
-      {'cycles': (asks(I.READ, 2, at=73, size=5),)}, {'cycles': (asks(I.READ, 3, at=57, size=1),)},
+      {'cycles': (asks(I.READ, 2, at=73, size=5),)},
+      {'cycles': (asks(I.READ, 2, at=256, size=1),)},
+      {'cycles': (asks(I.READ, 3, at=57, size=1),)},
       {'devices': [device(2)]}]),
     *(('layout', {'devices': [device(model='STS3215')],
                   'cycles': (asks(I.WRITE, 1, at=at, size=size),)},
        f'Write of {size} at {at}, {why}: use the table of STS3215',
        {'address': str(at), 'times': '30'}, [])
       for at, size, why in (
-          (73, 4, 'where STS3215 has no register'), (50, 1, 'where STS3215 has no register'),
+          (73, 4, 'where STS3215 has no register'), (255, 1, 'where STS3215 has no register'),
+          (50, 1, 'where STS3215 has no register'),
           (132, 4, 'where STS3215 has no register (Present Position of X)'),
           (116, 4, 'where STS3215 has no register (Goal Position of X)'))),
     # configuration

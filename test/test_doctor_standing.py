@@ -15,8 +15,14 @@ import pytest
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import BusReport
+from dxl_monitor.doctor import configuration
+from dxl_monitor.doctor import damage
 from dxl_monitor.doctor import Doctor
-from dxl_monitor.doctor import RULES
+from dxl_monitor.doctor import feetech
+from dxl_monitor.doctor import health
+from dxl_monitor.doctor import presence
+from dxl_monitor.doctor import setting_up
+from dxl_monitor.doctor import timing
 from dxl_monitor.doctor.case import History
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
@@ -58,6 +64,10 @@ def test_a_bus_is_judged_while_there_are_bytes(last_byte_s: float | None, is_jud
     wrong = device(state=words.MOVED, message='moved to 57600 Bd')
     found = Doctor().examine(silent(last_byte_s=last_byte_s, devices=[wrong]))
     assert [one.rule for one in found.findings] == ['baud_moved'] * is_judged
+
+
+RULES = [one for family in (configuration, damage, feetech, health, presence, setting_up, timing)
+         for one in family.RULES]
 
 
 def test_the_states_end_with_the_state() -> None:

@@ -393,7 +393,7 @@ def test_another_program_asks_anywhere_in_the_cycle(one: list[float], other: lis
 
 
 def test_a_place_in_the_cycle_is_a_share_of_that_cycle() -> None:
-    gaps = [10 + 7 * n % 20 for n in range(40)]
+    gaps = [gap for other in (10, 11, 12, 14, 16, 18, 21, 25, 32, 43) for gap in (16, other)] * 2
     begins = [float(sum(gaps[:n])) for n in range(40)]
     halves = [begins[n] + gaps[n] / 2 for n in range(0, 39, 2)]
     assert not together(begins, halves)
