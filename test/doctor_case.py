@@ -107,3 +107,21 @@ def told(rule: str, **parts: Any) -> list[Claim | Doubt]:
 def claims(rule: str, **parts: Any) -> list[Claim]:
     """Return what a rule claims of a case, without its doubts."""
     return [one for one in told(rule, **parts) if isinstance(one, Claim)]
+
+
+def speaks_from_its_edge_on(rule: str, enough: dict[str, Any], message: str,
+                            figures: dict[str, str], too_little: list[dict[str, Any]]) -> None:
+    """
+    Check what a rule claims of a case that is just enough, and nothing where it is too little.
+
+    enough: the parts of the case; and whom it is about, its level and what it covers, where that
+    is not the usual. too_little: parts that take the place of those.
+    """
+    enough = dict(enough)
+    of = {name: enough.pop(name, usual) for name, usual in (
+        ('whom', None if rule in OF_THE_BUS else 1), ('level', None), ('covers', ()))}
+    [claim] = claims(rule, **enough)
+    assert (claim.message, dict(claim.figures)) == (message, figures)
+    assert (claim.device, claim.level, claim.covers) == tuple(of.values())
+    for less in too_little:
+        assert claims(rule, **{**enough, **less}) == [], less
