@@ -81,7 +81,6 @@ _COMMON = {
 }
 RESET = 0x06
 CALIBRATE = 0x0B
-_BULK_READ = DialectInstruction('Bulk Read', Layout.BULK_READ, Answers.LISTED)
 _FEETECH = {
     0x09: DialectInstruction(FEETECH_NAMES[0x09], Layout.NOTHING, Answers.ACK),
     0x0A: DialectInstruction(FEETECH_NAMES[0x0A], Layout.NOTHING, Answers.ACK),
@@ -92,7 +91,7 @@ _FEETECH = {
 DYNAMIXEL_1 = Dialect(
     name='Dynamixel 1.0', protocol='1',
     entries={**_COMMON, 0x08: DialectInstruction('Reboot', Layout.NOTHING, Answers.ACK),
-             0x92: _BULK_READ},
+             0x92: DialectInstruction('Bulk Read', Layout.BULK_READ, Answers.LISTED)},
     errors={0: 'input voltage', 1: 'angle limit', 2: 'overheating', 3: 'range', 4: 'checksum',
             5: 'overload', 6: 'instruction'},
     refusals={1: 6, 3: 4, 4: 3, 6: 2},
@@ -109,7 +108,7 @@ FEETECH = Dialect(
 # and what only one of them has is understood.
 UNDECIDED = Dialect(
     name='Dynamixel 1.0 or Feetech', protocol='1 or feetech',
-    entries={**FEETECH.entries, 0x92: _BULK_READ},
+    entries={**DYNAMIXEL_1.entries, **FEETECH.entries},
     errors={0: 'voltage', 2: 'overheating', 5: 'overload'},
     refusals={3: 4, 4: 3, 6: 2},
     error_at=256, identity_at=-1, level_at=-1, factory_baud=1_000_000)

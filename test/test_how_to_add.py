@@ -66,7 +66,7 @@ def copy(tmp_path: Path) -> Callable[[str], Copy]:
 
 
 @pytest.mark.parametrize('kind', [
-    'a model', 'an instruction', 'a finding', 'a topic', 'a source of bytes'])
+    'a model', 'an instruction', 'a finding', 'a topic', 'a source of bytes', 'a live source'])
 def test_each_list_is_short(kind: str) -> None:
     assert 0 < len(section(kind).strip().splitlines()) <= MOST_LINES
 
@@ -104,7 +104,7 @@ def test_an_instruction(copy: Callable[[str], Copy]) -> None:
 """),
                 ('    Instruction.REBOOT: ', '    Instruction.HOME: FakeDevice._on_home,\n'))
     code.change('msg_defs/dxl1_instruction.py', (
-        "             0x92: _BULK_READ},\n    errors={0: 'input voltage'",
+        "             0x92: DialectInstruction('Bulk Read'",
         "             0x21: DialectInstruction('Home', Layout.NOTHING, Answers.ACK),\n"))
     assert code.run('-c', """
 from dxl_monitor.bus.conversation import Conversation
@@ -142,8 +142,8 @@ def ask(stamp, instruction, wire=b'', params=b''):
     bus.feed(encode(1, servo.error_byte(reply.error), reply.params), stamp + 300_000)
     return [one.field.name for one in bus.report(stamp + 300_000_000).devices[0].observed]
 first = ask(10**11, 2, bytes((36, 2)), bytes((36, 0, 2, 0)))
-print(first, name_of(0x21, DYNAMIXEL_1), ask(10**11 + 10**9, 0x21))
-""") == "['Present Position'] Home []"
+print(first, name_of(0x21, DYNAMIXEL_1), name_of(0x21), ask(10**11 + 10**9, 0x21))
+""") == "['Present Position'] Home Home []"
 
 
 def test_a_finding(copy: Callable[[str], Copy]) -> None:
@@ -216,7 +216,7 @@ class Hex(Source):
 
 
 def test_a_live_source(copy: Callable[[str], Copy]) -> None:
-    code = copy('a source of bytes')
+    code = copy('a live source')
     code.change('dxl_monitor/port/hex_listener.py', ('', """\
 import time
 
@@ -233,6 +233,7 @@ class HexListener(Listener):
     code.change('dxl_monitor/port/source_name.py',
                 ("TAP, USB = 'tap:'", "HEX = 'hex:'\n"),
                 ("has_sides(name) or '://'", 'name.startswith(HEX) or '),
+                ('    place = name.', '    name = name.removeprefix(HEX)\n'),
                 ('    from dxl_monitor.port.usb_listener',
                  '    from dxl_monitor.port.hex_listener import HexListener\n'),
                 ('TAP: TapListener', 'HEX: HexListener, '))
