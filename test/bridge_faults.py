@@ -22,7 +22,8 @@ from msg_defs.vel2d import STOP
 from vel2d_bridge.gate import BURST_FRAMES
 
 LINK, COMMANDS = 'link', 'commands'
-BOUND_S = 0.5 + 2 / 20 + 0.05 + 0.3         # cmd_vel_timeout, resends, write_timeout, queue
+CMD_VEL_TIMEOUT_S = 0.5                     # the default
+BOUND_S = CMD_VEL_TIMEOUT_S + 2 / 20 + 0.05 + 0.3      # resends, write_timeout, queue
 RATE = 50                                   # commands per s
 SLACK = 2                                   # times as late as this process may the others be
 LATE_ENOUGH_S = 0.15                        # for the bridge to look frozen, if it is the same
