@@ -78,9 +78,6 @@ EQUIVALENT = {
     ('self._wanted = wanted - (size', 'Sub -> Add in column 33'): 'looks earlier, in vain',
     ('self.odd = True', 'True -> False in column 19'): 'the long way says the same',
     ('_SYNC_WRITE = 0x83', '131 -> 132'): 'the long way says the same',
-    ('elif self.proven and (flaw is None or', 'LtE -> Lt'): 'the long way says the same',
-    ('_FIRST_PART = 4', '4 -> 5'): 'the long way says the same',
-    ('if not parts or len(body) != parts', 'without not'): 'the long way says the same',
     ('@lru_cache(maxsize=', ''): 'what is forgotten is worked out again',
     ('while at < len(noise)', 'Lt -> LtE'): 'behind the end there is nothing to find',
 }

@@ -9,6 +9,10 @@ import sys
 
 import pytest
 
+from rigs.mutation import EQUIVALENT
+from rigs.mutation import FILES
+from rigs.mutation import mutants
+
 ROOT = Path(__file__).parents[1]
 CODE = """
 LIMIT = 3
@@ -102,3 +106,11 @@ def test_nothing_is_judged_by_tests_that_cannot_be_read(project: Path) -> None:
     done = checked(project)
     assert (done.stdout, done.returncode) == (
         'test files that cannot be read; mend them first\n', 1), done.stderr
+
+
+def test_each_change_that_changes_nothing_is_one_of_those_that_can_be_made() -> None:
+    lines = {(one.text, one.change) for file in FILES for one in mutants(file)}
+    gone = [named for named in EQUIVALENT
+            if not any(text.startswith(named[0]) and change.startswith(named[1])
+                       for text, change in lines)]
+    assert gone == []
