@@ -32,6 +32,7 @@ from dxl_monitor.model.models import Models
 from dxl_monitor.port.driver import LineErrors
 from msg_defs.heard import BREAK
 from msg_defs.heard import Change
+from msg_defs.heard import CLOSED
 from msg_defs.heard import FRAMING
 from msg_defs.heard import OUT
 from msg_defs.heard import OVERRUN
@@ -131,6 +132,14 @@ class Monitor:
                 before = self._line_errors or LineErrors()
                 self._line_errors = before._replace(
                     **{field: getattr(before, field) + change.value})
+
+    def end(self, now: int) -> None:
+        """
+        Take note that nothing more will come: what is pending is not judged.
+
+        A recording may end between a question and its answer.
+        """
+        self.change(Change(CLOSED, 1), now)
 
     def alarms(self) -> int:
         """Return how often so far a device was lost, came back or had an alert."""

@@ -245,7 +245,7 @@ class Framer(StreamFramer):
         """Return what is unusual about a good frame: noise in front of it, a damaged header."""
         repaired = mark == done or data[mark - 1] != 0xFF
         self.repaired += repaired
-        self._give_up(data[done:mark if mark == done else mark - 1])
+        self._give_up(data[done:max(done, mark - 1)])
         flaw = ahead(repaired, self._noise_length)
         self._noise_length = 0
         return flaw

@@ -108,11 +108,15 @@ def longer_than(seconds: float) -> str:
 
 def in_full(numbers: Iterable[int]) -> str:
     """Spell all IDs, for a figure: '003, 004'."""
-    return ', '.join(f'{number:03}' for number in numbers)
+    return ', '.join(_ids(numbers))
 
 
 def listed(numbers: Iterable[int], most: int = 6) -> str:
     """Spell IDs: '003, 004 and 9 more'."""
-    ids = in_full(numbers).split(', ')
+    ids = _ids(numbers)
     more = f' and {len(ids) - most} more' if len(ids) > most else ''
     return ', '.join(ids[:most]) + more
+
+
+def _ids(numbers: Iterable[int]) -> list[str]:
+    return [f'{number:03}' for number in numbers]

@@ -231,9 +231,7 @@ class Listener:
 
     def _hear(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
         """Count and hand on what was read."""
-        self._bytes += len(chunk)
-        self._reads += 1
-        self._backoff.reset()
+        self._count(len(chunk))
         if side:
             self._on_chunk(chunk, stamp, side)
         else:
@@ -245,11 +243,14 @@ class Listener:
 
     def _hear_pieces(self, pieces: Sequence[Piece]) -> None:
         """Count and hand on what one read brought, in pieces with a side and a stamp each."""
-        self._bytes += sum(len(data) for data, _, _ in pieces)
-        self._reads += 1
-        self._backoff.reset()
+        self._count(sum(len(data) for data, _, _ in pieces))
         self._on_pieces(pieces)
         self.listened = pieces[-1][1]
+
+    def _count(self, size: int) -> None:
+        self._bytes += size
+        self._reads += 1
+        self._backoff.reset()
 
     def _each_piece(self, pieces: Sequence[Piece]) -> None:
         for piece in pieces:

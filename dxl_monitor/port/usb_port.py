@@ -9,7 +9,6 @@ the host. Neither is the time on the wire: an adapter gathers what it receives.
 
 from __future__ import annotations
 
-import struct
 from typing import NamedTuple
 
 from dxl_monitor.port.adapters import Adapter
@@ -21,6 +20,7 @@ from dxl_monitor.port.adapters import Setup
 from dxl_monitor.port.usbmon import BULK
 from dxl_monitor.port.usbmon import CONTROL
 from dxl_monitor.port.usbmon import DONE
+from dxl_monitor.port.usbmon import FRONT
 from dxl_monitor.port.usbmon import HEADER_SIZE
 from dxl_monitor.port.usbmon import INPUT
 from dxl_monitor.port.usbmon import INTERRUPT
@@ -28,6 +28,7 @@ from dxl_monitor.port.usbmon import KILLED
 from dxl_monitor.port.usbmon import SUBMITTED
 from dxl_monitor.port.usbmon import UNPLUGGED
 from dxl_monitor.port.usbmon import UsbEvent
+from dxl_monitor.port.usbmon import what_key
 from msg_defs.heard import Change
 from msg_defs.heard import CLOSED
 from msg_defs.heard import GONE
@@ -45,8 +46,6 @@ _CH341 = ((0x1A86, 0x7523), (0x1A86, 0x7522), (0x1A86, 0x5523), (0x4348, 0x5523)
           (0x1A86, 0xE523), (0x2184, 0x0057), (0x9986, 0x7523))
 _CP210X_VENDOR = 0x10C4
 _COMMUNICATION_DATA = 0x0A         # class of an interface
-# Of a header as usbmon.py has it: number, what kind of event, seconds, us, status, size, kept.
-_SKIMMED = struct.Struct('<QQqiiII')
 _TAKEN = 'taken'                   # the end of an output
 
 
@@ -126,7 +125,7 @@ class UsbPort:
         Nearly all events are of that kind. found: gets stamp, side and bytes of each; take() says
         the same of it.
         """
-        unpack, kind_of, bare = _SKIMMED.unpack_from, self._kinds.get, self.adapter.bare
+        unpack, kind_of, bare = FRONT.unpack_from, self._kinds.get, self.adapter.bare
         size = len(data)
         last = size - HEADER_SIZE
         while at <= last:
@@ -147,7 +146,7 @@ class UsbPort:
                 if line is None:
                     break
                 if side is OUT:
-                    self._remember_size(number, moved)
+                    _remember(self._sizes, number, moved)
                 if line:
                     found.append((seconds * 1_000_000_000 + us * 1000, side, line))
             at = end
@@ -178,7 +177,7 @@ class UsbPort:
             changes += more
             return Heard(event.stamp, IN, data, changes) if data or changes else None
         if not event.is_done:
-            self._remember_size(event.number, event.size)
+            _remember(self._sizes, event.number, event.size)
             data = self.adapter.sent(event.data)
             return Heard(event.stamp, OUT, data, self._cut(event)) if data or event.size else None
         missing = self._sizes.pop(event.number, event.size) - event.size
@@ -186,11 +185,6 @@ class UsbPort:
             return None
         is_lost = event.status != 0 and missing > 0
         return self._heard(event, [Change(NOT_SENT, missing)] * is_lost + self._end_words(event))
-
-    def _remember_size(self, number: int, size: int) -> None:
-        if len(self._sizes) >= PENDING_LIMIT:
-            del self._sizes[next(iter(self._sizes))]
-        self._sizes[number] = size
 
     @staticmethod
     def _cut(event: UsbEvent) -> list[Change]:
@@ -228,8 +222,7 @@ class UsbPort:
 def _kinds(place: Place) -> dict[int, str]:
     """Return what events of a bulk transfer say, by the 8 bytes of their header that tell it."""
     def key(kind: int, endpoint: int, data_flag: int) -> int:
-        return int.from_bytes(struct.pack('<BBBBHBB', kind, BULK, endpoint, place.device,
-                                          place.bus, ord('-'), data_flag), 'little')
+        return what_key(kind, endpoint, place.device, place.bus, data_flag)
 
     kinds = {}
     for number in (place.bulk_in,) if place.bulk_in else range(1, 16):

@@ -20,8 +20,6 @@ from dxl_monitor.record.capture import Wire
 from dxl_monitor.tools.doctor.course import Course
 from dxl_monitor.tools.doctor.excerpt import Excerpt
 from dxl_monitor.tools.doctor.verdict import BusSummary
-from msg_defs.heard import Change
-from msg_defs.heard import CLOSED
 from msg_defs.reports import Level
 
 S = 1_000_000_000
@@ -92,14 +90,10 @@ class Examination:
         return (self.last - self.first) / S
 
     def finish(self, now: int, is_over: bool) -> None:
-        """
-        Look for the last time; is_over: nothing more will come.
-
-        What is pending then is not judged: a file may end between a question and its answer.
-        """
+        """Look for the last time; is_over: nothing more will come."""
         if is_over:
             for monitor in self._monitors.values():
-                monitor.change(Change(CLOSED, 1), now)
+                monitor.end(now)
         self._look(now)
 
     def summary(self) -> str:

@@ -42,8 +42,6 @@ from dxl_monitor.tools.dump.stats import stats
 from dxl_monitor.tools.dump.stats import summary
 from mecarover_serial.cli import printable
 from mecarover_serial.cli import UsageError
-from msg_defs.heard import Change
-from msg_defs.heard import CLOSED
 
 PAINT_S = {'changes': 0.2, 'stats': 1.0}
 PROGRESS_S = 0.5
@@ -236,9 +234,9 @@ class Session:
             print('\r\033[K', end='', file=sys.stderr, flush=True)
         is_live = self._source.is_live
         now = time.monotonic_ns() if is_live else self._last
-        if not is_live:            # it may end between a question and its answer
+        if not is_live:
             for monitor in self._monitors.values():
-                monitor.change(Change(CLOSED, 1), now)
+                monitor.end(now)
         reports = self._reports(now)
         self._paint_screen(reports, is_last=True)
         if self._options.summary:
