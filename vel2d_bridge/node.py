@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
 import time
 from typing import Any
 
@@ -47,6 +46,7 @@ from vel2d_bridge.link import Link
 from vel2d_bridge.link import NO_STOP
 from vel2d_bridge.mcu_log import McuLog
 from vel2d_bridge.pacer import Sent
+from vel2d_bridge.port_log import PortLog
 from vel2d_bridge.settings import doubts
 from vel2d_bridge.settings import gate_settings
 from vel2d_bridge.settings import PARAMETERS
@@ -80,7 +80,7 @@ class Bridge:
         self._timing = Timing()
         self._mcu = McuLog()
         self._sent: deque[Sent] = deque(maxlen=KEPT_FRAMES)
-        self._changes: deque[PortError | None] = deque()    # to be logged; None: open
+        self._port_log = PortLog()
         self._hopeless: PortError | None = None
         self._inspection = Inspection(self._port, [DEADMAN_NAME])
         self._said: set[str] = set()                # complaints that still stand
@@ -213,7 +213,7 @@ class Bridge:
         if problem is not None and problem.kind in HOPELESS and not self._link.state().openings:
             self._hopeless = problem
         else:
-            self._changes.append(problem)
+            self._port_log.add(problem)
 
     # Looking around and reporting
 
@@ -234,14 +234,15 @@ class Bridge:
 
         The first line of a process takes rclpy 30 ms.
         """
-        with suppress(IndexError):      # none left; two threads may come here at the end
-            while True:
-                problem = self._changes.popleft()
-                if problem is None:     # two lines: rclpy ties a severity to a place in the code
-                    self._log.info(f'{self._port}: open at {self._values["baud"]} baud; sending '
-                                   'stops until a command comes')
-                else:
-                    self._log.error(str(problem))
+        if left_out := self._port_log.left_out():
+            self._log.warning(f'{self._port}: was opened or lost {left_out} times more than is '
+                              'logged, as the node was held up; what follows came last')
+        for problem in self._port_log.take():
+            if problem is None:         # two lines: rclpy ties a severity to a place in the code
+                self._log.info(f'{self._port}: open at {self._values["baud"]} baud; sending '
+                               'stops until a command comes')
+            else:
+                self._log.error(str(problem))
 
     def _write_logs(self) -> None:
         self._log_changes()
