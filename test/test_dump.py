@@ -586,6 +586,11 @@ def test_no_control_code_of_a_capture_reaches_the_terminal(tmp_path, run, view):
     (['setup.py'], 2, 'setup.py: is text, not a recording; write: dxl_tap arm -- python setup.py'),
     (['README.md'], 2, 'README.md: is text, not a recording; give a pcap file, raw bytes or '),
     (['--check-models', '/does/not/exist'], 1, '/does/not/exist: No such file'),
+    (['-w', 'x', 'run', '--', 'lerobot-record', '--fps=30'], 2, 'run: dxl_dump starts no program; '
+     'write: dxl_tap arm -- lerobot-record --fps=30, and dxl_dump tap:arm in another terminal'),
+    (['run', 'my x.py', '--new'], 2, 'run: dxl_dump starts no program; write: dxl_tap arm -- '
+     "python 'my x.py' --new, and "),
+    (['run'], 2, 'run: dxl_dump starts no program; write: dxl_tap arm -- python my_script.py, '),
 ])
 def test_mistakes_are_one_line(tmp_path, arguments, code, line):
     packed = tmp_path / 'bus.txt.gz'
@@ -593,6 +598,12 @@ def test_mistakes_are_one_line(tmp_path, arguments, code, line):
     arguments = [text.format(packed=packed) for text in arguments]
     [said] = dump(*arguments, code=code).splitlines()
     assert said.startswith(f'dxl_dump: {line.format(packed=packed)}')
+
+
+def test_a_recording_may_be_called_run(tmp_path, recorded):
+    (tmp_path / 'run').write_bytes(Path(recorded).read_bytes())
+    returned, out, err = shell(f'cd {tmp_path}; PYTHONPATH={ROOT} dxl_dump run --count 1')
+    assert (returned, err, out.count('\n')) == (0, '', 1)
 
 
 def test_check_models(tmp_path):

@@ -30,8 +30,12 @@ from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import why_not
 
 HEAD_SIZE = 64
-_HEARS = {'dxl_doctor': 'dxl_doctor run -- python {}',
-          'dxl_dump': 'dxl_tap arm -- python {}, and dxl_dump tap:arm in another terminal'}
+_HEARS = {
+    'dxl_doctor': 'dxl_doctor run -- {}',
+    'dxl_dump': 'dxl_tap arm -- {}, and dxl_dump tap:arm in another terminal',
+    'dxl_replay': 'dxl_tap arm -- {}, and dxl_dump tap:arm -w bus.txt in another terminal, to '
+                  'play bus.txt',
+}
 _PACKED = {b'\x1f\x8b\x08': 'gzip', b'\xfd7zXZ': 'xz', b'\x28\xb5\x2f\xfd': 'zstd',
            b'BZh': 'bzip2', b'PK\x03\x04': 'zip'}
 
@@ -47,15 +51,15 @@ def open_source(tool: str, name: str, baud: int | None, adapter: str | None = No
     if name == '-':
         if sys.stdin.isatty():
             raise UsageError('-: nothing comes from a terminal; pipe bytes or a capture into it')
-        return _file(name, open(sys.stdin.fileno(), 'rb', closefd=False), baud, adapter)
+        return _file(name, open(sys.stdin.fileno(), 'rb', closefd=False), baud, adapter, tool)
     if is_live(name) or _is_device(name):
         from dxl_monitor.record.live import LivePort  # needs fcntl, and files do not
 
         return LivePort(name, baud, tool)
-    return open_file(name, baud, adapter, tool)
+    return open_file(name, baud, adapter, tool=tool)
 
 
-def open_file(name: str, baud: int | None, adapter: str | None = None, tool: str = '') -> File:
+def open_file(name: str, baud: int | None, adapter: str | None = None, *, tool: str) -> File:
     """
     Return a capture, a file of USB events or a file of bytes as a source.
 
@@ -77,8 +81,13 @@ def _is_device(name: str) -> bool:
     return stat.S_ISCHR(mode)
 
 
+def how_to_hear(tool: str, command: str) -> str:
+    """Return what a user of `tool` types to hear the program that `command` starts."""
+    return _HEARS[tool].format(command)
+
+
 def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None,
-          tool: str = '') -> File:
+          tool: str) -> File:
     head = b''
     # A pipe gives what is there, at least a byte: that is too few to tell.
     while len(head) < HEAD_SIZE and (more := file.read1(HEAD_SIZE - len(head))):
@@ -112,6 +121,6 @@ def is_text(begin: bytes) -> bool:
 
 
 def _instead(name: str, tool: str) -> str:
-    if tool in _HEARS and name.endswith('.py'):
-        return f'write: {_HEARS[tool].format(shlex.quote(name))}'
+    if name.endswith('.py'):
+        return f'write: {how_to_hear(tool, shlex.join(["python", name]))}'
     return f'give a pcap file, raw bytes or a capture (begins with {MAGIC.decode().strip()!r})'

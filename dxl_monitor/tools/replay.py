@@ -29,6 +29,7 @@ from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.opening import open_file
 from dxl_monitor.record.source import File
 from dxl_monitor.record.source import RawFile
+from dxl_monitor.tools.run import refuse_run
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import printable
 from mecarover_serial.cli import run_tool
@@ -101,7 +102,9 @@ def main() -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    refuse_run(parser, 'capture', arguments)
+    options = parser.parse_args(arguments)
     if options.speed and not SLOWEST <= options.speed < float('inf'):
         raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '
                          'timing, 0 for as fast as it is read')
@@ -129,7 +132,7 @@ def _play(options: argparse.Namespace, wires: dict[str, Wire], outlets: dict[str
     player.wait_for_readers()
     print('playing', flush=True)
     while True:
-        file = open_file(options.capture, options.baud, options.adapter)
+        file = open_file(options.capture, options.baud, options.adapter, tool='dxl_replay')
         try:
             played = player.play(_chunks(file, options.side))
         finally:
@@ -161,7 +164,7 @@ def _wires(options: argparse.Namespace) -> dict[str, Wire]:
         raise UsageError(f'{options.capture}: a directory; give a capture')
     if not stat.S_ISREG(mode):
         raise UsageError(f'{options.capture}: no file; it is read more than once: give a file')
-    source = open_file(options.capture, options.baud, options.adapter)
+    source = open_file(options.capture, options.baud, options.adapter, tool='dxl_replay')
     wires = dict(source.wires)
     source.close()
     if is_capture(options.capture):

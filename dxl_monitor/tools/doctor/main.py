@@ -45,13 +45,13 @@ from dxl_monitor.tools.doctor.verdict import as_json
 from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
+from dxl_monitor.tools.run import RUN
 from dxl_monitor.tools.tap import with_python
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import printable
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 
-RUN = 'run'
 PROGRESS_S = 0.5
 EXAMPLES = """examples:
   dxl_doctor run -- python my_script.py         hears a Python program that uses pyserial

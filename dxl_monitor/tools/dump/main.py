@@ -15,6 +15,7 @@ from dxl_monitor.model.models import model_files
 from dxl_monitor.record.capture import BAUD_LIMIT
 from dxl_monitor.tools.dump.lines import TIMES
 from dxl_monitor.tools.dump.session import Session
+from dxl_monitor.tools.run import refuse_run
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import printable
@@ -42,6 +43,7 @@ def main() -> int:
 
 def _run(arguments: list[str]) -> int:
     parser = _parser()
+    refuse_run(parser, 'source', arguments)
     options = parser.parse_args(arguments)
     if options.check_models is not None:
         return _check_models(options.check_models)
