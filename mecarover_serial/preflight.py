@@ -21,6 +21,7 @@ from serial.tools import list_ports
 
 from mecarover_serial.holders import file_text
 from mecarover_serial.holders import holders
+from mecarover_serial.holders import PTYS
 from mecarover_serial.holders import ROOT
 
 _FOREIGN = {stat.S_IFDIR: 'a directory', stat.S_IFREG: 'a file', stat.S_IFBLK: 'a disk',
@@ -85,11 +86,10 @@ def warnings(path: str, root: Path = ROOT, ours: Sequence[str] = ()) -> list[Rea
             f'remove console={name} or console=serial0 from the kernel command line and reboot'))
     others = holders(path, root)
     found.extend(_login(who.name, path) for who in others if who.is_login)
-    # TIOCEXCL keeps out neither root nor a program that was there before. (The other end of a
-    # pty, its name is a number, holds it too.)
+    # TIOCEXCL keeps out neither root nor a program that was there before.
     found.extend(Reason('busy', f'{who.name} has it open too', 'stop that program')
-                 for who in others if not who.is_login
-                 and not who.name.startswith(tuple(ours)) and not name.isdigit())
+                 for who in others if not who.is_login and not who.is_maker
+                 and not who.name.startswith(tuple(ours)))
     if name == 'ttyAMA10' and 'Raspberry Pi 5' in file_text(root / 'proc/device-tree/model'):
         found.append(Reason(
             'console', 'this is the 3-pin debug connector of the Pi 5, not GPIO 14/15',
@@ -165,7 +165,7 @@ def _permission(path: str, root: Path) -> Reason:
         group, _, _, members = grp.getgrgid(status.st_gid)
     except (OSError, KeyError):
         return Reason('permission', f'user {user} may not open it', 'check its owner and mode')
-    if os.path.basename(os.path.realpath(path)).isdigit():
+    if os.major(status.st_rdev) in PTYS:
         return Reason('permission', f'a pty that user {_name_of(status.st_uid)} made, and you are '
                       f'{user}', 'run both ends as one user')
     if group == 'tty':              # no rule of udev gives a port to it, a getty does
