@@ -4,7 +4,7 @@
 The monitor at full load for minutes: its memory stays flat, nothing is lost.
 
 The two loads above 2 MBd take a fifth of the time, two of such buses in one node all of it. Bare
-readers have the same traffic for as long, turn by turn: a pause of the machine meets them as often.
+readers have the same traffic for as long: a pause of the machine meets them as often.
 """
 
 from benchmark.harness import Figure

@@ -268,7 +268,7 @@ def test_a_port_that_is_lost_is_told_by_the_doctor(tmp_path):
     with Pty(str(link)) as pty:
         pty.let_go()
         tool = Program(DOCTOR, str(link), '--baud', '1000000', '--seconds', '60')
-        wait(lambda: pty.is_open)
+        wait(tool.children)                     # its reader: the port is set up
     with tool:
         tool.wait_for(f'dxl_doctor: {link}: lost')
         tool.signal(signal.SIGTERM)
