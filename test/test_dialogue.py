@@ -13,6 +13,7 @@ import pytest
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.dialect import DYNAMIXEL_AT
 from dxl_monitor.bus.dialect import FEETECH_AT
+from dxl_monitor.bus.dialogue import MEANINGS_KEPT
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
@@ -160,6 +161,37 @@ def test_a_silent_servo_that_is_pinged_again_and_again_does_not_answer_itself() 
     assert (device.totals.answers, device.last_heard_s) == (0, None)
     assert device.totals.missed >= 4
     assert bus.report().kinds.get('undecided packet', 0) == 0
+
+
+def test_no_answer_is_awaited_to_what_is_answered_no_more() -> None:
+    """What was learned from an instruction does not outlive the Status Return Level."""
+    bus = Bus('1', Expected(1, 'AX-12A'))
+    bus.ask(encode(1, 5), encode(1, 0))
+    bus.ask(encode(1, 3, b'\x10\1'), encode(1, 0))
+    bus.ask(encode(1, 2, b'\x10\1'), encode(1, 0, b'\1'))
+    bus.ask(encode(1, 5))                      # not acknowledged at this level
+    bus.say(PING, encode(1, 0), after_ms=1)
+    device = bus.devices()[1]
+    assert bus.report().counters['Instructions'] == 5
+    assert (device.totals.answers, device.totals.missed, device.alert) == (4, 0, False)
+
+
+def test_the_first_instruction_of_a_bus_counts_in_its_cycle() -> None:
+    bus = Bus('feetech', Expected(1, 'STS3215'))
+    for _ in range(3):
+        bus.ask(encode(1, 2, b'\x38\2'), encode(1, 0, b'\0\x08'))
+    assert [one.asked for one in bus.report().cycles] == [3]
+
+
+def test_what_is_remembered_of_instructions_is_bounded() -> None:
+    bus = Bus('1', Expected(1))
+    dialogue = bus.monitor.conversation.dialogue
+    assert dialogue is not None
+    sizes = set()
+    for number in range(1, MEANINGS_KEPT + 3):
+        bus.ask(encode(1, 2, bytes((number & 0xFF, 1 + (number >> 8)))))
+        sizes.add(len(dialogue._meanings))
+    assert sizes == set(range(1, MEANINGS_KEPT + 1))
 
 
 def test_what_may_be_either_is_counted_and_changes_nothing() -> None:
@@ -432,6 +464,14 @@ def test_answers_that_lack_their_first_byte_are_counted(noise: bytes, count: int
         == {1: count, 9: 0}
 
 
+def test_an_answer_that_lacks_its_first_byte_is_counted_once() -> None:
+    bus = Bus('feetech', Expected(1))
+    for count in range(1, 6):
+        for answer in (encode(1, 0, b'\0\x08'), BEHEADED, encode(1, 0, b'\0\x08')):
+            bus.ask(encode(1, 2, b'\x38\2'), answer)
+        assert bus.devices()[1].totals.beheaded == count
+
+
 @pytest.mark.parametrize(('number', 'errors'), [(6, 1), (77, 0)])
 def test_a_damaged_packet_counts_as_one_where_its_id_is_known(number: int, errors: int) -> None:
     bus = Bus()
@@ -569,6 +609,13 @@ def dialect(bus: Bus) -> str:
     ([encode(1, 1), encode(1, 0)] * 9, 'Dynamixel 1.0 or Feetech'),
     ([encode(1, 2, b'\x24\2'), encode(1, 0, b'\0\2'), encode(1, 2, b'\x38\2'),
       encode(1, 0, b'\0\2')] * 9, 'Dynamixel 1.0 or Feetech'),
+    ([encode(0xFE, 0x83, b'\x2a\2\1\0\4')] * 4, 'Feetech'),
+    ([encode(0xFE, 0x83, b'\x1e\2\1\0\4')] * 4, 'Dynamixel 1.0'),
+    # What was decided stays, however often something speaks against it.
+    ([encode(0xFE, 0x92, b'\0\2\1\x24'), *[encode(0xFE, 0x83, b'\x2a\2\1\0\4')] * 40],
+     'Dynamixel 1.0'),
+    ([encode(0xFE, 0x92, b'\0\2\1\x24'),
+      *[encode(1, 2, b'\x38\2'), encode(1, 0, b'\0\2')] * 40], 'Dynamixel 1.0'),
 ])
 def test_signs_of_a_dialect(said: list[bytes], name: str) -> None:
     bus = Bus()

@@ -58,7 +58,8 @@ _MARK = bytes([FAMILY])
 _GOOD_STATUS = bytes((FAMILY, STATUS, 0))
 _NOTHING = Request(0, 0xFF, Answers.NONE)
 _SYNC_WRITE = 0x83
-_WRITES = (0x03, 0x04, 0x83)
+# Who answers these, and how much, their bytes alone tell; a write depends on its device as well.
+_TOLD_BY_BODY = (Answers.DATA, Answers.LISTED, Answers.PING)
 
 
 class Dialogue:
@@ -308,7 +309,7 @@ class Dialogue:
         if choice.asked(request):
             self._decided()
         known = in_common(body), request, self._due(request)
-        if code not in _WRITES:
+        if request.answers in _TOLD_BY_BODY:
             if len(self._meanings) >= MEANINGS_KEPT:
                 self._meanings.clear()
             self._meanings[body] = known
