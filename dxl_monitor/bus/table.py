@@ -194,7 +194,7 @@ class Table:
         new = Image()
         for field in model.fields:
             kept = field.name in names or (memory == 'ram' and field.memory == 'eeprom')
-            if kept and field.at < len(old.data):
+            if kept:
                 end = min(field.end, len(old.data))
                 new.grow(end)
                 new.data[field.at:end] = old.data[field.at:end]
