@@ -50,6 +50,8 @@ FILES = {
 # Mutants that change nothing that anybody could see: how their line and their change begin.
 _NS = 'a ns more or less than never'
 _NOT_READ = 'written before it is read'
+_LONG_WAY = 'the long way says the same'
+_NO_FIELDS = 'None and () are both no fields'
 EQUIVALENT = {
     ('self._hold_until = 0', '0 -> 1'): _NS,
     ('self._refuse_until = 0', '0 -> 1'): _NS,
@@ -76,10 +78,14 @@ EQUIVALENT = {
     ('self._combined(body + body_crc(body).to_bytes(2', '2 -> 3'): 'a byte behind all blocks',
     ('mark = find(_TAIL, mark + 1)', '1 -> 2'): 'FF FD 00 does not overlap itself',
     ('self._wanted = wanted - (size', 'Sub -> Add in column 33'): 'looks earlier, in vain',
-    ('self.odd = True', 'True -> False in column 19'): 'the long way says the same',
-    ('_SYNC_WRITE = 0x83', '131 -> 132'): 'the long way says the same',
+    ('self.odd = True', 'True -> False in column 19'): _LONG_WAY,
+    ('if _RUN not in data:', 'never'): _LONG_WAY,
+    ('if fields[1::4] != self._ids', '1 -> 2'): _LONG_WAY,
+    ('if fields[1::4] != self._ids', '4 -> 5'): _LONG_WAY,
+    ('return ()', 'return None'): _NO_FIELDS,
     ('@lru_cache(maxsize=', ''): 'what is forgotten is worked out again',
     ('while at < len(noise)', 'Lt -> LtE'): 'behind the end there is nothing to find',
+    ('while 0 <= at < len(noise) - 4', 'Lt -> LtE'): 'four bytes are too few for an answer',
 }
 
 COMPARE: dict[type[ast.cmpop], type[ast.cmpop]] = {

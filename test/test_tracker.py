@@ -876,6 +876,15 @@ def test_damage_that_the_last_device_heard_too_is_seen_in_the_part_it_is_in(at: 
             blocks[number] if number <= whole else None for number in blocks]
 
 
+def test_a_good_frame_whose_last_part_names_another_device() -> None:
+    wire = fast_reply({1: b'aaaa', 2: b'bbbb', 5: b'cccc'})
+    bus = Bus()
+    bus.hear(fast_read(1, 2, 3), wire, ping(9))
+    assert [bus.known(number, POSITION) for number in (1, 2, 3)] == [b'aaaa', b'bbbb', None]
+    assert [bus.counts(number).fast_answers for number in (1, 2, 3)] == [1, 1, 0]
+    assert 5 not in bus.roster.devices
+
+
 def test_a_device_may_refuse_a_fast_read_on_its_own() -> None:
     bus = Bus()
     bus.hear(fast_read(1), reply(1, error=2), ping(9))
