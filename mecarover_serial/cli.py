@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Sequence
-from contextlib import suppress
 import io
 import os
 import shlex
@@ -17,6 +16,7 @@ import signal
 import sys
 import textwrap
 from types import FrameType
+from typing import TextIO
 
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
@@ -79,9 +79,14 @@ def _lost_output() -> OSError | None:
     try:
         sys.stdout.flush()
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard(sys.stdout)
         return error
     return None
+
+
+def _discard(stream: TextIO) -> None:
+    """Let the interpreter drop what it could not write there: it would end with exit code 120."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def printable(text: str, limit: int | None = None) -> str:
@@ -97,8 +102,10 @@ def _complain(tool: str, error: Exception, code: int) -> int:
     text = str(error)
     if isinstance(error, OSError) and error.strerror:
         text = f'{error.filename}: {error.strerror}' if error.filename else error.strerror
-    with suppress(OSError):                # stderr is full, or its reader has left
-        print(f'{tool}: {printable(text)}', file=sys.stderr)
+    try:
+        print(f'{tool}: {printable(text)}', file=sys.stderr, flush=True)
+    except OSError:                        # it is full, or its reader has left
+        _discard(sys.stderr)
     return code
 
 

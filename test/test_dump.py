@@ -510,9 +510,10 @@ def test_a_capture_is_told_from_bytes_however_it_trickles_in(recorded, size):
 
 def shell(command, **env):
     """Run dxl_dump as a shell does, return exit code, stdout and stderr."""
+    usual = {name: value for name, value in os.environ.items() if name != 'PYTHONUNBUFFERED'}
     done = subprocess.run(
         ['bash', '-c', command.replace('dxl_dump', f'{sys.executable} -m {DUMP}')],
-        cwd=ROOT, env={**os.environ, **env}, capture_output=True, timeout=DEADLINE_S)
+        cwd=ROOT, env={**usual, **env}, capture_output=True, timeout=DEADLINE_S)
     assert b'Traceback' not in done.stderr
     assert b'Exception ignored' not in done.stderr
     return done.returncode, done.stdout.decode(), done.stderr.decode()
