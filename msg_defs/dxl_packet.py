@@ -11,6 +11,7 @@ Nothing on the wire raises; every byte ends as a packet byte or as a noise byte.
 """
 
 from functools import lru_cache
+from struct import Struct
 from typing import NamedTuple
 
 from msg_defs.crc import bare_crc16
@@ -28,6 +29,7 @@ _TAIL = HEADER[1:]                 # what a header has left when the line turned
 body_crc = crc16_behind(HEADER)    # CRC of a frame from its ID on: the header is taken as good
 HEADER_CRC = crc16(HEADER)
 _RUN = b'\xff\xff\xfd'
+_number_at = Struct('<H').unpack_from      # a Length or a CRC; two single bytes cost more
 NOISE_KEPT = 256
 
 
@@ -213,12 +215,12 @@ class Framer(StreamFramer):
         mark = find(_TAIL)         # where the second FF of a header is
         judged = size - 5 if final else size - 6       # with its instruction, if that may come
         while 0 <= mark < judged:
-            length = data[mark + 4] | data[mark + 5] << 8
+            length = _number_at(data, mark + 4)[0]
             end = mark + 6 + length
             if end <= size:
                 body = data[mark + 3:end - 2]
                 if (length <= MAX_LENGTH and crc_of(body, HEADER_CRC, CRC16_TABLE)
-                        == data[end - 2] | data[end - 1] << 8
+                        == _number_at(data, end - 2)[0]
                         and (length > 3 or (length == 3 and body[3] != STATUS))):
                     if mark == done + 1 and data[done] == 0xFF and not noisy:
                         found.append((base + end, body, None))
