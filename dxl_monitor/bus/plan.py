@@ -16,6 +16,7 @@ from typing import Any
 from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.evidence import UNKNOWN_INSTRUCTION
 from dxl_monitor.bus.table import READ
+from dxl_monitor.bus.table import Span
 from msg_defs.crc import bare_crc16
 from msg_defs.crc import CRC16_TABLE
 from msg_defs.dxl_instruction import Access
@@ -23,8 +24,8 @@ from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER_CRC
 
-# What takes an answer in: address, data, stamp, source (as Table.store).
-Take = Callable[[int, bytes, int, int], object]
+# What takes an answer in: address and size, data, stamp, source (as Table.keep).
+Take = Callable[[Span, bytes, int, int], object]
 # What an instruction does to a device, and with which arguments: the device, more, the stamp.
 Action = Callable[..., None]
 Effect = tuple[Action, tuple[Any, ...]]
@@ -47,12 +48,13 @@ class Due(Enum):
 class Slot:
     """One expected status: from which device, how long its body is, and where its data go."""
 
-    __slots__ = ('address', 'device', 'due', 'size', 'take')
+    __slots__ = ('address', 'device', 'due', 'size', 'span', 'take')
 
     def __init__(self, device: Device, due: Due, address: int, length: int, take: Take) -> None:
         self.device = device
         self.due = due
         self.address = address
+        self.span = address, length
         self.size = _STATUS_FRONT + length
         self.take = take
 
@@ -68,7 +70,7 @@ def combined_slot(first: Device) -> Slot:
     return slot
 
 
-def take_nothing(address: int, data: bytes, stamp: int, source: int) -> None:
+def take_nothing(span: Span, data: bytes, stamp: int, source: int) -> None:
     """Store nothing: there are no data, or the parts of the status have slots of their own."""
 
 
@@ -161,7 +163,7 @@ class Plan:
                 counts.answers += 1
                 device.heard = stamp
                 device.last_error = 0
-                slot.take(slot.address, data, stamp, READ)
+                slot.take(slot.span, data, stamp, READ)
         return True
 
     def failed(self, there: int, last_whole: int,

@@ -60,7 +60,7 @@ class Target(NamedTuple):
     """One device of a Sync Write; is_changed: the write may change what the device is or does."""
 
     device: Device
-    store: Take
+    keep: Take
     is_changed: bool
 
 
@@ -191,7 +191,7 @@ class Planner:
 
     def _read_slot(self, access: Access) -> Slot:
         device = self._roster.device(access.id)
-        take: Take = device.table.store
+        take: Take = device.table.keep
         if device.is_told_by(access.address, access.length):
             take = partial(self._roster.read_special, device)
         return Slot(device, Due.READ, access.address, access.length, take)
@@ -236,12 +236,13 @@ class Planner:
         if 4 + len(ids) * (size + 1) != len(params):
             self._note_malformed(body, stamp)      # once it is unstuffed
             return
+        span = address, size
         key = params[:4] + ids
         targets, layout = self._targets.get(key) or self._find_targets(key, address, size, ids)
         parts = layout.unpack_from(params, 4)      # all at once: slices of each cost more
-        for (device, store, is_changed), data in zip(targets, parts, strict=True):
+        for (device, keep, is_changed), data in zip(targets, parts, strict=True):
             device.counts.writes += 1              # as Roster.write(), which costs a call more
-            store(address, data, stamp, WRITTEN)
+            keep(span, data, stamp, WRITTEN)
             if is_changed or device.is_unresolved:
                 self._roster.follow(device, address, data, stamp)
 
@@ -252,7 +253,7 @@ class Planner:
             self._targets.clear()
         devices = [self._roster.device(number) for number in ids]
         found = self._targets[key] = [
-            Target(one, one.table.store, one.is_changed_by(address, size))
+            Target(one, one.table.keep, one.is_changed_by(address, size))
             for one in devices], Struct(f'x{size}s' * len(ids))
         return found
 

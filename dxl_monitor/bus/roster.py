@@ -19,7 +19,9 @@ from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.expected import MAX_ID
 from dxl_monitor.bus.table import IDENTITY
+from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
+from dxl_monitor.bus.table import Span
 from dxl_monitor.bus.table import WRITTEN
 from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.model.layers import model_key
@@ -116,19 +118,20 @@ class Roster:
         device.moved_to = ''
         device.odd = alert
 
-    def read_special(self, device: Device, address: int, data: bytes, stamp: int,
+    def read_special(self, device: Device, span: Span, data: bytes, stamp: int,
                      source: int) -> None:
         """Keep what a device said of itself, where that may change what it is or does."""
+        address = span[0]
         at = device.identity_at - address
         if 0 <= at <= len(data) - 2:
             self._read_identity(device, address, data, stamp)
-        device.table.store(address, data, stamp, source)
+        device.table.keep(span, data, stamp, source)
         self.resolve(device)
         for name, value in device.special_values(address, data):
             if name == RETURN_LEVEL:
                 device.set_return_level(value)
 
-    def pinged(self, device: Device, address: int, data: bytes, stamp: int,
+    def pinged(self, device: Device, span: Span, data: bytes, stamp: int,
                source: int) -> None:
         """Keep the answer to a Ping: model number, firmware version. resolve() makes use of it."""
         device.counts.pongs += 1
@@ -140,7 +143,7 @@ class Roster:
         device.identity_stamp = stamp
         device.is_unresolved = True
 
-    def ponged(self, device: Device, address: int, data: bytes, stamp: int, source: int) -> None:
+    def ponged(self, device: Device, span: Span, data: bytes, stamp: int, source: int) -> None:
         """Count the answer to a Ping of the 1.0 family, which tells nothing more."""
         device.counts.pongs += 1
 
@@ -183,7 +186,7 @@ class Roster:
         firmware = b''
         if field is not None and field.size == 1 and field.at >= address:
             firmware = data[field.at - address:field.end - address]
-        self.pinged(device, 0, number + firmware, stamp, READ)
+        self.pinged(device, NO_SPAN, number + firmware, stamp, READ)
 
     def is_impossible(self, number: int) -> bool:
         """Tell whether no device can have this ID, and it is not everybody's either."""
@@ -233,7 +236,7 @@ class Roster:
         device.counts.writes += 1
         if device.is_unresolved:
             self.resolve(device)           # its model tells how much of the table is kept
-        device.table.store(address, data, stamp, WRITTEN)
+        device.table.keep((address, len(data)), data, stamp, WRITTEN)
         if address < device.followed_end and device.is_changed_by(address, len(data)):
             self.follow(device, address, data, stamp, alone)
 

@@ -3,9 +3,9 @@
 """
 Table: what is known of one device's memory, byte by byte: the value, when and how it was seen.
 
-store() is on the packet path and only notes the latest data of a span; the bytes are put in
+keep() is on the packet path and only notes the latest data of a span; the bytes are put in
 place when somebody looks. Nothing is decoded before it is asked for. No clock, no locks: the
-caller stamps (ns, monotonic) and keeps store() and the look apart.
+caller stamps (ns, monotonic) and keeps that and the look apart.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ SIZE_LIMIT = 0x4000
 SPAN_LIMIT = 64         # spans waiting to be put in place; a master uses a handful
 LONG = 256              # bytes of a span that does not wait
 Data = bytes            # the built-in: Table.bytes hides its name
+Span = tuple[int, int]  # address and size
+NO_SPAN = (-1, 0)       # for an answer that tells no registers
 IDENTITY = ('Model Number', 'Model Information', 'Firmware Version')
 
 
@@ -99,16 +101,19 @@ class Table:
 
     def __init__(self) -> None:
         self.limit = USUAL_LIMIT
-        self._latest: dict[tuple[int, int], tuple[Data, int, int]] = {}
+        self._latest: dict[Span, tuple[Data, int, int]] = {}
         self._image = Image()
 
     def store(self, address: int, data: Data, stamp: int, source: int) -> None:
         """Note that the bytes from `address` on were seen at `stamp`, READ or WRITTEN."""
+        self.keep((address, len(data)), data, stamp, source)
+
+    def keep(self, span: Span, data: Data, stamp: int, source: int) -> None:
+        """Do as store(), for who has the span at hand: data are as long as it says."""
         latest = self._latest
-        key = (address, len(data))
         # Taken out and put back, so that the dict stays in order of arrival (stamps may be equal).
-        before = latest.pop(key, None)
-        latest[key] = (data, stamp, source)
+        before = latest.pop(span, None)
+        latest[span] = (data, stamp, source)
         if before is None and (len(latest) > SPAN_LIMIT or len(data) > LONG):
             self._settle()
 

@@ -24,6 +24,7 @@ from dxl_monitor.bus.planner import NO_PLAN
 from dxl_monitor.bus.planner import Planner
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.roster import Roster
+from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
 from msg_defs.dxl1_packet import begin_of
 from msg_defs.dxl1_packet import FAMILY
@@ -115,7 +116,7 @@ class Tracker:
             else:
                 device.counts.answers += 1
                 device.heard = stamp
-                slot.take(slot.address, body[5:], stamp, READ)
+                slot.take(slot.span, body[5:], stamp, READ)
 
     def _is_echo(self, body: bytes, stamp: int) -> bool:
         """Take an instruction that came to the master; return whether it is its own."""
@@ -214,10 +215,9 @@ class Tracker:
                 return
             self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size - 5))
         else:
-            slot.take(slot.address, data, stamp, READ)
+            slot.take(slot.span, data, stamp, READ)
 
-    def _acknowledged(self, device: Device, address: int, data: bytes, stamp: int,
-                      source: int) -> None:
+    def _acknowledged(self, device: Device, *_: object) -> None:
         device.acknowledged()
         self._carry_out()
 
@@ -272,7 +272,7 @@ class Tracker:
             if body[2] >= FAMILY:
                 self._roster.speaks(device)
             elif not self.is_doubtful:
-                self._roster.pinged(device, 0, body[5:], stamp, READ)
+                self._roster.pinged(device, NO_SPAN, body[5:], stamp, READ)
         elif self.is_doubtful:       # it may well have been asked, by what was damaged
             if number in self._plan.slots:
                 self._note(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
