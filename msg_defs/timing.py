@@ -72,8 +72,7 @@ class _Slice:
         self.minimum = value
         self.maximum = value
         self.buckets: defaultdict[int, int] = defaultdict(int)
-        # The sample before, and its bucket: sizes repeat, and a look-up costs as much as a store.
-        self.last = value
+        self.last = value           # the sample before, and its bucket: sizes repeat
         self.bucket = bisect_right(_EDGES, value)
 
     def part(self) -> _Partial | None:
