@@ -61,8 +61,7 @@ class _Partial(NamedTuple):
 class _Slice:
     """The samples of one slice of time, open for more."""
 
-    __slots__ = ('bucket', 'buckets', 'index', 'last', 'maximum', 'minimum', 'pivot', 'squares',
-                 'sum')
+    __slots__ = ('buckets', 'index', 'maximum', 'minimum', 'pivot', 'squares', 'sum')
 
     def __init__(self, index: int, value: float) -> None:
         self.index = index
@@ -72,8 +71,6 @@ class _Slice:
         self.minimum = value
         self.maximum = value
         self.buckets: defaultdict[int, int] = defaultdict(int)
-        self.last = value           # the sample before, and its bucket: sizes repeat
-        self.bucket = bisect_right(_EDGES, value)
 
     def part(self) -> _Partial | None:
         buckets = dict(self.buckets)    # one C call: a writer cannot come in between
@@ -153,10 +150,7 @@ class Series:
         if now_ns >= self._end:
             self._open_slice(value, now_ns)
         piece = self._slice
-        if value != piece.last:
-            piece.last = value
-            piece.bucket = bisect_right(_EDGES, value)
-        piece.buckets[piece.bucket] += 1
+        piece.buckets[bisect_right(_EDGES, value)] += 1
         distance = value - piece.pivot
         piece.sum += distance
         piece.squares += distance * distance
