@@ -25,7 +25,6 @@ from benchmark.isochronous import beside_a_camera
 from benchmark.isochronous import Kernel
 from benchmark.isochronous import MS
 from benchmark.isochronous import OURS
-from benchmark.thread_node import in_thread
 from benchmark.traffic import KINDS
 from benchmark.traffic import packets
 from benchmark.traffic import ROBOT
@@ -65,7 +64,10 @@ def test_the_masters_beside_each_other_are_tapped_heard_and_neither():
     assert all(value > 0 for figure in figures if not figure.beside for value in figure.values)
 
 
+@pytest.mark.ros
 def test_the_node_beside_which_the_reader_process_is_measured_reads_in_a_thread():
+    from benchmark.thread_node import in_thread
+
     with in_thread as listener_on, TemporaryDirectory() as folder:
         listener = listener_on(f'{folder}/port', 57600, print, print)
         assert listener._in_thread

@@ -384,6 +384,20 @@ def test_bus_never_waits_for_its_reader() -> None:
     os.close(reader.fd)
 
 
+def test_a_machine_that_is_always_late_plays_the_bus_more_slowly(tmp_path: Path) -> None:
+    link = tmp_path / 'bus'
+    times = itertools.count(0, S // 100)               # between two looks at the clock pass 10 ms
+    bus = FakeBus(make_master(rate=0), link=str(link), away=Away(0.2, 9e9),
+                  clock=lambda: next(times))
+    reader = Reader(bus.path)
+    bus.start()
+    reader.take_until(10_000)
+    wait_for(lambda: not link.is_symlink(), 'gone')
+    bus.stop()
+    assert bus.stood_still_ns > S
+    os.close(reader.fd)
+
+
 def test_bus_vanishes_and_comes_back(tmp_path: Path) -> None:
     link = tmp_path / 'bus'
     bus = FakeBus(make_master(), link=str(link), away=Away(0.3, 0.3))
