@@ -98,8 +98,11 @@ class Program:
         return Path(f'/proc/{self.pid}/stat').read_text().rpartition(')')[2].split()[0]
 
     def children(self):
-        return [int(pid) for task in Path(f'/proc/{self.pid}/task').iterdir()
-                for pid in (task / 'children').read_text().split()]
+        found = []
+        for task in Path(f'/proc/{self.pid}/task').iterdir():
+            with suppress(OSError):             # a thread that ended while we look
+                found += map(int, (task / 'children').read_text().split())
+        return found
 
     def exit_code(self, deadline_s=DEADLINE_S):
         """Wait for its end and return its exit code."""
