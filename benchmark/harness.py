@@ -10,6 +10,7 @@ compared take turns, and a figure is the median of its rounds beside the smalles
 from collections.abc import Callable
 from collections.abc import Mapping
 from collections.abc import Sequence
+from contextlib import suppress
 import json
 from math import ceil
 import os
@@ -164,18 +165,22 @@ def usage(pid: int) -> Usage:
     wake_ups = sum(_status(task / 'status', 'voluntary_ctxt_switches') for task in tasks)
     own = Usage((int(fields[11]) + int(fields[12])) / _TICKS, wake_ups,
                 _status(Path(f'/proc/{pid}/status'), 'VmRSS') / 1024)
-    children = [int(child) for task in tasks for child in (task / 'children').read_text().split()]
-    return sum(map(usage, children), own)
+    return sum(map(usage, children(pid)), own)
+
+
+def children(pid: int) -> list[int]:
+    """Return the children of all threads of a process, none of one that has ended."""
+    found: list[int] = []
+    with suppress(FileNotFoundError):
+        for task in Path(f'/proc/{pid}/task').iterdir():
+            with suppress(OSError):                # a thread that ends while we look
+                found += map(int, (task / 'children').read_text().split())
+    return found
 
 
 def family(pid: int) -> list[int]:
     """Return a process and its descendants, without zombies, which have a folder too."""
-    try:
-        children = [int(child) for task in Path(f'/proc/{pid}/task').iterdir()
-                    for child in (task / 'children').read_text().split()]
-    except OSError:
-        return []
-    return [pid] * _is_alive(pid) + [one for child in children for one in family(child)]
+    return [pid] * _is_alive(pid) + [one for child in children(pid) for one in family(child)]
 
 
 def own_mb(pids: Sequence[int]) -> float:

@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 
+from benchmark.harness import children
 from vel2d_bridge.fake_mcu import FakeMcu
 
 ROOT = Path(__file__).parents[1]
@@ -98,11 +99,7 @@ class Program:
         return Path(f'/proc/{self.pid}/stat').read_text().rpartition(')')[2].split()[0]
 
     def children(self):
-        found = []
-        for task in Path(f'/proc/{self.pid}/task').iterdir():
-            with suppress(OSError):             # a thread that ended while we look
-                found += map(int, (task / 'children').read_text().split())
-        return found
+        return children(self.pid)
 
     def exit_code(self, deadline_s=DEADLINE_S):
         """Wait for its end and return its exit code."""
