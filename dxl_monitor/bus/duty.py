@@ -62,7 +62,7 @@ class Duty:
         device.counts.data_missed += slot.due is Due.READ
         if device.missed_in_a_row == 1:
             self._evidence.note(now, ev.MISSED, device.number,
-                                ev.Unanswered(plan.request.instruction, slot.address))
+                                ev.Unanswered(plan.request.instruction, slot.span[0]))
         elif device.missed_in_a_row == self._missed_limit + 1:
             self._evidence.note(now, ev.DISCONNECTED, device.number,
                                 ev.Much(device.missed_in_a_row))

@@ -48,12 +48,11 @@ class Due(Enum):
 class Slot:
     """One expected status: from which device, how long its body is, and where its data go."""
 
-    __slots__ = ('address', 'device', 'due', 'size', 'span', 'take')
+    __slots__ = ('device', 'due', 'size', 'span', 'take')
 
     def __init__(self, device: Device, due: Due, address: int, length: int, take: Take) -> None:
         self.device = device
         self.due = due
-        self.address = address
         self.span = address, length
         self.size = _STATUS_FRONT + length
         self.take = take

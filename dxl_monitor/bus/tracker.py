@@ -232,7 +232,7 @@ class Tracker:
         if slot.due is Due.ACK:
             self._deferred = None
             slot.device.acknowledged()
-        refusal = ev.Refusal(self._plan.request.instruction, slot.address, code)
+        refusal = ev.Refusal(self._plan.request.instruction, slot.span[0], code)
         slot.device.note_error(*refusal)
         self._note(stamp, ev.REFUSED, slot.device.number, refusal)
 
