@@ -20,7 +20,8 @@ HEADER = b'\xff\xff'
 BROADCAST = 0xFE
 NO_ID = 0xFF
 MIN_LENGTH = 2                     # the LEN field counts instruction and sum
-MAX_FRAME = 0xFF + 4
+MAX_LENGTH = 0xFF
+MAX_FRAME = MAX_LENGTH + 4
 
 # The body of a frame has the form that 2.0 gives it: ID, length in two bytes, code, parameters.
 # The high byte of the length, which is never so large in 2.0, tells that it is of this family.

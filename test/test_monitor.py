@@ -24,10 +24,14 @@ from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
+from msg_defs import dxl1_packet
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
+from msg_defs.heard import IN
+from msg_defs.heard import OUT
+from msg_defs.heard import UNKNOWN
 from msg_defs.reports import Level
 
 TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
@@ -560,3 +564,39 @@ def test_a_bus_names_its_lost_devices() -> None:
     report = bus.report()
     assert report.level is Level.WARN
     assert report.message.endswith('; lost: 001 knee, 002, 003, 004, 005 and 3 more')
+
+
+# --- what once raised ---------------------------------------------------------------------------
+
+LONG = encode(1, I.READ, struct.pack('<HH', 0, 252)), encode(1, STATUS, bytes(252), error=0)
+SERVO = 8 * [(dxl1_packet.encode(1, I.PING), OUT), (dxl1_packet.encode(1, 0), IN)]
+
+
+@pytest.mark.parametrize(('said', 'protocol'), [
+    pytest.param(20 * [(LONG[0], ''), (LONG[1], '')] + [(b'\0' + LONG[0], ''), (LONG[1], '')] * 20,
+                 'auto', id='noise where 252 bytes are read again and again'),
+    pytest.param([(b'\xff\xff\1\2\x93\x69', '')] * 3, '1', id='Bulk Write of Protocol 1.0'),
+    pytest.param([*SERVO, (dxl1_packet.encode(1, STATUS), OUT)], 'auto', id='0x55 as instruction'),
+    pytest.param([*SERVO, (dxl1_packet.encode(1, I.READ, b'\1\1'), OUT),
+                  (dxl1_packet.encode(1, STATUS), OUT)], 'auto', id='0x55 behind a Read'),
+    pytest.param([*SERVO, (dxl1_packet.encode(1, I.READ, b'\1'), OUT),
+                  (dxl1_packet.encode(1, 0, b'\1\2'), IN)], 'auto', id='Read without a size'),
+])
+def test_nothing_on_the_wire_raises(said, protocol):
+    bus = Bus(protocol=protocol)
+    for data, side in said:
+        bus.now += 20 * MS
+        bus.monitor.feed(data, bus.now, side or UNKNOWN)
+        bus.report()
+    bus.wait(2)
+    counters = bus.report().counters
+    assert counters['Bytes'] == sum(len(data) for data, _ in said)
+    assert counters['Bytes'] == counters['Packet Bytes'] + counters['Noise Bytes']
+
+
+def test_a_stamp_may_be_any():
+    monitor = Monitor('arm', MODELS)
+    for stamp in (1 << 62, 1 << 63, 1 << 80):
+        monitor.feed(LONG[0] + LONG[1], stamp)
+        [device] = monitor.report(stamp).devices
+        assert device.totals.answers > 0

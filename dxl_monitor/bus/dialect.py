@@ -63,7 +63,7 @@ class DialectChoice:
 
     def told(self, request: Request, data: bytes) -> bool:
         """Take a model number that was read as a sign; return whether that decided."""
-        if self._is_fixed or request.instruction != _READ:
+        if self._is_fixed or request.instruction != _READ or not request.accesses:
             return False
         access = request.accesses[0]
         for dialect, protocol in ((DYNAMIXEL_1, '1'), (FEETECH, 'feetech')):

@@ -240,6 +240,8 @@ class Dialogue:
     def _meaning(self, frame: Frame, stamp: int, received: int, side: str) -> Frame:
         end, body, flaw = frame
         self.packets += 1
+        if body[3] == STATUS and (side == OUT or body[0] == BROADCAST):
+            return end, body, Flaw(OPEN, False, 0)     # no instruction has the code of a status
         awaited = self._awaited.get(body[0])
         if side == IN:
             if self._is_echo(body, awaited):

@@ -158,9 +158,9 @@ class Planner:
             self._roster.highest = MAX_ID_1
             for number in {request.id, *(access.id for access in request.accesses)} - {BROADCAST}:
                 self._roster.speaks(self._roster.device(number))
-        plan = self._plan_of(request)
-        oddities = _oddities(request, body, NAMES if body[2] < FAMILY
-                             else self._roster.dialect.entries)
+        names = NAMES if body[2] < FAMILY else self._roster.dialect.entries
+        plan = self._plan_of(request) if body[3] in names else Plan(request, {})
+        oddities = _oddities(request, body, names)
         if self._roster.is_impossible(request.id):
             oddities.append((ev.BAD_ID, ev.NO_DEVICE, ev.Written(request.id)))
         if oddities:

@@ -29,6 +29,7 @@ SOURCES = {READ: 'r', WRITTEN: 'w'}
 USUAL_LIMIT = 0x800
 SIZE_LIMIT = 0x4000
 SPAN_LIMIT = 64         # spans waiting to be put in place; a master uses a handful
+LAST_STAMP = (1 << 63) - 1      # ns: 292 years
 LONG = 256              # bytes of a span that does not wait
 Data = bytes            # the built-in: Table.bytes hides its name
 Span = tuple[int, int]  # address and size
@@ -81,7 +82,7 @@ class Image:
             return
         self.grow(end)
         self.data[address:end] = data
-        self.stamps[address:end] = array('q', (stamp,)) * len(data)
+        self.stamps[address:end] = array('q', (min(max(stamp, 0), LAST_STAMP),)) * len(data)
         self.sources[address:end] = bytes((source,)) * len(data)
 
     def knows(self, at: int, end: int) -> bool:

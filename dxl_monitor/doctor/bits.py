@@ -20,8 +20,10 @@ from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import PROTOCOL_2
 from msg_defs.crc import crc16
 from msg_defs.dxl1_packet import HEADER as FAMILY_HEADER
+from msg_defs.dxl1_packet import MAX_LENGTH as MAX_LENGTH_1
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import HEADER
+from msg_defs.dxl_packet import MAX_LENGTH
 from msg_defs.dxl_packet import STATUS
 
 ALIKE = 1 / 8                      # fewer of the known bits are wrong: by chance half are
@@ -75,10 +77,11 @@ class Wreck(NamedTuple):
 def shapes(report: BusReport) -> tuple[Shape, ...]:
     """Return what the master repeats and what is answered, in the form of this bus."""
     is_2 = report.protocol.startswith(PROTOCOL_2)
+    longest = MAX_LENGTH - 4 if is_2 else MAX_LENGTH_1 - 2     # bytes of data in a status
     found: dict[Shape, None] = {}
     for cycle in report.cycles:
         code = cycle.instruction
-        if code in (Instruction.READ, Instruction.SYNC_READ):
+        if code in (Instruction.READ, Instruction.SYNC_READ) and cycle.length <= longest:
             found.update((_status(number, cycle.length, is_2), None) for number in cycle.ids)
         elif code == Instruction.WRITE:
             found[_status(cycle.ids[0], 0, is_2)] = None
@@ -89,7 +92,8 @@ def shapes(report: BusReport) -> tuple[Shape, ...]:
 
 def _status(number: int, size: int, is_2: bool) -> Shape:
     if is_2:
-        return Shape(HEADER + bytes((number, size + 4, 0, STATUS)), size + 11, number)
+        length = (size + 4).to_bytes(2, 'little')
+        return Shape(HEADER + bytes((number, *length, STATUS)), size + 11, number)
     return Shape(FAMILY_HEADER + bytes((number, size + 2, 0)), size + 6, number)
 
 
