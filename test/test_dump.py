@@ -677,3 +677,17 @@ def test_feetech_packets_are_shown_with_their_registers(tmp_path):
     begins = [sum(map(len, said[:at])) for at in range(6)]
     assert [one['offset'] for one in objects(file)] == begins
     assert 'Feetech' in dump(file, '--stats', '--baud', '1000000')
+
+
+@pytest.mark.parametrize('protocol', ['1', 'feetech'])
+def test_a_question_that_is_not_answered_may_be_a_status(protocol):
+    """A master asks its one servo, which is silent: its Pings might answer its Pings."""
+    data = 6 * dxl1_packet.encode(1, 1) + 6 * dxl1_packet.encode(1, 2, b'\x38\2')
+    lines = dump('-', '--protocol', protocol, feed=data).splitlines()
+    assert any('undecided' in line and 'Ping, or a status; 01 02 01' in line for line in lines)
+    assert not objects('-', '--protocol', protocol, '--errors', feed=data)
+
+
+def test_an_instruction_with_the_code_of_a_status_is_undecided():
+    data = dxl1_packet.encode(BROADCAST, STATUS) + dxl1_packet.encode(1, 1)
+    assert [one['id'] for one in objects('-', '--protocol', '1', feed=data)] == [1]

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import time
 
 from dxl_monitor.bus.device import Device
+from dxl_monitor.bus.dialogue import OPEN
 from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.tools.dump.listing import DAMAGED
 from dxl_monitor.tools.dump.listing import Entry
@@ -140,6 +141,8 @@ def _missed(entry: Entry, parts: Sequence[Part], identity: Identity | None) -> S
 
 def _damaged(entry: Entry, parts: Sequence[Part], identity: Identity | None) -> Shown:
     number = f'{entry.data[0]:03}' if entry.data else ''
+    if entry.reason == OPEN:
+        return '?', YELLOW, number, 'undecided', damaged_words(entry)
     return '!', RED, number, 'damaged', damaged_words(entry)
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from collections.abc import Sequence
 from itertools import groupby
 
+from dxl_monitor.bus.dialogue import OPEN
 from dxl_monitor.bus.evidence import text_of
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.meaning import Identity
@@ -94,8 +95,10 @@ def missed_words(entry: Entry) -> str:
 
 
 def damaged_words(entry: Entry) -> str:
-    """Return what is wrong about a frame, and its bytes."""
+    """Return what is wrong about a frame, or open, and its bytes."""
     name = name_of(entry.data[3]) if len(entry.data) > 3 else 'packet'
+    if entry.reason == OPEN:
+        return f'{name}, or a status; {(entry.data[:2] + entry.data[3:]).hex(" ")}'
     return f'{name}: {_FLAWS[entry.reason]}; {entry.data.hex(" ")}'
 
 
