@@ -8,9 +8,12 @@ The real captures do not come from the authors of the decoders; tshark, if insta
 
 from functools import partial
 import io
+import os
+from pathlib import Path
 import shutil
 import struct
 import subprocess
+import sys
 
 from hypothesis import given
 from hypothesis import settings
@@ -397,3 +400,16 @@ def test_other_packets_are_named():
     whole = pcapng(MMAPPED, stream(FakeAdapter('ftdi'), [(OUT, b'\xff\xff')]))
     assert read(whole)[1] == ['1 packets of link type 1 were left out; usbmon has 189 and 220, '
                               'USBPcap 249']
+
+
+def test_a_time_far_out_is_passed_over(tmp_path):
+    adapter, far = FakeAdapter('cdc-acm'), 1 << 90
+    (tmp_path / 'far.bin').write_bytes(
+        adapter.plug(far) + adapter.sent(b'\1', far) + adapter.sent(b'\2', BEGAN))
+    done = subprocess.run(
+        [sys.executable, '-m', 'dxl_monitor.tools.dump.main', 'far.bin', '-w', 'bus.txt'],
+        cwd=tmp_path, env=os.environ | {'PYTHONPATH': str(Path(__file__).parents[1])},
+        capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert [line.split()[0] for line in (tmp_path / 'bus.txt').read_text().splitlines()
+            if line.startswith('(')][-2:] == ['(0.000000000)', '(1795329340.000000000)']

@@ -16,6 +16,7 @@ from dxl_monitor.port.usb_survey import Found
 from dxl_monitor.port.usb_survey import Survey
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import STAMP_END
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.source import File
 from dxl_monitor.record.usb_events import UsbEvents
@@ -59,7 +60,8 @@ class UsbFile(File):
             heard = self._port.take(event)
             if heard is None:
                 continue
-            newest = max(newest, heard.stamp)
+            if heard.stamp < STAMP_END:        # else the file is damaged
+                newest = max(newest, heard.stamp)
             if not self.began.stamp:
                 self.began = Moment(newest, newest)
             if heard.data:
