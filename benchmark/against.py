@@ -3,6 +3,8 @@
 """
 Parsing here against parsing at an older commit, in many short pairs that take turns.
 
+The rows of benchmark.parsing (Protocol 2.0) and of benchmark.parsing_1 (the 1.0 family).
+
 Each of them runs in a process of its own that lives as long as the comparison, on the same bytes;
 the older commit runs twice, so that its ratio to itself tells what the machine can resolve.
 usage: python -m benchmark.against COMMIT [--pairs N] [--trace FILE] [--only TEXT]
@@ -13,6 +15,7 @@ from collections.abc import Iterator
 from collections.abc import Sequence
 from contextlib import contextmanager
 from contextlib import ExitStack
+from functools import partial
 import io
 import json
 from math import sqrt
@@ -25,12 +28,16 @@ import sys
 import tarfile
 from tempfile import TemporaryDirectory
 from typing import Any
+from typing import NamedTuple
 
 from benchmark.harness import machine
 from benchmark.harness import REPOSITORY
 from benchmark.parsing import CHUNKS
+from benchmark.parsing_1 import CLIENTS
 from benchmark.traffic import KINDS
+from benchmark.traffic import KINDS_1
 from benchmark.traffic import packets
+from benchmark.traffic import packets_1
 from benchmark.traffic import TRACE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
@@ -39,7 +46,8 @@ SIZE = 150_000                     # bytes: a measurement takes 10 to 40 ms
 PAIRS = 100
 WANTED = 0.97                      # the lower 95 % bound of the ratio
 OLD, AGAIN, NEW = 'old', 'old again', 'new'
-# Runs in the folder of either commit, with what both have: benchmark.parsing.
+# Runs in the folder of either commit, with what both have: benchmark.parsing, and for the 1.0
+# family the settings that benchmark.parsing_1 measures with.
 WORKER = """
 import gc, json, os, pathlib, sys
 sys.path.insert(0, os.getcwd())
@@ -49,13 +57,25 @@ models = parsing.Models()
 chunks = {}
 print('{}', flush=True)
 for line in sys.stdin:
-    file, size = case = tuple(json.loads(line))
+    file, size, protocol = case = tuple(json.loads(line))
     if case not in chunks:
         data = pathlib.Path(file).read_bytes()
         chunks[case] = [data[at:at + size] for at in range(0, len(data), size)]
+    settings = ()
+    if protocol:
+        from benchmark import parsing_1
+        settings = parsing_1.Settings(baud=parsing_1.BAUD_1, protocol=protocol),
     gc.collect()
-    print(json.dumps(parsing.monitor_us(models, chunks[case])), flush=True)
+    print(json.dumps(parsing.monitor_us(models, chunks[case], *settings)), flush=True)
 """
+
+
+class Case(NamedTuple):
+    """What is measured: these bytes in chunks of this size; protocol: '' for that of 2.0."""
+
+    file: Path
+    size: int
+    protocol: str
 
 
 class Worker:
@@ -67,10 +87,10 @@ class Worker:
             stdout=subprocess.PIPE, env={**os.environ, 'PYTHONPATH': str(folder)})
         self._hear()
 
-    def us(self, file: Path, size: int) -> float:
-        """Return the CPU time per packet of this file in chunks of this size, in us."""
+    def us(self, case: Case) -> float:
+        """Return the CPU time per packet, in us."""
         assert self._process.stdin is not None
-        print(json.dumps([str(file), size]), file=self._process.stdin, flush=True)
+        print(json.dumps([str(case.file), *case[1:]]), file=self._process.stdin, flush=True)
         return float(self._hear())
 
     def _hear(self) -> Any:
@@ -113,9 +133,8 @@ def bound(ratios: Sequence[float]) -> float:
     return sorted(ratios)[max(0, rank - 1)]
 
 
-def compare(old: Path, files: dict[str, Path], pairs: int) -> Iterator[str]:
-    """Measure, and yield a line of the table for each kind of traffic and size of chunk."""
-    cases = {f'{kind}, {size}': (file, size) for kind, file in files.items() for size in CHUNKS}
+def compare(old: Path, cases: dict[str, Case], pairs: int) -> Iterator[str]:
+    """Measure, and yield a line of the table for each case."""
     taken: dict[str, dict[str, list[float]]] = {
         name: {OLD: [], AGAIN: [], NEW: []} for name in cases}
     rng = random.Random(1)
@@ -127,11 +146,11 @@ def compare(old: Path, files: dict[str, Path], pairs: int) -> Iterator[str]:
             rng.shuffle(order)
             order.sort(key=lambda one: one[0])      # a pair is measured within 0.1 s
             for case, name in order:
-                taken[case][name].append(workers[name].us(*cases[case]))
+                taken[case][name].append(workers[name].us(cases[case]))
     for case, us in taken.items():
         new, again = ([one / other for one, other in zip(us[OLD], us[name], strict=True)]
                       for name in (NEW, AGAIN))
-        yield (f'{case:22}{median(us[OLD]):8.2f}{median(us[NEW]):8.2f}'
+        yield (f'{case:30}{median(us[OLD]):8.2f}{median(us[NEW]):8.2f}'
                f'{median(new):9.3f}{bound(new):9.3f}{median(again):11.3f}{bound(again):9.3f}')
 
 
@@ -142,17 +161,29 @@ def main(arguments: Sequence[str]) -> None:
     print(', '.join(f'{key}: {value}' for key, value in machine().items()))
     print(f'old: {options.commit}; {options.pairs} pairs; us of CPU per packet; bound: lower '
           f'95 % bound of the median ratio, wanted: {WANTED}')
-    print(f'{"traffic, chunk":22}{"old":>8}{"new":>8}{"old/new":>9}{"bound":>9}'
+    print(f'{"traffic, chunk":30}{"old":>8}{"new":>8}{"old/new":>9}{"bound":>9}'
           f'{"old/old":>11}{"bound":>9}', flush=True)
     with checked_out(options.commit) as old, TemporaryDirectory() as folder:
-        files = {}
-        for kind in (*KINDS, *([TRACE] if options.trace else [])):
-            if options.only in kind:
-                files[kind] = Path(folder) / f'{len(files)}.bin'
-                data = options.trace.read_bytes() if kind == TRACE else b''.join(packets(kind))
-                files[kind].write_bytes(data[:SIZE])
-        for line in compare(old, files, options.pairs):
+        for line in compare(old, _cases(Path(folder), options.only, options.trace), options.pairs):
             print(line, flush=True)
+
+
+def _cases(folder: Path, only: str, trace: Path | None) -> dict[str, Case]:
+    """Return the rows of parsing and parsing_1 with this text in their name; write the bytes."""
+    make = {kind: partial(packets, kind) for kind in KINDS}
+    make |= {f'{kind}, {told}': partial(packets_1, kind)
+             for kind in KINDS_1 for told in (CLIENTS[kind][0], 'auto')}
+    kinds = [kind for kind in make if only in kind]
+    if trace is not None and only in TRACE:
+        kinds.append(TRACE)
+    cases = {}
+    for number, kind in enumerate(kinds):
+        file = folder / f'{number}.bin'
+        data = trace.read_bytes() if trace and kind == TRACE else b''.join(make[kind]())
+        file.write_bytes(data[:SIZE])
+        _, _, protocol = kind.partition(', ')
+        cases.update({f'{kind}, {size}': Case(file, size, protocol) for size in CHUNKS})
+    return cases
 
 
 def _parser() -> argparse.ArgumentParser:
