@@ -60,7 +60,17 @@ class Port:
         except OSError:         # io.UnsupportedOperation: a URL without a descriptor
             self.fd = None
         self.is_tty = self.fd is not None and os.isatty(self.fd)
-        self._is_socket = self.fd is not None and stat.S_ISSOCK(os.fstat(self.fd).st_mode)
+        self._ahead = b''       # read by `wait`, where there is no descriptor to ask
+        self._socket = self._own_socket()
+        if self._socket is not None:
+            _settle_socket(self._socket)
+
+    def _own_socket(self) -> int | None:
+        """Return the descriptor of the network connection; rfc2217:// has one that it hides."""
+        if self.fd is None:
+            connection = getattr(self._device, '_socket', None)
+            return connection.fileno() if isinstance(connection, socket.socket) else None
+        return self.fd if stat.S_ISSOCK(os.fstat(self.fd).st_mode) else None
 
     def wait(self, timeout_s: float, wake_fd: int | None = None) -> bool:
         """Wait until there is something to read (True), `wake_fd` is readable, or the time-out."""
@@ -68,27 +78,22 @@ class Port:
         if self.fd is not None:
             return self.fd in _ready([self.fd, *wake], timeout_s)
         deadline = time.monotonic() + timeout_s
-        while not self._waiting():
+        while not self._ahead:
+            self._ahead = self.read()
             left = deadline - time.monotonic()
-            if left <= 0 or _ready(wake, min(left, _POLL_S)):
+            if not self._ahead and (left <= 0 or _ready(wake, min(left, _POLL_S))):
                 return False
         return True
 
-    def _waiting(self) -> int:
-        try:
-            return int(self._device.in_waiting)
-        except (OSError, serial.SerialException) as error:
-            raise self.lost(error) from error
-
     def read(self) -> bytes:
         """Return what is there, b'' when nothing is."""
+        if chunk := self._ahead:
+            self._ahead = b''
+            return chunk
         try:
-            if self.fd is not None:
-                chunk = os.read(self.fd, _READ_SIZE)
-            elif count := self._device.in_waiting:
-                chunk = bytes(self._device.read(count))
-            else:
-                return b''
+            if self.fd is None:         # only a read says that the port has gone
+                return bytes(self._device.read(max(1, self._device.in_waiting)))
+            chunk = os.read(self.fd, _READ_SIZE)
         except BlockingIOError:
             return b''
         except (OSError, serial.SerialException) as error:
@@ -114,19 +119,20 @@ class Port:
 
         Of a socket: that its peer has not confirmed, if these are more than it may be late with.
         """
-        if not (self.is_tty or self._is_socket):
+        fd = self.fd if self.is_tty else self._socket
+        if fd is None:
             return 0
         count = array.array('i', [0])
         try:
-            fcntl.ioctl(self.fd or 0, termios.TIOCOUTQ, count)
+            fcntl.ioctl(fd, termios.TIOCOUTQ, count)
         except OSError as error:
             raise self.lost(error) from error
-        return 0 if self._is_socket and count[0] <= _UNCONFIRMED else count[0]
+        return 0 if not self.is_tty and count[0] <= _UNCONFIRMED else count[0]
 
     def drop_output(self) -> None:
         """Throw away what was written and has not left yet; a socket is lost with it."""
-        if self._is_socket:
-            with socket.socket(fileno=os.dup(self.fd or 0)) as own:
+        if self._socket is not None:
+            with socket.socket(fileno=os.dup(self._socket)) as own:
                 own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _DROP_AT_CLOSE)
             raise PortError(self.name, Reason(
                 'lost', 'lost (its peer confirms nothing)',
@@ -142,7 +148,7 @@ class Port:
         if self.is_tty:         # else it stays exclusive while a fake holds the other end
             with suppress(OSError):
                 fcntl.ioctl(self.fd or 0, termios.TIOCNXCL)
-        self.is_tty = False
+        self.is_tty, self._socket = False, None
         with suppress(OSError, serial.SerialException, termios.error):
             self._device.close()
 
@@ -163,8 +169,6 @@ def open_port(path_or_url: str, baud: int, *, read_only: bool = False) -> Port:
     device = _configured(path_or_url, baud)
     try:
         port = Port(path_or_url, device)
-        if port.fd is not None and not port.is_tty:
-            _settle_socket(port.fd)
         if port.is_tty and port.fd is not None:
             _check_rate(path_or_url, port.fd, baud)
             _settle(port.fd, read_only)
@@ -185,7 +189,8 @@ def _configured(path_or_url: str, baud: int) -> Any:
         device = serial.serial_for_url(path_or_url, do_not_open=True)
         device.baudrate = baud
         device.timeout = 0
-        device.write_timeout = _URL_WRITE_TIMEOUT_S
+        if not path_or_url.lower().startswith('rfc2217://'):    # it refuses to have one
+            device.write_timeout = _URL_WRITE_TIMEOUT_S
         device.dtr = False
         device.rts = False
         if type(device) is serial.Serial:

@@ -69,7 +69,9 @@ def why_not(path: str, error: Exception, root: Path = ROOT) -> Reason:
                       'raise the limit (ulimit -n, LimitNOFILE=) or look for who leaks them')
     if number in (errno.ENODEV, errno.ENXIO, errno.EIO):
         return Reason('lost', 'the device behind it has gone', 'check plug and power')
-    return Reason('other', str(error), 'check the path, the cable and the adapter')
+    return Reason('other', str(error), 'check the address and what answers there (a plain TCP '
+                  'port is socket://)' if '://' in path else
+                  'check the path, the cable and the adapter')
 
 
 def warnings(path: str, root: Path = ROOT, ours: Sequence[str] = ()) -> list[Reason]:

@@ -9,9 +9,11 @@ import threading
 import time
 
 import pytest
+from terminal_server import TerminalServer
 
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
+from msg_defs.reports import Level
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
@@ -25,6 +27,8 @@ from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.link import Link
+from vel2d_bridge.mcu_log import McuLog
+from vel2d_bridge.status import link_status
 
 pytestmark = pytest.mark.alone
 
@@ -452,11 +456,26 @@ def test_a_url_without_a_descriptor_works():
         assert link.state().is_open
 
 
-def test_a_deadman_without_a_descriptor_to_write_to_is_of_no_use():
-    class Alive:
-        def __getattr__(self, name):
-            return lambda *_: name == 'is_alive'
+class Alive:
+    """A dead man that could."""
 
-    with linked('loop://', deadman=Alive()) as link:
-        wait(lambda: link.state().is_open)
-        assert link.state().deadman == 'no use'
+    def __getattr__(self, name):
+        return lambda *_: name == 'is_alive'
+
+
+def test_a_terminal_server_drives_the_rover_stops_it_and_has_no_use_for_a_deadman(mcu):
+    with TerminalServer(mcu.path) as server:
+        with linked(server.url, deadman=Alive()) as link:
+            drive(link, mcu)
+            server.hang_up()
+            wait(lambda: link.state().losses == 1)
+            frames = len(velocities(mcu))
+            wait(lambda: link.state().openings == 2 and len(velocities(mcu)) > frames)
+            assert velocities(mcu)[frames] == STOP      # of the new connection, the first
+            drive(link, mcu)
+            state = link.state()
+            assert state.deadman == 'no use'
+            status = link_status('vel2d_bridge', server.url, state, [], McuLog(), 0)
+            assert status.message.startswith('deadman: it cannot write to this kind of URL')
+            assert status.level == Level.WARN
+        wait(lambda: velocities(mcu)[-5:] == [STOP] * 5)

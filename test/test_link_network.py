@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A link over socket:// when the network goes away: what was commanded before never arrives late.
+A link over a network that goes away: what was commanded before never arrives late.
 
 In a network namespace; its loopback is switched off and on. A command carries in omega when it
 was given, so that each frame at the other end tells its age.
@@ -23,7 +23,9 @@ pytestmark = [pytest.mark.alone, pytest.mark.skipif(
     not CAN_UNSHARE, reason='skipped: not allowed to make a network namespace')]
 BOUND_S = 0.5 + 2 / 20 + 0.05           # cmd_vel_timeout, resends, write_timeout
 SCRIPT = """
-import fcntl, json, socket, struct, sys, threading, time
+import fcntl, json, socket, struct, sys, threading, time, types
+from serial import serial_for_url
+from serial.rfc2217 import PortManager
 from msg_defs.vel2d import decode, FRAME_SIZE, STOP, Vel2d
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.link import Link
@@ -44,10 +46,14 @@ server = socket.create_server(('127.0.0.1', 0))
 arrivals = []                           # (connection, when, velocity)
 
 def serve(number, connection):
-    data = b''
+    data, take = b'', bytes
+    if sys.argv[2] == 'rfc2217':
+        manager = PortManager(serial_for_url('loop://'),
+                              types.SimpleNamespace(write=connection.sendall))
+        take = lambda chunk: b''.join(manager.filter(chunk))
     try:
         while chunk := connection.recv(4096):
-            data += chunk
+            data += take(chunk)
             while len(data) >= FRAME_SIZE:
                 arrivals.append((number, time.monotonic(), decode(data[:FRAME_SIZE])))
                 data = data[FRAME_SIZE:]
@@ -62,7 +68,7 @@ def listen():
 
 threading.Thread(target=listen, daemon=True).start()
 problems = []
-link = Link(f'socket://127.0.0.1:{server.getsockname()[1]}', 115200, Gate(),
+link = Link(f'{sys.argv[2]}://127.0.0.1:{server.getsockname()[1]}', 115200, Gate(),
             on_change=lambda problem: problems.append(str(problem)))
 link.start()
 
@@ -93,9 +99,10 @@ print(json.dumps({
 """
 
 
+@pytest.mark.parametrize('scheme', ['socket', 'rfc2217'])
 @pytest.mark.parametrize('away_s', [1, 4, pytest.param(20, marks=pytest.mark.slow)])
-def test_what_was_commanded_before_the_network_went_away_never_arrives(away_s):
-    done = subprocess.run([*INSIDE, sys.executable, '-c', SCRIPT, str(away_s)], cwd=ROOT,
+def test_what_was_commanded_before_the_network_went_away_never_arrives(away_s, scheme):
+    done = subprocess.run([*INSIDE, sys.executable, '-c', SCRIPT, str(away_s), scheme], cwd=ROOT,
                           capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout)

@@ -13,6 +13,7 @@ import time
 from typing import Any
 
 import pytest
+from terminal_server import TerminalServer
 
 from dxl_monitor.port.driver import adapter
 from dxl_monitor.port.driver import latency_timer_ms
@@ -231,6 +232,20 @@ def test_hears_a_port_without_descriptor() -> None:
     ear.wait_open()
     assert ear.listener.counters.line_errors is None
     ear.listener.stop()
+
+
+def test_hears_a_terminal_server_and_finds_it_again(cable: Pty) -> None:
+    with TerminalServer(cable.path) as server:
+        ear = Ear(server.url, 1_000_000)
+        for opening in (1, 2):
+            wait_for(lambda: ear.listener.counters.openings == opening, 'opening')  # noqa: B023
+            ear.wait_open()
+            os.write(cable.master, b'over the net')
+            wait_for(lambda: ear.data == opening * b'over the net', 'bytes')        # noqa: B023
+            server.hang_up()
+        with pytest.raises(BlockingIOError):
+            os.read(cable.master, 1)
+        ear.listener.stop()
 
 
 def test_names_a_mistake_in_the_url() -> None:

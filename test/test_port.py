@@ -15,6 +15,7 @@ import termios
 
 import pytest
 import serial
+from terminal_server import TerminalServer
 
 from mecarover_serial import port as port_module
 from mecarover_serial import preflight
@@ -398,6 +399,51 @@ def test_what_a_peer_does_not_confirm_is_pending_and_dropped_with_the_connection
             with pytest.raises(PortError, match='its peer confirms nothing'):
                 port.drop_output()
         port.close()
+
+
+def test_a_terminal_server_carries_all_bytes_the_rate_and_its_end():
+    with Pty() as pty, TerminalServer(pty.path) as server:
+        os.set_blocking(pty.master, True)
+        port = open_port(server.url, 1_000_000)
+        assert port.fd is None
+        assert server.tty.baudrate == 1_000_000
+        every = bytes(range(256))           # 0xFF is Telnet's escape
+        assert port.write(every) == 256
+        got = b''
+        while len(got) < 256:
+            got += os.read(pty.master, 256)
+        assert got == every
+        os.write(pty.master, every)
+        got = b''
+        while len(got) < 256:
+            assert port.wait(20)
+            got += port.read()
+        assert got == every
+        assert port.read() == b''
+        server.hang_up()
+        with pytest.raises(PortError) as caught:
+            port.wait(20)
+        assert caught.value.kind == 'lost'
+        port.close()
+
+
+def test_what_a_terminal_server_does_not_confirm_is_dropped_with_the_connection():
+    with Pty() as pty, TerminalServer(pty.path) as server:
+        port = open_port(server.url, 115200)
+        assert port.pending() == 0
+        with mute(port._socket):
+            port.write(bytes(84))
+            assert port.pending() == 84
+            with pytest.raises(PortError, match='its peer confirms nothing'):
+                port.drop_output()
+        port.close()
+
+
+def test_what_is_no_terminal_server_says_so():
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        error = refusal(f'rfc2217://127.0.0.1:{server.getsockname()[1]}?timeout=0.1')
+    assert 'does not seem to support RFC2217' in error.reason
+    assert 'a plain TCP port is socket://' in error.remedy
 
 
 @contextmanager
