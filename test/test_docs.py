@@ -41,10 +41,15 @@ def pages():
 
 
 def commands(page):
-    """Yield the commands of a page's bash blocks, one per && or | part, joined lines."""
+    """
+    Yield the commands of a page's bash blocks, one per && or | part, joined lines.
+
+    Programs of the venv that the README makes are named as if it were active.
+    """
     for block in re.findall(r'^```bash\n(.*?)^```', page.read_text(), re.M | re.S):
         for line in block.replace('\\\n', ' ').splitlines():
-            yield from filter(None, (part.strip() for part in re.split(r'&&|\|', line)))
+            for part in filter(None, map(str.strip, re.split(r'&&|\|', line))):
+                yield part.removeprefix('~/dxl/bin/')
 
 
 def anchor(heading):
@@ -106,7 +111,7 @@ def known_parameters():
 
 @pages()
 def test_own_options_exist(page):
-    """Every --option behind one of our tools is in its --help."""
+    """Every --option after one of our tools is in its --help."""
     for command in commands(page):
         program = command.removeprefix('ros2 run mecarover_serial ').split()[0]
         if program in TOOLS - {'vel2d_bridge', 'dxl_monitor'} or program.startswith('deploy/'):
