@@ -42,52 +42,60 @@ from vel2d_bridge.timing import Timing
 ROOT = Path(__file__).resolve().parents[1]
 NOTE = '<!-- Made from the code by docs/generate.py: edit that, or the code. -->\n'
 
+TOPICS = (
+    ('`cmd_vel` (subscribed)', 'Twist or TwistStamped', 'x, y, omega; `message_type`'),
+    ('`/diagnostics`', 'DiagnosticArray, 1 Hz and at a change of level',
+     'link, commands, buses, devices'),
+    ('`dxl/diagnostics`', 'DiagnosticArray, 2 Hz', 'buses and devices, with every register seen'),
+    ('`dxl/joint_states`', 'JointState', 'off by default: `joint_state_rate`'),
+    ('`vel2d/timing`, `dxl/timing`', 'DiagnosticArray, 1 Hz', 'latencies, rates, bus load'),
+    ('`vel2d/timing/...`, `dxl/timing/...`', 'Float64, 1 Hz', 'the same for rqt_plot'),
+)
 LINK = {
-    'Port': 'as in the parameter `port`',
+    'Port': '',
     'State': 'open or closed',
     'In this state for (s)': '',
-    'Frames sent': 'since start, stops and repetitions included',
-    'Last x (m/s)': 'of the last frame written',
+    'Frames sent': 'with stops and repetitions',
+    'Last x (m/s)': '',
     'Last y (m/s)': '',
     'Last omega (rad/s)': '',
-    'Openings': 'how often the port was opened',
+    'Openings': 'of the port',
     'Reopenings': 'openings after the first',
-    'Losses': 'how often an open port was lost',
-    'Write time-outs': 'frames thrown away because they did not leave within `write_timeout`; '
-                       'a stop followed each',
-    'Partial writes': 'frames of which the port took a part; never completed, a stop followed',
-    'Freezes': 'the bridge stood still for 0.2 s or more, or the dead man acted',
-    'Deadman': 'ready, off (parameter), no use (a URL it cannot write to; WARN), or '
-               'lost (ERROR)',
-    'Bytes from MCU': 'text from the MCU is logged at INFO',
+    'Losses': 'of an open port',
+    'Write time-outs': 'frames discarded after `write_timeout`; a stop followed each',
+    'Partial writes': 'the port took part of a frame; not completed, a stop followed',
+    'Freezes': 'no activity for 0.2 s or more, or the dead man acted',
+    'Deadman': 'ready, off (parameter), no use (a URL that it cannot write to: WARN), or lost '
+               '(ERROR)',
+    'Bytes from MCU': 'text is logged at INFO',
     'Lines from MCU': '',
     'Garbage from MCU (B)': 'bytes that are not text',
-    'Refused by MCU: crc mismatch': 'frames that the MCU says it refused; WARN for 10 s',
-    'Refused by MCU: insufficient bytes': 'the same, because their length was wrong',
+    'Refused by MCU: crc mismatch': 'reported by the MCU; WARN for 10 s',
+    'Refused by MCU: insufficient bytes': 'the same: a wrong length',
     'Last error': 'stays after recovery',
 }
 COMMANDS = {
-    'Topic': 'with namespace and remapping',
-    'Message type': 'twist or twist_stamped, as subscribed now',
+    'Topic': 'after namespace and remapping',
+    'Message type': 'subscribed now: twist or twist_stamped',
     'Reliability': 'of the subscription: reliable while every publisher is',
     'State': 'driving, stopped, disabled, or unknown: no stop could be sent',
-    'Enabled': 'see the service `~/enable`',
-    'Commands received': 'since start',
+    'Enabled': 'service `~/enable`',
+    'Commands received': '',
     'Commands accepted': '',
     'Commands limited': 'accepted, but scaled into the limits',
     'Commands replaced': 'accepted, but a newer one came before they were sent (`max_rate`)',
     'Zero stamps': 'TwistStamped without a stamp: accepted',
-    'Refused: not finite': 'NaN or infinity in x, y or omega',
-    'Refused: larger than 1e6': 'm/s or rad/s; the MCU would make infinity of the largest',
-    'Refused: disabled': 'while `~/enable` is off',
+    'Refused: not finite': 'NaN or infinity',
+    'Refused: larger than 1e6': 'm/s or rad/s',
+    'Refused: disabled': '',
     'Refused: port not open': '',
-    'Refused: bridge was frozen': 'in the 0.2 s after a freeze: it may have waited in a socket',
-    'Refused: waited too long': 'older than `cmd_vel_timeout` when the node got to it',
+    'Refused: bridge was frozen': 'in the 0.2 s after a freeze: it may be old',
+    'Refused: waited too long': 'in the middleware, for more than `cmd_vel_timeout`',
     'Refused: stamp too old': '`max_stamp_age`',
     'Refused: stamp in the future': '`max_stamp_age`',
     'Refused: shutting down': '',
     'Time-outs': 'no accepted command for `cmd_vel_timeout`: stopped',
-    'Stops: port opened': 'stop bursts by cause',
+    'Stops: port opened': 'stop bursts, by cause',
     'Stops: time-out': '',
     'Stops: zero command': 'a command of zero while driving',
     'Stops: disabled': '',
@@ -101,37 +109,37 @@ DEVICE = {
     'Model': 'learned from a Ping, from a read of Model Number, or from the parameter `devices`',
     'Firmware Version': '',
     'State': 'see below',
-    'Answers': 'since start or reset',
-    'Missed Answers': 'it was asked, and the next instruction came first',
+    'Answers': 'since start or reset, as all counters',
+    'Missed Answers': 'the next instruction came before the answer',
     'Missed in a Row': 'more than `missed_limit`: disconnected',
     'Loss in 10 s (%)': 'answers missed in the last 10 s; above `warn_loss`: WARN',
-    'Not Served': 'it waits behind a silent device in a Sync Read: not its fault',
-    'Damaged Answers': 'its CRC was wrong',
-    'Repaired Answers': 'the first header byte was damaged, the CRC right: accepted',
+    'Not Served': 'in a Sync Read that ended at a silent device before it: not its fault',
+    'Damaged Answers': 'wrong CRC or sum',
+    'Repaired Answers': 'first header byte damaged, CRC right: accepted',
     'Refused Instructions': 'answers with an error number',
     'Alert Answers': 'answers with the alert bit',
-    'Writes': 'by the master',
-    'Reply latency p50 (ms)': 'left out below 20 % resolved',
+    'Writes': '',
+    'Reply latency p50 (ms)': 'if at least 20 % are resolved',
     'Reply latency p95 (ms)': '',
-    'Reply latency resolved (%)': 'share of the answers with a delay that the adapter shows',
+    'Reply latency resolved (%)': 'share of answers whose delay the adapter shows',
 }
 BUS = {
     'Port': '',
     'Baud (bit/s)': '',
-    'Protocol': 'what was heard: Dynamixel 2.0, Dynamixel 1.0, Feetech (docs/dialects.md)',
-    'Devices': 'all that are known or expected; a line per state follows',
+    'Protocol': '[as heard](dialects.md)',
+    'Devices': 'known or expected; then a key for each state',
     'Models': 'IDs, model and model number: `001-018 MX-106 (321), 019 unknown`',
-    'Bytes': 'received since start or reset: the sum of the next three',
+    'Bytes': 'the sum of the next three',
     'Packet Bytes': '',
-    'Noise Bytes': 'bytes that belong to no packet',
-    'Pending Bytes': 'of a packet that is not complete yet',
+    'Noise Bytes': 'in no packet',
+    'Pending Bytes': 'of an incomplete packet',
     'Packets': '',
-    'Instructions': 'from the master',
+    'Instructions': '',
     'Repaired Packets': 'first header byte damaged, CRC right',
     'CRC Errors': '',
     'Truncated Packets': '',
     'Bad Lengths': '',
-    'Unasked Answers': 'no instruction had asked for them: they change no table',
+    'Unasked Answers': 'without an instruction: they change no table',
     'Unknown Instructions': '',
     'bytes (1/s)': 'over the last 10 s',
     'packets (1/s)': '',
@@ -144,51 +152,52 @@ STATES = (
     (words.SILENT, 'STALE', 'not asked, and silent, for `silent_after`'),
     (words.EXPECTED, 'ERROR', 'listed in `devices`, never heard'),
     (words.ASKED, 'WARN or STALE', 'the master addresses it; never heard, not listed'),
-    (words.WAITING, 'WARN', 'asked, but behind a silent device in the same Sync Read'),
-    (words.MOVED, 'WARN', 'its Baud Rate was written: it left this bus'),
+    (words.WAITING, 'WARN', 'in a Sync Read, after a silent device'),
+    (words.MOVED, 'WARN', 'its Baud Rate was written'),
 )
 METRICS = {
-    'callback_to_write': 'from the arrival of a command in the node to the end of its write',
+    'callback_to_write': 'from the callback of a command to the end of its write',
     'write': 'the write call of a frame',
     'command_period': 'between two commands',
-    'stamp_age': 'age of a TwistStamped when it arrives; needs clocks that agree',
+    'stamp_age': 'of a TwistStamped at arrival; needs clocks that agree',
     'frame_rate': 'frames sent',
-    'resident_memory': 'of the process',
-    'time_per_buffer': 'what the monitor takes for one read',
+    'resident_memory': '',
+    'time_per_buffer': 'to process one read',
     'time_between_buffers': 'between two reads',
     'bytes_per_buffer': 'per read',
     'byte_rate': 'on the bus',
     'packet_rate': 'on the bus',
     'error_rate': 'damaged packets',
     'bus_load': 'wire time at 10 bits per byte',
-    'reply_latency': 'per device: end of the instruction to start of the answer',
+    'reply_latency': 'end of the instruction to start of the answer',
 }
 
 
 def parameters() -> str:
     """Return the page about parameters."""
     parts = ['# Parameters\n', NOTE,
-             'Set one with `--ros-args -p NAME:=VALUE`, with a settings file '
-             '([bridge.yaml](../config/bridge.yaml), [monitor.yaml](../config/monitor.yaml)), or '
-             'with a launch argument of the same name where there is one (`ros2 launch '
-             'mecarover_serial bridge.launch.py -s` lists them). An integer is good where a '
-             'double is wanted, one value where a list is wanted. A wrong value ends the node '
-             'with one line and exit code 2. "Run time" = `ros2 param set` changes it while the '
-             'node runs.\n']
+             'Set one with `--ros-args -p NAME:=VALUE`, in a settings file '
+             '([bridge.yaml](../config/bridge.yaml), [monitor.yaml](../config/monitor.yaml); copy '
+             'it, then `--params-file FILE` or the launch argument `config:=$PWD/FILE`), or with '
+             'the launch argument of the same name (`ros2 launch mecarover_serial '
+             'bridge.launch.py -s` lists them). A launch argument wins over the file. A wrong '
+             'value ends the node with one line and exit code 2. **Bold**: `ros2 param set` '
+             'changes it while the node runs.\n']
     for node, some in (('vel2d_bridge', BRIDGE), ('dxl_monitor', MONITOR)):
-        parts += [f'## {node}\n', _table(
-            ('parameter', 'type', 'default', 'unit', 'values', 'run time', 'meaning'),
-            [_parameter_row(one) for one in some])]
-    parts.append('`vel2d_bridge` also takes `qos_overrides./cmd_vel.subscription.reliability`, '
-                 '`.history` and `.depth`, as any ROS 2 node with overridable QoS.\n')
+        parts += [f'## {node}\n', _table(('parameter', 'default', 'values', 'meaning'),
+                                         [_parameter_row(one) for one in some])]
+    parts.append('And `qos_overrides./cmd_vel.subscription` of the bridge, '
+                 '`qos_overrides./dxl/joint_states.publisher` of the monitor: `.reliability`, '
+                 '`.history`, `.depth`.\n')
     return '\n'.join(parts)
 
 
 def _parameter_row(one: Parameter) -> tuple[str, ...]:
     default = str(one.default).lower() if isinstance(one.default, bool) else \
         "''" if one.default == '' else str(one.default)
-    return (f'`{one.name}`', one.type_name, f'`{default}`', one.unit, one.range_text,
-            'yes' if one.run_time else 'no', one.description)
+    name = f'**`{one.name}`**' if one.run_time else f'`{one.name}`'
+    values = f'{one.range_text} {one.unit}'.strip()
+    return name, f'`{default}`', values, one.description
 
 
 def diagnostics() -> str:
@@ -198,57 +207,53 @@ def diagnostics() -> str:
     bridge_metrics = Timing().metrics(0)
     own = [Metric('resident_memory', 'MB')]
     return '\n'.join([
-        '# Diagnostics and timing topics\n', NOTE,
-        'Levels come from what happens now (the last 10 s), not from counts since start. Units '
-        'stand in the key, values are bare numbers: PlotJuggler and Foxglove plot them by name '
-        '([plotting.md](plotting.md)).\n',
-        'In a namespace the names and hardware IDs begin with it, because all robots of a ROS '
-        'domain share `/diagnostics`: `rover1/dxl_monitor: 011`, hardware ID `rover1/11`.\n',
-        'A report of more than 30 statuses or 60 kB is cut into equal messages, spread over the '
-        'period; each of its statuses says which one it stands in: `part` = `1 of 2`. `ros2 topic '
-        'hz` then counts so many messages more.\n',
-        '## `/diagnostics`: `vel2d_bridge: link`\n', _table(('key', 'meaning'), _rows(link, LINK)),
-        '## `/diagnostics`: `vel2d_bridge: commands`\n',
-        _table(('key', 'meaning'), _rows(commands, COMMANDS)),
-        'A WARN or ERROR gives its reason and remedy in the message; all of them as '
-        '`Complaint 1`, `Complaint 2` ...\n',
-        '## `/diagnostics`, `dxl/diagnostics`: `dxl_monitor: bus [NAME]`\n',
-        _table(('key', 'meaning'), _rows(bus, BUS)),
-        'Then what the driver of the port tells, `finding.RULE` for each finding of the doctor '
-        'about the bus with `severity.RULE` (`warn` or `error`) beside it, `cannot tell.RULE` '
-        'with the reason for each rule that it cannot judge, and, on `dxl/diagnostics` only, '
-        '`Running for (s)` and the last 50 errors as `error 00` (the newest) to `error 49`, dated '
-        'in seconds since the start.\n',
-        '## `/diagnostics`, `dxl/diagnostics`: `dxl_monitor: [BUS/]ID [JOINT]`\n',
-        _table(('key', 'meaning'), _rows(device, DEVICE)),
-        'Then `finding.RULE` and `severity.RULE` for each finding about the device '
-        '([doctor.md](doctor.md)) and, on `dxl/diagnostics` only, '
+        '# Topics and status keys\n', NOTE,
+        _table(('topic', 'type', 'content'), TOPICS),
+        'Services: `/vel2d_bridge/enable` (SetBool), `/vel2d_bridge/reset_statistics`, '
+        '`/dxl_monitor/reset_statistics` (Trigger).\n',
+        'Levels come from the last 10 s, not from counts since start. Keys contain the unit, '
+        'values are bare numbers. In a namespace, names and hardware IDs begin with it: '
+        '`rover1/dxl_monitor: 011`, `rover1/11`. A report of more than 30 statuses or 60 kB is '
+        'cut into equal messages, and each status has `part` = `1 of 2`.\n',
+        '## `vel2d_bridge: link`\n', *_keys(link, LINK),
+        '## `vel2d_bridge: commands`\n', *_keys(commands, COMMANDS),
+        'At WARN and ERROR the message has reason and remedy; all of them: `Complaint 1`, '
+        '`Complaint 2` ...\n',
+        '## `dxl_monitor: bus [NAME]`\n', *_keys(bus, BUS),
+        'Then counters of the driver; `finding.RULE` and `severity.RULE` (`warn` or '
+        '`error`) for each [finding](doctor.md) about the bus; `cannot tell.RULE` with the reason '
+        'for each rule that it cannot judge. On `dxl/diagnostics` only: `Running for (s)`, and '
+        'the last 50 errors, `error 00` (the newest) to `error 49`, in seconds since start.\n',
+        '## `dxl_monitor: [BUS/]ID [JOINT]`\n', *_keys(device, DEVICE),
+        'Then `finding.RULE` and `severity.RULE` about the device. On `dxl/diagnostics` only: '
         'every register that was seen on the bus, `Present Position (rad)` = `1.5708`; enums and '
-        'flags in words, with `NAME (raw)` beside them; `Fields not observed`; and `observed`, '
-        'JSON: age in seconds and `r` (read from the device) or `w` (written by the master) of '
-        'each.\n',
+        'flags as text, and `NAME (raw)`; `Fields not observed`; `observed`, JSON: age in seconds '
+        'and `r` (read from the device) or `w` (written by the master) of each.\n',
         _table(('state', 'level', 'meaning'), STATES),
         '## Timing\n',
-        'Each metric over the last 10 s and since start (`since start ...`): mean, deviation, '
-        'min, max, p50, p95, p99, count, or `value`. On `vel2d/timing` and `dxl/timing` '
-        '(DiagnosticArray, a status per metric: `vel2d_bridge: timing/write`); the p95 or the '
-        'value alone as std_msgs/Float64. With the parameter `timing_topics` `all` they are also '
-        'statistics_msgs/MetricsMessage on `vel2d/statistics/...` and '
-        '`dxl/statistics/...`; `off` takes all of them away. With several buses the bus name '
-        'stands before the metric.\n',
-        _table(('topic (Float64)', 'unit', 'meaning'), [
+        'On `vel2d/timing` and `dxl/timing` a status for each metric (`vel2d_bridge: '
+        'timing/write`): mean, deviation, min, max, p50, p95, p99, count, or `value`, over the '
+        'last 10 s and since start. The topics below have the p95 or the value. The parameter '
+        '`timing_topics` `all` adds statistics_msgs/MetricsMessage on `vel2d/statistics/...` and '
+        '`dxl/statistics/...`; `off` removes all. With several buses the bus name comes before '
+        'the metric.\n',
+        _table(('topic (Float64)', 'meaning'), [
             *_metric_rows('vel2d', bridge_metrics), *_metric_rows('dxl', [*bus_metrics, *own])]),
         'Per device, on `dxl/timing` only: ' + ', '.join(
-            f'`{one.name}` ({one.unit}): {METRICS[one.name]}' for one in metrics_of_device)
+            f'`{one.name}` ({one.unit}), {METRICS[one.name]}' for one in metrics_of_device)
         + '.\n'])
 
 
-def _rows(keys: Iterable[str], meanings: dict[str, str]) -> list[tuple[str, str]]:
-    return [(f'`{key}`', meanings[key]) for key in keys]
+def _keys(keys: Sequence[str], meanings: dict[str, str]) -> list[str]:
+    """Return a table of the keys that need a meaning, and the others in a line."""
+    plain = [f'`{key}`' for key in keys if not meanings[key]]
+    return [_table(('key', 'meaning'), [
+        (f'`{key}`', meanings[key]) for key in keys if meanings[key]]),
+        f'And {", ".join(plain)}.\n']
 
 
 def _metric_rows(prefix: str, metrics: Sequence[Metric]) -> list[tuple[str, ...]]:
-    return [(f'`{prefix}/timing/{one.name}_{unit_name(one.unit)}`', one.unit, METRICS[one.name])
+    return [(f'`{prefix}/timing/{one.name}_{unit_name(one.unit)}`', METRICS[one.name])
             for one in metrics]
 
 
