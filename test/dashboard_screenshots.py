@@ -28,11 +28,9 @@ import ros_side
 from synthetic_robot import JOINTS
 
 ROOT = Path(__file__).parents[1]
-FOR_DOCS = ('overview-desktop-dark', 'overview-desktop-light', 'overview-phone-dark',
-            'overview-phone-light', 'overview-touch-dark', 'overview-touch-light',
-            'device-desktop-light', 'device-phone-dark', 'devices-desktop-dark',
-            'log-desktop-light', 'bridge-desktop-dark', 'history-desktop-light',
-           'device-touch-dark')
+FOR_DOCS = ('overview-desktop-dark', 'overview-desktop-light', 'overview-phone-light',
+            'overview-touch-dark', 'device-desktop-light', 'log-desktop-light',
+            'bridge-desktop-dark', 'history-desktop-light')
 WARM_UP_S = 75                  # until the plots have lines
 LOOK_S = 20                     # at a device, so that its plot has a line
 # The names of the ports are in the pictures. PORTS=/dev gives real ones: run it as root in a mount
