@@ -9,7 +9,7 @@ from benchmark.harness import say
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.port.source_name import listener_on
+from dxl_monitor.port.listeners import listener_on
 
 QUIET_S = 0.5
 

@@ -15,7 +15,6 @@ from threading import Lock
 from time import monotonic_ns
 from typing import NamedTuple
 
-from dxl_monitor import assess
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.conversation import Conversation
 from dxl_monitor.bus.conversation import DEFAULTS
@@ -24,12 +23,19 @@ from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import Cycle
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import PROTOCOL_2
+from dxl_monitor.bus.table import Table
 from dxl_monitor.doctor import Doctor
+from dxl_monitor.doctor.case import Names
+from dxl_monitor.doctor.case import PARAMETERS
 from dxl_monitor.joints import fresh
 from dxl_monitor.joints import Joints
+from dxl_monitor.model import control_table
 from dxl_monitor.model.layers import model_key
 from dxl_monitor.model.models import Models
 from dxl_monitor.port.driver import LineErrors
+from msg_defs.dxl_instruction import error_text
 from msg_defs.heard import BREAK
 from msg_defs.heard import Change
 from msg_defs.heard import CLOSED
@@ -67,24 +73,23 @@ class Monitor:
 
     idle_is_told: by flush_if_idle(), again and again while nothing comes. Then time counts only
     while the port is open; else the stamps alone say when the line was idle. conversation: where
-    a tool needs more of each packet than a report tells.
+    a tool needs more of each packet than a report tells. names: what the doctor's remedies name.
     """
 
     def __init__(self, name: str, models: Models, settings: Settings = DEFAULTS,
                  clock: Callable[[], int] = monotonic_ns, *, idle_is_told: bool = False,
-                 conversation: Conversation | None = None) -> None:
+                 conversation: Conversation | None = None, names: Names = PARAMETERS) -> None:
         self.name = name
         self.settings = settings
         self._clock = clock
         self._models = models
         self._lock = Lock()
-        self.doctor = Doctor()
+        self._names = names
+        self.doctor = Doctor(settings, names)
         self._examining = Lock()               # the doctor remembers from report to report
         self.conversation = said = conversation or Conversation(models, settings)
         self._tracker, self._roster, self._evidence = said.tracker, said.roster, said.evidence
         self._line_errors: LineErrors | None = None    # told by the source beside the bytes
-        self._limits = assess.Thresholds(settings.missed_limit, settings.warn_loss,
-                                         settings.silent_after)
         self._idle_is_told = idle_is_told
         self._last = 0                         # stamp of the last chunk
         self._listened = 0                     # up to when all that came was fed, if told
@@ -163,7 +168,8 @@ class Monitor:
             for device in self._roster.devices.values():
                 device.reset_statistics()
         with self._examining:
-            self.doctor = Doctor()             # it compares with what was counted before
+            # The old one compares with what was counted before.
+            self.doctor = Doctor(self.settings, self._names)
 
     def report(self, now: int, line_errors: LineErrors | None = None,
                is_listening: bool = True) -> BusReport:
@@ -183,20 +189,21 @@ class Monitor:
                 self._tick(now)
             cycles = _cycles(self._tracker.planner.plans())
             bus = self._bus_report(now, cycles)
-        devices = tuple(assess.complete(self._snapshot(device, now), now)
-                        for device in self._by_id() if device.number not in bus.scanned)
-        level, message = assess.judge_bus(bus, devices)
+        devices = tuple(self._device_report(device, now) for device in self._by_id()
+                        if device.number not in bus.scanned)
         with self._examining:
             return self.doctor.examine(bus._replace(
-                devices=devices, level=level, message=message,
-                line_errors=line_errors or self._line_errors,
+                devices=devices, line_errors=line_errors or self._line_errors,
                 metrics=self._metrics(now, bus.rates)))
 
-    def _snapshot(self, device: Device, now: int) -> assess.Snapshot:
+    def _device_report(self, device: Device, now: int) -> DeviceReport:
         with self._lock:
             self._roster.resolve(device)
             quiet_ns = self._listened - max(device.heard, device.asked_stamp, self._resumed)
-            return assess.snapshot(device, now, quiet_ns / 1e9, self._limits)
+            report, table = _facts(device, now, quiet_ns / 1e9)
+        observed = tuple(table.observed(report.model, now))
+        return report._replace(observed=observed,
+                               unobserved=len(report.model.fields) - len(observed))
 
     def joints(self, since: int) -> Joints:
         """Return what was read of joints after the stamp `since`, without a whole report."""
@@ -324,6 +331,25 @@ class Monitor:
         return (*(Metric(name, unit, one.summary(now), one.total(), bus=self.name)
                   for name, unit, one in series),
                 *(Metric(name, unit, value=value, bus=self.name) for name, unit, value in values))
+
+
+def _facts(device: Device, now: int, quiet_s: float) -> tuple[DeviceReport, Table]:
+    """Return what is known of a device, and a copy of its table: that is decoded later."""
+    model = device.model
+    name = f'unknown ({device.model_number})' \
+        if model is control_table.UNKNOWN and device.model_number is not None else model.name
+    return DeviceReport(
+        id=device.number, name=f'{device.number:03} {device.joint}'.rstrip(), joint=device.joint,
+        protocol=device.dialect.name if device.dialect is not None else PROTOCOL_2,
+        model=model, model_number=device.model_number, model_name=name, firmware=device.firmware,
+        state='', level=Level.OK, message='', totals=device.counts.copy(),
+        window=device.window(), missed_in_a_row=device.missed_in_a_row,
+        waiting_behind=device.waiting_behind,
+        last_heard_s=(now - device.heard) / 1e9 if device.heard else None, alert=device.alert,
+        last_error=error_text(device.last_error), status_return_level=device.return_level,
+        acks=device.acks, acks_missing=device.acks_missing, observed=(), unobserved=0,
+        latency=device.latency_report(now), errors=dict(device.errors), expected=device.expected,
+        moved_to=device.moved_to, quiet_s=quiet_s), device.table.copy()
 
 
 def _cycles(plans: list[Plan]) -> tuple[Cycle, ...]:

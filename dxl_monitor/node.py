@@ -26,9 +26,9 @@ from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.driver import adapter
 from dxl_monitor.port.listener import STARTING
 from dxl_monitor.port.listener import TAKE_EVERY_S
+from dxl_monitor.port.listeners import listener_on
 from dxl_monitor.port.reader import NAME as READER_NAME
 from dxl_monitor.port.source_name import is_live
-from dxl_monitor.port.source_name import listener_on
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.recorder import Recorder
 from dxl_monitor.settings import Bus

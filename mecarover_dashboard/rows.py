@@ -37,9 +37,6 @@ _ERROR = re.compile(r'(\d+\.\d+) s: (.*)', re.DOTALL)
 _VALUES = ((b'Present Position (',), (b'Present Temperature (', b'Present Motor Temperature ('),
            (b'Present Input Voltage (', b'Present Voltage ('),
            (b'Present Load (', b'Present Current ('))
-_NO_MODEL = ('model unknown, its registers cannot be read; '
-             "name it in `devices`: '{id}:MODEL', or let the master read Model Number")
-_NO_FILE = 'no file for this model, its registers cannot be read; add one to `model_dirs`'
 
 
 class FieldRow(NamedTuple):
@@ -128,7 +125,7 @@ def _device(status: RawStatus, rest: str) -> Row:
     pairs = status.pairs(HEAD)
     values = dict(reversed(pairs))      # a field of the table may be called like a fact
     id_, _, joint = _own_name(status, rest).partition(' ')
-    return _blind(status, values[keys.MODEL], int(id_)) | {
+    return {
         'bus': _bus_of(status),
         'id': int(id_),
         'joint': joint,
@@ -139,14 +136,6 @@ def _device(status: RawStatus, rest: str) -> Row:
         'latency': calm(values.get(keys.LATENCY_P50, '')),
         'findings': _findings(pairs),
     }
-
-
-def _blind(status: RawStatus, model: str, device: int) -> Row:
-    """Return what stands above a device without names for its registers: it only looks well."""
-    if status.level != Level.OK or not model.startswith('unknown'):
-        return {}
-    text = _NO_MODEL.format(id=device) if model == 'unknown' else _NO_FILE
-    return {'level': int(Level.WARN), 'message': text}
 
 
 def _bus(status: RawStatus, rest: str) -> Row:

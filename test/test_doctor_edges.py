@@ -130,9 +130,9 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      'this computer lost bytes 1 times: losses and damage are its own; give the monitor a higher '
      'priority or a better adapter', {'overruns': '1'},
      [{'marks': {10: {'overruns': 3}, 0: {'overruns': 3}}}]),
-    ('baud_moved', {'devices': [device(state=words.MOVED, message='moved to 57600 Bd')]},
-     'moved to 57600 Bd, the bus is at 1000000 Bd: write it back at its new rate, or move the '
-     'others and the master too', {}, [{'devices': [device()]}]),
+    ('baud_moved', {'devices': [device(state=words.MOVED, moved_to='57600 Bd')]},
+     'moved to 57600 Bd by a write, the bus is at 1000000 Bd: write it back at its new rate, or '
+     'move the others and the master too', {}, [{'devices': [device()]}]),
     ('noise', {'devices': TWO_HIT, 'notes': damage(5, 1, 1000 / 3), 'counters': {'Packets': 5000}},
      'less than 0.2 % of the packets damaged, in both directions, of several devices: check '
      'termination, ground, shielding and motor cables',

@@ -61,7 +61,7 @@ def test_the_doubts_of_a_bus_stand_while_it_is_silent() -> None:
 
 @pytest.mark.parametrize(('last_byte_s', 'is_judged'), [(0.5, True), (0.51, False), (None, True)])
 def test_a_bus_is_judged_while_there_are_bytes(last_byte_s: float | None, is_judged: bool) -> None:
-    wrong = device(state=words.MOVED, message='moved to 57600 Bd')
+    wrong = device(moved_to='57600 Bd')
     found = Doctor().examine(silent(last_byte_s=last_byte_s, devices=[wrong]))
     assert [one.rule for one in found.findings] == ['baud_moved'] * is_judged
 

@@ -156,7 +156,7 @@ def _nameless(case: Case, device: DeviceReport) -> Found | None:
 
 """),
                 ("    Rule('watchdog',", """\
-    Rule('nameless', Level.WARN, 'the parameter devices', each(_nameless)),
+    Rule('nameless', Level.WARN, each(_nameless)),
 """), named='dxl_monitor/doctor/FAMILY.py')
     code.change('docs/doctor.md', (
         '### watchdog\n', '### nameless\n*WARN, device.* No joint.\n\n'))
@@ -231,12 +231,11 @@ class HexListener(Listener):
             self._pause(1.0)
 """), named='dxl_monitor/port/')
     code.change('dxl_monitor/port/source_name.py',
-                ("TAP, USB = 'tap:'", "HEX = 'hex:'\n"),
-                ("has_sides(name) or '://'", 'name.startswith(HEX) or '),
-                ('    place = name.', '    name = name.removeprefix(HEX)\n'),
-                ('    from dxl_monitor.port.usb_listener',
-                 '    from dxl_monitor.port.hex_listener import HexListener\n'),
-                ('TAP: TapListener', 'HEX: HexListener, '))
+                ("TAP, USB = 'tap:'", "HEX = 'hex:'\n"), ('TAP, USB)              #', 'HEX, '))
+    code.change('dxl_monitor/port/listeners.py',
+                ('from dxl_monitor.port.listener import',
+                 'from dxl_monitor.port.hex_listener import HexListener\n'),
+                ('TAP: TapListener', "'hex:': HexListener, "))
     said = code.run('-m', 'dxl_monitor.tools.dump.main', '--count', '1',
                     'hex:fffffd0001030001194e')
     assert 'Ping' in said

@@ -71,6 +71,52 @@ def test_imports_go_downward(path):
             assert top not in IO, f'{package} does IO or looks at a clock: {module}'
 
 
+def modules():
+    """Return the file of each module of ours, equipment among it, by its name in imports."""
+    folders = (*LAYERS, 'benchmark', 'rigs', 'fuzz', 'docs')
+    return {'.'.join(path.relative_to(ROOT).with_suffix('').parts).removesuffix('.__init__'): path
+            for folder in folders for path in (ROOT / folder).rglob('*.py')}
+
+
+def imported(path, known):
+    """Return which of the known modules a file imports, wherever in it."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names |= {full if (full := f'{node.module}.{alias.name}') in known else node.module
+                      for alias in node.names}
+    return sorted(names & known.keys())
+
+
+def circle_in(arrows):
+    """Return a circle in {module: [modules that it imports]}, [] where there is none."""
+    done, way = set(), []
+
+    def visit(name):
+        if name in way:
+            return [*way[way.index(name):], name]
+        if name in done:
+            return []
+        way.append(name)
+        found = next(filter(None, map(visit, arrows.get(name, ()))), [])
+        way.pop()
+        done.add(name)
+        return found
+    return next(filter(None, map(visit, arrows)), [])
+
+
+def test_imports_make_no_circle():
+    known = modules()
+    assert circle_in({name: imported(path, known) for name, path in known.items()}) == []
+
+
+def test_a_circle_would_be_seen():
+    assert circle_in({'a': ['b'], 'b': ['c', 'd'], 'c': [], 'd': ['b']}) == ['b', 'd', 'b']
+    assert circle_in({'a': ['b', 'c'], 'b': ['c'], 'c': []}) == []
+
+
 def room_of(parts):
     """Return the room of a module of dxl_monitor, from the parts of its name or path."""
     return parts[1] if len(parts) > 1 and parts[1] in ROOMS else ''

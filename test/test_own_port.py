@@ -39,8 +39,8 @@ from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor import Settings
 from dxl_monitor.port import usb_listener
+from dxl_monitor.port.listeners import listener_on
 from dxl_monitor.port.source_name import bus_name
-from dxl_monitor.port.source_name import listener_on
 from dxl_monitor.port.usb_find import find
 from dxl_monitor.port.usb_port import Place
 from dxl_monitor.port.usb_port import UsbPort

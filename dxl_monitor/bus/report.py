@@ -158,7 +158,14 @@ class ReplyLatency(NamedTuple):
 
 
 class DeviceReport(NamedTuple):
-    """One device. level and message say the worst about it in a few words."""
+    """
+    One device. level and message say the worst about it in a few words.
+
+    | attributes | who writes them |
+    |---|---|
+    | state, level, message | the doctor; blank until then |
+    | all others | Monitor, under its lock |
+    """
 
     id: int
     name: str                      # '011', with the joint name where `devices` gives one
@@ -185,6 +192,9 @@ class DeviceReport(NamedTuple):
     unobserved: int                # fields of the model that were never seen
     latency: ReplyLatency
     errors: dict[tuple[int, int, int], int]     # (instruction, address, error number): how often
+    expected: bool = False         # listed in `devices`
+    moved_to: str = ''             # the baud rate that was written to it, in words
+    quiet_s: float = 0.0           # neither heard nor asked for so long, while the port was open
 
 
 class Cycle(NamedTuple):
@@ -200,7 +210,14 @@ class Cycle(NamedTuple):
 
 
 class BusReport(NamedTuple):
-    """One bus at one moment."""
+    """
+    One bus at one moment.
+
+    | attributes | who writes them |
+    |---|---|
+    | level, message, findings, doubts | the doctor; blank until then |
+    | all others | Monitor; line_errors: the driver of the port |
+    """
 
     name: str
     stamp: int                     # now, monotonic ns

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from dxl_monitor.bus.conversation import DEFAULTS
+from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Finding
@@ -24,11 +26,14 @@ from dxl_monitor.doctor import setting_up
 from dxl_monitor.doctor import timing
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import History
+from dxl_monitor.doctor.case import Names
+from dxl_monitor.doctor.case import PARAMETERS
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import MODEL
 from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.doctor.state import judged
 from dxl_monitor.model.control_table import UNKNOWN
 from msg_defs.reports import Level
 from msg_defs.reports import worst
@@ -51,18 +56,21 @@ _Key = tuple[str, int | None]
 class Doctor:
     """The findings of one bus over time. Not thread-safe: one caller at a time."""
 
-    def __init__(self) -> None:
+    def __init__(self, settings: Settings = DEFAULTS, names: Names = PARAMETERS) -> None:
+        self._settings, self._names = settings, names
         self._history = History()
         self._standing: dict[_Key, tuple[Claim, int]] = {}
         self._since: dict[_Key, int] = {}          # claimed without a break
         self._doubts: tuple[Finding, ...] = ()
 
     def examine(self, report: BusReport) -> BusReport:
-        """Return the report with findings, and with the levels and messages they call for."""
+        """Return the report with states, findings, levels and messages."""
+        report = judged(report, self._settings, self._names)
         case = self._history.take(report)
+        case.names = self._names
         if case.quiet_s and (report.last_byte_s or 0.0) > HUSH_S:
             findings = self._last_told(case)
-            return _with(report, findings, self._doubts or _lost_from(case))
+            return _with(case, findings, self._doubts or _lost_from(case))
         doubts: list[Finding] = []
         since: dict[_Key, int] = {}
         for rule in RULES:
@@ -80,7 +88,7 @@ class Doctor:
         findings = self._told()
         claimed = {(finding.rule, finding.device) for finding in findings}
         self._doubts = tuple(one for one in doubts if (one.rule, one.device) not in claimed)
-        return _with(report, findings, self._doubts)
+        return _with(case, findings, self._doubts)
 
     def _last_told(self, case: Case) -> tuple[Finding, ...]:
         """Return what was known when the master asked last: nothing new can be judged."""
@@ -132,19 +140,22 @@ def _finding(rule: Rule, claim: Claim) -> Finding:
     return Finding(rule.name, level, claim.device, claim.message, claim.figures)
 
 
-def _with(report: BusReport, findings: tuple[Finding, ...],
+def _with(case: Case, findings: tuple[Finding, ...],
           doubts: tuple[Finding, ...]) -> BusReport:
+    report = case.report
     first: dict[int | None, Finding] = {}
     for finding in findings:
         first.setdefault(finding.device, finding)
-    devices = tuple(_worsened(device, first[device.id]) if device.id in first else device
-                    for device in report.devices)
+    report = report._replace(
+        findings=findings, doubts=doubts,
+        devices=tuple(_worsened(device, first[device.id]) if device.id in first else device
+                      for device in report.devices))
     bus = first.get(None)
     if bus is not None and bus.level is not Level.OK:
-        report = report._replace(level=worst((report.level, bus.level)), message=bus.message)
-    elif any(doubt.rule == configuration.MODELS for doubt in doubts):
-        report = report._replace(message=f'{report.message}; not all models known: set `devices`')
-    return report._replace(devices=devices, findings=findings, doubts=doubts)
+        return report._replace(level=worst((report.level, bus.level)), message=bus.message)
+    if any(doubt.rule == configuration.MODELS for doubt in doubts):
+        return configuration.with_models_named(report, case.names)
+    return report
 
 
 def _worsened(device: DeviceReport, finding: Finding) -> DeviceReport:

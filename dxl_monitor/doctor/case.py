@@ -51,6 +51,18 @@ Counted = tuple[int, dict[int, Counts]]        # stamp, the totals of each devic
 Key = tuple[int, tuple[int, ...], int | None]  # a cycle's instruction, IDs, address
 
 
+class Names(NamedTuple):
+    """What a remedy tells a person to set, as it is called there: a parameter or an option."""
+
+    bauds: str
+    devices: str
+    folders: str
+
+
+PARAMETERS = Names('`bauds`', '`devices`', '`model_dirs`')
+OPTIONS = Names('-b', '--devices', '--model-dirs')
+
+
 class TwoClocks(NamedTuple):
     """One instruction that two loops repeat; when that was seen last."""
 
@@ -92,6 +104,7 @@ class Case:
                  rhythms: list[Rhythm], counts: deque[Counted], steady: set[Key]) -> None:
         self.report = report
         self.now = report.stamp
+        self.names = PARAMETERS
         self.quiet_s = 0.0             # since the last instruction, where that is unusual
         self.wrecks: list[Wreck] = []  # damaged packets that are recognised
         self.steady = steady           # instructions that kept time, once

@@ -8,9 +8,12 @@ from collections import Counter
 from collections.abc import Iterator
 
 from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import CONNECTED
 from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import each
@@ -191,8 +194,8 @@ def _refusals(case: Case, device: DeviceReport) -> Found | None:
     for (instruction, address, error), count in _refused(case, device).most_common(1):
         if count >= FEW and address >= 0:
             return Claim(device.id, f'refuses {name_of(instruction)} at {address} '
-                         f'({error_text(error)}): name its model in `devices` to learn what '
-                         'stands there', (('refused', str(count)),))
+                         f'({error_text(error)}): name its model in {case.names.devices} to learn '
+                         'what stands there', (('refused', str(count)),))
     return None
 
 
@@ -242,32 +245,41 @@ def _models(case: Case) -> Iterator[Found]:
                if device.model is UNKNOWN and device.last_heard_s is not None]
     if unknown and (case.now - case.report.started) / S >= POLLED_S:
         yield Doubt(None, f'{listed(unknown, 3)}: model not known, so registers have no names and '
-                    'some causes are not looked for; set `devices`, or let the master Ping')
+                    f'some causes are not looked for; set {case.names.devices}, or let the master '
+                    'Ping')
+
+
+def with_models_named(report: BusReport, names: Names) -> BusReport:
+    """Return a report whose messages say which models are not known, where all else is well."""
+    return report._replace(
+        message=f'{report.message}; not all models known: set {names.devices}',
+        devices=tuple(one._replace(message=f'{one.message}; {_remedy(one, names)}')
+                      if one.model is UNKNOWN and one.state == CONNECTED
+                      and one.level is Level.OK else one for one in report.devices))
+
+
+def _remedy(device: DeviceReport, names: Names) -> str:
+    if device.model_number is not None:
+        return f'no file for this model, its registers have no names: add one to {names.folders}'
+    return ('model unknown, its registers have no names: add '
+            f"'{device.id}:MODEL' to {names.devices}, or let the master read Model Number")
 
 
 RULES = (
-    Rule('eeprom_locked', Level.WARN, 'writes to EEPROM answered with Access, torque not known '
-         'to be off', each_with(ev.REFUSED, _eeprom_locked), needs=(MODEL,)),
-    Rule('wrong_address', Level.WARN, 'the same address refused again and again: Access, Data '
-         'Length or Data Range', each_with(ev.REFUSED, _wrong_address), needs=(MODEL,)),
-    Rule('refused', Level.WARN, 'as wrong_address, of a device of an unknown model',
-         each_with(ev.REFUSED, _refusals)),
-    Rule('impossible_id', Level.WARN, 'instructions to ID 253 or 255', _impossible_id),
-    Rule(STOPPED, Level.WARN, 'no instruction for far longer than usual', _master_stopped,
+    Rule('eeprom_locked', Level.WARN, each_with(ev.REFUSED, _eeprom_locked), needs=(MODEL,)),
+    Rule('wrong_address', Level.WARN, each_with(ev.REFUSED, _wrong_address), needs=(MODEL,)),
+    Rule('refused', Level.WARN, each_with(ev.REFUSED, _refusals)),
+    Rule('impossible_id', Level.WARN, _impossible_id),
+    Rule(STOPPED, Level.WARN, _master_stopped,
          holds=False),
-    Rule('scan', Level.OK, 'Pings to many IDs, or one broadcast Ping after the other', _scan,
+    Rule('scan', Level.OK, _scan,
          ('noise', 'damaged_answers', 'stray_bytes', 'turnaround', 'jitter'), holds=False),
-    Rule(MODELS, Level.OK, 'devices of unknown models answer', _models),
-    Rule('eeprom_wear', Level.WARN, f'{WORN} accepted writes to EEPROM in 10 s',
-         each(_eeprom_wear), ('torque_off',)),
-    Rule('fast_read_unsupported', Level.WARN, 'fast reads that always ended at a device which '
-         'answers other instructions, or has too old a firmware', _fast_reads,
+    Rule(MODELS, Level.OK, _models),
+    Rule('eeprom_wear', Level.WARN, each(_eeprom_wear), ('torque_off',)),
+    Rule('fast_read_unsupported', Level.WARN, _fast_reads,
          ('no_answer', 'sync_read_stops', 'all_silent', 'broken_cable', 'noise',
           'damaged_answers', 'missed_answers', 'jitter', 'wrong_address')),
-    Rule('unstuffed', Level.WARN, 'a whole instruction with FF FF FD and no stuffing behind it',
-         _unstuffed),
-    Rule('no_acks', Level.OK, 'writes without an acknowledgement from a device that answers reads',
-         each(_no_acks), ('missed_answers',)),
-    Rule('never_written', Level.OK, 'reads, and no writes while other servos are written',
-         each(_never_written)),
+    Rule('unstuffed', Level.WARN, _unstuffed),
+    Rule('no_acks', Level.OK, each(_no_acks), ('missed_answers',)),
+    Rule('never_written', Level.OK, each(_never_written)),
 )

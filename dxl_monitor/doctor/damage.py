@@ -51,6 +51,9 @@ _ALL_ELSE = (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'broken_cable', 'all
              'rebooted', 'brown_out', 'jitter', 'protocol_1', 'impatient_master', 'late_answers',
              'latency_timer', 'two_masters', 'bus_too_slow', 'never_written', 'overrun',
              'fast_read_unsupported', 'ping_only', 'no_acks', 'return_delay')
+# What is said of a bus without a packet where the bytes are too few for the rule.
+NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and check that it is a '
+              'servo bus, with D+ and D- not swapped')
 
 
 def _wrong_baud(case: Case) -> Iterator[Found]:
@@ -62,13 +65,13 @@ def _wrong_baud(case: Case) -> Iterator[Found]:
     load = _load(case)
     if load > IMPOSSIBLE:
         yield Claim(None, f'more bytes than {report.baud} Bd can carry: the bus is faster, set '
-                    '`bauds` to its rate', (('load (%)', f'{load:.0f}'),))
+                    f'{case.names.bauds} to its rate', (('load (%)', f'{load:.0f}'),))
         return
     if got < BYTES_NEEDED or good > GARBLED * got or case.count(ev.PROTOCOL_1):
         return
     rate = likely_rate(report.noise, report.baud)
-    remedy = f'what comes in looks like {rate} Bd: set `bauds` to it' if rate \
-        else "cannot tell the right one from it: set `bauds` to the bus's rate"
+    remedy = f'what comes in looks like {rate} Bd: set {case.names.bauds} to it' if rate \
+        else f"cannot tell the right one from it: set {case.names.bauds} to the bus's rate"
     errors = case.mark(0).framing - before.framing
     yield Claim(None, f'{got} bytes and no packets at {report.baud} Bd: {remedy}',
                 (('bytes', str(got)), ('framing errors', str(errors))))
@@ -87,8 +90,9 @@ def _load(case: Case) -> float:
 def _baud_moved(case: Case, device: DeviceReport) -> Found | None:
     if device.state != words.MOVED:
         return None
-    return Claim(device.id, f'{device.message}, the bus is at {case.report.baud} Bd: write it '
-                 'back at its new rate, or move the others and the master too')
+    return Claim(device.id, f'moved to {device.moved_to} by a write, the bus is at '
+                 f'{case.report.baud} Bd: write it back at its new rate, or move the others '
+                 'and the master too')
 
 
 def _overrun(case: Case) -> Iterator[Found]:
@@ -311,34 +315,29 @@ def _elsewhere(case: Case) -> Iterator[Found]:
 
 
 RULES = (
-    Rule('wrong_baud', Level.ERROR, 'bytes, and hardly a packet among them; or too many',
-         _wrong_baud, _ALL_ELSE),
-    Rule('overrun', Level.WARN, "the serial driver's overrun counters", _overrun,
+    Rule('wrong_baud', Level.ERROR, _wrong_baud, _ALL_ELSE),
+    Rule('overrun', Level.WARN, _overrun,
          (*_OF_THE_WIRE, 'jitter')),
-    Rule('baud_moved', Level.WARN, 'a write to Baud Rate, and silence', each(_baud_moved),
+    Rule('baud_moved', Level.WARN, each(_baud_moved),
          ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter'),
          holds=False),
-    Rule('protocol_1', Level.WARN, 'packets of Protocol 2.0 and of the 1.0 family', _protocol_1,
+    Rule('protocol_1', Level.WARN, _protocol_1,
          ('stray_bytes', 'wrong_baud')),
-    Rule('echo', Level.WARN, 'instructions that follow themselves at once', _echo,
+    Rule('echo', Level.WARN, _echo,
          (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'jitter', 'impatient_master',
           'late_answers')),
-    Rule('duplicate_id', Level.ERROR, 'second answers to one instruction, or damage together with '
-         'a model number that changes', each(_duplicate_id),
+    Rule('duplicate_id', Level.ERROR, each(_duplicate_id),
          ('noise', 'damaged_answers', 'turnaround', 'missed_answers', 'dropout', 'stray_bytes',
           'late_answers', 'jitter', 'rebooted')),
-    Rule('foreign_answers', Level.WARN, 'statuses that no instruction asked for',
-         each_with(ev.UNASKED, _foreign_answers),
+    Rule('foreign_answers', Level.WARN, each_with(ev.UNASKED, _foreign_answers),
          ('duplicate_id', 'missed_answers', 'noise', 'damaged_answers', 'stray_bytes',
           'turnaround')),
-    Rule('turnaround', Level.WARN, 'statuses that are whole but for their first header byte',
-         _turnaround,
+    Rule('turnaround', Level.WARN, _turnaround,
          ('turnaround', 'stray_bytes', 'damaged_answers', 'missed_answers', 'dropout')),
-    Rule('noise', Level.WARN, 'damaged frames of many devices or in both directions', _elsewhere,
+    Rule('noise', Level.WARN, _elsewhere,
          ('damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')),
-    Rule('damaged_answers', Level.WARN, "one device's answers damaged, and those of others not",
-         _damaged_answers, ('missed_answers', 'dropout', 'stray_bytes', 'jitter'),
-         onset_s=ONSET_S),
-    Rule('not_sent', Level.WARN, 'writes of the master that its adapter did not take', _not_sent),
-    Rule('stray_bytes', Level.OK, 'one to three bytes of noise ahead of packets', _stray_bytes),
+    Rule('damaged_answers', Level.WARN, _damaged_answers,
+         ('missed_answers', 'dropout', 'stray_bytes', 'jitter'),         onset_s=ONSET_S),
+    Rule('not_sent', Level.WARN, _not_sent),
+    Rule('stray_bytes', Level.OK, _stray_bytes),
 )

@@ -90,13 +90,10 @@ def _mixed_firmware(case: Case) -> Iterator[Found]:
 
 
 RULES = (
-    Rule('baud_code', Level.WARN, 'a write to Baud Rate of a Feetech servo',
-         each_with(ev.BAUD_WRITTEN, _baud_code), ('baud_moved', 'no_answer', 'sync_read_stops',
+    Rule('baud_code', Level.WARN, each_with(ev.BAUD_WRITTEN, _baud_code),
+         ('baud_moved', 'no_answer', 'sync_read_stops',
                                                   'broken_cable', 'missed_answers', 'jitter')),
-    Rule('lock', Level.WARN, 'Lock is 1, and EEPROM was written behind that (Feetech and 1.0)',
-         each(_locked)),
-    Rule('calibrated_twice', Level.WARN, 'Calibrate (0x0B) or Torque Enable 128 of Feetech twice, '
-         'or Homing Offset without 0 between', each(_calibrated_twice)),
-    Rule('mixed_firmware', Level.WARN, 'Firmware Version, major and minor, of Feetech servos',
-         _mixed_firmware),
+    Rule('lock', Level.WARN, each(_locked)),
+    Rule('calibrated_twice', Level.WARN, each(_calibrated_twice)),
+    Rule('mixed_firmware', Level.WARN, _mixed_firmware),
 )

@@ -72,10 +72,11 @@ def _known(case: Case, device: DeviceReport, name: str) -> float | None:
     return None if seen is None else seen.value.number
 
 
-def _hardware_error(case: Case, device: DeviceReport) -> Found | None:
+def latched(device: DeviceReport) -> Claim | None:
+    """Return the hardware error of a device, by its alert bit."""
     if not device.alert or not device.window.alerts:
         return None
-    values = case.values[device.id]
+    values = {one.field.name: one for one in device.observed}
     seen = next((values[name] for name in _ERRORS
                  if name in values and values[name].value.raw), None)
     torque = ', torque is off' if _is_off(values.get('Torque Enable')) else ''
@@ -184,12 +185,9 @@ def _is_goal(device: DeviceReport, address: int) -> bool:
 
 
 RULES = (
-    Rule('hardware_error', Level.ERROR, 'the alert bit in its answers; Hardware Error Status for '
-         'the name', each(_hardware_error), ('torque_off',), holds=False),
-    Rule('watchdog', Level.ERROR, 'Bus Watchdog reads -1, or is set and goals are answered with '
-         'Data Range', each(_watchdog), ('wrong_address', 'refused', 'torque_off')),
-    Rule('too_hot', Level.ERROR, 'Present Temperature and Temperature Limit of the device',
-         _too_hot),
-    Rule('voltage', Level.ERROR, 'Present Input Voltage and the voltage limits of the device',
-         _voltage, ('voltage',)),
+    Rule('hardware_error', Level.ERROR, each(lambda _, device: latched(device)),
+         ('torque_off',), holds=False),
+    Rule('watchdog', Level.ERROR, each(_watchdog), ('wrong_address', 'refused', 'torque_off')),
+    Rule('too_hot', Level.ERROR, _too_hot),
+    Rule('voltage', Level.ERROR, _voltage, ('voltage',)),
 )

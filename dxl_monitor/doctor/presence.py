@@ -272,7 +272,7 @@ def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
 
 def _expected(case: Case, device: DeviceReport) -> Found | None:
     if device.state == words.EXPECTED and not device.window.asked and device.last_heard_s is None:
-        return Doubt(device.id, 'in `devices`, but the master never asks it')
+        return Doubt(device.id, f'in {case.names.devices}, but the master never asks it')
     return None
 
 
@@ -282,29 +282,23 @@ def _no_answer(case: Case) -> Iterator[Found]:
 
 
 RULES = (
-    Rule('brown_out', Level.ERROR, 'absences of several devices at the same time, and a proof of '
-         'restart or a voltage dip of one of them', _brown_out,
+    Rule('brown_out', Level.ERROR, _brown_out,
          ('rebooted', 'dropout', 'missed_answers', 'voltage', 'jitter', 'torque_off')),
-    Rule('all_silent', Level.ERROR, 'instructions for several devices and no status at all',
-         _all_silent, ('no_answer', 'sync_read_stops', 'broken_cable', 'jitter'), holds=False),
-    Rule('broken_cable', Level.ERROR, '`devices` in chain order, and the last of them silent',
-         _broken_cable, ('no_answer', 'sync_read_stops', 'missed_answers', 'jitter'), holds=False),
-    Rule('sync_read_stops', Level.ERROR, 'a silent device, and others behind it that are not '
-         'served', lambda case: _gone(case, True), ('no_answer', 'missed_answers', 'jitter'),
+    Rule('all_silent', Level.ERROR, _all_silent,
+         ('no_answer', 'sync_read_stops', 'broken_cable', 'jitter'), holds=False),
+    Rule('broken_cable', Level.ERROR, _broken_cable,
+         ('no_answer', 'sync_read_stops', 'missed_answers', 'jitter'), holds=False),
+    Rule('sync_read_stops', Level.ERROR, lambda case: _gone(case, True),
+         ('no_answer', 'missed_answers', 'jitter'),
          holds=False),
-    Rule('no_answer', Level.ERROR, 'more answers missed in a row than missed_limit, and no sign '
-         f'of life for {GONE_S} s', _no_answer, ('missed_answers', 'jitter'), holds=False),
-    Rule('rebooted', Level.ERROR, 'an absence without an instruction to reboot, and a proof of '
-         'restart', each_with(ev.RETURNED, _rebooted),
+    Rule('no_answer', Level.ERROR, _no_answer, ('missed_answers', 'jitter'), holds=False),
+    Rule('rebooted', Level.ERROR, each_with(ev.RETURNED, _rebooted),
          ('dropout', 'missed_answers', 'jitter', 'torque_off')),
-    Rule('torque_off', Level.WARN, 'goals that move, and Torque Enable that reads 0, or a '
-         'position that stands while those of others follow', each(_torque_off), needs=(MODEL,)),
-    Rule('ping_only', Level.WARN, 'answers, but no data read from it any more',
-         each(_ping_only),
+    Rule('torque_off', Level.WARN, each(_torque_off), needs=(MODEL,)),
+    Rule('ping_only', Level.WARN, each(_ping_only),
          ('dropout', 'rebooted', 'no_answer', 'sync_read_stops', 'missed_answers', 'no_acks',
           'jitter')),
-    Rule('dropout', Level.WARN, 'disconnected, and back', each_with(ev.RETURNED, _dropout),
+    Rule('dropout', Level.WARN, each_with(ev.RETURNED, _dropout),
          ('missed_answers', 'jitter')),
-    Rule('missed_answers', Level.WARN, 'answers missed without damage or noise in their place',
-         each(_missed_answers)),
+    Rule('missed_answers', Level.WARN, each(_missed_answers)),
 )

@@ -57,7 +57,6 @@ class Rule(NamedTuple):
 
     name: str
     level: Level
-    evidence: str                  # in words
     check: Check
     explains: tuple[str, ...] = ()
     onset_s: float = 0.0           # claimed without a break for so long, before it is told

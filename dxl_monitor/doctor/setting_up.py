@@ -130,7 +130,8 @@ def _layout(case: Case, device: DeviceReport) -> Found | None:
     if order is not None and place is not None \
             and (order.value.raw == 1) != (place.byte_order == 'big'):
         return Claim(device.id, f'says that its numbers are {order.value.text}, and those of '
-                     f'{device.model_name} are not: name its real model in `devices`')
+                     f'{device.model_name} are not: name its real model in '
+                     f'{case.names.devices}')
     for cycle in case.report.cycles:
         if cycle.address is None or device.id not in cycle.ids or cycle.asked < FEW \
                 or cycle.stamps[-1] < case.now - RECENT_NS:
@@ -162,15 +163,12 @@ def _spelt(field: Field) -> str:
 
 
 RULES = (
-    Rule('factory_id', Level.ERROR, 'answers of ID 1 that collide, and asked IDs that were never '
-         'heard', _factory_id,
+    Rule('factory_id', Level.ERROR, _factory_id,
          ('duplicate_id', 'damaged_answers', 'noise', 'no_answer', 'sync_read_stops',
           'broken_cable', 'all_silent', 'missed_answers', 'stray_bytes', 'turnaround', 'dropout',
           'foreign_answers', 'wrong_length', 'late_answers', 'jitter')),
-    Rule('wrong_supply', Level.ERROR, 'Present Input Voltage far from Max Voltage Limit '
-         '(Feetech and 1.0)', _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
+    Rule('wrong_supply', Level.ERROR, _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
          onset_s=ONSET_S),
-    Rule('layout', Level.WARN, 'the master reads or writes where registers of this model do not '
-         'begin or end, or Byte Order is not that of the model (Feetech and 1.0)', each(_layout),
+    Rule('layout', Level.WARN, each(_layout),
          ('wrong_address',), needs=(MODEL,)),
 )

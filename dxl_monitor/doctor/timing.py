@@ -350,28 +350,20 @@ def _jitter(case: Case) -> Iterator[Found]:
 
 
 RULES = (
-    Rule('two_masters', Level.ERROR, 'two steady rhythms of instructions that fall anywhere in '
-         "each other's period", _two_masters,
+    Rule('two_masters', Level.ERROR, _two_masters,
          ('noise', 'damaged_answers', 'missed_answers', 'impatient_master', 'late_answers',
           'duplicate_id', 'foreign_answers', 'jitter', 'stray_bytes', 'dropout', 'turnaround'),
          onset_s=1.0),
-    Rule('impatient_master', Level.WARN, 'an instruction repeated at once, and then not before '
-         'its period is over', _impatient,
+    Rule('impatient_master', Level.WARN, _impatient,
          ('noise', 'damaged_answers', 'missed_answers', 'late_answers', 'duplicate_id', 'jitter',
           'stray_bytes', 'dropout', 'no_answer', 'sync_read_stops', 'all_silent', 'broken_cable',
           'no_acks')),
-    Rule('late_answers', Level.WARN, 'answers to an instruction that was given up, or of the size '
-         'of the one before', _late_answers,
+    Rule('late_answers', Level.WARN, _late_answers,
          ('duplicate_id', 'missed_answers', 'dropout', 'jitter', 'damaged_answers', 'noise',
           'foreign_answers', 'turnaround', 'stray_bytes')),
-    Rule('wrong_length', Level.WARN, 'answers with more or fewer bytes than were asked for',
-         each_with(ev.WRONG_SIZE, _wrong_length)),
-    Rule('latency_timer', Level.WARN, 'most instructions 16 ms behind the answer before, of '
-         'different kinds', _latency_timer, ('jitter',)),
-    Rule('bus_too_slow', Level.WARN, f'more than {LOADED:.0f} % of the time with bytes on the '
-         'wire', _bus_too_slow, ('jitter', 'two_masters', 'impatient_master')),
-    Rule('jitter', Level.WARN, 'no instruction that comes back regularly, and no answer missed',
-         _jitter, onset_s=JITTER_ONSET_S),
-    Rule('return_delay', Level.OK, 'Return Delay Time read or written, or the reply latency where '
-         'the chunks resolve it', _return_delay),
+    Rule('wrong_length', Level.WARN, each_with(ev.WRONG_SIZE, _wrong_length)),
+    Rule('latency_timer', Level.WARN, _latency_timer, ('jitter',)),
+    Rule('bus_too_slow', Level.WARN, _bus_too_slow, ('jitter', 'two_masters', 'impatient_master')),
+    Rule('jitter', Level.WARN, _jitter, onset_s=JITTER_ONSET_S),
+    Rule('return_delay', Level.OK, _return_delay),
 )

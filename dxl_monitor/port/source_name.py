@@ -10,13 +10,9 @@ tap:NAME, tap:NAME/PORT: a Python program started with dxl_tap.
 from __future__ import annotations
 
 import os
-from typing import Any
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from dxl_monitor.port.listener import Listener
 
 TAP, USB = 'tap:', 'usb:'
+PREFIXES = (TAP, USB)              # of live sources; listeners.py has the listener of each
 DEFAULT_BAUD = 2_000_000
 
 
@@ -27,27 +23,15 @@ def has_sides(name: str) -> bool:
 
 def is_live(name: str) -> bool:
     """Tell whether a name can only be one of a live source."""
-    return has_sides(name) or '://' in name
+    return name.startswith(PREFIXES) or '://' in name
 
 
 def bus_name(name: str) -> str:
     """Return what a bus is called that is heard there: the base name of its port."""
-    place = name.removeprefix(USB).removeprefix(TAP).rstrip('/')
-    return os.path.basename(place) or name
+    prefix = next(filter(name.startswith, PREFIXES), '')
+    return os.path.basename(name.removeprefix(prefix).rstrip('/')) or name
 
 
 def rate_of(name: str, baud: int | None) -> int:
     """Return the rate to begin with, where none or 0 is given: 0 where it is learned."""
     return baud or (0 if has_sides(name) else DEFAULT_BAUD)
-
-
-def listener_on(name: str, baud: int, *handlers: Any, **options: Any) -> Listener:
-    """Return a listener on a live source; arguments as of Listener."""
-    # Not at the top: files are read where there is no fcntl, too.
-    from dxl_monitor.port.listener import Listener
-    from dxl_monitor.port.tap_listener import TapListener
-    from dxl_monitor.port.usb_listener import UsbListener
-
-    kinds = {TAP: TapListener, USB: UsbListener}
-    kind = next((kind for prefix, kind in kinds.items() if name.startswith(prefix)), Listener)
-    return kind(name, baud, *handlers, **options)

@@ -10,9 +10,9 @@ import sys
 import time
 
 from dxl_monitor.port.listener import STARTING
+from dxl_monitor.port.listeners import listener_on
 from dxl_monitor.port.source_name import bus_name
 from dxl_monitor.port.source_name import has_sides
-from dxl_monitor.port.source_name import listener_on
 from dxl_monitor.port.source_name import rate_of
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire

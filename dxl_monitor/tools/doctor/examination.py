@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dxl_monitor.bus.conversation import DEFAULTS
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.doctor.case import OPTIONS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.record.capture import Chunk
@@ -64,7 +65,7 @@ class Examination:
         settings = Settings(baud=wire.baud, devices=tuple(parse_all(mine)),
                             latency_timer_ms=wire.latency_timer_ms, protocol=self._protocol)
         self._courses[bus] = Course()
-        self._monitors[bus] = Monitor(bus, self._models, settings)
+        self._monitors[bus] = Monitor(bus, self._models, settings, names=OPTIONS)
         return self._monitors[bus]
 
     def pass_time(self, now: int) -> None:

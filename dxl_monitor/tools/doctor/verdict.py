@@ -19,8 +19,6 @@ from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor import timing
 from dxl_monitor.tools.doctor.course import Course
 from dxl_monitor.tools.doctor.course import Told
-from dxl_monitor.tools.options import for_tools
-from dxl_monitor.tools.options import report_for_tools
 from mecarover_serial.cli import printable
 from msg_defs.reports import Level
 
@@ -29,9 +27,6 @@ _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
 _NEEDS_TIMES = frozenset(rule.name for rule in timing.RULES)
 _STATES = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard',
            words.ASKED: 'asked, never heard', words.SILENT: 'not asked at present'}
-_NO_PACKETS = ('bytes, but no packet: listen at the rate of the bus (-b), and check that it is a '
-               'servo bus, with D+ and D- not swapped')
-_NO_MODEL = 'model unknown (--devices names it)'
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
 
 
@@ -82,10 +77,8 @@ class BusSummary(NamedTuple):
     @classmethod
     def of(cls, name: str, report: BusReport, course: Course, is_timed: bool) -> BusSummary:
         """Return what is told of a bus; without times nothing is that needs them."""
-        told = tuple(one._replace(finding=one.finding._replace(
-            message=for_tools(one.finding.message))) for one in course.told()
-            if is_timed or one.finding.rule not in _NEEDS_TIMES)
-        return cls(name, report_for_tools(report), told)
+        return cls(name, report, tuple(one for one in course.told()
+                                       if is_timed or one.finding.rule not in _NEEDS_TIMES))
 
     def who(self, number: int | None) -> str:
         """Return a device as a person knows it: '003 left_knee, MX-64'."""
@@ -148,7 +141,7 @@ def _heard(bus: BusSummary) -> list[DeviceGroup]:
 
 def _kind(device: DeviceReport) -> tuple[str, Level]:
     firmware = f', firmware {device.firmware}' if device.firmware is not None else ''
-    model = device.model_name if device.model_name != 'unknown' else _NO_MODEL
+    model = 'model unknown' if device.model_name == 'unknown' else device.model_name
     return f'{model}{firmware}: {_STATES.get(device.state, device.state)}', device.level
 
 
@@ -176,8 +169,7 @@ def _wrong(bus: BusSummary) -> list[Trouble]:
               for device in report.devices
               if device.id not in named and device.level in _CODES]
     if report.level in _CODES and not found and None not in named:
-        message = report.message if report.counters['Packets'] else _NO_PACKETS
-        found.append(Trouble(report.level, bus.who(None), '', printable(message), ''))
+        found.append(Trouble(report.level, bus.who(None), '', printable(report.message), ''))
     return found
 
 

@@ -23,6 +23,7 @@ from typing import BinaryIO
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.bus.report import BusReport
+from dxl_monitor.doctor.case import OPTIONS
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import open_new
@@ -128,7 +129,8 @@ class Session:
             listing = Listing(self._models, lambda entry: show(entry), settings,
                               self._source.is_timed)
             show = partial(self._show, shown, Interpreter(listing))
-        monitor = Monitor(shown, self._models, settings, conversation=listing)
+        monitor = Monitor(shown, self._models, settings, conversation=listing,
+                          names=OPTIONS)
         self._monitors[bus] = monitor
         return monitor
 

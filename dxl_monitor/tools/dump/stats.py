@@ -18,7 +18,6 @@ from dxl_monitor.tools.dump.lines import paint
 from dxl_monitor.tools.dump.screen import COLOURS
 from dxl_monitor.tools.dump.screen import headline
 from dxl_monitor.tools.dump.words import error_words
-from dxl_monitor.tools.options import report_for_tools
 from msg_defs.dxl_instruction import name_of
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
@@ -97,7 +96,6 @@ def _seconds(report: BusReport) -> float:
 
 def _remarks(report: BusReport) -> list[str]:
     """Return what devices refused to do, the most frequent first; errors; what the cause is."""
-    report = report_for_tools(report)
     found = sorted(((count, device, key) for device in report.devices
                     for key, count in device.errors.items()),
                    key=lambda one: -one[0])[:REFUSALS_SHOWN]

@@ -1,0 +1,95 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The state of a device and of a bus: a word, a level, a few words to act on.
+
+From the last 10 s, never from counts since start: a fault that is over is over. What the rules
+find comes on top (Doctor.examine).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.device import WINDOW_S
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.doctor import damage
+from dxl_monitor.doctor import health
+from dxl_monitor.doctor.case import Names
+from msg_defs.reports import Level
+from msg_defs.reports import number
+
+_CRC_ERRORS_PER_S = 1.0
+_LOST = (words.DISCONNECTED, words.EXPECTED)
+_NAMED = 5                     # lost devices in the message of a bus
+
+
+def judged(report: BusReport, settings: Settings, names: Names) -> BusReport:
+    """Return a report with the state, level and message of each device and of the bus."""
+    devices = tuple(_device(one, settings) for one in report.devices)
+    level, message = _bus(report, devices, names)
+    return report._replace(devices=devices, level=level, message=message)
+
+
+def _device(device: DeviceReport, settings: Settings) -> DeviceReport:
+    if device.moved_to:
+        found = words.MOVED, Level.WARN, f'moved to {device.moved_to} by a write'
+    elif device.missed_in_a_row > settings.missed_limit:
+        found = (words.DISCONNECTED, Level.ERROR,
+                 f'disconnected: {device.missed_in_a_row} answers missed')
+    elif device.last_heard_s is None:
+        found = _never_heard(device)
+    elif device.quiet_s > settings.silent_after:
+        found = words.SILENT, Level.STALE, f'silent: not asked for {device.quiet_s:.0f} s'
+    elif device.waiting_behind is not None:
+        found = (words.WAITING, Level.WARN,
+                 f'asked but not served: waiting behind {device.waiting_behind:03}')
+    else:
+        found = words.CONNECTED, *_degraded(device, settings)
+    state, level, message = found
+    return device._replace(state=state, level=level, message=message)
+
+
+def _never_heard(device: DeviceReport) -> tuple[str, Level, str]:
+    if device.expected:
+        return words.EXPECTED, Level.ERROR, 'expected, but never heard'
+    if device.missed_in_a_row or device.totals.not_served:
+        return words.ASKED, Level.WARN, 'asked, but never heard'
+    return words.ASKED, Level.STALE, 'addressed, but never asked and never heard'
+
+
+def _degraded(device: DeviceReport, settings: Settings) -> tuple[Level, str]:
+    fault = health.latched(device)
+    window = device.window
+    if fault is not None:
+        return fault.level or Level.ERROR, fault.message
+    if window.loss * 100 > settings.warn_loss:
+        return Level.WARN, f'{window.missed} of {window.asked} answers missed'
+    if window.damaged > _CRC_ERRORS_PER_S * WINDOW_S:
+        return Level.WARN, f'{number(window.damaged / WINDOW_S)} damaged answers per second'
+    return Level.OK, 'connected'
+
+
+def _bus(bus: BusReport, devices: Sequence[DeviceReport], names: Names) -> tuple[Level, str]:
+    if not bus.counters['Bytes'] and bus.last_byte_s is None:
+        return Level.STALE, 'nothing heard yet'
+    if not bus.counters['Packets']:
+        return Level.WARN, damage.NO_PACKETS.format(bauds=names.bauds)
+    connected = sum(device.state == words.CONNECTED for device in devices)
+    lost = [device.name for device in devices if device.state in _LOST]
+    message = f'{connected} of {len(devices)} devices connected' + _lost_words(lost)
+    if bus.rates['errors'] > 1:
+        return Level.WARN, f'{bus.rates["errors"]:.1f} damaged packets per second; {message}'
+    if devices and not connected:
+        asked = any(device.state != words.SILENT for device in devices)
+        return Level.WARN if asked else Level.STALE, message
+    return Level.WARN if lost else Level.OK, message
+
+
+def _lost_words(names: Sequence[str]) -> str:
+    """Return '; lost: 007 left_knee, 008' for the message of a bus, '' when nothing is lost."""
+    more = f' and {len(names) - _NAMED} more' if len(names) > _NAMED else ''
+    return f'; lost: {", ".join(names[:_NAMED])}{more}' if names else ''
