@@ -18,7 +18,6 @@ _CONTROL, _BULK = 2, 3
 _SUBMIT, _DONE = b'SC'
 _IN_PROGRESS, _SHUT_DOWN = -115, -108
 _DATA_FOLLOW, _NO_SETUP = 0, ord('-')
-_FTDI_STATUS = {64: b'\x01\x60', 512: b'\x32\x60'}           # by the size of a packet
 _CP210X_ESCAPE = 0xEC
 _CH341_CLOCK = 48_000_000
 BUS, DEVICE = 1, 7
@@ -34,6 +33,7 @@ class Family(NamedTuple):
     endpoints: tuple[int, int]     # towards the host, with its bit, and from the host
     interface_class: int
     set_baud: Callable[[int], list[tuple[bytes, bytes]]]       # setup and data of each request
+    status: bytes = b''            # in front of each packet to the host
 
 
 def _setup(kind: int, request: int, value: int, target: int, size: int = 0) -> bytes:
@@ -71,8 +71,10 @@ def _cp210x(baud: int) -> list[tuple[bytes, bytes]]:
 
 
 FAMILIES = {
-    'ftdi': Family(0x0403, 0x6014, 0x0900, 512, (0x81, 0x02), 0xFF, _ftdi(12_000_000, 2)),
-    'ft232r': Family(0x0403, 0x6001, 0x0600, 64, (0x81, 0x02), 0xFF, _ftdi(3_000_000, 0)),
+    'ftdi': Family(0x0403, 0x6014, 0x0900, 512, (0x81, 0x02), 0xFF, _ftdi(12_000_000, 2),
+                   b'\x32\x60'),
+    'ft232r': Family(0x0403, 0x6001, 0x0600, 64, (0x81, 0x02), 0xFF, _ftdi(3_000_000, 0),
+                     b'\x01\x60'),
     'cdc-acm': Family(0x1A86, 0x55D3, 0x0445, 64, (0x82, 0x02), 0x0A, _cdc),
     'ch341': Family(0x1A86, 0x7523, 0x0264, 32, (0x82, 0x02), 0xFF, _ch341),
     'cp210x': Family(0x10C4, 0xEA60, 0x0100, 64, (0x82, 0x01), 0xFF, _cp210x),
@@ -88,8 +90,7 @@ class FakeAdapter:
 
     def __init__(self, family: str, transfer_size: int = 512, has_events: bool = False) -> None:
         self._family = FAMILIES[family]
-        is_ftdi = family.startswith('ft')
-        self._status = _FTDI_STATUS[self._family.packet_size] if is_ftdi else b''
+        self._status = self._family.status
         self._transfer_size = transfer_size
         self._has_events = has_events
         self._number = 0xFFFF_8880_0000_0000

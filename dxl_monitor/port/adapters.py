@@ -23,6 +23,7 @@ from msg_defs.heard import PURGED
 from msg_defs.heard import RTS
 
 _VENDOR_OUT, _VENDOR_INTERFACE_OUT, _CLASS_OUT = 0x40, 0x41, 0x21
+_COMMUNICATION_DATA = 0x0A         # class of an interface
 # Chips divide their own clock, so what they make is near the rate that was asked for.
 _USUAL_RATES = (9600, 19_200, 38_400, 57_600, 76_800, 115_200, 128_000, 222_222, 230_400, 250_000,
                 460_800, 500_000, 921_600, 1_000_000, 1_500_000, 2_000_000, 2_250_000, 2_500_000,
@@ -44,6 +45,15 @@ class Setup(NamedTuple):
                    int.from_bytes(packet[4:6], 'little'))
 
 
+class Identity(NamedTuple):
+    """What a device says it is; interface_class: of the interface with the bulk endpoints."""
+
+    vendor: int
+    product: int
+    version: int = 0               # bcdDevice
+    interface_class: int | None = None
+
+
 def usual_rate(rate: float) -> int:
     """Return the rate that was meant by one that a divider makes."""
     near = min(_USUAL_RATES, key=lambda one: abs(one - rate))
@@ -58,6 +68,18 @@ class Adapter:
     """
 
     name = 'unknown adapter'
+    IDLE_SIZE = 0                  # a transfer to the host of no more bytes carries no data
+    MULTI: tuple[int, ...] = ()    # the versions (bcdDevice) that have several ports
+
+    @classmethod
+    def matches(cls, identity: Identity) -> bool:
+        """Return whether a device that says this of itself is one."""
+        return False
+
+    @classmethod
+    def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
+        """Return whether only this family takes such a control transfer."""
+        return False
 
     def __init__(self, packet_size: int = 64, is_multi: bool = False) -> None:
         self.packet_size = packet_size
@@ -93,9 +115,18 @@ class Ftdi(Adapter):
     """
 
     name = 'FTDI'
-    _STATUS_SIZE = 2
+    IDLE_SIZE = _STATUS_SIZE = 2
+    MULTI = (0x0500, 0x0700, 0x0800, 0x2800, 0x2900, 0x3300)
     _ERRORS = ((0x02, OVERRUN), (0x04, PARITY), (0x08, FRAMING), (0x10, BREAK))
     _EIGHTHS = (0, 3, 2, 4, 1, 5, 6, 7)       # by the code in bits 14 to 16 of the divisor
+
+    @classmethod
+    def matches(cls, identity: Identity) -> bool:
+        return identity.vendor == 0x0403
+
+    @classmethod
+    def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
+        return setup.kind == _VENDOR_OUT and setup.request in (3, 9) and setup.target & 0xFF < 8
 
     def received(self, data: bytes) -> tuple[bytes, list[Change]]:
         size = self.packet_size
@@ -146,6 +177,14 @@ class CdcAcm(Adapter):
     _HEAD_SIZE, _STATE_SIZE = 8, 2
     _ERRORS = ((0x04, BREAK), (0x10, FRAMING), (0x20, PARITY), (0x40, OVERRUN))
 
+    @classmethod
+    def matches(cls, identity: Identity) -> bool:
+        return identity.interface_class == _COMMUNICATION_DATA
+
+    @classmethod
+    def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
+        return setup.kind == _CLASS_OUT and setup.request == 0x20 and len(data) == 7
+
     def __init__(self, packet_size: int = 64, is_multi: bool = False) -> None:
         super().__init__(packet_size, is_multi)
         self._rest = b''           # begin of a notice that is longer than a packet
@@ -179,6 +218,16 @@ class Ch341(Adapter):
     name = 'CH340/CH341'
     _WRITE_REGISTER, _MODEM = 0x9A, 0xA4
     _DIVISOR = 0x1312              # the two registers of prescaler and divisor
+    _DEVICES = ((0x1A86, 0x7523), (0x1A86, 0x7522), (0x1A86, 0x5523), (0x4348, 0x5523),
+                (0x1A86, 0xE523), (0x2184, 0x0057), (0x9986, 0x7523))
+
+    @classmethod
+    def matches(cls, identity: Identity) -> bool:
+        return identity[:2] in cls._DEVICES
+
+    @classmethod
+    def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
+        return setup[:3] == (_VENDOR_OUT, cls._WRITE_REGISTER, cls._DIVISOR)
 
     def control(self, setup: Setup, data: bytes) -> list[Change]:
         kind, request, value, target = setup
@@ -203,6 +252,14 @@ class Cp210x(Adapter):
     name = 'CP210x'
     _ERRORS = ((0x02, OVERRUN), (0x04, PARITY), (0x08, FRAMING), (0x10, BREAK))
     _SIZES = (2, 4, 3, 3)          # bytes of each message behind ESC
+
+    @classmethod
+    def matches(cls, identity: Identity) -> bool:
+        return identity.vendor == 0x10C4
+
+    @classmethod
+    def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
+        return setup[:2] == (_VENDOR_INTERFACE_OUT, 0x1E) and len(data) == 4
 
     def __init__(self, packet_size: int = 64, is_multi: bool = False) -> None:
         super().__init__(packet_size, is_multi)
@@ -250,3 +307,18 @@ class Cp210x(Adapter):
                 found.append(data[mark + 3:at])
         self._rest = b''
         return b''.join(found) + data[at:], changes
+
+
+# All that is understood. What matches several is the first of them.
+FAMILIES: tuple[type[Adapter], ...] = (Ftdi, CdcAcm, Ch341, Cp210x)
+
+
+def adapter_of(identity: Identity, packet_size: int = 64) -> Adapter | None:
+    """Return the adapter that a device is; None: none that is understood."""
+    family = next((one for one in FAMILIES if one.matches(identity)), None)
+    return None if family is None else family(packet_size or 64, identity.version in family.MULTI)
+
+
+def family_by_request(setup: Setup, data: bytes) -> type[Adapter] | None:
+    """Return the family that is set up with this control transfer, if one surely is."""
+    return next((one for one in FAMILIES if one.is_set_up_by(setup, data)), None)

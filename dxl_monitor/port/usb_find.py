@@ -16,8 +16,10 @@ import re
 from typing import NamedTuple
 
 from dxl_monitor.port.adapters import Adapter
+from dxl_monitor.port.adapters import adapter_of
+from dxl_monitor.port.adapters import FAMILIES
+from dxl_monitor.port.adapters import Identity
 from dxl_monitor.port.driver import SYS
-from dxl_monitor.port.usb_port import adapter_of
 from dxl_monitor.port.usb_port import Place
 from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
@@ -41,19 +43,20 @@ def find(name: str, root: Path = SYS) -> PluggedAdapter:
     """Return the adapter of `/dev/ttyUSB0`, `1-1.2` or `1.7`; raise PortError without one."""
     interface = _interface(name, root)
     device = interface.parent
-    vendor, product = _hex(device / 'idVendor'), _hex(device / 'idProduct')
+    identity = Identity(_hex(device / 'idVendor'), _hex(device / 'idProduct'),
+                        _hex(device / 'bcdDevice'), _hex(interface / 'bInterfaceClass'))
+    number = f'{identity.vendor:04x}:{identity.product:04x}'
     ends = _bulk(interface)
     if IN not in ends or OUT not in ends:
         raise _refused(name, 'has no pair of bulk endpoints', 'give the name of its tty')
-    adapter = adapter_of(vendor, product, _hex(device / 'bcdDevice'),
-                         _hex(interface / 'bInterfaceClass'), ends[IN][1])
+    adapter = adapter_of(identity, ends[IN][1])
     if adapter is None:
-        raise _refused(name, f'is a USB device {vendor:04x}:{product:04x}, and not a serial '
-                       'adapter that is understood', 'FTDI, CDC-ACM, CH340/341 and CP210x are')
+        raise _refused(name, f'is a USB device {number}, and not a serial adapter that is '
+                       'understood', f'these are: {", ".join(one.name for one in FAMILIES)}')
     place = Place(int(_text(device / 'busnum')), int(_text(device / 'devnum')),
                   ends[IN][0] & 0x7F, ends[OUT][0])
     return PluggedAdapter(place, adapter, _latency(interface),
-                          f'{adapter.name} {vendor:04x}:{product:04x} at {device.name}')
+                          f'{adapter.name} {number} at {device.name}')
 
 
 def _interface(name: str, root: Path) -> Path:

@@ -18,7 +18,6 @@ import time
 from typing import Any
 
 from dxl_monitor.port import reader
-from dxl_monitor.port.adapters import Ftdi
 from dxl_monitor.port.listener import Listener
 from dxl_monitor.port.listener import ListenerState
 from dxl_monitor.port.reader_process import ReaderProcess
@@ -41,7 +40,6 @@ from msg_defs.heard import LOST
 
 _MONITOR = '/dev/usbmon{}'
 _AT_ONCE_NS = 100_000               # two clocks were read without a pause between
-_STATUS_BYTES = 2                  # an FTDI transfer of no more carries no data
 
 
 class UsbListener(Listener):
@@ -85,8 +83,8 @@ class UsbListener(Listener):
             self.latency_timer_ms = target.latency_timer_ms
             self._words = f'hears {target.words} through {path}'
             self._say_open()
-            idle = _STATUS_BYTES if isinstance(target.adapter, Ftdi) else 0
-            self._read(fd, (place.device, idle, place.bulk_in | INPUT, place.bulk_out))
+            self._read(fd, (place.device, target.adapter.IDLE_SIZE, place.bulk_in | INPUT,
+                            place.bulk_out))
         finally:
             os.close(fd)
 

@@ -12,10 +12,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from dxl_monitor.port.adapters import Adapter
-from dxl_monitor.port.adapters import CdcAcm
-from dxl_monitor.port.adapters import Ch341
-from dxl_monitor.port.adapters import Cp210x
-from dxl_monitor.port.adapters import Ftdi
 from dxl_monitor.port.adapters import Setup
 from dxl_monitor.port.usbmon import BULK
 from dxl_monitor.port.usbmon import CONTROL
@@ -40,12 +36,6 @@ from msg_defs.heard import UNKNOWN
 
 PENDING_LIMIT = 256                # transfers under way; a driver has 16 at most
 
-FTDI_VENDOR = 0x0403
-_FTDI_MULTI = (0x0500, 0x0700, 0x0800, 0x2800, 0x2900, 0x3300)     # bcdDevice: several ports
-_CH341 = ((0x1A86, 0x7523), (0x1A86, 0x7522), (0x1A86, 0x5523), (0x4348, 0x5523),
-          (0x1A86, 0xE523), (0x2184, 0x0057), (0x9986, 0x7523))
-_CP210X_VENDOR = 0x10C4
-_COMMUNICATION_DATA = 0x0A         # class of an interface
 _TAKEN = 'taken'                   # the end of an output
 
 
@@ -70,35 +60,6 @@ class Place(NamedTuple):
     def words(self) -> str:
         """How a person names it: '1.7', and with the endpoint where the chip has several."""
         return f'{self.bus}.{self.device}' + (f':{self.bulk_in}' if self.bulk_in > 1 else '')
-
-
-def adapter_of(vendor: int, product: int, version: int = 0, interface_class: int | None = None,
-               packet_size: int = 64) -> Adapter | None:
-    """
-    Return what speaks the language of this device; None: not a serial adapter that we know.
-
-    version: bcdDevice. interface_class: of the interface that holds the bulk endpoints.
-    """
-    size = packet_size or 64
-    if vendor == FTDI_VENDOR:
-        return Ftdi(size, version in _FTDI_MULTI)
-    if interface_class == _COMMUNICATION_DATA:
-        return CdcAcm(size)
-    if (vendor, product) in _CH341:
-        return Ch341(size)
-    return Cp210x(size) if vendor == _CP210X_VENDOR else None
-
-
-def adapter_by_request(setup: Setup, data: bytes) -> type[Adapter] | None:
-    """Return which adapter is set up with this control transfer, if any surely is."""
-    kind, request = setup.kind, setup.request
-    if kind == 0x40 and request in (3, 9) and setup.target & 0xFF < 8:
-        return Ftdi
-    if kind == 0x21 and request == 0x20 and len(data) == 7:
-        return CdcAcm
-    if kind == 0x40 and request == 0x9A and setup.value == 0x1312:
-        return Ch341
-    return Cp210x if kind == 0x41 and request == 0x1E and len(data) == 4 else None
 
 
 class UsbPort:

@@ -12,11 +12,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from dxl_monitor.port.adapters import Adapter
+from dxl_monitor.port.adapters import adapter_of
 from dxl_monitor.port.adapters import CdcAcm
+from dxl_monitor.port.adapters import family_by_request
 from dxl_monitor.port.adapters import Ftdi
+from dxl_monitor.port.adapters import Identity
 from dxl_monitor.port.adapters import Setup
-from dxl_monitor.port.usb_port import adapter_by_request
-from dxl_monitor.port.usb_port import adapter_of
 from dxl_monitor.port.usb_port import Place
 from dxl_monitor.port.usbmon import BULK
 from dxl_monitor.port.usbmon import CONTROL
@@ -29,7 +30,7 @@ _BULK_KIND = 2                     # in an endpoint's attributes
 _SMALL, _LARGE = 64, 512           # packets of a full-speed and of a high-speed device
 _SMALL_MARK, _LARGE_MARK = 1, 2    # low half of FTDI's first status byte: the size of packets
 _HEADER = b'\xff\xff'              # what every packet of a servo begins with
-_TOLD_NOTHING = (0, 0, 0)
+_TOLD_NOTHING = Identity(0, 0)
 PENDING_LIMIT = 256
 DEVICES_LIMIT = 4096               # what a damaged file may invent
 
@@ -61,7 +62,7 @@ class _UsbDevice:
     """What is known of one device."""
 
     def __init__(self) -> None:
-        self.identity = _TOLD_NOTHING          # vendor, product, version
+        self.identity = _TOLD_NOTHING
         self.endpoints: list[_Endpoint] = []   # bulk ones, as it described them
         self.seen: dict[int, int] = {}         # bulk endpoint: bytes
         self.by_request: type[Adapter] | None = None
@@ -72,7 +73,7 @@ class _UsbDevice:
     def describe(self, data: bytes) -> None:
         """Take in a descriptor of the device, or those of a configuration."""
         if len(data) >= 18 and data[1] == _DEVICE:
-            self.identity = (_word(data, 8), _word(data, 10), _word(data, 12))
+            self.identity = Identity(_word(data, 8), _word(data, 10), _word(data, 12))
         if data[1:2] == bytes([_CONFIGURATION]):
             endpoints = _endpoints(data)
             self.endpoints = endpoints or self.endpoints
@@ -88,7 +89,7 @@ class _UsbDevice:
                 _is_status(data, at) for at in range(0, len(data), _SMALL))
 
     def ports(self, bus: int, device: int) -> list[Found]:
-        vendor, product, _ = self.identity
+        vendor, product = self.identity[:2]
         found = []
         for incoming, outgoing in self._pairs():
             adapter = self._adapter(incoming)
@@ -110,19 +111,18 @@ class _UsbDevice:
         return pairs
 
     def _adapter(self, incoming: _Endpoint) -> Adapter | None:
-        vendor, product, version = self.identity
         if self.endpoints:
-            return adapter_of(vendor, product, version, incoming.interface_class,
+            return adapter_of(self.identity._replace(interface_class=incoming.interface_class),
                               incoming.packet_size)
         size = _LARGE if self.is_large else _SMALL
-        known = adapter_of(vendor, product, version, None, size)
+        known = adapter_of(self.identity, size)
         if known is not None:
             return known
         if self.by_request is not None:
             return self.by_request(size)
         if self.is_ftdi and self.has_header:
             return Ftdi(size)
-        return CdcAcm(size) if self.has_header and vendor == 0 else None
+        return CdcAcm(size) if self.has_header and not self.identity.vendor else None
 
 
 class Survey:
@@ -167,7 +167,7 @@ class Survey:
         if (setup.kind, setup.request) == _GET_DESCRIPTOR:
             device.describe(event.data)
         else:
-            device.by_request = adapter_by_request(setup, event.data) or device.by_request
+            device.by_request = family_by_request(setup, event.data) or device.by_request
 
 
 def _word(data: bytes, at: int) -> int:
