@@ -12,7 +12,6 @@ import shutil
 import tempfile
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
 from launch.actions import ExecuteProcess
 from launch.actions import IncludeLaunchDescription
 from launch.actions import OpaqueFunction
@@ -20,13 +19,13 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
-from mecarover_serial.launch import declared
+from mecarover_serial.launch import described
 from mecarover_serial.launch_arguments import Argument
 from mecarover_serial.launch_arguments import NO
+from mecarover_serial.launch_arguments import PACKAGE
 from mecarover_serial.launch_arguments import SHARED
 from mecarover_serial.launch_arguments import YES
 
-PACKAGE = 'mecarover_serial'
 SHARE = get_package_share_directory(PACKAGE)
 # A monitor that starts in the middle of traffic must be told the models, or wait for a Ping.
 DEVICES = ['1-4:MX-106', '5-12:MX-64', '13-15:Rhoban DXL board', '16-18:BitFoot',
@@ -42,7 +41,7 @@ ARGUMENTS = (
 
 
 def generate_launch_description():
-    return LaunchDescription([*declared(__file__, ARGUMENTS), OpaqueFunction(function=_start)])
+    return described(__file__, ARGUMENTS, [OpaqueFunction(function=_start)])
 
 
 def _start(context):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from collections.abc import Sequence
+from functools import cache
 from functools import partial
 import os
 import sys
@@ -19,67 +20,107 @@ from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.actions import EmitEvent
+from launch.actions import GroupAction
 from launch.actions import OpaqueFunction
 from launch.events import matches_action
 from launch.events.process import ShutdownProcess
+from launch.logging import get_logger
 from launch_ros.actions import Node
+from launch_ros.utilities import make_namespace_absolute
+from launch_ros.utilities import prefix_namespace
+import yaml
 
 from mecarover_serial.launch_arguments import Argument
 from mecarover_serial.launch_arguments import arguments_of
 from mecarover_serial.launch_arguments import Launched
+from mecarover_serial.launch_arguments import PACKAGE
 from mecarover_serial.launch_arguments import refuse_unknown
+from mecarover_serial.launch_arguments import SHARED
+from mecarover_serial.launch_arguments import typed_names
 from mecarover_serial.launch_arguments import YES
 from mecarover_serial.parameters import typed
+from mecarover_serial.settings_file import check
 from mecarover_serial.settings_file import SettingsError
 from mecarover_serial.settings_file import without
 
-PACKAGE = 'mecarover_serial'
 HOPELESS = 2                # exit code of a wrong parameter
 
 
-def declared(file: str, arguments: Sequence[Argument]) -> list[Any]:
-    """
-    Return the actions that declare the arguments of a launch file `file`.
+class _Used(str):
+    """The value of an argument that one include was given: it is not meant for the next one."""
 
-    When `file` is the one that the user started, an argument that it does not have is refused:
-    ROS would ignore it.
+
+def described(file: str, arguments: Sequence[Argument], actions: Sequence[Any]
+              ) -> LaunchDescription:
+    """
+    Describe a launch file `file` that keeps its arguments to itself.
+
+    ROS hands what one include was given, and its defaults, on to the next one. An argument that
+    does not exist is refused where the user started this very file: ROS would ignore it.
     """
     names = [one.name for one in arguments]
+    own = [one.name for one in arguments if one not in SHARED]
 
-    def check(context: Any) -> None:
-        refuse_unknown(os.path.basename(file), names, sys.argv)
-    return [OpaqueFunction(function=check), *(
-        DeclareLaunchArgument(one.name, default_value=_default(one), description=one.text,
-                              choices=list(one.choices) or None) for one in arguments)]
+    def begin(context: Any) -> None:
+        refuse_unknown(file, names, sys.argv)
+        given = context.launch_configurations
+        for name in own:
+            if isinstance(given.get(name), _Used):
+                get_logger(os.path.basename(file)).warning(
+                    f'{name}:={given.pop(name)} was given to another include, so this one takes '
+                    f'its default; give it {name} too if it needs it')
+
+    def end(context: Any) -> None:
+        given = context.launch_configurations
+        for name in set(own) & given.keys() - typed_names(sys.argv):
+            given[name] = _Used(given[name])
+    return LaunchDescription([
+        GroupAction([
+            OpaqueFunction(function=begin),
+            *(DeclareLaunchArgument(one.name, default_value=_default(one), description=one.text,
+                                    choices=list(one.choices) or None) for one in arguments),
+            *actions]),
+        OpaqueFunction(function=end)])
 
 
 def _default(argument: Argument) -> str:
     if argument.name.endswith('config'):
-        return os.path.join(get_package_share_directory(PACKAGE), 'config', argument.default)
+        return _shipped(argument.default)
     return argument.default
+
+
+def _shipped(settings: str) -> str:
+    return os.path.join(get_package_share_directory(PACKAGE), 'config', settings)
 
 
 def description(file: str, *nodes: Launched) -> LaunchDescription:
     """Describe the launch of nodes by a launch file `file`."""
-    return LaunchDescription([
-        *declared(file, arguments_of(*nodes)),
-        *(OpaqueFunction(function=partial(_start, node=node, spelt=node.spelt(len(nodes) > 1)))
-          for node in nodes),
-    ])
+    return described(file, arguments_of(*nodes), [
+        OpaqueFunction(function=partial(_start, node=node, spelt=node.spelt(len(nodes) > 1)))
+        for node in nodes])
 
 
 def _start(context: Any, node: Launched, spelt: dict[str, str]) -> list[Any]:
     everything = context.launch_configurations
     given = {name: everything[here] for name, here in spelt.items()}
-    namespace = everything['namespace']
-    logger = '.'.join([*filter(None, namespace.split('/')), given['name']])
+    full_name = prefix_namespace(make_namespace_absolute(prefix_namespace(
+        everything.get('ros_namespace'), everything['namespace'])), given['name'])
     texts = {one: given[one] for one, _ in node.parameters if given[one]}
+    settings = _settings(given['config'], texts, full_name)
+    # ROS puts SetParameter of the user's launch file between the two: it wins over our file.
+    is_ours = given['config'] == _shipped(node.settings)
+    ours, theirs = ([settings], []) if is_ours else ([], [settings])
+    if texts:
+        theirs.append(_file(yaml.safe_dump(
+            {full_name: {'ros__parameters': _values(node.node, texts)}})))
     return [Node(
-        package=PACKAGE, executable=node.node, name=given['name'], namespace=namespace,
-        parameters=[_settings(given['config'], texts), _values(node.node, texts)],
+        package=PACKAGE, executable=node.node, name=given['name'],
+        namespace=everything['namespace'], parameters=theirs,
         remappings=[(one, given[one]) for one, _ in node.remapped if given[one] != one],
-        ros_arguments=['--log-level', f'{logger}:={everything["log_level"]}',
-                       *(['--enclave', given['enclave']] if given['enclave'] else [])],
+        ros_arguments=[
+            *(word for file in ours for word in ('--params-file', file)),
+            '--log-level', f'{full_name[1:].replace("/", ".")}:={everything["log_level"]}',
+            *(['--enclave', given['enclave']] if given['enclave'] else [])],
         respawn=given['respawn'] in YES, respawn_delay=1.0, on_exit=_give_up_if_hopeless,
         output='screen')]
 
@@ -90,21 +131,27 @@ def _values(node: str, texts: dict[str, str]) -> dict[str, Any]:
     return typed(['--ros-args', *words], node)
 
 
-def _settings(file: str, overridden: Iterable[str]) -> str:
+def _settings(file: str, overridden: Iterable[str], node: str) -> str:
     """Return a settings file without what arguments override, as rcl keeps a value per type."""
     try:
-        with open(file, encoding='utf-8') as settings:
-            text = settings.read()
-        rest = without(text, overridden)
-    except (OSError, UnicodeDecodeError, SettingsError) as error:
-        reason = getattr(error, 'strerror', None) or error
-        raise SettingsError(f'config: {file}: {reason}; give a file with parameters') from error
-    if rest == text:
-        return os.path.abspath(file)
-    with tempfile.NamedTemporaryFile('w', prefix='launch_params_', suffix='.yaml',
-                                     delete=False, encoding='utf-8') as copy:
-        copy.write(rest)
-    return copy.name
+        check([file], node)
+        rest = without(file, overridden)
+    except SettingsError as error:
+        raise SettingsError(f'config: {error}') from error
+    return _file(rest) if rest else os.path.abspath(file)
+
+
+def _file(text: str) -> str:
+    """Return the path of a new file, which is there until the launch ends."""
+    with tempfile.NamedTemporaryFile('w', dir=_folder().name, suffix='.yaml', delete=False,
+                                     encoding='utf-8') as new:
+        new.write(text)
+    return new.name
+
+
+@cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix='mecarover_launch_')
 
 
 def _give_up_if_hopeless(event: Any, context: Any) -> list[Any]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import difflib
+from itertools import pairwise
 import os
 from typing import NamedTuple
 
+PACKAGE = 'mecarover_serial'
 _MARK = ':='
 YES = ('true', 'True', '1')
 NO = ('false', 'False', '0')
@@ -27,9 +29,8 @@ class Launched(NamedTuple):
     """
     A node that launch files start; `label` is its short name, where there are several nodes.
 
-    `parameters`, name and text, are arguments that are parameters of the node; one that is given
-    wins over the settings file, one of our folder config. `remapped` are topics with a name that
-    is an argument.
+    `parameters`, name and text, are arguments that are parameters of the node; `settings` is a
+    file of our folder config. `remapped` are topics with a name that is an argument.
     """
 
     node: str
@@ -53,7 +54,9 @@ class Launched(NamedTuple):
             *(Argument(name, '', f'{text}; default: from the file')
               for name, text in self.parameters),
             *(Argument(name, name, text) for name, text in self.remapped),
-            Argument('config', self.settings, f'file with parameters of {self.node}'),
+            Argument('config', self.settings,
+                     f'file with parameters of {self.node}; an argument wins over it, it over '
+                     'SetParameter of a launch file, and that over our own file'),
             Argument('name', self.node, f'name of the node {self.node}'),
             Argument('enclave', '', f'SROS2 enclave, e.g. /{self.node}; see docs/security.md'),
             Argument('respawn', str(self.respawn).lower(),
@@ -91,17 +94,24 @@ class UnknownArgument(Exception):
     """A launch argument that does not exist: 'file: reason; remedy'."""
 
 
+def typed_names(words: Sequence[str]) -> set[str]:
+    """Return the arguments that a command line of `ros2 launch` gives."""
+    return {name for name, mark, _ in (word.partition(_MARK) for word in words)
+            if mark and name.isidentifier()}
+
+
 def refuse_unknown(file: str, names: Sequence[str], words: Sequence[str]) -> None:
     """
-    Raise UnknownArgument for the first of the `words` of a command line that is none of `names`.
+    Raise UnknownArgument for the first argument that `words`, a command line, give in vain.
 
-    Only where the words say that this `file` was launched: a launch file of the user that
-    includes it has arguments of its own.
+    Only where they start this `file`, by its path or by `mecarover_serial NAME`: a launch file
+    of the user that includes it has arguments of its own, and may have the same name.
     """
-    if file not in map(os.path.basename, words):
+    base = os.path.basename(file)
+    if (PACKAGE, base) not in pairwise(words) and not any(
+            os.path.isfile(word) and os.path.samefile(word, file) for word in words):
         return
-    for name, mark, _ in (word.partition(_MARK) for word in words):
-        if mark and name.isidentifier() and name not in names:
-            near = difflib.get_close_matches(name, names, 1)
-            remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
-            raise UnknownArgument(f'{file}: there is no argument {name}; {remedy}')
+    for name in sorted(typed_names(words) - {*names}):
+        near = difflib.get_close_matches(name, names, 1)
+        remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
+        raise UnknownArgument(f'{base}: there is no argument {name}; {remedy}')

@@ -45,10 +45,13 @@ from mecarover_serial.cli import WRONG_USAGE
 from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
+from mecarover_serial.parameters import settings_files
 from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
 from mecarover_serial.preflight import PortError
 from mecarover_serial.relay import Relay
+from mecarover_serial.settings_file import check
+from mecarover_serial.settings_file import SettingsError
 from mecarover_serial.systemd import Systemd
 
 STEP_S = 1.0                    # the system clock was set when it jumps by more
@@ -228,16 +231,30 @@ def declare(node: Node, parameters: Sequence[Parameter],
     """
     known = {parameter.name: parameter for parameter in parameters}
     values = {}
+    try:
+        check(settings_files(sys.argv[1:]), node.get_fully_qualified_name())
+    except SettingsError as error:
+        raise ParameterError(str(error)) from error
     _prefer_typed(node, known)
     wanted = given(node)
     for parameter in parameters:
         if parameter.name in wanted:    # before rclpy does: its words name no remedy
-            convert(parameter, wanted[parameter.name])
+            node._parameter_overrides[parameter.name] = _stored(
+                parameter, wanted[parameter.name])
         declared = node.declare_parameter(
             parameter.name, _default(parameter), _descriptor(parameter))
         values[parameter.name] = convert(parameter, declared.value)
     for line in unknown(parameters, list(wanted)):
         node.get_logger().warning(line)
+
+    def before_set(changed: list[Any]) -> list[Any]:
+        """Store what on_set will take as the type it has: a client may read double_value."""
+        stored = []
+        for one in changed:
+            with suppress(KeyError, ParameterError):
+                one = _stored(known[one.name], one.value)
+            stored.append(one)
+        return stored
 
     def on_set(changed: list[Any]) -> SetParametersResult:
         try:
@@ -249,8 +266,15 @@ def declare(node: Node, parameters: Sequence[Parameter],
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
+    node.add_pre_set_parameters_callback(before_set)
     node.add_on_set_parameters_callback(on_set)
     return values
+
+
+def _stored(parameter: Parameter, raw: Any) -> Any:
+    """Return what rclpy stores of a value: 1 as 1.0 where a double is wanted, 'x' as ['x']."""
+    value = convert(parameter, raw)
+    return rclpy.Parameter(parameter.name, value=raw if value == [] else value)
 
 
 class _Signals:

@@ -116,6 +116,12 @@ def split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     return ros, others
 
 
+def settings_files(arguments: Sequence[str]) -> list[str]:
+    """Return the files of `--params-file FILE` after --ros-args."""
+    return [file for word, file in pairwise(split_ros_args(arguments)[0])
+            if word == '--params-file']
+
+
 def typed(arguments: Sequence[str], node: str) -> dict[str, Any]:
     """Return the values of `-p [NODE:]NAME:=VALUE` behind --ros-args; the last one counts."""
     found = {}

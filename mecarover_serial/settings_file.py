@@ -1,10 +1,17 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings files as text: take parameters out and leave all other values as they are written."""
+"""
+Settings files as text: which nodes they are for, and the same file without some parameters.
+
+All other values stay as they are written: `3e1` is a number for rcl and a text for PyYAML.
+"""
 from __future__ import annotations
 
 from collections.abc import Container
 from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Sequence
+import re
 
 import yaml
 
@@ -12,26 +19,57 @@ _PARAMETERS = 'ros__parameters'
 
 
 class SettingsError(Exception):
-    """A settings file that cannot be read: 'thing: reason; remedy'."""
+    """A settings file that cannot be used: 'thing: reason; remedy'."""
 
 
-def without(text: str, names: Iterable[str]) -> str:
+def check(files: Sequence[str], node: str) -> None:
     """
-    Return a parameter file without some parameters of all its nodes; as it is if it has none.
+    Raise SettingsError when there are files and none has a section for a node, by its full name.
 
-    Works on the nodes of YAML, not on values: `3e1` stays what rcl reads as a number. Raises
-    SettingsError for text that is not YAML.
+    Such a file changes nothing, in silence: limits that a user set would not be in force.
     """
-    try:
-        root = yaml.compose(text)
-    except yaml.YAMLError as error:
-        raise SettingsError(' '.join(str(error).split())) from error
-    except RecursionError:
-        raise SettingsError('too many brackets in brackets') from None
-    if root is not None and not isinstance(root, yaml.MappingNode):
-        raise SettingsError('this is not a file with parameters')
+    headers = [header for file in files for header in _headers(_composed(file))]
+    if files and not any(_fits(header, node) for header in headers):
+        what = f'it is for {", ".join(headers)}' if headers else 'it has no ros__parameters'
+        raise SettingsError(f'{", ".join(files)}: has nothing for the node {node}, {what}; '
+                            f'put the parameters below {node}: or /**:')
+
+
+def _fits(header: str, node: str) -> bool:
+    """Tell whether rclpy takes the parameters below a header for a node."""
+    pattern = re.escape(header).replace(r'/\*\*', r'(/\w+)*').replace(r'/\*', r'(/\w+)')
+    return re.fullmatch(pattern, node) is not None
+
+
+def _headers(node: yaml.Node | None, above: str = '') -> Iterator[str]:
+    """Return the full names of all sections; a namespace may be a level of its own."""
+    for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
+        if key.value == _PARAMETERS:
+            yield above
+        else:
+            yield from _headers(value, f'{above}/{str(key.value).lstrip("/")}')
+
+
+def without(file: str, names: Iterable[str]) -> str:
+    """Return the text of a settings file without some parameters; '' if it has none of them."""
+    root = _composed(file)
     removed = _remove(root, frozenset(names), False) if root is not None else 0
-    return str(yaml.serialize(root)) if removed else text
+    return str(yaml.serialize(root)) if removed else ''
+
+
+def _composed(file: str) -> yaml.Node | None:
+    """Return the YAML of a settings file."""
+    try:
+        with open(file, encoding='utf-8') as settings:
+            root = yaml.compose(settings)
+        if root is None or isinstance(root, yaml.MappingNode):
+            return root
+        reason = 'this is not a file with parameters'
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = getattr(error, 'strerror', None) or ' '.join(str(error).split())
+    except RecursionError:
+        reason = 'too many brackets in brackets'
+    raise SettingsError(f'{file}: {reason}; give a file with parameters')
 
 
 def _remove(node: yaml.Node, names: Container[str], inside: bool) -> int:

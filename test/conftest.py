@@ -21,7 +21,7 @@ import pytest
 from mecarover_serial.ros_domain import Domain
 from mecarover_serial.ros_domain import TESTS
 
-LAUNCH_TESTS = re.compile(r'test_(launch|launch_arguments|respawn)\.py\b')
+LAUNCH_TESTS = re.compile(r'test_(launch|launch_arguments|launch_included|respawn)\.py\b')
 
 
 def pytest_addoption(parser):

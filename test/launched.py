@@ -27,8 +27,9 @@ sys.exit(service.run())
 
 @contextmanager
 def launched(name, *arguments):
-    """Launch; at the end with Ctrl-C, as a launch that is ended otherwise leaves its nodes."""
-    with Program('', f'{SHARE}/launch/{name}.launch.py', *arguments, script=LAUNCH) as launch:
+    """Launch a file of ours, or a path; at the end Ctrl-C: else a launch leaves its nodes."""
+    file = name if '/' in name else f'{SHARE}/launch/{name}.launch.py'
+    with Program('', file, *arguments, script=LAUNCH) as launch:
         try:
             yield launch
         finally:

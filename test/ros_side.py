@@ -34,7 +34,7 @@ from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
 __all__ = ['DiagnosticArray', 'Duration', 'Float64', 'Graph', 'SetBool', 'String', 'Teleop',
-           'Trigger', 'Twist', 'TwistStamped', 'qos', 'stamped', 'twist']
+           'Trigger', 'Twist', 'TwistStamped', 'overrides', 'qos', 'stamped', 'twist']
 
 
 def twist(x=0.0, y=0.0, omega=0.0):
@@ -181,6 +181,19 @@ class Graph:
     def parameters(self, node):
         """Return the names of a node's parameters."""
         return self.call(ListParameters, f'{node}/list_parameters').result.names
+
+
+def overrides(full_name, *ros_arguments):
+    """Return the parameters that rclpy takes for a node from a command line."""
+    namespace, _, name = full_name.rpartition('/')
+    context = Context()
+    rclpy.init(args=['--ros-args', '-r', f'__ns:={namespace or "/"}', *ros_arguments],
+               context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = Node(name, context=context, enable_rosout=False, start_parameter_services=False)
+    found = {name: one.value for name, one in node._parameter_overrides.items()}
+    node.destroy_node()
+    context.try_shutdown()
+    return found
 
 
 class Teleop:

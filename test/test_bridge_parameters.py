@@ -4,6 +4,7 @@
 from contextlib import ExitStack
 import fcntl
 from itertools import pairwise
+import math
 import os
 from pathlib import Path
 import random
@@ -76,10 +77,19 @@ def test_every_parameter_describes_itself(graph, running):
     assert {parameter.name for parameter in PARAMETERS} <= set(graph.parameters(NODE))
 
 
-def test_an_integer_passes_for_a_number_of_seconds(graph, running):
-    assert running.said('Traceback') == []
-    assert graph.set(NODE, max_rate=20) == ['']
-    assert graph.set(NODE, max_rate=30.0) == ['']
+def test_an_integer_is_stored_as_the_double_that_is_wanted(graph, running):
+    """From the command line and at run time: who reads double_value of an integer reads 0."""
+    assert graph.get(NODE, ['cmd_vel_timeout']) == [1.0]
+    doubles = [one for one in PARAMETERS if isinstance(one.default, float) and one.run_time]
+    for one in doubles:
+        whole = math.ceil(one.minimum)
+        assert graph.set(NODE, **{one.name: whole}) == ['']
+        [stored] = graph.get(NODE, [one.name])
+        assert (stored, type(stored)) == (whole, float)
+        assert graph.set(NODE, **{one.name: one.default}) == ['']
+    assert len(doubles) == 8
+    [stored] = graph.get(NODE, ['cmd_vel_timeout'])
+    assert type(stored) is float
 
 
 @pytest.mark.parametrize(('name', 'value', 'reason'), REFUSED)
@@ -96,13 +106,45 @@ def test_read_only_is_refused(graph, running):
             assert 'read-only' in said
 
 
-def test_what_is_risky_is_said_once(graph, running):
+@pytest.mark.parametrize('zero', [0, 0.0])
+def test_holding_for_ever_is_refused_at_run_time(graph, running, zero):
+    [before] = graph.get(NODE, ['cmd_vel_timeout'])
+    [said] = graph.set(NODE, cmd_vel_timeout=zero)
+    assert said.startswith('cmd_vel_timeout: 0 holds the last command for ever and is taken only ')
+    assert '; set 0.5, or write it to the settings file and start again' in said
+    assert graph.get(NODE, ['cmd_vel_timeout']) == [before]
+
+
+def test_what_is_risky_is_said_once(graph, mcu, running):
     for _ in range(2):
-        assert graph.set(NODE, cmd_vel_timeout=0.0) == ['']
-    running.wait_for('WARN', 'cmd_vel_timeout: 0 holds the last command for ever')
-    graph.wait_status('vel2d_bridge: commands', 'cmd_vel_timeout: 0 holds', level=1)
-    assert graph.set(NODE, cmd_vel_timeout=1.0) == ['']
-    assert len(running.said('cmd_vel_timeout: 0 holds')) == 1
+        assert graph.set(NODE, resend_rate=0) == ['']
+    running.wait_for('WARN', 'resend_rate: 0 sends each set-point once')
+    assert graph.set(NODE, resend_rate=20) == ['']
+    assert len(running.said('resend_rate: 0 sends')) == 1
+
+
+def test_holding_for_ever_is_taken_at_a_start_and_said(graph, tmp_path):
+    with bridge(tmp_path / 'mcu', '-r', '__node:=held', cmd_vel_timeout=0) as running:
+        running.wait_for('WARN', 'cmd_vel_timeout: 0 holds the last command for ever')
+        graph.wait_status('held: commands', 'cmd_vel_timeout: 0 holds', level=1)
+        assert graph.get('/held', ['cmd_vel_timeout']) == [0.0]
+
+
+@pytest.mark.parametrize(('node', 'module'), [('vel2d_bridge', 'vel2d_bridge.main'),
+                                              ('dxl_monitor', 'dxl_monitor.main')])
+def test_a_settings_file_for_another_node_is_refused(tmp_path, node, module):
+    """A typo in its header, another namespace: the limits in it would not be in force."""
+    mine, other = tmp_path / 'mine.yaml', tmp_path / 'other.yaml'
+    mine.write_text(f'/rover1/{node}:\n  ros__parameters: {{timing_topics: all}}\n')
+    other.write_text('planner:\n  ros__parameters: {a: 1}\n')
+    words = ['--ros-args', '--params-file', str(mine), '--params-file', str(other)]
+    with Program(module, *words) as running:
+        assert running.exit_code() == 2
+    [line] = running.said(f'{node}: ')
+    assert line.startswith(f'{node}: {mine}, {other}: has nothing for the node /{node}, it is for '
+                           f'/rover1/{node}, /planner; put the parameters below /{node}: or /**:')
+    with Program(module, *words, '-r', '__ns:=/rover1') as running:
+        running.wait_for('is not there')
 
 
 def random_change(rng):

@@ -1,11 +1,15 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters taken out of a settings file, and launch arguments that no launch file knows."""
+"""Settings files: what they are for, without some parameters; and unknown launch arguments."""
+from contextlib import nullcontext
+
+from harness import ROOT
 import pytest
 import yaml
 
 from mecarover_serial.launch_arguments import refuse_unknown
 from mecarover_serial.launch_arguments import UnknownArgument
+from mecarover_serial.settings_file import check
 from mecarover_serial.settings_file import SettingsError
 from mecarover_serial.settings_file import without
 
@@ -24,8 +28,18 @@ port: outside
 """
 
 
-def test_what_is_overridden_goes_and_all_else_stays_as_it_is_written():
-    rest = without(FILE, ['port', 'baud'])
+@pytest.fixture
+def file(tmp_path):
+    """Return what makes a file of a text."""
+    def make(text):
+        path = tmp_path / f'{len(list(tmp_path.iterdir()))}.yaml'
+        path.write_text(text)
+        return str(path)
+    return make
+
+
+def test_what_is_overridden_goes_and_all_else_stays_as_it_is_written(file):
+    rest = without(file(FILE), ['port', 'baud'])
     assert yaml.safe_load(rest) == {
         '/**': {'ros__parameters': {'max_rate': '3e1', 'name': '3e1', 'flag': True}},
         '/rover1/vel2d_bridge': {'ros__parameters': {'port_of_mine': 1}}, 'port': 'outside'}
@@ -34,30 +48,72 @@ def test_what_is_overridden_goes_and_all_else_stays_as_it_is_written():
 
 
 @pytest.mark.parametrize('text', ['', '# nothing\n', FILE])
-def test_a_file_without_them_is_left_alone(text):
-    assert without(text, ['baud']) == text
+def test_a_file_without_them_needs_no_copy(text, file):
+    assert without(file(text), ['baud']) == ''
 
 
 @pytest.mark.parametrize(('text', 'words'), [
     ('a: [1\n', 'line 2'), ('just words', 'not a file with param'), ('- a\n- b', 'not a file'),
     ('[' * 100_000, 'brackets'), ('a: \0', 'special characters')])
-def test_what_is_no_settings_file_is_said(text, words):
+def test_what_is_no_settings_file_is_said(text, words, file):
     with pytest.raises(SettingsError, match=words):
-        without(text, ['port'])
+        without(file(text), ['port'])
+
+
+# A header, and the nodes it is for, of these two.
+NODES = ['/vel2d_bridge', '/rover1/vel2d_bridge']
+HEADERS = [
+    ('/**', NODES), ('"**"', NODES), ('/*', NODES[:1]), ('vel2d_bridge', NODES[:1]),
+    ('/vel2d_bridge', NODES[:1]), ('rover1/vel2d_bridge', NODES[1:]),
+    ('/rover1/vel2d_bridge', NODES[1:]), ('rover1:\n  vel2d_bridge', NODES[1:]),
+    ('rover1:\n  "*"', NODES[1:]), ('/**/vel2d_bridge', NODES), ('/*/vel2d_bridge', NODES[1:]),
+    ('/rover1/**', NODES[1:]), ('/rover2/**', []), ('vel2d_brigde', []), ('dxl_monitor', []),
+]
+
+
+@pytest.mark.parametrize(('header', 'ours'), HEADERS)
+def test_a_file_with_nothing_for_a_node_is_refused(header, ours, file):
+    of_another = file('dxl_monitor:\n  ros__parameters: {a: 1}\n')
+    path = file(f'{header}:\n    ros__parameters: {{a: 1}}\n')
+    for node in NODES:
+        expected = nullcontext() if node in ours else pytest.raises(
+            SettingsError, match=f'{path}: has nothing for the node {node}, it is for .*/.*; put')
+        with expected:
+            check([of_another, path], node)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(('header', 'ours'), HEADERS)
+def test_rclpy_takes_a_header_alike(header, ours, file, ros):
+    path = file(f'{header}:\n    ros__parameters: {{a: 1}}\n')
+    for node in NODES:
+        assert ros.overrides(node, '--params-file', path) == ({'a': 1} if node in ours else {})
+
+
+@pytest.mark.parametrize('text', ['', '# nothing', 'vel2d_bridge: {max_linear_x: 1}'])
+def test_a_file_without_parameters_is_refused(text, file):
+    with pytest.raises(SettingsError, match=r'has nothing .*, it has no ros__parameters; put'):
+        check([file(text)], NODES[0])
+    check([], NODES[0])
 
 
 NAMES = ['port', 'baud', 'config']
+OURS = str(ROOT / 'launch/bridge.launch.py')
 
 
-def test_a_misspelt_argument_is_refused():
-    words = ['/opt/ros2', 'launch', 'mecarover_serial', 'bridge.launch.py', 'port:=/dev/x']
-    refuse_unknown('bridge.launch.py', NAMES, words)
-    with pytest.raises(UnknownArgument, match=r'no argument prot; did you mean port\?'):
-        refuse_unknown('bridge.launch.py', NAMES, [*words, 'prot:=/dev/y'])
+@pytest.mark.parametrize('words', [
+    ['mecarover_serial', 'bridge.launch.py'], [str(ROOT / 'launch/../launch/bridge.launch.py')]])
+def test_a_misspelt_argument_is_refused(words):
+    refuse_unknown(OURS, NAMES, ['ros2', 'launch', *words, 'port:=/dev/x'])
+    with pytest.raises(UnknownArgument, match=r'^bridge.*: .*no argument prot; did you mean port'):
+        refuse_unknown(OURS, NAMES, ['ros2', 'launch', *words, 'port:=/dev/x', 'prot:=/dev/y'])
     with pytest.raises(UnknownArgument, match='no argument x; there are: port, baud, config'):
-        refuse_unknown('bridge.launch.py', NAMES, [*words, 'x:='])
+        refuse_unknown(OURS, NAMES, ['ros2', 'launch', *words, 'x:='])
 
 
-def test_a_launch_file_that_includes_ours_has_arguments_of_its_own():
-    words = ['ros2', 'launch', 'mine', 'robot.launch.py', 'prot:=1']
-    refuse_unknown('bridge.launch.py', NAMES, words)
+def test_a_launch_file_that_includes_ours_has_arguments_of_its_own(tmp_path):
+    """Also one of the same name."""
+    theirs = tmp_path / 'bridge.launch.py'
+    theirs.touch()
+    for words in (['mine', 'robot.launch.py'], ['mine', 'bridge.launch.py'], [str(theirs)]):
+        refuse_unknown(OURS, NAMES, ['ros2', 'launch', *words, 'prot:=1'])

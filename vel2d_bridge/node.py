@@ -50,6 +50,7 @@ from vel2d_bridge.port_log import PortLog
 from vel2d_bridge.settings import doubts
 from vel2d_bridge.settings import gate_settings
 from vel2d_bridge.settings import PARAMETERS
+from vel2d_bridge.settings import refuse_at_run_time
 from vel2d_bridge.settings import taken_away
 from vel2d_bridge.status import Commands
 from vel2d_bridge.status import commands_status
@@ -147,6 +148,7 @@ class Bridge:
 
     def _apply(self, changes: dict[str, Any]) -> None:
         """Take parameters that changed at run time."""
+        refuse_at_run_time(changes)
         before = dict(self._values)
         self._values |= changes
         if 'enabled' in changes:

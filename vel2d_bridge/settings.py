@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from mecarover_serial.parameters import Parameter
+from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import TIMING_PARAMETER
 from msg_defs.crc import CRC_INPUTS
 from vel2d_bridge.gate import GateSettings
@@ -20,8 +21,8 @@ PARAMETERS = (
     Parameter('message_type', AUTO, 'what cmd_vel carries; auto follows its publishers',
               choices=(AUTO, TWIST, TWIST_STAMPED)),
     Parameter('cmd_vel_timeout', 0.5, 'no accepted command for so long: stop; 0 holds the last '
-              'command for ever, which is dangerous', 's', 0.05, 10.0, or_zero=True,
-              run_time=True),
+              'command for ever, which is dangerous, and is refused at run time', 's', 0.05, 10.0,
+              or_zero=True, run_time=True),
     Parameter('resend_rate', 20.0, 'the set-point, a stop included, is sent again at this rate so '
               'that one lost frame does no harm; 0 = never', 'Hz', 2.0, 33.0, or_zero=True,
               run_time=True),
@@ -52,6 +53,14 @@ PARAMETERS = (
 def gate_settings(values: dict[str, Any]) -> GateSettings:
     """Pick what the gate needs; its names are the parameters'."""
     return GateSettings(**{name: values[name] for name in GateSettings._fields})
+
+
+def refuse_at_run_time(changes: dict[str, Any]) -> None:
+    """Raise ParameterError for a value that is good at a start only."""
+    if changes.get('cmd_vel_timeout') == 0:
+        raise ParameterError('cmd_vel_timeout: 0 holds the last command for ever and is taken '
+                             'only at a start; set 0.5, or write it to the settings file and '
+                             'start again')
 
 
 def taken_away(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
