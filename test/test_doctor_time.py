@@ -333,6 +333,10 @@ def test_what_keeps_time(gaps: list[float], is_steady: bool, is_even: bool) -> N
     assert (rhythm.is_steady, rhythm.is_even) == (is_steady, is_even)
 
 
+def test_times_that_run_backwards_have_no_rhythm() -> None:
+    assert not rhythms((every([20.0] * 20 + [-1.0]), every([-20.0] * 20)), NOW, 1_000_000)
+
+
 @pytest.mark.parametrize(('gaps', 'other', 'locked'), [
     (20.0, 40.0, True), (20.0, 41.5, False), (20.0, 40.5, True), (20.0, 20.3, True)])
 def test_two_periods_that_fit_each_other(gaps: float, other: float, locked: bool) -> None:

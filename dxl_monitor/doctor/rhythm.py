@@ -12,6 +12,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
+from operator import le
 from operator import sub
 from typing import NamedTuple
 
@@ -110,7 +111,8 @@ class Rhythm(NamedTuple):
 def rhythms(cycles: tuple[Cycle, ...], now: int, baud: int) -> list[Rhythm]:
     """Return the rhythms of the most frequent instructions that are still going on."""
     going_on = [cycle for cycle in cycles
-                if len(cycle.stamps) > ENOUGH and now - cycle.stamps[-1] < FRESH_NS]
+                if len(cycle.stamps) > ENOUGH and now - cycle.stamps[-1] < FRESH_NS
+                and all(map(le, cycle.stamps, cycle.stamps[1:]))]      # the clock was not set
     return [_rhythm(cycle, baud) for cycle in going_on[:MOST]]
 
 
