@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from pathlib import Path
 import sys
 
-from docs.sample import sample
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.model.models import Models
@@ -23,7 +22,6 @@ from dxl_monitor.status import bus_status
 from dxl_monitor.status import device_metrics
 from dxl_monitor.status import device_status
 from dxl_monitor.status import PortState
-from dxl_monitor.tools.doctor import explain
 from mecarover_serial.parameters import Parameter
 from msg_defs.dxl_packet import encode
 from msg_defs.reports import Metric
@@ -286,12 +284,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
                    for line in lines)
 
 
-def errors() -> str:
-    return NOTE + explain.page()
-
-
-PAGES = {'parameters.md': parameters, 'diagnostics.md': diagnostics, 'sample.md': sample,
-         'errors.md': errors}
+PAGES = {'parameters.md': parameters, 'diagnostics.md': diagnostics}
 
 
 def main(check: bool) -> int:

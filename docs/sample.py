@@ -1,10 +1,11 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Write docs/sample.md: what dxl/diagnostics says of one device of each family.
+What dxl/diagnostics says of one device of each family: `python -m docs.sample`.
 
-A simulated bus on simulated time: each device is pinged and its whole table is read, as a
-thorough master would. `python -m docs.generate` calls this; a test holds the page to it.
+A simulated bus in simulated time: each device is pinged, and its whole table is read. A line has
+the device, the key and the value; counters, ages and rows of indirect addresses are left out.
+test/baseline/registers.txt has the same, and a test compares them.
 """
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ PAUSE_NS = 1_000_000
 
 
 def sample() -> str:
-    """Return the page."""
+    """Return the lines of all devices."""
     models = Models()
     devices = make_devices(list(FAMILIES), models, BAUD)
     line, monitor = Line(devices, BAUD), Monitor('', models, Settings(baud=BAUD))
@@ -40,12 +41,9 @@ def sample() -> str:
                 monitor.feed(burst.data, burst.end)
             now = exchange.end + PAUSE_NS
     report = monitor.report(now)
-    parts = [_section(device_status('dxl_monitor', '', device, report.findings, True).values,
-                      device.name) for device in report.devices]
-    return ('# A device of each family on dxl/diagnostics\n\n'
-            'Simulated devices, freshly read from the first register to the last: what a person '
-            'reads in `ros2 topic echo /dxl/diagnostics`, without the counters in front and the '
-            'ages at the end. Rows of indirect addresses are left out.\n\n' + '\n'.join(parts))
+    return ''.join(_lines(device_status(
+        'dxl_monitor', '', device, report.findings, True).values, device.name)
+        for device in report.devices)
 
 
 def _questions(fields: object) -> Iterator[tuple[Instruction, bytes]]:
@@ -62,11 +60,13 @@ def _questions(fields: object) -> Iterator[tuple[Instruction, bytes]]:
             begin, end = field.at, field.end
 
 
-def _section(values: list[tuple[str, str]], name: str) -> str:
-    model = dict(values)['Model']
+def _lines(values: list[tuple[str, str]], name: str) -> str:
     keys = [key for key, _ in values]
     first = keys.index('Model Number') if 'Model Number' in keys else 0
-    shown = [(key, value) for key, value in values[first:keys.index('Fields not observed')]
-             if not key.startswith('Indirect')]
-    lines = [f'{key}: {value}' for key, value in shown]
-    return '\n'.join([f'## {name} {model}', '', '```text', *lines, '```', ''])
+    shown = [*values[:1], *values[first:keys.index('Fields not observed')]]
+    return ''.join(f'{name} {key}: {value}\n' for key, value in dict(shown).items()
+                   if not key.startswith('Indirect'))
+
+
+if __name__ == '__main__':
+    print(sample(), end='')

@@ -12,6 +12,7 @@ player itself was late does not count, and its row says so.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 import sys
 from threading import Thread
@@ -27,16 +28,15 @@ from dxl_monitor.record.capture import Chunk
 from dxl_monitor.tools.replay import Played
 from dxl_monitor.tools.replay import Player
 from mecarover_serial.pty import Pty
-from rigs.bus.page import SCENES
 from rigs.bus.rig import Rig
 from rigs.bus.scene import Scene
 from rigs.bus.scene import SECONDS
+from rigs.bus.score import cells
 from rigs.bus.score import compare
 from rigs.bus.score import REPORT_NS
 from rigs.bus.score import Result
-from rigs.bus.score import row
+from rigs.bus.score import SCENES
 from rigs.bus.score import SEED
-from rigs.bus.score import words
 from rigs.bus.wire import S
 
 SAMPLE = 20
@@ -90,14 +90,16 @@ def main(names: list[str]) -> int:
     if not names:
         chosen = list(SCENES[::len(SCENES) // SAMPLE][:SAMPLE])
     models = Models()
-    counted = []
+    counted: Counter[str] = Counter()
     for scene in chosen:
         result, late_s = play(scene, models)
         is_late = late_s > LATE_S
-        print(row(result) + (f' does not count: the player was {1000 * late_s:.0f} ms late'
-                             if is_late else ''), flush=True)
-        counted += [] if is_late else [result]
-    print(f'{len(chosen) - len(counted)} of {len(chosen)} runs do not count. {words(counted)}')
+        print(' | '.join((scene.name, *cells(result))) + (
+            f' does not count: the player was {1000 * late_s:.0f} ms late'
+            if is_late else ''), flush=True)
+        counted.update(() if is_late else (result.verdict,))
+    print(f'{len(chosen) - counted.total()} of {len(chosen)} runs do not count; '
+          + ', '.join(f'{number} {verdict}' for verdict, number in counted.items()))
     return 0
 
 

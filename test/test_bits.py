@@ -8,7 +8,7 @@ from doctor_case import asks
 from doctor_case import case
 import pytest
 
-from benchmark import damage
+from benchmark import baseline
 from dxl_monitor.doctor import bits
 from dxl_monitor.doctor.bits import Shape
 from dxl_monitor.doctor.bits import Wreck
@@ -16,7 +16,6 @@ from dxl_monitor.doctor.bits import WrongBit
 from msg_defs.dxl_instruction import Instruction as I
 from rigs.bus import frames
 from rigs.bus import uart
-from rigs.bus import wrecked
 from rigs.bus.uart import Line
 from rigs.bus.uart import Pulse
 
@@ -215,10 +214,10 @@ def test_fewer_than_an_eighth_of_the_known_bits_are_wrong(turned, is_known):
     assert [len(one.flips) for one in found] == [7] * is_known
 
 
-# --- the page -----------------------------------------------------------------------------------
+# --- the baseline -------------------------------------------------------------------------------
 
-def test_the_page_is_current():
-    number = [kind.name for kind in wrecked.KINDS].index('two with one ID, same delay')
-    text, score = damage.row(number, damage.KNOWN)
-    assert text in damage.PAGE.read_text(encoding='utf-8'), 'python -m benchmark.damage --write'
-    assert score['wrong'] == 0
+def test_it_is_as_in_the_baseline():
+    kind = 'two with one ID, same delay'
+    cells = baseline.FAMILIES['damage'][kind]()
+    assert cells == baseline.saved_of('damage')[kind], 'run: python -m benchmark.baseline --write'
+    assert 'wrong' not in cells[3]

@@ -3,12 +3,13 @@
 """The doctor against every fault of the simulated bus, with Feetech and Protocol 1.0."""
 
 from functools import cache
-from pathlib import Path
 
 import pytest
 
+from benchmark.baseline import fault_cells
+from benchmark.baseline import saved_of
 from benchmark.confusion import examine
-from benchmark.confusion import render_dialects
+from benchmark.confusion import label
 from benchmark.confusion import reports
 from benchmark.confusion import Result
 from benchmark.confusion import told
@@ -27,7 +28,6 @@ from dxl_monitor.doctor import setting_up
 from dxl_monitor.fake.faults import KINDS
 from dxl_monitor.fake.traffic import FAMILY_1
 
-PAGE = Path(__file__).parents[1] / 'docs' / 'doctor_dialects.md'
 ENOUGH = 25                        # faults of each dialect
 LONG = 140                         # characters of a line that one reads at a glance
 MS = 1_000_000
@@ -64,11 +64,11 @@ def test_every_rule_of_the_dialects_is_among_the_cases() -> None:
     assert rules >= {rule.name for rule in feetech.RULES + setting_up.RULES}
 
 
-def test_the_page_is_current() -> None:
-    page = render_dialects(*([(case, result_of(case)) for case in cases]
-                             for cases in (FEETECH_CASES, DXL1_CASES)))
-    assert PAGE.read_text(encoding='utf-8') == page, \
-        'run: python -m benchmark.confusion --write'
+@pytest.mark.parametrize(('family', 'cases'), [
+    ('Feetech', FEETECH_CASES), ('Protocol 1.0', DXL1_CASES)])
+def test_it_is_as_in_the_baseline(family: str, cases: tuple[Case, ...]) -> None:
+    assert {label(case): fault_cells(case, result_of(case)) for case in cases} \
+        == saved_of(family), 'run: python -m benchmark.baseline --write'
 
 
 HEALTHY = [scene._replace(pattern=pattern, rate=20.0)

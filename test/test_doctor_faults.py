@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The doctor against every fault of the simulated bus: named, and nothing else; two at a time."""
 
+from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import pytest
 
+from benchmark.baseline import fault_cells
+from benchmark.baseline import saved_of
 from benchmark.confusion import examine
-from benchmark.confusion import render
+from benchmark.confusion import label
 from benchmark.confusion import reports
 from benchmark.confusion import Result
 from benchmark.confusion import SIDED
@@ -25,7 +27,6 @@ from dxl_monitor.doctor import RULES
 from dxl_monitor.fake.faults import KINDS
 from dxl_monitor.fake.traffic import PATTERNS
 
-PAGE = Path(__file__).parents[1] / 'docs' / 'doctor_confusion.md'
 AT = '2'                           # s, when the faults begin
 LONG = 140                         # characters of a line that one reads at a glance
 # No fault of the simulated bus makes these: test_doctor.py, test_sides.py or the scenes of
@@ -71,11 +72,12 @@ def test_every_fault_and_every_rule_is_among_the_cases() -> None:
         == {rule.name for rule in RULES} - ELSEWHERE - OF_DIALECTS
 
 
-def test_the_page_is_current() -> None:
-    page = render([(case, result_of(case)) for case in CASES],
-                  [(case, sided_result_of(case)) for case in SIDED])
-    assert PAGE.read_text(encoding='utf-8') == page, \
-        'run: python -m benchmark.confusion --write'
+@pytest.mark.parametrize(('family', 'cases', 'result'), [
+    ('Protocol 2.0', CASES, result_of), ('Protocol 2.0, sides known', SIDED, sided_result_of)])
+def test_it_is_as_in_the_baseline(
+        family: str, cases: tuple[Case, ...], result: Callable[[Case], Result]) -> None:
+    assert {label(case): fault_cells(case, result(case)) for case in cases} == saved_of(family), \
+        'run: python -m benchmark.baseline --write'
 
 
 SLOW = {'read_write': 4.0, 'mixed': 10.0, 'bulk': 20.0, 'registered': 20.0}

@@ -1,23 +1,29 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The cases that people had: each is played or says why not, and one of them is told."""
+"""The cases that people had: each is played or says why not; and what the baseline has of all."""
 
-import re
+from pathlib import Path
 
 import pytest
 
-from benchmark.field_cases import PAGE
-from benchmark.field_cases import results
+from benchmark import baseline
 from dxl_monitor.doctor import RULES
 from rigs.bus.field import NOT_PLAYED
 from rigs.bus.field import PLAYED
 
+PAGE = Path(__file__).parents[1] / 'docs' / 'doctor_results.md'
 
-def test_every_case_of_the_page_is_one_of_the_scenes():
-    text = PAGE.read_text()
-    rows = re.findall(r'^\| (T\d\d [^|]*) \|', text, re.M)
-    assert rows == [scene.name for scene in PLAYED]
-    assert [case for case, _ in NOT_PLAYED if f'| {case} |' not in text] == []
+
+def test_every_case_is_in_the_baseline_and_no_other():
+    assert [*baseline.saved()] == [
+        (family, case) for family, cases in baseline.FAMILIES.items() for case in cases]
+    played = {scene.name.split()[0] for scene in PLAYED}
+    assert not played & {one for cases, _ in NOT_PLAYED for one in cases.split(', ')}
+
+
+def test_the_page_has_the_scores_of_the_baseline():
+    page = PAGE.read_text(encoding='utf-8')
+    assert [line for line in baseline.scores(baseline.saved()) if line not in page] == []
 
 
 def test_what_is_expected_are_rules():
@@ -28,5 +34,14 @@ def test_what_is_expected_are_rules():
 @pytest.mark.parametrize(('case', 'cause'), [
     ('T10', 'all_silent'), ('T44', 'two_masters'), ('T58', 'impatient_master')])
 def test_a_case_is_told_as_its_thread_found(case, cause):
-    [found] = results([case])
-    assert (found.verdict, found.told) == ('right', ((cause, None),))
+    [scene] = [one for one in PLAYED if one.name.startswith(case)]
+    cells = baseline.field_cells(scene)
+    assert cells == baseline.saved_of('field cases')[scene.name]
+    assert (cells[1], cells[3]) == (f'{cause} bus', 'right')
+
+
+@pytest.mark.parametrize('name', baseline.TEXTS)
+def test_texts_are_as_in_the_baseline(name):
+    """The meaning of each register, and of each error text that --explain knows."""
+    assert baseline.TEXTS[name]() == (baseline.FOLDER / name).read_text(encoding='utf-8'), \
+        'run: python -m benchmark.baseline --write'

@@ -7,19 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.confusion import DOCS
+from benchmark import baseline
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from rigs.bus import ear
 from rigs.bus import frames
 from rigs.bus import masters
-from rigs.bus import page
 from rigs.bus import servo as reg
 from rigs.bus.rig import Rig
 from rigs.bus.scene import Scene
-from rigs.bus.score import judge
-from rigs.bus.score import row
+from rigs.bus.score import SCENES
 from rigs.bus.servo import Servo
 from rigs.bus.wire import Clock
 from rigs.bus.wire import Heard
@@ -30,7 +28,7 @@ from rigs.bus.wire import Wire
 
 BYTE_NS = 10_000.0
 KINDS = (ear.FINE, ear.FULL_SPEED, ear.COARSE, ear.LUMPS, ear.BUSY, ear.HUB)
-RIGS = Path(page.__file__).parent
+RIGS = Path(ear.__file__).parent
 # One of each kind: all of them take minutes.
 SAMPLE = ('sdk loop, USB hub', 'dead, item by item', 'loose plug, fast reads',
           'noise on all, bitbots', 'answers of the wrong length, sdk',
@@ -176,14 +174,16 @@ def test_it_shares_nothing_with_what_it_judges() -> None:
 
 
 def test_there_are_enough_scenes_and_each_has_a_name_of_its_own() -> None:
-    faults = [scene for scene in page.SCENES if scene.expected]
+    faults = [scene for scene in SCENES if scene.expected]
     assert len(faults) >= 60
-    assert len(page.SCENES) - len(faults) >= 20
-    assert len({scene.name for scene in page.SCENES}) == len(page.SCENES)
+    assert len(SCENES) - len(faults) >= 20
+    assert len({scene.name for scene in SCENES}) == len(SCENES)
 
 
 @pytest.mark.parametrize('name', SAMPLE)
-def test_the_page_is_current(name: str) -> None:
-    scene = next(scene for scene in page.SCENES if scene.name == name)
-    assert row(judge(scene)) in (DOCS / 'doctor_scenes.md').read_text(encoding='utf-8'), \
-        'run: python -m benchmark.confusion --write'
+def test_it_is_as_in_the_baseline(name: str) -> None:
+    scene = next(scene for scene in SCENES if scene.name == name)
+    assert baseline.scene_cells(scene) == {
+        **baseline.saved_of('other programs'),
+        **baseline.saved_of('other programs, healthy')}[name], \
+        'run: python -m benchmark.baseline --write'

@@ -107,6 +107,26 @@ _OF_2: tuple[Scene, ...] = (
           _of(*WEAK, ids=(11,)), ids=(11, 12, 13, 14, 15)),
 )
 
+# Where they are from:
+#   T01, T04, T08, T14  huggingface/lerobot #526, #1603, #560, #2387
+#   T03, T11, T23, T52  ROBOTIS-GIT/DynamixelSDK #11, #106, #282, #518
+#   T06                 fanhao375/microduck-replica PR #28
+#   T07                 KurtE/Phantom_Phoenix #3
+#   T10, T40            ROBOTIS-GIT/dynamixel-workbench #71, #370
+#   T13, T19, T20       pollen-robotics/reachy_mini #1163, #1402, #589
+#   T22                 ROBOTIS-GIT/turtlebot3 #338
+#   T25                 humancomputerlab/lelamp_runtime #9
+#   T26                 open-edge-platform/physical-ai-studio #955
+#   T28                 Interbotix/interbotix_ros_manipulators #252
+#   T29                 start-jsk/jsk_apc #1960
+#   T34                 ROBOTIS-GIT/DynamixelSDK PR #116
+#   T35                 ROBOTIS-GIT/dynamixel_hardware_interface #79
+#   T37, T49            poppy-project/pypot #92, #309
+#   T38, T43, T44       hello-robot/stretch_body #44, PR #218, PR #181
+#   T41, T53, T56, T59  huggingface/lerobot PR #1349, #532, PR #1889, #1296
+#   T50                 apirrone/Open_Duck_Mini #49
+#   T58                 strands-labs/robots #3398
+#   T61                 notes of users of OpenMANIPULATOR-X
 PLAYED: tuple[Scene, ...] = tuple(sorted((*_OF_2, *OF_1), key=lambda one: one.name))
 
 # What is not played, or cannot be told from the wire: why, and what would tell it.

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from collections.abc import Iterator
-from statistics import median
+from itertools import groupby
+from operator import itemgetter
 from typing import NamedTuple
 
 from dxl_monitor.bus.conversation import Settings
@@ -21,6 +22,8 @@ from dxl_monitor.bus.report import BusReport
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from msg_defs.reports import Level
+from rigs.bus.broken import SCENES as BROKEN
+from rigs.bus.healthy import SCENES as WELL
 from rigs.bus.rig import Rig
 from rigs.bus.scene import Key
 from rigs.bus.scene import Scene
@@ -30,8 +33,10 @@ from rigs.bus.wire import S
 RIGHT, VAGUE, SILENT, WRONG = 'right', 'vague', 'silent', 'wrong'
 REPORT_NS = S // 2
 SEED = 1
-FEW = 6                            # false words that a row shows
+NOTHING, HEALTHY = 'nothing', 'healthy'
+FEW = 6                            # false findings that a row shows
 BOOT = 1000 * S                    # no clock that counts from start-up begins at 0
+SCENES = (*BROKEN, *WELL)
 _MODELS = Models()
 
 
@@ -68,7 +73,7 @@ def judge(scene: Scene, seed: int = SEED) -> Result:
 
 def compare(scene: Scene, rig: Rig, told_of_it: Iterable[tuple[BusReport, float | None]],
             begin: int) -> Result:
-    """Return what reports say, each with the seconds since the fault showed, beside what is so."""
+    """Return what reports say, each with the seconds since the fault showed, and what is so."""
     true = {*scene.expected, *scene.also}
     false: dict[Key, float] = {}
     after: float | None = None
@@ -118,40 +123,19 @@ def verdict_of(scene: Scene, told: tuple[Key, ...], is_wrong: bool) -> str:
     return VAGUE if {*told} & {*scene.expected, *scene.also} else SILENT
 
 
-def table(results: Iterable[Result]) -> str:
-    """Return what was said of each scene."""
-    lines = ['| scene | expected | told | after | verdict |', '|---|---|---|---|---|']
-    return '\n'.join([*lines, *map(row, results)]) + '\n'
-
-
-def words(results: Iterable[Result]) -> str:
-    """Return the score in words."""
-    results = list(results)
-    faults = [one for one in results if one.expected]
-    healthy = [one for one in results if not one.expected]
-    counts = {verdict: sum(one.verdict == verdict for one in faults)
-              for verdict in (RIGHT, VAGUE, SILENT, WRONG)}
-    times = [one.after_s for one in faults if one.verdict == RIGHT and one.after_s is not None]
-    text = (f'{counts[RIGHT]} of {len(faults)} faults are told rightly, {counts[VAGUE]} '
-              f'vaguely, {counts[SILENT]} not at all, {counts[WRONG]} with a false word; '
-              f'{sum(one.verdict == RIGHT for one in healthy)} of {len(healthy)} healthy runs '
-            'without an accusation.')
-    if times:
-        text += f' Median time to the right name: {median(times):.1f} s.'
-    return text
-
-
-def row(result: Result) -> str:
-    said = ', '.join(_spell(key) for key in result.told) or 'nothing'
+def cells(result: Result) -> tuple[str, str, str, str]:
+    """Return what was expected, what was told, after how many s, and the verdict."""
+    said = spell(result.told) or NOTHING
     if result.false:
-        said += '; false: ' + ', '.join(f'{_spell(key)} at {when:.1f} s'
+        said += '; false: ' + ', '.join(f'{spell((key,))} at {when:.1f} s'
                                         for when, key in result.false[:FEW])
         said += f' and {len(result.false) - FEW} more' if len(result.false) > FEW else ''
-    after = '' if result.after_s is None else f'{result.after_s:.1f} s'
-    expected = ' or '.join(map(_spell, result.expected)) or 'healthy'
-    return f'| {result.name} | {expected} | {said} | {after} | {result.verdict} |'
+    after = '' if result.after_s is None else f'{result.after_s:.1f}'
+    return spell(result.expected) or HEALTHY, said, after, result.verdict
 
 
-def _spell(key: Key) -> str:
-    rule, device = key
-    return f'{rule}' if device is None else f'{rule} {device:03}'
+def spell(keys: Iterable[Key]) -> str:
+    """Return rules with their devices: 'no_answer 003 004, noise bus'."""
+    return ', '.join(' '.join((rule, *('bus' if device is None else f'{device:03}'
+                                       for _, device in some)))
+                     for rule, some in groupby(keys, itemgetter(0)))

@@ -1,9 +1,9 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the texts mean that programs print: dxl_doctor --explain TEXT, and docs/errors.md.
+What the texts mean that programs print: dxl_doctor --explain TEXT.
 
-errors.yaml is the one home of both. Texts are found within what a person pasted.
+They are in errors.yaml. Texts are found within what a person pasted.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ _FILE = 'errors.yaml'
 _SHORTEST = 5                      # characters of a pasted part that may stand for a text
 _NEAR = 0.6                        # alike enough for a guess, 0 to 1
 _WIDTH = 80
-_PAGE_WIDTH = 110
 
 
 class Explanation(NamedTuple):
@@ -57,7 +56,7 @@ def find(pasted: str) -> list[Explanation]:
 
 
 def _place(one: Explanation, wanted: str) -> int | None:
-    """Return where a text stands in what is wanted; None where it does not."""
+    """Return where a text is found in what was pasted; None if it is not."""
     places = []
     for text in map(_plain, (one.text, *one.also)):
         if text in wanted:
@@ -87,7 +86,7 @@ def lines(found: Sequence[Explanation]) -> list[str]:
                  *_paragraph(one.means)]
         if one.findings:
             names = ', '.join(name.replace('_', ' ') for name in one.findings)
-            text += ['', *_paragraph(f'What can be behind it, the likeliest first: {names}.')]
+            text += ['', *_paragraph(f'Possible causes, the likeliest first: {names}.')]
         text += ['', *_paragraph(one.do)] if one.do else []
     listen = 'dxl_doctor run -- COMMAND listens, and says which it is.'
     return [*text, '', *_paragraph(listen)]
@@ -95,29 +94,3 @@ def lines(found: Sequence[Explanation]) -> list[str]:
 
 def _paragraph(text: str) -> list[str]:
     return textwrap.wrap(text, _WIDTH, initial_indent='  ', subsequent_indent='  ')
-
-
-def page() -> str:
-    """Return docs/errors.md."""
-    text = ['# What programs print, and what it means on the wire', '', *_filled(
-        'The texts are word for word, so that a search finds them; each was compared with the '
-        'source of the program that prints it. `dxl_doctor --explain "TEXT"` '
-        'prints the same in a terminal, and `dxl_doctor run -- COMMAND` listens and says which '
-        'cause it is ([dxl_doctor](dxl_doctor.md)).')]
-    for one in explanations():
-        text += [f'## {_heading(one.text)}', '', '```text', one.text, *one.also, '```', '',
-                 *_filled(f'Printed by {", ".join(one.says)}. {one.means}')]
-        if one.findings:
-            links = ', '.join(f'[{name}](doctor.md#{name})' for name in one.findings)
-            text += _filled(f'What can be behind it, the likeliest first: {links}.')
-        text += _filled(one.do) if one.do else []
-    return '\n'.join(text)
-
-
-def _filled(text: str) -> list[str]:
-    return [*textwrap.wrap(text, _PAGE_WIDTH, break_on_hyphens=False), '']
-
-
-def _heading(text: str) -> str:
-    """Return a text as a heading of Markdown takes it."""
-    return text.replace('[', '').replace(']', ':', 1).rstrip(':')

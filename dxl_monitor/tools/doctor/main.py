@@ -120,7 +120,7 @@ def _explain(pasted: str) -> int:
         return DONE
     near = explain.nearest(pasted)
     raise OSError(f'{pasted}: no error text that is known here; ' + (
-        f'did you mean "{near}"?' if near else 'docs/errors.md lists those that are'))
+        f'did you mean "{near}"?' if near else 'paste the line as the program printed it'))
 
 
 def _check(options: argparse.Namespace, command: Sequence[str]) -> None:

@@ -1,0 +1,176 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the doctor says of every simulated case: test/baseline/doctor.tsv, which tests compare.
+
+    python -m benchmark.baseline [WORD ...]   play all, or the cases with a WORD in their name;
+                                              exit code 1 where the file says something else
+    python -m benchmark.baseline --write      bring it up to date, and the other files there
+
+A row has the family, the case, the expected findings, the findings, the seconds until the expected
+one came first, and the verdict (rigs/bus/score.py). docs/doctor_results.md explains the families.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+import re
+from statistics import median
+import sys
+
+from benchmark import confusion
+from benchmark import damage
+from benchmark.confusion_cases import Case
+from benchmark.confusion_cases import CASES
+from benchmark.confusion_cases import DXL1_CASES
+from benchmark.confusion_cases import FEETECH_CASES
+from docs.sample import sample
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.tools.doctor import explain
+from dxl_monitor.tools.doctor.course import Course
+from dxl_monitor.tools.doctor.examination import TRAFFIC_S
+from rigs.bus import score
+from rigs.bus.field import PLAYED
+from rigs.bus.scene import Scene
+from rigs.bus.score import SCENES
+from rigs.bus.score import spell
+from rigs.bus.wrecked import KINDS
+
+FOLDER = Path(__file__).resolve().parents[1] / 'test' / 'baseline'
+DOCTOR = FOLDER / 'doctor.tsv'
+VERDICTS = (score.RIGHT, score.VAGUE, score.SILENT, score.WRONG)
+Cells = tuple[str, ...]            # expected, told, after, verdict
+
+
+def fault_cells(case: Case, result: confusion.Result) -> Cells:
+    """Return the cells of a fault of fake_bus: right is the one cause, and nothing else."""
+    is_right = set(result.told) == set(case.told)
+    return (spell(case.told), spell(result.told) or score.NOTHING, f'{result.after_s:.1f}',
+            score.RIGHT if is_right else score.WRONG)
+
+
+def field_cells(scene: Scene) -> Cells:
+    """Return the cells of a case that people had: the screen of dxl_doctor counts."""
+    rig = scene.rig(score.SEED)
+    course = Course()
+
+    def heard() -> Iterator[tuple[BusReport, float | None]]:
+        for report, since in score.reports(scene, rig):
+            if since is None or since <= TRAFFIC_S:
+                course.take(report)
+            yield report, since
+    result = score.compare(scene, rig, heard(), score.BOOT)
+    told = tuple((one.finding.rule, one.finding.device) for one in course.told())
+    return score.cells(result._replace(
+        told=told, verdict=score.verdict_of(scene, told, bool(result.false))))
+
+
+def _faults(cases: Iterable[Case], has_sides: bool = False) -> dict[str, Callable[[], Cells]]:
+    def play(case: Case) -> Cells:
+        return fault_cells(case, confusion.examine(case, has_sides))
+    return {confusion.label(case): partial(play, case) for case in cases}
+
+
+def _scenes(play: Callable[[Scene], Cells],
+            scenes: Iterable[Scene]) -> dict[str, Callable[[], Cells]]:
+    return {scene.name: partial(play, scene) for scene in scenes}
+
+
+def scene_cells(scene: Scene) -> Cells:
+    return score.cells(score.judge(scene))
+
+
+def _damage(seeds: tuple[int, ...]) -> dict[str, Callable[[], Cells]]:
+    return {kind.name: partial(damage.cells, number, seeds) for number, kind in enumerate(KINDS)}
+
+
+FAMILIES: Mapping[str, Mapping[str, Callable[[], Cells]]] = {
+    'Protocol 2.0': _faults(CASES),
+    'Protocol 2.0, sides known': _faults(confusion.SIDED, has_sides=True),
+    'Feetech': _faults(FEETECH_CASES),
+    'Protocol 1.0': _faults(DXL1_CASES),
+    'other programs': _scenes(scene_cells, (one for one in SCENES if one.expected)),
+    'other programs, healthy': _scenes(scene_cells, (one for one in SCENES if not one.expected)),
+    'field cases': _scenes(field_cells, PLAYED),
+    'damage': _damage(damage.KNOWN),
+    'damage, other seeds': _damage(damage.BLIND),
+}
+
+
+def errors() -> str:
+    """Return the error texts that dxl_doctor --explain knows, each with its findings."""
+    return ''.join(f'{one.text}\t{" ".join(one.findings)}\n' for one in explain.explanations())
+
+
+TEXTS = {'errors.tsv': errors, 'registers.txt': sample}
+Rows = dict[tuple[str, str], Cells]        # family and case
+
+
+def saved() -> Rows:
+    """Return the rows of the file."""
+    rows = (line.split('\t') for line in DOCTOR.read_text(encoding='utf-8').splitlines())
+    return {(family, case): tuple(cells) for family, case, *cells in rows}
+
+
+def saved_of(family: str) -> dict[str, Cells]:
+    """Return the rows of a family by their case."""
+    return {case: cells for (name, case), cells in saved().items() if name == family}
+
+
+def scores(rows: Rows) -> list[str]:
+    """Return the table of docs/doctor_results.md: the verdicts of each family."""
+    return [_score(family, [cells for (name, _), cells in rows.items() if name == family])
+            for family in FAMILIES if any(name == family for name, _ in rows)]
+
+
+def _score(family: str, rows: list[Cells]) -> str:
+    counts: Counter[str] = Counter()
+    for *_, verdict in rows:
+        for number, word in re.findall(r'(\d*) ?([a-z]+)', verdict):
+            counts[word] += int(number or 1)
+    after = [float(when) for _, _, when, verdict in rows if when and verdict == score.RIGHT]
+    return ' | '.join(('| ' + family, str(counts.total()), *(str(counts[one]) for one in VERDICTS),
+                       f'{median(after):.1f} s |' if after else '|'))
+
+
+def _play(place: tuple[str, str]) -> Cells:
+    family, case = place
+    return FAMILIES[family][case]()
+
+
+def main(words: list[str]) -> int:
+    """Play cases, print them, and compare them with the file or write them."""
+    names = [word for word in words if word != '--write']
+    places = [(family, case) for family, cases in FAMILIES.items() for case in cases]
+    chosen = [place for place in places
+              if not names or any(name in ' '.join(place) for name in names)]
+    with ProcessPoolExecutor() as pool:
+        found = dict(zip(chosen, pool.map(_play, chosen), strict=True))
+    before = saved() if DOCTOR.exists() else {}
+    rows = {place: cells for place in places if (cells := found.get(place, before.get(place)))}
+    print('\n'.join((*_lines(found), '', *scores(found))))
+    changed = [place for place in (*rows, *before) if rows.get(place) != before.get(place)]
+    if '--write' in words:
+        DOCTOR.write_text(''.join(f'{line}\n' for line in _lines(rows)), encoding='utf-8')
+        for name, make in TEXTS.items():
+            (FOLDER / name).write_text(make(), encoding='utf-8')
+    elif changed:
+        print(f'{DOCTOR}: not so there, --write brings it up to date:', *map(' '.join, changed),
+              sep='\n  ', file=sys.stderr)
+        return 1
+    return 0
+
+
+def _lines(rows: Rows) -> list[str]:
+    return ['\t'.join((*place, *cells)) for place, cells in rows.items()]
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))
