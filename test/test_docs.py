@@ -277,15 +277,17 @@ def test_policy_allows_what_a_running_listener_uses(graph, node, program):
             map(set.issuperset, used, allowed))) == allowed
 
 
-def test_scripts_docs_builds_without_a_warning(tmp_path):
-    """The API pages; also the docstrings' mark-up."""
+def test_api_pages_are_read_without_a_warning(tmp_path):
+    """Every module can be described without ROS. The nightly job builds the pages."""
     try:
         import sphinx  # noqa: F401 - the extra `docs`
     except ImportError:
         pytest.skip("skipped: no sphinx here; pip install 'mecarover_serial[docs]'")
+    cheap = [f'-D{name}' for name in (
+        'autodoc_preserve_defaults=0', 'autodoc_typehints=none', 'extensions=sphinx.ext.autodoc')]
     done = subprocess.run([sys.executable, '-m', 'sphinx', '-q', '-W', '--keep-going', '-b',
-                           'html', ROOT / 'docs/api', tmp_path], capture_output=True, text=True,
-                          timeout=300)
+                           'dummy', *cheap, ROOT / 'docs/api', tmp_path], capture_output=True,
+                          text=True, timeout=300)
     assert done.returncode == 0, done.stderr
 
 
