@@ -159,7 +159,7 @@ def _nameless(case: Case, device: DeviceReport) -> Found | None:
     Rule('nameless', Level.WARN, each(_nameless)),
 """), named='dxl_monitor/doctor/FAMILY.py')
     code.change('docs/doctor.md', (
-        '### watchdog\n', '### nameless\n*WARN, device.* No joint.\n\n'))
+        '| `watchdog` ', '| `nameless` WARN | no joint name | name it in `devices` |\n'))
     assert code.run('-c', """
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.expected import Expected
