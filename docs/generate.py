@@ -57,45 +57,45 @@ LINK = {
     'Last x (m/s)': '',
     'Last y (m/s)': '',
     'Last omega (rad/s)': '',
-    'Openings': 'of the port',
-    'Reopenings': 'openings after the first',
-    'Losses': 'of an open port',
+    'Openings': '',
+    'Reopenings': '',
+    'Losses': '',
     'Write time-outs': 'frames discarded after `write_timeout`; a stop followed each',
     'Partial writes': 'the port took part of a frame; not completed, a stop followed',
     'Freezes': 'no activity for 0.2 s or more, or the dead man acted',
     'Deadman': 'ready, off (parameter), no use (a URL that it cannot write to: WARN), or lost '
                '(ERROR)',
-    'Bytes from MCU': 'text is logged at INFO',
+    'Bytes from MCU': '',
     'Lines from MCU': '',
-    'Garbage from MCU (B)': 'bytes that are not text',
+    'Garbage from MCU (B)': 'not text; text is logged',
     'Refused by MCU: crc mismatch': 'reported by the MCU; WARN for 10 s',
     'Refused by MCU: insufficient bytes': 'the same: a wrong length',
-    'Last error': 'stays after recovery',
+    'Last error': 'kept after recovery',
 }
 COMMANDS = {
-    'Topic': 'after namespace and remapping',
+    'Topic': '',
     'Message type': 'subscribed now: twist or twist_stamped',
     'Reliability': 'of the subscription: reliable while every publisher is',
     'State': 'driving, stopped, disabled, or unknown: no stop could be sent',
-    'Enabled': 'service `~/enable`',
+    'Enabled': '',
     'Commands received': '',
     'Commands accepted': '',
     'Commands limited': 'accepted, but scaled into the limits',
     'Commands replaced': 'accepted, but a newer one came before they were sent (`max_rate`)',
-    'Zero stamps': 'TwistStamped without a stamp: accepted',
-    'Refused: not finite': 'NaN or infinity',
-    'Refused: larger than 1e6': 'm/s or rad/s',
+    'Zero stamps': 'accepted',
+    'Refused: not finite': '',
+    'Refused: larger than 1e6': '',
     'Refused: disabled': '',
     'Refused: port not open': '',
     'Refused: bridge was frozen': 'in the 0.2 s after a freeze: it may be old',
     'Refused: waited too long': 'in the middleware, for more than `cmd_vel_timeout`',
-    'Refused: stamp too old': '`max_stamp_age`',
-    'Refused: stamp in the future': '`max_stamp_age`',
+    'Refused: stamp too old': '',
+    'Refused: stamp in the future': '',
     'Refused: shutting down': '',
-    'Time-outs': 'no accepted command for `cmd_vel_timeout`: stopped',
-    'Stops: port opened': 'stop bursts, by cause',
+    'Time-outs': '',
+    'Stops: port opened': '',
     'Stops: time-out': '',
-    'Stops: zero command': 'a command of zero while driving',
+    'Stops: zero command': '',
     'Stops: disabled': '',
     'Stops: message type switched': '',
     'Stops: write timed out': '',
@@ -106,16 +106,16 @@ COMMANDS = {
 DEVICE = {
     'Model': 'learned from a Ping, from a read of Model Number, or from the parameter `devices`',
     'Firmware Version': '',
-    'State': 'see below',
-    'Answers': 'since start or reset, as all counters',
+    'State': '',
+    'Answers': '',
     'Missed Answers': 'the next instruction came before the answer',
-    'Missed in a Row': 'more than `missed_limit`: disconnected',
-    'Loss in 10 s (%)': 'answers missed in the last 10 s; above `warn_loss`: WARN',
+    'Missed in a Row': '',
+    'Loss in 10 s (%)': '',
     'Not Served': 'in a Sync Read that ended at a silent device before it: not its fault',
     'Damaged Answers': 'wrong CRC or sum',
     'Repaired Answers': 'first header byte damaged, CRC right: accepted',
     'Refused Instructions': 'answers with an error number',
-    'Alert Answers': 'answers with the alert bit',
+    'Alert Answers': '',
     'Writes': '',
     'Reply latency p50 (ms)': 'if at least 20 % are resolved',
     'Reply latency p95 (ms)': '',
@@ -127,10 +127,10 @@ BUS = {
     'Protocol': '[as heard](dialects.md)',
     'Devices': 'known or expected; then a key for each state',
     'Models': 'IDs, model and model number: `001-018 MX-106 (321), 019 unknown`',
-    'Bytes': 'the sum of the next three',
+    'Bytes': 'packet, noise and pending bytes',
     'Packet Bytes': '',
-    'Noise Bytes': 'in no packet',
-    'Pending Bytes': 'of an incomplete packet',
+    'Noise Bytes': '',
+    'Pending Bytes': '',
     'Packets': '',
     'Instructions': '',
     'Repaired Packets': 'first header byte damaged, CRC right',
@@ -139,7 +139,7 @@ BUS = {
     'Bad Lengths': '',
     'Unasked Answers': 'without an instruction: they change no table',
     'Unknown Instructions': '',
-    'bytes (1/s)': 'over the last 10 s',
+    'bytes (1/s)': '',
     'packets (1/s)': '',
     'errors (1/s)': 'damaged, truncated and impossible packets',
 }
@@ -155,16 +155,16 @@ STATES = (
 )
 METRICS = {
     'callback_to_write': 'from the callback of a command to the end of its write',
-    'write': 'the write call of a frame',
-    'command_period': 'between two commands',
+    'write': '',
+    'command_period': '',
     'stamp_age': 'of a TwistStamped at arrival; needs clocks that agree',
-    'frame_rate': 'frames sent',
+    'frame_rate': '',
     'resident_memory': '',
     'time_per_buffer': 'to process one read',
-    'time_between_buffers': 'between two reads',
-    'bytes_per_buffer': 'per read',
-    'byte_rate': 'on the bus',
-    'packet_rate': 'on the bus',
+    'time_between_buffers': '',
+    'bytes_per_buffer': '',
+    'byte_rate': '',
+    'packet_rate': '',
     'error_rate': 'damaged packets',
     'bus_load': 'wire time at 10 bits per byte',
     'reply_latency': 'end of the instruction to start of the answer',
@@ -203,14 +203,15 @@ def diagnostics() -> str:
     link, commands = _bridge()
     bus, device, bus_metrics, metrics_of_device = _monitor()
     bridge_metrics = Timing().metrics(0)
-    own = [Metric('resident_memory', 'MB')]
+    topics = {**_topics('vel2d', bridge_metrics),
+              **_topics('dxl', [*bus_metrics, Metric('resident_memory', 'MB')])}
     return '\n'.join([
         '# Topics and status keys\n', NOTE,
         _table(('topic', 'type', 'content'), TOPICS),
         'Services: `/vel2d_bridge/enable` (SetBool), `/vel2d_bridge/reset_statistics`, '
         '`/dxl_monitor/reset_statistics` (Trigger).\n',
-        'Levels come from the last 10 s, not from counts since start. Keys contain the unit, '
-        'values are bare numbers. In a namespace, names and hardware IDs begin with it: '
+        'Levels come from the last 10 s; counters count since start or reset. Keys contain the '
+        'unit, values are bare numbers. In a namespace, names and hardware IDs begin with it: '
         '`rover1/dxl_monitor: 011`, `rover1/11`. A report of more than 30 statuses or 60 kB is '
         'cut into equal messages, and each status has `part` = `1 of 2`.\n',
         '## `vel2d_bridge: link`\n', *_keys(link, LINK),
@@ -231,28 +232,26 @@ def diagnostics() -> str:
         '## Timing\n',
         'On `vel2d/timing` and `dxl/timing` a status for each metric (`vel2d_bridge: '
         'timing/write`): mean, deviation, min, max, p50, p95, p99, count, or `value`, over the '
-        'last 10 s and since start. The topics below have the p95 or the value. The parameter '
+        'last 10 s and since start. The Float64 topics have the p95 or the value. The parameter '
         '`timing_topics` `all` adds statistics_msgs/MetricsMessage on `vel2d/statistics/...` and '
         '`dxl/statistics/...`; `off` removes all. With several buses the bus name comes before '
         'the metric.\n',
-        _table(('topic (Float64)', 'meaning'), [
-            *_metric_rows('vel2d', bridge_metrics), *_metric_rows('dxl', [*bus_metrics, *own])]),
+        *_keys([*topics], topics),
         'Per device, on `dxl/timing` only: ' + ', '.join(
             f'`{one.name}` ({one.unit}), {METRICS[one.name]}' for one in metrics_of_device)
         + '.\n'])
 
 
 def _keys(keys: Sequence[str], meanings: dict[str, str]) -> list[str]:
-    """Return a table of the keys that need a meaning, and the others in a line."""
-    plain = [f'`{key}`' for key in keys if not meanings[key]]
-    return [_table(('key', 'meaning'), [
-        (f'`{key}`', meanings[key]) for key in keys if meanings[key]]),
-        f'And {", ".join(plain)}.\n']
+    """Return a list of the keys that need a meaning, and the others in a line."""
+    plain = ', '.join(f'`{key}`' for key in keys if not meanings[key])
+    return [*(f'- `{key}`: {meanings[key]}' for key in keys if meanings[key]),
+            f'\nAnd {plain}.\n']
 
 
-def _metric_rows(prefix: str, metrics: Sequence[Metric]) -> list[tuple[str, ...]]:
-    return [(f'`{prefix}/timing/{one.name}_{unit_name(one.unit)}`', METRICS[one.name])
-            for one in metrics]
+def _topics(prefix: str, metrics: Sequence[Metric]) -> dict[str, str]:
+    return {f'{prefix}/timing/{one.name}_{unit_name(one.unit)}': METRICS[one.name]
+            for one in metrics}
 
 
 def _bridge() -> tuple[list[str], list[str]]:
