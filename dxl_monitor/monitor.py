@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from operator import attrgetter
 from threading import Lock
 from time import monotonic_ns
+from typing import Any
 from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
@@ -35,6 +36,7 @@ from dxl_monitor.model import control_table
 from dxl_monitor.model.layers import model_key
 from dxl_monitor.model.models import Models
 from dxl_monitor.port.driver import LineErrors
+from mecarover_serial.fault import survive
 from msg_defs.dxl_instruction import error_text
 from msg_defs.heard import BREAK
 from msg_defs.heard import Change
@@ -91,6 +93,7 @@ class Monitor:
         self._tracker, self._roster, self._evidence = said.tracker, said.roster, said.evidence
         self._line_errors: LineErrors | None = None    # told by the source beside the bytes
         self._idle_is_told = idle_is_told
+        self._fed = 0                          # bytes
         self._last = 0                         # stamp of the last chunk
         self._listened = 0                     # up to when all that came was fed, if told
         self._resumed = 0                      # when somebody listened again
@@ -117,7 +120,11 @@ class Monitor:
                 else:
                     on_wire_ns = 0 if side == OUT else int(len(chunk) * said.byte_ns)
                     self._flush_if_idle(stamp - on_wire_ns)
-                said.hear(chunk, stamp, side)
+                try:
+                    said.hear(chunk, stamp, side)
+                except Exception as mistake:
+                    self._go_on(mistake)
+                self._fed += len(chunk)
                 if stamp >= self._next_tick:
                     self._tick(stamp)
                 self._last = stamp
@@ -132,7 +139,7 @@ class Monitor:
         with self._lock:
             field = _LINE_ERRORS.get(change.what)
             if field is None:
-                self.conversation.change(change, stamp)
+                self._try(self.conversation.change, change, stamp)
             else:
                 before = self._line_errors or LineErrors()
                 self._line_errors = before._replace(
@@ -248,7 +255,20 @@ class Monitor:
     def _flush_if_idle(self, now: int) -> None:
         said = self.conversation
         if self._last and now - self._last > said.idle_ns:
-            said.pause(self._last, now)
+            self._try(said.pause, self._last, now)
+
+    def _try(self, call: Callable[..., None], *arguments: Any) -> None:
+        try:
+            call(*arguments)
+        except Exception as mistake:
+            self._go_on(mistake)
+
+    def _go_on(self, mistake: Exception) -> None:
+        """Hear what comes next after a mistake of ours; a tool that cannot write ends."""
+        if isinstance(mistake, OSError):
+            raise mistake
+        survive('the monitor', mistake)
+        self._tracker.lose_track(self._last, 0)
 
     def _tick(self, now: int) -> None:
         """Once a second: snapshots for the last 10 s, and a look at what was no packet."""
@@ -274,10 +294,11 @@ class Monitor:
     def _counters(self) -> dict[str, int]:
         total = self.conversation.total
         counts = self._evidence.counts
+        left_out = self._fed - total('bytes')      # where a mistake of ours was
         now = {
-            'Bytes': total('bytes'),
+            'Bytes': self._fed,
             'Packet Bytes': total('packet_bytes'),
-            'Noise Bytes': total('noise_bytes'),
+            'Noise Bytes': total('noise_bytes') + left_out,
             'Pending Bytes': total('pending'),
             'Packets': total('packets'),
             'Instructions': self._tracker.planner.instructions(),

@@ -5,6 +5,7 @@ from collections import defaultdict
 from contextlib import contextmanager
 from functools import cache
 import importlib
+import logging
 import os
 from pathlib import Path
 import re
@@ -18,10 +19,18 @@ import tempfile
 from harness import Mcu
 import pytest
 
+from mecarover_serial.fault import LOG
 from mecarover_serial.ros_domain import Domain
 from mecarover_serial.ros_domain import TESTS
 
 LAUNCH_TESTS = re.compile(r'test_(launch|launch_arguments|launch_included|respawn)\.py\b')
+
+
+class Raise(logging.Handler):
+    """Lets a test fail of an exception that the program survives."""
+
+    def emit(self, record):
+        raise record.exc_info[1]
 
 
 def pytest_addoption(parser):
@@ -47,6 +56,7 @@ def pytest_configure(config):
         'FASTRTPS_DEFAULT_PROFILES_FILE': str(Path(__file__).with_name('fast_discovery.xml')),
     })
     os.environ.pop('ROS_LOCALHOST_ONLY', None)
+    LOG.addHandler(Raise())
     if config.pluginmanager.hasplugin('launch_testing'):
         os.environ['LAUNCH_TESTING_PLUGIN'] = 'yes'     # for test_launch.py
     # A script's background job ignores Ctrl-C, and so would every process that a test starts.

@@ -11,12 +11,14 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 import pytest
 
+from dxl_monitor import doctor
 from dxl_monitor.bus.conversation import ANSWER_NS
 from dxl_monitor.bus.conversation import Conversation
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.faults import parse
 from dxl_monitor.fake.line import Line
@@ -24,6 +26,7 @@ from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
+from mecarover_serial import fault
 from msg_defs import dxl1_packet
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
@@ -600,3 +603,49 @@ def test_a_stamp_may_be_any():
         monitor.feed(LONG[0] + LONG[1], stamp)
         [device] = monitor.report(stamp).devices
         assert device.totals.answers > 0
+
+
+@pytest.fixture
+def survives(monkeypatch):
+    """Let the program survive a mistake of ours, as it does but in tests."""
+    monkeypatch.setattr(fault.LOG, 'handlers', [])
+    monkeypatch.setattr(fault, '_logged', set())
+
+
+@pytest.mark.parametrize(('where', 'name'), [
+    (Tracker, 'track'), (Conversation, 'hear'), (Conversation, 'pause')])
+def test_a_mistake_of_ours_costs_no_byte_and_is_logged_once(survives, caplog, monkeypatch, where,
+                                                           name):
+    bus, calls, right = Bus(), [], getattr(where, name)
+
+    def wrong(*arguments):
+        calls.append(1)
+        if 3 < len(calls) < 7:
+            raise KeyError(name)
+        return right(*arguments)
+
+    monkeypatch.setattr(where, name, wrong)
+    for _ in range(12):
+        bus.hear(READ, every_ms=1500)
+        bus.hear(REPLY)
+    counters = bus.report().counters
+    assert counters['Bytes'] == 12 * len(READ + REPLY)
+    assert counters['Bytes'] == counters['Packet Bytes'] + counters['Noise Bytes']
+    assert counters['Packets'] > 16
+    assert [record.exc_info[0] for record in caplog.records] == [KeyError]
+
+
+def test_a_rule_that_fails_is_left_out_and_logged_once(survives, caplog, monkeypatch):
+    def wrong(case):
+        raise IndexError('of this rule')
+        yield
+
+    monkeypatch.setattr(doctor, 'RULES', tuple(
+        rule._replace(check=wrong) if rule.name == 'duplicate_id' else rule
+        for rule in doctor.RULES))
+    bus = Bus()
+    for _ in range(30):
+        bus.hear(READ, every_ms=100)
+        bus.report()
+    assert [one.rule for one in bus.report().findings] == ['no_answer']
+    assert [record.exc_info[0] for record in caplog.records] == [IndexError]

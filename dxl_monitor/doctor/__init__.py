@@ -35,6 +35,7 @@ from dxl_monitor.doctor.rule import MODEL
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.state import judged
 from dxl_monitor.model.control_table import UNKNOWN
+from mecarover_serial.fault import survive
 from msg_defs.reports import Level
 from msg_defs.reports import worst
 
@@ -93,7 +94,7 @@ class Doctor:
     def _last_told(self, case: Case) -> tuple[Finding, ...]:
         """Return what was known when the master asked last: nothing new can be judged."""
         for name in _AT_REST:
-            for found in RULES[_RANK[name]].check(case):
+            for found in _found(RULES[_RANK[name]], case):
                 if isinstance(found, Claim):
                     self._standing[name, found.device] = found, case.now
         return self._told()
@@ -107,9 +108,17 @@ class Doctor:
         return tuple(sorted(findings, key=lambda one: (-one.level, _RANK[one.rule])))
 
 
+def _found(rule: Rule, case: Case) -> list[Found]:
+    try:
+        return [*rule.check(case)]
+    except Exception as mistake:               # the other rules go on
+        survive(f'the rule {rule.name}', mistake)
+        return []
+
+
 def _allowed(rule: Rule, case: Case) -> Iterator[Found]:
     """Yield what a rule finds, where what it needs is known."""
-    for found in rule.check(case):
+    for found in _found(rule, case):
         device = None if found.device is None else case.devices.get(found.device)
         if MODEL not in rule.needs or device is None or device.model is not UNKNOWN:
             yield found

@@ -1,0 +1,19 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""An exception that is a mistake of ours: it is logged, and the program goes on without it."""
+
+import logging
+
+LOG = logging.getLogger('mecarover_serial')
+_logged: set[tuple[str, int]] = set()
+
+
+def survive(what: str, mistake: Exception) -> None:
+    """Log an exception with its traceback, once for each place in the code that raises it."""
+    trace = mistake.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    place = ('', 0) if trace is None else (trace.tb_frame.f_code.co_filename, trace.tb_lineno)
+    if place not in _logged:
+        LOG.error('internal fault in %s, which goes on; please report it', what, exc_info=mistake)
+        _logged.add(place)
