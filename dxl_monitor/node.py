@@ -9,6 +9,7 @@ at a time, so that 253 devices neither fill a message nor hold up the executor.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from functools import cached_property
 import time
 from typing import Any
@@ -42,6 +43,7 @@ from dxl_monitor.status import device_status
 from dxl_monitor.status import PortState
 from dxl_monitor.timers import Timers
 from mecarover_serial.inspection import Inspection
+from mecarover_serial.namesakes import Namesakes
 from mecarover_serial.node import declare
 from mecarover_serial.node import overridable_publisher
 from mecarover_serial.process import resident_memory_mb
@@ -118,8 +120,8 @@ class MonitoredBus:
         return self.monitor.report(now, self.listener.counters.line_errors,
                                    self.listener.state.is_open and not self._behind_since)
 
-    def port_state(self) -> PortState:
-        """Return what the driver and the thread know about the port."""
+    def port_state(self, warnings: Sequence[str] = ()) -> PortState:
+        """Return what the driver and the thread know about the port; `warnings` are the node's."""
         counters, state = self.listener.counters, self.listener.state
         values = [
             ('Bytes read', str(counters.bytes)),
@@ -145,7 +147,7 @@ class MonitoredBus:
             warning = (f'{self.bus.port}: who reads it says nothing, what is told here is old; '
                        'plug the adapter in again, or restart the node')
         return PortState(self.bus.port, '' if state.is_open else state.text, tuple(values),
-                         warning)
+                         '; '.join(filter(None, [*warnings, warning])))
 
     def _complaints(self) -> list[str]:
         """Return what disturbs the port while it is open: a login, a console."""
@@ -196,6 +198,7 @@ class MonitorNode:
         self._capture_words = ''
         self._buses = [MonitoredBus(bus, models, self._recorder, values['joint_state_rate'])
                            for bus in found]
+        self._namesakes = Namesakes(self.node.get_fully_qualified_name(), time.monotonic_ns())
         self._port_words: dict[str, str] = {}
         self._levels: list[int] = []
         self._alarms = 0                # so many were there in the last report
@@ -304,7 +307,10 @@ class MonitorNode:
 
     def _hear(self, now: int) -> list[Heard]:
         self._alarms, self._reported = self._count_alarms(), now
-        return [(one, one.report(now), one.port_state()) for one in self._buses]
+        twins = self._namesakes.complaints(self.node.get_node_names_and_namespaces(), now)
+        for line in twins:
+            self._log.warning(line, once=True)
+        return [(one, one.report(now), one.port_state(twins)) for one in self._buses]
 
     def _tell(self, heard: list[Heard]) -> None:
         """

@@ -3,11 +3,12 @@
 """Which publisher of cmd_vel is followed, and what is said of the others. No ROS here."""
 import pytest
 
+from mecarover_serial.namesakes import Namesakes
+from mecarover_serial.namesakes import node_name
 from vel2d_bridge.graph import Absence
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.graph import choose
 from vel2d_bridge.graph import complaints
-from vel2d_bridge.graph import node_name
 from vel2d_bridge.graph import Publisher
 from vel2d_bridge.settings import AUTO
 from vel2d_bridge.settings import TWIST
@@ -84,3 +85,31 @@ def test_a_missing_publisher_is_news_after_three_seconds():
     assert absence.had_one
     line = Absence.words(TOPIC)
     assert line.startswith(f'{TOPIC}: no node publishes it; start teleop_twist_keyboard')
+
+
+def test_another_bridge_on_the_topic_is_named():
+    assert complaints(Choice(TWIST, True), [PLAIN], TOPIC) == []
+    [line] = complaints(Choice(TWIST, True), [PLAIN], TOPIC, ['/left', '/right'])
+    assert line.startswith(f'{TOPIC}: /left, /right hears it too, so one teleop drives 3 rovers; ')
+
+
+NAME = '/rover1/vel2d_bridge'
+ONE, OTHER = ('vel2d_bridge', '/rover1'), ('vel2d_bridge', '/rover2')
+
+
+@pytest.mark.parametrize(('looks', 'said'), [
+    # (s after the start, nodes of our name): which of the looks complain.
+    ([(0, 1), (2, 1), (4, 1), (30, 1)], []),
+    ([(0, 1), (2, 1), (4, 2), (5, 1)], [4]),                # it came after us: it lives
+    ([(0, 1), (2, 2), (4, 2), (20, 2), (22, 1)], []),       # the one that we replace
+    ([(0, 2), (2, 2), (4, 2), (24, 2), (25, 2)], [25]),     # a killed one is forgotten by then
+    ([(2, 2), (4, 2), (5, 3), (22, 2), (30, 2)], [5, 30]),
+    ([(2, 2), (4, 2), (20, 1), (21, 2)], [21]),
+])
+def test_a_node_of_our_name_is_said(looks, said):
+    namesakes = Namesakes(NAME, 10 * S)
+    lines = {at: namesakes.complaints([OTHER, *count * [ONE]], (10 + at) * S)
+             for at, count in looks}
+    assert [at for at, found in lines.items() if found] == said
+    for at in said:
+        assert lines[at][0].startswith(f'{NAME}: {dict(looks)[at]} nodes have this name, ')

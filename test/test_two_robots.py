@@ -3,13 +3,17 @@
 """Two robots in one ROS domain, one of them sick: neither is taken for the other."""
 from contextlib import ExitStack
 from importlib import util
+import signal
 import time
 
+from harness import bridge
 from harness import Program
 from harness import wait
 import pytest
 from test_dashboard_ros import Running
 from test_dashboard_server import Stream
+
+from mecarover_serial.namesakes import DISCOVERED_NS
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 LOST = 2
@@ -54,6 +58,50 @@ def test_each_status_is_of_one_robot(robots, graph):
     assert ours['rover2/dxl_monitor: 002', 'rover2/2'] == {(b'\2',)}
     [[_, port]] = ours['rover1/vel2d_bridge: link', f'rover1{robots}/mcu_rover1']
     assert port == f'{robots}/mcu_rover1'
+
+
+def test_two_robots_in_namespaces_are_no_mistake(robots, graph):
+    for robot in ('rover1', 'rover2'):
+        graph.wait_status(f'{robot}/dxl_monitor: bus')
+        status = graph.wait_status(f'{robot}/vel2d_bridge: commands', 'no node publishes it')
+        assert 'hears it too' not in str(status)
+        for status in list(graph.statuses.values()):
+            assert 'nodes have this name' not in str(status)
+
+
+def test_one_teleop_for_two_rovers_is_said_by_both_bridges(graph, tmp_path):
+    """Each is well, so nothing else would say it; in the log it stands once."""
+    names = ['left', 'right']
+    with ExitStack() as stack:
+        bridges = [stack.enter_context(bridge(
+            str(tmp_path / name), '-r', f'__node:={name}', '-r', 'cmd_vel:=/both/cmd_vel'))
+            for name in names]
+        for one, name, other in zip(bridges, names, reversed(names), strict=True):
+            words = f'/both/cmd_vel: /{other} hears it too, so one teleop drives 2 rovers; '
+            graph.wait_status(f'{name}: commands', words, level=1)
+            one.wait_for('WARN', words)
+            assert len(one.said(words)) == 1
+        bridges.pop().signal(signal.SIGTERM)
+        wait(lambda: 'hears it too' not in str(graph.statuses['left: commands']))
+
+
+@pytest.mark.parametrize(('module', 'status', 'port'), [
+    ('vel2d_bridge.main', 'vel2d_bridge: commands', 'port'),
+    ('dxl_monitor.main', 'dxl_monitor: bus', 'ports')])
+def test_two_nodes_of_one_name_are_said(graph, tmp_path, module, status, port):
+    """By the older one at once: what it finds after its start was not killed before."""
+    words = ['--ros-args', '-r', '__ns:=/twins', '-p', f'{port}:={tmp_path}/none']
+    name = '/twins/' + status.partition(':')[0]
+    with Program(module, *words) as first:
+        graph.wait_status(f'twins/{status}', level=None)
+        wait(lambda: 'nodes have' not in str(graph.statuses[f'twins/{status}']))
+        began_s = time.monotonic()
+        wait(lambda: time.monotonic() > began_s + DISCOVERED_NS / 1e9)
+        with Program(module, *words):
+            line = f'{name}: 2 nodes have this name, their statuses and services are mixed up; '
+            graph.wait_status(f'twins/{status}', line)
+            first.wait_for('WARN', line)
+            assert len(first.said(line)) == 1
 
 
 @pytest.mark.skipif(util.find_spec('aiohttp') is None, reason='skipped: no aiohttp')

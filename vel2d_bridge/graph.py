@@ -4,7 +4,7 @@
 Who publishes cmd_vel, what that means for our subscription, and what a person should know.
 
 Pure: the node hands in what the ROS graph says. The reasons robots stand still unexplained are
-here: a publisher of the other type, incompatible QoS, two publishers fighting.
+here: a publisher of the other type, incompatible QoS, two publishers fighting; and why two drive.
 """
 from __future__ import annotations
 
@@ -68,13 +68,6 @@ class Choice(NamedTuple):
     reliable: bool
 
 
-def node_name(namespace: str, name: str) -> str:
-    """Return the full name of a node; discovery may not know it yet, or it is none of ROS."""
-    if 'UNKNOWN' in name:
-        return 'a node without a name'
-    return f'{namespace.rstrip("/")}/{name}'
-
-
 def choose(setting: str, current: Choice, publishers: Sequence[Publisher]) -> Choice:
     """
     Follow the publishers: their type when they agree, reliable only if all of them are.
@@ -92,9 +85,18 @@ def choose(setting: str, current: Choice, publishers: Sequence[Publisher]) -> Ch
     return Choice(message_type, reliable)
 
 
-def complaints(choice: Choice, publishers: Sequence[Publisher], topic: str) -> list[str]:
-    """Say in a line each what keeps commands from arriving or makes them fight."""
+def complaints(choice: Choice, publishers: Sequence[Publisher], topic: str,
+               bridges: Sequence[str] = ()) -> list[str]:
+    """
+    Say in a line each what keeps commands from arriving or makes them fight.
+
+    `bridges` are others that hear the topic.
+    """
     lines = []
+    if bridges:
+        lines.append(f'{topic}: {", ".join(bridges)} hears it too, so one teleop drives '
+                     f'{len(bridges) + 1} rovers; end all bridges but one, or give each rover a '
+                     'namespace')
     for one in publishers:
         if TYPE_NAMES.get(one.type) != choice.message_type:
             lines.append(

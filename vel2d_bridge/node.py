@@ -23,6 +23,7 @@ from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
 from mecarover_serial.inspection import Inspection
+from mecarover_serial.namesakes import Namesakes
 from mecarover_serial.node import declare
 from mecarover_serial.preflight import PortError
 from msg_defs.crc import CRC_INPUTS
@@ -97,6 +98,8 @@ class Bridge:
         self._subscriber = CmdVelSubscriber(
             self.node, self._values['message_type'], self._on_command, self._on_type,
             self._on_left)
+        self._namesakes = Namesakes(self.node.get_fully_qualified_name(), time.monotonic_ns())
+        self._twins: list[str] = []
         self.node.create_service(SetBool, '~/enable', self._enable)
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
         self._diagnostics = self.node.create_publisher(
@@ -227,6 +230,8 @@ class Bridge:
         if state.is_open:
             self._inspection.look(state.openings, time.monotonic())
         self._subscriber.look()
+        self._twins = self._namesakes.complaints(
+            self.node.get_node_names_and_namespaces(), time.monotonic_ns())
         self._write_logs()
         self._report()
 
@@ -248,7 +253,7 @@ class Bridge:
 
     def _write_logs(self) -> None:
         self._log_changes()
-        self._say_new([*self._link_warnings(), *self._subscriber.warnings])
+        self._say_new([*self._link_warnings(), *self._twins, *self._subscriber.warnings])
         crc = CRC_INPUTS[self._values['crc_input']]
         while self._sent:
             velocity = self._sent.popleft().velocity
@@ -295,7 +300,7 @@ class Bridge:
         verdict, refused_at = self._refused or (None, 0)
         commands = Commands(
             subscriber.topic, subscriber.subscribed, self._values['cmd_vel_timeout'],
-            subscriber.complaints, self._timing.command_period.summary(now),
+            [*self._twins, *subscriber.complaints], self._timing.command_period.summary(now),
             subscriber.zero_stamps, verdict if now - refused_at < REFUSED_NS else None)
         return [link_status(name, self._port, state, self._link_warnings(), self._mcu, now),
                 commands_status(name, self._port, state, self._link.gate.counters, commands)]

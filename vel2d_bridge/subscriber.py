@@ -9,6 +9,7 @@ another is made. graph.py decides what the graph means; the owner decides about 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 import time
 from typing import Any
 
@@ -23,6 +24,7 @@ from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from mecarover_serial.namesakes import node_name
 from mecarover_serial.node import first_line
 from mecarover_serial.node import given
 from mecarover_serial.parameters import ParameterError
@@ -30,12 +32,12 @@ from vel2d_bridge.graph import Absence
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.graph import choose
 from vel2d_bridge.graph import complaints
-from vel2d_bridge.graph import node_name
 from vel2d_bridge.graph import Publisher
 from vel2d_bridge.settings import TWIST
 from vel2d_bridge.settings import TWIST_STAMPED
 from vel2d_bridge.wall_clock import WallClock
 
+SERVICES = ('enable', 'reset_statistics')       # by which a bridge is known
 TYPES = {TWIST: Twist, TWIST_STAMPED: TwistStamped}
 
 
@@ -91,11 +93,26 @@ class CmdVelSubscriber:
         now = time.monotonic_ns()
         if self._absence.observe(bool(publishers), now):
             self._on_left()
-        self.warnings = complaints(self.choice, publishers, self.topic)
+        self.warnings = complaints(self.choice, publishers, self.topic, self._other_bridges())
         alone = [Absence.words(self.topic)] if self._absence.is_long(now) else []
         self.complaints = self.warnings + alone
         if not self._absence.had_one:
             self.warnings = self.complaints
+
+    def _other_bridges(self) -> list[str]:
+        """Return the nodes that hear our topic and have the services of a bridge."""
+        ours = self._node.get_fully_qualified_name()
+        nodes = {(one.node_namespace, one.node_name)
+                 for one in self._node.get_subscriptions_info_by_topic(self.topic)}
+        return sorted(node_name(*one) for one in nodes
+                      if node_name(*one) != ours and self._is_bridge(*one))
+
+    def _is_bridge(self, namespace: str, name: str) -> bool:
+        with suppress(RuntimeError):        # rclpy's: it is leaving, or its name is not known yet
+            services = self._node.get_service_names_and_types_by_node(name, namespace)
+            return {f'{node_name(namespace, name)}/{service}' for service in SERVICES} <= {
+                service for service, _ in services}
+        return False
 
     def renew(self) -> None:
         """
