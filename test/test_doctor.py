@@ -252,7 +252,7 @@ def test_an_error_register_without_an_alert_is_over() -> None:
     bus = Bus()
     bus.hear(PING, PONG, *read(70, b'\x20', 0x80))
     assert bus.report().devices[0].level is Level.ERROR
-    bus.hear(*[READ, REPLY] * 3)       # it was switched off and on; nobody read the register again
+    bus.hear(*[READ, REPLY] * 3)       # it was switched off and on; the register is not read again
     assert (bus.report().devices[0].level, bus.told()) == (Level.OK, {})
 
 

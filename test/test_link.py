@@ -471,7 +471,7 @@ def test_a_terminal_server_drives_the_rover_stops_it_and_has_no_use_for_a_deadma
             wait(lambda: link.state().losses == 1)
             frames = len(velocities(mcu))
             wait(lambda: link.state().openings == 2 and len(velocities(mcu)) > frames)
-            assert velocities(mcu)[frames] == STOP      # of the new connection, the first
+            assert velocities(mcu)[frames] == STOP      # the first of the new connection
             drive(link, mcu)
             state = link.state()
             assert state.deadman == 'no use'

@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 
 TAP, USB = 'tap:', 'usb:'
-PREFIXES = (TAP, USB)              # of live sources; listeners.py has the listener of each
+PREFIXES = (TAP, USB)              # live sources; listeners.py has their listeners
 DEFAULT_BAUD = 2_000_000
 
 

@@ -10,8 +10,8 @@ from dxl_monitor.bus.evidence import text_of
 from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.listing import NO_REQUEST
-from dxl_monitor.tools.dump.meaning import Identity
 from dxl_monitor.tools.dump.meaning import Part
+from dxl_monitor.tools.dump.meaning import PingAnswer
 from dxl_monitor.tools.dump.words import error_words
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import Packet
@@ -20,7 +20,7 @@ DECIMALS = 9                       # finer than any register
 
 
 def json_line(bus: str, stamp_us: int, packet: Packet, entry: Entry, parts: Sequence[Part],
-              identity: Identity | None) -> str:
+              identity: PingAnswer | None) -> str:
     """Return one packet; stamp_us as it is to be shown."""
     record: dict[str, Any] = {
         'stamp': stamp_us / 1e6, 'offset': packet.offset, 'bus': bus, 'id': packet.id,

@@ -19,8 +19,8 @@ from dxl_monitor.tools.dump.listing import DAMAGED
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.listing import MISSED
 from dxl_monitor.tools.dump.listing import NOISE
-from dxl_monitor.tools.dump.meaning import Identity
 from dxl_monitor.tools.dump.meaning import Part
+from dxl_monitor.tools.dump.meaning import PingAnswer
 from dxl_monitor.tools.dump.words import answer_words
 from dxl_monitor.tools.dump.words import damaged_words
 from dxl_monitor.tools.dump.words import missed_words
@@ -64,7 +64,7 @@ class Lines:
         self._model_width = 10             # grows with the names that come
 
     def line(self, bus: str, stamp: int, entry: Entry, parts: Sequence[Part],
-             identity: Identity | None) -> str:
+             identity: PingAnswer | None) -> str:
         """Return the line of an entry; stamp in ns, as the time is to be shown."""
         mark, colour, number, name, words = _SHOWN.get(entry.kind, _packet)(
             entry, parts, identity)
@@ -115,7 +115,7 @@ def delta_text(delta_us: float) -> str:
 Shown = tuple[str, str, str, str, str]         # mark, colour, ID, instruction, words
 
 
-def _packet(entry: Entry, parts: Sequence[Part], identity: Identity | None) -> Shown:
+def _packet(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
     packet = entry.packet
     if packet is None:
         return '?', RED, '', '', ''
@@ -134,19 +134,19 @@ def _status_colour(entry: Entry, packet: Packet, parts: Sequence[Part]) -> str:
     return YELLOW if packet.error or entry.notes else GREEN
 
 
-def _missed(entry: Entry, parts: Sequence[Part], identity: Identity | None) -> Shown:
+def _missed(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
     number = '' if entry.device is None else f'{entry.device.number:03}'
     return '!', RED, number, 'missed', missed_words(entry)
 
 
-def _damaged(entry: Entry, parts: Sequence[Part], identity: Identity | None) -> Shown:
+def _damaged(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
     number = f'{entry.data[0]:03}' if entry.data else ''
     if entry.reason == OPEN:
         return '?', YELLOW, number, 'undecided', damaged_words(entry)
     return '!', RED, number, 'damaged', damaged_words(entry)
 
 
-def _noise(entry: Entry, parts: Sequence[Part], identity: Identity | None) -> Shown:
+def _noise(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
     return '!', YELLOW, '', 'noise', noise_words(entry)
 
 

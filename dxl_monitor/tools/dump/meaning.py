@@ -44,7 +44,7 @@ class Part(NamedTuple):
     error: int = 0
 
 
-class Identity(NamedTuple):
+class PingAnswer(NamedTuple):
     """The answer to a Ping."""
 
     model_number: int
@@ -75,14 +75,14 @@ class Interpreter:
                     for block in entry.blocks]
         return list(self._answer(packet, entry.request.accesses))
 
-    def identity(self, entry: Entry) -> Identity | None:
+    def identity(self, entry: Entry) -> PingAnswer | None:
         """Return what the answer to a Ping says, None for anything else."""
         packet = entry.packet
         if packet is None or packet.error is None or entry.request.accesses \
                 or entry.notes or len(packet.params) != _PING_DATA:
             return None
         model = UNKNOWN if entry.device is None else entry.device.model
-        return Identity(packet.params[0] | packet.params[1] << 8,
+        return PingAnswer(packet.params[0] | packet.params[1] << 8,
                         '' if model is UNKNOWN else model.name, packet.params[2])
 
     def _answer(self, packet: Packet, accesses: tuple[Access, ...]) -> Iterator[Part]:

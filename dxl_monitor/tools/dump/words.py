@@ -13,8 +13,8 @@ from itertools import groupby
 from dxl_monitor.bus.dialogue import OPEN
 from dxl_monitor.bus.evidence import text_of
 from dxl_monitor.tools.dump.listing import Entry
-from dxl_monitor.tools.dump.meaning import Identity
 from dxl_monitor.tools.dump.meaning import Part
+from dxl_monitor.tools.dump.meaning import PingAnswer
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import error_text
@@ -69,7 +69,7 @@ def request_words(entry: Entry, parts: Sequence[Part]) -> str:
 _LISTS = (Answers.LISTED, Answers.COMBINED)
 
 
-def answer_words(entry: Entry, parts: Sequence[Part], identity: Identity | None) -> str:
+def answer_words(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> str:
     """Return what a status says, its error first; (?): damage may hide what it answers."""
     packet = entry.packet
     if packet is None:
