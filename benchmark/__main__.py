@@ -10,7 +10,6 @@ from pathlib import Path
 import shlex
 import sys
 
-from benchmark import page
 from benchmark.harness import as_json
 from benchmark.harness import Figure
 from benchmark.harness import machine
@@ -25,7 +24,6 @@ PLAIN = ('parsing', 'parsing_1', 'doctor', 'usb', 'tap', 'node_cost', 'bridge', 
 RIGS = {'load': 'rigs', 'soak': 'rigs'}  # in another folder than this one
 ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
 NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'messages', 'dashboard', *ALONE)
-ON_THE_PAGE = ('bridge',)               # their table in docs/benchmarks.md is written by --write
 
 
 class Failed(OSError):
@@ -45,10 +43,7 @@ def main(arguments: Sequence[str]) -> None:
     print(', '.join(f'{key}: {value}' for key, value in machine().items()), flush=True)
     figures: list[Figure] = []
     for section in _sections(options):
-        found = _run(section, settings)
-        if options.write and found and section in ON_THE_PAGE:
-            page.write(section, import_module(f'benchmark.{section}').page_table(found))
-        figures += found
+        figures += _run(section, settings)
     if options.json is not None:
         options.json.write_text(as_json(figures, _command(arguments)) + '\n')
 
@@ -57,8 +52,6 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog='scripts/bench', description=(
         'Measure the nodes and what they are made of; docs/benchmarks.md explains each figure.'))
     parser.add_argument('--json', type=Path, metavar='FILE', help='write all figures to FILE')
-    parser.add_argument('--write', action='store_true',
-                        help=f'put tables into docs/benchmarks.md: {", ".join(ON_THE_PAGE)}')
     parser.add_argument('--quick', action='store_true', help='few and short rounds: a smoke test')
     parser.add_argument('--rounds', type=int, metavar='N',
                         help='how often each case is measured (9, or as the section needs)')

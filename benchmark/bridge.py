@@ -9,7 +9,6 @@ the time of its publishing in linear.x (float64 and unlimited, so the frame carr
 clock that all processes share.
 """
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 import json
 import os
@@ -141,24 +140,6 @@ def _figures(rounds: list[Round]) -> list[Figure]:
             quantile(one['bridge'], 0.95) - quantile(one['floor'], 0.95) for one in taken],
             'wanted: at most 3' if rate <= MAX_RATE_HZ else ''))
     return figures
-
-
-def page_table(figures: Sequence[Figure]) -> str:
-    """Return the table of docs/benchmarks.md: a line per publisher rate."""
-    found = {(figure.section, figure.name): figure for figure in figures}
-    lines = ['| commands | bridge, p50 | floor, p50 | bridge / floor | bridge, p95 | floor, p95 '
-             '| bridge - floor, p95 |', '|---|---|---|---|---|---|---|']
-    for rate, jitter in PLANS:
-        section = section_of(rate, jitter)
-        p50, floor50, ratio, p95, floor95, more = (found[section, name] for name in (
-            'bridge, p50', 'floor, p50', RATIO, 'bridge, p95', 'floor, p95', MORE))
-        lines.append(
-            f'| {rate} Hz' + (f', {jitter} ms jitter' if jitter else '')
-            + f' | {p50.median:.2f} ({min(p50.values):.2f} to {max(p50.values):.2f})'
-            f' | {floor50.median:.2f} | {ratio.median:.2f} ({min(ratio.values):.2f} to '
-            f'{max(ratio.values):.2f}) | {p95.median:.2f} | {floor95.median:.2f} '
-            f'| {more.median:.2f} |')
-    return '\n'.join(lines) + '\n'
 
 
 def _points(latencies: list[float]) -> dict[str, float]:

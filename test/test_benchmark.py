@@ -9,7 +9,6 @@ import xml.dom.minidom
 
 import pytest
 
-from benchmark import page
 from benchmark import plot
 from benchmark import tap
 from benchmark.against import bound
@@ -31,7 +30,6 @@ from benchmark.traffic import ROBOT
 from benchmark.traffic import trace_packets
 from dxl_monitor.fake.line import wire_ns
 from dxl_monitor.fake.usb_adapter import FakeAdapter
-from mecarover_serial.cli import UsageError
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import Framer
@@ -89,15 +87,6 @@ def test_cases_take_turns():
 
 def test_quantile_is_of_nearest_rank():
     assert [quantile([4, 1, 3, 2], share) for share in (0.0, 0.5, 0.75, 1.0)] == [1, 2, 3, 4]
-
-
-def test_a_table_of_the_page_is_changed_and_nothing_else():
-    begin, end = page.marks('bridge')
-    text = f'before\n{begin}\n| old |\n\n{end}after\n'
-    assert page.with_table(text, 'bridge', '| new |\n') == text.replace('old', 'new')
-    with pytest.raises(UsageError, match='no place for parsing'):
-        page.with_table(text, 'parsing', '')
-    assert begin in page.PAGE.read_text(encoding='utf-8')
 
 
 def test_bound_of_a_median_is_a_low_rank():
