@@ -132,10 +132,9 @@ def _device(status: RawStatus, rest: str) -> Row:
         'model': values[keys.MODEL],
         'firmware': values.get(keys.FIRMWARE, ''),
         'state': values[keys.STATE],
-        'loss': values.get(keys.LOSS, ''),
-        'latency': calm(values.get(keys.LATENCY_P50, '')),
         'findings': _findings(pairs),
-    }
+    } | {one.name: calm(found) if one.is_rounded else found for one in keys.FIGURES
+         for found in [values.get(one.key, '')]}
 
 
 def _bus(status: RawStatus, rest: str) -> Row:

@@ -17,6 +17,7 @@ from contextlib import suppress
 import hashlib
 from importlib import resources
 import ipaddress
+import json
 import logging
 import secrets
 import socket
@@ -35,6 +36,7 @@ from mecarover_dashboard.recording import Recording
 from mecarover_dashboard.state import MOST_OF_MESSAGE
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
+from msg_defs.status_keys import FIGURES
 
 PUSH_S = 0.2                    # changes are collected for so long
 HASTE_S = 0.05                  # ... once a change of level may be among them
@@ -301,9 +303,11 @@ async def _add_headers(request: web.Request, response: web.StreamResponse) -> No
 
 def _files() -> dict[str, bytes]:
     folder = resources.files('mecarover_dashboard') / 'static'
-    return {file.name: file.read_bytes()
-            for file in sorted(folder.iterdir(), key=lambda file: file.name)
-            if file.name.rpartition('.')[2] in _TYPES}
+    figures = json.dumps([one._asdict() for one in FIGURES])
+    return {'figures.js': f'export const FIGURES = {figures};\n'.encode(),
+            **{file.name: file.read_bytes()
+               for file in sorted(folder.iterdir(), key=lambda file: file.name)
+               if file.name.rpartition('.')[2] in _TYPES}}
 
 
 def _serve_file(name: str, data: bytes) -> Handler:

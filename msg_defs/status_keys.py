@@ -3,9 +3,12 @@
 """
 Keys of statuses that a program reads again: the web page, the demo, mecarover_status.
 
-Nodes publish under these names and readers look for them, so each stands here once. A key that
-only people read stands where it is written; docs/diagnostics.md has them all.
+Nodes publish under these names and readers look for them, so each stands here once, with its place
+on the page. A key that only people read stands where it is written; docs/diagnostics.md has them
+all.
 """
+
+from typing import NamedTuple
 
 # A device.
 MODEL = 'Model'
@@ -17,6 +20,25 @@ LOSS = 'Loss in 10 s (%)'
 LATENCY_P50 = 'Reply latency p50 (ms)'
 NOT_OBSERVED = 'Fields not observed'
 OBSERVED = 'observed'              # JSON: for each field its age (s), 'r' or 'w'
+
+
+class Figure(NamedTuple):
+    """
+    A number of a device that has a column in the page's table.
+
+    digits: decimals shown. is_rounded: two significant digits, as it changes with each report.
+    """
+
+    name: str
+    key: str
+    heading: str
+    title: str
+    digits: int
+    is_rounded: bool = False
+
+
+FIGURES = (Figure('loss', LOSS, 'Loss %', 'Answers missed in 10 s (%)', 2),
+           Figure('latency', LATENCY_P50, 'ms', 'Reply latency (ms)', 3, is_rounded=True))
 
 # A port, a subscription, its commands.
 PORT = 'Port'

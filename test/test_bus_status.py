@@ -58,7 +58,7 @@ def test_every_counter_with_a_key_is_published_in_its_status():
 
 
 @pytest.mark.parametrize('key', [
-    value for name, value in vars(keys).items() if name.isupper()])
+    value for name, value in vars(keys).items() if name.isupper() and isinstance(value, str)])
 def test_every_key_that_programs_read_is_documented(key):
     assert f'`{key}' in (ROOT / 'docs' / 'diagnostics.md').read_text()
 

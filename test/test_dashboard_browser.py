@@ -171,8 +171,8 @@ def test_errors_of_two_buses_are_merged_by_time(open_page):
         page.context.close()
 
 
-def test_an_unknown_model_is_a_warning_with_a_remedy(open_page):
-    status = Status('dxl_monitor: 004', Level.OK, 'connected', '4', [
+def test_what_a_status_says_of_a_device_that_is_well_is_shown(open_page):
+    status = Status('dxl_monitor: 004', Level.OK, "connected; add '4:MODEL' to `devices`", '4', [
         ('Model', 'unknown'), ('Firmware Version', 'unknown'), ('State', 'connected'),
         ('Answers', '14331')])
     bus = Status('dxl_monitor: bus', Level.OK, '1 device', '', [('Port', '/dev/ttyUSB0')])
@@ -180,10 +180,12 @@ def test_an_unknown_model_is_a_warning_with_a_remedy(open_page):
         messages=lambda time_s: [('dxl/diagnostics', serialise([status, bus]))])
     with Dashboard() as dashboard, Feed(dashboard, robot):
         page = open_page(dashboard.address)
-        see(page, BAR, "004, model unknown, .*name it in `devices`: '4:MODEL'")
-        assert state_of(page, BAR) == 'warn'
+        see(page, BAR, "004: connected; add '4:MODEL' to `devices`")
+        assert state_of(page, BAR) == 'ok'
+        show(page, 'devices')
+        see(page, '.devices td.state', "add '4:MODEL'")
         page.goto(f'{dashboard.address}#/device/dxl_monitor: 004')
-        see(page, '.device-fields .message[data-state=warn]', 'model unknown')
+        see(page, '.device-fields .message[data-state=warn]', "add '4:MODEL'")
         page.context.close()
 
 

@@ -4,6 +4,7 @@
 
 import {each, h, icon, say, set} from './dom.js';
 import {age, numberOf, splitUnit} from './format.js';
+import {saysMore} from './store.js';
 
 const CHANGED_S = 2.5;
 const SOURCES = {r: 'read', w: 'written'};
@@ -62,13 +63,13 @@ export class Fields {
 
   /** Say why there is no field. */
   #tell(count) {
-    const isUnknown = this.device.model.startsWith('unknown');
+    const isSaid = saysMore(this.device);
     this.none.hidden = count > 0;
-    set(this.none, 'data-state', isUnknown ? 'warn' : 'stale');
-    this.none.firstChild.style.display = isUnknown ? '' : 'none';
+    set(this.none, 'data-state', isSaid ? 'warn' : 'stale');
+    this.none.firstChild.style.display = isSaid ? '' : 'none';
     say(this.none.lastChild, !this.table ? 'Waiting for its table.'
       : this.table.fields.length ? 'No field fits.'
-        : isUnknown ? this.device.message
+        : isSaid ? this.device.message
           : 'No field observed yet: the master has not read this device.');
   }
 

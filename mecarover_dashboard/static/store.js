@@ -24,6 +24,9 @@ export const isThere = (device) => !isQuiet(device)
 export const deviceName = (device) =>
   device.joint ? `${id3(device.id)} ${isolate(device.joint)}` : id3(device.id);
 
+/** Whether a device's status says more than the word of its state. */
+export const saysMore = (device) => device.message !== device.state;
+
 /** What is said of a device: the word of its level first, then its state. */
 export function wordOf(device) {
   if (isQuiet(device)) return 'no report';
@@ -246,7 +249,9 @@ function headline(group, now) {
     if (some.length === 1) return `${word}: ${deviceName(some[0])}, ${isolate(some[0].message)}`;
     if (some.length) return `${word}: ${names(some)}`;
   }
-  if (row && row.level > 0) return isolate(row.message);
+  const notes = devices.filter(saysMore);
+  if (notes.length === 1) return `${deviceName(notes[0])}: ${isolate(notes[0].message)}`;
+  if (row && (row.level > 0 || notes.length)) return isolate(row.message);
   return devices.length ? `All ${plural(devices.length, 'device')} connected`
     : 'No device heard yet';
 }

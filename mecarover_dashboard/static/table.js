@@ -3,6 +3,7 @@
 // Devices as a table of values: the worst first, or by any column.
 
 import {each, h, icon, say, set, setIcon} from './dom.js';
+import {FIGURES} from './figures.js';
 import {id3, isolate, numberOf, short} from './format.js';
 import {path} from './place.js';
 import {isQuiet, stateOf, wordOf} from './store.js';
@@ -14,7 +15,7 @@ const figureOf = (text) => {
   return Number.isFinite(value) ? value : null;
 };
 
-// Column: heading, class, what stands in it, what it is sorted by (null: nothing is known).
+// Column: name (and class), heading, what stands in it, what it is sorted by (null: nothing is known).
 const COLUMNS = [
   ['state', 'State', (device) => wordOf(device), null],
   ['id', 'Device', null, (device) => device.id],
@@ -23,13 +24,14 @@ const COLUMNS = [
   ['voltage', 'V', (device, [, value]) => value, (_, [, value]) => figureOf(value)],
   ['load', 'Load', (device, [, , value, unit]) => value && `${value} ${unit}`,
     (_, [, , value]) => value ? Math.abs(figureOf(value)) : null],
-  ['loss', 'Loss %', (device) => short(device.loss, 2), (device) => figureOf(device.loss)],
-  ['latency', 'ms', (device) => short(device.latency, 3), (device) => figureOf(device.latency)],
+  ...FIGURES.map(({name, heading, digits}) => [`${name} figure`, heading,
+    (device) => short(device[name], digits), (device) => figureOf(device[name])]),
 ];
-export const ORDERS = Object.fromEntries(COLUMNS.map(([name, , , by]) => [name, by]));
+const nameOf = (column) => column[0].split(' ')[0];
+export const ORDERS = Object.fromEntries(COLUMNS.map((one) => [nameOf(one), one[3]]));
 const CALM_S = 0.95;
 const NONE = ['', '', '', ''];
-const TITLES = {latency: 'Reply latency (ms)', loss: 'Answers missed in 10 s (%)',
+const TITLES = {...Object.fromEntries(FIGURES.map(({name, title}) => [name, title])),
   temperature: 'Temperature (\u00b0C)', voltage: 'Voltage (V)',
   load: 'Load, or current: what the model has'};
 
@@ -41,9 +43,12 @@ export class DeviceTable {
 
   /** choose(order, isUp) is called when a heading is pressed. */
   constructor(choose) {
-    this.heads = COLUMNS.map(([name, text]) => h('th', {scope: 'col', class: name},
-      h('button', {type: 'button', class: 'sort', title: TITLES[name] ?? null,
-        onclick: () => choose(name, name === this.#by && !this.#isUp)}, text)));
+    this.heads = COLUMNS.map((one) => {
+      const [name, text] = [nameOf(one), one[1]];
+      return h('th', {scope: 'col', class: one[0]},
+        h('button', {type: 'button', class: 'sort', title: TITLES[name] ?? null,
+          onclick: () => choose(name, name === this.#by && !this.#isUp)}, text));
+    });
     this.rows = h('tbody');
     this.seen = new IntersectionObserver((rows) => rows.forEach(noteSeen), {rootMargin: '200px'});
     this.element = h('table', {class: 'devices panel'},
@@ -63,7 +68,7 @@ export class DeviceTable {
     this.#by = by;
     this.#isUp = isUp;
     this.#drawn = -Infinity;
-    this.heads.forEach((head, at) => set(head, 'aria-sort', COLUMNS[at][0] !== by ? null
+    this.heads.forEach((head, at) => set(head, 'aria-sort', nameOf(COLUMNS[at]) !== by ? null
       : isUp ? 'ascending' : 'descending'));
   }
 
@@ -134,8 +139,7 @@ function updateRow(row, {device, bus, values}) {
     if (name === 'state') {
       set(cell.firstChild, 'data-state', state);
       setIcon(cell.firstChild.firstChild, state);
-      say(cell.firstChild.lastChild, isQuiet(device) || state === 'ok' ? wordOf(device)
-        : device.message);
+      say(cell.firstChild.lastChild, isQuiet(device) ? wordOf(device) : device.message);
     } else if (name === 'id') {
       say(cell.firstChild.firstChild, id3(device.id));
       say(cell.firstChild.lastChild, isolate(device.joint) + (bus ? ` (${bus})` : ''));
