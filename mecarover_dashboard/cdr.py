@@ -5,7 +5,8 @@ The statuses in a serialised DiagnosticArray, without ROS: read what is looked a
 
 A dashboard looks at one table out of 253; leaving the others as bytes costs a seventh of letting
 rclpy make objects of them. And text that is not UTF-8 is shown with U+FFFD: rclpy would raise in
-the executor. Source: OMG CDR (XCDR1), alignment counted from behind the four bytes in front.
+the executor. So are control codes: texts go on to terminals and files. Source: OMG CDR (XCDR1),
+alignment counted from behind the four bytes in front.
 """
 from __future__ import annotations
 
@@ -13,6 +14,8 @@ from contextlib import suppress
 from struct import error as StructError
 from struct import Struct
 from typing import NamedTuple
+
+from mecarover_serial.plain import printable
 
 TEXT_LIMIT = 500            # characters of one text that reach the page
 PAIRS_LIMIT = 4096          # in a status: the longest control table has a few hundred
@@ -93,7 +96,7 @@ class _Cursor:
             size = number(data, at)[0]
             at += 4
             if size <= limit:
-                found.append(str(data[at:at + size - 1], 'utf-8', 'replace'))
+                found.append(printable(str(data[at:at + size - 1], 'utf-8', 'replace')))
             else:
                 found.append(_cut(data[at:at + min(size - 1, 4 * limit)], size - 1, limit))
             at += size
@@ -127,7 +130,7 @@ class _Cursor:
 
 def _cut(data: bytes, size: int, limit: int) -> str:
     """Decode the beginning of a text of `size` bytes and say so where there is more."""
-    text = data.decode('utf-8', 'replace')
+    text = printable(data.decode('utf-8', 'replace'))
     if len(text) <= limit and len(data) >= size:
         return text
     return f'{text[:limit]}\u2026 ({size} bytes)'

@@ -21,6 +21,7 @@ from mecarover_dashboard.recorder import Subject
 from mecarover_dashboard.recorder import VALUES
 from mecarover_dashboard.recorder import Window
 from mecarover_dashboard.recorder import WINDOW_S
+from mecarover_serial.plain import printable
 
 VERSION = 1
 KEPT_S = 24 * 3600
@@ -172,6 +173,7 @@ class HistoryReader:
     def __init__(self, path: Path) -> None:
         self._database = sqlite3.connect(f'{path.absolute().as_uri()}?mode=ro', uri=True,
                                          check_same_thread=False)
+        self._database.text_factory = lambda text: printable(text.decode(errors='replace'))
         self._sources = {number: Subject(*rest) for number, *rest in self._database.execute(
             'SELECT id, name, kind, robot, unit FROM sources')}
 

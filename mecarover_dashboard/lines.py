@@ -14,7 +14,7 @@ from mecarover_dashboard import rows
 from mecarover_dashboard.cdr import CdrError
 from mecarover_dashboard.cdr import RawStatus
 from mecarover_dashboard.cdr import statuses
-from mecarover_serial.cli import printable
+from mecarover_serial.plain import printable
 from msg_defs.reports import Level
 from msg_defs.reports import worst
 

@@ -20,6 +20,8 @@ from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
 from mecarover_serial.parameters import split_ros_args
+from mecarover_serial.plain import plain_streams
+from mecarover_serial.plain import printable
 
 NAME = 'dxl_dashboard'
 NONE = 'none'
@@ -32,6 +34,7 @@ _REMEDIES = {
 }
 
 
+@plain_streams()
 def main(args: Sequence[str] | None = None) -> int:
     """Run the dashboard; return the exit code."""
     arguments = list(sys.argv[1:] if args is None else args)
@@ -71,10 +74,10 @@ def open_history(wanted: str | None) -> tuple[Recording | None, str]:
     try:
         recording = Recording(default_path() if wanted is None else Path(wanted))
     except RecordingError as error:
-        print(f'{NAME}: no history: {error}', file=sys.stderr)
+        print(f'{NAME}: no history: {printable(str(error))}', file=sys.stderr)
         return None, str(error)
     if recording.notice:
-        print(f'{NAME}: {recording.notice}', file=sys.stderr)
+        print(f'{NAME}: {printable(recording.notice)}', file=sys.stderr)
     return recording, ''
 
 

@@ -19,6 +19,7 @@ import io
 from itertools import islice
 import math
 from pathlib import Path
+import re
 import sqlite3
 import time
 from typing import Any
@@ -41,6 +42,7 @@ _POINTS = 600
 _MOST_EVENTS = 1000             # on the page; a CSV has them all
 _ALL_EVENTS = 10_000_000
 _ROWS = 2000                    # rows of a CSV written at a time
+_FORMULA = re.compile(r'(^|;)(?=\s*[=+@-])')    # in many countries a semicolon ends a cell
 _CSV_VALUES = tuple(dict.fromkeys(name for names in VALUES.values() for name in names))
 
 
@@ -173,7 +175,7 @@ def _values_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]
         names = VALUES[window.source.kind]
         ends = dict(zip(names, zip(window.lows, window.highs, strict=True), strict=True))
         yield [_iso(window.at), _cell(window.source.robot), _cell(window.source.name),
-               Level(window.level).name, window.source.unit,
+               Level(window.level).name, _cell(window.source.unit),
                *('' if end is None else f'{end:g}'
                  for name in _CSV_VALUES for end in ends.get(name, (None, None)))]
 
@@ -191,8 +193,8 @@ def _events_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]
     events: Iterable[Event] = reader.events(question.from_s, question.to_s, question.of,
                                             question.robot, _ALL_EVENTS)
     for event in events:
-        yield [_iso(event.at), _cell(event.source.robot), _cell(event.source.name), event.kind,
-               Level(event.level).name, _cell(event.text)]
+        yield [_iso(event.at), _cell(event.source.robot), _cell(event.source.name),
+               _cell(event.kind), Level(event.level).name, _cell(event.text)]
 
 
 def _iso(unix_s: float) -> str:
@@ -200,5 +202,5 @@ def _iso(unix_s: float) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return text from a topic so that a spreadsheet does not take it for a formula."""
-    return f"'{text}" if text[:1] in ('=', '+', '-', '@', '\t', '\r') else text
+    """Return text of others so that no spreadsheet takes it for a formula, or a part of it."""
+    return _FORMULA.sub(r"\1'", text)

@@ -15,6 +15,8 @@ from mecarover_dashboard.lines import screen
 from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
 from mecarover_serial.parameters import split_ros_args
+from mecarover_serial.plain import on_screen
+from mecarover_serial.plain import plain_streams
 
 NAME = 'mecarover_status'
 SETTLED_S = 1.5             # without a new name: all have come, as reports come once a second
@@ -69,10 +71,11 @@ class Display:
                 lines = [*lines[:height - 2], f'... and {more} lines more']
             begin = _HOME if self._last else f'\033[2J{_HOME}'
             text = '\n'.join(line[:width - 1] + _CLEAR_LINE for line in lines)
-            print(f'{begin}{text}\n{_CLEAR_BELOW}', end='', flush=True)
+            on_screen(sys.stdout, f'{begin}{text}\n{_CLEAR_BELOW}')
         self._last = lines
 
 
+@plain_streams()
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
     arguments = list(sys.argv[1:] if args is None else args)

@@ -21,6 +21,8 @@ from typing import TextIO
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import split_ros_args
+from mecarover_serial.plain import plain_streams
+from mecarover_serial.plain import printable
 from mecarover_serial.preflight import PortError
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
@@ -36,6 +38,11 @@ def run_tool(tool: str, main: Callable[[list[str]], int | None]) -> int:
     """Run `main(arguments)`, return the exit code; Ctrl-C, SIGTERM and a closed pipe are fine."""
     signal.signal(signal.SIGTERM, _interrupt)
     _open_streams()
+    with plain_streams():
+        return _run(tool, main)
+
+
+def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
     failure: Exception | None = None
     code = DONE
     try:
@@ -87,14 +94,6 @@ def _lost_output() -> OSError | None:
 def _discard(stream: TextIO) -> None:
     """Let the interpreter drop what it could not write there: it would end with exit code 120."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-def printable(text: str, limit: int | None = None) -> str:
-    """Return a text from outside in a form safe for a terminal: one line, no control codes."""
-    if limit is not None and len(text) > limit:
-        text = text[:limit] + '..'
-    return text if text.isprintable() else ''.join(
-        character if character.isprintable() else '\ufffd' for character in text)
 
 
 def _complain(tool: str, error: Exception, code: int) -> int:

@@ -23,6 +23,7 @@ from mecarover_serial.holders import file_text
 from mecarover_serial.holders import holders
 from mecarover_serial.holders import PTYS
 from mecarover_serial.holders import ROOT
+from mecarover_serial.plain import printable
 
 _FOREIGN = {stat.S_IFDIR: 'a directory', stat.S_IFREG: 'a file', stat.S_IFBLK: 'a disk',
             stat.S_IFIFO: 'a pipe', stat.S_IFSOCK: 'a socket'}
@@ -41,7 +42,8 @@ class PortError(Exception):
     """A port that cannot be used: `str()` is one line, 'thing: reason; remedy'."""
 
     def __init__(self, thing: str, reason: Reason) -> None:
-        super().__init__(f'{thing}: {reason.reason}; {reason.remedy}')
+        reason = Reason(*map(printable, reason))        # with names of processes and devices
+        super().__init__(f'{printable(thing)}: {reason.reason}; {reason.remedy}')
         self.thing = thing
         self.kind = reason.kind
         self.reason = reason.reason

@@ -550,15 +550,6 @@ def test_a_terminal_without_umlauts_gets_question_marks(recorded, tmp_path):
     assert 'm?: 1 model files, no problem' in out
 
 
-@pytest.mark.parametrize('view', [(), ('--summary', '--stats', '--changes')])
-def test_no_control_code_of_a_capture_reaches_the_terminal(tmp_path, run, view):
-    path = capture(tmp_path / 'bus.txt', run, bus='b\x1b[31m\x07\x9b\u2028')
-    path.write_bytes(path.read_bytes() + b'\x1b]0;title\x07\n')
-    returned, out, err = shell(f'dxl_dump {path} {" ".join(view)}')
-    assert returned == 0
-    assert all(line.isprintable() for line in (out + err).split('\n'))
-
-
 # --- mistakes -------------------------------------------------------------------------------
 
 @pytest.mark.parametrize(('arguments', 'code', 'line'), [

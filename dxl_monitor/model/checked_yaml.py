@@ -20,7 +20,7 @@ from typing import Any
 
 import yaml
 
-from mecarover_serial.cli import printable
+from mecarover_serial.plain import printable
 
 NUMBER_LIMIT = 0xFFFF
 INTEGER_BITS = 64            # the widest register has so many

@@ -22,6 +22,7 @@ import time
 from typing import NamedTuple
 
 from dxl_monitor.port import tap_sender as sent
+from mecarover_serial.plain import printable
 from msg_defs.heard import BAUD
 from msg_defs.heard import Change
 from msg_defs.heard import CLOSED
@@ -108,7 +109,7 @@ class _Connection:
         if not self._is_trusted:
             raise ValueError('no secret')
         if kind == sent.OPENED:
-            self.ports[number] = data.decode(errors='replace')
+            self.ports[number] = printable(data.decode(errors='replace'))
         port = self.ports.pop(number, '') if kind == sent.CLOSED else self.ports.get(number, '')
         if kind in (sent.OUT, sent.IN):
             return TapRecord(stamp, port, kind, data, 0)

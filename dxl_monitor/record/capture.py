@@ -28,8 +28,8 @@ from typing import NamedTuple
 from urllib.parse import quote
 from urllib.parse import unquote
 
-from mecarover_serial.cli import printable
 from mecarover_serial.parameters import ParameterError
+from mecarover_serial.plain import printable
 from msg_defs.heard import Change
 from msg_defs.heard import CHANGES
 from msg_defs.heard import IN
@@ -197,7 +197,8 @@ class Reader:
         if name is None:
             if len(self._names) >= BUSES_LIMIT:
                 raise ValueError(word)
-            name = self._names[word] = '' if word == b'-' else unquote(word.decode())
+            name = self._names[word] = '' if word == b'-' else printable(
+                unquote(word.decode()))
         return name
 
     def _header(self, line: bytes) -> None:
@@ -224,7 +225,7 @@ class Reader:
             if not (0 <= baud <= BAUD_LIMIT and 0 <= latency_ms <= LATENCY_LIMIT_MS):
                 raise ValueError(line)
             self.wires[name] = Wire(name, baud, latency_ms,
-                                    unquote(facts.get(b'port', b'').decode()))
+                                    printable(unquote(facts.get(b'port', b'').decode())))
 
 
 def _content(words: list[bytes]) -> tuple[bytes, str, Change | None]:

@@ -31,9 +31,9 @@ from dxl_monitor.record.source import File
 from dxl_monitor.record.source import RawFile
 from dxl_monitor.tools.run import refuse_run
 from mecarover_serial.cli import DONE
-from mecarover_serial.cli import printable
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from mecarover_serial.plain import printable
 from mecarover_serial.pty import Pty
 from msg_defs.heard import IN
 from msg_defs.heard import OUT

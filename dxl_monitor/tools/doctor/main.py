@@ -48,9 +48,11 @@ from dxl_monitor.tools.doctor.verdict import verdict
 from dxl_monitor.tools.run import RUN
 from dxl_monitor.tools.tap import with_python
 from mecarover_serial.cli import DONE
-from mecarover_serial.cli import printable
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from mecarover_serial.plain import on_screen
+from mecarover_serial.plain import plain
+from mecarover_serial.plain import printable
 
 PROGRESS_S = 0.5
 EXAMPLES = """examples:
@@ -192,15 +194,15 @@ class _Progress:
     def show(self, examination: Examination, now_s: float) -> None:
         if self._is_shown and now_s >= self._next_s:
             self._next_s = now_s + PROGRESS_S
-            print(f'\r{f"{now_s:.0f} s: {examination.summary()}"[:78]}\033[K', end='',
-                  file=sys.stderr, flush=True)
+            text = plain(f'{now_s:.0f} s: {examination.summary()}')
+            on_screen(sys.stderr, f'\r{text[:78]}\033[K')
 
     def __enter__(self) -> _Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._is_shown:
-            print('\r\033[K', end='', file=sys.stderr, flush=True)
+            on_screen(sys.stderr, '\r\033[K')
 
 
 def _why_quiet(name: str, source: Source | Program, command: Sequence[str]) -> list[str]:

@@ -19,8 +19,8 @@ from dxl_monitor.tools.doctor.screen import screen
 from dxl_monitor.tools.doctor.verdict import as_json
 from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import Verdict
-from mecarover_serial.cli import printable
 from mecarover_serial.cli import UsageError
+from mecarover_serial.plain import printable
 
 MAGIC = '# dxl_doctor report'
 VERSION = 1

@@ -30,7 +30,7 @@ from dxl_monitor.tools.doctor import report
 from dxl_monitor.tools.doctor.verdict import DeviceGroup
 from dxl_monitor.tools.doctor.verdict import Trouble
 from dxl_monitor.tools.doctor.verdict import Verdict
-from mecarover_serial.cli import printable
+from mecarover_serial.plain import printable
 from msg_defs.reports import Level
 
 SIZE_LIMIT = 16_000_000            # bytes that are read of a file, and of what is packed in it

@@ -19,7 +19,7 @@ from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor import timing
 from dxl_monitor.tools.doctor.course import Course
 from dxl_monitor.tools.doctor.course import Told
-from mecarover_serial.cli import printable
+from mecarover_serial.plain import printable
 from msg_defs.reports import Level
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line

@@ -18,9 +18,9 @@ from dxl_monitor.tools.dump.session import Session
 from dxl_monitor.tools.run import refuse_run
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import DONE
-from mecarover_serial.cli import printable
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from mecarover_serial.plain import printable
 from msg_defs.dxl_instruction import NAMES
 
 HIGHEST_ID = 255                   # damage may make any byte of an ID

@@ -22,6 +22,8 @@ from dxl_monitor.tools.dump.lines import fit
 from dxl_monitor.tools.dump.lines import paint
 from dxl_monitor.tools.dump.lines import RED
 from dxl_monitor.tools.dump.lines import YELLOW
+from mecarover_serial.plain import on_screen
+from mecarover_serial.plain import plain
 from msg_defs.reports import Level
 
 NEWS_S = 3.0                       # for so long a rare change stands in front
@@ -55,9 +57,8 @@ class Screen:
         if len(lines) > rows and not is_last:
             lines = [*lines[:rows - 1], f'... and {len(lines) - rows + 1} lines more']
         up = f'\033[{self._height}A' if self._height else ''
-        text = ''.join(f'{line}\033[K\n' for line in lines)
-        self._file.write(f'{up}\r{text}\033[J')
-        self._file.flush()
+        text = ''.join(f'{plain(line)}\033[K\n' for line in lines)
+        on_screen(self._file, f'{up}\r{text}\033[J')
         self._height = len(lines)
 
 

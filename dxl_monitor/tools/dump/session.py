@@ -41,8 +41,9 @@ from dxl_monitor.tools.dump.screen import Changes
 from dxl_monitor.tools.dump.screen import Screen
 from dxl_monitor.tools.dump.stats import stats
 from dxl_monitor.tools.dump.stats import summary
-from mecarover_serial.cli import printable
 from mecarover_serial.cli import UsageError
+from mecarover_serial.plain import on_screen
+from mecarover_serial.plain import printable
 
 PAINT_S = {'changes': 0.2, 'stats': 1.0}
 PROGRESS_S = 0.5
@@ -228,12 +229,12 @@ class Session:
         total = self._source.total
         text = f'{100 * self._source.position() // total} % of {total / 1e6:.0f} MB' if total \
             else f'{now_s - self._started_s:.0f} s, {self._bytes} bytes; Ctrl-C ends'
-        print(f'\r{text}\033[K', end='', file=sys.stderr, flush=True)
+        on_screen(sys.stderr, f'\r{text}\033[K')
         self._has_progress = True
 
     def _finish(self) -> None:
         if self._has_progress:
-            print('\r\033[K', end='', file=sys.stderr, flush=True)
+            on_screen(sys.stderr, '\r\033[K')
         is_live = self._source.is_live
         now = time.monotonic_ns() if is_live else self._last
         if not is_live:
