@@ -49,6 +49,7 @@ QUEUE_DEPTH = 10                # publishers: reliable, keep last
 # at each time it wakes. Of those with plain figures there are many.
 _NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 _LEVELS = {level: bytes([level]) for level in Level}    # DiagnosticStatus.level is a byte string
+_LAST_TIME = ((1 << 31) - 1) * 1_000_000_000          # of a Time: its sec is an int32
 _UNSAFE = re.compile('[\0\ud800-\udfff]')
 
 
@@ -59,7 +60,7 @@ def safe_text(text: str) -> str:
 
 
 def to_time(nanoseconds: int) -> Time:
-    sec, nanosec = divmod(max(0, nanoseconds), 1_000_000_000)
+    sec, nanosec = divmod(min(max(0, nanoseconds), _LAST_TIME), 1_000_000_000)
     return Time(sec=sec, nanosec=nanosec)
 
 

@@ -141,6 +141,8 @@ def test_ros_time_of_a_monotonic_stamp(ros):
     assert (stamp.sec, stamp.nanosec) == (1_699_999_998, 5)
     early = ros.to_ros_time(stamp=0, now=42 * S, now_ros=S)     # simulated time, just started
     assert (early.sec, early.nanosec) == (0, 0)
+    far = ros.to_ros_time(stamp=1 << 70, now=0, now_ros=0)
+    assert (far.sec, far.nanosec) == ((1 << 31) - 1, 0)
 
 
 def test_joint_state(ros):
