@@ -144,6 +144,15 @@ def test_a_volume_of_hostile_bytes(tool, size, said):
     assert done.stdout.count(said[0]) == len(said)
 
 
+@pytest.mark.ros
+def test_the_whole_program():
+    """A little of what the nightly job does."""
+    done = subprocess.run([sys.executable, '-m', 'fuzz.whole', '--cases', '60'],
+                          capture_output=True, text=True, cwd=Path(__file__).parents[1])
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.startswith('60 cases in ')
+
+
 def test_what_was_sent_is_no_candidate_for_a_false_packet():
     good = encode(1, STATUS, b'good', 0)
     damaged = good[:9] + b'?' + good[10:]

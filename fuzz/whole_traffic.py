@@ -1,0 +1,202 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is heard in one case of whole.py: traffic of all families, mutated; frames; any stamps."""
+
+from functools import lru_cache
+import random
+from typing import NamedTuple
+
+from fuzz.script import TRICKY
+from msg_defs import dxl1_packet
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
+from msg_defs.heard import Change
+from msg_defs.heard import CHANGES
+from msg_defs.heard import IN
+from msg_defs.heard import OUT
+from msg_defs.heard import UNKNOWN
+from rigs.bus.broken import SCENES as BROKEN
+from rigs.bus.field import PLAYED
+from rigs.bus.healthy import SCENES as HEALTHY
+
+S = 1_000_000_000
+BOOT = 1000 * S
+SCENES = (*BROKEN, *HEALTHY, *PLAYED)
+SCENE_S = 11
+SCENES_AT_ONCE, CASES_OF_THEM = 16, 2000      # they take a while to make
+PAUSES_NS = (0, 1_000, 50_000, 1_000_000, 30_000_000, 600_000_000, 1_500_000_000, 13 * S, 700 * S)
+FAR = (-1, 0, 1, (1 << 62) - 1, (1 << 63) - 1, 1 << 63, 1 << 70, 1 << 90)
+BAUDS = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 4_500_000, 0)
+PROTOCOLS = ('auto', 'auto', 'auto', '2', '1', 'feetech')
+NAMES = ('bus', 'left', 'a b', '\x1b[31mred', '#', '(', '-', 'tty\u00e9', '\u202e', 'x' * 300,
+         "'; --", '%41', 'COM3', '\n', '=1+1')
+DEVICES = ((), (), (), ('1-6:XL430-W250',), ('1:MX-106:knee', '2-4'), ('1-6:STS3215',),
+           ('1-4:AX-12A', '200'), ('1:XL-320:jaw',))
+# What instructions there are, more often than others; sizes at borders of the Length fields.
+CODES_2 = (1, 2, 2, 2, 3, 4, 5, 6, 8, 0x10, 0x20, 0x55, 0x82, 0x82, 0x83, 0x8A, 0x92, 0x93, 0x9A)
+CODES_1 = (1, 2, 2, 2, 3, 4, 5, 6, 8, 9, 10, 11, 0x55, 0x55, 0x55, 0x82, 0x83, 0x92, 0x93)
+SIZES = (0, 1, 2, 3, 4, 8, 15, 56, 128, 247, 250, 251, 252, 253, 255, 256, 300, 1018, 1023)
+ADDRESSES = (0, 3, 5, 7, 24, 30, 36, 40, 41, 42, 55, 56, 63, 64, 70, 116, 122, 132, 144, 168, 224,
+             600, 0x3FFF, 0xFFFF)
+
+
+class Heard(NamedTuple):
+    """One chunk; after_ns: since the one before. Where there is a change there are no bytes."""
+
+    after_ns: int
+    bus: int
+    data: bytes = b''
+    side: str = UNKNOWN
+    change: Change | None = None
+    stamp: int | None = None       # where it is not the time at which it came
+
+
+class Case(NamedTuple):
+    """A run of a bus or two."""
+
+    names: tuple[str, ...]
+    baud: int
+    protocol: str
+    devices: tuple[str, ...]
+    heard: tuple[Heard, ...]
+
+
+@lru_cache(maxsize=2 * SCENES_AT_ONCE)
+def recorded(number):
+    """Return what is said in a scene: (silence in front of it, bytes, side)."""
+    said = []
+    rig = SCENES[number].rig(1)
+    rig.wire.listeners.append(said.append)
+    rig.clock.run(SCENE_S * S)
+    found, last = [], 0
+    for one in said:
+        start = one.talks[0].start
+        found.append((max(0, start - last), one.data,
+                      OUT if one.talks[0].who.startswith('master') else IN))
+        last = one.end
+    return found, SCENES[number].baud
+
+
+def case_of(seed):
+    """Return the case of a seed."""
+    chance = random.Random(seed)
+    names = tuple(chance.sample(NAMES, chance.choice((1, 1, 1, 2))))
+    found, baud = [], chance.choice(BAUDS)
+    for _ in range(chance.choice((1, 1, 2, 3))):
+        if chance.random() < 0.5:
+            more, rate = recorded((seed // CASES_OF_THEM * SCENES_AT_ONCE
+                                   + chance.randrange(SCENES_AT_ONCE)) % len(SCENES))
+            baud = rate if chance.random() < 0.9 else baud
+            at, size = chance.randrange(len(more)), chance.choice((3, 20, 60))
+            found += more[:chance.choice((0, 0, 8, 24))] + more[at:at + size]
+        else:
+            found += exchanges(chance)
+    has_sides = chance.random() < 0.5
+    rough = chance.choice((0.0, 0.0, 0.02, 0.2, 0.9))
+    far = chance.choice((0.0, 0.0, 0.0, 0.02, 0.3))
+    heard = []
+    for after_ns, data, side in found:
+        if chance.random() < rough:
+            data = damaged(chance, data)
+        if chance.random() < rough / 2:
+            after_ns = chance.choice(PAUSES_NS)
+        if chance.random() < rough / 8:
+            heard.append(Heard(0, chance.randrange(len(names)), change=Change(
+                chance.choice(CHANGES), chance.choice((0, 1, 16, *BAUDS, 10 ** 17)))))
+        heard.append(Heard(
+            after_ns, chance.randrange(len(names)) if chance.random() < rough else 0, data,
+            side if has_sides else UNKNOWN,
+            stamp=chance.choice(FAR) if chance.random() < far else None))
+    return Case(names, baud, chance.choice(PROTOCOLS), chance.choice(DEVICES),
+                tuple(_gathered(chance, heard)))
+
+
+def _gathered(chance, heard):
+    """Put chunks together, or tear them apart, as adapters do."""
+    kind = chance.randrange(4)
+    for one in heard:
+        if kind == 1 and len(one.data) > 1:
+            at = chance.randrange(1, len(one.data))
+            yield one._replace(data=one.data[:at])
+            one = one._replace(data=one.data[at:], after_ns=chance.choice(PAUSES_NS[:4]))
+        yield one if kind != 2 else one._replace(after_ns=one.after_ns // 100)
+
+
+def exchanges(chance):
+    """Return questions and answers of any form, some again and again, with noise among them."""
+    make = chance.choice((_exchange_2, _exchange_1))
+    ids = chance.choice(((1,), (1, 2, 3), (1, 2, 3), chance.sample(range(253), 3)))
+    found = []
+    for _ in range(chance.randrange(1, 6)):
+        said = make(chance, ids)[:chance.choice((1, 9, 9, 9))]
+        for _ in range(chance.choice((1, 1, 1, 2, 20))):
+            found += [(chance.choice(PAUSES_NS[:5]), data, side) for data, side in said]
+            if chance.random() < 0.2:
+                found.append((1000, chance.choice((*TRICKY, chance.randbytes(9))), IN))
+    return found
+
+
+def _exchange_2(chance, ids):
+    code = chance.choice(CODES_2) if chance.random() < 0.9 else chance.randrange(256)
+    number = _id(chance, ids, 256)
+    address, size = chance.choice(ADDRESSES), chance.choice(SIZES)
+    where = address.to_bytes(2, 'little') + size.to_bytes(2, 'little')
+    data = chance.randbytes(min(size, 300))
+    params = {
+        1: b'', 2: where, 3: where[:2] + data, 4: where[:2] + data, 0x82: where + bytes(ids),
+        0x8A: where + bytes(ids), 0x83: where + b''.join(bytes([one]) + data for one in ids),
+        0x92: b''.join(bytes([one]) + where for one in ids),
+        0x9A: b''.join(bytes([one]) + where for one in ids),
+        0x93: b''.join(bytes([one]) + where + data for one in ids),
+    }.get(code, chance.choice((b'', b'\xff', b'\1DXL"', b'\2ERCL', b'\1CTRL', data[:8])))
+    if chance.random() < 0.1:
+        params = params[:chance.randrange(len(params) + 1)]
+    asked = ids if code in (0x82, 0x92) or number == BROADCAST else (number,)
+    answers = [(encode(one, 0x55, _answer(chance, code, size), _error(chance)), IN)
+               for one in asked if chance.random() < 0.85 and code not in (0x83, 0x93)]
+    return [(encode(number, code, params[:1000]), OUT), *answers]
+
+
+def _exchange_1(chance, ids):
+    code = chance.choice(CODES_1) if chance.random() < 0.9 else chance.randrange(256)
+    number = _id(chance, ids, 255)
+    address, size = chance.choice(ADDRESSES) & 0xFF, chance.choice(SIZES) & 0xFF
+    data = chance.randbytes(min(size, 80))
+    params = {
+        1: b'', 2: bytes((address, size)), 3: bytes([address]) + data, 4: bytes([address]) + data,
+        0x82: bytes((address, size, *ids)),
+        0x83: bytes((address, len(data))) + b''.join(bytes([one]) + data[:40] for one in ids),
+        0x92: b'\0' + b''.join(bytes((size, one, address)) for one in ids),
+    }.get(code, chance.choice((b'', b'\0\0', data[:8])))[:250]
+    if chance.random() < 0.2:
+        params = params[:chance.randrange(len(params) + 1)]
+    asked = ids if code in (0x82, 0x92) else (number,)
+    answers = [(dxl1_packet.encode(one, _error(chance), _answer(chance, code, size)[:250]), IN)
+               for one in asked if chance.random() < 0.8 and code != 0x83]
+    return [(dxl1_packet.encode(number, code, params), OUT), *answers]
+
+
+def _id(chance, ids, end):
+    return chance.choice((*ids, ids[0], BROADCAST, chance.randrange(end)))
+
+
+def _answer(chance, code, size):
+    if chance.random() < 0.1:
+        return chance.randbytes(chance.randrange(12))
+    return chance.randbytes(min(size, 1000)) if code in (2, 0x82, 0x92) else b''
+
+
+def _error(chance):
+    return chance.choice((0, 0, 0, 0, 1, 4, 7, 0x20, 0x80, 0x87, chance.randrange(256)))
+
+
+def damaged(chance, data):
+    """Return bytes with something wrong."""
+    at = chance.randrange(len(data) + 1)
+    return chance.choice((
+        lambda: data[:at] + bytes([data[at] ^ 1 << chance.randrange(8)]) + data[at + 1:]
+        if at < len(data) else data[1:],
+        lambda: data[:at], lambda: data[at:], lambda: data + data,
+        lambda: data[:at] + chance.choice(TRICKY) + data[at:],
+        lambda: data[:at] + chance.randbytes(chance.randrange(20)) + data[at:],
+        lambda: chance.randbytes(len(data)), lambda: b'\xff' + data))()
