@@ -15,7 +15,7 @@ const figureOf = (text) => {
   return Number.isFinite(value) ? value : null;
 };
 
-// Column: name (and class), heading, what stands in it, what it is sorted by (null: nothing is known).
+// A column: name (and class), heading, its content, its sort key (null: unknown).
 const COLUMNS = [
   ['state', 'State', (device) => wordOf(device), null],
   ['id', 'Device', null, (device) => device.id],
