@@ -6,6 +6,8 @@ from collections.abc import Callable
 from functools import cache
 
 import pytest
+import test_doctor_edges
+import test_doctor_time
 
 from benchmark.baseline import fault_cells
 from benchmark.baseline import saved_of
@@ -19,8 +21,10 @@ from benchmark.confusion import WITHIN_S
 from benchmark.confusion_cases import ANSWERS_BEHIND
 from benchmark.confusion_cases import Case
 from benchmark.confusion_cases import CASES
+from benchmark.confusion_cases import DXL1_CASES
 from benchmark.confusion_cases import FAST
 from benchmark.confusion_cases import FAST_ROBOT
+from benchmark.confusion_cases import FEETECH_CASES
 from benchmark.confusion_cases import Key
 from benchmark.confusion_cases import Scene
 from dxl_monitor.doctor import RULES
@@ -29,11 +33,6 @@ from dxl_monitor.fake.traffic import PATTERNS
 
 AT = '2'                           # s, when the faults begin
 LONG = 140                         # characters of a line that one reads at a glance
-# No fault of the simulated bus makes these: test_doctor.py, test_sides.py or the scenes of
-# rigs/bus do.
-ELSEWHERE = {'overrun', 'not_sent', 'missed_answers', 'torque_off', 'wrong_length', 'refused',
-             'scan', 'master_stopped', 'models'}
-OF_DIALECTS = {'mixed_firmware', 'calibrated_twice', 'baud_code', 'lock', 'wrong_supply', 'layout'}
 MS = 1_000_000
 
 
@@ -65,11 +64,16 @@ def test_with_the_sides_known_it_is_told_as_well(case: Case) -> None:
     assert 0 <= result.after_s <= WITHIN_S
 
 
-def test_every_fault_and_every_rule_is_among_the_cases() -> None:
+def test_every_fault_is_among_the_cases() -> None:
     assert {case.fault.partition(':')[0] for case in CASES} \
         == {name for name, kind in KINDS.items() if '2' in kind.protocols}
-    assert {rule for case in CASES for rule, _ in case.told} \
-        == {rule.name for rule in RULES} - ELSEWHERE - OF_DIALECTS
+
+
+def test_every_rule_has_a_fault_or_a_case_made_by_hand() -> None:
+    played = {rule for case in (*CASES, *FEETECH_CASES, *DXL1_CASES) for rule, _ in case.told}
+    by_hand = {rule for rule, *_ in (*test_doctor_edges.ENOUGH, *test_doctor_time.ENOUGH,
+                                     *test_doctor_time.DOUBTS)}
+    assert {rule.name for rule in RULES} - played - by_hand == set()
 
 
 @pytest.mark.parametrize(('family', 'cases', 'result'), [

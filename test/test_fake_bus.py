@@ -33,12 +33,14 @@ from dxl_monitor.fake.outlet import CAPACITY
 from dxl_monitor.fake.outlet import Outlet
 from dxl_monitor.fake.shell import FakeBus
 from dxl_monitor.fake.traffic import PATTERNS
+from dxl_monitor.fake.truth import _LEARNING
 from dxl_monitor.fake.truth import Truth
 from dxl_monitor.model.control_table import STRUCTS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.pty import Away
+from msg_defs.dxl_instruction import KINDS as INSTRUCTIONS
 from msg_defs.dxl_packet import Framer
 from msg_defs.uart import heard_at
 
@@ -84,6 +86,10 @@ def test_pattern_is_good_traffic_in_order_of_time(pattern: str) -> None:
     assert truth.exact
     assert framer.bytes == truth.bytes == sum(len(burst.data) for burst in bursts)
     assert framer.packets == truth.instructions + truth.statuses > 20
+
+
+def test_the_truth_has_every_instruction() -> None:
+    assert set(_LEARNING) == set(INSTRUCTIONS)
 
 
 def test_same_seed_same_bytes() -> None:

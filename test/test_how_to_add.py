@@ -12,7 +12,8 @@ import sys
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ('msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor', 'docs', 'config')
+PACKAGES = ('msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor', 'mecarover_dashboard',
+            'docs', 'config', 'resource', 'benchmark', 'fuzz', 'rigs', 'test')
 MOST_LINES = 15
 GRIPPER = """model_numbers: {4660: Gripper}
 source: firmware/registers.h
@@ -37,7 +38,8 @@ class Copy:
         self.section = section(kind)
         for name in PACKAGES:
             shutil.copytree(ROOT / name, folder / name,
-                            ignore=shutil.ignore_patterns('__pycache__', '*.png'))
+                            ignore=shutil.ignore_patterns('__pycache__', '*.png', 'corpus'))
+        shutil.copy(ROOT / 'pyproject.toml', folder)
 
     def change(self, path: str, *edits: tuple[str, str], named: str = '') -> None:
         """Put text in front of an anchor that stands in the file once; a file may be new."""
@@ -56,8 +58,15 @@ class Copy:
         """Run Python in the copy; return what it prints."""
         done = subprocess.run([sys.executable, *arguments], cwd=self.folder, text=True,
                               capture_output=True, check=False, timeout=60)
-        assert done.returncode == 0, done.stderr
+        assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout.strip()
+
+    def passes(self, file: str, tests: str, least: int = 1) -> None:
+        """Run those tests of a file in the copy that have such a name."""
+        said = self.run('-m', 'pytest', '-q', '-p', 'no:cacheprovider', f'test/{file}',
+                        '-k', tests)
+        found = re.search(r'(\d+) passed', said)
+        assert found is not None and int(found[1]) >= least, said
 
 
 @pytest.fixture
@@ -66,7 +75,8 @@ def copy(tmp_path: Path) -> Callable[[str], Copy]:
 
 
 @pytest.mark.parametrize('kind', [
-    'a model', 'an instruction', 'a finding', 'a topic', 'a source of bytes', 'a live source'])
+    'a model', 'an instruction', 'a finding', 'a value in a status', 'a USB adapter family',
+    'a topic', 'a source of bytes', 'a live source'])
 def test_each_list_is_short(kind: str) -> None:
     assert 0 < len(section(kind).strip().splitlines()) <= MOST_LINES
 
@@ -103,6 +113,9 @@ def test_an_instruction(copy: Callable[[str], Copy]) -> None:
 
 """),
                 ('    Instruction.REBOOT: ', '    Instruction.HOME: FakeDevice._on_home,\n'))
+    code.change('dxl_monitor/fake/truth.py', (
+        '    Instruction.REBOOT: ', '    Instruction.HOME: Truth._learn_restart,\n'))
+    code.change('fuzz/instruction.py', ('OPTIONS = {', 'ACKNOWLEDGED += (0x21,)\n'))
     code.change('msg_defs/dxl1_instruction.py', (
         "             0x92: DialectInstruction('Bulk Read'",
         "             0x21: DialectInstruction('Home', Layout.NOTHING, Answers.ACK),\n"))
@@ -146,6 +159,17 @@ print(first, name_of(0x21, DYNAMIXEL_1), name_of(0x21), ask(10**11 + 10**9, 0x21
 """) == "['Present Position'] Home Home []"
 
 
+    code.passes('test_fake_bus.py', 'the_truth_has_every_instruction')
+    assert code.run('-c', """
+from random import Random
+from fuzz.instruction import check
+from fuzz.script import INSTRUCTIONS
+random = Random(1)
+for _ in range(3000):
+    check(bytes((INSTRUCTIONS.index(0x21), *random.randbytes(20))))
+""") == ''
+
+
 def test_a_finding(copy: Callable[[str], Copy]) -> None:
     code = copy('a finding')
     code.change('dxl_monitor/doctor/health.py',
@@ -160,6 +184,13 @@ def _nameless(case: Case, device: DeviceReport) -> Found | None:
 """), named='dxl_monitor/doctor/FAMILY.py')
     code.change('docs/doctor.md', (
         '| `watchdog` ', '| `nameless` WARN | no joint name | name it in `devices` |\n'))
+    code.change('test/test_doctor_edges.py', ("    ('baud_moved',", """\
+    ('nameless', {'devices': [device()]}, 'it has no joint name; give it one', {},
+     [{'devices': [device(joint='knee')]}]),
+"""))
+    code.passes('test_doctor_edges.py', 'nameless')
+    code.passes('test_doctor_faults.py', 'every_rule')
+    code.passes('test_doctor.py', 'every_rule or rules_explain', 2)
     assert code.run('-c', """
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.expected import Expected
@@ -171,6 +202,66 @@ for device in report.devices:
     print(dict(device_status('dxl_monitor', '', device, report.findings, False).values).get(
         'finding.nameless'))
 """).splitlines() == ['it has no joint name; give it one', 'None']
+
+
+def test_a_value_in_a_status(copy: Callable[[str], Copy]) -> None:
+    code = copy('a value in a status')
+    code.change('dxl_monitor/status.py', (
+        "        ('Missed in a Row',", '        (keys.ERRORS, str(len(device.errors))),\n'))
+    code.change('docs/generate.py', (
+        "    'Missed in a Row': ", "    'Kinds of Errors': 'refused so far',\n"))
+    code.change('msg_defs/status_keys.py', ('NOT_OBSERVED =', "ERRORS = 'Kinds of Errors'\n"),
+                ("           Figure('latency'",
+                 "           Figure('errors', ERRORS, 'Errors', 'Kinds of errors', 0),\n"))
+    assert 'diagnostics.md' in code.run('-m', 'docs.generate')
+    code.passes('test_bus_status.py', 'documented')
+    code.passes('test_docs.py', 'generated')
+    assert code.run('-c', """
+from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.status import device_status
+from mecarover_dashboard.server import _files
+from mecarover_dashboard.state import State, TABLES
+import sys
+sys.path.insert(0, 'test')
+from synthetic_robot import serialise
+report = Monitor('', Models(), Settings(devices=(Expected(1),))).report(0)
+state = State()
+state.take(TABLES, serialise([device_status('dxl_monitor', '', report.devices[0], (), True)]), 1.0)
+[row] = state.changes(0)['devices'].values()
+print(row['errors'], b'"Kinds of errors"' in _files()['figures.js'])
+""") == '0 True'
+
+
+def test_a_usb_adapter_family(copy: Callable[[str], Copy]) -> None:
+    code = copy('a USB adapter family')
+    code.change('dxl_monitor/port/adapters.py', ('# All that is understood.', """\
+class Xr21(Adapter):
+    name = 'XR21'
+
+    @classmethod
+    def matches(cls, identity: Identity) -> bool:
+        return identity.vendor == 0x04E2
+
+    @classmethod
+    def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
+        return setup[:2] == (_VENDOR_OUT, 0x55)
+
+    def control(self, setup: Setup, data: bytes) -> list[Change]:
+        if not self.is_set_up_by(setup, data):
+            return []
+        return [Change(BAUD, int.from_bytes(data[:4], 'little'))]
+
+
+"""), ('Ftdi, CdcAcm, Ch341', 'Xr21, '))
+    code.change('dxl_monitor/fake/usb_adapter.py', ("    'cp210x': Family(", """\
+    'xr21': Family(0x04E2, 0x1410, 0x0003, 64, (0x81, 0x01), 0xFF, lambda baud: [
+        (_setup(0x40, 0x55, 0, 0, 4), baud.to_bytes(4, 'little'))]),
+"""))
+    code.change('docs/wiring.md', ('CDC-ACM, CH340', 'XR21, '))
+    code.passes('test_usb.py', 'family or xr21 or descriptors', 20)
 
 
 def test_a_topic(copy: Callable[[str], Copy]) -> None:
@@ -216,7 +307,7 @@ class Hex(Source):
 
 
 def test_a_live_source(copy: Callable[[str], Copy]) -> None:
-    code = copy('a live source')
+    code = copy('a live source, for node and tools')
     code.change('dxl_monitor/port/hex_listener.py', ('', """\
 import time
 

