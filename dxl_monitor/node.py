@@ -43,9 +43,9 @@ from dxl_monitor.status import device_status
 from dxl_monitor.status import PortState
 from dxl_monitor.timers import Timers
 from mecarover_serial.inspection import Inspection
-from mecarover_serial.namesakes import Namesakes
 from mecarover_serial.node import declare
 from mecarover_serial.node import overridable_publisher
+from mecarover_serial.node import Surroundings
 from mecarover_serial.process import resident_memory_mb
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
@@ -198,7 +198,8 @@ class MonitorNode:
         self._capture_words = ''
         self._buses = [MonitoredBus(bus, models, self._recorder, values['joint_state_rate'])
                            for bus in found]
-        self._namesakes = Namesakes(self.node.get_fully_qualified_name(), time.monotonic_ns())
+        self._surroundings = Surroundings(self.node)
+        self._said: set[str] = set()
         self._port_words: dict[str, str] = {}
         self._levels: list[int] = []
         self._alarms = 0                # so many were there in the last report
@@ -307,10 +308,11 @@ class MonitorNode:
 
     def _hear(self, now: int) -> list[Heard]:
         self._alarms, self._reported = self._count_alarms(), now
-        twins = self._namesakes.complaints(self.node.get_node_names_and_namespaces(), now)
-        for line in twins:
-            self._log.warning(line, once=True)
-        return [(one, one.report(now), one.port_state(twins)) for one in self._buses]
+        around = self._surroundings.complaints()
+        for line in set(around) - self._said:
+            self._log.warning(line)
+        self._said = set(around)
+        return [(one, one.report(now), one.port_state(around)) for one in self._buses]
 
     def _tell(self, heard: list[Heard]) -> None:
         """

@@ -1,11 +1,12 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of dxl_monitor, and what they say about each bus. Pure."""
+"""The parameters of dxl_monitor, and what they say about each bus."""
 from __future__ import annotations
 
 from collections.abc import Iterable
 from collections.abc import Sequence
 from itertools import chain
+import os
 from typing import Any
 from typing import NamedTuple
 
@@ -45,7 +46,7 @@ PARAMETERS = (
               'ones', element=str),
     Parameter('joint_state_rate', 0.0, 'of dxl/joint_states; 0 = off', 'Hz', 0.1, 200.0,
               or_zero=True),
-    Parameter('capture', '', 'file to record all buses to, as text (docs/captures.md)'),
+    Parameter('capture', '', 'file to record all buses to, as text'),
     Parameter('capture_size', 100.0, 'of a capture file; then it becomes FILE.1, that one FILE.2 '
               'and so on', 'MB', 0.001, 1e6),
     Parameter('capture_files', 9, 'older capture files to keep beside the one being written', '',
@@ -88,6 +89,10 @@ def buses(values: dict[str, Any], models: Models) -> list[Bus]:
     ports, bauds = values['ports'], values['bauds']
     if not ports:
         raise ParameterError('ports: none given; set e.g. ports:=/dev/ttyUSB0')
+    for port in ports:
+        if ',' in port and not os.path.lexists(port):
+            raise ParameterError(f'ports: {port!r} is the name of one port; write a list: '
+                                 f'ports:="{port.split(",")}"')
     refuse_twice('ports:', ports)
     if len(bauds) == 1:
         bauds = bauds * len(ports)
@@ -157,5 +162,7 @@ def check_models(devices: Iterable[Expected], models: Models) -> None:
     for model in {device.model for device in devices if device.model}:
         if models.by_name(model) is None:
             near = models.closest(model)
-            remedy = f'did you mean {near}?' if near else 'add a file for it to model_dirs'
+            remedy = f'did you mean {near}?' if near else (
+                'write it as XL430-W250, MX-64 or STS3215, leave it out, or add a file for it to '
+                'model_dirs')
             raise ParameterError(f'devices: no model is called {model!r}; {remedy}')

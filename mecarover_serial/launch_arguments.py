@@ -58,7 +58,7 @@ class Launched(NamedTuple):
                      f'file with parameters of {self.node}; an argument wins over it, it over '
                      'SetParameter of a launch file, and that over our own file'),
             Argument('name', self.node, f'name of the node {self.node}'),
-            Argument('enclave', '', f'SROS2 enclave, e.g. /{self.node}; see docs/security.md'),
+            Argument('enclave', '', f'SROS2 enclave, e.g. /{self.node}'),
             Argument('respawn', str(self.respawn).lower(),
                      f'start {self.node} again when it ends', YES + NO),
         ]

@@ -42,6 +42,8 @@ from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import ENDING
 from mecarover_serial.cli import WRONG_USAGE
+from mecarover_serial.namesakes import DISCOVERED_NS
+from mecarover_serial.namesakes import Namesakes
 from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
@@ -120,7 +122,7 @@ def _run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None,
     except PortError as error:
         return _complain(name, str(error), COULD_NOT_RUN)
     except OSError as error:
-        return _complain(name, f'{error}; see docs/troubleshooting.md', COULD_NOT_RUN)
+        return _complain(name, f'{error}; mend that and start it again', COULD_NOT_RUN)
     finally:
         if not clock.went_back:
             rclpy.try_shutdown()
@@ -141,7 +143,7 @@ def _remedy() -> str:
     if os.environ.get('ROS_SECURITY_ENABLE', '').lower() != 'true':
         return 'see ros2 run --help'
     return ('ROS_SECURITY_ENABLE is true: give --enclave, set ROS_SECURITY_KEYSTORE, use ROS 2 '
-            'from apt (the wheels of PyPI have no security); see docs/security.md')
+            'from apt (the wheels of PyPI have no security)')
 
 
 def _spare_shared_memory(name: str) -> None:
@@ -194,6 +196,28 @@ def overridable_publisher(node: Node, kind: type, topic: str, profile: QoSProfil
         raise ParameterError(
             f'qos_overrides.{node.resolve_topic_name(topic)}.publisher: {first_line(error)}; '
             'set e.g. reliability to reliable, depth to 10') from error
+
+
+class Surroundings:
+    """What is wrong around a node, by the graph: another one of its name, a clock that stands."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._began = time.monotonic_ns()
+        self._namesakes = Namesakes(node.get_fully_qualified_name(), self._began)
+
+    def clock_stands(self) -> bool:
+        """Whether the time of the node is 0 because no node publishes /clock."""
+        return bool(self._node.get_clock().now().nanoseconds == 0)
+
+    def complaints(self) -> list[str]:
+        """Return a line for each."""
+        now = time.monotonic_ns()
+        lines = self._namesakes.complaints(self._node.get_node_names_and_namespaces(), now)
+        if self.clock_stands() and now - self._began > DISCOVERED_NS:
+            lines.append('use_sim_time: it is true and no node publishes /clock, so all stamps '
+                         'are 0; start the simulation or ros2 bag play --clock, or set it false')
+        return lines
 
 
 def given(node: Node) -> dict[str, Any]:
@@ -266,9 +290,23 @@ def declare(node: Node, parameters: Sequence[Parameter],
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
+    _explain_read_only(node)
     node.add_pre_set_parameters_callback(before_set)
     node.add_on_set_parameters_callback(on_set)
     return values
+
+
+def _explain_read_only(node: Node) -> None:
+    """Let rclpy, which refuses a read-only parameter before it asks us, name the remedy."""
+    refuse = node.set_parameters_atomically
+
+    def set_atomically(changed: list[Any]) -> SetParametersResult:
+        result = refuse(changed)
+        if not result.successful and 'read-only' in result.reason:
+            result.reason += (' It cannot change while the node runs; write it to the settings '
+                              'file, or give it with -p, and start the node again')
+        return result
+    node.set_parameters_atomically = set_atomically
 
 
 def _stored(parameter: Parameter, raw: Any) -> Any:

@@ -104,6 +104,8 @@ def test_read_only_is_refused(graph, running):
         if not parameter.run_time:
             [said] = graph.set(NODE, **{parameter.name: parameter.default})
             assert 'read-only' in said
+            assert said.endswith('write it to the settings file, or give it with -p, and start '
+                                 'the node again')
 
 
 @pytest.mark.parametrize('zero', [0, 0.0])

@@ -115,7 +115,8 @@ def test_keys_are_there_from_the_beginning():
 
 @pytest.mark.parametrize('verdict', [one for one in Outcome if one is not Outcome.ACCEPTED])
 def test_every_refusal_has_a_remedy(verdict):
-    line = refusal('vel2d_bridge', '/cmd_vel', Vel2d(math.nan, -0.0, math.inf), verdict)
+    line = refusal('vel2d_bridge', '/cmd_vel', Vel2d(math.nan, -0.0, math.inf), verdict,
+                   False)
     assert line.startswith(f'/cmd_vel: command (nan, -0, inf) refused: {verdict.value}; ')
     assert commands(OPEN, HEARD._replace(refused=verdict)).level is Level.WARN
 

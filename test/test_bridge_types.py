@@ -15,6 +15,7 @@ from harness import Mcu
 from harness import wait
 import pytest
 
+from mecarover_serial.pty import Pty
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 
@@ -140,6 +141,19 @@ def test_stamps(ros, graph, mcu, running, operator):
         wait(lambda: int(graph.values(COMMANDS)['Zero stamps']) > before)
     assert Vel2d(0.9, 0.0, 0.0) not in {frame.velocity for frame in mcu.arrivals}
     assert graph.set('/rover/vel2d_bridge', max_stamp_age=0.0) == ['']
+
+
+def test_stamps_without_a_clock(ros, graph, tmp_path):
+    """use_sim_time without /clock: it is not the clocks of two machines that differ."""
+    with Pty(str(tmp_path / 'mcu')) as pty, bridge(
+            pty, '-r', '__ns:=/simulated', use_sim_time='true', max_stamp_age=0.3) as running:
+        publisher = graph.publisher('/simulated/cmd_vel', ros.TwistStamped, heard=False)
+        with ros.Teleop(publisher, partial(ros.stamped, 0.3), rate=50):
+            line = running.wait_for('refused: stamp in the future')
+            assert line.endswith('; start what publishes /clock, or set use_sim_time false')
+            graph.wait_status('simulated/vel2d_bridge: commands', 'use_sim_time: it is true and '
+                              'no node publishes /clock', 'start what publishes /clock', level=1)
+        graph.node.destroy_publisher(publisher)
 
 
 def test_overridden_qos_and_a_fixed_type(ros, graph, tmp_path):

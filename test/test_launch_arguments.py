@@ -68,7 +68,7 @@ def test_an_enclave_that_does_not_exist_is_one_line(tmp_path, monkeypatch):
     with launched('bridge', 'enclave:=/rover1/drive') as launch:
         launch.exit_code()
     [line] = launch.said('vel2d_bridge: ', '/enclaves/rover1/drive')
-    assert re.search('; ROS_SECURITY_ENABLE is true: .*docs/security.md', line)
+    assert re.search('; ROS_SECURITY_ENABLE is true: .*no security', line)
     assert len(launch.said('exit code 2')) == len(pids(launch)) == 1
 
 

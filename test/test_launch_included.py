@@ -83,13 +83,14 @@ def test_two_includes_have_arguments_of_their_own(graph, parent, tmp_path, ears)
     file = parent(f"include('monitor', ports='{tmp_path}/bus'{ears.format(config=config)})",
                   f"include('bridge', port='{tmp_path}/mcu')")
     with launched(file) as launch:
+        for node in ('dxl_monitor', 'vel2d_bridge'):
+            launch.wait_for(f'[{node}-', 'is not there')
         name = '/ears' if ears else '/dxl_monitor'
         assert graph.get(name, ['warn_loss']) == [5.0 if ears else 1.0]
         assert graph.get(BRIDGE, ['cmd_vel_timeout']) == [0.5]
         assert bool(launch.said('bridge.launch.py', f'config:={config} was given to another '
                                 'include, so this one takes its default')) == bool(ears)
         [bridge] = [pid for pid in pids(launch) if launch.said('vel2d_bridge', f'[{pid}]')]
-        launch.wait_for('vel2d_bridge', 'is not there')
         os.kill(bridge, signal.SIGKILL)
         wait(lambda: len(launch.said('vel2d_bridge', 'is not there')) == 2)
 

@@ -280,6 +280,8 @@ def test_every_ending_signal_ends_it_well(tmp_path, heard, again, number):
     ({'names': '[a,b]'}, 'names: 2 names for 1 ports; '),
     ({'devices': '[254]'}, "devices: '254': an ID is at most 253; "),
     ({'devices': "['1:MX-107']"}, "devices: no model is called 'MX-107'; did you mean "),
+    ({'devices': "['1:XL330']"}, "devices: no model is called 'XL330'; did you mean XL330-M"),
+    ({'devices': "['1:teapot']"}, "devices: no model is called 'teapot'; write it as XL430-W250"),
     ({'devices': "['left/1']"}, "devices: 'left/1' names no bus; "),
     ({'model_dirs': '/does/not/exist'}, 'model_dirs: /does/not/exist'),
     ({'publish_rate': '0.0'}, 'publish_rate: 0.0 is not possible; '),
@@ -291,6 +293,19 @@ def test_mistakes_are_one_line(ros, parameters, line):
         [said] = node.lines
         assert said.startswith(f'dxl_monitor: {line}')
         assert '; ' in said
+
+
+def test_ports_in_one_word_are_a_mistake(ros):
+    with monitor(['/dev/a,/dev/b']) as node:
+        assert node.exit_code() == 2
+    assert node.lines == ["dxl_monitor: ports: '/dev/a,/dev/b' is the name of one port; write a "
+                          "list: ports:=\"['/dev/a', '/dev/b']\""]
+
+
+def test_time_without_a_clock_is_said(tmp_path, heard):
+    with monitor([tmp_path / 'bus'], use_sim_time='true') as node:
+        node.wait_for('WARN', 'use_sim_time: it is true and no node publishes /clock, ')
+        heard.wait_status('dxl_monitor: bus', 'no node publishes /clock', level=2)
 
 
 def test_statistics_begin_anew(tmp_path, heard, ros):

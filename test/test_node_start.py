@@ -19,7 +19,7 @@ def test_an_enclave_without_keys_is_one_line(ros, tmp_path, monkeypatch, name):
         assert node.exit_code() == 2
     assert 'Traceback' not in node.text
     assert node.lines[-1].startswith(f'{name}: error creating node: ')
-    assert node.lines[-1].endswith('see docs/security.md')
+    assert node.lines[-1].endswith('(the wheels of PyPI have no security)')
 
 
 def test_a_list_on_the_command_line_wins_over_a_list_of_another_type(ros, tmp_path):

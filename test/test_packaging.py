@@ -83,7 +83,24 @@ def test_package_xml_names_what_is_imported():
         for node in ast.walk(ast.parse(path.read_text())):
             module = node.module if isinstance(node, ast.ImportFrom) else ''
             top = (module or '').partition('.')[0]
-            if top == 'rclpy' or top.endswith(('_msgs', '_interfaces', '_srvs')):
+            if top in ('rclpy', 'launch', 'launch_ros', 'ament_index_python') \
+                    or top.endswith(('_msgs', '_interfaces', '_srvs')):
                 assert top in depends, f'{path} imports {top}'
     assert package.find('export/build_type').text == 'ament_python'
     assert package.get('format') == '3'
+
+
+@pytest.mark.parametrize('package', ['msg_defs', NAME, 'vel2d_bridge', 'dxl_monitor',
+                                     'mecarover_dashboard', 'mecarover_demo', 'launch'])
+def test_no_text_for_a_user_points_to_what_is_not_installed(package):
+    """The documents and deploy/ stay in the repository; docstrings and comments may name them."""
+    found = set()
+    for path in (ROOT / package).rglob('*.py'):
+        tree = ast.parse(path.read_text())
+        docstrings = {ast.get_docstring(node, clean=False) for node in ast.walk(tree)
+                      if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)}
+        found |= {(path.name, node.lineno, node.value) for node in ast.walk(tree)
+                  if isinstance(node, ast.Constant) and isinstance(node.value, str)
+                  and node.value not in docstrings
+                  and any(folder in node.value for folder in ('docs/', 'deploy/'))}
+    assert found == set()

@@ -23,8 +23,8 @@ from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
 from mecarover_serial.inspection import Inspection
-from mecarover_serial.namesakes import Namesakes
 from mecarover_serial.node import declare
+from mecarover_serial.node import Surroundings
 from mecarover_serial.preflight import PortError
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.crc import CRC_IS_FAST
@@ -98,8 +98,8 @@ class Bridge:
         self._subscriber = CmdVelSubscriber(
             self.node, self._values['message_type'], self._on_command, self._on_type,
             self._on_left)
-        self._namesakes = Namesakes(self.node.get_fully_qualified_name(), time.monotonic_ns())
-        self._twins: list[str] = []
+        self._surroundings = Surroundings(self.node)
+        self._around: list[str] = []
         self.node.create_service(SetBool, '~/enable', self._enable)
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
         self._diagnostics = self.node.create_publisher(
@@ -185,7 +185,8 @@ class Bridge:
             if now - self._told.get(verdict, -THROTTLE_NS) >= THROTTLE_NS:
                 self._told[verdict] = now
                 self._log.warning(refusal(
-                    full_name(self.node), self._subscriber.topic, velocity, verdict))
+                    full_name(self.node), self._subscriber.topic, velocity, verdict,
+                    self._surroundings.clock_stands()))
         if twist.linear.z or twist.angular.x or twist.angular.y:
             self._log.warning(
                 f'{self._subscriber.topic}: linear.z, angular.x and angular.y are ignored, the '
@@ -230,8 +231,7 @@ class Bridge:
         if state.is_open:
             self._inspection.look(state.openings, time.monotonic())
         self._subscriber.look()
-        self._twins = self._namesakes.complaints(
-            self.node.get_node_names_and_namespaces(), time.monotonic_ns())
+        self._around = self._surroundings.complaints()
         self._write_logs()
         self._report()
 
@@ -246,14 +246,15 @@ class Bridge:
                               'logged, as the node was held up; what follows came last')
         for problem in self._port_log.take():
             if problem is None:         # two lines: rclpy ties a severity to a place in the code
+                until = 'a command comes' if self._link.gate.enabled else 'commands are enabled'
                 self._log.info(f'{self._port}: open at {self._values["baud"]} baud; sending '
-                               'stops until a command comes')
+                               f'stops until {until}')
             else:
                 self._log.error(str(problem))
 
     def _write_logs(self) -> None:
         self._log_changes()
-        self._say_new([*self._link_warnings(), *self._twins, *self._subscriber.warnings])
+        self._say_new([*self._link_warnings(), *self._around, *self._subscriber.warnings])
         crc = CRC_INPUTS[self._values['crc_input']]
         while self._sent:
             velocity = self._sent.popleft().velocity
@@ -300,8 +301,9 @@ class Bridge:
         verdict, refused_at = self._refused or (None, 0)
         commands = Commands(
             subscriber.topic, subscriber.subscribed, self._values['cmd_vel_timeout'],
-            [*self._twins, *subscriber.complaints], self._timing.command_period.summary(now),
-            subscriber.zero_stamps, verdict if now - refused_at < REFUSED_NS else None)
+            [*self._around, *subscriber.complaints], self._timing.command_period.summary(now),
+            subscriber.zero_stamps, verdict if now - refused_at < REFUSED_NS else None,
+            self._surroundings.clock_stands())
         return [link_status(name, self._port, state, self._link_warnings(), self._mcu, now),
                 commands_status(name, self._port, state, self._link.gate.counters, commands)]
 

@@ -54,16 +54,19 @@ class Commands(NamedTuple):
     period: Summary | None      # ms between commands, over the window
     zero_stamps: int
     refused: Outcome | None     # why the newest command was refused, if that is not long ago
+    clock_stands: bool = False  # use_sim_time without /clock
 
 
-def refusal(node: str, topic: str, velocity: Vel2d, verdict: Outcome) -> str:
+def refusal(node: str, topic: str, velocity: Vel2d, verdict: Outcome, clock_stands: bool) -> str:
     """Say why a command was not taken, and what helps."""
     x, y, omega = velocity
     return (f'{topic}: command ({x:g}, {y:g}, {omega:g}) refused: {verdict.value}; '
-            f'{_remedy(verdict, node)}')
+            f'{_remedy(verdict, node, clock_stands)}')
 
 
-def _remedy(verdict: Outcome, node: str) -> str:
+def _remedy(verdict: Outcome, node: str, clock_stands: bool) -> str:
+    if clock_stands and verdict in (Outcome.STAMP_OLD, Outcome.STAMP_AHEAD):
+        return 'start what publishes /clock, or set use_sim_time false'
     return _REMEDIES[verdict].replace('NODE', node)
 
 
@@ -143,10 +146,10 @@ def _complaints(node: str, state: LinkState, commands: Commands) -> list[str]:
     if state.owes_stop:
         lines.append(f'{NO_STOP}; switch it off, or see the status of the link')
     if not state.enabled:
-        lines.append(f'{commands.topic}: disabled; {_remedy(Outcome.DISABLED, node)}')
+        lines.append(f'{commands.topic}: disabled; {_remedy(Outcome.DISABLED, node, False)}')
     elif commands.refused is not None:
         lines.append(f'{commands.topic}: commands are refused: {commands.refused.value}; '
-                     f'{_remedy(commands.refused, node)}')
+                     f'{_remedy(commands.refused, node, commands.clock_stands)}')
     lines += commands.complaints
     period = commands.period
     if period is not None and _stutters(period, commands.timeout_s):

@@ -22,6 +22,7 @@ import yaml
 
 from mecarover_serial.plain import printable
 
+BUILT_IN = Path(__file__).with_name('files')
 NUMBER_LIMIT = 0xFFFF
 INTEGER_BITS = 64            # the widest register has so many
 FILE_LIMIT = 500_000         # bytes; our longest file has 11 000
@@ -147,7 +148,8 @@ class Check:
 
     def mapping(self, raw: Any, keys: set[str]) -> None:
         if not isinstance(raw, dict):
-            raise self.error(f'expected a mapping, found {describe(raw)}', 'see docs/models.md')
+            raise self.error(f'expected a mapping, found {describe(raw)}',
+                             f'write it as the files in {BUILT_IN} do')
         for key in raw:
             if key not in keys:
                 raise self.error(f'unknown key {describe(key)}',

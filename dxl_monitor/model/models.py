@@ -15,13 +15,13 @@ import difflib
 from pathlib import Path
 import re
 
+from dxl_monitor.model.checked_yaml import BUILT_IN
 from dxl_monitor.model.checked_yaml import ModelError
 from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.layers import Layers
 from dxl_monitor.model.layers import model_key
 from dxl_monitor.model.layers import NUMBER_MASK
 
-BUILT_IN = Path(__file__).with_name('files')
 _NUMBERS = re.compile(rb'^model_numbers: *\{([^{}#]*)\}', re.MULTILINE)
 _IS_FEETECH = re.compile(rb'^protocol: *feetech *$', re.MULTILINE)
 _NUMBER = re.compile(r'(0x[0-9a-fA-F]{1,4}|0|[1-9][0-9]{0,4}): +([A-Za-z0-9][^:\'"]*)')
@@ -96,9 +96,11 @@ class Models:
         return None if number is None else self._load(number, firmware)
 
     def closest(self, name: str) -> str | None:
-        """Return the known name most like this one, for an error message."""
-        found = difflib.get_close_matches(_plain(name), self._by_name, 1, 0.5)
-        return self._index[self._by_name[found[0]]][1] if found else None
+        """Return the known name most like this one, for an error message; of a series all."""
+        plain = _plain(name)
+        found = [one for one in self._by_name if len(plain) > 2 and one.startswith(plain)] \
+            or difflib.get_close_matches(plain, self._by_name, 1, 0.5)
+        return ' or '.join(self._index[self._by_name[one]][1] for one in found[:4]) or None
 
     def names(self) -> dict[int, str]:
         """Every known model: model_key() -> name, in order of number."""

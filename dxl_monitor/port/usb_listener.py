@@ -212,4 +212,4 @@ def _open(name: str, path: str) -> int:
     except PermissionError:
         raise PortError(name, Reason(
             'permission', f'{path} belongs to root, because it shows keyboards too',
-            'use sudo for one session, or deploy/install.py --usbmon for the service')) from None
+            'use sudo for one session, or let a group read it by a udev rule')) from None
