@@ -265,6 +265,7 @@ def test_tap_hears_the_port_that_is_named(meeting_place, monkeypatch):
             name, (side, data))) for name in names]
         for listener in listeners:
             listener.start()
+        wait_for(lambda: all(one.state.is_open for one in listeners), 'listening')
         child = subprocess.Popen([sys.executable, '-c', script, first.path, second.path],
                                  env=environment('arm'))
         try:
