@@ -10,18 +10,18 @@ from pathlib import Path
 import shlex
 import sys
 
-from benchmark.harness import as_json
-from benchmark.harness import Figure
-from benchmark.harness import machine
-from benchmark.harness import Options
-from benchmark.harness import table
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from rigs.harness import as_json
+from rigs.harness import Figure
+from rigs.harness import machine
+from rigs.harness import Options
+from rigs.harness import table
 
 # Each is a module with run(options) -> list of figures.
 PLAIN = ('parsing', 'parsing_1', 'doctor', 'usb', 'tap', 'node_cost', 'bridge', 'start_up',
          'messages', 'dashboard')
-RIGS = {'load': 'rigs', 'soak': 'rigs'}  # in another folder than this one
+RIGS = {'soak': 'rigs'}     # in another folder than this one
 ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
 NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'messages', 'dashboard', *ALONE)
 

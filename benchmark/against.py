@@ -30,8 +30,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from typing import NamedTuple
 
-from benchmark.harness import machine
-from benchmark.harness import REPOSITORY
 from benchmark.parsing import CHUNKS
 from benchmark.parsing_1 import CLIENTS
 from benchmark.traffic import KINDS
@@ -41,6 +39,8 @@ from benchmark.traffic import packets_1
 from benchmark.traffic import TRACE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from rigs.harness import machine
+from rigs.harness import REPOSITORY
 
 SIZE = 150_000                     # bytes: a measurement takes 10 to 40 ms
 PAIRS = 100

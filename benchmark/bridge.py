@@ -21,18 +21,18 @@ from geometry_msgs.msg import Twist
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from benchmark.harness import Child
-from benchmark.harness import Figure
-from benchmark.harness import Options
-from benchmark.harness import quantile
-from benchmark.harness import ros_environment
-from benchmark.harness import Usage
-from benchmark.harness import usage
 from mecarover_serial.pty import Pty
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
+from rigs.harness import Child
+from rigs.harness import Figure
+from rigs.harness import Options
+from rigs.harness import quantile
+from rigs.harness import ros_environment
+from rigs.harness import Usage
+from rigs.harness import usage
 
 SECTION = 'bridge: Twist published to frame received'
 RATIO, MORE = 'bridge / floor, p50', 'bridge - floor, p95'

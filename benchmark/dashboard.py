@@ -21,11 +21,6 @@ import time
 from typing import Any
 from urllib.request import urlopen
 
-from benchmark.harness import Child
-from benchmark.harness import Figure
-from benchmark.harness import Options
-from benchmark.harness import ros_environment
-from benchmark.harness import say
 from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
@@ -33,6 +28,11 @@ from dxl_monitor.fake.shell import FakeBus
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from msg_defs.reports import Level
+from rigs.harness import Child
+from rigs.harness import Figure
+from rigs.harness import Options
+from rigs.harness import ros_environment
+from rigs.harness import say
 
 SECTION = 'dashboard: silent on the bus to red on the page'
 SERVOS = 20

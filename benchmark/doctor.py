@@ -12,9 +12,6 @@ from functools import partial
 import time
 
 from benchmark.confusion import chunks
-from benchmark.harness import Figure
-from benchmark.harness import interleaved
-from benchmark.harness import Options
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor import Doctor
@@ -25,6 +22,9 @@ from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
+from rigs.harness import Figure
+from rigs.harness import interleaved
+from rigs.harness import Options
 
 S = 1_000_000_000
 BAUD = 2_000_000

@@ -5,11 +5,11 @@
 import sys
 import time
 
-from benchmark.harness import say
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.listeners import listener_on
+from rigs.harness import say
 
 QUIET_S = 0.5
 

@@ -22,19 +22,19 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from benchmark.harness import Child
-from benchmark.harness import cpu_us_per_call
-from benchmark.harness import Figure
-from benchmark.harness import interleaved
-from benchmark.harness import Options
-from benchmark.harness import ros_environment
-from benchmark.harness import say
 from msg_defs import ros
 from msg_defs.reports import Joint
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import Status
 from msg_defs.timing import Series
+from rigs.harness import Child
+from rigs.harness import cpu_us_per_call
+from rigs.harness import Figure
+from rigs.harness import interleaved
+from rigs.harness import Options
+from rigs.harness import ros_environment
+from rigs.harness import say
 
 SECTION = 'published messages: build and publish to one subscriber'
 DEVICES = 20

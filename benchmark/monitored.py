@@ -20,11 +20,11 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
-from benchmark.harness import Child
-from benchmark.harness import ros_environment
-from benchmark.harness import usage
 from benchmark.traffic import BAUD
 from benchmark.traffic import ROBOT
+from rigs.harness import Child
+from rigs.harness import ros_environment
+from rigs.harness import usage
 
 NODE = 'dxl_monitor.main'
 THREAD_NODE = 'benchmark.thread_node'        # the same, without its reader process

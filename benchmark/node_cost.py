@@ -12,15 +12,15 @@ from collections.abc import Callable
 from functools import partial
 from statistics import median
 
-from benchmark.harness import Figure
-from benchmark.harness import interleaved
-from benchmark.harness import Options
 from benchmark.monitored import Run
 from benchmark.monitored import THREAD_NODE
 from benchmark.monitored import through_node
 from benchmark.monitored import through_reader
 from benchmark.monitored import Traffic
 from benchmark.traffic import FULL_BUS
+from rigs.harness import Figure
+from rigs.harness import interleaved
+from rigs.harness import Options
 
 SECTION = 'dxl_monitor as a process'
 ALL_TOPICS = ('joint_state_rate:=10.0',)

@@ -16,9 +16,6 @@ import time
 
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 
-from benchmark.harness import Figure
-from benchmark.harness import interleaved
-from benchmark.harness import Options
 from benchmark.traffic import BAUD
 from benchmark.traffic import KINDS
 from benchmark.traffic import packets
@@ -29,6 +26,9 @@ from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
+from rigs.harness import Figure
+from rigs.harness import interleaved
+from rigs.harness import Options
 
 CHUNKS = (4096, 64)
 QUICK_PACKETS = 5_000

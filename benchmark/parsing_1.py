@@ -17,9 +17,6 @@ from typing import Any
 from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
 from scservo_sdk.protocol_packet_handler import protocol_packet_handler
 
-from benchmark.harness import Figure
-from benchmark.harness import interleaved
-from benchmark.harness import Options
 from benchmark.parsing import CHUNKS
 from benchmark.parsing import cut
 from benchmark.parsing import FULL_PACKETS
@@ -32,6 +29,9 @@ from benchmark.traffic import KINDS_1
 from benchmark.traffic import packets_1
 from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.model.models import Models
+from rigs.harness import Figure
+from rigs.harness import interleaved
+from rigs.harness import Options
 
 CLIENTS = {'Feetech': ('feetech', 'feetech-servo-sdk', protocol_packet_handler),
            'Protocol 1.0': ('1', 'dynamixel-sdk', Protocol1PacketHandler)}

@@ -7,7 +7,7 @@ import select
 import sys
 import time
 
-from benchmark.harness import say
+from rigs.harness import say
 
 
 def main(port: str) -> None:

@@ -19,13 +19,13 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from benchmark.harness import Child
-from benchmark.harness import Figure
-from benchmark.harness import interleaved
-from benchmark.harness import Options
-from benchmark.harness import ros_environment
 from benchmark.minimal_node import TOPIC
 from mecarover_serial.pty import Pty
+from rigs.harness import Child
+from rigs.harness import Figure
+from rigs.harness import interleaved
+from rigs.harness import Options
+from rigs.harness import ros_environment
 
 SECTION = 'from the start of a process'
 LIMIT_S = 30.0

@@ -16,13 +16,13 @@ import os
 import tempfile
 from unittest.mock import patch
 
-from benchmark.harness import Child
-from benchmark.harness import Figure
-from benchmark.harness import interleaved
-from benchmark.harness import Options
 from benchmark.tap_master import PACKET
 from dxl_monitor.tools.tap import environment
 from mecarover_serial.pty import Pty
+from rigs.harness import Child
+from rigs.harness import Figure
+from rigs.harness import interleaved
+from rigs.harness import Options
 
 CALLS = 200                        # in a turn, each kind: less than a pty has room for
 ROUNDS = 50

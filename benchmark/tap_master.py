@@ -8,7 +8,7 @@ from time import perf_counter_ns
 
 import serial
 
-from benchmark.harness import say
+from rigs.harness import say
 
 PACKET = bytes.fromhex('fffffd0001030001194e')
 

@@ -13,13 +13,13 @@ from collections.abc import Sequence
 import sys
 from typing import NamedTuple
 
-from benchmark.harness import Figure
-from benchmark.harness import Options
 from benchmark.monitored import Run
 from benchmark.monitored import through_node
 from benchmark.monitored import through_reader
 from benchmark.monitored import Traffic
 from benchmark.traffic import TRACE
+from rigs.harness import Figure
+from rigs.harness import Options
 
 SECTION = 'the six experiments of the thesis'
 BUFFER = 4096

@@ -21,11 +21,6 @@ import tempfile
 import time
 from typing import NamedTuple
 
-from benchmark.harness import Child
-from benchmark.harness import Figure
-from benchmark.harness import interleaved
-from benchmark.harness import Options
-from benchmark.harness import usage
 from benchmark.isochronous import beside_a_camera
 from benchmark.traffic import ROBOT
 from dxl_monitor.fake.fake_bus import make_devices
@@ -37,6 +32,11 @@ from dxl_monitor.fake.outlet import Outlet
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.fake.usb_adapter import FakeAdapter
 from dxl_monitor.model.models import Models
+from rigs.harness import Child
+from rigs.harness import Figure
+from rigs.harness import interleaved
+from rigs.harness import Options
+from rigs.harness import usage
 
 S = 1_000_000_000
 BAUD = 4_500_000

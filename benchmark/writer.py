@@ -16,13 +16,13 @@ import sys
 import time
 from typing import Any
 
-from benchmark.harness import quantile
-from benchmark.harness import say
 from benchmark.traffic import packets
 from benchmark.traffic import TRACE
 from benchmark.traffic import trace_packets
 from dxl_monitor.fake.line import wire_ns
 from dxl_monitor.fake.outlet import Outlet
+from rigs.harness import quantile
+from rigs.harness import say
 
 TICK_S = 0.001
 LATE_BYTES = 2048               # when this process is later than that, the bus stands still

@@ -25,13 +25,13 @@ import time
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from benchmark.harness import Child
-from benchmark.harness import family
-from benchmark.harness import Figure
-from benchmark.harness import Options
-from benchmark.harness import own_mb
-from benchmark.harness import ros_environment
 from rigs.cable import Cable
+from rigs.harness import Child
+from rigs.harness import family
+from rigs.harness import Figure
+from rigs.harness import Options
+from rigs.harness import own_mb
+from rigs.harness import ros_environment
 from rigs.soak_drive import Driver
 from rigs.soak_figures import figures
 from rigs.soak_figures import problems

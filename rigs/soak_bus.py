@@ -10,13 +10,13 @@ has answered. See Child in harness.py.
 import json
 import sys
 
-from benchmark.harness import say
 from dxl_monitor.fake.fake_bus import make_devices
 from dxl_monitor.fake.line import Line
 from dxl_monitor.fake.master import Master
 from dxl_monitor.fake.shell import FakeBus
 from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
+from rigs.harness import say
 
 BAUD = 2_000_000
 RATE = 100.0

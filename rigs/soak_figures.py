@@ -8,7 +8,7 @@ import math
 import statistics
 from typing import NamedTuple
 
-from benchmark.harness import Figure
+from rigs.harness import Figure
 
 SECTION = 'both nodes with faults'
 LIMITS = {

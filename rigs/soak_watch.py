@@ -19,7 +19,7 @@ from typing import NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray
 import rclpy
 
-from benchmark.harness import family
+from rigs.harness import family
 
 S = 1_000_000_000
 BRIDGE, MONITOR = NODES = ('vel2d_bridge', 'dxl_monitor')

@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 
-from benchmark.harness import children
+from rigs.harness import children
 from vel2d_bridge.fake_mcu import FakeMcu
 
 ROOT = Path(__file__).parents[1]

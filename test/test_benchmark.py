@@ -12,14 +12,6 @@ import pytest
 from benchmark import plot
 from benchmark import tap
 from benchmark.against import bound
-from benchmark.harness import as_json
-from benchmark.harness import Child
-from benchmark.harness import Figure
-from benchmark.harness import interleaved
-from benchmark.harness import Options
-from benchmark.harness import quantile
-from benchmark.harness import table
-from benchmark.harness import usage
 from benchmark.isochronous import beside_a_camera
 from benchmark.isochronous import Kernel
 from benchmark.isochronous import MS
@@ -34,6 +26,14 @@ from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
+from rigs.harness import as_json
+from rigs.harness import Child
+from rigs.harness import Figure
+from rigs.harness import interleaved
+from rigs.harness import Options
+from rigs.harness import quantile
+from rigs.harness import table
+from rigs.harness import usage
 
 pytestmark = pytest.mark.alone
 

@@ -17,9 +17,9 @@ from harness import LATE_S
 from harness import wait
 import pytest
 
-from benchmark.harness import family
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
+from rigs.harness import family
 
 pytestmark = pytest.mark.ros
 ENDINGS = {

@@ -20,9 +20,9 @@ import time
 from harness import LATE_S
 import pytest
 
-from benchmark.harness import family
 from mecarover_serial.port import open_port
 from msg_defs.vel2d import STOP
+from rigs.harness import family
 from vel2d_bridge import watch as watching
 from vel2d_bridge.deadman import board
 from vel2d_bridge.fake_mcu import FakeMcu

@@ -71,6 +71,11 @@ def test_imports_go_downward(path):
             assert top not in IO, f'{package} does IO or looks at a clock: {module}'
 
 
+@pytest.mark.parametrize('path', sorted((ROOT / 'rigs').rglob('*.py')), ids=lambda path: path.stem)
+def test_benchmarks_use_the_rigs_and_no_rig_a_benchmark(path):
+    assert not [module for module in imports(path) if module.startswith('benchmark')]
+
+
 def modules():
     """Return the file of each module of ours, equipment among it, by its name in imports."""
     folders = (*LAYERS, 'benchmark', 'rigs', 'fuzz', 'docs')

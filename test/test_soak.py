@@ -9,10 +9,10 @@ import sys
 
 import pytest
 
-from benchmark.harness import Child
-from benchmark.harness import family
-from benchmark.harness import Figure
-from benchmark.harness import own_mb
+from rigs.harness import Child
+from rigs.harness import family
+from rigs.harness import Figure
+from rigs.harness import own_mb
 
 pytestmark = pytest.mark.ros
 COMMAND = [sys.executable, '-m', 'benchmark', '--soak', '0.5']

@@ -20,7 +20,7 @@ from harness import LATE_S
 from harness import wait
 import pytest
 
-from benchmark.harness import family
+from rigs.harness import family
 from vel2d_bridge.fake_mcu import FakeMcu
 
 ROOT = Path(__file__).parents[1]
@@ -30,9 +30,9 @@ CAN_UNSHARE = shutil.which('unshare') is not None and subprocess.run(
 pytestmark = [pytest.mark.alone, pytest.mark.skipif(
     not CAN_UNSHARE, reason='skipped: not allowed to make a PID namespace')]
 BRIDGE = """
-import signal, sys, time
 from mecarover_serial.cli import hold_signals
 from msg_defs.vel2d import Vel2d
+import signal, sys, time
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.link import Link

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What every benchmark stands on: interleaved rounds, figures with their spread, child processes.
+What benchmarks and rigs share: interleaved rounds, figures with their spread, child processes.
 
 A machine that others use too is fast at one moment and slow at the next. So cases that are to be
 compared take turns, and a figure is the median of its rounds beside the smallest and the largest.

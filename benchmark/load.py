@@ -7,8 +7,6 @@ The two loads above 2 MBd take a fifth of the time, two of such buses in one nod
 readers have the same traffic for as long: a pause of the machine meets them as often.
 """
 
-from benchmark.harness import Figure
-from benchmark.harness import Options
 from benchmark.monitored import Run
 from benchmark.monitored import several_through_node
 from benchmark.monitored import several_through_readers
@@ -17,6 +15,8 @@ from benchmark.monitored import through_reader
 from benchmark.node_cost import ALL_TOPICS
 from benchmark.node_cost import LOADS
 from benchmark.traffic import BAUD
+from rigs.harness import Figure
+from rigs.harness import Options
 
 SECTION = 'dxl_monitor for minutes'
 TWO = 'two buses of 450 kB/s'
