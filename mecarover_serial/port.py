@@ -14,9 +14,7 @@ import array
 from contextlib import suppress
 import errno
 import fcntl
-import math
 import os
-import select
 import socket
 import stat
 import struct
@@ -29,6 +27,7 @@ import serial
 from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
 from mecarover_serial.preflight import why_not
+from mecarover_serial.readable import readable
 
 _READ_SIZE = 65536
 _POLL_S = 0.005                 # ports without a descriptor (rfc2217://, loop://) are polled
@@ -76,12 +75,12 @@ class Port:
         """Wait until there is something to read (True), `wake_fd` is readable, or the time-out."""
         wake = [] if wake_fd is None else [wake_fd]
         if self.fd is not None:
-            return self.fd in _ready([self.fd, *wake], timeout_s)
+            return self.fd in readable([self.fd, *wake], timeout_s)
         deadline = time.monotonic() + timeout_s
         while not self._ahead:
             self._ahead = self.read()
             left = deadline - time.monotonic()
-            if not self._ahead and (left <= 0 or _ready(wake, min(left, _POLL_S))):
+            if not self._ahead and (left <= 0 or readable(wake, min(left, _POLL_S))):
                 return False
         return True
 
@@ -246,14 +245,6 @@ def _settle_socket(fd: int) -> None:
     with suppress(OSError), socket.socket(fileno=os.dup(fd)) as own:    # not all are TCP
         own.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         own.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _NETWORK_AWAY_MS)
-
-
-def _ready(fds: list[int], timeout_s: float) -> list[int]:
-    """Return which of `fds` can be read or have hung up (select cannot take those above 1023)."""
-    poll = select.poll()
-    for fd in fds:
-        poll.register(fd, select.POLLIN)
-    return [fd for fd, _ in poll.poll(max(0, math.ceil(timeout_s * 1000)))]
 
 
 class Backoff:

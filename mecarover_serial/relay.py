@@ -21,6 +21,8 @@ import sys
 import threading
 import time
 
+from mecarover_serial.readable import readable
+
 _KEPT = 256 * 1024              # bytes that wait for their reader
 _PIPE = 1024 * 1024             # and those on their way here
 _AT_ONCE = 1024                 # a terminal or pipe that is writable has room for so much
@@ -108,7 +110,7 @@ class _Way:
 
     def waits(self) -> bool:
         """Whether something is not passed on yet."""
-        return bool(self._waiting or self._lost or select.select([self._source], [], [], 0)[0])
+        return bool(self._waiting or self._lost or readable([self._source], 0))
 
     def register(self, poll: select.poll) -> None:
         poll.register(self._source, select.POLLIN)

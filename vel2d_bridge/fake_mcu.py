@@ -16,7 +16,6 @@ from contextlib import contextmanager
 from contextlib import suppress
 import json
 import os
-import select
 import sys
 import threading
 import time
@@ -26,6 +25,7 @@ from mecarover_serial.pty import Away
 from mecarover_serial.pty import outlive
 from mecarover_serial.pty import parse_away
 from mecarover_serial.pty import Pty
+from mecarover_serial.readable import readable
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.vel2d import FRAME_SIZE
@@ -68,7 +68,7 @@ class FakeMcu:
         with self._lock:
             if self._pty is None:
                 time.sleep(timeout_s)
-            elif select.select([self._pty.master], [], [], timeout_s)[0]:
+            elif readable([self._pty.master], timeout_s):
                 self._receive(self._pty.master)
             self._read = self._clock()
             taken = self.receiver.advance(self._read)

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from contextlib import suppress
 import os
-import select
+
+from mecarover_serial.readable import readable
 
 
 class Wake:
@@ -20,7 +21,7 @@ class Wake:
 
     def sleep(self, seconds: float) -> None:
         """Sleep so long, or until roused."""
-        select.select([self.fd], [], [], max(0.0, seconds))
+        readable([self.fd], seconds)
         self.swallow()
 
     def swallow(self) -> None:

@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable
 from collections.abc import Iterator
 import os
-import select
 import threading
 import time
 from typing import Any
@@ -28,6 +27,7 @@ from dxl_monitor.fake.traffic import Ask
 from dxl_monitor.fake.traffic import none
 from dxl_monitor.fake.usb_outlet import UsbOutlet
 from mecarover_serial.pty import Away
+from mecarover_serial.readable import readable
 
 S = 1_000_000_000
 TICK_NS = 200_000                # shortest time between two writes, longest is
@@ -118,7 +118,9 @@ class FakeBus:
 
     def _sleep(self, wait_ns: int) -> None:
         fds = [self._wake_read] + [self.outlet.fd] * self.outlet.is_plugged_in
-        select.select(fds, [], [], max(wait_ns, 0) / S)
+        whole_ms, rest_ns = divmod(max(wait_ns, 0), S // 1000)
+        if not readable(fds, whole_ms / 1000):
+            time.sleep(rest_ns / S)
         if self._away is not None:
             begin, end = self._away.after * S, sum(self._away) * S
             for outlet in self._outlets:

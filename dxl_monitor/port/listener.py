@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Sequence
 import os
-import select
 import threading
 import time
 from typing import NamedTuple
@@ -31,6 +30,7 @@ from mecarover_serial.port import as_port_error
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
+from mecarover_serial.readable import readable
 from msg_defs.heard import Change
 from msg_defs.heard import UNKNOWN
 from msg_defs.uart import byte_ns
@@ -270,4 +270,4 @@ class Listener:
     def _pause(self, seconds: float) -> None:
         """Wait, but not when we are stopped."""
         if not self._stopping:
-            select.select([self._wake_read], [], [], seconds)
+            readable([self._wake_read], seconds)

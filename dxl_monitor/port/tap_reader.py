@@ -16,13 +16,13 @@ import heapq
 import json
 import os
 import secrets
-import select
 import socket
 import time
 from typing import NamedTuple
 
 from dxl_monitor.port import tap_sender as sent
 from mecarover_serial.plain import printable
+from mecarover_serial.readable import readable
 from msg_defs.heard import BAUD
 from msg_defs.heard import Change
 from msg_defs.heard import CLOSED
@@ -185,15 +185,13 @@ class TapReader:
         if self._held:
             due_s = (self._held[0][0] - time.monotonic_ns()) / 1e9 + HOLD_S
             seconds = min(seconds, max(0.0, due_s))
-        watched: list[int | socket.socket] = [self._listener,
-                                              *(one.socket for one in self._programs.values())]
-        if self._wake is not None:
-            watched.append(self._wake)
-        for ready in select.select(watched, [], [], seconds)[0]:
-            if ready is self._listener:
+        listener = self._listener.fileno()
+        watched = [listener, *self._programs, *(() if self._wake is None else (self._wake,))]
+        for fd in readable(watched, seconds):
+            if fd == listener:
                 self._accept()
-            elif isinstance(ready, socket.socket):
-                self._read(ready)
+            elif fd in self._programs:
+                self._read(fd)
         return self._due(time.monotonic_ns() - int(HOLD_S * 1e9))
 
     def rest(self) -> list[TapRecord]:
@@ -215,11 +213,10 @@ class TapReader:
             connection.setblocking(False)
             self._programs[connection.fileno()] = _Connection(connection, self._secret)
 
-    def _read(self, ready: socket.socket) -> None:
-        number = ready.fileno()
+    def _read(self, number: int) -> None:
         program = self._programs[number]
         try:
-            data = ready.recv(_READ_SIZE)
+            data = program.socket.recv(_READ_SIZE)
             for told in program.told(data):
                 self._hold(told)
         except BlockingIOError:
@@ -230,7 +227,7 @@ class TapReader:
             now = time.monotonic_ns()
             for port in program.ports.values():        # it ended without closing them
                 self._hold(TapRecord(now, port, sent.CLOSED, b'', 0))
-            ready.close()
+            program.socket.close()
             del self._programs[number]
 
     def _hold(self, told: TapRecord) -> None:

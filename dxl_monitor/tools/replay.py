@@ -12,7 +12,6 @@ import argparse
 from collections.abc import Iterator
 from contextlib import suppress
 import os
-import select
 import stat
 import sys
 import threading
@@ -35,6 +34,7 @@ from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import printable
 from mecarover_serial.pty import Pty
+from mecarover_serial.readable import is_writable
 from msg_defs.heard import IN
 from msg_defs.heard import OUT
 
@@ -91,7 +91,7 @@ class Player:
 def _write(outlet: Pty, data: bytes) -> None:
     """Write all of it, unless the last listener has left."""
     while data and outlet.is_open:
-        if select.select([], [outlet.master], [], POLL_S)[1]:
+        if is_writable(outlet.master, POLL_S):
             with suppress(BlockingIOError):
                 data = data[os.write(outlet.master, data):]
 
