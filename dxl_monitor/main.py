@@ -18,10 +18,10 @@ ABOUT = ('Listens to Dynamixel and Feetech buses, without ever sending, and publ
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; return the exit code."""
+    hold_signals()
     code = answer(NAME, ABOUT, PARAMETERS, args)
     if code is not None:
         return code
-    hold_signals()
     try:
         from dxl_monitor.node import MonitorNode
         from mecarover_serial.node import run

@@ -37,9 +37,9 @@ _REMEDIES = {
 @plain_streams()
 def main(args: Sequence[str] | None = None) -> int:
     """Run the dashboard; return the exit code."""
+    hold_signals()
     arguments = list(sys.argv[1:] if args is None else args)
     options = _parser().parse_args(split_ros_args(arguments)[1])
-    hold_signals()
     try:
         listener = listen(options.host, options.port)
     except OSError as error:

@@ -78,9 +78,9 @@ class Display:
 @plain_streams()
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
+    hold_signals()
     arguments = list(sys.argv[1:] if args is None else args)
     options = _parser().parse_args(split_ros_args(arguments)[1])
-    hold_signals()
     try:
         from mecarover_dashboard.node import StatusNode
         from mecarover_serial.node import run

@@ -109,7 +109,8 @@ def _complain(tool: str, error: Exception, code: int) -> int:
 
 
 def hold_signals() -> None:
-    """Let ending signals wait while a node imports ROS; its `run` takes them."""
+    """Begin a node: let ending signals wait while it imports ROS; its `run` takes them."""
+    _open_streams()
     signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
 
 

@@ -24,10 +24,10 @@ ABOUT = 'Subscribes cmd_vel and writes checked set-points to the MCU of a rover 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; return the exit code."""
+    hold_signals()
     code = answer(NAME, ABOUT, PARAMETERS, args)
     if code is not None:
         return code
-    hold_signals()
     code = supervise()
     if code is not None:
         return code
