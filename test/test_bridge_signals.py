@@ -10,8 +10,11 @@ from contextlib import contextmanager
 import os
 from pathlib import Path
 import signal
+import sys
 import time
 
+from bridge_family import FULL
+from bridge_family import OUTLIVE_S
 from harness import bridge
 from harness import LATE_S
 from harness import wait
@@ -137,6 +140,54 @@ def test_killed(ros, mcu, cmd_vel):
         assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
         assert running.exit_code() == -signal.SIGKILL
         wait(lambda: is_gone(deadman))
+
+
+CLOSED = ['>&- 2>&-', '>/dev/null 2>&-', '<&- >&-']
+
+
+@pytest.mark.usefixtures('again')
+@pytest.mark.parametrize('streams', CLOSED)
+def test_killed_with_closed_streams(ros, mcu, cmd_vel, streams):
+    """As daemons start their programs; what is opened next must not get these numbers."""
+    with bridge(mcu, prefix=['sh', '-c', f'exec "$@" {streams}', 'sh']) as running, \
+            ros.Teleop(cmd_vel, lambda: ros.twist(0.3, 0.1, 0.5), 50):
+        wait(lambda: mcu.velocity == Vel2d(0.3, 0.1, 0.5))
+        pids = family(running.pid)
+        assert len(pids) == 3
+        assert all(os.path.exists(f'/proc/{pid}/fd/{fd}') for pid in pids for fd in range(3))
+        begin = time.monotonic_ns()
+        running.signal(signal.SIGKILL)
+        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
+        wait(lambda: all(map(is_gone, pids)), OUTLIVE_S)
+
+
+@pytest.mark.usefixtures('again')
+def test_killed_with_more_than_a_thousand_descriptors(ros, graph, mcu, cmd_vel):
+    """What it says of its dead man is true then too."""
+    with bridge(mcu, prefix=[sys.executable, '-c', FULL]) as running, \
+            ros.Teleop(cmd_vel, lambda: ros.twist(0.3, 0.1, 0.5), 50):
+        wait(lambda: mcu.velocity == Vel2d(0.3, 0.1, 0.5))
+        graph.wait_status('vel2d_bridge: link', 'Deadman=ready')
+        pids = family(running.pid)
+        begin = time.monotonic_ns()
+        running.signal(signal.SIGKILL)
+        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
+        wait(lambda: all(map(is_gone, pids)), OUTLIVE_S)
+
+
+@pytest.mark.usefixtures('again')
+def test_a_guard_that_does_not_respond_is_reported(ros, graph, mcu, cmd_vel):
+    """While its server is stopped too; else another one takes its place."""
+    with driving(ros, mcu, cmd_vel) as (running, _):
+        _, server, deadman = family(running.pid)
+        os.kill(server, signal.SIGSTOP)
+        os.kill(deadman, signal.SIGSTOP)
+        graph.wait_status('vel2d_bridge: link', 'deadman: its process does not respond', level=2)
+        os.kill(server, signal.SIGCONT)
+        graph.wait_status('vel2d_bridge: link', 'Deadman=ready')
+        assert deadman not in family(running.pid)
+        running.signal(signal.SIGINT)
+        assert running.exit_code() == 0, running.text
 
 
 @pytest.mark.usefixtures('again')

@@ -3,39 +3,40 @@
 """
 Deadman: the bridge's side of the process that stops the rover when the bridge dies or freezes.
 
-Forked before rclpy.init, while there is one thread; watch.py is what it does. The two share a
-board of words in memory and a socket, which also tells either side that the other one is gone.
+Forked before rclpy.init, while there is one thread; server.py and watch.py are what it does. Both
+sides share a board in memory, a channel, which wakes it and ends with either side, and a pocket,
+in which the open port lies.
 """
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-import mmap
 import os
 import signal
 import socket
 import time
 
-from vel2d_bridge.watch import ACTED
-from vel2d_bridge.watch import ALIVE
-from vel2d_bridge.watch import BEATEN
-from vel2d_bridge.watch import BORN
-from vel2d_bridge.watch import GOODBYE
-from vel2d_bridge.watch import HANDLED
-from vel2d_bridge.watch import HEAD
-from vel2d_bridge.watch import PORT
-from vel2d_bridge.watch import RELEASE
-from vel2d_bridge.watch import serve
-from vel2d_bridge.watch import SERVER
-from vel2d_bridge.watch import WATCH
+from mecarover_serial.process import PR_SET_CHILD_SUBREAPER
+from mecarover_serial.process import prctl
+from vel2d_bridge import lost_port
+from vel2d_bridge.board import ACTED
+from vel2d_bridge.board import ALIVE
+from vel2d_bridge.board import AWAY
+from vel2d_bridge.board import BEATEN
+from vel2d_bridge.board import GOODBYE
+from vel2d_bridge.board import HANDLED
+from vel2d_bridge.board import HELD
+from vel2d_bridge.board import OWED
+from vel2d_bridge.board import PortRecord
+from vel2d_bridge.board import SERVER
+from vel2d_bridge.board import SharedBoard
+from vel2d_bridge.board import WATCH
+from vel2d_bridge.server import serve
+from vel2d_bridge.watch import NUMBER
 
+READY, STARTING, FROZEN, GONE = 'ready', 'starting', 'frozen', 'lost'
 _ANSWER_S = 0.5                    # how long the bridge waits for it
-_MUTE = 3_000_000_000              # ns after which it counts as dead
-
-
-def board() -> memoryview:
-    """Return 64-bit words that both processes see; each is written by one side only."""
-    return memoryview(mmap.mmap(-1, mmap.PAGESIZE)).cast('Q')
+_MUTE = 1_000_000_000              # ns after which it counts as frozen
 
 
 class Deadman:
@@ -43,40 +44,42 @@ class Deadman:
 
     def __init__(self) -> None:
         """Fork, and return when the dead man is there; the process must have only one thread."""
-        self._words = board()
-        self._acted = self._sent = 0
-        self._born = 1
-        self._held: tuple[bytes, int] | None = None
+        self._board = SharedBoard()
+        self._words = self._board.words
+        self._record = PortRecord()
+        self._acted = 0
         self._words[ALIVE] = self._words[BEATEN] = time.monotonic_ns()
-        self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._channel, their_channel = socket.socketpair()
+        self._pocket, their_pocket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        for one in (self._channel, self._pocket, their_pocket):
+            one.setblocking(False)
+        prctl(PR_SET_CHILD_SUBREAPER, 1)         # a dead man whose server was killed
         self._child = os.fork()
         if self._child == 0:
-            serve(self._words, theirs)
-        theirs.close()
-        self._channel.setblocking(False)
-        self._wait(lambda: self._words[WATCH] != 0)
+            serve(self._board, their_channel, their_pocket)
+        their_channel.close()
+        their_pocket.close()
+        self._write(AWAY)
+        self._wait(self._is_handled)
 
     @property
     def pids(self) -> list[int]:
         """The processes it consists of, as far as they are born: the dead man, then its server."""
-        # 0 to os.kill is each process of our group: that would end who launched us, too.
         return [pid for pid in (self._words[WATCH], self._words[SERVER]) if pid]
 
-    def hold(self, fd: int, stop_frame: bytes, baud: int, path: str = '') -> None:
+    def hold(self, fd: int, stop_frame: bytes, baud: int, path: str = '', claim: str = '') -> None:
         """
         Hand over a newly opened port; from now on silence has consequences.
 
-        `path`: where it is looked for when it was lost, '' for a URL.
+        `path`: where it is looked for when it was lost, '' for a URL. `claim`: of this bridge.
         """
         self.beat(time.monotonic_ns())
-        where = os.fsencode(os.path.abspath(path)) if path else b''
-        self._held = HEAD.pack(PORT, baud, len(stop_frame)) + stop_frame + where, fd
-        self._hand_over()
-
-    def _hand_over(self) -> None:
-        if self._held is not None:
-            message, fd = self._held
-            self._send(message, [fd])
+        number = (self._record.number + 1).to_bytes(NUMBER, 'little')
+        with suppress(OSError):
+            socket.send_fds(self._pocket, [number], [fd])
+        self._write(HELD, stop=stop_frame, baud=baud, path=os.path.abspath(path) if path else '',
+                    device=lost_port.identity(os.fstat(fd).st_rdev),
+                    settings=lost_port.settings(fd), claim=claim)
 
     def release(self, owes_stop: bool = False) -> None:
         """
@@ -86,17 +89,12 @@ class Deadman:
         the dead man looks for the port itself.
         """
         self.beat(time.monotonic_ns())
-        self._held = None
-        self._send(HEAD.pack(RELEASE, owes_stop, 0))
-        self._wait(lambda: self._words[HANDLED] >= self._sent)
+        self._write(OWED if owes_stop else AWAY)
+        self._wait(self._is_handled)
 
     def beat(self, now: int) -> None:
         """Say that the bridge's port thread runs; at least every BEAT."""
         self._words[BEATEN] = now
-        if self._words[BORN] != self._born:      # a new one in the place of one that died
-            self._born = self._words[BORN]
-            self._sent = self._words[HANDLED]
-            self._hand_over()
 
     def acted(self) -> bool:
         """Return whether it wrote a stop since the last call: the bridge must begin again."""
@@ -104,24 +102,43 @@ class Deadman:
         return self._acted != before
 
     def is_alive(self, now: int) -> bool:
-        return now - self._words[ALIVE] < _MUTE and not self._is_gone()
+        """Whether it would stop the rover: it watches, with the port that is open."""
+        return self.state(now) == READY
+
+    def state(self, now: int) -> str:
+        if self._is_gone():
+            return GONE
+        if now - self._words[ALIVE] >= _MUTE:
+            return FROZEN
+        return READY if self._is_handled() else STARTING
 
     def leave(self) -> None:
         """End it, without stops: the bridge has sent its own. Never raises."""
-        self._send(HEAD.pack(GOODBYE, 0, 0))
+        self._write(GOODBYE)
         if not self._wait(self._is_gone):
-            for pid in reversed(self.pids):
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
+            self._end_child()
             self._wait(self._is_gone)
         self._wait(self._is_reaped)
         self._channel.close()
+        self._pocket.close()
 
-    def _send(self, message: bytes, descriptors: list[int] | None = None) -> None:
-        """Send; one that is stuck or gone shows in `is_alive`."""
+    def _end_child(self) -> None:
+        """End a server that does not respond; its dead man goes on then, and leaves."""
+        server = self._words[SERVER] or self._child
+        with suppress(ChildProcessError):
+            if os.waitpid(server, os.WNOHANG)[0] == 0:
+                os.kill(server, signal.SIGKILL)
+
+    def _write(self, what: int, **changes: str | bytes | int) -> None:
+        """Write what is to be done; one that is stuck or gone shows in `state`."""
+        self._record = self._record._replace(
+            number=self._record.number + 1, what=what, **changes)  # type: ignore[arg-type]
+        self._board.write(self._record)
         with suppress(OSError):
-            socket.send_fds(self._channel, [message], descriptors or [])
-            self._sent += 1
+            self._channel.send(b'!')
+
+    def _is_handled(self) -> bool:
+        return self._words[HANDLED] == self._record.number
 
     def _is_gone(self) -> bool:
         """Tell whether neither of its processes has the other end of the socket any more."""

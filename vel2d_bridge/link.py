@@ -27,7 +27,9 @@ from msg_defs.crc import crc32_mpeg2
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
+from vel2d_bridge.claim import PortClaim
 from vel2d_bridge.deadman import Deadman
+from vel2d_bridge.deadman import READY
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import GateSettings
 from vel2d_bridge.gate import Outcome
@@ -40,7 +42,7 @@ from vel2d_bridge.watch import BEAT
 from vel2d_bridge.watch import SILENCE
 
 NO_STOP = 'no stop could be sent, the rover may be driving'
-OFF, READY, LOST, NO_USE = 'off', 'ready', 'lost', 'no use'    # how the deadman stands
+OFF, NO_USE = 'off', 'no use'      # besides the dead man's own states
 _FEW_TIME_OUTS = 2                 # in a row: no accident, it is told
 _STUCK_TIME_OUTS = 10              # reopening may help an adapter that hangs
 _SEARCH_NS = SECOND                # when closing: for a lost port to come back
@@ -67,7 +69,7 @@ class LinkState(NamedTuple):
     last: Sent | None
     driving: bool
     enabled: bool
-    deadman: str                   # OFF, READY, LOST or NO_USE
+    deadman: str                   # OFF, NO_USE, or its own state
     owes_stop: bool                # none has left since it drove: it may do so still
 
 
@@ -104,6 +106,7 @@ class Link:
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name='port', daemon=True)
         self._wake = Wake()
+        self._claim = PortClaim()
         self._backoff = Backoff(last_s=_RETRY_S)
         self._port: Port | None = None
         self._failure: PortError | None = None       # raised by a write in a callback's thread
@@ -167,6 +170,7 @@ class Link:
             self._thread.join(_JOIN_S)
         if not self._thread.is_alive():              # else stuck in opening, it needs them
             self._wake.close()
+        self._claim.drop()
         if self._deadman is not None:
             self._deadman.leave()
         return not (self._owes_stop or self.gate.stopping)
@@ -249,9 +253,11 @@ class Link:
             self._owes_stop and self._clock() < self._closing + _SEARCH_NS)
 
     def _begin(self, port: Port) -> None:
+        if port.fd is not None:
+            self._claim.take(port.fd)
         if self._deadman is not None and port.fd is not None:
             path = '' if '://' in self._name else self._name
-            self._deadman.hold(port.fd, self._stop_frame, self._baud, path)
+            self._deadman.hold(port.fd, self._stop_frame, self._baud, path, self._claim.token)
         with self._lock:
             now = self._clock()
             self._port = port
@@ -360,7 +366,7 @@ def _deadman_state(deadman: Deadman | None, port: Port | None, now: int) -> str:
         return OFF
     if port is not None and port.fd is None:
         return NO_USE
-    return READY if deadman.is_alive(now) else LOST
+    return READY if deadman.is_alive(now) else deadman.state(now)
 
 
 def _stuck(name: str, time_outs: int, many: int) -> PortError | None:

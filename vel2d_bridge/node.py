@@ -48,6 +48,7 @@ from vel2d_bridge.link import NO_STOP
 from vel2d_bridge.mcu_log import McuLog
 from vel2d_bridge.pacer import Sent
 from vel2d_bridge.port_log import PortLog
+from vel2d_bridge.server import NAME as DEADMAN_NAME
 from vel2d_bridge.settings import doubts
 from vel2d_bridge.settings import gate_settings
 from vel2d_bridge.settings import PARAMETERS
@@ -61,7 +62,6 @@ from vel2d_bridge.subscriber import CmdVelSubscriber
 from vel2d_bridge.switch import is_kept_off
 from vel2d_bridge.switch import keep
 from vel2d_bridge.timing import Timing
-from vel2d_bridge.watch import NAME as DEADMAN_NAME
 
 WATCH_S = 0.25              # between looks at the graph, logs and levels
 REPORT_S = 1.0

@@ -20,15 +20,18 @@ from msg_defs.reports import status_name
 from msg_defs.timing import Summary
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
+from vel2d_bridge.deadman import FROZEN
+from vel2d_bridge.deadman import GONE
 from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.link import LinkState
-from vel2d_bridge.link import LOST
 from vel2d_bridge.link import NO_STOP
 from vel2d_bridge.link import NO_USE
 from vel2d_bridge.mcu_log import McuLog
 
+# What is `starting` for longer than a second is FROZEN.
+_UNGUARDED = {GONE: 'its process has gone', FROZEN: 'its process does not respond'}
 _STUTTER_SAMPLES = 3            # periods of commands that tell a rate
 _STREAM_S = 5.0                 # what is slower is a person who taps a key
 _REMEDIES = {
@@ -82,9 +85,9 @@ def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str],
         level, message = Level.ERROR, str(state.problem)
     elif not state.is_open:
         level, message = Level.WARN, 'opening the port'
-    elif state.deadman == LOST:
-        level, message = Level.ERROR, ('deadman: its process has gone, nothing stops the rover if '
-                                       'this one dies; restart the bridge')
+    elif state.deadman in _UNGUARDED:
+        level, message = Level.ERROR, (f'deadman: {_UNGUARDED[state.deadman]}, nothing stops the '
+                                       'rover if this one dies; restart the bridge')
     elif complaints:
         level, message = Level.WARN, _first(complaints)
     velocity = state.last.velocity if state.last else STOP

@@ -1,0 +1,97 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Lost port: find it again for a dead man, and only it.
+
+Another device at the same path gets nothing, not even its lines raised. The order is that of the
+bridge: lock, then settings, then bytes.
+"""
+from __future__ import annotations
+
+from contextlib import suppress
+import fcntl
+import os
+from pathlib import Path
+import struct
+import termios
+
+from mecarover_serial.holders import file_text
+from vel2d_bridge.claim import is_claimed
+
+_TCGETS2, _TCSETS2 = 0x802C542A, 0x402C542B
+_TERMIOS2 = 44                     # bytes
+_SYSFS = Path('/sys/dev/char')
+
+
+class TakenOver(Exception):
+    """Another bridge has the port: it begins with stops."""
+
+
+def settings(fd: int) -> bytes:
+    """Return the settings of a port, its rate among them; b'' for a socket."""
+    found = bytearray(_TERMIOS2)
+    try:
+        fcntl.ioctl(fd, _TCGETS2, found)
+    except OSError:
+        return b''
+    return bytes(found)
+
+
+def identity(device: int, sysfs: Path = _SYSFS) -> str:
+    """
+    Return what a character device has in common before and after it was unplugged.
+
+    USB: maker, product, serial number and interface; without a serial number, the socket that it
+    is in. Else its place on the board. '' where nothing is known: a pty.
+    """
+    place = sysfs / f'{os.major(device)}:{os.minor(device)}' / 'device'
+    if not place.exists():
+        return ''
+    place = place.resolve()
+    for folder in (place, *place.parents):
+        if (folder / 'idVendor').exists():
+            maker, product, serial = (file_text(folder / name).strip()
+                                      for name in ('idVendor', 'idProduct', 'serial'))
+            interface = ''.join(place.relative_to(folder).parts[:1])     # 1-1.2:1.0
+            where = interface.partition(':')[2] if serial else interface
+            number = file_text(place / 'port_number').strip()    # one of several on a chip
+            return f'{maker}:{product} {serial} {where} {number}'
+    return str(place)
+
+
+def find(path: str, known_as: str, settings: bytes, claim: str) -> int:
+    """
+    Open the port `path` if it is there, the same device, and free; -1 if not now.
+
+    TakenOver: a bridge has it, or had it and lives, that is not the one with this `claim`.
+    """
+    fd, is_ours = -1, False
+    try:
+        device = os.stat(path).st_rdev
+        if not device or identity(device) != known_as:
+            return -1
+        with suppress(OSError):            # somebody has it: who?
+            fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_ours = os.fstat(fd).st_rdev == device
+        if is_claimed(device, claim):
+            raise TakenOver
+        if is_ours:
+            _prepare(fd, settings)
+            found, fd = fd, -1
+            return found
+    except OSError:
+        pass
+    finally:
+        if fd >= 0:
+            os.close(fd)
+    return -1
+
+
+def _prepare(fd: int, settings: bytes) -> None:
+    fcntl.ioctl(fd, termios.TIOCEXCL)
+    if settings:
+        fcntl.ioctl(fd, _TCSETS2, settings)
+    with suppress(OSError):        # a pty has no such lines; on a board they may mean reset
+        fcntl.ioctl(fd, termios.TIOCMBIC,
+                    struct.pack('I', termios.TIOCM_DTR | termios.TIOCM_RTS))
