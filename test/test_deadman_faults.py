@@ -54,7 +54,7 @@ def test_all_that_hold_the_port_are_killed(mcu):
         kill_holders(family)
         assert mcu.stopped_after(begin) <= BOUND_S
         wait(lambda: not family.living())
-        assert 0 < len(mcu.stops_since(begin)) <= 6
+        assert 0 < len(mcu.stops_since(begin)) <= 7      # the first one may have begun
         give_back(occupy(mcu.path))
 
 

@@ -171,11 +171,11 @@ class Watch:
             os.write(self._fd, self._record.stop)
         except (OSError, termios.error) as error:
             if error.args[0] not in _NOT_NOW:
-                self._lose()
+                self._drop()
         return self._fd >= 0
 
-    def _lose(self) -> None:
-        """Let go of a lost port: an adapter that is held open comes back with another name."""
+    def _drop(self) -> None:
+        """Close every copy: an adapter that is held open comes back with another name."""
         self._close()
         self._fd = self._from_pocket(self._record.number + 1)
         self._close()
@@ -223,6 +223,7 @@ class Watch:
         if self._fd >= 0 and self._is_dead:
             with suppress(OSError, termios.error):
                 self._settle()
+            self._drop()                       # from the pocket too: the port is free now
         self._close()
         self._record = PortRecord()
 
