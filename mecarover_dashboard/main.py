@@ -17,6 +17,7 @@ from mecarover_dashboard.recording import default_path
 from mecarover_dashboard.recording import Recording
 from mecarover_dashboard.recording import RecordingError
 from mecarover_serial.cli import COULD_NOT_RUN
+from mecarover_serial.cli import few_files
 from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
 from mecarover_serial.parameters import split_ros_args
@@ -40,6 +41,9 @@ def main(args: Sequence[str] | None = None) -> int:
     hold_signals()
     arguments = list(sys.argv[1:] if args is None else args)
     options = _parser().parse_args(split_ros_args(arguments)[1])
+    code = few_files(NAME)
+    if code is not None:
+        return code
     try:
         listener = listen(options.host, options.port)
     except OSError as error:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Sequence
+from contextlib import suppress
 import io
 import os
 import shlex
@@ -26,6 +27,7 @@ from mecarover_serial.plain import printable
 from mecarover_serial.preflight import PortError
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
+FILES_LEAST = 64                # a node has 31 open
 ENDING = tuple(getattr(signal, name) for name in ('SIGINT', 'SIGTERM', 'SIGHUP', 'SIGQUIT')
                if hasattr(signal, name))       # Windows has two of them
 
@@ -46,6 +48,7 @@ def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
     failure: Exception | None = None
     code = DONE
     try:
+        check_limits()
         code = main(sys.argv[1:]) or DONE
     except KeyboardInterrupt:
         pass
@@ -61,6 +64,32 @@ def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
     if lost is not None and not isinstance(lost, BrokenPipeError):
         failure, code = OSError(lost.errno, lost.strerror, 'stdout'), COULD_NOT_RUN
     return code if failure is None else _complain(tool, failure, code)
+
+
+def check_limits() -> None:
+    """Raise OSError where too few files may be open: libraries end in tracebacks then, or hang."""
+    with suppress(ImportError):         # Windows has no such limit
+        import resource
+        files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        if files < FILES_LEAST:
+            raise OSError(f'only {files} files may be open; raise the limit to {FILES_LEAST} or '
+                          'more (ulimit -n, LimitNOFILE=)')
+
+
+def few_files(name: str) -> int | None:
+    """Say so where too few files may be open, and return the exit code; None: all is well."""
+    try:
+        check_limits()
+    except OSError as error:
+        return _complain(name, error, COULD_NOT_RUN)
+    return None
+
+
+def no_process(name: str, error: OSError) -> int:
+    """Say that a process that is needed cannot be started; return the exit code."""
+    return _complain(name, OSError(
+        f'cannot start a process: {error.strerror}; raise the limit of processes (ulimit -u, '
+        'TasksMax=) or end some'), COULD_NOT_RUN)
 
 
 def _open_streams() -> None:
@@ -147,7 +176,7 @@ def answer(name: str, about: str, parameters: Sequence[Parameter],
         return _complain(name, UsageError(
             f'{outside[0]}: not understood outside --ros-args; write e.g. --ros-args '
             f'{_meant(outside, parameters)}, or see --help'), WRONG_USAGE)
-    return None
+    return few_files(name)
 
 
 def _meant(outside: Sequence[str], parameters: Sequence[Parameter]) -> str:

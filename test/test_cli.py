@@ -1,6 +1,8 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """What a node does with its command line before ROS is even looked at."""
+import sys
+
 from harness import Program
 import pytest
 
@@ -34,3 +36,27 @@ def test_what_stands_outside_ros_args_is_one_line(module, arguments, thing, reme
         assert program.exit_code() == 2
     assert program.lines == [f'{module.partition(".")[0]}: {thing}: not understood outside '
                              f'--ros-args; write e.g. --ros-args {remedy}, or see --help']
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='skipped: ulimit is of Linux')
+@pytest.mark.parametrize('files', [6, 8, 12])
+@pytest.mark.parametrize('words', [
+    ['vel2d_bridge.main'], ['dxl_monitor.main'], ['dxl_monitor.tools.dump.main', '-'],
+    ['dxl_monitor.tools.doctor.main', '-'], ['mecarover_dashboard.main', '--port', '0']])
+def test_too_few_files_are_one_line(files, words):
+    with Program(*words, prefix=['sh', '-c', f'ulimit -n {files}; exec "$@"', 'sh']) as tool:
+        assert tool.exit_code() == 1
+    [line] = tool.lines
+    assert line.endswith(f': only {files} files may be open; raise the limit to 64 or more '
+                         '(ulimit -n, LimitNOFILE=)')
+
+
+def test_a_process_that_is_refused_is_one_line():
+    script = ('import os\ndef refuse(): raise BlockingIOError(11, "Resource temporarily '
+              'unavailable")\nos.fork = refuse\nimport sys; from vel2d_bridge import main\n'
+              'sys.exit(main.main())')
+    with Program('', script=script) as bridge:
+        assert bridge.exit_code() == 1
+    assert bridge.lines == [
+        'vel2d_bridge: cannot start a process: Resource temporarily unavailable; raise the limit '
+        'of processes (ulimit -u, TasksMax=) or end some']

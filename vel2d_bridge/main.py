@@ -13,6 +13,7 @@ import sys
 
 from mecarover_serial.cli import answer
 from mecarover_serial.cli import hold_signals
+from mecarover_serial.cli import no_process
 from mecarover_serial.cli import no_ros
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.settings import PARAMETERS
@@ -28,10 +29,13 @@ def main(args: Sequence[str] | None = None) -> int:
     code = answer(NAME, ABOUT, PARAMETERS, args)
     if code is not None:
         return code
-    code = supervise()
-    if code is not None:
-        return code
-    deadman = Deadman()
+    try:
+        code = supervise()
+        if code is not None:
+            return code
+        deadman = Deadman()
+    except OSError as error:
+        return no_process(NAME, error)
     try:
         from mecarover_serial.node import run
         from vel2d_bridge.node import Bridge
