@@ -56,8 +56,7 @@ class Recording:
         self.problem = ''       # why nothing is written now
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            self._lock = path.with_name(f'{path.name}.lock').open('w')
-            self._take_lock()
+            self._take_lock(path.with_name(f'{path.name}.lock'))
             self._writer = self._open()
         except (OSError, sqlite3.Error) as error:
             raise RecordingError(f'{path}: {_reason(error)}; name another file with '
@@ -68,10 +67,17 @@ class Recording:
         self._thread = threading.Thread(target=self._run, name='history', daemon=True)
         self._thread.start()
 
-    def _take_lock(self) -> None:
+    def _take_lock(self, path: Path) -> None:
+        """Lock a file and leave what is in it; a link is not followed, it may lead anywhere."""
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        try:
+            self._lock = os.open(path, flags, 0o600)
+        except OSError as error:
+            raise OSError(error.errno, f'{path.name}: {error.strerror}') from error
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            os.close(self._lock)
             raise OSError('another dashboard records to it') from None
 
     def _open(self) -> HistoryWriter:
@@ -100,7 +106,7 @@ class Recording:
         self._hand_over()
         self._batches.put(None)
         self._thread.join(5.0)
-        self._lock.close()
+        os.close(self._lock)
 
     def _run(self) -> None:
         limited_s = 0.0

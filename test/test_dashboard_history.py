@@ -236,6 +236,15 @@ def test_two_dashboards_do_not_share_a_file(path):
     Recording(path).close()
 
 
+def test_a_link_in_place_of_the_lock_is_refused_and_its_target_left_alone(path):
+    precious = path.with_name('precious')
+    precious.write_text('kept')
+    path.with_name(f'{path.name}.lock').symlink_to(precious)
+    with pytest.raises(RecordingError, match=r'\.lock: too many levels'):
+        Recording(path)
+    assert precious.read_text() == 'kept'
+
+
 def test_two_robots_on_one_machine(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv('XDG_STATE_HOME', str(tmp_path))
     monkeypatch.delenv('STATE_DIRECTORY', raising=False)
