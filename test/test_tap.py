@@ -12,6 +12,7 @@ import os
 from pathlib import Path
 import select
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
@@ -21,7 +22,10 @@ import time
 from packets import packets_in
 import pytest
 
+from dxl_monitor.port.tap_listener import TapListener
+from dxl_monitor.port.tap_reader import PORTS_LIMIT
 from dxl_monitor.port.tap_reader import TapReader
+from dxl_monitor.port.tap_reader import TapRecord
 from dxl_monitor.port.tap_sender import BAUD
 from dxl_monitor.port.tap_sender import CLOSED
 from dxl_monitor.port.tap_sender import folder
@@ -31,6 +35,7 @@ from dxl_monitor.port.tap_sender import NOT_SENT
 from dxl_monitor.port.tap_sender import OPENED
 from dxl_monitor.port.tap_sender import OUT
 from dxl_monitor.port.tap_sender import PURGED
+from dxl_monitor.port.tap_sender import record
 from dxl_monitor.tools.tap import environment
 from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
@@ -271,6 +276,35 @@ def test_master_does_not_notice_that_its_reader_is_killed_or_stopped():
                 assert len(far.got) == 2000 * 8
             finally:
                 reader.kill()
+
+
+def test_records_from_the_future_come_at_once():
+    """They are not held until their time: that would take memory without bound."""
+    future = time.monotonic_ns() + 3600 * 10**9
+    with TapReader('robot') as reader, socket.socket(socket.AF_UNIX) as program:
+        program.connect(reader._path)
+        program.sendall(record(OPENED, 1, future, b'/dev/ttyX') + b''.join(
+            record(OUT, 1, future + at, b'%d,' % at) for at in range(500)))
+        told = listen(reader, lambda told: len(told) == 501)
+        assert max(one.stamp for one in told) <= time.monotonic_ns()
+    assert heard(told, OUT, '/dev/ttyX') == b''.join(b'%d,' % at for at in range(500))
+
+
+def test_a_program_that_opens_ports_without_end_is_left():
+    with TapReader('robot') as reader, socket.socket(socket.AF_UNIX) as program:
+        program.connect(reader._path)
+        program.sendall(b''.join(record(OPENED, at, 1, b'/dev/%d' % at) for at in range(300)))
+        listen(reader, closed(PORTS_LIMIT))
+        assert program.recv(1) == b''
+
+
+def test_thousands_of_ports_are_not_named():
+    listener = TapListener('tap:robot', 0, lambda *_: None)
+    for at in range(5000):
+        listener._take_told(TapRecord(at, f'/dev/{at}', OPENED, b'', 0))
+    assert listener.problems() == [
+        'the program opened /dev/1, /dev/2, /dev/3 and others too, which was not heard; name the '
+        'port, as in tap:NAME/1']
 
 
 def test_what_a_dead_reader_left_is_removed():

@@ -20,6 +20,8 @@ from dxl_monitor.port.tap_reader import why_no_name
 from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
 
+_NAMED = 3                  # ports that are not heard, at most
+
 
 class TapListener(Listener):
     """
@@ -32,11 +34,15 @@ class TapListener(Listener):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.others: set[str] = set()
+        self._wanted = self._heard_port = ''
 
     def problems(self) -> list[str]:
-        others = ', '.join(sorted(self.others))
+        if not self.others:
+            return []
+        named = sorted(self.others)[:_NAMED]
+        others = ', '.join(named) + (' and others' if len(self.others) > _NAMED else '')
         return [f'the program opened {others} too, which was not heard; name the port, as in '
-                f'tap:NAME/{os.path.basename(others)}'] if others else []
+                f'tap:NAME/{os.path.basename(named[0])}']
 
     def _listen_once(self) -> None:
         name, _, self._wanted = self.port.removeprefix(TAP).partition('/')
@@ -75,7 +81,8 @@ class TapListener(Listener):
         if told.kind == sent.OPENED and self._is_wanted(told.port):
             self._heard_port = told.port
             self.state = ListenerState(True, '', f'{self.port}: hears {told.port}', told.stamp)
-        if told.kind == sent.OPENED and told.port != self._heard_port:
+        if told.kind == sent.OPENED and told.port != self._heard_port \
+                and len(self.others) <= _NAMED:
             self.others.add(told.port)
         if told.port and told.port != self._heard_port:
             return

@@ -35,6 +35,8 @@ from msg_defs.heard import PURGED
 HOLD_S = 0.06                              # three times what a sender lets gather
 SIZE_LIMIT = 1 << 24                       # bytes of a record: more is none of ours
 CONNECTIONS_LIMIT = 64
+PORTS_LIMIT = 256                          # that a program has open at once
+_NAME_OF_PORT = 1000                       # characters
 _NAME_CHARACTERS = frozenset('abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-')
 _SIDES = {sent.OUT: OUT, sent.IN: IN}
 _CHANGES = {sent.BAUD: BAUD, sent.PURGED: PURGED, sent.NOT_SENT: NOT_SENT, sent.LOST: LOST,
@@ -109,7 +111,10 @@ class _Connection:
         if not self._is_trusted:
             raise ValueError('no secret')
         if kind == sent.OPENED:
-            self.ports[number] = printable(data.decode(errors='replace'))
+            self.ports[number] = printable(
+                data.decode(errors='replace'), _NAME_OF_PORT)
+            if len(self.ports) > PORTS_LIMIT:
+                raise ValueError('too many ports')
         port = self.ports.pop(number, '') if kind == sent.CLOSED else self.ports.get(number, '')
         if kind in (sent.OUT, sent.IN):
             return TapRecord(stamp, port, kind, data, 0)
@@ -231,8 +236,10 @@ class TapReader:
             del self._programs[number]
 
     def _hold(self, told: TapRecord) -> None:
+        """Keep a record until its turn; one from the future would be kept for as long."""
         self._count += 1
-        heapq.heappush(self._held, (told.stamp, self._count, told))
+        stamp = min(told.stamp, time.monotonic_ns())
+        heapq.heappush(self._held, (stamp, self._count, told._replace(stamp=stamp)))
 
     def close(self) -> None:
         """Stop to listen; the programs go on."""
