@@ -19,11 +19,16 @@ class InstallError(Exception):
     """What keeps the installation from running: 'thing: reason; remedy'."""
 
 
+def check_device(option: str, device: str) -> None:
+    """Refuse what udev or systemd would read as more than the name of a device."""
+    if not re.fullmatch(r'/dev/[\w/.:+,@=-]+', device, re.ASCII):
+        raise InstallError(f'{option} {device!r}: not a device; give e.g. /dev/ttyUSB0')
+
+
 def parse_bus(text: str) -> tuple[str, str]:
     """Return device and link of a --bus option."""
     name, _, device = text.rpartition('=')
-    if not device.startswith('/dev/'):
-        raise InstallError(f'--bus {text}: not a device; give /dev/ttyUSB0 or NAME=/dev/ttyUSB0')
+    check_device('--bus', device)
     if name and not re.fullmatch('[A-Za-z0-9]+', name):
         raise InstallError(f'--bus {text}: a name has letters and digits only; change it')
     return device, BUS_LINK + (f'_{name}' if name else '')

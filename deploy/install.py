@@ -27,6 +27,7 @@ import tempfile
 from typing import NamedTuple
 
 from device_names import BUS_LINK
+from device_names import check_device
 from device_names import device_unit
 from device_names import InstallError
 from device_names import MCU_LINK
@@ -128,6 +129,10 @@ class Site:
         self._is_live = self._root == Path('/')
         self._sudo = ('sudo',) if self._is_live and os.geteuid() != 0 else ()
         self._buses = [parse_bus(text) for text in options.bus]
+        if options.mcu:
+            check_device('--mcu', options.mcu)
+        if not re.fullmatch(r'[A-Za-z0-9_][A-Za-z0-9_.-]*\$?', options.user):
+            raise InstallError(f'--user {options.user!r}: not a name of a user; give e.g. robot')
 
     # Installing
 

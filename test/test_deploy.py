@@ -205,7 +205,12 @@ def test_two_adapters_with_one_serial_number_are_known_by_their_sockets(robot, t
 
 @pytest.mark.parametrize('options, words', [
     ((), 'nothing to install; give --mcu'),
-    (('--bus', 'ttyUSB0'), '--bus ttyUSB0: not a device; give'),
+    (('--bus', 'ttyUSB0'), "--bus 'ttyUSB0': not a device; give"),
+    (('--bus', '/dev/ttyUSB*'), "--bus '/dev/ttyUSB*': not a device; give"),
+    (('--mcu', '/dev/tty*'), "--mcu '/dev/tty*': not a device; give e.g. /dev/ttyUSB0"),
+    (('--mcu', '/dev/ttyAMA0", RUN+="/bin/x'), 'not a device; give e.g. /dev/ttyUSB0'),
+    (('--mcu', '/dev/ttyAMA0', '--user', 'me\nExecStartPre=/bin/x'),
+     "--user 'me\\nExecStartPre=/bin/x': not a name of a user; give e.g. robot"),
     (('--bus', 'le-ft=/dev/ttyUSB0'), 'letters and digits'),
     (('--mcu', '/dev/ttyAMA0', '--prefix', '/nowhere'), 'vel2d_bridge: not found below /nowhere'),
 ])
