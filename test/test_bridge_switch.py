@@ -45,6 +45,18 @@ def test_switched_off_by_the_file_it_waits_for_no_command(mcu):
         end(running)
 
 
+def test_started_without_a_cable_it_does_not_say_that_the_rover_stands(graph, mcu, tmp_path):
+    """The bridge before it may have been killed while it drove."""
+    link = tmp_path / 'mcu'
+    with bridge(link) as running:
+        graph.wait_status(COMMANDS, 'no stop has been sent since the start, the rover may be '
+                          'driving; plug its port in', 'State=unknown', level=1)
+        link.symlink_to(mcu.path)
+        graph.wait_status(COMMANDS, 'State=stopped')
+        assert 'may be driving' not in str(graph.statuses[COMMANDS])
+        end(running)
+
+
 def test_switched_off_it_stays_off_over_a_restart(ros, graph, mcu, cmd_vel, tmp_path):
     path = tmp_path / 'disabled'
     with bridge(mcu, disabled_file=path) as running:

@@ -148,6 +148,9 @@ def _complaints(node: str, state: LinkState, commands: Commands) -> list[str]:
     lines = []
     if state.owes_stop:
         lines.append(f'{NO_STOP}; switch it off, or see the status of the link')
+    elif _is_unknown(state):
+        lines.append('no stop has been sent since the start, the rover may be driving; plug its '
+                     'port in, or switch it off')
     if not state.enabled:
         lines.append(f'{commands.topic}: disabled; {_remedy(Outcome.DISABLED, node, False)}')
     elif commands.refused is not None:
@@ -173,8 +176,13 @@ def _stutters(period: Summary, timeout_s: float) -> bool:
     return period.count >= _STUTTER_SAMPLES and 0 < timeout_s < period.p50 / 1000 < _STREAM_S
 
 
+def _is_unknown(state: LinkState) -> bool:
+    """Tell whether the rover may be driving: by what we sent, or the bridge before us."""
+    return state.owes_stop or not (state.frames or state.is_open)
+
+
 def _state_word(state: LinkState) -> str:
-    if state.owes_stop:
+    if _is_unknown(state):
         return 'unknown'
     if not state.enabled:
         return 'disabled'
