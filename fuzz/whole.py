@@ -26,6 +26,7 @@ import tempfile
 import time
 import traceback
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 from unittest.mock import patch
 
 from dxl_monitor import timers
@@ -147,9 +148,8 @@ def through_node(case, folder):
                     for one in case.devices],
         'capture': str(folder / 'bus.txt'), 'timing_topics': 'all'}
     log = SimpleNamespace(info=print_nothing, warning=print_nothing, error=print_nothing)
-    ros = SimpleNamespace(
+    ros = MagicMock(
         get_fully_qualified_name=lambda: '/rover/dxl_monitor', get_logger=lambda: log,
-        create_service=lambda *_: None, create_timer=lambda *_, **__: None,
         get_clock=lambda: SimpleNamespace(
             now=lambda: SimpleNamespace(nanoseconds=WALL + clock.now)),
         create_publisher=lambda kind, topic, *_, **__: SimpleNamespace(
@@ -183,7 +183,7 @@ def through_node(case, folder):
                 stamp = clock.now if one.stamp is None else one.stamp
                 node._buses[one.bus].listener.hear(one, stamp)
                 fed[one.bus] += len(one.data)
-                written.append((stamp, case.names[one.bus], one.data, one.side, one.change))
+                written.append((stamp, one.data, one.side, one.change))
             node._timers.turn(clock.now / 1e9)
         for bus, size in zip(node._buses, fed, strict=True):
             all_counted(bus.report(clock.now).counters, size)
@@ -199,7 +199,8 @@ def through_node(case, folder):
     data = (folder / 'bus.txt').read_bytes()
     if all(0 <= one[0] < STAMP_END for one in written):
         reader = Reader(io.BytesIO(data))
-        assert [tuple(one) for one in reader] == [one for one in written if one[2] or one[4]]
+        assert [(one.stamp, *one[2:]) for one in reader] == [
+            one for one in written if one[1] or one[3]]
     return data
 
 
