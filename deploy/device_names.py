@@ -54,8 +54,9 @@ def _rule(device: str, facts: Mapping[str, str], link: str, is_alone: bool) -> s
     keys: tuple[str, ...] = _IDENTITY
     if 'ID_SERIAL_SHORT' not in facts or not is_alone:
         why = 'no serial number' if 'ID_SERIAL_SHORT' not in facts \
-            else f'the serial number of another, {facts["ID_SERIAL_SHORT"]}'
-        print(f'note: {device} has {why}: it is known by the socket it is plugged into')
+            else f"the same serial number as another adapter, {facts['ID_SERIAL_SHORT']}"
+        print(f'note: {device} has {why}: its name belongs to the USB socket, so do not move its '
+              'plug')
         keys = ('ID_PATH',)
     return ', '.join([f'ENV{{{key}}}=="{facts[key]}"' for key in keys if key in facts] + [symlink])
 

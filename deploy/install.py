@@ -83,13 +83,14 @@ def _parser() -> argparse.ArgumentParser:
     add('--dashboard', action='store_true',
         help='the web page at every boot, for this machine; DXL_DASHBOARD_OPTIONS in '
              f'{SETTINGS}/environment opens it to the network')
-    add('--usbmon', action='store_true', help='hear what other programs exchange with the '
-        'adapters of --bus, through usbmon, instead of opening them; the service alone may')
+    add('--usbmon', action='store_true', help='listen through usbmon to what other programs '
+        'exchange with the adapters of --bus, instead of opening them; only the service may read '
+        'usbmon')
     add('--user', default=os.environ.get('SUDO_USER') or getpass.getuser(),
-        help='who runs the nodes (default %(default)s)')
+        help='user that runs the nodes (default %(default)s)')
     add('--prefix', type=Path, help='where the package is installed (default: found)')
     add('--setup', type=Path, help='the setup.bash to source first (default: found)')
-    add('--yes', action='store_true', help='do not ask')
+    add('--yes', action='store_true', help='run the commands without asking')
     add('--dry-run', action='store_true', help='show commands and files, change nothing')
     add('--uninstall', action='store_true', help='undo')
     add('--root', type=Path, default=Path('/'),
@@ -113,8 +114,9 @@ def _carry_out(steps: Sequence[Step], options: argparse.Namespace) -> int:
     for step in steps:
         done = subprocess.run(step.command, check=False)
         if done.returncode:
-            raise InstallError(f'{shlex.join(step.command)}: ended with {done.returncode}; '
-                               'mend it and run the installer again, it goes on from here')
+            raise InstallError(f'{shlex.join(step.command)}: failed with exit code '
+                               f'{done.returncode}; correct the cause and run the installer '
+                               'again, it continues from here')
     print('install: done')
     return 0
 
@@ -176,15 +178,15 @@ class Site:
     def _usbmon(self) -> Iterator[Step]:
         """Yield what lets the service, and no other user, read usbmon."""
         if not self._buses:
-            raise InstallError('--usbmon: no adapter to hear; give --bus DEVICE')
+            raise InstallError('--usbmon: no adapter given; give --bus DEVICE')
         print(usbmon.NOTE)
         if self._is_live and not _has_group(usbmon.GROUP):
-            yield self._run('a group without members', 'groupadd', '--system', usbmon.GROUP)
+            yield self._run('make a group without members', 'groupadd', '--system', usbmon.GROUP)
         files = [step for path, (why, content) in usbmon.FILES.items()
                  for step in self._file(path, content, why)]
         yield from files
         if self._is_live and (files or not Path('/dev/usbmon0').exists()):
-            yield self._run('usbmon now', 'modprobe', 'usbmon')
+            yield self._run('load usbmon now', 'modprobe', 'usbmon')
             yield self._run('', 'udevadm', 'control', '--reload')
             yield self._run('', 'udevadm', 'trigger', '--subsystem-match=usbmon', '--settle')
 
@@ -198,7 +200,7 @@ class Site:
         ports = [f'usb:{link}' if self._options.usbmon else link for _, link in self._buses]
         changes = {'vel2d_bridge': {'port': MCU_LINK},
                    'dxl_monitor': {'ports': '[' + ', '.join(map(repr, ports)) + ']'}}
-        if self._options.usbmon:                # it tells the rate, too
+        if self._options.usbmon:                # usbmon shows the rate
             changes['dxl_monitor']['bauds'] = '[0]'
         yield from self._file(SETTINGS / 'environment', (HERE / 'environment').read_text(),
                               'environment of the services', keep=True)
@@ -208,7 +210,8 @@ class Site:
             for key, value in changes[service].items():
                 text, count = re.subn(rf'^(\s+{key}:\s).*$', rf'\g<1>{value}', text, flags=re.M)
                 if count != 1:
-                    raise InstallError(f'{name}: no single line for {key}; take the original file')
+                    raise InstallError(f'{name}: needs exactly one line with {key}; restore the '
+                                       'original file')
             yield from self._file(SETTINGS / name, text, f'settings of {service}', keep=True)
 
     def _unit(self, service: str) -> str:
@@ -237,9 +240,9 @@ class Site:
     def _end_login(self, tty: str) -> Iterator[Step]:
         getty = f'serial-getty@{tty}.service'
         if _succeeds('systemctl', 'is-active', '--quiet', getty):
-            yield self._run(f'no login on {tty}: it would answer the MCU',
+            yield self._run(f'stop the login on {tty}: its text would go to the MCU',
                             'systemctl', 'disable', '--now', getty)
-            yield self._run('a getty leaves the port to root alone: back to its group',
+            yield self._run('give the port back to its group: a login leaves it to root',
                             'udevadm', 'trigger', '--action=add', '--settle', f'/dev/{tty}')
         if f'console={tty}' in _read('/proc/cmdline'):
             print(f'note: the kernel writes its console to {tty}; remove console={tty} from '
@@ -262,14 +265,15 @@ class Site:
             # udev leaves them as they are, and the number of the group may be another's next.
             nodes = sorted(map(str, Path('/dev').glob('usbmon*')))
             if nodes:
-                yield self._run('usbmon is for root again', 'chown', 'root:root', *nodes)
+                yield self._run('let only root read usbmon again', 'chown', 'root:root', *nodes)
                 yield self._run('', 'chmod', '600', *nodes)
-            yield self._run('no right to read usbmon any more', 'groupdel', usbmon.GROUP)
+            yield self._run('remove the group that may read usbmon', 'groupdel', usbmon.GROUP)
         if self._at(SETTINGS).exists():
-            yield self._run('settings, kept under another name', 'mv', '--backup=numbered', '-T',
-                            str(self._at(SETTINGS)), f'{self._at(SETTINGS)}.removed')
+            yield self._run('keep the settings under another name', 'mv', '--backup=numbered',
+                            '-T', str(self._at(SETTINGS)), f'{self._at(SETTINGS)}.removed')
         if present and self._is_live:
-            yield self._run('let systemd and udev forget them', 'systemctl', 'daemon-reload')
+            yield self._run('let systemd and udev read their files again',
+                            'systemctl', 'daemon-reload')
             yield self._run('', 'udevadm', 'control', '--reload')
             yield self._run('', 'udevadm', 'trigger', '--action=add', '--subsystem-match=tty')
 
@@ -281,7 +285,7 @@ class Site:
         if LOGS.exists():
             print(f'note: the logs stay in {LOGS}; sudo rm -r {LOGS} removes them')
         if STATE.exists():
-            print(f'note: whether the bridge is switched off stays in {STATE}; sudo rm -r {STATE} '
+            print(f'note: {STATE} keeps whether the bridge is switched off; sudo rm -r {STATE} '
                   'removes it')
         if HISTORY.exists():
             print(f'note: the history stays in {HISTORY}; sudo rm -r {HISTORY} removes it')
@@ -298,7 +302,7 @@ class Site:
 
     def _delete(self, path: Path) -> Iterator[Step]:
         if self._at(path).exists():
-            yield self._run(f'no {path.name} any more', 'rm', str(self._at(path)))
+            yield self._run(f'remove {path.name}', 'rm', str(self._at(path)))
 
     # Both
 

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def command(node: str, prefix: Path | None = None, setup: Path | None = None) -> str:
-    """Return what stands behind ExecStart=, without arguments; prefix and setup: or found."""
+    """Return the value of ExecStart= without arguments; finds prefix and setup if not given."""
     prefix = _prefix(node, prefix)
     executable = next(path for path in _executables(prefix, node) if path.exists())
     setup = setup or _setup(prefix)

@@ -16,9 +16,9 @@ FILES = {
         'the group that may read usbmon',
         f'SUBSYSTEM=="usbmon", KERNEL=="usbmon[0-9]*", GROUP="{GROUP}", MODE="0640"\n'),
     Path('/etc/modules-load.d/mecarover_usbmon.conf'): (
-        'usbmon at every boot', 'usbmon\n'),
+        'load usbmon at every boot', 'usbmon\n'),
     Path('/etc/systemd/system/dxl_monitor.service.d/usbmon.conf'): (
-        'this group for the service, and for nothing else',
+        'give the group to this service only',
         f'[Service]\nSupplementaryGroups={GROUP}\n'),
 }
 NOTE = ('note: --usbmon lets the service dxl_monitor read all traffic of all USB buses, keyboards '

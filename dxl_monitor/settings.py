@@ -25,43 +25,42 @@ from mecarover_serial.parameters import refuse_twice
 from mecarover_serial.parameters import TIMING_PARAMETER
 
 PARAMETERS = (
-    Parameter('ports', ['/dev/ttyUSB0'], 'one port per bus: a path, best a stable one from '
-              '/dev/serial/by-id, a pyserial URL, usb:PORT (what another program exchanges with '
-              'it) or tap:NAME (a program started with dxl_tap)', element=str),
-    Parameter('bauds', [2_000_000], 'rate of each bus, or one for all; 0 = learn it, for usb: and '
-              'tap:, which always follow the rate that the program sets', 'bit/s', 9600, 4_500_000,
+    Parameter('ports', ['/dev/ttyUSB0'], 'one source per bus: a path (a stable one is in '
+              '/dev/serial/by-id), a pyserial URL, usb:PORT (the traffic of another program that '
+              'uses PORT) or tap:NAME (a program started with dxl_tap)', element=str),
+    Parameter('bauds', [2_000_000], 'baud rate of each bus, or one for all; usb: and tap: follow '
+              'the rate that the program sets, with 0 from the start', 'bit/s', 9600, 4_500_000,
               or_zero=True, element=int),
     Parameter('names', [], 'names of the buses; default: the base name of the port', element=str),
-    Parameter('devices', [], "what is on the bus, in the order along the cable: "
+    Parameter('devices', [], "devices on the bus, in the order along the cable: "
               "'11:MX-106:left_knee', '1-20:MX-64', '30'; with several buses 'NAME/11:MX-106'",
               element=str),
-    Parameter('publish_rate', 2.0, 'of dxl/diagnostics', 'Hz', 0.1, 50.0),
-    Parameter('missed_limit', 4, 'more missed answers in a row than this: disconnected', '', 0,
-              1000),
-    Parameter('warn_loss', 1.0, 'more answers missed in the last 10 s than this: WARN', '%', 0.0,
-              100.0),
-    Parameter('silent_after', 5.0, 'not asked, and silent, for so long: STALE', 's',
-              0.1, 3600.0),
-    Parameter('model_dirs', [], 'folders with further model files; they win over the built-in '
-              'ones', element=str),
-    Parameter('joint_state_rate', 0.0, 'of dxl/joint_states; 0 = off', 'Hz', 0.1, 200.0,
+    Parameter('publish_rate', 2.0, 'rate of dxl/diagnostics', 'Hz', 0.1, 50.0),
+    Parameter('missed_limit', 4, 'a device that misses more answers in a row than this is '
+              'disconnected', '', 0, 1000),
+    Parameter('warn_loss', 1.0, 'a device that missed more of its answers in the last 10 s is at '
+              'WARN', '%', 0.0, 100.0),
+    Parameter('silent_after', 5.0, 'a device that is not asked and sends nothing for so long is '
+              'STALE', 's', 0.1, 3600.0),
+    Parameter('model_dirs', [], 'folders with more model files; they replace built-in models of '
+              'the same number', element=str),
+    Parameter('joint_state_rate', 0.0, 'rate of dxl/joint_states; 0 = off', 'Hz', 0.1, 200.0,
               or_zero=True),
-    Parameter('capture', '', 'file to record all buses to, as text'),
-    Parameter('capture_size', 100.0, 'of a capture file; then it becomes FILE.1, that one FILE.2 '
-              'and so on', 'MB', 0.001, 1e6),
-    Parameter('capture_files', 9, 'older capture files to keep beside the one being written', '',
-              0, 1000),
-    Parameter('protocols', ['auto'], 'what each bus speaks, or one for all: auto, 2 (Dynamixel '
-              'Protocol 2.0), 1 (Protocol 1.0), feetech; auto tells by what it hears',
+    Parameter('capture', '', 'text file that all buses are recorded to'),
+    Parameter('capture_size', 100.0, 'largest size of the capture file; then FILE is renamed to '
+              'FILE.1, FILE.1 to FILE.2 and so on', 'MB', 0.001, 1e6),
+    Parameter('capture_files', 9, 'how many older capture files to keep', '', 0, 1000),
+    Parameter('protocols', ['auto'], 'protocol of each bus, or one for all: 2 (Dynamixel Protocol '
+              '2.0), 1 (Protocol 1.0), feetech, or auto, which learns it from the traffic',
               element=str),
-    Parameter('write_acks', 'auto', 'whether devices acknowledge writes; auto learns it',
-              choices=('auto', 'always', 'never')),
+    Parameter('write_acks', 'auto', 'whether devices acknowledge writes; auto learns it from the '
+              'traffic', choices=('auto', 'always', 'never')),
     TIMING_PARAMETER,
 )
 
 
 class Bus(NamedTuple):
-    """One bus: `name` identifies it, `label` stands in status names ('' if it is the only one)."""
+    """One bus: `name` identifies it, `label` is part of status names ('' if it is the only one)."""
 
     name: str
     label: str
@@ -102,8 +101,8 @@ def buses(values: dict[str, Any], models: Models) -> list[Bus]:
     protocols = _protocols(values['protocols'], len(ports))
     for port, baud in zip(ports, bauds, strict=True):
         if not baud and not has_sides(port):
-            raise ParameterError(f'bauds: 0 for {port}, which cannot learn its rate; give it, '
-                                 'e.g. bauds:=1000000')
+            raise ParameterError(f'bauds: 0 for {port}, but only usb: and tap: can learn the '
+                                 'rate; give it, e.g. bauds:=1000000')
     names = _names(values['names'], ports)
     devices = _devices_by_bus(values['devices'], names)
     check_models(chain.from_iterable(devices.values()), models)
@@ -151,9 +150,9 @@ def _devices_by_bus(entries: Sequence[str], names: Sequence[str]) -> dict[str, l
         elif len(names) == 1 and not slash:
             texts[names[0]].append(entry)
         else:
-            raise ParameterError(f'devices: {entry!r} names no bus; write '
+            raise ParameterError(f'devices: {entry!r} does not say which bus; write '
                                  f'{names[0]}/{rest if slash else entry} (buses: '
-                                 f'{", ".join(names)})')
+                                 f"{', '.join(names)})")
     return {name: parse_all(some) for name, some in texts.items()}
 
 

@@ -27,7 +27,7 @@ from mecarover_serial.launch_arguments import SHARED
 from mecarover_serial.launch_arguments import YES
 
 SHARE = get_package_share_directory(PACKAGE)
-# A monitor that starts in the middle of traffic must be told the models, or wait for a Ping.
+# A monitor that starts in the middle of traffic needs the models in `devices`, or a Ping.
 DEVICES = ['1-4:MX-106', '5-12:MX-64', '13-15:Rhoban DXL board', '16-18:BitFoot',
            '19-20:Bit-Bots IMU']
 ARGUMENTS = (

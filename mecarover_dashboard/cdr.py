@@ -6,7 +6,7 @@ The statuses in a serialised DiagnosticArray, without ROS: read what is looked a
 A dashboard looks at one table out of 253; leaving the others as bytes costs a seventh of letting
 rclpy make objects of them. And text that is not UTF-8 is shown with U+FFFD: rclpy would raise in
 the executor. So are control codes: texts go on to terminals and files. Source: OMG CDR (XCDR1),
-alignment counted from behind the four bytes in front.
+alignment counted from the byte after the first four.
 """
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class RawStatus(NamedTuple):
         """Return the first pair with a key that begins with ASCII text; None if there is none."""
         data, at = self.data, self.at
         while (at := data.find(start, at)) >= 0:
-            if at % 4 == 0:                     # a text begins behind its aligned length
+            if at % 4 == 0:                     # a text begins after its aligned length
                 with suppress(StructError, IndexError):
                     key, value = _Cursor(data, at - 4).texts(2)
                     if key.startswith(start.decode()):
@@ -101,18 +101,18 @@ class _Cursor:
                 found.append(_cut(data[at:at + min(size - 1, 4 * limit)], size - 1, limit))
             at += size
         if at > len(data):
-            raise IndexError('text ends behind the message')
+            raise IndexError('text goes beyond the end of the message')
         self.at = at
         return found
 
     def skip(self, texts: int) -> None:
-        """Go behind so many texts."""
+        """Skip so many texts."""
         number, data, at = self._number, self.data, self.at
         for _ in range(texts):
             at = (at + 3) & -4
             at += 4 + number(data, at)[0]
         if at > len(data):
-            raise IndexError('text ends behind the message')
+            raise IndexError('text goes beyond the end of the message')
         self.at = at
 
     def status(self) -> RawStatus:

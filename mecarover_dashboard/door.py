@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Who may come in: how many connections there are, in all and of one address, and how fast they ask.
+Limits connections: how many there are, in all and from one address, and how fast they ask.
 
 aiohttp has no time-out for the head of the first request: 450 connections that said nothing, or
 one byte now and then, kept everybody else out.

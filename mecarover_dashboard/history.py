@@ -146,7 +146,7 @@ class HistoryWriter:
         return [window.at, number, window.level, *row, *[None] * (len(_COLUMNS) - len(row))]
 
     def _make_room(self, number: int, at: int) -> None:
-        """Where the clock was set back: drop what is told relative to a window that changes."""
+        """If the clock was set back: drop values stored relative to a window that changes."""
         self._database.execute('DELETE FROM windows WHERE source = ? AND at BETWEEN ? AND ?',
                                (number, at, (at // WHOLE_S + 1) * WHOLE_S - 1))
 

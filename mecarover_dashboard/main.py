@@ -31,7 +31,8 @@ HOST, PORT = '127.0.0.1', 8420
 _REMEDIES = {
     errno.EADDRINUSE: 'in use; stop the other dashboard, or choose another port with --port',
     errno.EACCES: 'permission denied; choose a port above 1023 with --port',
-    errno.EADDRNOTAVAIL: 'not an address of this machine; --host 0.0.0.0 takes them all',
+    errno.EADDRNOTAVAIL: 'not an address of this machine; use one of its addresses, or --host '
+                         '0.0.0.0 for all',
 }
 
 
@@ -53,8 +54,8 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         from mecarover_dashboard.server import Server
     except ImportError as error:
-        print(f'{NAME}: {error.name} is not here; sudo apt install python3-aiohttp, '
-              "or pip install 'mecarover_serial[dashboard]'", file=sys.stderr)
+        print(f'{NAME}: {error.name} is not installed; sudo apt install python3-aiohttp, or pip '
+              "install 'mecarover_serial[dashboard]'", file=sys.stderr)
         return COULD_NOT_RUN
     try:
         from mecarover_dashboard.subscriber import Subscriber
@@ -107,7 +108,7 @@ def announcement(host: str, port: int, is_open: bool) -> str:
                 '(this machine only; --host 0.0.0.0 opens it to the network)')
     shown = socket.gethostname() if ipaddress.ip_address(host).is_unspecified else host
     return (f'{NAME}: http://{_bracketed(shown)}:{port}\n'
-            f'{NAME}: OPEN TO THE NETWORK: everybody who reaches {host} can read all of it; '
+            f'{NAME}: OPEN TO THE NETWORK: everybody who can reach {host} can read all of it; '
             'there is no password and no encryption. Nothing can be changed from there.')
 
 
@@ -128,18 +129,18 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--host', default=HOST, help='address to listen on; default %(default)s '
                         '(this machine only), 0.0.0.0 or :: = open to the network')
     parser.add_argument('--port', type=_port, default=PORT,
-                        help='default %(default)s; 0 = any free one')
-    parser.add_argument('--name', default='', help='another name under which this machine is '
-                        'asked, e.g. rover1.example.org')
-    parser.add_argument('--history', metavar='FILE', help='where the last 24 hours are kept; '
-                        f'default {default_path()}, {NONE} = nowhere')
+                        help='port to listen on; default %(default)s, 0 = any free port')
+    parser.add_argument('--name', default='', help='one more name of this machine that browsers '
+                        'may use, e.g. rover1.example.org')
+    parser.add_argument('--history', metavar='FILE', help='file for the history of the last 24 '
+                        f'hours; default {default_path()}, {NONE} = keep no history')
     return parser
 
 
 def _port(text: str) -> int:
     port = int(text)
     if not 0 <= port <= 65535:
-        raise argparse.ArgumentTypeError('a port is 0 to 65535')
+        raise argparse.ArgumentTypeError('give a port from 0 to 65535')
     return port
 
 

@@ -76,7 +76,8 @@ class Past:
                       as_csv: Callable[[HistoryReader, Question], Iterator[list[str]]],
                       ) -> web.StreamResponse:
         if self._path is None:
-            return web.Response(status=404, text='No history is recorded: --history none.\n')
+            return web.Response(status=404, text='No history is recorded: the server was started '
+                                'with --history none.\n')
         try:
             question = _question(request)
         except ValueError as error:
@@ -117,10 +118,10 @@ def _question(request: web.Request) -> Question:
     to_s = _time(query.get('to'), time.time(), 'to')
     from_s = _time(query.get('from'), to_s - 3600, 'from')
     if from_s > to_s:
-        raise ValueError('from: is after to; swap them')
+        raise ValueError('from: is later than to; swap them')
     points = query.get('points', str(_POINTS))
     if not points.isdecimal() or not 1 <= int(points[:9]) <= 10_000:
-        raise ValueError('points: a number from 1 to 10000')
+        raise ValueError('points: not a number from 1 to 10000; correct it')
     return Question(from_s, to_s, tuple(query.getall('of', ())), query.get('robot'), int(points))
 
 

@@ -156,7 +156,8 @@ class HistoryRecorder:
                 self._events.append(Event(at, source, 'error', Level.ERROR, text))
             elif known.errors == MOST_ERRORS:
                 self._events.append(Event(at, source, 'error', Level.ERROR,
-                                          f'{text}; there are more in these {WINDOW_S} s'))
+                                          f'{text}; more errors in these {WINDOW_S} s are not '
+                                          'listed'))
 
 
 def _state_of(row: Row) -> tuple[int, str, str]:

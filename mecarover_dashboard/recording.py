@@ -59,8 +59,8 @@ class Recording:
             self._take_lock(path.with_name(f'{path.name}.lock'))
             self._writer = self._open()
         except (OSError, sqlite3.Error) as error:
-            raise RecordingError(f'{path}: {_reason(error)}; name another file with '
-                                 "--history FILE, or 'none'") from error
+            raise RecordingError(f'{path}: {_reason(error)}; give another file with --history '
+                                 'FILE, or --history none') from error
         self._recorder = HistoryRecorder(self._writer.errors_until())
         self._batches: queue.Queue[_Batch | None] = queue.Queue(_MOST_WAITING)
         self._flushed_s = time.monotonic()
@@ -78,14 +78,15 @@ class Recording:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(self._lock)
-            raise OSError('another dashboard records to it') from None
+            raise OSError('another dashboard writes to it') from None
 
     def _open(self) -> HistoryWriter:
         try:
             return HistoryWriter(self.path)
         except DamagedError as error:
             aside = set_aside(self.path, time.time())
-            self.notice = f'{self.path}: not a readable history ({error}); kept as {aside.name}'
+            self.notice = (f'{self.path}: this history cannot be read ({error}); it was renamed '
+                           f'to {aside.name}')
             return HistoryWriter(self.path)
 
     def look(self, state: State, now_s: float, unix_s: float) -> None:
@@ -99,7 +100,7 @@ class Recording:
         try:
             self._batches.put_nowait(self._recorder.taken())
         except queue.Full:
-            self.problem = f'{self.path}: the disk is too slow, some of the history is lost'
+            self.problem = f'{self.path}: the disk is too slow, so part of the history is lost'
 
     def close(self) -> None:
         """Write what is known and end."""

@@ -204,8 +204,8 @@ class Server:
             raise web.HTTPMethodNotAllowed(request.method, ['GET', 'HEAD'])
         if not is_ours(request.headers.get('Host', ''), self._names, self._is_open):
             return web.Response(status=421, text=(
-                'This name is not known to be of this machine. Use '
-                f'http://{self._facts.get("address", "localhost")}/, or start the dashboard with '
+                'The dashboard does not know this name of its machine. Use '
+                f"http://{self._facts.get('address', 'localhost')}/, or start the dashboard with "
                 '--name and the name that you use.\n'))
         return await handler(request)
 
@@ -234,7 +234,7 @@ class Server:
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
         if len(self._watched) >= MOST_CLIENTS:
-            reason = f'{MOST_CLIENTS} pages are open already; close one of them.'
+            reason = f'{MOST_CLIENTS} pages are open already. Close one of them.'
             return web.Response(status=503, text=f'{reason}\n', headers={'X-Reason': reason})
         if request.method == 'HEAD':
             return web.Response(content_type='text/event-stream')
@@ -253,8 +253,8 @@ class Server:
         try:
             from mecarover_dashboard.metrics import exposition
         except ImportError:
-            return web.Response(status=501, text='prometheus_client is not here; '
-                                'sudo apt install python3-prometheus-client\n')
+            return web.Response(status=501, text='prometheus_client is not installed; sudo apt '
+                                'install python3-prometheus-client\n')
         accept, now_s = request.headers.get('Accept', ''), time.monotonic()
         if self._scraped is None or self._scraped[0] != accept or now_s - self._scraped[1] > 1.0:
             self._scraped = accept, now_s, *exposition(self._state, accept)
@@ -274,7 +274,7 @@ class Server:
             await _wait(pushed, BEAT_S)
 
     def _text(self, since: int) -> str:
-        """Return the beginning of an event: what all clients at this version are to be told."""
+        """Return the beginning of an event: what all clients at this version need to know."""
         text = self._texts.get(since)
         if text is None:
             changes = self._state.changes(since)

@@ -93,21 +93,23 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog=NAME, description='A line per bridge, bus and sick device of every robot in the ROS '
-        'domain; in a namespace (--ros-args -r __ns:=/rover1) of the robots below it.',
-        epilog='With --once the exit code is 0: all is well, 1: nothing heard or could not run, '
-        '2: wrong usage, 3: a warning or a silent part, 4: an error.')
+        prog=NAME, description='Prints a line for each bridge, each bus and each device with a '
+                               'problem, of every robot in the ROS domain. In a namespace '
+                               '(--ros-args -r __ns:=/rover1): of the robots below it.',
+        epilog='Exit codes with --once: 0 no problem, 1 no report or could not run, 2 wrong '
+               'usage, 3 a warning or a silent part, 4 an error.')
     parser.add_argument('--once', action='store_true', help='print the lines once and end')
-    parser.add_argument('--all', action='store_true', help='every device, not only sick ones')
+    parser.add_argument('--all', action='store_true', help='every device, not only those with a '
+                        'problem')
     parser.add_argument('--wait', type=_seconds, default=WAIT_S, metavar='S',
-                        help='with --once: for reports, at most so long (default %(default)g)')
+                        help='with --once: longest wait for reports (default %(default)g)')
     return parser
 
 
 def _seconds(text: str) -> float:
     seconds = float(text)
     if not 0 < seconds < math.inf:
-        raise argparse.ArgumentTypeError('a time is more than 0 s')
+        raise argparse.ArgumentTypeError('give a time above 0 s')
     return seconds
 
 

@@ -22,7 +22,7 @@ from msg_defs.reports import Level
 ROOT = Path(__file__).parents[1]
 REPORT = Monitor('arm', Models()).report(0)
 ONE_DEVICE = Monitor('', Models(), Settings(devices=(Expected(3, 'MX-64', ''),))).report(0)
-FULL = 'capture stopped: bus.txt: No space left on device; make room and start the node again'
+FULL = 'capture stopped: bus.txt: No space left on device; make room and restart the node'
 
 
 @pytest.mark.parametrize(('heard', 'problem', 'level', 'message'), [

@@ -116,7 +116,7 @@ def test_impossible_lines_are_told_and_left_out(line: bytes) -> None:
     assert [chunk.data for chunk in reader] == [b'\x01', b'\x02']
     assert reader.wires == {'bus': WIRE._replace(name='bus')}
     [problem] = reader.problems()
-    assert problem.startswith('1 lines are not lines of a capture and were left out, '
+    assert problem.startswith('1 lines do not belong in a capture and were left out, '
                               'the first is line 4: ')
     assert problem.isprintable()
     assert len(problem) < 160
@@ -160,7 +160,7 @@ def test_nothing_is_written_to_a_port_or_over_a_file_that_is_no_capture(tmp_path
     notes = tmp_path / 'notes.txt'
     notes.write_text('keep me')
     with Pty() as pty:
-        for path, reason in ((pty.path, 'is a port'), (notes, 'is there and is not a capture'),
+        for path, reason in ((pty.path, 'is a port'), (notes, 'exists and is not a capture'),
                              (tmp_path, 'is a directory'),
                              (tmp_path / 'none' / 'x', 'No such file or directory')):
             with pytest.raises(ParameterError, match=f'{re.escape(str(path))}: {reason}.*; '):
@@ -251,7 +251,7 @@ def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch)
     recorder.start()
     recorder.stop()
     assert recorder.left_out == 90
-    assert b'# gap: the disk was too slow from 12345.678901245 on, 90 bytes' in path.read_bytes()
+    assert b'# gap: the disk is too slow since 12345.678901245, 90 bytes' in path.read_bytes()
     assert len(list(Reader(path.open('rb')))) == 11
 
 
@@ -259,7 +259,7 @@ def test_a_pipe_that_nobody_reads_is_refused(tmp_path) -> None:
     """Opening it waits for a reader: the node never got to its ports."""
     path = tmp_path / 'pipe'
     os.mkfifo(path)
-    with pytest.raises(ParameterError, match='pipe: is a pipe without a reader; '):
+    with pytest.raises(ParameterError, match='pipe: is a pipe that no program reads; '):
         Recorder(str(path), 10**6, 2)
 
 
@@ -287,5 +287,6 @@ def test_a_pipe_whose_reader_sleeps_does_not_hold_up_the_end(tmp_path, monkeypat
     recorder.take(WIRE, bytes(200_000), 1)
     recorder.start()
     recorder.stop()
-    assert recorder.words == f'capture stopped: {path}: takes nothing; what waited is lost'
+    assert recorder.words == (f'capture stopped: {path}: no data could be written; what was not '
+                              'written yet is lost')
     os.close(reader)

@@ -128,7 +128,7 @@ def test_noise_does_not_fill_the_file():
     recorder.look(state, 102.0, NIGHT + 102.0)
     errors = [event for event in recorder.taken()[1] if event.kind == 'error']
     assert len(errors) == MOST_ERRORS
-    assert errors[-1].text == 'noise; there are more in these 10 s'
+    assert errors[-1].text == 'noise; more errors in these 10 s are not listed'
 
 
 def test_values_come_back_also_where_they_did_not_change(writer, path):
@@ -206,7 +206,7 @@ def test_a_damaged_file_is_set_aside(path, content):
         HistoryWriter(path)
     recording = Recording(path)
     recording.close()
-    assert recording.notice.startswith(f'{path}: not a readable history (')
+    assert recording.notice.startswith(f'{path}: this history cannot be read (')
     [aside] = path.parent.glob('*.damaged-*')
     assert aside.read_bytes() == content
 
@@ -230,7 +230,7 @@ def test_a_file_of_the_same_version_goes_on(path):
 
 def test_two_dashboards_do_not_share_a_file(path):
     first = Recording(path)
-    with pytest.raises(RecordingError, match='another dashboard records to it; name another'):
+    with pytest.raises(RecordingError, match='another dashboard writes to it; give another'):
         Recording(path)
     first.close()
     Recording(path).close()
@@ -253,8 +253,8 @@ def test_two_robots_on_one_machine(monkeypatch, tmp_path, capsys):
     assert second is None
     words = capsys.readouterr().err.splitlines()
     assert words == [f'dxl_dashboard: no history: {without}']
-    assert without == (f'{default_path()}: another dashboard records to it; name another file '
-                       "with --history FILE, or 'none'")
+    assert without == (f'{default_path()}: another dashboard writes to it; give another file '
+                       'with --history FILE, or --history none')
     second, without = open_history(str(tmp_path / 'rover2.sqlite'))
     assert (second.path.name, without) == ('rover2.sqlite', '')
     first.close()
@@ -263,7 +263,7 @@ def test_two_robots_on_one_machine(monkeypatch, tmp_path, capsys):
 
 def test_a_place_that_cannot_be_written(tmp_path):
     (tmp_path / 'file').touch()
-    with pytest.raises(RecordingError, match='file exists; name another file with --history'):
+    with pytest.raises(RecordingError, match='file exists; give another file with --history'):
         Recording(tmp_path / 'file' / 'history.sqlite')
 
 
@@ -344,8 +344,8 @@ def test_many_sources_share_the_points_of_an_answer(path, monkeypatch):
 @pytest.mark.parametrize(('query', 'words'), [
     ({'from': 'yesterday'}, "from: 'yesterday' is not a time; give Unix seconds"),
     ({'to': '-1'}, "to: '-1' is not a time"), ({'to': 'nan'}, "to: 'nan' is not a time"),
-    ({'from': 5, 'to': 4}, 'from: is after to; swap them'),
-    ({'points': '0'}, 'points: a number from 1 to 10000')])
+    ({'from': 5, 'to': 4}, 'from: is later than to; swap them'),
+    ({'points': '0'}, 'points: not a number from 1 to 10000; correct it')])
 def test_questions_that_make_no_sense(path, query, words):
     with Dashboard(history=path) as dashboard, pytest.raises(HTTPError) as caught:
         ask(dashboard, 'values', **query)

@@ -90,7 +90,7 @@ def test_usbmon_is_for_the_service_alone(robot):
     assert not [file for file in robot.files() if 'usbmon' in file]
     refused = robot.run('--mcu', '/dev/ttyAMA0', '--usbmon', '--yes')
     assert (refused.returncode, refused.stderr) == (
-        1, 'install: --usbmon: no adapter to hear; give --bus DEVICE\n')
+        1, 'install: --usbmon: no adapter given; give --bus DEVICE\n')
 
 
 def test_installs_everything_and_nothing_twice(robot):
@@ -197,7 +197,8 @@ def test_two_adapters_with_one_serial_number_are_known_by_their_sockets(robot, t
         f'#!/bin/sh\ncase "$*" in *ttyUSB0) cat {tmp_path}/facts0;; '
         f'*ttyUSB1) cat {tmp_path}/facts1;; esac\n')
     told = robot.install('--bus', 'left=/dev/ttyUSB1')
-    assert 'note: /dev/ttyUSB1 has the serial number of another, FT4TFSGE: it is known by' in told
+    assert ('note: /dev/ttyUSB1 has the same serial number as another adapter, FT4TFSGE: its name '
+            'belongs to') in told
     rules = robot.read('etc/udev/rules.d/70-mecarover_serial.rules').splitlines()
     for number, name in enumerate(('mecarover_dxl', 'mecarover_dxl_left')):
         assert f'ENV{{ID_PATH}}=="usb-0:{number}", SYMLINK+="{name}", TAG+="systemd"' in rules

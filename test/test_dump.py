@@ -574,9 +574,10 @@ def test_a_terminal_without_umlauts_gets_question_marks(recorded, tmp_path):
     (['-', '--count', '0'], 2, '--count 0: not possible; '),
     (['-', '--seconds', 'nan'], 2, '--seconds: not possible; '),
     (['-', '--devices', '1:MX-106:\x1b'], 2, "--devices '1:MX-106:\\x1b': control codes; "),
-    (['{packed}'], 2, '{packed}: packed with gzip; unpack it first'),
-    (['setup.py'], 2, 'setup.py: is text, not a recording; write: dxl_tap arm -- python setup.py'),
-    (['README.md'], 2, 'README.md: is text, not a recording; give a pcap file, raw bytes or '),
+    (['{packed}'], 2, '{packed}: compressed with gzip; unpack it first'),
+    (['setup.py'], 2,
+     'setup.py: a text file, not a recording; write: dxl_tap arm -- python setup.py'),
+    (['README.md'], 2, 'README.md: a text file, not a recording; give a pcap file, raw bytes or '),
     (['--check-models', '/does/not/exist'], 1, '/does/not/exist: No such file'),
     (['-w', 'x', 'run', '--', 'lerobot-record', '--fps=30'], 2, 'run: dxl_dump starts no program; '
      'write: dxl_tap arm -- lerobot-record --fps=30, and dxl_dump tap:arm in another terminal'),
@@ -614,7 +615,7 @@ def test_a_capture_with_bad_lines_is_read_and_said(recorded):
         [sys.executable, '-m', DUMP, str(recorded), '--summary'], cwd=ROOT,
         capture_output=True, text=True, timeout=DEADLINE_S)
     assert process.stdout == good
-    assert '1 lines are not lines of a capture' in process.stderr
+    assert '1 lines do not belong in a capture' in process.stderr
 
 
 @pytest.mark.parametrize('view', [['--summary'], ['--json'], ['--stats'], []])

@@ -288,7 +288,7 @@ def test_the_disk_is_full_from_the_start(alone, recovery):
 
 def tells_of_the_capture(node, reason):
     """Wait until the node says that its capture has ended; return how soon it is well again."""
-    words = f'capture stopped: {reason}; make room and start the node again'
+    words = f'capture stopped: {reason}; make room and restart the node'
     wait(lambda: node.said('[ERROR]', words))
     begin = time.monotonic()
     told = node.wait_told(WARN, words)

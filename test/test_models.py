@@ -231,7 +231,7 @@ def test_a_file_that_goes_wrong_later_counts_as_unknown(tmp_path: Path) -> None:
     ('name: Model Number, ', '', 'device.yaml: field at 0: no name'),
     ('{0: off, 1: on}', '{0: off, 0: on}', "device.yaml: line 4: not YAML: key '0' twice"),
     ('{0: off, 1: on}', '{0: true}', 'device.yaml: Mode: word of 0 is True; put it in quotes'),
-    ('{0: off, 1: on}', 'onoff', "device.yaml: Mode: no words called 'onoff'"),
+    ('{0: off, 1: on}', 'onoff', "device.yaml: Mode: there are no words named 'onoff'"),
     ('{0: off, 1: on}', '{a-b: x}', "device.yaml: Mode: code 'a-b'"),
     ('enum: {0: off, 1: on}', 'flags: {9: hot}', 'device.yaml: Mode: bit is 9'),
     ('enum: {0: off, 1: on}', 'flags: {1: [a, b, c]}', 'device.yaml: Mode: 3 words for bit 1'),
@@ -244,7 +244,7 @@ def test_a_file_that_goes_wrong_later_counts_as_unknown(tmp_path: Path) -> None:
     ('enum: {0: off, 1: on}', 'by: Gear, cases: {0: {unit: s}}', "Mode: by 'Gear': no such field"),
     ('fields:', 'include: nothing\nfields:', 'device.yaml: include: no file nothing.yaml'),
     ('fields:', 'include: device\nfields:', 'device.yaml: include: includes itself'),
-    ('fields:', 'without: [Torque]\nfields:', 'device.yaml: Torque: without it, but no file'),
+    ('fields:', 'without: [Torque]\nfields:', 'device.yaml: Torque: no included file'),
     ('fields:', 'aliases: {Old: New}\nfields:', "device.yaml: Old: alias of 'New': no such"),
     ('fields:', 'torque_constants: {1: 2.0}\nfields:', 'torque_constants: 1 is not in model_num'),
     ('fields:', 'indirect: [{address: 9}]\nfields:', 'device.yaml: indirect: count is missing'),
@@ -318,7 +318,7 @@ REPEATS = levels("{repeat: 4096, step: 1, prefix: 'B {n}', fields: [",
     ('- ' * 100_000, 'line 1: not YAML: more than 50 levels'),
     ('? ' * 100_000, 'line 1: not YAML: more than 50 levels'),
     (GOOD + LAUGHS, 'line 10: not YAML: more than 60000 values'),
-    (GOOD + 'words: &w {a: *w}', 'not YAML: *w stands for nothing, or for itself'),
+    (GOOD + 'words: &w {a: *w}', 'not YAML: *w refers to nothing, or to itself'),
     (GOOD + f'words: {{{", ".join(f"{n}: x" for n in range(30_000))}}}',
      'not YAML: more than 60000 values'),
     (GOOD + f'words: {{{", ".join(["a: x"] * 9_000)}}}', "not YAML: key 'a' twice"),
@@ -372,7 +372,7 @@ def test_what_is_no_file_is_told_at_once(tmp_path: Path) -> None:
 def test_files_in_files_without_end_are_told(tmp_path: Path) -> None:
     for n in range(400):
         write(tmp_path, f'include: [_{n + 1}]\n', f'_{n}.yaml')
-    assert '21 files in each other; ' in check_models(tmp_path)[0]
+    assert '21 files include one another; ' in check_models(tmp_path)[0]
 
 
 def test_files_that_include_each_other_are_told(tmp_path: Path) -> None:

@@ -308,8 +308,8 @@ def test_names_of_sources():
 
 @pytest.mark.parametrize(('name', 'words'), [
     ('usb:/dev/ttyUSB77', 'usb:/dev/ttyUSB77: is not there; plug the adapter in'),
-    ('usb:', 'is not there'), ('tap:', 'is not a name for a tap'),
-    ('tap:a b', 'is not a name for a tap')])
+    ('usb:', 'is not there'), ('tap:', 'cannot be the name of a tap'),
+    ('tap:a b', 'cannot be the name of a tap')])
 def test_wrong_names_are_one_line(name, words):
     done = dump(name, '--seconds', '1')
     assert done.returncode == 1
@@ -359,17 +359,17 @@ def test_adapter_is_chosen_where_there_are_several(tmp_path):
     assert '3.4 CDC-ACM' in wrong.stderr
     assert len(dump(file, '--adapter', '3.4', '--json').stdout.splitlines()) == len(
         dump(REAL / 'acm.bin', '--json').stdout.splitlines()) > 100
-    assert '--adapter 9.9: is not in it' in dump(file, '--adapter', '9.9').stderr
+    assert 'no adapter 9.9 in it: ' in dump(file, '--adapter', '9.9').stderr
     assert 'not a file of USB events' in dump(REAL / 'README.md', '--adapter', '1.1').stderr
 
 
 def test_file_without_an_adapter(tmp_path):
     file = tmp_path / 'none.pcap'
     file.write_bytes(pcap(MMAPPED, b''))
-    with pytest.raises(UsageError, match='no serial adapter is in it; was'):
+    with pytest.raises(UsageError, match='no serial adapter found in it; record'):
         open_source('dxl_dump', str(file), None)
     file.write_bytes(pcap(MMAPPED, FakeAdapter('ftdi').idle(BEGAN))[:-1])
-    with pytest.raises(UsageError, match=r'no serial adapter is in it \(.*cut off'):
+    with pytest.raises(UsageError, match=r'no serial adapter found in it \(.*cut off'):
         open_source('dxl_dump', str(file), None)
 
 

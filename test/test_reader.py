@@ -135,7 +135,7 @@ def test_a_killed_one_is_replaced_and_nothing_lost(cable: Pty, ear: Ear) -> None
         send(cable, sent[-500:])
         _wait_for_bytes(ear, len(sent))
         _kill_reader(ear)
-        assert 'its reader ended with signal 9' in ear.listener.state.text
+        assert 'the reader process ended with signal 9' in ear.listener.state.text
         assert ear.listener.state.is_open
     assert ear.data == sent
     assert ear.listener.counters.openings == 1
@@ -171,7 +171,7 @@ def test_without_a_process_the_thread_reads_and_says_so(
         cable: Pty, monkeypatch: pytest.MonkeyPatch, program: str, reason: str) -> None:
     monkeypatch.setattr(reader_process.sys, 'executable', program)
     ear = Ear(cable.path)
-    wait_for(lambda: 'without a process' in ear.listener.state.text, 'the reason')
+    wait_for(lambda: 'read by the node itself' in ear.listener.state.text, 'the reason')
     assert reason in ear.listener.state.text
     assert ear.listener.state.is_open
     send(cable, b'heard')
@@ -196,7 +196,7 @@ def _state_with_descriptors(cable: Pty, spare: int) -> str:
         if listener.reader_pid:
             return 'process'
         if listener.state.is_open:
-            return 'thread' if 'without a process' in listener.state.text else ''
+            return 'thread' if 'read by the node itself' in listener.state.text else ''
         return '' if listener.state.kind == 'starting' else 'closed'
 
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

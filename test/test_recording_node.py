@@ -61,7 +61,7 @@ def test_a_full_disk_stops_the_capture_and_not_the_node(tmp_path, heard):
         node.wait_for('capture stopped: /dev/full: No space left on device')
         heard.statuses.clear()
         heard.wait_status('dxl_monitor: bus', 'Capture=capture stopped', '1 of 1', level=1)
-        stopped = 'No space left on device; make room and start the node again'
+        stopped = 'No space left on device; make room and restart the node'
         assert stopped in heard.statuses['dxl_monitor: bus'].message
         count = int(heard.values('dxl_monitor: bus')['Packets'])
         wait(lambda: int(heard.values('dxl_monitor: bus')['Packets']) > count)

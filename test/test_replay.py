@@ -185,15 +185,16 @@ def test_raw_bytes_play_at_the_speed_of_the_wire(tmp_path) -> None:
     (['{capture}', '--speed', '-1'], '--speed -1: not possible; ', 2),
     (['{capture}', '--bus', 'arm'], '--bus arm: not in this capture; there are: bus', 2),
     (['{capture}', '--link', '/does/not/exist/x'], '/does/not/exist/x: cannot be made', 1),
-    (['{empty}'], '{empty}: nothing was recorded; ', 2),
+    (['{empty}'], '{empty}: it holds no bytes; ', 2),
     (['{capture}', '--speed', '1e-320'], '--speed 9.99989e-321: not possible; ', 2),
     (['{capture}', '-b', '0'], '--baud 0: not possible; ', 2),
     (['{capture}', '-b', '-5'], '--baud -5: not possible; ', 2),
-    (['/dev/zero'], '/dev/zero: no file; ', 2),
-    (['{pipe}'], '{pipe}: no file; ', 2),
+    (['/dev/zero'], '/dev/zero: not a file, ', 2),
+    (['{pipe}'], '{pipe}: not a file, ', 2),
     (['run', '--', 'python', 'x.py'], 'run: dxl_replay starts no program; write: dxl_tap arm -- '
      'python x.py, and dxl_dump tap:arm -w bus.txt in another terminal, to play bus.txt', 2),
-    (['setup.py'], 'setup.py: is text, not a recording; write: dxl_tap arm -- python setup.py', 2),
+    (['setup.py'],
+     'setup.py: a text file, not a recording; write: dxl_tap arm -- python setup.py', 2),
 ])
 def test_mistakes_are_one_line(tmp_path, arguments, line, code) -> None:
     names = {'capture': str(tmp_path / 'bus.txt'), 'empty': str(tmp_path / 'empty.txt'),

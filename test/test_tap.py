@@ -319,12 +319,12 @@ def test_what_a_dead_reader_left_is_removed():
 def test_folder_that_others_can_write_to_is_refused():
     os.mkdir(folder(), 0o777)
     os.chmod(folder(), 0o777)
-    with pytest.raises(PermissionError, match='others may write'):
+    with pytest.raises(PermissionError, match='other users may write'):
         TapReader('robot')
 
 
 @pytest.mark.parametrize(('place', 'words'), [
-    ('x' * 100, 'the path of a socket cannot be so long; set XDG_RUNTIME_DIR to a shorter one'),
+    ('x' * 100, 'the path of the socket is too long; set XDG_RUNTIME_DIR to a shorter folder'),
     ('file', 'Not a directory; set XDG_RUNTIME_DIR to a folder of yours')])
 @pytest.mark.parametrize('command', [
     ('dump.main', 'tap:robot'), ('doctor.main', 'tap:robot')], ids=('dump', 'doctor'))
@@ -423,8 +423,8 @@ def test_command_line():
     assert silent.returncode == 7
     assert 'opened no port through pyserial' in silent.stderr
     assert 'usb:/dev/ttyUSB0' in silent.stderr
-    for arguments, words in ((('arm',), 'COMMAND: none given'),
-                             (('a/b', '--', 'true'), "'a/b' is not a name for a tap")):
+    for arguments, words in ((('arm',), 'COMMAND: not given'),
+                             (('a/b', '--', 'true'), "'a/b' cannot be the name of a tap")):
         wrong = tap(*arguments)
         assert wrong.returncode == 2
         assert words in wrong.stderr

@@ -118,7 +118,7 @@ def _weigh(text: bytes) -> None:
     for event in yaml.parse(text, _Loader):
         if isinstance(event, yaml.AliasEvent):
             if event.anchor not in weights:
-                raise _refusal(f'*{event.anchor} stands for nothing, or for itself',
+                raise _refusal(f'*{event.anchor} refers to nothing, or to itself',
                                event.start_mark)
             values += weights[event.anchor]
         elif isinstance(event, yaml.CollectionStartEvent):

@@ -85,7 +85,7 @@ class Field:
     magnitude and direction apart (XL-320): with that bit set the bits below it count negative.
     byte_order: which byte comes first.
     key: the name a report shows, with the unit, as `Present Position (rad)`. in_words: whether the
-    text of a value is words for a code, so that the raw number belongs beside it.
+    text of a value is words for a code, so that the raw number is shown too.
     """
 
     __slots__ = ('_decimals', '_unpack', 'access', 'at', 'byte_order', 'cases', 'end', 'enum',
@@ -134,11 +134,11 @@ class Field:
                      cases=cases, hexadecimal=self.hexadecimal, byte_order=self.byte_order)
 
     def code_of(self, raw: bytes) -> int:
-        """Return the bytes as they stand in the control table as a number without a sign."""
+        """Return the bytes of the control table as a number without a sign."""
         return int.from_bytes(raw, self.byte_order)
 
     def bytes_of(self, code: int) -> bytes:
-        """Return how a number without a sign stands in the control table."""
+        """Return the bytes of a number without a sign in the control table."""
         return code.to_bytes(self.size, self.byte_order)
 
     def decode(self, raw: bytes) -> Value:

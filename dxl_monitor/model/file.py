@@ -154,7 +154,7 @@ def _cases(raw: dict[str, Any], fixed: dict[str, Any], check: Check,
     if not given:
         return None
     if len(given) < 2 or not isinstance(raw['cases'], dict):
-        raise check.error('by and cases belong together',
+        raise check.error('by and cases need each other',
                           'write by: FIELD, cases: {CODE: {unit: ..., scale: ...}}')
     fields = {}
     for code, case in raw['cases'].items():
@@ -200,7 +200,7 @@ def _shared(raw: Any, words: Mapping[str, Any], check: Check) -> dict[Any, Any]:
     """`enum: NAME` and `flags: NAME` take their words from the file's `words`."""
     if isinstance(raw, str):
         if raw not in words:
-            raise check.error(f'no words called {describe(raw)}',
+            raise check.error(f'there are no words named {describe(raw)}',
                               f'use one of: {", ".join(sorted(words)) or "(none given)"}')
         raw = words[raw]
     if not isinstance(raw, dict) or not raw:

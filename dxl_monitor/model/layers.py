@@ -42,12 +42,12 @@ _FEETECH = 0x10000                  # Feetech numbers its models apart: 261 is t
 
 
 def model_key(number: int, protocol: str = '2') -> int:
-    """Return what tells a model from those of all makers: its number, and for Feetech more."""
+    """Return the key of a model among those of all makers: its number, and for Feetech more."""
     return number | _FEETECH if protocol == 'feetech' else number
 
 
 class Definition(NamedTuple):
-    """One file as it stands; numbers: name by model_key()."""
+    """One file as it is; numbers: name by model_key()."""
 
     path: Path
     numbers: dict[int, str]
@@ -138,7 +138,7 @@ class Layers:
         """Return the model `number` out of `path`; raises ModelError."""
         definition = self.definition(path)
         if number not in definition.numbers:
-            raise Check(path, 'model_numbers').error(f'{number & NUMBER_MASK} is gone',
+            raise Check(path, 'model_numbers').error(f'{number & NUMBER_MASK} was removed',
                                                      'restart after changing model files')
         layer = self._whole_layer(definition, number, variant)
         return Model(number & NUMBER_MASK, definition.numbers[number], layer.all_fields(),
@@ -169,8 +169,8 @@ class Layers:
         if path in above:
             raise Check(path, 'include').error('includes itself', 'break the circle')
         if len(above) > INCLUDE_LIMIT:
-            raise Check(path, 'include').error(f'{len(above)} files in each other',
-                                               'include them side by side')
+            raise Check(path, 'include').error(f'{len(above)} files include one another',
+                                               'include them all in one file')
         raw = self.definition(path).raw
         layer = Layer()
         check = Check(path, 'include')
@@ -221,7 +221,7 @@ class Layers:
                               for name in check.sequence(raw.get('without', []), 'without'))
         for name in names:
             if name not in below.fields:
-                self._report(Check(path, name).error('without it, but no file included has it',
+                self._report(Check(path, name).error('no included file has this field',
                                                      'correct the name'))
         return {name: field for name, field in below.fields.items() if name not in names}
 
@@ -239,7 +239,8 @@ class Layers:
                     f'by {describe(field.cases.by)}: no such field', 'correct by'))
         for alias, name in layer.aliases.items():
             if name not in names or alias in names:
-                reason = 'no such field' if name not in names else f'{alias} is a field too'
+                reason = 'no such field' if name not in names else (f'{alias} is also the name of '
+                                                                    'a field')
                 self._report(Check(path, str(alias)).error(f'alias of {describe(name)}: {reason}',
                                                            'correct aliases'))
 

@@ -69,7 +69,7 @@ class Models:
         Return the model of this model_key() (the u16 at address 0), None if there is none.
 
         For numbers off the wire: never raises. A file that went wrong since the start counts as
-        unknown and is told once in `problems`. Without a firmware: the newest one's table.
+        unknown and is reported once in `problems`. Without a firmware: the newest one's table.
         """
         if number not in self._index:
             return None
@@ -150,7 +150,7 @@ def model_files(folder: Path) -> list[Path]:
 
 
 def scan_numbers(path: Path, layers: Layers) -> dict[int, str]:
-    """Read number -> name from the line where it stands in plain form, else from the file."""
+    """Read number -> name from its line if that has the plain form, else from the file."""
     try:
         text = path.read_bytes()
     except OSError:

@@ -251,7 +251,7 @@ class Cp210x(Adapter):
 
     name = 'CP210x'
     _ERRORS = ((0x02, OVERRUN), (0x04, PARITY), (0x08, FRAMING), (0x10, BREAK))
-    _SIZES = (2, 4, 3, 3)          # bytes of each message behind ESC
+    _SIZES = (2, 4, 3, 3)          # bytes of each message after ESC
 
     @classmethod
     def matches(cls, identity: Identity) -> bool:

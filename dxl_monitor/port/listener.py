@@ -68,9 +68,9 @@ class Listener:
 
     on_chunk(bytes, stamp[, side]) for what was read; on_idle(stamp) when nothing came until then,
     a few times a second while it lasts. Without either, the port was not read. on_change(change,
-    stamp): what the source said beside bytes; only some do (usb_listener.py, tap_listener.py).
-    on_pieces(pieces): what one read brought of a source with sides, (bytes, stamp, side) each;
-    without it each of them goes to on_chunk.
+    stamp): what the source reported besides bytes; only some do (usb_listener.py,
+    tap_listener.py). on_pieces(pieces): what one read brought of a source with sides, (bytes,
+    stamp, side) each; without it each of them goes to on_chunk.
     """
 
     def __init__(self, port: str, baud: int, on_chunk: Callable[..., object],
@@ -117,7 +117,7 @@ class Listener:
         return idle_s(self.baud, self.latency_timer_ms or 0)
 
     def problems(self) -> list[str]:
-        """Return what a person should know at the end, beside what the counters say."""
+        """Return what a person should know at the end, besides the counters."""
         return []
 
     def start(self) -> None:
@@ -172,8 +172,8 @@ class Listener:
         if port.fd is not None and not self._in_thread:
             problem = self._listen_by_process(port, port.fd)
             if problem:
-                self._say_open(f', but without a process that reads it ({problem}): '
-                               'bytes may be lost under load')
+                self._say_open(f', but read by the node itself ({problem}): bytes may be lost '
+                               'under load')
         self._listen_in_thread(port)
 
     def _listen_in_thread(self, port: Port) -> None:
@@ -200,9 +200,10 @@ class Listener:
             with process:
                 was_ready = self._follow(process, port)
                 if not was_ready and not self._stopping:
-                    return f'it ends at once, with {process.end()}'
+                    return f'it ends at once with {process.end()}'
             if not self._stopping:
-                self._say_open(f'; its reader ended with {process.end()}, the next one reads on')
+                self._say_open(f'; the reader process ended with {process.end()}, a new one '
+                               'continues')
         return ''
 
     def _follow(self, process: ReaderProcess, port: Port) -> bool:

@@ -25,7 +25,7 @@ from typing import Any
 
 # Many tiny reads cost more than all parsing. On a busy line (the last read was less than BUSY ago)
 # bytes are therefore let gather before they are read. After a pause they are read at once, so that
-# an instruction and the answer to it come in two chunks and their distance can be told.
+# an instruction and the answer to it come in two chunks and the time between them is known.
 GATHER_S = 0.001
 # A line without pauses hides how far apart its packets are. So there bytes gather for longer,
 # twice as long after each full chunk. They are read without a wait for the first of them: it would
@@ -40,7 +40,7 @@ SILENT_S = 0.25                  # how long to wait once the line was reported i
 READ_SIZE = 65_536
 NAME = 'dxl_reader'              # what the process is called
 
-# A record: its kind, a stamp, the largest gap so far (both ns), the size of the bytes behind it.
+# A record: its kind, a stamp, the largest gap so far (both ns), the size of the bytes after it.
 HEAD = struct.Struct('<cqqI')
 READY, CHUNK, IDLE, LOST = b'r', b'c', b'i', b'l'       # LOST: the bytes are the error number
 DROPPED = b'd'                   # the bytes are how many events the kernel had no room for
@@ -76,24 +76,24 @@ class Loop:
     def run(self, is_over: Callable[[], bool] = lambda: False) -> None:
         """Read until it is over, or until wait() or read() raise."""
         clock = time.monotonic_ns
-        self._last_read = told = clock()
+        self._last_read = reported = clock()
         is_idle = True
         while not is_over():
             if self._is_full and self._take(True):
-                told = clock()
+                reported = clock()
                 continue
             begin = clock()
             patience_s = SILENT_S if is_idle else self._idle_s
             if self._wait(patience_s):
                 if self._take(clock() - begin < AT_ONCE_NS):
                     is_idle = False
-                    told = clock()
+                    reported = clock()
                 else:                  # there was something, and nothing for us
                     time.sleep(self._gather_s)
-                    if clock() - told > patience_s * 1e9:
+                    if clock() - reported > patience_s * 1e9:
                         is_idle = True
-                        told = clock()
-                        self._on_idle(told)
+                        reported = clock()
+                        self._on_idle(reported)
             elif not is_over():
                 is_idle = True
                 # Up to the end of the wait: we may have been stopped since, with bytes coming in.
@@ -184,7 +184,7 @@ class _Process:
 
 
 def _usb_ring() -> Any:
-    """Return the module beside this file: the path has no place for it here."""
+    """Return a module of this folder, which is not on the path."""
     spec = importlib.util.spec_from_file_location(
         'usb_ring', os.path.join(os.path.dirname(os.path.abspath(__file__)), 'usb_ring.py'))
     assert spec is not None

@@ -28,7 +28,7 @@ class TapListener(Listener):
     A listener on a tapped program; its stamps are the program's own.
 
     One port is heard: the one that is named, or the first that the program opens. `others` are
-    the ports that were opened beside it.
+    the ports that the program opened as well.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -41,8 +41,8 @@ class TapListener(Listener):
             return []
         named = sorted(self.others)[:_NAMED]
         others = ', '.join(named) + (' and others' if len(self.others) > _NAMED else '')
-        return [f'the program opened {others} too, which was not heard; name the port, as in '
-                f'tap:NAME/{os.path.basename(named[0])}']
+        return [f'the program also opened {others}, which was not heard; name the port to listen '
+                f'to it: tap:NAME/{os.path.basename(named[0])}']
 
     def _listen_once(self) -> None:
         name, _, self._wanted = self.port.removeprefix(TAP).partition('/')
@@ -55,12 +55,12 @@ class TapListener(Listener):
             self._say_waiting(name)
             last = time.monotonic_ns()
             while not self._stopping:
-                told = reader.wait(SILENT_S)
-                for one in told:
-                    self._take_told(one)
+                records = reader.wait(SILENT_S)
+                for record in records:
+                    self._take_record(record)
                 now = time.monotonic_ns()
-                if told:
-                    last = told[-1].stamp
+                if records:
+                    last = records[-1].stamp
                 elif now - last > self.idle_s * 1e9 + HOLD_S * 1e9:
                     self._idle(now - int(HOLD_S * 1e9))
 
@@ -77,20 +77,21 @@ class TapListener(Listener):
         self.state = ListenerState(True, '', f'{self.port}: listening; start the program with '
                                    f'dxl_tap {name} -- COMMAND', time.monotonic_ns())
 
-    def _take_told(self, told: TapRecord) -> None:
-        if told.kind == sent.OPENED and self._is_wanted(told.port):
-            self._heard_port = told.port
-            self.state = ListenerState(True, '', f'{self.port}: hears {told.port}', told.stamp)
-        if told.kind == sent.OPENED and told.port != self._heard_port \
+    def _take_record(self, record: TapRecord) -> None:
+        if record.kind == sent.OPENED and self._is_wanted(record.port):
+            self._heard_port = record.port
+            self.state = ListenerState(True, '', f'{self.port}: listening to '
+                                       f'{record.port}', record.stamp)
+        if record.kind == sent.OPENED and record.port != self._heard_port \
                 and len(self.others) <= _NAMED:
-            self.others.add(told.port)
-        if told.port and told.port != self._heard_port:
+            self.others.add(record.port)
+        if record.port and record.port != self._heard_port:
             return
-        change = told.change
-        if told.side:
-            self._hear(told.data, told.stamp, told.side)
+        change = record.change
+        if record.side:
+            self._hear(record.data, record.stamp, record.side)
         elif change is not None:
-            self._on_change(change, told.stamp)
+            self._on_change(change, record.stamp)
 
     def _is_wanted(self, port: str) -> bool:
         if self._wanted:

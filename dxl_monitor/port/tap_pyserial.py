@@ -79,15 +79,15 @@ def _wrap_open(sender: Any, original: _Method) -> _Method:
     return open
 
 
-def _wrap_after(told: Callable[[Any, Any, int], object]) -> Callable[[Any, _Method], _Method]:
-    """Return a wrapper that tells of a call when it is done, where the port is open."""
+def _wrap_after(report: Callable[[Any, Any, int], object]) -> Callable[[Any, _Method], _Method]:
+    """Return a wrapper that reports a call after it, if the port is open."""
     def wrap(sender: Any, original: _Method) -> _Method:
         def call(self: Any, *args: Any, **kwargs: Any) -> Any:
             result = original(self, *args, **kwargs)
             with suppress(Exception):
                 port = getattr(self, _PORT, None)
                 if port is not None:
-                    told(sender, self, port)
+                    report(sender, self, port)
             return result
         return call
     return wrap
@@ -166,7 +166,7 @@ class _Finder:
 
 
 def install(sender: Any) -> None:
-    """Have everything told that this process does through pyserial."""
+    """Report everything that this process does through pyserial."""
     sys.meta_path.insert(0, _Finder(sender))
     atexit.register(sender.end)
     leave = os._exit                           # how children of multiprocessing end

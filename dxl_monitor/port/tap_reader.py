@@ -43,8 +43,8 @@ _CHANGES = {sent.BAUD: BAUD, sent.PURGED: PURGED, sent.NOT_SENT: NOT_SENT, sent.
             sent.CLOSED: CLOSED}
 _NAME_LIMIT = 40                           # the path of a Unix socket has 107 characters
 _READ_SIZE = 1 << 16
-TOO_LONG = ('the path of a socket cannot be so long; '
-            'set XDG_RUNTIME_DIR to a shorter one, for the program too')
+TOO_LONG = ('the path of the socket is too long; set XDG_RUNTIME_DIR to a shorter folder, for the '
+            'program too')
 
 
 class TapRecord(NamedTuple):
@@ -72,8 +72,8 @@ def why_no_name(name: str) -> str:
     """Return what is wrong with the name of a tap, '' for nothing."""
     if name and set(name) <= _NAME_CHARACTERS and len(name) <= _NAME_LIMIT:
         return ''
-    return (f'{name!r} is not a name for a tap; take 1 to {_NAME_LIMIT} letters, digits, '
-            '_ or -')
+    return (f'{name!r} cannot be the name of a tap; use 1 to {_NAME_LIMIT} letters, digits, _ or '
+            '-')
 
 
 class _Connection:
@@ -86,7 +86,7 @@ class _Connection:
         self._is_trusted = not secret
         self._rest = b''
 
-    def told(self, data: bytes) -> Iterator[TapRecord]:
+    def records(self, data: bytes) -> Iterator[TapRecord]:
         """Yield what these bytes complete; ValueError for what is none of ours."""
         data = self._rest + data
         at = 0
@@ -138,7 +138,7 @@ class TapReader:
         place = sent.folder()
         os.makedirs(place, 0o700, exist_ok=True)
         if not sent.is_private(place):
-            raise PermissionError(1, 'others may write there; remove it, or chmod 700', place)
+            raise PermissionError(1, 'other users may write to it; remove it, or chmod 700', place)
         self._remove_dead(place, name)
         self._path = os.path.join(place, f'{name}.{secrets.token_hex(4)}{sent.SUFFIX}')
         self._listener = self._listen()
@@ -186,7 +186,7 @@ class TapReader:
                     pass
 
     def wait(self, seconds: float) -> list[TapRecord]:
-        """Return what was told until HOLD_S ago, in order; wait for more no longer than this."""
+        """Return the records until HOLD_S ago, in order; wait for more no longer than this."""
         if self._held:
             due_s = (self._held[0][0] - time.monotonic_ns()) / 1e9 + HOLD_S
             seconds = min(seconds, max(0.0, due_s))
@@ -200,7 +200,7 @@ class TapReader:
         return self._due(time.monotonic_ns() - int(HOLD_S * 1e9))
 
     def rest(self) -> list[TapRecord]:
-        """Return all that was told and is held back."""
+        """Return the records that are still held back."""
         return self._due(1 << 63)
 
     def _due(self, until: int) -> list[TapRecord]:
@@ -222,8 +222,8 @@ class TapReader:
         program = self._programs[number]
         try:
             data = program.socket.recv(_READ_SIZE)
-            for told in program.told(data):
-                self._hold(told)
+            for record in program.records(data):
+                self._hold(record)
         except BlockingIOError:
             return
         except (OSError, ValueError):
@@ -235,11 +235,11 @@ class TapReader:
             program.socket.close()
             del self._programs[number]
 
-    def _hold(self, told: TapRecord) -> None:
+    def _hold(self, record: TapRecord) -> None:
         """Keep a record until its turn; one from the future would be kept for as long."""
         self._count += 1
-        stamp = min(told.stamp, time.monotonic_ns())
-        heapq.heappush(self._held, (stamp, self._count, told._replace(stamp=stamp)))
+        stamp = min(record.stamp, time.monotonic_ns())
+        heapq.heappush(self._held, (stamp, self._count, record._replace(stamp=stamp)))
 
     def close(self) -> None:
         """Stop to listen; the programs go on."""

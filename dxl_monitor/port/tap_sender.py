@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The tap inside of a Python master: what passes through pyserial is told to who listens.
+The tap inside of a Python master: what passes through pyserial is forwarded to listeners.
 
 Loaded by file, by port/site/sitecustomize.py, into a program that knows nothing of this package.
 So it takes only what the standard library has on every system. It never blocks the program: calls
@@ -120,7 +120,7 @@ class Sender:
         self.queue: deque[tuple[int, int, int, bytes]] = deque()
         self.lost = 0                          # records that found the queue full
         self._ports: dict[int, tuple[str, int]] = {}       # number: name, rate
-        self._told: set[int] = set()           # ports that listeners were told to be open
+        self._announced: set[int] = set()      # ports that listeners know as open
         self._numbers = 0
         self._lock = threading.Lock()
         self._forget()
@@ -137,7 +137,7 @@ class Sender:
     def after_fork(self) -> None:
         """Go on in a child."""
         self._forget()
-        self._told.update(self._ports)
+        self._announced.update(self._ports)
         if self._ports:
             self._begin()
 
@@ -228,7 +228,8 @@ class Sender:
     def _state(self) -> list[bytes]:
         """Return what a new reader missed: the ports that were opened before."""
         now = self.queue[0][2] if self.queue else time.monotonic_ns()
-        return [part for number, (name, baud) in list(self._ports.items()) if number in self._told
+        return [part for number, (name, baud) in list(self._ports.items())
+                if number in self._announced
                 for part in (record(OPENED, number, now, name.encode('utf-8', 'replace')),
                              record(BAUD, number, now, NUMBER.pack(baud)))]
 
@@ -238,7 +239,7 @@ class Sender:
             one = self.queue.popleft()
             records.append(record(*one))
             if one[0] == OPENED:
-                self._told.add(one[1])
+                self._announced.add(one[1])
         if self.lost:
             lost, self.lost = self.lost, 0
             records.append(record(LOST, 0, time.monotonic_ns(), NUMBER.pack(lost)))

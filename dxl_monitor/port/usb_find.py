@@ -51,8 +51,8 @@ def find(name: str, root: Path = SYS) -> PluggedAdapter:
         raise _refused(name, 'has no pair of bulk endpoints', 'give the name of its tty')
     adapter = adapter_of(identity, ends[IN][1])
     if adapter is None:
-        raise _refused(name, f'is a USB device {number}, and not a serial adapter that is '
-                       'understood', f'these are: {", ".join(one.name for one in FAMILIES)}')
+        raise _refused(name, f'is a USB device {number}, but not one of the known serial '
+                             'adapters', f"known are: {', '.join(one.name for one in FAMILIES)}")
     place = Place(int(_text(device / 'busnum')), int(_text(device / 'devnum')),
                   ends[IN][0] & 0x7F, ends[OUT][0])
     return PluggedAdapter(place, adapter, _latency(interface),
@@ -79,18 +79,18 @@ def _interface(name: str, root: Path) -> Path:
     place = (tty / 'device').resolve()
     while not (place / 'bInterfaceNumber').exists():
         if place == place.parent or not place.is_relative_to(root.resolve()):
-            raise _refused(name, 'is not on USB', 'only USB adapters can be heard so; open the '
-                           'port itself, or use dxl_tap')
+            raise _refused(name, 'is not on USB', 'usb: works with USB adapters only; listen to '
+                           'the port itself, or use dxl_tap')
         place = place.parent
     return _data_interface(place.parent, _hex(place / 'bInterfaceNumber'))
 
 
 def _data_interface(device: Path, number: int) -> Path:
-    """Return this interface of a device, or behind it the one that holds a modem's data."""
+    """Return this interface of a device, or the one after it that holds a modem's data."""
     interfaces = sorted(device.glob(f'{device.name}:*'),
                         key=lambda one: _hex(one / 'bInterfaceNumber'))
-    behind = [one for one in interfaces if _hex(one / 'bInterfaceNumber') >= number]
-    data = [one for one in behind if len(_bulk(one)) == 2]
+    following = [one for one in interfaces if _hex(one / 'bInterfaceNumber') >= number]
+    data = [one for one in following if len(_bulk(one)) == 2]
     if not data:
         raise _refused(device.name, 'has no pair of bulk endpoints', 'give the name of its tty')
     return data[0]

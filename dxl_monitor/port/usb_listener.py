@@ -51,8 +51,8 @@ class UsbListener(Listener):
         self._place: Place | None = None           # None: a stream says itself what is there
 
     def problems(self) -> list[str]:
-        return [f'the kernel dropped {self.dropped} USB events: what is on the bus beside them '
-                'was too much; what is missing cannot be told from what was not said'] \
+        return [f'the kernel dropped {self.dropped} USB events: there is too much other traffic '
+                'on this USB bus; missing data looks like silence'] \
             if self.dropped else []
 
     def _listen_once(self) -> None:
@@ -66,7 +66,7 @@ class UsbListener(Listener):
             with socket.socket(socket.AF_UNIX) as stream:
                 stream.connect(name)
                 self._openings += 1
-                self._words = 'hears a stream of USB events'
+                self._words = 'listening to a stream of USB events'
                 self._say_open()
                 self._read(stream.fileno(), ())
         else:
@@ -81,7 +81,7 @@ class UsbListener(Listener):
             self._usb = UsbPort(place, target.adapter)
             self._openings += 1
             self.latency_timer_ms = target.latency_timer_ms
-            self._words = f'hears {target.words} through {path}'
+            self._words = f'listening to {target.words} through {path}'
             self._say_open()
             self._read(fd, (place.device, target.adapter.IDLE_SIZE, place.bulk_in | INPUT,
                             place.bulk_out))
@@ -99,8 +99,8 @@ class UsbListener(Listener):
             with ReaderProcess(fd, self.idle_s, gather_s, self._wake_read, usb) as process:
                 self._follow_process(process)
                 if not self._stopping:
-                    self._say_open(f'; its reader ended with {process.end()}, the next one reads '
-                                   'on')
+                    self._say_open(f'; the reader process ended with {process.end()}, a new one '
+                                   'continues')
 
     def _follow_process(self, process: ReaderProcess) -> None:
         self.reader_pid = process.pid
@@ -184,16 +184,16 @@ class UsbListener(Listener):
 
     def _gone(self) -> PortError:
         return PortError(self.port, Reason('lost', 'the adapter was unplugged',
-                                           'plug it in again; it is looked for'))
+                                           'plug it in again; it is then found by itself'))
 
 
 def _to_monotonic() -> int:
     """Return the ns from the wall-clock to the monotonic one, read without a pause between."""
     for _ in range(10):
-        before, wall, behind = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-        if behind - before < _AT_ONCE_NS:
+        before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        if after - before < _AT_ONCE_NS:
             break
-    return behind - wall
+    return after - wall
 
 
 def _is_socket(name: str) -> bool:

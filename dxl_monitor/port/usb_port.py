@@ -3,8 +3,8 @@
 """
 One serial port on USB: events of the bus become bytes with a side, and changes. Pure.
 
-Bytes to the line are told when the host handed them over, bytes from the line when they came to
-the host. Neither is the time on the wire: an adapter gathers what it receives.
+Bytes to the line are reported when the host handed them over, bytes from the line when they came
+to the host. Neither is the time on the wire: an adapter gathers what it receives.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ _FETCH = 3 << 30 | ctypes.sizeof(_Fetch) << 16 | 0x92 << 8 | 7
 def kept_of(events: bytes | mmap.mmap, at: int, device: int, endpoints: frozenset[int],
             idle: int) -> int:
     """
-    Return how many bytes behind the header at this place are wanted, -1 where it says nothing.
+    Return how many bytes after the header at this place are wanted, -1 where it says nothing.
 
     endpoints: with the bit of the direction. idle: bytes of a transfer without any of the line.
     """
@@ -79,7 +79,7 @@ class Ring:
         self._seen = 0             # events that were looked at and are to be let go
 
     def read(self) -> bytes:
-        """Return the events that concern the adapter, one behind the other; do not wait."""
+        """Return the events that concern the adapter, one after the other; do not wait."""
         found = []
         count = self._fetch()
         while count:

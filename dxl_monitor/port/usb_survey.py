@@ -3,8 +3,8 @@
 """
 Which serial ports there are in a stream of USB events, from what the events say. Pure.
 
-Best is what the devices tell when they are plugged in: descriptors (USB 2.0, 9.6). Without these
-the requests of the drivers tell, and at last the bytes: FTDI's status bytes, headers of servos.
+Best are the descriptors that devices send when they are plugged in (USB 2.0, 9.6). Without these
+the requests of the drivers count, and at last the bytes: FTDI's status bytes, headers of servos.
 """
 
 from __future__ import annotations
@@ -101,10 +101,10 @@ class _UsbDevice:
 
     def _pairs(self) -> list[tuple[_Endpoint, int]]:
         """Return the bulk endpoints that belong together: of one interface, or in order."""
-        told = self.endpoints or [_Endpoint(one, 0, 0, -1) for one in sorted(self.seen)]
+        ends = self.endpoints or [_Endpoint(one, 0, 0, -1) for one in sorted(self.seen)]
         pairs = []
-        for number in sorted({one.interface for one in told}):
-            mine = [one for one in told if one.interface == number]
+        for number in sorted({one.interface for one in ends}):
+            mine = [one for one in ends if one.interface == number]
             incoming = [one for one in mine if one.address & INPUT]
             outgoing = [one.address for one in mine if not one.address & INPUT]
             pairs += list(zip(incoming, outgoing, strict=False))
@@ -126,7 +126,7 @@ class _UsbDevice:
 
 
 class Survey:
-    """Give it all events; `ports` tells at any time what was found."""
+    """Give it all events; `ports` says at any time what was found."""
 
     def __init__(self) -> None:
         self._devices: dict[tuple[int, int], _UsbDevice] = {}

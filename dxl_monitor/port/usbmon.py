@@ -67,7 +67,7 @@ class UsbEvent(NamedTuple):
 
 def decode(packet: bytes, order: str = '<', header_size: int = HEADER_SIZE) -> UsbEvent | None:
     """
-    Return the event of a header and the data behind it, None for what is none.
+    Return the event of a header and the data after it, None for what is none.
 
     order: of the bytes, '<' or '>'. header_size: 64, or 48 in the older form.
     """
@@ -122,7 +122,7 @@ def _errno(status: int) -> int:
 
 class Records:
     """
-    Events behind each other without a frame around them, as /dev/usbmonN gives them.
+    Events in a row without a frame around them, as /dev/usbmonN gives them.
 
     Takes pieces of any size. What cannot be a header is skipped up to the next that can be one;
     `skipped` counts these bytes.

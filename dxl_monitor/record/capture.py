@@ -96,7 +96,7 @@ def chunk_line(stamp: int, bus: str, data: bytes, side: str = UNKNOWN) -> bytes:
 
 
 def _word(name: str) -> str:
-    """Spell the name of a bus without blanks; '-' stands for none."""
+    """Spell the name of a bus without blanks; '-' if it has none."""
     return '%2D' if name == '-' else quote(name, _PLAIN) or '-'
 
 
@@ -116,7 +116,7 @@ class Writer:
         self._put(chunk_line(stamp, wire.name, data, side))
 
     def change(self, wire: Wire, change: Change, stamp: int) -> None:
-        """Write what the source said beside bytes."""
+        """Write what the source reported besides bytes."""
         self._introduce(wire)
         self._put(f'({seconds(stamp)}) {_word(wire.name)} {change.what} {change.value}\n'.encode())
 
@@ -139,7 +139,7 @@ class Reader:
     """
     The chunks of a capture, from its lines. Other lines are left out and counted.
 
-    Several captures behind each other are one: where the clock began again (another boot), stamps
+    Several captures in a row are one: where the clock began again (another boot), stamps
     go on by the wall-clock. `began` is of the first header. `is_cut`: the last line has no end.
     """
 
@@ -186,10 +186,10 @@ class Reader:
         """Return what a person should know at the end, a line each."""
         found = []
         if self.bad_lines:
-            found.append(f'{self.bad_lines} lines are not lines of a capture and were left out, '
+            found.append(f'{self.bad_lines} lines do not belong in a capture and were left out, '
                          f'the first is line {self.first_bad_line}: {self.first_bad_text}')
         if self.is_cut:
-            found.append('the last line has no end; is the capture still written, or cut off?')
+            found.append('the last line has no end: the capture is cut off or still being written')
         return found
 
     def _name(self, word: bytes) -> str:
@@ -229,7 +229,7 @@ class Reader:
 
 
 def _content(words: list[bytes]) -> tuple[bytes, str, Change | None]:
-    """Return the bytes, the side and the change of a chunk's line, from what is behind its bus."""
+    """Return the bytes, the side and the change of a chunk's line, from what follows its bus."""
     if len(words) == 1:
         return bytes.fromhex(words[0].decode()), UNKNOWN, None
     name, value = (word.decode() for word in words)
@@ -278,11 +278,11 @@ def check_new(path: str | Path) -> None:
         status = os.stat(path)
         is_file = stat.S_ISREG(status.st_mode) and status.st_size > 0
         if is_file and not is_capture(path):
-            raise _refusal(path, 'is there and is not a capture')
+            raise _refusal(path, 'exists and is not a capture')
         if stat.S_ISDIR(status.st_mode):
             raise _refusal(path, 'is a directory')
         if stat.S_ISCHR(status.st_mode) and _is_port(path):
-            raise _refusal(path, 'is a port, and nothing must be sent to one')
+            raise _refusal(path, 'is a port, and this tool never sends')
     except FileNotFoundError:
         pass
     except OSError as error:
@@ -300,7 +300,7 @@ def open_new(path: str | Path, waits: bool = True) -> BinaryIO:
         return open(path, 'wb', opener=None if waits else _without_waiting)
     except OSError as error:
         if error.errno == errno.ENXIO:
-            raise _refusal(path, 'is a pipe without a reader') from error
+            raise _refusal(path, 'is a pipe that no program reads') from error
         raise _refusal(path, error.strerror or str(error)) from error
 
 

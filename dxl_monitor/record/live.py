@@ -78,7 +78,7 @@ class LivePort(Source):
         errors = self._listener.counters.line_errors
         lost = errors.buf_overrun + errors.overrun if errors is not None else 0
         return [text for count, text in (
-            (self._lost, f'{self._lost} bytes were not shown: the output was too slow'),
+            (self._lost, f'{self._lost} bytes are not shown: the output was too slow'),
             (lost, f'the driver lost bytes {lost} times (overrun)')) if count] \
             + self._listener.problems()
 

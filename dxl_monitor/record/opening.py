@@ -3,8 +3,8 @@
 """
 One function that opens any source by its name: a port, usb:, tap:, a file, or stdin.
 
-Files are told apart by content: captures, USB events (pcap, pcapng, usbmon), raw bytes. Text that
-is no capture is refused: no packet is text, and a program is given here by mistake.
+The content of a file decides what it is: captures, USB events (pcap, pcapng, usbmon), raw bytes.
+Text that is no capture is refused: no packet is text, and a program is given here by mistake.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def open_source(tool: str, name: str, baud: int | None, adapter: str | None = No
     """
     if name == '-':
         if sys.stdin.isatty():
-            raise UsageError('-: nothing comes from a terminal; pipe bytes or a capture into it')
+            raise UsageError('-: stdin is a terminal; pipe bytes or a capture into it')
         return _file(name, open(sys.stdin.fileno(), 'rb', closefd=False), baud, adapter, tool)
     if is_live(name) or _is_device(name):
         from dxl_monitor.record.live import LivePort  # needs fcntl, and files do not
@@ -63,7 +63,7 @@ def open_file(name: str, baud: int | None, adapter: str | None = None, *, tool: 
     """
     Return a capture, a file of USB events or a file of bytes as a source.
 
-    tool: who is told how it hears a program, where the file is one.
+    tool: the message for a program file says how this tool listens to a program.
     """
     return _file(name, open(name, 'rb'), baud, adapter, tool)
 
@@ -97,7 +97,7 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
     packed = next((kind for front, kind in _PACKED.items() if head.startswith(front)), None)
     if packed is not None:
         file.close()
-        raise UsageError(f'{name}: packed with {packed}; unpack it first')
+        raise UsageError(f'{name}: compressed with {packed}; unpack it first')
     if is_usb(head):
         return UsbFile(name, file, head, baud, adapter)
     if adapter is not None:
@@ -107,7 +107,7 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
         return CaptureFile(name, file, head, baud)
     if stat.S_ISREG(os.fstat(file.fileno()).st_mode) and is_text(head + file.peek()):
         file.close()
-        raise UsageError(f'{name}: is text, not a recording; {_instead(name, tool)}')
+        raise UsageError(f'{name}: a text file, not a recording; {_instead(name, tool)}')
     return RawFile(name, file, head, baud)
 
 
@@ -123,4 +123,4 @@ def is_text(begin: bytes) -> bool:
 def _instead(name: str, tool: str) -> str:
     if name.endswith('.py'):
         return f'write: {how_to_hear(tool, shlex.join(["python", name]))}'
-    return f'give a pcap file, raw bytes or a capture (begins with {MAGIC.decode().strip()!r})'
+    return f'give a pcap file, raw bytes or a capture (it begins with {MAGIC.decode().strip()!r})'

@@ -58,7 +58,7 @@ def is_pcap(head: bytes) -> bool:
 
 
 class PcapReader:
-    """The packets of a file; `problem` tells at the end why it was not read to its end."""
+    """The packets of a file; `problem` says at the end why it was not read to its end."""
 
     def __init__(self, file: _Reads) -> None:
         self.problem = ''
@@ -83,7 +83,7 @@ class PcapReader:
         self._order = '<' if int.from_bytes(magic, 'little') in _PCAP_MAGIC else '>'
         unit = _PCAP_MAGIC.get(struct.unpack(self._order + 'I', magic)[0])
         if unit is None:
-            raise _Damaged('no pcap file')
+            raise _Damaged('not a pcap file')
         *_, link = struct.unpack(self._order + 'HHiIII', self._exactly(20, 'its header'))
         link &= 0xFFFF             # above: length of a checksum
         head = struct.Struct(self._order + 'IIII')
@@ -135,7 +135,7 @@ class PcapReader:
 
     def _interface(self, body: bytes) -> None:
         if len(body) < 8 or len(self._interfaces) >= INTERFACES_LIMIT:
-            raise _Damaged('an interface that is none: damaged')
+            raise _Damaged('a description of an interface that makes no sense: damaged')
         link, _, snap_length = struct.unpack_from(self._order + 'HHI', body)
         units, offset_s = 1_000_000, 0
         for code, value in self._options(body[8:]):
@@ -188,11 +188,11 @@ class PcapReader:
             data += more
             self.position += len(more)
         if data and len(data) < size:
-            raise _Damaged(f'it ends within {what}: cut off, or still written')
+            raise _Damaged(f'it ends within {what}: cut off, or still being written')
         return data
 
     def _exactly(self, size: int, what: str) -> bytes:
         data = self._some(size, what) if size else b''
         if len(data) < size:
-            raise _Damaged(f'it ends before {what}: cut off, or still written')
+            raise _Damaged(f'it ends before {what}: cut off, or still being written')
         return data

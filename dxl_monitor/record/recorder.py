@@ -41,7 +41,7 @@ class Recorder:
     Records to `path`; a file of `size` bytes becomes `path`.1, that one `path`.2, up to `kept`.
 
     A capture that is there already is moved on likewise. Raises ParameterError when the file
-    cannot be made. `problem` tells why it stopped, '' while it records.
+    cannot be made. `problem` says why it stopped, '' while it records.
     """
 
     def __init__(self, path: str, size: int, kept: int,
@@ -77,7 +77,7 @@ class Recorder:
         self._keep(wire, Chunk(stamp, wire.name, data, side))
 
     def change(self, wire: Wire, change: Change, stamp: int) -> None:
-        """Record what the source said beside bytes; as take."""
+        """Record what the source reported besides bytes; as take."""
         self._keep(wire, Chunk(stamp, wire.name, change=change))
 
     def _keep(self, wire: Wire, chunk: Chunk) -> None:
@@ -99,7 +99,8 @@ class Recorder:
             size = self._writer.size
             self._thread.join(STOP_S)
         if self._thread.is_alive():
-            self.problem = f'capture stopped: {self.path}: takes nothing; what waited is lost'
+            self.problem = (f'capture stopped: {self.path}: no data could be written; what was '
+                            'not written yet is lost')
 
     def _run(self) -> None:
         try:
@@ -108,8 +109,8 @@ class Recorder:
             self._write()
         except (OSError, ParameterError) as error:
             reason = error.strerror if isinstance(error, OSError) else None
-            self.problem = (f'capture stopped: {self.path}: {reason or error}; '
-                            'make room and start the node again')
+            self.problem = (f'capture stopped: {self.path}: {reason or error}; make room and '
+                            'restart the node')
         with suppress(OSError):     # what could not be written before
             self._file.close()
 
@@ -129,8 +130,8 @@ class Recorder:
                 self._file = open_new(self.path, waits=False)
                 self._writer = Writer(self._file, self._now())
         if gap is not None:
-            self._writer.remark(f'gap: the disk was too slow from {seconds(gap)} on, '
-                                f'{self.left_out} bytes left out so far')
+            self._writer.remark(f'gap: the disk is too slow since {seconds(gap)}, {self.left_out} '
+                                'bytes left out so far')
         self._file.flush()
 
     def _make_room(self) -> None:

@@ -51,7 +51,7 @@ class Source:
         return self.wires.get(bus) or Wire(bus, DEFAULT_BAUD)
 
     def position(self) -> int:
-        """Return how many bytes of `total` are behind us."""
+        """Return how many bytes of `total` were read."""
         return 0
 
     def problems(self) -> list[str]:

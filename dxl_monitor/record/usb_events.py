@@ -3,7 +3,7 @@
 """
 The USB events of a file: pcap or pcapng of usbmon or USBPcap, or what /dev/usbmonN gave.
 
-Problems are told in words at the end; what is readable is used.
+Problems are given in words at the end; what is readable is used.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def may_be_usb(head: bytes) -> bool:
 
 
 class UsbEvents:
-    """The events of an open file, from where it stands on."""
+    """The events of an open file, from its position on."""
 
     def __init__(self, file: BinaryIO, head: bytes) -> None:
         """Begin; head: the first bytes of the file, which were not yet taken from it."""
@@ -67,7 +67,7 @@ class UsbEvents:
         if reader.problem:
             self.problems.append(reader.problem)
         if bad:
-            self.problems.append(f'{bad} packets are no events of USB and were left out')
+            self.problems.append(f'{bad} packets are not USB events and were left out')
         for link, count in others.items():
             self.problems.append(f'{count} packets of link type {link} were left out; usbmon has '
                                  '189 and 220, USBPcap 249')
@@ -77,9 +77,9 @@ class UsbEvents:
         while piece := self._file.read(READ_SIZE):
             yield from records.events(piece)
         if records.skipped:
-            self.problems.append(f'{records.skipped} bytes are no events of USB and were left out')
+            self.problems.append(f'{records.skipped} bytes are not USB events and were left out')
         if records.pending:
-            self.problems.append('it ends within an event: cut off, or still written')
+            self.problems.append('it ends within an event: cut off, or still being written')
 
 
 def _event(packet: CapturedPacket) -> UsbEvent | None:

@@ -97,10 +97,10 @@ def _chosen(name: str, ports: list[Found], adapter: str | None, problems: list[s
     if len(used) == 1 and (named or adapter is None):
         return used[0]
     if not ports:
-        beside = ''.join(f' ({problem})' for problem in problems[:1])
-        raise UsageError(f'{name}: no serial adapter is in it{beside}; was the right bus '
-                         'recorded, from before the port was used?')
+        reason = ''.join(f' ({problem})' for problem in problems[:1])
+        raise UsageError(f'{name}: no serial adapter found in it{reason}; record the right USB '
+                         'bus, and start before the port is used')
     known = '; '.join(one.words for one in used)
-    problem = f'--adapter {adapter}: is not in it' if adapter else 'several adapters are in it'
+    problem = f'no adapter {adapter} in it' if adapter else 'several adapters in it'
     raise UsageError(f'{name}: {problem}: {known}; choose with --adapter '
                      f'{used[0].place.words}')

@@ -107,7 +107,7 @@ def _run(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     if options.speed and not SLOWEST <= options.speed < float('inf'):
         raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '
-                         'timing, 0 for as fast as it is read')
+                         'timing, 0 for the speed of the reader')
     if options.baud is not None and not 1 <= options.baud <= BAUD_LIMIT:
         raise UsageError(f'--baud {options.baud}: not possible; give 1 to {BAUD_LIMIT}')
     wires = _wires(options)
@@ -125,7 +125,7 @@ def _run(arguments: list[str]) -> int:
 
 def _play(options: argparse.Namespace, wires: dict[str, Wire], outlets: dict[str, Pty]) -> None:
     for name, outlet in outlets.items():
-        rate = f'{wires[name].baud} baud' if wires[name].baud else 'at the rate it was used with'
+        rate = f'{wires[name].baud} baud' if wires[name].baud else 'at the recorded rate'
         print(f'{outlet.link or outlet.path} is {printable(name)}, {rate}')
     print('waiting for a reader', flush=True)
     player = Player(outlets, options.speed)
@@ -163,7 +163,8 @@ def _wires(options: argparse.Namespace) -> dict[str, Wire]:
     if stat.S_ISDIR(mode):
         raise UsageError(f'{options.capture}: a directory; give a capture')
     if not stat.S_ISREG(mode):
-        raise UsageError(f'{options.capture}: no file; it is read more than once: give a file')
+        raise UsageError(f'{options.capture}: not a file, and a capture is read more than once; '
+                         'give a file')
     source = open_file(options.capture, options.baud, options.adapter, tool='dxl_replay')
     wires = dict(source.wires)
     source.close()
@@ -179,38 +180,39 @@ def _wires(options: argparse.Namespace) -> dict[str, Wire]:
                              f'{", ".join(wires)}')
         return {options.bus: wires[options.bus]}
     if not wires:
-        raise UsageError(f'{options.capture}: nothing was recorded; give another capture')
+        raise UsageError(f'{options.capture}: it holds no bytes; give another capture')
     return wires
 
 
 def _link(link: str | None, bus: str, count: int) -> str | None:
-    """Return the link of a bus: the one given, with the bus behind it where there are several."""
+    """Return the link of a bus: the given one, plus the name of the bus if there are several."""
     return link if link is None or count == 1 else f'{link}_{quote(bus, "")}'
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='dxl_replay', formatter_class=argparse.RawDescriptionHelpFormatter,
-        description='Plays a capture (or a file of raw bytes) into a pty, as it was on the bus.',
+        description='Plays a capture (or a file of raw bytes) into a pty, with the timing that it '
+                    'had on the bus.',
         epilog="""examples:
   dxl_replay bus.txt --link /tmp/bus
   ros2 run mecarover_serial dxl_monitor --ros-args -p ports:=/tmp/bus
 
-  dxl_replay bus.txt --link /tmp/bus --loop        for as long as you like
-  dxl_replay bus.txt --speed 0 --link /tmp/bus     as fast as it is read""")
+  dxl_replay bus.txt --link /tmp/bus --loop        again and again, until Ctrl-C
+  dxl_replay bus.txt --speed 0 --link /tmp/bus     as fast as the reader takes it""")
     add = parser.add_argument
-    add('capture', metavar='CAPTURE', help='made by dxl_dump -w, or by the monitor')
+    add('capture', metavar='CAPTURE', help='a file written by dxl_dump -w or by dxl_monitor')
     add('--link', metavar='PATH', help='make this symlink to the pty; with several buses '
         'PATH_BUS for each')
     add('--speed', type=float, default=1.0, metavar='X',
-        help='times the original speed, 0: as fast as it is read (default 1)')
-    add('--loop', action='store_true', help='begin again at the end')
-    add('--stay', action='store_true', help='keep the pty at the end, until Ctrl-C')
+        help='times the original speed, 0: as fast as the reader takes it (default 1)')
+    add('--loop', action='store_true', help='start again at the end')
+    add('--stay', action='store_true', help='keep the pty open after the end, until Ctrl-C')
     add('--bus', metavar='NAME', help='play this bus only')
-    add('--side', choices=(OUT, IN), help='play only what the master said (out), or what it heard '
-        '(in), where the capture tells them apart')
-    add('--adapter', metavar='BUS.DEVICE', help='which one, where a pcap file holds several')
-    add('-b', '--baud', type=int, help='of raw bytes (default 2000000)')
+    add('--side', choices=(OUT, IN), help='play only what the master sent (out) or received (in), '
+        'if the capture knows the direction')
+    add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
+    add('-b', '--baud', type=int, help='baud rate of raw bytes (default 2000000)')
     return parser
 
 

@@ -29,11 +29,11 @@ from dxl_monitor.port.tap_sender import TAP_NAME
 COULD_NOT_RUN = 1
 HANDED_ON = ('SIGTERM', 'SIGHUP', 'SIGQUIT', 'SIGUSR1', 'SIGUSR2')
 EXAMPLES = """examples:
-  dxl_tap arm -- python my_script.py            dynamixel-sdk, pypot, any that uses pyserial
+  dxl_tap arm -- python my_script.py            dynamixel-sdk, pypot, all programs with pyserial
   dxl_tap arm -- lerobot-teleoperate ...        LeRobot; one name for all of its ports
-then, or before, in another terminal:
+in another terminal, before or after:
   dxl_dump tap:arm
-  dxl_dump tap:arm/ttyUSB1                      one port of several"""
+  dxl_dump tap:arm/ttyUSB1                      one of several ports"""
 
 
 def main() -> int:
@@ -45,14 +45,14 @@ def main() -> int:
         parser.error(problem)
     command = options.command[1:] if options.command[:1] == ['--'] else options.command
     if not command:
-        parser.error('COMMAND: none given; write dxl_tap NAME -- python my_script.py')
+        parser.error('COMMAND: not given; write dxl_tap NAME -- python my_script.py')
     mark, path = tempfile.mkstemp(prefix='dxl_tap_')
     os.close(mark)
     try:
         code = _follow(subprocess.Popen(command, env=environment(options.name, path)))
         if not os.path.getsize(path):
             print(f'dxl_tap: {command[0]} opened no port through pyserial, so nothing was heard; '
-                  'a program of another kind is heard with usb:/dev/ttyUSB0', file=sys.stderr)
+                  'listen to a program without pyserial at usb:/dev/ttyUSB0', file=sys.stderr)
         return code
     except OSError as error:
         print(f'dxl_tap: {command[0]}: {error.strerror}; {remedy(command)}', file=sys.stderr)
@@ -66,8 +66,8 @@ def environment(name: str, mark: str = '') -> dict[str, str]:
     paths = [str(Path(SITE).parent)]
     if os.environ.get('PYTHONPATH'):
         paths.append(os.environ['PYTHONPATH'])
-    told = {TAP_NAME: name, 'PYTHONPATH': os.pathsep.join(paths)}
-    return {**os.environ, **told, **({TAP_MARK: mark} if mark else {})}
+    added = {TAP_NAME: name, 'PYTHONPATH': os.pathsep.join(paths)}
+    return {**os.environ, **added, **({TAP_MARK: mark} if mark else {})}
 
 
 def hand_signals_on(child: subprocess.Popen[bytes]) -> None:
@@ -104,11 +104,12 @@ def remedy(command: Sequence[str]) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='dxl_tap', formatter_class=argparse.RawDescriptionHelpFormatter, epilog=EXAMPLES,
-        description='Runs a Python program and lets others hear what it says through pyserial. '
-        'The program is not changed and never waits for who listens.')
-    parser.add_argument('name', metavar='NAME', help='how others call it: tap:NAME')
+        description='Runs a Python program and lets other programs listen to what it sends and '
+                    'receives through pyserial. The program is not changed and never waits for a '
+                    'listener.')
+    parser.add_argument('name', metavar='NAME', help='name for the listeners: tap:NAME')
     parser.add_argument('command', metavar='COMMAND', nargs=argparse.REMAINDER,
-                        help='the program and its arguments, behind --')
+                        help='the program and its arguments, after --')
     return parser
 
 

@@ -31,7 +31,7 @@ export class Beside {
 
   close() { this.plot.close(); }
 
-  /** groups carry the alerts that stand beside: a finding that says the same is left out. */
+  /** groups are the alerts shown in the same view: a finding with the same text is left out. */
   update(store, groups) {
     const state = bridgeState(store);
     this.bridge.hidden = state === null;

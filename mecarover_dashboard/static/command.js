@@ -40,9 +40,9 @@ export class Command {
   }
 }
 
-/** A word for what the rover is told, and why nothing reaches it; '' if all does. */
+/** A word for the state of the command, and why it does not reach the rover; '' if it does. */
 function said(link, commands) {
-  if (isQuiet(link)) return ['no report', 'The bridge reports nothing: the values are old.'];
+  if (isQuiet(link)) return ['no report', 'The bridge is not responding: these values are old.'];
   if (stateOf(link) === 'error') return ['not sent', link.message];
   return [valueOf(commands, 'State') ?? 'unknown', ''];
 }

@@ -35,15 +35,15 @@ export class DeviceView {
     this.badge = h('p', {class: 'badge'}, icon('stale'), h('span'));
     this.about = h('p', {class: 'about'});
     this.message = h('p', {class: 'message'});
-    this.before = h('a', {class: 'button', ariaLabel: 'Device before'}, '\u2039');
-    this.after = h('a', {class: 'button', ariaLabel: 'Device after'}, '\u203a');
+    this.before = h('a', {class: 'button', ariaLabel: 'Previous device'}, '\u2039');
+    this.after = h('a', {class: 'button', ariaLabel: 'Next device'}, '\u203a');
     this.findings = h('ul', {class: 'findings'});
     this.latency = h('button', {type: 'button', class: 'button',
       onclick: () => this.#choose(LATENCY)}, LATENCY);
     this.plot = new Plot('Plot', 60, this.latency,
-      h('span', {class: 'quiet hint'}, 'or press any number; drag to zoom'));
+      h('span', {class: 'quiet hint'}, 'or click any number; drag to zoom'));
     this.errors = new ErrorList('Error history',
-      {empty: 'None among the last 50 of this bus.', ofOne: true});
+      {empty: 'None in the last 50 errors of this bus.', ofOne: true});
     this.siblings = h('ul', {class: 'siblings'});
     this.past = new Past(name);
     this.element = this.#lay();
@@ -122,7 +122,7 @@ export class DeviceView {
     this.message.hidden = !this.message.textContent;
     say(this.heading, device ? deviceName(device) : this.name);
     say(this.about, device ? aboutOf(device)
-      : 'No node reports this device. It is shown as soon as one does.');
+      : 'No node reports this device. It appears here as soon as a node does.');
     for (const [link, by] of [[this.before, -1], [this.after, 1]]) {
       const to = this.step(by);
       set(link, 'href', to);

@@ -36,7 +36,7 @@ export class Devices {
       ...Object.keys(FORMS).map((form) => this.#form(form)));
     this.pause = new Pause('Devices', () => this.update(this.store, true));
     this.empty = h('div', {class: 'empty'});
-    this.none = h('p', {class: 'empty'}, 'No device fits.');
+    this.none = h('p', {class: 'empty'}, 'No device matches.');
     this.lists = h('div');
     this.element = h('div', {}, this.crumbs,
       h('div', {class: 'head'}, this.heading, this.search, this.chips, this.forms,

@@ -39,7 +39,7 @@ export function svg(tag, attributes = {}, ...children) {
   return element;
 }
 
-/** An icon of the sprite in index.html; the text beside it says the same in words. */
+/** An icon of the sprite in index.html; the text next to it says the same. */
 export function icon(name) {
   return svg('svg', {class: 'icon', 'aria-hidden': 'true'}, svg('use', {href: `#i-${name}`}));
 }

@@ -164,7 +164,7 @@ function drawLine(pen, points, at, {colour, dash}, view) {
   pen.setLineDash([]);
 }
 
-/** Draw what is not interrupted; return the last point, null behind a gap. */
+/** Draw what is not interrupted; return the last point, null after a gap. */
 function strokeLine(pen, points, at, gap) {
   let before = null;
   pen.beginPath();

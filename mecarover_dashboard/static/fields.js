@@ -52,7 +52,7 @@ export class Fields {
     const shown = fields.filter((field) => fits(`${field.key} ${field.value}`)
       && (!this.onlyMoving || field.changed));
     const unseen = table?.facts.find(([key]) => key === 'Fields not observed')?.[1];
-    const more = unseen && unseen !== '0' ? `, ${unseen} never seen` : '';
+    const more = unseen && unseen !== '0' ? `, ${unseen} never observed` : '';
     say(this.count, fields.length ? `${fields.length} observed${more}` : '');
     this.#tell(shown.length);
     each(this.rows, shown, (field) => field.key, (field) => this.#make(field.key),
@@ -67,8 +67,8 @@ export class Fields {
     this.none.hidden = count > 0;
     set(this.none, 'data-state', isSaid ? 'warn' : 'stale');
     this.none.firstChild.style.display = isSaid ? '' : 'none';
-    say(this.none.lastChild, !this.table ? 'Waiting for its table.'
-      : this.table.fields.length ? 'No field fits.'
+    say(this.none.lastChild, !this.table ? 'Waiting for its control table.'
+      : this.table.fields.length ? 'No field matches.'
         : isSaid ? this.device.message
           : 'No field observed yet: the master has not read this device.');
   }

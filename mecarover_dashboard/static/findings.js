@@ -25,7 +25,7 @@ export class FindingList {
 
   /**
    * List the findings of buses and their devices, errors first; return how many.
-   * isSaid(text, device) leaves out what stands elsewhere in the view.
+   * isSaid(text, device) leaves out what the view shows elsewhere.
    */
   update(groups, store, isSaid = () => false) {
     const found = groups.flatMap(({row, devices}) => [

@@ -114,7 +114,7 @@ export class LogView {
     this.findings.update([group], store);
     const doubts = row?.doubts ?? [];
     this.untold.hidden = !doubts.length;
-    say(this.untold.firstChild, `${doubts.length} cannot be told yet`);
+    say(this.untold.firstChild, `${doubts.length} not known yet`);
     each(this.doubts, doubts, ([rule]) => rule, () => makeFinding('stale', null),
       (item, [rule, text]) => showFinding(item, [rule, text, 'stale']));
     this.errors.update(errorsOf([group], store));

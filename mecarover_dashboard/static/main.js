@@ -103,7 +103,7 @@ function showTitle(lost, bridge) {
 function announce(text) {
   const key = text.replace(/\d+ s\b/g, '');
   if (key !== announce.last && announce.last !== undefined) {
-    say(at('said'), text || 'Nothing is lost any more');
+    say(at('said'), text || 'All connections are back');
   }
   announce.last = key;
 }
@@ -117,17 +117,17 @@ function pip(name, state) {
 function showFacts(facts) {
   say(at('machine'), facts.machine);
   const open = facts.open
-    ? `Open to the network: everybody who reaches ${facts.address} can read this page. ` : '';
+    ? `Open to the network: everybody who can reach ${facts.address} can read this page. ` : '';
   say(at('foot-text'), `${open}Read-only. ROS domain ${facts.domain}. Press ? for keys.`);
   set(at('foot'), 'data-open', facts.open);
 }
 
-/** What could not be shown is told where everything else is. */
+/** Say at the end of the page what could not be shown. */
 function showRefused() {
   const {refused, malformed} = store;
   at('refused').hidden = !refused && !malformed;
   const lines = [refused && `${plural(refused, 'status').replace('statuss', 'statuses')} `
-    + 'refused: more or longer than this page can keep.',
+    + 'left out: too many or too long for this page.',
   malformed && `${plural(malformed, 'message')} could not be read.`].filter(Boolean);
   say(at('refused'), lines.join(' ').replace(/^\d+/, (text) => figure(Number(text), 9)));
 }
@@ -141,7 +141,7 @@ function showConnection(isLive, seconds, why) {
   say(text, isLive ? 'live' : 'lost');
   set(document.documentElement, 'data-lost', !isLive);
   at('banner').hidden = isLive;
-  const words = store.facts ? 'What you see is old' : 'Nothing was received yet';
+  const words = store.facts ? 'These values are old' : 'No data received yet';
   const next = isLive ? ''
     : `${why || 'No connection to the dashboard.'} ${words}; trying again.`;
   if (next !== lostText) at('banner').textContent = lostText = next;

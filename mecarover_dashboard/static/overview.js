@@ -1,7 +1,7 @@
 // Copyright 2026 The mecarover_serial authors
 // SPDX-License-Identifier: Apache-2.0
-// View 1: a bar that tells the worst for the bridge and each bus, a cell per device, what needs a
-// look, a tile per model.
+// View 1: a bar with the worst state of the bridge and of each bus, a cell per device, the devices
+// with a problem, a tile per model.
 
 import {Beside} from './beside.js';
 import {each, h, icon, say, set, setIcon} from './dom.js';
@@ -57,7 +57,7 @@ function showBridge(element, {state, text}) {
 }
 
 function makeBus(group) {
-  const pause = new Pause('Who needs a look', () => showAlerts(element));
+  const pause = new Pause('Devices with a problem', () => showAlerts(element));
   const element = h('section', {class: 'bus'}, makeBar(path('devices', group.key)),
     h('div', {class: 'strip', 'aria-hidden': 'true'}),
     h('ul', {class: 'alerts'}, h('li', {}, pause.element)),
@@ -108,7 +108,7 @@ function updateCell(cell, device) {
   say(cell, String(device.id));
 }
 
-/** Who needs a look: [{key, state, names, message, href}]; devices that say the same share one. */
+/** Devices with a problem: [{key, state, names, message, href}]; equal messages share one. */
 function alertsOf(group) {
   const found = new Map();
   for (const device of group.devices.filter((one) => stateOf(one) !== 'ok').sort(byUrgency)) {
@@ -122,7 +122,7 @@ function alertsOf(group) {
   const hidden = all.slice(MOST_ALERTS - 1);
   const count = hidden.flatMap(({devices}) => devices).length;
   return [...all.slice(0, MOST_ALERTS - 1).map((alert) => alertOf(group, alert)),
-    {state: worst(hidden.map(({state}) => state)), message: 'see all devices', key: '',
+    {state: worst(hidden.map(({state}) => state)), message: 'show all devices', key: '',
       names: `${count} more`, href: path('devices', group.key)}];
 }
 

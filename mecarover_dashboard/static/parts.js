@@ -13,9 +13,9 @@ export function fillEmpty(element, store, wanted = 'dxl/diagnostics') {
   const publishers = store.publishers[wanted] ?? 0;
   const domain = store.facts?.domain ?? '?';
   const isLooking = !publishers && !heard && store.isNew;
-  const words = publishers ? `${plural(publishers, 'publisher')} of ${wanted}, no message yet.`
+  const words = publishers ? `${plural(publishers, 'publisher')} of ${wanted}, but no message yet.`
     : isLooking ? `Looking for ${wanted} in ROS domain ${domain}\u2026`
-      : heard ? `Nothing on ${wanted} yet.`
+      : heard ? `No message on ${wanted} yet.`
         : `There is no publisher of ${wanted} in ROS domain ${domain}.`;
   const command = wanted.startsWith('vel2d') ? 'vel2d_bridge' : 'dxl_monitor';
   each(element, [words], (text) => text, (text) => h('div', {},
@@ -32,7 +32,7 @@ export function showCrumbs(element, links) {
 
 /** What the columns of `showMetrics` are. */
 export const metricsHead = () => h('thead', {}, h('tr', {},
-  ...['last 10 s', ...COLUMNS, 'max ever'].map((text) => h('th', {scope: 'col'}, text)),
+  ...['last 10 s', ...COLUMNS, 'max since start'].map((text) => h('th', {scope: 'col'}, text)),
   h('th', {scope: 'col'}, h('span', {class: 'unseen'}, 'unit'))));
 
 /** A table of timing metrics; pressing a name plots it. */

@@ -74,7 +74,7 @@ export class Past {
   #typed() {
     const [from, to] = [this.begin, this.end].map(({value}) => new Date(value).getTime() / 1000);
     if (to - from >= LEAST_S) this.#choose(from, to);
-    else say(this.problem, 'It ends less than a minute after it begins: choose a later end.');
+    else say(this.problem, 'The time shown must be at least a minute: choose a later end.');
   }
 
   #only(kind) {
@@ -167,9 +167,11 @@ export class Past {
     const shown = (this.shown ?? []).filter(fits).map((event, index) => ({event, index}));
     const lines = shown.length ? shown : [{event: null, index: 'none'}];
     each(this.events, lines, ({index}) => index,
-      ({event}) => event ? makeEvent() : h('li', {class: 'quiet'}, 'Nothing happened.'),
+      ({event}) => event ? makeEvent() : h('li', {class: 'quiet'}, 'No events.'),
       (item, {event}) => { if (event) this.#showEvent(item, event); });
-    if (this.isCut) say(this.problem, `The newest ${plural(this.shown.length, 'event')} of more.`);
+    if (this.isCut) {
+      say(this.problem, `Only the newest ${plural(this.shown.length, 'event')} are shown.`);
+    }
   }
 
   #showEvent(item, [at, name, , kind, level, text]) {
@@ -182,7 +184,7 @@ export class Past {
     set(link, 'href', isDevice ? path('device', name) : path('history', name));
     link.hidden = name === this.of;
     say(link, name.replace(/^.*?: /, ''));
-    say(words, kind === 'over' ? `over: ${text}` : text);
+    say(words, kind === 'over' ? `cleared: ${text}` : text);
   }
 }
 
@@ -226,7 +228,7 @@ function showLevels(element, runs, [from, to]) {
       part.style.left = `${share(begin)}%`;
       part.style.width = `${share(end) - share(begin)}%`;
     });
-  const told = runs.filter(([, , level]) => level > 0).map(([begin, end, level]) =>
+  const bad = runs.filter(([, , level]) => level > 0).map(([begin, end, level]) =>
     `${LEVELS[level]} from ${clock(begin)} to ${clock(end)}`);
-  set(element, 'aria-label', `State: ${told.slice(0, 5).join(', ') || 'all well'}`);
+  set(element, 'aria-label', `State: ${bad.slice(0, 5).join(', ') || 'ok all the time'}`);
 }

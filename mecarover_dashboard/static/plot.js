@@ -9,7 +9,7 @@ import {each, h, say, set} from './dom.js';
 
 const SPANS = [[10, '10 s'], [60, '1 min'], [300, '5 min']];
 const LEAST_DRAG = 12;         // px; less is a touch
-const CALM_S = 0.45;           // so long a plot stands still, and longer where a px is longer
+const CALM_S = 0.45;           // least time between two moves of the plot
 const STEPS = 300;             // in which a plot moves from one edge to the other
 
 export class Plot {
@@ -178,7 +178,7 @@ export class Plot {
   }
 }
 
-/** What tells one series from another: its name, and whether it has a point. */
+/** What makes two series differ: the name, and whether there is a point. */
 const nameOf = ({name, points}) => `${name} ${points.length > 0}`;
 
 function written({value, unit}) {

@@ -25,7 +25,7 @@ export class Robots {
 const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
 const nameOf = (robot) => robot || 'no namespace';
 
-/** What stands on the card of a robot: [state, text] of its bridge and each of its buses. */
+/** The text on the card of a robot: [state, text] of its bridge and each of its buses. */
 export function robotOf(store, name) {
   store.show(name);
   const groups = store.groups();

@@ -253,5 +253,5 @@ function headline(group, now) {
   if (notes.length === 1) return `${deviceName(notes[0])}: ${isolate(notes[0].message)}`;
   if (row && (row.level > 0 || notes.length)) return isolate(row.message);
   return devices.length ? `All ${plural(devices.length, 'device')} connected`
-    : 'No device heard yet';
+    : 'No device found yet';
 }

@@ -33,7 +33,7 @@ const CALM_S = 0.95;
 const NONE = ['', '', '', ''];
 const TITLES = {...Object.fromEntries(FIGURES.map(({name, title}) => [name, title])),
   temperature: 'Temperature (\u00b0C)', voltage: 'Voltage (V)',
-  load: 'Load, or current: what the model has'};
+  load: 'Load, or current, whichever the model has'};
 
 export class DeviceTable {
   #by = 'state';

@@ -1,3 +1,3 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""What stands in front of the path of a tapped program: a sitecustomize, and nothing else."""
+"""The first folder on the path of a tapped program: a sitecustomize, and nothing else."""

@@ -35,7 +35,7 @@ def _begin() -> None:
 
 
 def _run_the_other() -> None:
-    """Run the sitecustomize behind this one; a mistake of it is told as Python tells it."""
+    """Run the next sitecustomize on the path; an error in it is shown as Python shows it."""
     others = [path for path in sys.path if os.path.abspath(path or '.') != _HERE]
     spec = importlib.machinery.PathFinder.find_spec('sitecustomize', others)
     if spec is not None and spec.loader is not None:
