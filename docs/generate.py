@@ -260,7 +260,8 @@ def _bridge() -> tuple[list[str], list[str]]:
     commands = Commands('/cmd_vel', Choice('twist', True), 0.5, (), None, 0, None)
     statuses = (link_status('vel2d_bridge', 'port', link.state(), (), McuLog(), 0),
                 commands_status('vel2d_bridge', 'port', link.state(), Counters(), commands))
-    keys = [[key for key, _ in status.values] for status in statuses]
+    keys = [[key for key, _ in status.values if not key.startswith('Complaint ')]
+            for status in statuses]
     return keys[0], keys[1]
 
 

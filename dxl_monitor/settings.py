@@ -60,7 +60,7 @@ PARAMETERS = (
 
 
 class Bus(NamedTuple):
-    """One bus: `name` identifies it, `label` is part of status names ('' if it is the only one)."""
+    """One bus: `name` identifies it, `label` is part of status names, '' for the only one."""
 
     name: str
     label: str
