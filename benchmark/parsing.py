@@ -25,7 +25,7 @@ from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from msg_defs.dxl_packet import Framer
-from msg_defs.dxl_packet import STATUS
+from msg_defs.frame import IS_STATUS
 from rigs.harness import Figure
 from rigs.harness import interleaved
 from rigs.harness import Options
@@ -148,6 +148,6 @@ def _packet_count(data: bytes) -> int:
 def _statuses(data: bytes) -> list[bytes]:
     """Return the whole statuses that the client could take: not repaired, no fast replies."""
     framer = Framer()
-    return [data[end - len(body) - 6:end] for end, body, flaw in framer.frames(data)
-            if body[3:4] == bytes((STATUS,)) and body[0] <= 252
+    return [data[begin:end] for begin, end, kind, number, _, _, flaw in framer.frames(data)
+            if kind == IS_STATUS and number <= 252
             and (flaw is None or not (flaw.reason or flaw.repaired))]

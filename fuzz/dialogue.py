@@ -9,7 +9,7 @@ from dxl_monitor.monitor import Monitor
 from fuzz.framer import pieces
 from fuzz.reference import Said
 from fuzz.script import Script
-from msg_defs.dxl_packet import STATUS
+from msg_defs.frame import IS_STATUS
 from msg_defs.heard import IN
 from msg_defs.heard import OUT
 from msg_defs.heard import UNKNOWN
@@ -32,10 +32,10 @@ class Watched(Conversation):
         self.meant = {}
 
     def take(self, frames, stamp, received, side=UNKNOWN):
-        for end, body, flaw in frames:
+        for _, end, kind, _, _, _, flaw in frames:
             assert flaw is None or flaw.reason in ('', OPEN), 'nothing was damaged'
             self.meant[side, end] = OPEN if flaw is not None and flaw.reason else (
-                ANSWER if body[3] == STATUS else INSTRUCTION)
+                ANSWER if kind == IS_STATUS else INSTRUCTION)
         super().take(frames, stamp, received, side)
 
 

@@ -7,10 +7,11 @@ from fuzz.script import Script
 from fuzz.script import traffic
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
-from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import MAX_FRAME
 from msg_defs.dxl_packet import packet_of
 from msg_defs.dxl_packet import STATUS
+from msg_defs.frame import is_good
+from msg_defs.frame import IS_STATUS
 
 GOOD = encode(1, STATUS, b'good', 0)
 NOISE_KEPT = 256
@@ -36,11 +37,11 @@ class Watched(Framer):
 
     def _keep_good(self, frames):
         for frame in frames:
-            end, body, flaw = frame
-            if flaw is None or not flaw.reason:
+            if is_good(frame):
+                begin, end = frame[:2]
                 assert self._last < end, 'frames overlap'
                 self.good.append(frame)
-                self.accounted += end - max(self._last, end - len(body) - 6)
+                self.accounted += end - max(self._last, begin)
                 self._last = end
         return frames
 
@@ -73,9 +74,9 @@ def feed(chunks, sent):
     for chunk in [*chunks, None]:
         frames = framer.flush_frames() if chunk is None else framer.frames(chunk)
         total += len(chunk or b'')
-        damaged += [frame for frame in frames if frame[2] is not None and frame[2].reason]
+        damaged += [frame for frame in frames if not is_good(frame)]
         packets, noise = sent.found(total, chunk is None)
-        assert [as_found(frame) for frame in framer.good] == packets
+        assert [as_said(frame) for frame in framer.good] == [as_sent(one) for one in packets]
         assert framer.noise_bytes == len(noise)
         assert framer.noise == noise[-NOISE_KEPT:]
         assert framer.bytes == total == framer.accounted + len(noise) + framer.pending
@@ -85,27 +86,28 @@ def feed(chunks, sent):
         assert framer.pending <= MAX_FRAME
     assert framer.pending == 0
     assert framer.crc_errors + framer.truncated + framer.bad_length == len(damaged)
-    for frame in framer.good:
-        readable(frame)
     return framer.good, damaged
 
 
-def as_found(frame):
-    end, body, flaw = frame
-    return reference.Found(end, body, flaw is not None and flaw.repaired,
-                           flaw.noise_length if flaw is not None else 0)
+def as_said(frame):
+    """Return what a frame says, and that its readable form says the same."""
+    begin, end, kind, number, code, data, flaw = frame
+    is_status = kind == IS_STATUS
+    assert packet_of(frame, 7)[:6] == (7, begin, number, STATUS if is_status else code,
+                                       code if is_status else None, data)
+    return (begin, end, is_status, number, code, data, flaw is not None and flaw.repaired,
+            flaw.noise_length if flaw is not None else 0, flaw is not None and flaw.unstuffed)
 
 
-def readable(frame):
-    """Hold that a packet says what its frame says; a fast reply is never stuffed."""
-    end, body, _ = frame
-    packet = packet_of(frame, 7)
-    is_status = body[3] == 0x55
-    params = body[5:] if is_status else body[4:]
-    if not is_status or body[0] != 0xFE:
-        params = reference.unstuff(params)
-    assert packet[:6] == (7, end - len(body) - 6, body[0], body[3],
-                          body[4] if is_status else None, params)
+def as_sent(one):
+    """Return the same of a packet of the reference; a fast reply is never stuffed."""
+    number, code, is_status = one.body[0], one.body[3], one.body[3] == 0x55
+    params = data = one.body[5:] if is_status else one.body[4:]
+    if not is_status or number != 0xFE:
+        data = reference.unstuff(params)
+    return (one.end - len(one.body) - 6, one.end, is_status, number,
+            one.body[4] if is_status else code, data, one.repaired, one.noise,
+            not is_status and reference.stuff(data) != params)
 
 
 def pieces(stream, seed):
@@ -123,8 +125,8 @@ def good_is_found_behind(stream):
     framer = Framer()
     frames = framer.frames(stream + GOOD) + framer.flush_frames()
     end = len(stream) + len(GOOD)
-    assert any((one == end and body == GOOD[len(HEADER):-2]) or one > len(stream)
-               for one, body, flaw in frames if flaw is None or not flaw.reason)
+    assert any((one == end and data == b'good') or one > len(stream)
+               for _, one, _, _, _, data, _ in filter(is_good, frames))
     framer.frames(stream)
     framer.flush_frames()
-    assert [body for _, body, _ in framer.frames(GOOD)] == [GOOD[len(HEADER):-2]]
+    assert [frame[2:6] for frame in framer.frames(GOOD)] == [(IS_STATUS, 1, 0, b'good')]

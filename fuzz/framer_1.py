@@ -5,10 +5,12 @@
 from fuzz import reference
 from fuzz.framer import pieces
 from fuzz.script import Script
+from msg_defs.dxl1_packet import content
 from msg_defs.dxl1_packet import encode
 from msg_defs.dxl1_packet import Framer1
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl1_packet import MAX_FRAME
+from msg_defs.frame import is_good
 
 GOOD = encode(1, 0, b'good')
 TRICKY = (b'\xff\xff', b'\xff', b'\xff\xff\xff', b'\x00', b'\xfd', b'\xff\xff\xfd\x00',
@@ -62,26 +64,26 @@ def feed(chunks, sent):
     damaged = []
     for chunk in [*chunks, None]:
         for frame in framer.flush_frames() if chunk is None else framer.frames(chunk):
-            (damaged if frame[2] is not None and frame[2].reason else good).append(frame)
+            (good if is_good(frame) else damaged).append(frame)
         total += len(chunk or b'')
         packets, noise = sent.found(total, chunk is None)
         assert [as_found(frame) for frame in good] == packets
         assert framer.noise_bytes == len(noise)
         assert framer.noise == noise[-NOISE_KEPT:]
-        assert framer.packet_bytes == sum(len(body) + 2 for _, body, _ in good)
+        assert framer.packet_bytes == sum(end - begin for begin, end, *_ in good)
         assert framer.bytes == total == framer.packet_bytes + len(noise) + framer.pending
         assert framer.packets == len(packets)
         assert framer.pending < MAX_FRAME
     assert framer.pending == 0
     assert framer.crc_errors + framer.truncated + framer.bad_length == len(damaged)
-    for end, body, _ in good:
-        assert sent.data[end - body[1] - 4:end] == encode(body[0], body[3], body[4:])
+    for begin, end, _, *said, _ in good:
+        assert sent.data[begin:end] == encode(*said)
     return good, damaged
 
 
 def as_found(frame):
-    end, body, flaw = frame
-    return reference.Found(end, body[:2] + body[3:], False,
+    _, end, _, *said, flaw = frame
+    return reference.Found(end, content(*said), False,
                            flaw.noise_length if flaw is not None else 0)
 
 
@@ -90,9 +92,9 @@ def good_is_found_behind(stream):
     framer = Framer1()
     frames = framer.frames(stream + GOOD) + framer.flush_frames()
     end = len(stream) + len(GOOD)
-    assert any((one == end and body[3:] == GOOD[4:-1]) or one - body[1] - 4 < len(stream) < one
-               for one, body, flaw in frames if flaw is None or not flaw.reason)
+    assert any((one == end and data == GOOD[5:-1]) or begin < len(stream) < one
+               for begin, one, _, _, _, data, _ in filter(is_good, frames))
     framer.frames(stream)
     framer.flush_frames()
-    assert [body[3:] for _, body, _ in framer.frames(GOOD)] == [GOOD[4:-1]]
+    assert [frame[3:6] for frame in framer.frames(GOOD)] == [(1, 0, b'good')]
     assert GOOD[:2] == HEADER

@@ -61,7 +61,7 @@ def unstuff(data: bytes) -> bytes:
 
 
 class Found(NamedTuple):
-    """A good packet; noise: bytes of it in front. end and body as in msg_defs.dxl_packet.Frame."""
+    """A good packet: where it ends, its bytes from the ID to the last parameter, noise ahead."""
 
     end: int
     body: bytes

@@ -70,7 +70,7 @@ KINDS = {'random': random_bytes, 'look-alikes': look_alikes, 'mutated traffic': 
 def main():
     options = _parser().parse_args()
     traffic = trace_packets(options.trace) if options.trace else packets('moving robot')
-    sent = {body for piece in [*traffic, b''.join(traffic)] for body in good_in(piece)}
+    sent = {one for piece in [*traffic, b''.join(traffic)] for one in good_in(piece)}
     failed = False
     for kind, make in KINDS.items():
         begin = time.process_time()
@@ -99,10 +99,12 @@ def candidates(block, sent):
 
 
 def good_in(stream):
+    """Return the packets of a stream: from the ID to the last parameter, and as frames say it."""
     framer = Watched()
     framer.frames(stream)
     framer.flush_frames()
-    return [body for _, body, _ in framer.good]
+    return [one for frame in framer.good
+            for one in (stream[frame[0] + 4:frame[1] - 2], frame[2:6])]
 
 
 def chunks(chance, block):
@@ -130,7 +132,7 @@ def run(make, size, chance, traffic, sent):
             packets_found += len(framer.good)
             in_counters = framer.accounted + framer.noise_bytes + framer.pending
             assert framer.bytes == total == in_counters, (total, in_counters)
-            false += sum(body not in sent for _, body, _ in framer.good)
+            false += sum(frame[2:6] not in sent for frame in framer.good)
             framer.good.clear()
         monitor.report(now)
         memory = memory or resident_memory_mb()

@@ -31,9 +31,11 @@ from fuzz.volume import limit
 from fuzz.volume import mutated
 from fuzz.volume import random_bytes
 from mecarover_serial.process import resident_memory_mb
+from msg_defs import dxl1_packet
 from msg_defs.dxl1_packet import Framer1
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl_mixed import MixedFramer
+from msg_defs.frame import is_good
 
 SUMS = 256                          # one of so many candidates has the right sum by chance
 FEETECH, = (kind for kind, (dialect, _) in KINDS_1.items() if dialect == 'feetech')
@@ -45,8 +47,8 @@ BYTE_NS = 10_000
 class Watched(MixedFramer):
     """The framer of both families; it keeps what was claimed to be a packet of the 1.0 family."""
 
-    def __init__(self, proven):
-        super().__init__(proven=proven)
+    def __init__(self, family):
+        super().__init__(family)
         self.good = []
 
     def claim(self, frame):
@@ -56,14 +58,13 @@ class Watched(MixedFramer):
 
 def content(frame):
     """Return ID, LEN, code and parameters, as on the wire."""
-    body = frame[1]
-    return body[:2] + body[3:]
+    return dxl1_packet.content(*frame[3:6])
 
 
 def good_in(stream):
     framer = Framer1()
     frames = framer.frames(stream) + framer.flush_frames()
-    return [content(frame) for frame in frames if frame[2] is None or not frame[2].reason]
+    return [content(frame) for frame in frames if is_good(frame)]
 
 
 def look_alikes(chance, _):
@@ -103,7 +104,7 @@ def main():
 def run(make, size, chance, traffic, sent):
     """Feed so many bytes in chunks of all sizes; check the accounts at every chunk."""
     conversation = Conversation(Models(), Settings(baud=BAUD))
-    conversation.framer = framer = Watched(conversation.dialogue.proven)
+    conversation.framer = framer = Watched(conversation.detector)
     monitor = Monitor('bus', Models(), conversation=conversation)
     alone = Framer1()
     total, packets_found, false, by_chance, tried, memory = 0, 0, 0, 0, 0, None
@@ -117,10 +118,11 @@ def run(make, size, chance, traffic, sent):
             false += sum(body not in sent for body in framer.good)
             framer.good.clear()
             for frame in alone.frames(chunk):
-                if content(frame) not in sent:
-                    is_good = frame[2] is None or not frame[2].reason
-                    by_chance += is_good
-                    tried += is_good or frame[2].reason != 'length'
+                if not is_good(frame):
+                    tried += frame[6].reason != 'length'
+                elif content(frame) not in sent:
+                    by_chance += 1
+                    tried += 1
         report = monitor.report(1_000_000_000 + BYTE_NS * total)
         memory = memory or resident_memory_mb()
     assert framer.claimed == packets_found

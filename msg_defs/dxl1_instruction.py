@@ -14,7 +14,6 @@ from enum import Enum
 from typing import NamedTuple
 
 from msg_defs.dxl1_packet import BROADCAST
-from msg_defs.dxl1_packet import FAMILY
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
@@ -22,8 +21,8 @@ from msg_defs.dxl_instruction import FEETECH_NAMES
 from msg_defs.dxl_instruction import parse as parse_2
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_instruction import RESET_ALL
-from msg_defs.dxl_packet import stuff
-from msg_defs.dxl_packet import unstuff
+from msg_defs.frame import INSTRUCTION_1
+from msg_defs.frame import MALFORMED_1
 
 STATUS_BITS = 0x7F                 # bit 7 of an error byte is always 0: no 0x82, 0x83, 0x92
 
@@ -114,7 +113,6 @@ UNDECIDED = Dialect(
     error_at=256, identity_at=-1, level_at=-1, factory_baud=1_000_000)
 # A reset of Dynamixel sets the ID to 1, one of Feetech keeps it.
 _RESETS = {DYNAMIXEL_1.protocol: RESET_ALL}
-_MALFORMED = bytes([FAMILY | 1])
 DIALECTS = (DYNAMIXEL_1, FEETECH, UNDECIDED)
 
 
@@ -165,26 +163,20 @@ def common(code: int, params: bytes) -> bytes:
     return params
 
 
-def in_common(body: bytes) -> bytes:
-    """
-    Return the body of an instruction in the form of 2.0, parameters stuffed.
-
-    What makes no sense keeps its parameters, and is marked.
-    """
-    code, params = body[3], body[4:]
+def in_common(code: int, id: int, params: bytes) -> tuple[int, bytes]:
+    """Return of what kind the frame of an instruction is, and its parameters in common()."""
     entry = UNDECIDED.entries.get(code)
-    if entry is not None and not _FITS[entry.layout](body[0], params):
-        return body[:2] + _MALFORMED + body[3:4] + stuff(params)
-    return body[:4] + stuff(common(code, params))
+    if entry is not None and not _FITS[entry.layout](id, params):
+        return MALFORMED_1, params
+    return INSTRUCTION_1, common(code, params)
 
 
-def understood(body: bytes, dialect: Dialect) -> Request:
-    """Return what a body of in_common() asks for."""
-    code, id = body[3], body[0]
+def understood(kind: int, code: int, id: int, params: bytes, dialect: Dialect) -> Request:
+    """Return what an instruction in the form of in_common() asks for."""
     entry = dialect.entries.get(code)
-    if entry is None or body[2] == _MALFORMED[0]:
+    if entry is None or kind == MALFORMED_1:
         return Request(code, id, Answers.NONE, malformed=entry is not None)
-    said = parse_2(code, id, unstuff(body[4:]))
+    said = parse_2(code, id, params)
     return said._replace(answers=_answers(entry, id), malformed=False,
                          option=_RESETS.get(dialect.protocol, '') if code == RESET else '')
 

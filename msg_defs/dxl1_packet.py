@@ -12,9 +12,12 @@ the decision to the next chunk. Nothing on the wire raises; every byte ends as a
 noise.
 """
 
-from msg_defs.dxl_packet import Flaw
-from msg_defs.dxl_packet import Frame
 from msg_defs.dxl_packet import StreamFramer
+from msg_defs.frame import ahead
+from msg_defs.frame import EITHER_1
+from msg_defs.frame import Flaw
+from msg_defs.frame import Frame
+from msg_defs.frame import is_good
 
 HEADER = b'\xff\xff'
 BROADCAST = 0xFE
@@ -23,30 +26,25 @@ MIN_LENGTH = 2                     # the LEN field counts instruction and sum
 MAX_LENGTH = 0xFF
 MAX_FRAME = MAX_LENGTH + 4
 
-# The body of a frame has the form that 2.0 gives it: ID, length in two bytes, code, parameters.
-# The high byte of the length, which is never so large in 2.0, tells that it is of this family.
-FAMILY = 0x80
-_MARK = bytes([FAMILY])
+
+def content(id: int, code: int, params: bytes = b'') -> bytes:
+    """Return a packet from its ID to its last parameter; code: instruction or error byte."""
+    return bytes([id, len(params) + 2, code]) + params
 
 
 def encode(id: int, code: int, params: bytes = b'') -> bytes:
-    """Return a packet as it stands on the wire; code is an instruction or an error byte."""
-    content = bytes([id, len(params) + 2, code]) + params
-    return HEADER + content + bytes([~sum(content) & 0xFF])
+    """Return a packet as it is on the wire."""
+    inner = content(id, code, params)
+    return HEADER + inner + bytes([~sum(inner) & 0xFF])
 
 
-def begin_of(end: int, body: bytes) -> int:
-    """Return the stream offset of the first byte of a good frame of this family."""
-    return end - body[1] - 4
-
-
-def ends_with_another(body: bytes) -> bool:
+def ends_with_another(frame: Frame) -> bool:
     """Return whether a good frame ends with a whole one, as one does that lost its own end."""
-    if HEADER not in body[4:]:
+    _, _, _, number, code, data, _ = frame
+    if HEADER not in data:
         return False
-    data = body[4:] + bytes([~(sum(body) - body[2]) & 0xFF])
-    last = Framer1().frames(data)[-1:]
-    return any(end == len(data) and (flaw is None or not flaw.reason) for end, _, flaw in last)
+    last = Framer1().frames(encode(number, code, data)[5:])[-1:]
+    return any(is_good(one) and one[1] == len(data) + 1 for one in last)
 
 
 class Framer1(StreamFramer):
@@ -89,6 +87,7 @@ class Framer1(StreamFramer):
         size = len(data)
         base = self.bytes - size
         found: list[Frame] = []
+        take = found.append
         damaged = 0
         noisy = self._noise_length
         done = 0                   # everything in front of it is decided
@@ -106,16 +105,16 @@ class Framer1(StreamFramer):
                 break
             if (length >= MIN_LENGTH and end <= size
                     and sum(data[mark + 2:end]) & 0xFF == 0xFF):
-                body = data[mark + 2:mark + 4] + _MARK + data[mark + 4:end - 1]
-                if mark == done and not noisy:
-                    found.append((base + end, body, None))
-                else:
-                    found.append((base + end, body, self._ahead(data[done:mark])))
+                flaw = None
+                if mark != done or noisy:
+                    flaw = self._flaw(data[done:mark])
                     noisy = 0
+                take((base + mark, base + end, EITHER_1, number, data[mark + 4],
+                      data[mark + 5:end - 1], flaw))
                 done = end
                 mark = find(HEADER, end)
             else:
-                found.append(self._damaged(data, base, done, mark))
+                take(self._damaged(data, base, done, mark))
                 damaged += 1
                 mark = find(HEADER, mark + 1)
         self.packets += len(found) - damaged
@@ -125,30 +124,31 @@ class Framer1(StreamFramer):
         self._wanted = wanted - undecided
         return found
 
-    def _ahead(self, noise: bytes) -> Flaw:
+    def _flaw(self, noise: bytes) -> Flaw:
         """Return what is unusual about a good frame: noise in front of it."""
         self._give_up(noise)
-        flaw = Flaw('', False, self._noise_length)
+        flaw = ahead(False, self._noise_length)
         self._noise_length = 0
         return flaw
 
     def _damaged(self, data: bytes, base: int, done: int, mark: int) -> Frame:
         """Count a frame that has a header and fails; its bytes are noise, and searched again."""
         length = data[mark + 3]
-        body = data[mark + 4:mark + 3 + length]
+        body = data[mark + 2:mark + 3 + length]
         if length < MIN_LENGTH:
             self.bad_length += 1
             reason = 'length'
-            body = b''
+            body = data[mark + 2:mark + 4]
         elif mark + 4 + length > len(data) or _has_header(data[mark + 4:mark + 4 + length]):
             self.truncated += 1
             reason = 'cut'
         else:
             self.crc_errors += 1
             reason = 'crc'
-        ahead = self._noise_length + mark - done
-        whole = data[mark + 2:mark + 4] + _MARK + body
-        return base + mark + 4 + len(body), whole, Flaw(reason, False, ahead)
+        begin = base + mark
+        flaw = Flaw(reason, noise_length=self._noise_length + mark - done, length=length)
+        return (begin, begin + 2 + len(body), EITHER_1, body[0], body[2] if len(body) > 2 else 0,
+                body, flaw)
 
 
 def _has_header(body: bytes) -> bool:

@@ -99,8 +99,8 @@ class Kind(NamedTuple):
     What is known of an instruction.
 
     parse: instruction, ID, parameters to a Request. is_to_many: its parameters list the devices,
-    and it is sent to the broadcast ID alone. key_size: how much of the body (ID, length,
-    instruction, parameters) tells one from another where the rest is data to write; None: all.
+    and it is sent to the broadcast ID alone. key_size: how many of its parameters tell one from
+    another where the rest is data to write; None: all.
     """
 
     parse: Parse
@@ -286,17 +286,17 @@ def _bulk_write(instruction: int, id: int, params: bytes) -> Request:
 KINDS: dict[int, Kind] = {
     Instruction.PING: Kind(_ping),
     Instruction.READ: Kind(_read),
-    Instruction.WRITE: Kind(_write, key_size=6),
-    Instruction.REG_WRITE: Kind(_write, key_size=6),
+    Instruction.WRITE: Kind(_write, key_size=2),
+    Instruction.REG_WRITE: Kind(_write, key_size=2),
     Instruction.ACTION: Kind(_command),
     Instruction.FACTORY_RESET: Kind(_with_option(_reset_option), has_option=True),
     Instruction.REBOOT: Kind(_command),
     Instruction.CLEAR: Kind(_with_option(_clear_option), has_option=True),
     Instruction.CONTROL_TABLE_BACKUP: Kind(_with_option(_backup_option), has_option=True),
     Instruction.SYNC_READ: Kind(partial(_sync_read, Answers.LISTED), is_to_many=True),
-    Instruction.SYNC_WRITE: Kind(_sync_write, is_to_many=True, key_size=8),
+    Instruction.SYNC_WRITE: Kind(_sync_write, is_to_many=True, key_size=4),
     Instruction.FAST_SYNC_READ: Kind(partial(_sync_read, Answers.COMBINED), is_to_many=True),
     Instruction.BULK_READ: Kind(partial(_bulk_read, Answers.LISTED), is_to_many=True),
-    Instruction.BULK_WRITE: Kind(_bulk_write, is_to_many=True, key_size=4),
+    Instruction.BULK_WRITE: Kind(_bulk_write, is_to_many=True, key_size=0),
     Instruction.FAST_BULK_READ: Kind(partial(_bulk_read, Answers.COMBINED), is_to_many=True),
 }

@@ -4,20 +4,26 @@
 Both families on one wire: packets of Protocol 2.0 first, the 1.0 family in what is left.
 
 A packet of 2.0 is certain (four bytes of header, 16 bits of CRC), so nothing of the 1.0 family is
-looked for inside one. The 1.0 family has one byte of sum: what it finds counts as packets only
-once it is claimed; until then its bytes are noise, as they are on a bus without that family.
+looked for inside one. The 1.0 family has one byte of sum, and one right sum proves little: what it
+finds is handed on as packets once Detector believes it; until then its bytes are noise, as they
+are on a bus without that family.
 """
 
 from collections import Counter
-from collections.abc import Collection
 import re
 from typing import NamedTuple
 
 from msg_defs import dxl1_packet
-from msg_defs.dxl_packet import ahead
-from msg_defs.dxl_packet import Flaw
-from msg_defs.dxl_packet import Frame
+from msg_defs.dxl1_detector import Candidate
+from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl_packet import Framer
+from msg_defs.frame import ahead
+from msg_defs.frame import EITHER_1
+from msg_defs.frame import Flaw
+from msg_defs.frame import Frame
+from msg_defs.frame import GLITCH
+from msg_defs.frame import is_good
+from msg_defs.frame import UNPROVEN_1
 
 _TAIL = b'\xff\xfd\x00'
 # What may become a header of 2.0, or one with a damaged first byte, longest first.
@@ -133,20 +139,18 @@ class MixedFramer:
     """
     Finds the packets of both families, with the interface of Framer.
 
-    Frames of the 1.0 family are those that is_other() tells. Who reads the dialogue claims each
-    that is one, and sets `held`: the bytes of those it has not decided on. What is not claimed
-    stays noise. is_shared: hold back no end of a packet, not even at first; its time matters.
-    proven: the IDs that speak the 1.0 family on this bus. Until there are some, or a frame is
-    claimed, damaged frames of the family are mere noise: they come at most beside a good one.
+    Good frames of the 1.0 family are packets, damaged ones may be noise: they are handed on once
+    something is proven, or when they come with a good one. is_shared: hold back no end of a
+    packet, not even at first; its time matters. stamp, side: of the chunk that comes next.
     """
 
-    __slots__ = ('_claimed_bytes', '_damaged', '_first', '_is_open', '_proven', '_second',
-                 '_seen', '_shift', 'bytes', 'claimed', 'has_other', 'held')
+    __slots__ = ('_claimed_bytes', '_damaged', '_detector', '_first', '_is_open', '_second',
+                 '_seen', '_shift', 'bytes', 'claimed', 'has_other', 'held', 'side', 'stamp')
 
-    def __init__(self, is_shared: bool = False, proven: Collection[int] = ()) -> None:
+    def __init__(self, detector: Detector, is_shared: bool = False, side: str = '') -> None:
         self._second = dxl1_packet.Framer1()
         self._first = _First(is_shared)
-        self._proven = proven
+        self._detector = detector
         self._is_open = False          # some bytes wait in the second framer
         self._seen = 0                 # good frames of the second framer so far
         self._shift = 0                # from offsets of the second framer to those of the wire
@@ -154,8 +158,10 @@ class MixedFramer:
         self._claimed_bytes = 0
         self._damaged: Counter[str] = Counter()
         self.claimed = 0               # packets of the 1.0 family
-        self.held = 0
-        self.has_other = False         # such a frame is held, or was in the last chunk
+        self.held = 0                  # bytes of frames that are not decided on
+        self.has_other = False         # a frame of the 1.0 family is held, or was in this chunk
+        self.stamp = 0
+        self.side = side
 
     @property
     def packets(self) -> int:
@@ -213,13 +219,10 @@ class MixedFramer:
 
     def claim(self, frame: Frame) -> None:
         """Count a good frame of the 1.0 family as a packet."""
+        self._detector.proven.add(frame[3])
         self.claimed += 1
         self._first.is_shared = True
-        self._claimed_bytes += frame[1][1] + 4
-
-    def claim_damage(self, reason: str) -> None:
-        """Count a damaged frame of the 1.0 family."""
-        self._damaged[reason] += 1
+        self._claimed_bytes += frame[1] - frame[0]
 
     def interrupt(self) -> None:
         """Take note of a pause: on the line, or in the delivery of what was on the line."""
@@ -229,24 +232,43 @@ class MixedFramer:
     def frames(self, chunk: Data) -> list[Frame]:
         """Return what this chunk completes, in the order of the wire."""
         first = self._first
-        if self._proven or self.claimed or self._is_open or first.is_looking:
+        if self._detector.proven or self._is_open or first.is_looking:
             self._look_closely()
         found = first.frames(chunk)
         self.bytes = first.bytes
         self.has_other = self.held > 0
-        return self._mixed(found) if first.gaps or self._is_open else found
+        if first.gaps or self._is_open:
+            found = self._mixed(found)
+        return self._believed(found) if self.has_other else found
 
     def flush_frames(self) -> list[Frame]:
         """Decide what is left, because the line is idle."""
         self._look_closely()
         found = self._first.flush_frames()
         self.has_other = self.held > 0
-        mixed = self._mixed(found) if self._first.gaps or self._is_open else found
-        return self._without_data(mixed + self._end()) if self._is_open else mixed
+        if self._first.gaps or self._is_open:
+            found = self._mixed(found)
+        if self._is_open:
+            found = self._without_data(found + self._end())
+        return self._believed(found)
 
     def _look_closely(self) -> None:
         """Have each gap looked at, if any may belong to a packet of the 1.0 family."""
-        self._first.is_looking = bool(self._is_open or self.claimed or self._proven)
+        self._first.is_looking = self._is_open or bool(self._detector.proven)
+
+    def _believed(self, found: list[Frame]) -> list[Frame]:
+        """Mark the frames of the 1.0 family that are no packets, as far as that is known."""
+        detector = self._detector
+        detector.proof = []
+        for at, frame in enumerate(found):
+            if frame[2] == EITHER_1 and not (
+                    detector.believes(Candidate(self, frame, self.stamp, self.bytes, self.side))
+                    if is_good(frame) else frame[3] in detector.proven):
+                begin, end, _, number, code, content, flaw = frame
+                found[at] = begin, end, UNPROVEN_1, number, code, content, flaw
+        if detector.streak and self.noise_ahead > GLITCH:
+            detector.reject()
+        return found
 
     def _mixed(self, found: list[Frame]) -> list[Frame]:
         """Put the frames of the other family where they were, in front of those of 2.0."""
@@ -261,7 +283,7 @@ class MixedFramer:
         first = self._first
         runs = []
         for at, data, is_ended in first.gaps:
-            if (self._is_open or self.claimed or self._proven or _HOLDS.search(data)
+            if (self._is_open or self._detector.proven or _HOLDS.search(data)
                     or not (is_ended or _is_passed_over(data, b''))):
                 frames = self._look(at, data) if data else []
                 if is_ended and self._is_open:
@@ -286,16 +308,16 @@ class MixedFramer:
         left = iter(runs)
         run = next(left, None)
         for frame in found:
-            end, body, flaw = frame
+            begin, end, kind, number, code, data, flaw = frame
             if flaw is not None and not flaw.reason:
                 noise = 0
-                while run is not None and run.at <= end - len(body) - 5:
+                while run is not None and run.at <= begin + 1:
                     mixed += run.frames
                     noise = run.noise_ahead
                     run = next(left, None)
                 if self.claimed:       # the noise in front is without what the gap held
-                    flaw = ahead(flaw.repaired, noise) if noise or flaw.repaired else None
-                    frame = end, body, flaw
+                    flaw = ahead(flaw.repaired, noise, flaw.unstuffed)
+                    frame = begin, end, kind, number, code, data, flaw if any(flaw) else None
             mixed.append(frame)
         while run is not None:
             mixed += run.frames
@@ -316,13 +338,12 @@ class MixedFramer:
         """Leave out what only looks like a damaged packet of 2.0: the data of another packet."""
         if not self.claimed:
             return mixed
-        good = [(dxl1_packet.begin_of(end, body), end) for end, body, flaw in mixed
-                if body[2] >= dxl1_packet.FAMILY and (flaw is None or not flaw.reason)]
+        good = [frame[:2] for frame in mixed if frame[2] == EITHER_1 and is_good(frame)]
         kept = []
         for frame in mixed:
-            end, body, flaw = frame
-            if flaw is not None and flaw.reason and not is_other(frame) and any(
-                    first < end - len(body) < last for first, last in good):
+            flaw = frame[6]
+            if flaw is not None and flaw.reason and frame[2] != EITHER_1 and any(
+                    first < frame[0] + 4 < last for first, last in good):
                 self._damaged[flaw.reason] -= 1
             else:
                 kept.append(frame)
@@ -341,17 +362,11 @@ class MixedFramer:
         self._is_open = self._second.pending > 0
         if not frames:
             return frames
-        if self._second.packets > self._seen or self.claimed or self._proven:
+        if self._second.packets > self._seen or self._detector.proven:
             self._seen = self._second.packets
             self.has_other = True
         if not self.has_other:
             return []
-        return [(end + self._shift, body, flaw) for end, body, flaw in frames]
-
-
-def is_other(frame: Frame) -> bool:
-    """Return whether a frame is of the 1.0 family."""
-    body, flaw = frame[1], frame[2]
-    if body[2] < dxl1_packet.FAMILY:
-        return False
-    return len(body) == 3 or flaw is None or flaw.reason != 'length'   # any number in 2.0
+        shift = self._shift
+        return [(begin + shift, end + shift, kind, number, code, content, flaw)
+                for begin, end, kind, number, code, content, flaw in frames]

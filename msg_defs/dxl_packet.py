@@ -10,7 +10,6 @@ what it sends. Only a failed CRC, or flush_frames() on an idle line, searches on
 Nothing on the wire raises; every byte ends as a packet byte or as a noise byte.
 """
 
-from functools import lru_cache
 from struct import Struct
 from typing import NamedTuple
 
@@ -18,6 +17,11 @@ from msg_defs.crc import bare_crc16
 from msg_defs.crc import crc16
 from msg_defs.crc import crc16_behind
 from msg_defs.crc import CRC16_TABLE
+from msg_defs.frame import ahead
+from msg_defs.frame import Flaw
+from msg_defs.frame import Frame
+from msg_defs.frame import INSTRUCTION_2
+from msg_defs.frame import IS_STATUS
 
 HEADER = b'\xff\xff\xfd\x00'
 BROADCAST = 0xFE
@@ -43,26 +47,6 @@ class Packet(NamedTuple):
     error: int | None              # in a status, alert bit included
     params: bytes                  # unstuffed
     repaired: bool                 # the first header byte was missing or wrong
-
-
-class Flaw(NamedTuple):
-    """What was not as it should be around a frame."""
-
-    reason: str                    # '' for a good frame; 'crc', 'cut' (ends early) or 'length'
-    repaired: bool
-    noise_length: int              # bytes of noise in front of it
-
-
-@lru_cache(maxsize=64)
-def ahead(repaired: bool, noise_length: int) -> Flaw:
-    """Return the flaw of a good frame; most are alike, so they are not made each time."""
-    return Flaw('', repaired, noise_length)
-
-
-# (end, body, flaw): end is the stream offset behind the frame; body runs from the ID to the last
-# parameter, still stuffed: id, length (2), instruction, [error], parameters. flaw is None for a
-# good frame directly behind the last one. A plain tuple, because there is one for each packet.
-Frame = tuple[int, bytes, Flaw | None]
 
 
 def stuff(data: bytes) -> bytes:
@@ -92,27 +76,35 @@ def encode(
 
 def packet_of(frame: Frame, stamp: int) -> Packet:
     """Return the readable form of a good frame."""
-    end, body, flaw = frame
-    is_status = body[3] == STATUS
-    params = body[5:] if is_status else body[4:]
-    if not (is_status and body[0] == BROADCAST):      # a fast reply is never stuffed
-        params = unstuff(params)
-    return Packet(stamp, end - len(body) - 6, body[0], body[3], body[4] if is_status else None,
-                  params, flaw is not None and flaw.repaired)
+    begin, _, kind, number, code, data, flaw = frame
+    instruction, error = (STATUS, code) if kind == IS_STATUS else (code, None)
+    return Packet(stamp, begin, number, instruction, error, data,
+                  flaw is not None and flaw.repaired)
+
+
+def fast_wire(error: int, data: bytes) -> bytes:
+    """Return a good fast reply as it was on the wire, from its ID on, without its last CRC."""
+    return b'%c%c%c%c%c' % (BROADCAST, len(data) + 4 & 0xFF, len(data) + 4 >> 8, STATUS,
+                            error) + data
+
+
+# The counter of the frames that are damaged for a reason.
+REASONS = {'crc_errors': 'crc', 'truncated': 'cut', 'bad_length': 'length'}
 
 
 class StreamFramer:
     """
     What the framers of all protocols share: chunks of any size, bytes counted, pauses.
 
-    A protocol adds its header, _scan() and _ends_in().
+    A protocol adds its header, _scan() and _ends_in(). stamp: of the chunk that comes next.
     """
 
     __slots__ = ('_buffer', '_is_interrupted', '_noise_length', '_wanted', 'bad_length', 'bytes',
-                 'crc_errors', 'noise', 'noise_bytes', 'packets', 'repaired', 'truncated')
+                 'crc_errors', 'noise', 'noise_bytes', 'packets', 'repaired', 'stamp', 'truncated')
     header = b''                   # how a whole frame begins
 
     def __init__(self) -> None:
+        self.stamp = 0
         self.bytes = 0
         self.packets = 0
         self.repaired = 0          # packets with a damaged first header byte
@@ -207,9 +199,11 @@ class Framer(StreamFramer):
         crc_of = bare_crc16
         size = len(data)
         base = self.bytes - size
+        header = base - 1          # from the second FF of a header to the offset of the first
         found: list[Frame] = []
         damaged = 0
         noisy = self._noise_length
+        is_usual = True
         done = 0                   # everything in front of it is decided
         wanted = 0                 # as many bytes are needed to go on
         mark = find(_TAIL)         # where the second FF of a header is
@@ -220,16 +214,22 @@ class Framer(StreamFramer):
             if end <= size:
                 body = data[mark + 3:end - 2]
                 if (length <= MAX_LENGTH and crc_of(body, HEADER_CRC, CRC16_TABLE)
-                        == _number_at(data, end - 2)[0]
-                        and (length > 3 or (length == 3 and body[3] != STATUS))):
-                    if mark == done + 1 and data[done] == 0xFF and not noisy:
-                        found.append((base + end, body, None))
-                    else:
-                        found.append((base + end, body, self._flaw(data, done, mark)))
-                        noisy = 0
-                    done = end
-                    mark = find(_TAIL, end)
-                    continue
+                        == _number_at(data, end - 2)[0] and length > 2):
+                    code = body[3]
+                    if code != STATUS or length > 3:
+                        flaw = None
+                        if noisy or mark != done + 1 or data[done] != 0xFF:
+                            flaw = self._flaw(data, done, mark)
+                            is_usual = False
+                            noisy = 0
+                        found.append(
+                            (header + mark, base + end, IS_STATUS, body[0], body[4], body[5:],
+                             flaw) if code == STATUS else
+                            (header + mark, base + end, INSTRUCTION_2, body[0], code, body[4:],
+                             flaw))
+                        done = end
+                        mark = find(_TAIL, end)
+                        continue
             elif length <= MAX_LENGTH and not final:
                 wanted = end
                 break
@@ -237,7 +237,10 @@ class Framer(StreamFramer):
                 found.append(self._damaged(data, base, done, mark, length))
                 damaged += 1
             mark = find(_TAIL, mark + 1)
-        self.packets += len(found) - damaged
+        count = len(found) - damaged
+        self.packets += count
+        if not is_usual or data.count(_RUN, 0, done) != count:      # one in each header
+            found = [_without_stuffing(frame) for frame in found]
         start = mark - 1 if mark >= 0 else size - len(_TAIL)       # it may still become a frame
         self._keep(data, done, size if final else max(done, start))
         self._wanted = wanted - (size - len(self._buffer))
@@ -256,7 +259,8 @@ class Framer(StreamFramer):
         """Count a frame that has a header and fails; its bytes are noise, and searched again."""
         end = mark + 6 + length
         body = data[mark + 3:end]
-        if not 2 < length <= MAX_LENGTH or (length == 3 and body[3:4] == b'\x55'):
+        code = body[3] if len(body) > 3 else 0
+        if not 2 < length <= MAX_LENGTH or (length == 3 and code == STATUS):
             self.bad_length += 1
             reason = 'length'
             body = body[:4]
@@ -266,10 +270,24 @@ class Framer(StreamFramer):
         else:
             self.crc_errors += 1
             reason = 'crc'
-        ahead = self._noise_length + mark - 1 - done
-        return base + mark + 3 + len(body), body, Flaw(reason, False, ahead)
+        begin = base + mark - 1
+        flaw = Flaw(reason, noise_length=self._noise_length + mark - 1 - done, length=length)
+        return (begin, begin + 4 + len(body), IS_STATUS if code == STATUS else INSTRUCTION_2,
+                body[0], code, body, flaw)
 
     def _keep(self, data: bytes, done: int, undecided: int) -> None:
         if undecided > done:
             self._give_up(data[done:undecided])
         self._buffer = data[undecided:]
+
+
+def _without_stuffing(frame: Frame) -> Frame:
+    """Return a frame with the parameters that its sender meant; a fast reply is not stuffed."""
+    begin, end, kind, number, code, data, flaw = frame
+    if _RUN not in data or (flaw is not None and flaw.reason) \
+            or (kind == IS_STATUS and number == BROADCAST):
+        return frame
+    if kind != IS_STATUS and data.count(_RUN) != data.count(_RUN + b'\xfd'):
+        _, repaired, noise_length, *_ = flaw or ahead(False, 0)
+        flaw = ahead(repaired, noise_length, True)
+    return begin, end, kind, number, code, unstuff(data), flaw

@@ -3,22 +3,21 @@
 """Framers as tests read them: chunks in, whole packets out, without what was damaged."""
 from typing import NamedTuple
 
-from msg_defs.dxl1_packet import begin_of
 from msg_defs.dxl1_packet import Framer1
-from msg_defs.dxl_packet import Frame
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import packet_of
+from msg_defs.frame import is_good
 
 
 def packets_in(framer: Framer, chunk: bytes, stamp: int = 0) -> list[Packet]:
     """Return the packets that this chunk completes."""
-    return [packet_of(one, stamp) for one in _good(framer.frames(chunk))]
+    return [packet_of(one, stamp) for one in filter(is_good, framer.frames(chunk))]
 
 
 def packets_left(framer: Framer, stamp: int = 0) -> list[Packet]:
     """Return the packets that are found when the line is idle."""
-    return [packet_of(one, stamp) for one in _good(framer.flush_frames())]
+    return [packet_of(one, stamp) for one in filter(is_good, framer.flush_frames())]
 
 
 class Packet1(NamedTuple):
@@ -33,9 +32,5 @@ class Packet1(NamedTuple):
 def packets_1_in(framer: Framer1, chunk: bytes | None) -> list[Packet1]:
     """Return the packets that this chunk completes; None: the line is idle."""
     found = framer.flush_frames() if chunk is None else framer.frames(chunk)
-    return [Packet1(begin_of(end, body), body[0], body[3], body[4:])
-            for end, body, _ in _good(found)]
-
-
-def _good(frames: list[Frame]) -> list[Frame]:
-    return [one for one in frames if one[2] is None or not one[2].reason]
+    return [Packet1(begin, number, code, params)
+            for begin, _, _, number, code, params, _ in filter(is_good, found)]

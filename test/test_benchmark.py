@@ -25,7 +25,7 @@ from dxl_monitor.fake.usb_adapter import FakeAdapter
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import Framer
-from msg_defs.dxl_packet import STATUS
+from msg_defs.frame import IS_STATUS
 from rigs.harness import as_json
 from rigs.harness import Child
 from rigs.harness import Figure
@@ -122,10 +122,11 @@ def test_traffic_is_whole_packets_of_a_busy_bus(kind):
 
 def test_experiment_2_reads_each_device_in_three_ways_and_writes_what_can_be_written():
     kinds = {number: set() for number in range(1, 21)}
-    for _, body, _ in Framer().frames(b''.join(packets('read/write', 2000))):
-        if body[3] != STATUS:
-            by_list = 8 if body[3] in (I.SYNC_READ, I.SYNC_WRITE) else 4
-            kinds[body[0] if body[0] != BROADCAST else body[by_list]].add(body[3])
+    for frame in Framer().frames(b''.join(packets('read/write', 2000))):
+        kind, number, code, params = frame[2:6]
+        if kind != IS_STATUS:
+            by_list = 4 if code in (I.SYNC_READ, I.SYNC_WRITE) else 0
+            kinds[number if number != BROADCAST else params[by_list]].add(code)
     reads = {I.PING, I.READ, I.SYNC_READ, I.BULK_READ}
     everything = reads | {I.WRITE, I.SYNC_WRITE, I.BULK_WRITE}
     assert kinds == {number: reads if 13 <= number <= 16 else everything for number in kinds}

@@ -26,12 +26,12 @@ from dxl_monitor.bus.report import Counts
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.roster import Roster
-from dxl_monitor.bus.stranger import Held
 from dxl_monitor.bus.stranger import Strangers
 from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
 from dxl_monitor.bus.table import Table
 from dxl_monitor.bus.table import WRITTEN
+from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.model.models import Models
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import FEETECH
@@ -42,7 +42,13 @@ from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_instruction import RESTORE
 from msg_defs.dxl_packet import encode
-from msg_defs.dxl_packet import Flaw
+from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import STATUS
+from msg_defs.frame import EITHER_1
+from msg_defs.frame import Flaw
+from msg_defs.frame import Frame
+from msg_defs.frame import INSTRUCTION_2
+from msg_defs.frame import IS_STATUS
 
 MODELS = Models()
 S = 1_000_000_000
@@ -122,17 +128,18 @@ def test_what_may_come_with_each_packet_is_kept_once_in_a_while() -> None:
     assert evidence.counts[ev.PROTOCOL_1] == 4
 
 
-@pytest.mark.parametrize(('body', 'reason', 'expected'), [
-    (b'\x07\x03\0', 'crc', (ev.DAMAGED_INSTRUCTION, 7, ev.Front(0, 3))),
-    (b'\x07\x03\x01\x55', 'crc', (ev.DAMAGED_STATUS, 7, ev.Front(0x55, 259))),
-    (b'\x07\x03\x01\x02', 'length', (ev.BAD_LENGTH, -1, ev.Length(259))),
-    (b'\x07\x03\x01\x02', 'cut', (ev.CUT, -1, ev.Front(2, 259))),
-    (b'\x07\x03\x01\x02', 'open', (ev.OPEN, 7, ev.Code(2))),
+@pytest.mark.parametrize(('kind', 'code', 'reason', 'expected'), [
+    (INSTRUCTION_2, 0, 'crc', (ev.DAMAGED_INSTRUCTION, 7, ev.Front(0, 259))),
+    (IS_STATUS, 9, 'crc', (ev.DAMAGED_STATUS, 7, ev.Front(0x55, 259))),
+    (INSTRUCTION_2, 2, 'length', (ev.BAD_LENGTH, -1, ev.Length(259))),
+    (INSTRUCTION_2, 2, 'cut', (ev.CUT, -1, ev.Front(2, 259))),
+    (EITHER_1, 2, 'open', (ev.OPEN, 7, ev.Code(2))),
 ])
-def test_a_damaged_frame_is_noted_by_what_is_wrong(body: bytes, reason: str,
+def test_a_damaged_frame_is_noted_by_what_is_wrong(kind: int, code: int, reason: str,
                                                    expected: tuple[Any, ...]) -> None:
     evidence = Evidence()
-    evidence.note_damage(1, body, reason)
+    flaw = Flaw(reason, length=259)
+    evidence.note_damage(1, (0, 9, kind, 7, code, b'', flaw), flaw)
     [found] = evidence.incidents()
     assert (found.kind, found.device, found.detail) == expected
 
@@ -437,7 +444,7 @@ def test_who_had_its_turn(silent: tuple[int, ...], spoke: set[int],
 def test_plans_are_counted_and_forgotten_without_losing_counts() -> None:
     one = roster()
     planner = Planner(one, one._evidence, lambda *_: None)
-    read = encode(3, I.READ, b'\x84\0\4\0')[4:-2]
+    read = (INSTRUCTION_2, 3, int(I.READ), b'\x84\0\4\0')
     plan = planner.plan_for(read, S)
     assert planner.plan_for(read, S) is plan
     plan.asked += 5
@@ -448,17 +455,17 @@ def test_plans_are_counted_and_forgotten_without_losing_counts() -> None:
     again = planner.plan_for(read, S)
     again.asked += 2
     assert planner.instructions() == 7
-    assert planner.has_answer(3, 9)
-    assert not planner.has_answer(3, 8)
-    assert not planner.has_answer(4, 9)
+    assert planner.has_answer(3, 4)
+    assert not planner.has_answer(3, 3)
+    assert not planner.has_answer(4, 4)
 
 
 def test_an_answer_is_looked_for_in_the_first_64_plans() -> None:
     one = roster()
     planner = Planner(one, one._evidence, lambda *_: None)
     for number in range(65):
-        planner.plan_for(encode(number, I.READ, b'\x84\0\4\0')[4:-2], S)
-    assert [planner.has_answer(number, 9) for number in (0, 63, 64)] == [True, True, False]
+        planner.plan_for((INSTRUCTION_2, number, int(I.READ), b'\x84\0\4\0'), S)
+    assert [planner.has_answer(number, 4) for number in (0, 63, 64)] == [True, True, False]
 
 
 def test_64_lists_of_sync_writes_are_kept() -> None:
@@ -466,8 +473,8 @@ def test_64_lists_of_sync_writes_are_kept() -> None:
     planner = Planner(one, one._evidence, lambda *_: None)
     for number, kept in ((62, 63), (63, 64), (63, 64), (64, 1)):
         for other in range(63 if number == 62 else 0):
-            planner._sync_write(b'\xfe\x08\0\x83\x74\0\1\0' + bytes([other, 7]), S)
-        planner._sync_write(b'\xfe\x08\0\x83\x74\0\1\0' + bytes([number, 7]), S)
+            planner._sync_write(b'\x74\0\1\0' + bytes([other, 7]), S)
+        planner._sync_write(b'\x74\0\1\0' + bytes([number, 7]), S)
         assert len(planner._targets) == kept
     assert [one.devices[number].counts.writes for number in (61, 62, 63, 64)] == [1, 2, 2, 1]
 
@@ -476,15 +483,16 @@ def test_64_lists_of_sync_writes_are_kept() -> None:
     (b'\xff\xff\xfd', [ev.Code(3)]), (b'\xff\xff\xfd\xfd', []),
     (b'\xff\xff\xfd\xfd\xff\xff\xfd', [ev.Code(3)]), (b'\xff\xff\0\xfd', []),
 ])
-def test_what_a_master_did_not_stuff_is_noted(data: bytes, detail: list[ev.Code]) -> None:
+@pytest.mark.parametrize('noise', [b'', b'\0\0'])
+def test_what_a_master_did_not_stuff_is_noted(data: bytes, detail: list[ev.Code],
+                                              noise: bytes) -> None:
     one = roster()
-    planner = Planner(one, one._evidence, lambda *_: None)
-    body = b'\3\7\0\3\x74\0' + data
-    begin = planner.plan_for(body, S).begin
-    assert begin is not None
-    action, arguments = begin(body, S) or (None, ())
-    assert action == one.write
-    assert arguments == (one.device(3), 116, data.replace(b'\xfd\xfd', b'\xfd'), S)
+    tracker = Tracker(one, one._evidence, 5_000, 4, 'auto')
+    framer = Framer()
+    wire = noise + encode(3, 3, b'\x74\0' + data, stuffed=False) + encode(3, STATUS, error=0)
+    tracker.track(framer.frames(wire), S, framer.bytes)
+    plain = data.replace(b'\xfd\xfd', b'\xfd')
+    assert one.device(3).table.bytes(116, len(plain)) == plain
     assert notes(one) == [(ev.UNSTUFFED, 3, code) for code in detail]
 
 
@@ -554,21 +562,20 @@ def test_listed_devices_decide_what_a_bus_speaks() -> None:
     assert both.dialect is DYNAMIXEL_1 or both.dialect is UNDECIDED
 
 
-def held(number: int, stamp: int, noise: int = 0) -> Held:
-    body = bytes([number, 2, 0xFE, 1])
-    return Held(None, (0, body, Flaw('', False, noise) if noise else None), stamp, 0, '')
+def ping_1(number: int, noise: int = 0) -> Frame:
+    return 0, 6, EITHER_1, number, 1, b'', Flaw('', False, noise) if noise else None
 
 
 def test_a_new_id_is_believed_alone_or_at_its_third_sighting_within_a_second_each() -> None:
-    assert Strangers(roster()).exists(held(7, S), True)
+    assert Strangers(roster()).exists(ping_1(7), S, True)
     strangers = Strangers(roster())
-    assert not strangers.exists(held(7, S), False)
-    assert not strangers.exists(held(7, 2 * S), False)
-    assert strangers.exists(held(7, 3 * S), False)
+    assert not strangers.exists(ping_1(7), S, False)
+    assert not strangers.exists(ping_1(7), 2 * S, False)
+    assert strangers.exists(ping_1(7), 3 * S, False)
     strangers = Strangers(roster())
     for stamp in (S, 2 * S, 3 * S + 1, 4 * S + 1):
-        assert not strangers.exists(held(7, stamp, 1), True)
-    assert strangers.exists(held(7, 5 * S + 1, 1), True)
+        assert not strangers.exists(ping_1(7, 1), stamp, True)
+    assert strangers.exists(ping_1(7, 1), 5 * S + 1, True)
     known = roster()
     known.device(7)
-    assert Strangers(known).exists(held(7, S), False)
+    assert Strangers(known).exists(ping_1(7), S, False)

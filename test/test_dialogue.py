@@ -19,12 +19,15 @@ from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
+from msg_defs.dxl1_detector import Candidate
+from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl1_packet import encode
-from msg_defs.dxl_mixed import is_other
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import encode as encode_2
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
+from msg_defs.frame import EITHER_1
+from msg_defs.frame import is_good
 from msg_defs.heard import IN
 from msg_defs.heard import OUT
 
@@ -529,6 +532,19 @@ def test_a_bus_says_what_was_heard_on_it() -> None:
     assert bus.report().protocol == 'Dynamixel 2.0, Feetech'
 
 
+class Told(Detector):
+    """Believes all or nothing."""
+
+    def __init__(self, believes_all: bool) -> None:
+        super().__init__()
+        self._believes_all = believes_all
+
+    def believes(self, one: Candidate) -> bool:
+        if self._believes_all:
+            one.framer.claim(one.frame)
+        return self._believes_all
+
+
 pieces = st.one_of(
     st.binary(max_size=12),
     st.sampled_from([READ_2, REPLY_2, READ_2[:9], REPLY_2[1:], PING, b'\xff\xff', b'\xff',
@@ -543,18 +559,15 @@ pieces = st.one_of(
 def test_any_split_of_mixed_traffic_gives_the_same(data: bytes, sizes: list[int],
                                                    claimed: bool) -> None:
     def feed(chunks: list[bytes]) -> tuple[object, ...]:
-        framer = MixedFramer()
-        if claimed:
-            for frame in framer.frames(PING):
-                framer.claim(frame)
+        framer = MixedFramer(Told(claimed), is_shared=claimed)
         found = []
         for chunk in chunks:
             found += framer.frames(chunk)
             assert framer.bytes == framer.packet_bytes + framer.noise_bytes + framer.pending
         found += framer.flush_frames()
         assert framer.pending == 0
-        good = [(end, body) for end, body, flaw in found if flaw is None or not flaw.reason]
-        assert [end for end, _ in good] == sorted(end for end, _ in good)
+        good = [frame[1:2] + frame[3:6] for frame in found if is_good(frame)]
+        assert [frame[0] for frame in good] == sorted(frame[0] for frame in good)
         return good, framer.packets, framer.noise_bytes, framer.repaired
 
     split, at = [], 0
@@ -567,8 +580,8 @@ def test_any_split_of_mixed_traffic_gives_the_same(data: bytes, sizes: list[int]
 @settings(STEADY, max_examples=300)
 @given(st.lists(pieces, max_size=14).map(b''.join))
 def test_the_packets_of_2_0_are_those_that_its_own_framer_finds(data: bytes) -> None:
-    mixed, plain = MixedFramer(), Framer()
-    found = [one for one in mixed.frames(data) + mixed.flush_frames() if not is_other(one)]
+    mixed, plain = MixedFramer(Told(False)), Framer()
+    found = [one for one in mixed.frames(data) + mixed.flush_frames() if one[2] < EITHER_1]
     assert found == plain.frames(data) + plain.flush_frames()
     assert (mixed.packets, mixed.crc_errors, mixed.truncated, mixed.bad_length,
             mixed.noise_bytes, mixed.repaired, mixed.noise) == (
@@ -577,18 +590,17 @@ def test_the_packets_of_2_0_are_those_that_its_own_framer_finds(data: bytes) -> 
 
 
 def test_a_packet_of_1_0_in_an_earlier_chunk_is_no_noise_in_front_of_one_of_2_0() -> None:
-    framer = MixedFramer(is_shared=True)
+    framer = MixedFramer(Told(True), is_shared=True)
     for chunk in (PING, PING + b'\0'):
-        for frame in framer.frames(chunk):
-            framer.claim(frame)
-    [(_, _, flaw)] = framer.frames(READ_2)
-    assert flaw is not None and flaw.noise_length == 1
+        framer.frames(chunk)
+    [frame] = framer.frames(READ_2)
+    assert frame[6] is not None and frame[6].noise_length == 1
 
 
 def test_a_wrong_length_of_2_0_is_not_taken_for_one_of_the_1_0_family() -> None:
-    [frame] = [one for one in MixedFramer().frames(b'\xff\xff\xfd\0\1\0\0' + READ_2)
-               if one[2] is not None and one[2].reason]
-    assert not is_other(frame)
+    [frame] = [one for one in MixedFramer(Told(False)).frames(b'\xff\xff\xfd\0\1\0\0' + READ_2)
+               if not is_good(one)]
+    assert frame[2] < EITHER_1
 
 
 # ---- which dialect ------------------------------------------------------------------------------

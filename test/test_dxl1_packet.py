@@ -13,16 +13,16 @@ from packets import packets_1_in
 import pytest
 import scservo_sdk
 
-from msg_defs.dxl1_packet import begin_of
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl1_packet import encode
-from msg_defs.dxl1_packet import FAMILY
 from msg_defs.dxl1_packet import Framer1
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl1_packet import MAX_FRAME
 from msg_defs.dxl_packet import encode as encode_2
-from msg_defs.dxl_packet import Frame
 from msg_defs.dxl_packet import NOISE_KEPT
+from msg_defs.frame import EITHER_1
+from msg_defs.frame import Frame
+from msg_defs.frame import is_good
 
 # As published: the e-Manual (Protocol 1.0) and Feetech's protocol text. ID, code, parameters.
 VECTORS = {
@@ -78,8 +78,8 @@ def summary(framer: Framer1) -> tuple[int, ...]:
 
 
 def damaged(frames: list[Frame]) -> list[tuple[str, int]]:
-    return [(flaw.reason, flaw.noise_length) for _, _, flaw in frames
-            if flaw is not None and flaw.reason]
+    return [(frame[6].reason, frame[6].noise_length) for frame in frames
+            if frame[6] is not None and frame[6].reason]
 
 
 @pytest.mark.parametrize('name', VECTORS)
@@ -165,8 +165,10 @@ def test_what_is_wrong_is_said_exactly() -> None:
         frames = framer.frames(wire) + framer.flush_frames()
         assert damaged(frames) == [(reason, 3)], wire.hex()
         assert (framer.crc_errors, framer.truncated, framer.bad_length) == counts
-        bad = next(one for one in frames if one[2] is not None and one[2].reason)
-        assert bad[1][:3] == wire[2:4] + bytes([FAMILY])
+        begin, end, kind, number, _, data, _ = next(one for one in frames if not is_good(one))
+        assert (begin, kind, number) == (len(PING) + 3, EITHER_1, wire[2])
+        assert data == wire[2:2 + len(data)]
+        assert end == begin + 2 + len(data)
 
 
 def test_a_run_of_ff_ends_in_a_header() -> None:
@@ -176,11 +178,8 @@ def test_a_run_of_ff_ends_in_a_header() -> None:
         assert framer.noise_bytes == run
 
 
-def test_the_form_of_a_body_and_where_the_frame_begins() -> None:
-    framer = Framer1()
-    [(end, body, flaw)] = framer.frames(REPLY)
-    assert (end, body, flaw) == (len(REPLY), bytes((1, 4, FAMILY, 0, 0x18, 5)), None)
-    assert begin_of(end, body) == 0
+def test_a_frame_is_no_instruction_and_no_status() -> None:
+    assert Framer1().frames(REPLY) == [(0, len(REPLY), EITHER_1, 1, 0, b'\x18\5', None)]
 
 
 def test_no_broadcast_and_no_length_is_too_large() -> None:

@@ -25,6 +25,10 @@ from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import STATUS
 from msg_defs.dxl_packet import stuff
 from msg_defs.dxl_packet import unstuff
+from msg_defs.frame import Flaw
+from msg_defs.frame import INSTRUCTION_2
+from msg_defs.frame import is_good
+from msg_defs.frame import IS_STATUS
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data'
 VECTORS = DATA / 'dxl_vectors.json'
@@ -259,10 +263,8 @@ def test_every_byte_is_in_exactly_one_place(data: bytes) -> None:
     frames = framer.frames(data) + framer.flush_frames()
     covered = 0
     behind = 0
-    for end, body, flaw in frames:
-        if flaw is not None and flaw.reason:
-            continue
-        start = max(behind, end - len(body) - 6)
+    for begin, end, *_ in filter(is_good, frames):
+        start = max(behind, begin)
         assert end <= len(data)
         covered += end - start
         behind = end
@@ -344,14 +346,13 @@ def test_what_is_wrong_is_said_exactly(
         wire: bytes, reason: str, counts: tuple[int, int, int]) -> None:
     framer = Framer()
     framer.frames(PING)
-    damaged = [one for one in framer.frames(wire) + framer.flush_frames()
-               if one[2] is not None and one[2].reason]
-    [(end, body, flaw)] = damaged
-    assert flaw is not None
-    assert (flaw.reason, flaw.repaired, flaw.noise_length) == (reason, False, 0)
-    assert body == wire[4:4 + len(body)]
-    assert reason != 'length' or len(body) == 4      # who, how long and what: no more is known
-    assert end == len(PING) + 4 + len(body)
+    damaged = [one for one in framer.frames(wire) + framer.flush_frames() if not is_good(one)]
+    [(begin, end, kind, number, code, data, flaw)] = damaged
+    assert flaw == Flaw(reason, length=int.from_bytes(wire[5:7], 'little'))
+    assert (number, code) == (wire[4], wire[7] if kind == INSTRUCTION_2 else STATUS)
+    assert data == wire[4:4 + len(data)]
+    assert reason != 'length' or len(data) == 4      # who, how long and what: no more is known
+    assert (begin, end) == (len(PING), len(PING) + 4 + len(data))
     assert (framer.crc_errors, framer.truncated, framer.bad_length) == counts
 
 
@@ -359,8 +360,9 @@ def test_how_much_noise_is_ahead_of_a_damaged_frame_is_said() -> None:
     framer = Framer()
     framer.frames(PING + bytes(30))
     damaged = framer.frames(b'\x01' * 5 + BAD_REPLY + PING)[0]
-    assert damaged[2] is not None
-    assert (damaged[2].reason, damaged[2].noise_length) == ('crc', 35)
+    flaw = damaged[6]
+    assert flaw is not None
+    assert (flaw.reason, flaw.noise_length) == ('crc', 35)
 
 
 def test_the_longest_length_is_waited_for_and_judged_by_its_crc() -> None:
@@ -376,8 +378,8 @@ def test_an_impossible_length_is_judged_with_its_instruction() -> None:
     framer = Framer()
     framer.frames(HEADER + b'\x01\xff\xff')
     assert framer.bad_length == 0
-    [(_, body, _)] = framer.frames(b'\x55')
-    assert body == b'\x01\xff\xff\x55'
+    [frame] = framer.frames(b'\x55')
+    assert frame[2:6] == (IS_STATUS, 1, STATUS, b'\x01\xff\xff\x55')
 
 
 def test_a_status_without_an_error_byte_is_no_packet_whatever_its_crc() -> None:
@@ -417,7 +419,7 @@ def test_what_is_too_short_for_an_instruction_is_no_packet_whatever_its_crc(leng
 def test_nothing_is_said_of_good_frames_directly_behind_each_other() -> None:
     framer = Framer()
     frames = framer.frames(PING + READ + REPLY[:5]) + framer.frames(REPLY[5:])
-    assert [flaw for _, _, flaw in frames] == [None, None, None]
+    assert [frame[6] for frame in frames] == [None, None, None]
 
 
 # --- pauses --------------------------------------------------------------------------------------

@@ -551,7 +551,7 @@ def test_a_write_that_makes_no_sense_hides_none_behind_it(senseless: bytes) -> N
 def test_a_write_that_makes_no_sense_behind_one_that_does_is_noted() -> None:
     bus = Bus()
     bus.hear(encode(BROADCAST, I.SYNC_WRITE, words(GOAL, 4) + b'\x01cccc\x02bbbb'), SENSELESS)
-    assert notes(bus)[-1][1:] == (ev.MALFORMED, BROADCAST, (I.SYNC_WRITE, 14))
+    assert notes(bus)[-1][1:] == (ev.MALFORMED, BROADCAST, (I.SYNC_WRITE, 13))
     assert bus.known(1, GOAL) == b'cccc'
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from dxl_monitor.bus.dialect import DialectChoice
 from dxl_monitor.bus.dialogue import AnyFramer
 from dxl_monitor.bus.dialogue import Dialogue
+from dxl_monitor.bus.dialogue import Part
 from dxl_monitor.bus.dialogue import SLOW_NS
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
@@ -20,9 +21,11 @@ from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.model.models import Models
 from msg_defs import dxl1_packet
+from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl_mixed import MixedFramer
-from msg_defs.dxl_packet import Frame
 from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import REASONS
+from msg_defs.frame import Frame
 from msg_defs.heard import BAUD
 from msg_defs.heard import Change
 from msg_defs.heard import CLOSED
@@ -72,8 +75,9 @@ class Conversation:
         self.choice = DialectChoice(models, settings.protocol)
         self.choice.expect(device.dialect for device in self.roster.devices.values())
         self.roster.dialect = self.choice.dialect
+        self.detector = Detector() if settings.protocol == 'auto' else None
         self.dialogue = None if settings.protocol == '2' else Dialogue(
-            self.roster, self.evidence, self.choice, self.byte_ns)
+            self.roster, self.evidence, self.choice, self.detector, self.byte_ns)
         self.framers = {UNKNOWN: self._new_framer(UNKNOWN)}     # by the side that they hear
         self.tracker = Tracker(self.roster, self.evidence, self.byte_ns, settings.missed_limit,
                                settings.write_acks)
@@ -87,11 +91,9 @@ class Conversation:
             self.dialogue.slow_ns = SLOW_NS + int(1e6 * latency_timer_ms)
 
     def _new_framer(self, side: str) -> AnyFramer:
-        if self.dialogue is None:
-            return Framer()
-        if self.settings.protocol == 'auto':
-            return MixedFramer(bool(side), self.dialogue.proven)
-        return dxl1_packet.Framer1()
+        if self.detector is not None:
+            return MixedFramer(self.detector, bool(side), side)
+        return Framer() if self.dialogue is None else dxl1_packet.Framer1()
 
     @property
     def framer(self) -> AnyFramer:
@@ -117,6 +119,7 @@ class Conversation:
                 stamp += int(len(chunk) * self.byte_ns)
             else:
                 self._heard_in = stamp
+        framer.stamp = stamp
         frames = framer.frames(chunk)
         if framer.has_other:
             self._read(framer, frames, stamp, side)
@@ -130,18 +133,22 @@ class Conversation:
             self._flush(IN, framer, self._heard_in)
 
     def _flush(self, side: str, framer: AnyFramer, stamp: int) -> None:
+        framer.stamp = stamp
         self._read(framer, framer.flush_frames(), stamp, side)
 
     def _read(self, framer: AnyFramer, frames: list[Frame], stamp: int, side: str) -> None:
-        """Hand on what a framer found, frames of the 1.0 family in the form of 2.0."""
+        """Hand on what a framer found, once it is known what it means."""
         if self.dialogue is None:
             self.take(frames, stamp, framer.bytes, side)
             return
-        for part in self.dialogue.read(framer, frames, stamp, side):
-            self.take(*part)
-        if self.dialogue.has_decided:          # by what is in the tables only now
-            self.dialogue.has_decided = False
-            self.roster.speak(self.choice.dialect)
+        self._take_parts(self.dialogue.read(framer, frames, stamp, side))
+
+    def _take_parts(self, parts: list[Part | None]) -> None:
+        for part in parts:
+            if part is None:
+                self.roster.speak(self.choice.dialect)
+            else:
+                self.take(*part)
 
     def take(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
         """Take what a framer found in the chunk of this stamp, which ends at offset received."""
@@ -166,9 +173,9 @@ class Conversation:
                 framer.interrupt()
 
     def _settle(self) -> None:
-        """Take what waited for something behind it, for nothing is."""
-        if self.dialogue is not None and (part := self.dialogue.settle()) is not None:
-            self.take(*part)
+        """Take what waited for the next frame: the line is idle."""
+        if self.dialogue is not None:
+            self._take_parts(self.dialogue.settle())
 
     def change(self, change: Change, stamp: int) -> None:
         """Take what a source said beside bytes."""
@@ -207,6 +214,8 @@ class Conversation:
     def total(self, counter: str) -> int:
         """Return a counter of the framers, over all sides."""
         count: int = sum(getattr(framer, counter) for framer in self.framers.values())
+        if self.dialogue is not None and counter in REASONS:
+            count += self.dialogue.damaged[REASONS[counter]]
         return count
 
     @property

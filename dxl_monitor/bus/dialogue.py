@@ -1,26 +1,27 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Dialogue: what frames of the 1.0 family mean, from what was said before; in the form of 2.0.
+Dialogue, the classifier of the 1.0 family: what its packets mean, from what was said before.
 
-Three things are decided here that the frame itself does not tell. Whether it is one at all: one
-right sum of eight bits proves little, several directly behind each other do. Whether it is an
-instruction or a status, which have the same form: FF FF 01 02 01 FB is a Ping of 1, and the answer
-of 1 with "input voltage error". And which dialect the bus speaks (dialect.py). With the side of a
-frame known, the second is certain. What stays open is counted and changes nothing.
+Two things are decided here that a packet itself does not say. Whether it is an instruction or a
+status, which have the same form: FF FF 01 02 01 FB is a Ping of 1, and the answer of 1 with "input
+voltage error". And which dialect the bus speaks (dialect.py). With the side of a packet known, the
+first is certain. What stays open is counted and changes nothing.
 
-A frame that names an ID for the first time waits for what is behind it (stranger.py).
+A packet that names an ID for the first time waits for what comes after it (stranger.py).
 """
 
 from collections import Counter
+from typing import Any
+from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.dialect import DialectChoice
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.roster import Roster
-from dxl_monitor.bus.stranger import Held
 from dxl_monitor.bus.stranger import Strangers
 from msg_defs import dxl1_packet
+from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl1_instruction import common_error
 from msg_defs.dxl1_instruction import fits
 from msg_defs.dxl1_instruction import in_common
@@ -28,101 +29,146 @@ from msg_defs.dxl1_instruction import parse
 from msg_defs.dxl1_instruction import STATUS_BITS
 from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl1_packet import BROADCAST
-from msg_defs.dxl1_packet import FAMILY
 from msg_defs.dxl1_packet import MIN_LENGTH
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Request
-from msg_defs.dxl_mixed import is_other
 from msg_defs.dxl_mixed import MixedFramer
-from msg_defs.dxl_packet import Flaw
-from msg_defs.dxl_packet import Frame
 from msg_defs.dxl_packet import Framer
-from msg_defs.dxl_packet import STATUS
-from msg_defs.dxl_packet import stuff
+from msg_defs.frame import EITHER_1
+from msg_defs.frame import Flaw
+from msg_defs.frame import Frame
+from msg_defs.frame import GLITCH
+from msg_defs.frame import INSTRUCTION_1
+from msg_defs.frame import IS_STATUS
+from msg_defs.frame import OPEN
 from msg_defs.heard import IN
 from msg_defs.heard import OUT
 
-PROOF = 3                          # frames directly behind each other that prove the family
-MUCH = 16                          # or so many in all, with fewer wrong ones than 16 to each
-GLITCH = 3                         # bytes of noise that still count as none (tracker.py)
 # A device answers within 0.5 ms (Return Delay Time), a master gives up after 10 ms or more.
 QUICK_NS = 3_000_000
 SLOW_NS = 9_000_000
-OPEN = 'open'                      # the reason of a frame that may be an instruction or a status
 MEANINGS_KEPT = 1024
 
 AnyFramer = Framer | MixedFramer | dxl1_packet.Framer1
-# What Conversation.take() takes: frames, the stamp of their chunk, the offset behind it, its side.
+# What Conversation.take() takes: frames, the stamp of their chunk, the offset after it, its side.
 Part = tuple[list[Frame], int, int, str]
-_MARK = bytes([FAMILY])
-_GOOD_STATUS = bytes((FAMILY, STATUS, 0))
+Said = tuple[int, int, bytes]              # ID, code and parameters of a packet
+# What an instruction is: its kind and parameters in common form; who answers with how much.
+Meaning = tuple[int, bytes, Request, dict[int, int]]
+_IS_OPEN = Flaw(OPEN)
 _NOTHING = Request(0, 0xFF, Answers.NONE)
 _SYNC_WRITE = 0x83
 # Who answers these, and how much, their bytes alone tell; a write depends on its device as well.
 _TOLD_BY_BODY = (Answers.DATA, Answers.LISTED, Answers.PING)
 
 
+class _Waiting(NamedTuple):
+    """A packet that names an ID for the first time, and was the last."""
+
+    framer: Any                            # a MixedFramer, or one of the 1.0 family alone
+    frame: Frame
+    stamp: int
+    received: int
+    side: str
+
+
 class Dialogue:
     """
-    Reads the frames of one bus in order.
+    Reads the packets of one bus in order.
 
-    A framer of the 1.0 family alone says that the bus speaks nothing else: then each right sum is
-    a packet. Each side has a framer of its own; what one of them proves holds for both.
+    detector: says whether the 1.0 family is spoken here; None where that is known.
     """
 
     def __init__(self, roster: Roster, evidence: Evidence, choice: DialectChoice,
-                 byte_ns: float) -> None:
+                 detector: Detector | None, byte_ns: float) -> None:
         self._evidence = evidence
         self._roster = roster
         self._choice = choice
+        self._detector = detector
         self.byte_ns = byte_ns
         self.slow_ns = SLOW_NS             # and the adapter may keep bytes back for longer
-        self._streak: list[Held] = []      # good frames directly behind each other, not yet proof
         self.packets = 0                   # those of the 1.0 family
-        self.proven: set[int] = set()      # the IDs that speak the 1.0 family here
-        self._single = 0                   # good frames that were given up
-        self._stranger: Held | None = None # names an ID for the first time, and was the last
+        self.damaged: Counter[str] = Counter()     # those under `auto`
+        self._stranger: _Waiting | None = None
         self._strangers = Strangers(roster)
         self._request = _NOTHING
-        self._asked = b''                  # the body of the last instruction
+        self._asked: Said = (-1, -1, b'')  # the last instruction
         self._asked_ns = 0.0               # when it ended
-        self.has_decided = False           # the dialect, with the frames just read
+        self._has_decided = False          # the last packet decided the dialect
         self._is_echoing = False           # what the master sends comes back to it
         self._awaited: dict[int, int] = {} # statuses to come: parameters, by ID
         self._errors: dict[int, int] = {}  # error byte of the last status, by ID
-        self._meanings: dict[bytes, tuple[bytes, Request, dict[int, int]]] = {}
+        self._meanings: dict[Said, Meaning] = {}
         self._noise_seen: Counter[AnyFramer] = Counter()       # bytes of it, by framer
 
-    def read(self, framer: AnyFramer, frames: list[Frame], stamp: int, side: str) -> list[Part]:
-        """Return the frames of a chunk in the form of 2.0, as Conversation.take() takes them."""
-        parts: list[Part] = []
+    def read(self, framer: AnyFramer, frames: list[Frame], stamp: int,
+             side: str) -> list[Part | None]:
+        """
+        Return the frames of a chunk with their meaning, as Conversation.take() takes them.
+
+        None among them: the dialect is known from here on.
+        """
+        parts: list[Part | None] = []
         found: list[Frame] = []
+        received = framer.bytes
+        detector = self._detector
+        devices = self._roster.devices
         is_noisy = False
+        proving = self._proof(detector, parts) if detector is not None and detector.proof else None
         for frame in frames:
-            flaw = frame[2]
-            is_noisy |= flaw is not None and flaw.noise_length > GLITCH
+            kind, number, flaw = frame[2], frame[3], frame[6]
+            if flaw is not None and flaw.noise_length > GLITCH:
+                is_noisy = True
             if self._stranger is not None:
                 self._resolve(framer, flaw, parts, found)
-            if not is_other(frame):
+            if kind < EITHER_1:
                 found.append(frame)
             elif flaw is not None and flaw.reason:
-                if not isinstance(framer, MixedFramer) or self._is_ours(frame[1][0]):
-                    found.append(self._damaged(framer, frame, flaw, side))
-            elif not isinstance(framer, MixedFramer) \
-                    or (self.proven and (flaw is None or flaw.noise_length <= GLITCH)):
-                if isinstance(framer, MixedFramer):
-                    self._claim(framer, frame, stamp)
-                if side != OUT and self._is_new(frame[1]):
-                    self._stranger = Held(framer, frame, stamp, framer.bytes, side)
-                else:
-                    found.append(self._meaning(frame, stamp, framer.bytes, side))
-            else:
-                self._weigh(Held(framer, frame, stamp, framer.bytes, side), parts, found)
-        if self._streak and isinstance(framer, MixedFramer) and framer.noise_ahead > GLITCH:
-            self._reject()
+                if kind == EITHER_1 or number in self._awaited:
+                    found.append(self._damaged(frame, flaw, side))
+            elif kind == EITHER_1:
+                if detector is not None:
+                    self._note_family(framer, frame, stamp)
+                if (number not in devices and side != OUT and frame is not proving
+                        and number not in self._awaited
+                        and self._strangers.new_id(*frame[3:6]) is not None):
+                    self._stranger = _Waiting(framer, frame, stamp, received, side)
+                    continue
+                found.append(self._meaning(frame, stamp, received, side))
+                if self._has_decided:
+                    found = self._cut(parts, found, stamp, received, side)
         if is_noisy:
             self._look_at_noise(framer)
-        return [*parts, (found, stamp, framer.bytes, side)]
+        parts.append((found, stamp, received, side))
+        return parts
+
+    def _proof(self, detector: Detector, parts: list[Part | None]) -> Frame | None:
+        """Add the packets of earlier chunks that this one proved; return the frame that did so."""
+        for one in detector.proof:
+            self._note_family(one.framer, one.frame, one.stamp)
+            self._add(parts, self._meaning(*one[1:]), *one[2:])
+        return detector.proving
+
+    def _cut(self, parts: list[Part | None], found: list[Frame], stamp: int, received: int,
+             side: str) -> list[Frame]:
+        """Say that the dialect is known: before the question that decided it, after the answer."""
+        self._has_decided = False
+        kept = [] if found[-1][2] == IS_STATUS else [found.pop()]
+        parts += [(found, stamp, received, side), None]
+        return kept
+
+    def _add(self, parts: list[Part | None], frame: Frame, stamp: int, received: int,
+             side: str) -> None:
+        """Add a packet of an earlier chunk."""
+        found = [frame]
+        if self._has_decided:
+            found = self._cut(parts, found, stamp, received, side)
+        parts.append((found, stamp, received, side))
+
+    def _note_family(self, framer: AnyFramer, frame: Frame, stamp: int) -> None:
+        """Note a packet of the 1.0 family on a bus that speaks 2.0 as well."""
+        if isinstance(framer, MixedFramer) and framer.has_first:
+            self._evidence.note_often(stamp, ev.PROTOCOL_1, frame[3], ev.Code(frame[4]))
 
     def _look_at_noise(self, framer: AnyFramer) -> None:
         """Count the answers in the noise that lack only the first byte of their header."""
@@ -139,142 +185,88 @@ class Dialogue:
                 at = end - 1
             at = noise.find(0xFF, at + 1)
 
-    def _meant(self, held: Held) -> Frame:
-        return self._meaning(held.frame, held.stamp, held.received, held.side)
-
-    def _part(self, held: Held) -> Part:
-        """Return what a frame of an earlier chunk means."""
-        return [self._meant(held)], held.stamp, held.received, held.side
-
     # --- does this ID exist? --------------------------------------------------------------------
 
-    def _is_new(self, body: bytes) -> bool:
-        return body[0] not in self._roster.devices and body[0] not in self._awaited \
-            and self._strangers.new_id(body) is not None
-
-    def _resolve(self, framer: AnyFramer, flaw: Flaw | None, parts: list[Part],
+    def _resolve(self, framer: AnyFramer, flaw: Flaw | None, parts: list[Part | None],
                  found: list[Frame]) -> None:
-        """Decide on the frame that waits, for another has come."""
+        """Decide on the packet that waits, for another frame has come."""
         held = self._stranger
         if held is None:
             return
         is_same = framer is held.framer
         is_next = not is_same or flaw is None or not (flaw.reason or flaw.noise_length)
         frame = self._met(held, is_next)
-        if is_same and held.received == framer.bytes:          # in this chunk
-            found.append(frame)
-        else:
-            parts.append(([frame], held.stamp, held.received, held.side))
+        if not is_same or held.received != framer.bytes:       # of an earlier chunk
+            self._add(parts, frame, *held[2:])
+            return
+        found.append(frame)
+        if self._has_decided:
+            found[:] = self._cut(parts, found.copy(), *held[2:])
 
-    def settle(self) -> Part | None:
-        """Return the frame that waits, if the line is idle behind it."""
+    def settle(self) -> list[Part | None]:
+        """Return the packet that waits, if the line is idle after it."""
+        parts: list[Part | None] = []
         held = self._stranger
-        if held is None or held.framer.pending:
-            return None
-        frame = self._met(held, not held.framer.noise_ahead)
-        return [frame], held.stamp, held.received, held.side
+        if held is not None and not held.framer.pending:
+            self._add(parts, self._met(held, not held.framer.noise_ahead), *held[2:])
+        return parts
 
-    def _met(self, held: Held, is_next: bool) -> Frame:
-        """Return what the frame that waits means; is_next: there is no noise behind it."""
+    def _met(self, held: _Waiting, is_next: bool) -> Frame:
+        """Return what the packet that waits means; is_next: there is no noise after it."""
         self._stranger = None
-        if held.frame[1][0] in self._awaited or self._strangers.exists(held, is_next):
-            return self._meant(held)
+        if held.frame[3] in self._awaited \
+                or self._strangers.exists(held.frame, held.stamp, is_next):
+            return self._meaning(*held[1:])
         self.packets += 1
-        return held.frame[0], held.frame[1], Flaw(OPEN, False, 0)
-
-    # --- is it one? -----------------------------------------------------------------------------
-
-    def _weigh(self, one: Held, parts: list[Part], found: list[Frame]) -> None:
-        """Take a good frame that may be chance, and those that it proves."""
-        proven = self._proven(one)
-        parts.extend(self._part(held) for held in proven[:-1])
-        if len(proven) == 1 and one.side != OUT and self._is_new(one.frame[1]):
-            self._stranger = one               # behind noise, on a bus of this family
-        elif proven:
-            found.append(self._meant(one))
-
-    def _proven(self, one: Held) -> list[Held]:
-        """Return the good frames that are proven by this one, in order, itself the last."""
-        framer, body, flaw = one.framer, one.frame[1], one.frame[2]
-        is_next = flaw is None or flaw.noise_length <= GLITCH
-        if self.proven and (is_next or body[0] in self.proven):
-            return self._claimed([one])
-        if not is_next:
-            self._reject()
-        self._streak.append(one)
-        framer.held += body[1] + 4
-        if len(self._streak) >= PROOF \
-                or (self._single >= MUCH and MUCH * self._single > framer.wrong):
-            streak = self._streak
-            self._let_go()
-            return self._claimed(streak)
-        return []
-
-    def _claimed(self, streak: list[Held]) -> list[Held]:
-        for held in streak:
-            self._claim(held.framer, held.frame, held.stamp)
-        return streak
-
-    def _claim(self, framer: MixedFramer, frame: Frame, stamp: int) -> None:
-        body = frame[1]
-        self.proven.add(body[0])
-        framer.claim(frame)
-        if framer.has_first:
-            self._evidence.note_often(stamp, ev.PROTOCOL_1, body[0], ev.Code(body[3]))
-
-    def _reject(self) -> None:
-        """Give up what is not proven: its bytes are noise."""
-        self._single += len(self._streak)
-        self._let_go()
-
-    def _let_go(self) -> None:
-        for held in self._streak:
-            held.framer.held = 0
-        self._streak = []
-
-    def _is_ours(self, number: int) -> bool:
-        return number in self.proven or number in self._awaited
+        return _open(held.frame)
 
     # --- instruction or status? -----------------------------------------------------------------
 
     def _meaning(self, frame: Frame, stamp: int, received: int, side: str) -> Frame:
-        end, body, flaw = frame
+        begin, end, kind, number, code, params, flaw = frame
         self.packets += 1
-        if body[3] == STATUS and (side == OUT or body[0] == BROADCAST):
-            return end, body, Flaw(OPEN, False, 0)     # no instruction has the code of a status
-        awaited = self._awaited.get(body[0])
+        awaited = self._awaited.get(number)
         if side == IN:
-            if self._is_echo(body, awaited):
-                return end, self._meanings.get(body, (in_common(body),))[0], flaw
-        elif side == OUT or awaited is None or body[3]:
+            if self._is_echo((number, code, params), awaited):
+                kind, params = in_common(code, number, params)
+                return begin, end, kind, number, code, params, flaw
+        elif side == OUT or awaited is None or code:
             ended = stamp - (received - end) * self.byte_ns
-            is_status = side != OUT and self._is_status(body, ended, awaited)
+            is_status = side != OUT and self._is_status((number, code, params), ended, awaited)
             if is_status is None:
-                return end, body, Flaw(OPEN, False, 0)
+                return _open(frame)
             if not is_status:
-                return end, self._instruction(body, ended), flaw
+                kind, params = self._instruction((number, code, params), ended)
+                return begin, end, kind, number, code, params, flaw
         if awaited is not None:
-            del self._awaited[body[0]]
-        return end, self._status(body, stamp), flaw
+            del self._awaited[number]
+        if params and self._request.id == number and self._choice.dialect is UNDECIDED \
+                and self._choice.told(self._request, params):
+            self._decide()
+        if code or self._errors.get(number, -1):
+            code = self._error(number, code, stamp)
+        return begin, end, IS_STATUS, number, code, params, flaw
 
-    def _is_echo(self, body: bytes, awaited: int | None) -> bool:
+    def _is_echo(self, said: Said, awaited: int | None) -> bool:
         """Return whether what came to the master is an instruction, mostly its own."""
-        if body[0] == BROADCAST or body[3] > STATUS_BITS:
-            self._is_echoing |= body == self._asked
+        number, code, params = said
+        if number == BROADCAST or code > STATUS_BITS:
+            self._is_echoing |= said == self._asked
             return True
-        if body != self._asked or (len(body) - 4 == awaited and not self._is_echoing):
+        if said != self._asked or (len(params) == awaited and not self._is_echoing):
             return False
         self._is_echoing = True
-        self._asked = b''                  # it comes back once
+        self._asked = (-1, -1, b'')        # it comes back once
         return True
 
-    def _is_status(self, body: bytes, ended: float, awaited: int | None) -> bool | None:
-        """Return whether a frame is a status, None where that stays open."""
-        number, code, size = body[0], body[3], len(body) - 4
+    def _is_status(self, said: Said, ended: float, awaited: int | None) -> bool | None:
+        """Return whether a packet is a status, None where that stays open."""
+        number, code, params = said
+        size = len(params)
         if number == BROADCAST or code > STATUS_BITS:
             return False
-        if not fits(code, number, body[4:], self._choice.dialect) \
-                and not fits(code, number, body[4:]):
+        if not fits(code, number, params, self._choice.dialect) \
+                and not fits(code, number, params):
             return True
         if awaited is None:
             return False
@@ -283,38 +275,38 @@ class Dialogue:
         waited = ended - (size + 6) * self.byte_ns - self._asked_ns
         if waited >= self.slow_ns or size not in (awaited, 0):
             return False
-        if waited <= QUICK_NS and (body != self._asked or number in self._errors):
+        if waited <= QUICK_NS and (said != self._asked or number in self._errors):
             return True
         return None
 
-    def _instruction(self, body: bytes, ended: float) -> bytes:
-        if body[3] == _SYNC_WRITE and self._choice.dialect is not UNDECIDED:
+    def _instruction(self, said: Said, ended: float) -> tuple[int, bytes]:
+        """Return the kind of an instruction and its parameters in common form."""
+        self._asked, self._asked_ns = said, ended
+        number, code, params = said
+        if code == _SYNC_WRITE and self._choice.dialect is not UNDECIDED:
             self._request, self._awaited = _NOTHING, {}        # what a robot says most
-            self._asked, self._asked_ns = body, ended
-            return in_common(body)
-        known = self._meanings.get(body)
+            return in_common(code, number, params)
+        known = self._meanings.get(said)
         if known is None:
-            known = self._parsed(body)
-        elif self._choice.dialect is UNDECIDED and self._choice.asked(known[1]):
-            self._decided()
-        meaning, self._request, awaited = known
+            known = self._parsed(said)
+        elif self._choice.dialect is UNDECIDED and self._choice.asked(known[2]):
+            self._decide()
+        kind, params, self._request, awaited = known
         self._awaited = awaited.copy()
-        self._asked = body
-        self._asked_ns = ended
-        return meaning
+        return kind, params
 
-    def _parsed(self, body: bytes) -> tuple[bytes, Request, dict[int, int]]:
+    def _parsed(self, said: Said) -> Meaning:
         choice = self._choice
-        number, code, params = body[0], body[3], body[4:]
+        number, code, params = said
         dialect = choice.dialect if code in choice.dialect.entries else UNDECIDED
         request = parse(code, number, params, dialect)
         if choice.asked(request):
-            self._decided()
-        known = in_common(body), request, self._due(request)
+            self._decide()
+        known = *in_common(code, number, params), request, self._due(request)
         if request.answers in _TOLD_BY_BODY:
             if len(self._meanings) >= MEANINGS_KEPT:
                 self._meanings.clear()
-            self._meanings[body] = known
+            self._meanings[said] = known
         return known
 
     def _due(self, request: Request) -> dict[int, int]:
@@ -328,32 +320,29 @@ class Dialogue:
             return {request.id: 0}
         return {}
 
-    def _status(self, body: bytes, stamp: int) -> bytes:
-        number, error, data = body[0], body[3], body[4:]
-        choice = self._choice
-        if choice.dialect is UNDECIDED and self._request.id == number and data \
-                and choice.told(self._request, data):
-            self._decided()
+    def _error(self, number: int, error: int, stamp: int) -> int:
+        """Keep the error byte of a status where it changes; return it as 2.0 would say it."""
+        dialect = self._choice.dialect
         if error != self._errors.get(number, 0):
-            self._roster.told_error(number, choice.dialect.error_at, error, stamp)
+            self._roster.told_error(number, dialect.error_at, error, stamp)
         self._errors[number] = error
-        if not error:
-            return body[:2] + _GOOD_STATUS + stuff(data)
-        return (body[:2] + _MARK + bytes((STATUS, common_error(error, choice.dialect)))
-                + stuff(data))
+        return common_error(error, dialect) if error else 0
 
-    def _damaged(self, framer: AnyFramer, frame: Frame, flaw: Flaw, side: str) -> Frame:
+    def _damaged(self, frame: Frame, flaw: Flaw, side: str) -> Frame:
         """Return a damaged frame as what it most likely was."""
-        end, body, _ = frame
-        if isinstance(framer, MixedFramer):
-            framer.claim_damage(flaw.reason)
-        is_status = side == IN or (side != OUT and body[0] in self._awaited)
-        rest = bytes([STATUS]) + body[3:] if is_status else body[3:]
-        return end, body[:2] + b'\0' + rest, flaw
+        begin, end, _, number, code, data, _ = frame
+        if self._detector is not None:
+            self.damaged[flaw.reason] += 1
+        is_status = side == IN or (side != OUT and number in self._awaited)
+        return begin, end, IS_STATUS if is_status else INSTRUCTION_1, number, code, data, flaw
 
-    def _decided(self) -> None:
-        """Read what was said before as the dialect has it that is known now."""
+    def _decide(self) -> None:
+        """Read what comes as the dialect has it that is known now."""
         self._meanings.clear()
-        self.has_decided = True
-        self._roster.speak(self._choice.dialect)
+        self._has_decided = True
 
+
+def _open(frame: Frame) -> Frame:
+    """Return a packet that may be an instruction or a status, or nothing."""
+    begin, end, kind, number, code, params, _ = frame
+    return begin, end, kind, number, code, dxl1_packet.content(number, code, params), _IS_OPEN

@@ -22,6 +22,10 @@ from dxl_monitor.bus.report import Wait
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import STATUS
+from msg_defs.frame import Flaw
+from msg_defs.frame import Frame
+from msg_defs.frame import IS_STATUS
+from msg_defs.frame import OPEN as OPEN_FRAME
 
 NO_DEVICE = -1
 Register = Callable[[int, int], str]        # what a device calls the register at an address
@@ -228,18 +232,19 @@ class Evidence:
         else:
             self.counts[kind] += 1
 
-    def note_damage(self, stamp: int, body: bytes, reason: str) -> None:
-        """Note a damaged frame; reason: as its Flaw has it."""
-        code, length = (body[3:4] or b'\0')[0], body[1] | body[2] << 8
-        if reason == 'open':
-            self.note(stamp, OPEN, body[0], Code(code))
-        elif reason == 'length':
-            self.note(stamp, BAD_LENGTH, NO_DEVICE, Length(length))
-        elif reason == 'cut':
-            self.note(stamp, CUT, NO_DEVICE, Front(code, length))
+    def note_damage(self, stamp: int, frame: Frame, flaw: Flaw) -> None:
+        """Note a damaged frame, or one of which it is open what it is."""
+        _, _, kind, number, code, _, _ = frame
+        code = STATUS if kind == IS_STATUS else code
+        if flaw.reason == OPEN_FRAME:
+            self.note(stamp, OPEN, number, Code(code))
+        elif flaw.reason == 'length':
+            self.note(stamp, BAD_LENGTH, NO_DEVICE, Length(flaw.length))
+        elif flaw.reason == 'cut':
+            self.note(stamp, CUT, NO_DEVICE, Front(code, flaw.length))
         else:
-            kind = DAMAGED_STATUS if code == STATUS else DAMAGED_INSTRUCTION
-            self.note(stamp, kind, body[0], Front(code, length))
+            self.note(stamp, DAMAGED_STATUS if kind == IS_STATUS else DAMAGED_INSTRUCTION, number,
+                      Front(code, flaw.length))
 
     def note_wait(self, wait: Wait) -> None:
         """Keep how long the master waited for an answer before it went on."""

@@ -22,6 +22,7 @@ from msg_defs.crc import CRC16_TABLE
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import fast_wire
 from msg_defs.dxl_packet import HEADER_CRC
 
 # What takes an answer in: address and size, data, stamp, source (as Table.keep).
@@ -29,11 +30,10 @@ Take = Callable[[Span, bytes, int, int], object]
 # What an instruction does to a device, and with which arguments: the device, more, the stamp.
 Action = Callable[..., None]
 Effect = tuple[Action, tuple[Any, ...]]
-# What one more instruction of a plan starts, from its body and stamp; it returns the effect that
+# What one more instruction of a plan starts, from its parameters and stamp: the effect that
 # waits for the device to accept it, None where nothing waits.
 Begin = Callable[[bytes, int], Effect | None]
 STAMPS_KEPT = 64
-_STATUS_FRONT = 5                  # a status body before its data: id, length, 0x55, error
 _NO_SIZE = -1
 
 
@@ -46,7 +46,7 @@ class Due(Enum):
 
 
 class Slot:
-    """One expected status: from which device, how long its body is, and where its data go."""
+    """One expected status: from which device, of how many data, and where these go."""
 
     __slots__ = ('device', 'due', 'size', 'span', 'take')
 
@@ -54,7 +54,7 @@ class Slot:
         self.device = device
         self.due = due
         self.span = address, length
-        self.size = _STATUS_FRONT + length
+        self.size = length
         self.take = take
 
 
@@ -138,18 +138,19 @@ class Plan:
         self.missed = 0
         self.stamps: deque[int] = deque(maxlen=STAMPS_KEPT)
 
-    def take_whole(self, awaited: int, body: bytes, stamp: int,
+    def take_whole(self, awaited: int, error: int, data: bytes, stamp: int,
                    answer: Callable[[Slot, int, bytes, int], object]) -> bool:
         """
         Take a fast reply of which every part holds; leave any other as it is and return False.
 
-        awaited: how many parts are still to come, all of them if it is the first reply. answer:
-        takes a part that needs more than storing: slot, error byte, data, stamp.
+        awaited: how many parts are still to come, all of them if it is the first reply. error,
+        data: of the frame. answer: takes a part that needs more than storing: slot, error byte,
+        data, stamp.
         """
         reply = self.fast_reply
         if reply is None or awaited != len(reply.slots):
             return False
-        fields = reply.read(body)
+        fields = reply.read(fast_wire(error, data))
         if not fields:
             return False
         for slot, error, data in zip(reply.slots, fields[::4], fields[2::4], strict=True):

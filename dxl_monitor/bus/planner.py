@@ -32,7 +32,6 @@ from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.table import WRITTEN
 from msg_defs.dxl1_instruction import CALIBRATE
 from msg_defs.dxl1_instruction import understood
-from msg_defs.dxl1_packet import FAMILY
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import bulk_write_entries
@@ -44,16 +43,20 @@ from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_instruction import RESET_ALL
 from msg_defs.dxl_packet import BROADCAST
-from msg_defs.dxl_packet import unstuff
+from msg_defs.frame import INSTRUCTION_2
 
 PLANS_LOOKED_AT = 64               # a master repeats fewer
 TARGETS_KEPT = 64                  # different lists of IDs in Sync Writes
 SLOTS_KEPT = 32_768                # the size of all plans together: 3000 different reads
 BYTES_PER_SLOT = 32                # so many bytes of a plan's key count as one slot
+_ADDRESS_SIZE = 2                  # in front of what is written
 NO_PLAN = Plan(Request(0, 0xFF, Answers.NONE), {})
 
 _KEY_SIZE = {code: kind.key_size for code, kind in KINDS.items()}
-_RUN = b'\xff\xff\xfd'
+# What tells one instruction from another: kind, ID, code, parameters; where there are data to
+# write, the parameters in front of them, and how many there are in all.
+Said = tuple[int, int, int, bytes]
+Key = Said | tuple[int, int, int, bytes, int]
 
 
 class Target(NamedTuple):
@@ -75,7 +78,7 @@ class Planner:
         self._roster = roster
         self._evidence = evidence
         self._on_ack = on_ack
-        self.known: dict[bytes, Plan] = {}     # by what tells one from another
+        self.known: dict[Key, Plan] = {}
         self._size = 0                 # size of all plans, in slots
         # Of a Sync Write, by address, size and IDs.
         self._targets: dict[bytes, tuple[list[Target], Struct]] = {}
@@ -103,15 +106,19 @@ class Planner:
             Answers.ACK: self._ack_slots,
         }
 
-    def plan_for(self, body: bytes, stamp: int) -> Plan:
-        """Return the plan of an instruction, from the body of its frame."""
-        key = body[:_KEY_SIZE.get(body[3])]
+    def plan_for(self, said: Said, stamp: int) -> Plan:
+        """Return the plan of an instruction: kind, ID, code and parameters of its frame."""
+        kind, number, code, params = said
+        size = _KEY_SIZE.get(code)
+        key: Key = said
+        if size is not None:
+            key = kind, number, code, params[:size], len(params)
         plan = self.known.get(key)
         if plan is None:
-            plan = self._learn(body, stamp)
+            plan = self._learn(said, stamp)
             if plan.request.malformed:
-                key = body             # another one of this key may well make sense
-            size = plan.size + len(key) // BYTES_PER_SLOT
+                key = said             # another with this front may well make sense
+            size = plan.size + (4 + len(key[3])) // BYTES_PER_SLOT
             if self._size + size > SLOTS_KEPT:
                 self.forget_plans()
             self._size += size
@@ -125,7 +132,7 @@ class Planner:
         return list(self.known.values())
 
     def has_answer(self, number: int, size: int) -> bool:
-        """Return whether an instruction of this master has an answer of this size (its body)."""
+        """Return whether an instruction of this master has an answer with so many data."""
         return any(number in plan.slots and plan.slots[number].size == size
                    for plan in islice(self.known.values(), PLANS_LOOKED_AT))
 
@@ -150,34 +157,40 @@ class Planner:
             if slot.due is Due.READ and number != BROADCAST:   # a fast read: its first device
                 slot.device.counts.reads += new
 
-    def _learn(self, body: bytes, stamp: int) -> Plan:
-        if body[2] < FAMILY:
-            request = parse(body[3], body[0], unstuff(body[4:]))
+    def _learn(self, said: Said, stamp: int) -> Plan:
+        kind, id, code, params = said
+        names: Container[int] = NAMES
+        if kind == INSTRUCTION_2:
+            request = parse(code, id, params)
         else:
-            request = understood(body, self._roster.dialect)
+            names = self._roster.dialect.entries
+            request = understood(kind, code, id, params, self._roster.dialect)
             self._roster.highest = MAX_ID_1
-            for number in {request.id, *(access.id for access in request.accesses)} - {BROADCAST}:
+            for number in {id, *(access.id for access in request.accesses)} - {BROADCAST}:
                 self._roster.speaks(self._roster.device(number))
-        names = NAMES if body[2] < FAMILY else self._roster.dialect.entries
-        plan = self._plan_of(request) if body[3] in names else Plan(request, {})
-        oddities = _oddities(request, body, names)
-        if self._roster.is_impossible(request.id):
-            oddities.append((ev.BAD_ID, ev.NO_DEVICE, ev.Written(request.id)))
+        oddities: list[tuple[IncidentKind[Any], int, Any]] = []
+        if code not in names:
+            oddities.append((ev.UNKNOWN_INSTRUCTION, id, ev.Code(code)))
+        if request.malformed:
+            oddities.append((ev.MALFORMED, id, ev.Front(code, len(params))))
+        if self._roster.is_impossible(id):
+            oddities.append((ev.BAD_ID, ev.NO_DEVICE, ev.Written(id)))
+            plan = Plan(request, {})
+        else:
+            plan = self._plan_of(request, code in names)
         if oddities:
-            plan.oddities = tuple(kind for kind, *_ in oddities)
+            plan.oddities = tuple(one for one, *_ in oddities)
             plan.counted = 1               # noted here, and it has no reads
-            for kind, number, what in oddities:
-                self._evidence.note(stamp, kind, number, what)
+            for one, number, what in oddities:
+                self._evidence.note(stamp, one, number, what)
         return plan
 
-    def _plan_of(self, request: Request) -> Plan:
-        if self._roster.is_impossible(request.id):
-            return Plan(request, {})
+    def _plan_of(self, request: Request, is_known: bool) -> Plan:
         slots = {slot.device.number: slot for slot in self._makers[request.answers](request)}
         if request.answers is Answers.COMBINED and slots:
             first = next(iter(slots.values())).device
             slots = {BROADCAST: combined_slot(first), **slots}
-        return Plan(request, slots, self._beginner(request))
+        return Plan(request, slots, self._beginner(request) if is_known else None)
 
     def _ping_slots(self, request: Request) -> list[Slot]:
         device = self._roster.device(request.id)
@@ -219,22 +232,21 @@ class Planner:
             return partial(self._write_all, action, request.accesses[0].address)
         return partial(self._command_all, action, request)
 
-    def _defer_write(self, action: Action, device: Device, address: int, body: bytes,
+    def _defer_write(self, action: Action, device: Device, address: int, params: bytes,
                      stamp: int) -> Effect:
-        return action, (device, address, self._content(body, 6, stamp), stamp)
+        return action, (device, address, params[_ADDRESS_SIZE:], stamp)
 
     def _defer_command(self, action: Action, device: Device, arguments: tuple[str, ...],
-                       body: bytes, stamp: int) -> Effect:
+                       params: bytes, stamp: int) -> Effect:
         return action, (device, *arguments, stamp)
 
-    def _sync_write(self, body: bytes, stamp: int) -> None:
+    def _sync_write(self, params: bytes, stamp: int) -> None:
         """Write to many. Robots send this most of all, so it is not parsed each time."""
-        params = self._content(body, 4, stamp)
         address = params[0] | params[1] << 8
         size = params[2] | params[3] << 8
         ids = params[4::size + 1]
         if 4 + len(ids) * (size + 1) != len(params):
-            self._note_malformed(body, stamp)      # once it is unstuffed
+            self._note_malformed(Instruction.SYNC_WRITE, params, stamp)
             return
         span = address, size
         key = params[:4] + ids
@@ -257,56 +269,28 @@ class Planner:
             for one in devices], Struct(f'x{size}s' * len(ids))
         return found
 
-    def _bulk_write(self, is_known: bool, body: bytes, stamp: int) -> None:
+    def _bulk_write(self, is_known: bool, params: bytes, stamp: int) -> None:
         """Write what makes sense; is_known: that not all of it does is noted already."""
-        params = self._content(body, 4, stamp)
         entries = bulk_write_entries(params)
         for number, address, data in entries:
             self._roster.write(self._roster.device(number), address, data, stamp)
         if not is_known and not is_whole_bulk_write(params, entries):
-            self._note_malformed(body, stamp)
+            self._note_malformed(Instruction.BULK_WRITE, params, stamp)
 
-    def _note_malformed(self, body: bytes, stamp: int) -> None:
-        self._evidence.note(stamp, ev.MALFORMED, body[0],
-                            ev.Front(body[3], len(body) - 4))
+    def _note_malformed(self, code: int, params: bytes, stamp: int) -> None:
+        self._evidence.note(stamp, ev.MALFORMED, BROADCAST, ev.Front(code, len(params)))
 
-    def _content(self, body: bytes, at: int, stamp: int) -> bytes:
-        """Return what is written, unstuffed; a master that does not stuff is worth a note."""
-        data = body[at:]
-        if _RUN not in data:
-            return data
-        if data.count(_RUN) != data.count(_RUN + b'\xfd'):
-            self._evidence.note(stamp, ev.UNSTUFFED, body[0], ev.Code(body[3]))
-        return unstuff(data)
-
-    def _write_all(self, action: Action, address: int, body: bytes, stamp: int) -> None:
-        data = self._content(body, 6, stamp)
+    def _write_all(self, action: Action, address: int, params: bytes, stamp: int) -> None:
         devices = list(self._roster.devices.values())
         heard = [device for device in devices if device.heard]
         for device in devices:
-            action(device, address, data, stamp, heard == [device])
+            action(device, address, params[_ADDRESS_SIZE:], stamp, heard == [device])
 
-    def _command_all(self, action: Action, request: Request, body: bytes, stamp: int) -> None:
+    def _command_all(self, action: Action, request: Request, params: bytes, stamp: int) -> None:
         if request.option == RESET_ALL:
             return             # X and MX ignore it: all would get the same ID
         for device in list(self._roster.devices.values()):
             action(device, *_arguments(request), stamp)
-
-
-def _oddities(request: Request, body: bytes,
-              names: Container[int]) -> list[tuple[IncidentKind[Any], int, Any]]:
-    """
-    Return what is odd about an instruction: kinds of incident, with device and detail.
-
-    names: the instructions that the protocol knows.
-    """
-    number, instruction = request.id, request.instruction
-    found: list[tuple[IncidentKind[Any], int, Any]] = []
-    if instruction not in names:
-        found.append((ev.UNKNOWN_INSTRUCTION, number, ev.Code(instruction)))
-    if request.malformed:
-        found.append((ev.MALFORMED, number, ev.Front(instruction, len(body) - 4)))
-    return found
 
 
 def _arguments(request: Request) -> tuple[str, ...]:

@@ -1,36 +1,23 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Whether an ID that the 1.0 family names for the first time exists.
+ID confirmation: whether an ID that the 1.0 family names for the first time exists.
 
 A sum of eight bits lets one of 256 damaged frames pass. Such a frame is the rest of one packet and
 the beginning of the next, and it may name any ID; what is left of the next one follows as noise.
 So a frame that names a new ID is believed by what is around it, or when the ID comes again.
 """
 
-from typing import Any
-from typing import NamedTuple
-
 from dxl_monitor.bus.roster import Roster
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl1_packet import ends_with_another
-from msg_defs.dxl_packet import Frame
+from msg_defs.frame import Frame
 
 SIGHTINGS = 3                      # on a bus with stray bytes, noise is around all packets
 SIGHTING_NS = 1_000_000_000        # at most, from one to the next
-# Where the IDs begin in the body of what is said to several, and how far apart they are: 0 for
-# one more than the size that stands in front of them.
-_LISTS = {0x82: (6, 1), 0x83: (6, 0), 0x92: (6, 3)}
-
-
-class Held(NamedTuple):
-    """A good frame that is not believed yet, and where it came from; received: of its chunk."""
-
-    framer: Any                    # a MixedFramer, or one of the 1.0 family alone
-    frame: Frame
-    stamp: int
-    received: int
-    side: str
+# Where the IDs begin in the parameters of what is said to several, and how far apart they are: 0
+# for one more than the size that stands in front of them.
+_LISTS = {0x82: (2, 1), 0x83: (2, 0), 0x92: (2, 3)}
 
 
 class Strangers:
@@ -41,11 +28,11 @@ class Strangers:
         self._sightings: dict[int, tuple[int, int]] = {}       # how often, when at last
         self._known = b''              # the IDs of the last list, all of them devices
 
-    def new_id(self, body: bytes) -> int | None:
+    def new_id(self, number: int, code: int, params: bytes) -> int | None:
         """Return an ID that a frame names and that is new, if there is one."""
-        if body[0] != BROADCAST:
-            return None if body[0] in self._devices else body[0]
-        ids = _listed(body)
+        if number != BROADCAST:
+            return None if number in self._devices else number
+        ids = _listed(number, code, params)
         if ids == self._known:
             return None
         new = next((one for one in ids if one not in self._devices), None)
@@ -53,25 +40,26 @@ class Strangers:
             self._known = ids
         return new
 
-    def exists(self, held: Held, is_next: bool) -> bool:
-        """Return whether to believe a frame; is_next: there is no noise behind it."""
-        _, body, flaw = held.frame
-        number = self.new_id(body)
+    def exists(self, frame: Frame, stamp: int, is_next: bool) -> bool:
+        """Return whether to believe a frame; is_next: there is no noise after it."""
+        _, _, _, sender, code, params, flaw = frame
+        number = self.new_id(sender, code, params)
         if number is None:
             return True
         is_alone = is_next and (flaw is None or not flaw.noise_length)
         # Of a list that lost a byte, some IDs are those of devices.
-        is_torn = any(one in self._devices for one in _listed(body)) or ends_with_another(body)
+        is_torn = any(one in self._devices for one in _listed(sender, code, params)) \
+            or ends_with_another(frame)
         if is_alone and not is_torn:
             return True
         count, last = self._sightings.get(number, (0, 0))
-        count = count + 1 if held.stamp - last <= SIGHTING_NS else 1
-        self._sightings[number] = count, held.stamp
+        count = count + 1 if stamp - last <= SIGHTING_NS else 1
+        self._sightings[number] = count, stamp
         return count >= SIGHTINGS
 
 
-def _listed(body: bytes) -> bytes:
-    begin, step = _LISTS.get(body[3], (0, 0))
-    if body[0] != BROADCAST or not begin or len(body) <= begin:
+def _listed(number: int, code: int, params: bytes) -> bytes:
+    begin, step = _LISTS.get(code, (0, 0))
+    if number != BROADCAST or not begin or len(params) <= begin:
         return b''
-    return body[begin::step or body[5] + 1]
+    return params[begin::step or params[1] + 1]

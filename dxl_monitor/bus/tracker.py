@@ -22,12 +22,11 @@ from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.planner import NO_PLAN
 from dxl_monitor.bus.planner import Planner
+from dxl_monitor.bus.planner import Said
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
-from msg_defs.dxl1_packet import begin_of
-from msg_defs.dxl1_packet import FAMILY
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import blocks_in
@@ -35,21 +34,19 @@ from msg_defs.dxl_instruction import NAMES
 from msg_defs.dxl_instruction import split_combined
 from msg_defs.dxl_packet import body_crc
 from msg_defs.dxl_packet import BROADCAST
-from msg_defs.dxl_packet import Flaw
-from msg_defs.dxl_packet import Frame
-from msg_defs.dxl_packet import STATUS
-from msg_defs.dxl_packet import unstuff
+from msg_defs.dxl_packet import fast_wire
+from msg_defs.frame import Flaw
+from msg_defs.frame import Frame
+from msg_defs.frame import GLITCH
+from msg_defs.frame import INSTRUCTION_2
+from msg_defs.frame import IS_STATUS
 from msg_defs.heard import IN
 from msg_defs.heard import UNKNOWN
 
-# A line that turns round leaves a byte or two of noise, on a real robot in front of one packet in
-# thirteen. The shortest instruction has 10 bytes: 3 cannot hide one.
-GLITCH = 3
 _NO_SLOTS: dict[int, Slot] = {}
-_AROUND = 6                        # bytes of a packet beside its body: header and CRC
-_PING_SIZE = 8                     # the body of the answer to a Ping
-_ACK_SIZE = 5                      # to a write
-_BARE_PING_SIZE = 5                # and that of the 1.0 family
+_AROUND = 11                       # bytes of a status without its data
+_PING_SIZE = 3                     # the data of the answer to a Ping; none in the 1.0 family
+_NOTHING = (-1, -1, -1, b'')
 
 
 class Tracker:
@@ -76,7 +73,7 @@ class Tracker:
         self._is_cut = False                   # a fast reply to it broke off, whole up to there
         # The pending instruction:
         self._plan: Plan = NO_PLAN
-        self._last = b''                       # its body
+        self._last = _NOTHING                  # its kind, ID, code and parameters
         self._asked = (0, 0, 0)                # its end, the end of its chunk, the stamp
         self._deferred: Effect | None = None   # what it does once it is accepted
         self._slots: dict[int, Slot] = {}      # the statuses that are still to come
@@ -91,45 +88,45 @@ class Tracker:
         side: of the chunk. Each side is a stream of its own; call in the order of time.
         """
         slots = self._slots
-        for end, body, flaw in frames:
-            if flaw is not None and self._flawed(body, flaw, stamp, side):
+        for begin, end, kind, number, code, data, flaw in frames:
+            if flaw is not None and self._flawed(
+                    (begin, end, kind, number, code, data, flaw), flaw, stamp, side):
                 continue
-            if body[3] != STATUS:
-                if side == IN and self._is_echo(body, stamp):
+            if kind:
+                said = kind, number, code, data
+                if side == IN and self._is_echo(said, stamp):
                     continue
-                slots = self._instruct(body, end, received, stamp)
+                slots = self._instruct(said, flaw, begin, end, received, stamp)
                 continue
-            slot = slots.pop(body[0], None)
+            slot = slots.pop(number, None)
             if slot is None:
-                self._unasked(body, stamp)
+                self._unasked(number, code, data, stamp)
                 continue
             device = slot.device
             if self._unresolved:
                 self._unresolved = False
                 device.asked_first += 1
-                if side or end > self._asked[1]:
-                    began = end - len(body) - 6 if body[2] < FAMILY else begin_of(end, body)
-                    if side or began >= self._asked[1]:
-                        self._sample_latency(device, began, received, stamp)
-            if len(body) != slot.size or body[4] or device.odd or self.is_doubtful:
-                self._unusual(slot, body, stamp)
+                if side or begin >= self._asked[1]:
+                    self._sample_latency(device, begin, received, stamp)
+            if len(data) != slot.size or code or device.odd or self.is_doubtful:
+                self._unusual(slot, number, code, data, stamp)
             else:
                 device.counts.answers += 1
                 device.heard = stamp
-                slot.take(slot.span, body[5:], stamp, READ)
+                slot.take(slot.span, data, stamp, READ)
 
-    def _is_echo(self, body: bytes, stamp: int) -> bool:
+    def _is_echo(self, said: Said, stamp: int) -> bool:
         """Take an instruction that came to the master; return whether it is its own."""
-        if body == self._last:
+        if said == self._last:
             self._evidence.counts[ev.ECHO] += 1
             return True
-        self._note(stamp, ev.FOREIGN, body[0], ev.Code(body[3]))
+        self._note(stamp, ev.FOREIGN, said[1], ev.Code(said[2]))
         return False
 
     def not_sent(self, stamp: int) -> None:
         """Take note that the pending instruction did not get to the bus, or not all of it."""
         if self._plan is not NO_PLAN:
-            self._note(stamp, ev.NOT_SENT, self._last[0], ev.Code(self._last[3]))
+            self._note(stamp, ev.NOT_SENT, self._last[1], ev.Code(self._last[2]))
         self._forget()
 
     def lose_track(self, stamp: int, lost: int) -> None:
@@ -148,7 +145,7 @@ class Tracker:
     def settle(self, stamp: int) -> None:
         """Give up waiting: the line is idle for longer than any answer takes."""
         if self._slots or self._deferred is not None:
-            self._close(b'', 0, 0, stamp)
+            self._close(_NOTHING, 0, 0, stamp)
         self._plan, self._slots = NO_PLAN, {}
 
     @property
@@ -161,41 +158,41 @@ class Tracker:
         """The instruction that answers belong to now."""
         return self._plan
 
-    def _instruct(self, body: bytes, end: int, received: int, stamp: int) -> dict[int, Slot]:
+    def _instruct(self, said: Said, flaw: Flaw | None, begin: int, end: int, received: int,
+                  stamp: int) -> dict[int, Slot]:
         if self._slots or self._deferred is not None:
-            began = end - len(body) - 6 if body[2] < FAMILY else begin_of(end, body)
-            self._close(body, began, received, stamp)
+            self._close(said, begin, received, stamp)
         else:
             self._given_up = _NO_SLOTS
         if self._is_flawed:
             self._is_flawed = self._is_cut = self._is_spoilt = False
             self._spoke.clear()
-        plan = self._known.get(body) or self.planner.plan_for(body, stamp)
+        plan = self._known.get(said) or self.planner.plan_for(said, stamp)
         self._plan = plan
-        self._last = body
+        self._last = said
         plan.asked += 1
         plan.stamps.append(stamp)
         if plan.begin is not None:             # nothing waits: _close() has ended that
-            self._deferred = plan.begin(body, stamp)
+            if flaw is not None and flaw.unstuffed and plan.request.accesses:
+                self._note(stamp, ev.UNSTUFFED, said[1], ev.Code(said[2]))
+            self._deferred = plan.begin(said[3], stamp)
         self._asked = end, received, stamp
         self._unresolved = True
         self.is_doubtful = False
         self._slots = slots = plan.slots.copy()
         return slots
 
-    def _unusual(self, slot: Slot, body: bytes, stamp: int) -> None:
-        """Take an awaited status that is damaged in its context, stuffed, an error or a return."""
-        if body[0] == BROADCAST:
+    def _unusual(self, slot: Slot, number: int, error: int, data: bytes, stamp: int) -> None:
+        """Take an awaited status that is damaged in its context, an error or a return."""
+        if number == BROADCAST:
             if not self.is_doubtful and self._plan.take_whole(
-                    len(self._slots), body, stamp, self._answer):
+                    len(self._slots), error, data, stamp, self._answer):
                 self._slots.clear()
             else:
-                self._combined(body + body_crc(body).to_bytes(2, 'little'), stamp)
-        elif self.is_doubtful and not body[4] and not slot.device.odd:
-            slot.device.counts.answers += 1    # as _answer(), which costs more: often behind noise
-            slot.device.heard = stamp
+                wire = fast_wire(error, data)
+                self._combined(wire + body_crc(wire).to_bytes(2, 'little'), stamp)
         else:
-            self._answer(slot, body[4], unstuff(body[5:]), stamp)
+            self._answer(slot, error, data, stamp)
 
     def _answer(self, slot: Slot, error: int, data: bytes, stamp: int) -> None:
         device = slot.device
@@ -209,11 +206,11 @@ class Tracker:
         device.last_error = code
         if code:
             self._refused(slot, code, stamp)
-        elif len(data) != slot.size - 5:
-            if self.planner.has_answer(device.number, 5 + len(data)):
+        elif len(data) != slot.size:
+            if self.planner.has_answer(device.number, len(data)):
                 self._late(device, stamp)
                 return
-            self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size - 5))
+            self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
         else:
             slot.take(slot.span, data, stamp, READ)
 
@@ -257,51 +254,53 @@ class Tracker:
             self._note(stamp, ev.FAST_CUT, accesses[there].id, ev.Sizes(there, len(accesses)))
         return len(blocks) == there < len(accesses)
 
-    def _unasked(self, body: bytes, stamp: int) -> None:
+    def _unasked(self, number: int, error: int, data: bytes, stamp: int) -> None:
         """Take a status that was not due: a sign of life, no more."""
-        number = body[0]
         if number > self._roster.highest:
             self._note(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
             return
         device = self._roster.device(number)
-        self._roster.heard(device, body[4], stamp)
-        request = self._plan.request
-        if request.answers is Answers.EVERYBODY and len(body) == (
-                _PING_SIZE if body[2] < FAMILY else _BARE_PING_SIZE):
+        self._roster.heard(device, error, stamp)
+        plan = self._plan
+        request = plan.request
+        if request.answers is Answers.EVERYBODY and len(data) == (
+                _PING_SIZE if self._last[0] == INSTRUCTION_2 else 0):
             device.counts.answers += 1
-            if body[2] >= FAMILY:
+            if not data:
                 self._roster.speaks(device)
             elif not self.is_doubtful:
-                self._roster.pinged(device, NO_SPAN, body[5:], stamp, READ)
+                self._roster.pinged(device, NO_SPAN, data, stamp, READ)
         elif self.is_doubtful:       # it may well have been asked, by what was damaged
-            if number in self._plan.slots:
+            if number in plan.slots:
                 self._note(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
-        elif not self._plan.is_understood and request.id in (number, BROADCAST):
+        elif not plan.is_understood and request.id in (number, BROADCAST):
             pass                   # it may have asked for this answer
-        elif device.pays(stamp) or (number in self._given_up and number not in self._plan.slots):
-            self._late(device, stamp, body)
-        elif number in self._plan.slots:
+        elif device.pays(stamp) or (number in self._given_up and number not in plan.slots):
+            self._late(device, stamp)
+            if not data and device.dialect is None and not error & ~ALERT:
+                device.acknowledged()          # Pings and reads are answered with data
+        elif number in plan.slots:
             self._note(stamp, ev.SECOND_ANSWER, number, ev.Code(request.instruction))
         else:
-            self._note(stamp, ev.UNASKED, number, ev.Stranger(request.instruction, body[4]))
+            self._note(stamp, ev.UNASKED, number, ev.Stranger(request.instruction, error))
 
-    def _late(self, device: Device, stamp: int, body: bytes = b'') -> None:
+    def _late(self, device: Device, stamp: int) -> None:
         self._note(stamp, ev.LATE, device.number, ev.Lateness(self._since_asked(stamp)))
-        if len(body) == _ACK_SIZE and body[2] < FAMILY and not body[4] & ~ALERT:
-            device.acknowledged()              # Pings and reads are answered with data
 
-    def _flawed(self, body: bytes, flaw: Flaw, stamp: int, side: str) -> bool:
+    def _flawed(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
-        reason, is_repaired, noise = flaw
+        reason, is_repaired, noise, is_unstuffed, _ = flaw
+        if is_unstuffed and not (noise or is_repaired):
+            return False
         self._is_flawed = True
         self._noise = noise
         if reason:
             if noise > GLITCH:
                 self._spoil(side)
-            if self._damaged(body, reason, stamp):
+            if self._damaged(frame, flaw, stamp):
                 self._spoil(side)
             return True
-        device = self._roster.devices.get(body[0]) if body[3] == STATUS else None
+        device = self._roster.devices.get(frame[3]) if frame[2] == IS_STATUS else None
         if noise > GLITCH:
             if not self._is_cut:               # else left by a fast reply: not noise
                 self._spoil(side)
@@ -320,22 +319,22 @@ class Tracker:
         self._is_spoilt = True
         self.is_doubtful |= side != IN
 
-    def _damaged(self, body: bytes, reason: str, stamp: int) -> bool:
+    def _damaged(self, frame: Frame, flaw: Flaw, stamp: int) -> bool:
         """Note a damaged frame; return whether it leaves a doubt about what else is answered."""
-        number, instruction = body[0], (body[3:4] or b'\0')[0]
-        is_status = instruction == STATUS
+        _, _, kind, number, code, data, _ = frame
+        is_status = kind == IS_STATUS
         if is_status and number == BROADCAST and BROADCAST in self._slots:
             del self._slots[BROADCAST]
-            self._is_cut = self._combined(body, stamp)
+            self._is_cut = self._combined(data, stamp)
             if self._is_cut:                   # nothing is damaged: the next one is silent
                 return False
-        self._evidence.note_damage(stamp, body, reason)
+        self._evidence.note_damage(stamp, frame, flaw)
         if is_status and number == BROADCAST:
             return True
         slot = self._plan.slots.get(number) if is_status else None
         if slot is not None:
             self._speak_damaged(slot)
-        elif self._slots and (is_status or instruction not in NAMES):
+        elif self._slots and (is_status or code not in NAMES):
             self._speak_damaged(next(iter(self._slots.values())), 0)           # it is its turn
         return True
 
@@ -347,8 +346,8 @@ class Tracker:
 
     # --- answers that did not come -------------------------------------------------------------
 
-    def _close(self, following: bytes, began: int, received: int, stamp: int) -> None:
-        """End the pending instruction; following: the body of the next one, which began there."""
+    def _close(self, following: Said, began: int, received: int, stamp: int) -> None:
+        """End the pending instruction; following: the next one, which began there."""
         slots = self._given_up = self._slots
         slots.pop(BROADCAST, None)
         due = [slot for slot in slots.values() if self._duty.is_due(slot)]
@@ -359,7 +358,7 @@ class Tracker:
             self._judge(due, now, stamp)
             if following == self._last:
                 self._note(now, ev.REPEATED, due[0].device.number,
-                           ev.Again(following[3], self._since_asked(now)))
+                           ev.Again(following[2], self._since_asked(now)))
         if not due or self._is_spoilt:
             self._carry_out()
         self._deferred = None

@@ -31,7 +31,7 @@ from msg_defs.dxl1_instruction import in_common
 from msg_defs.dxl1_instruction import parse
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import Request
-from msg_defs.dxl_packet import unstuff
+from msg_defs.frame import Frame
 
 BOOT_FEETECH_NS = 800_000_000
 MIDDLE = 128                       # Torque Enable of an STS: the present position is the middle
@@ -185,9 +185,9 @@ class Line1(Line):
     def listener(self) -> AnyFramer:
         return dxl1_packet.Framer1()
 
-    def heard(self, body: bytes) -> tuple[int, int, bytes, bool]:
-        common = in_common(body)
-        return common[0], common[3], unstuff(common[4:]), True
+    def heard(self, frame: Frame) -> tuple[int, int, bytes, bool]:
+        number, code, params = frame[3:6]
+        return number, code, in_common(code, number, params)[1], True
 
 
 def narrow(instruction: int, params: bytes) -> bytes:

@@ -29,8 +29,7 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
-from msg_defs.dxl_packet import stuff
-from msg_defs.dxl_packet import unstuff
+from msg_defs.frame import Frame
 from msg_defs.heard import IN
 from msg_defs.heard import OUT
 
@@ -185,10 +184,10 @@ class Line:
         """Return what finds the instructions of a real master in its bytes."""
         return Framer()
 
-    def heard(self, body: bytes) -> tuple[int, int, bytes, bool]:
+    def heard(self, frame: Frame) -> tuple[int, int, bytes, bool]:
         """Return a frame's ID, instruction, parameters, and whether it was stuffed."""
-        params = unstuff(body[4:])
-        return body[0], body[3], params, stuff(unstuff(body[3:])) == body[3:]
+        number, code, params, flaw = frame[3:]
+        return number, code, params, flaw is None or not flaw.unstuffed
 
     # ---------------------------------------------------------------------------------------
 

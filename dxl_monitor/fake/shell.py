@@ -28,6 +28,7 @@ from dxl_monitor.fake.traffic import none
 from dxl_monitor.fake.usb_outlet import UsbOutlet
 from mecarover_serial.pty import Away
 from mecarover_serial.readable import readable
+from msg_defs.frame import is_good
 
 S = 1_000_000_000
 TICK_NS = 200_000                # shortest time between two writes, longest is
@@ -184,9 +185,9 @@ class FakeBus:
 
     def _answer(self, chunk: bytes) -> Iterator[Burst]:
         """Yield what the chunk leads to on the line, as soon as it holds a whole instruction."""
-        for _, body, flaw in self._framer.frames(chunk) if chunk else ():
-            if flaw is None or not flaw.reason:
-                ask = Ask(*self.master.line.heard(body))
+        for frame in self._framer.frames(chunk) if chunk else ():
+            if is_good(frame):
+                ask = Ask(*self.master.line.heard(frame))
                 yield from self.master.respond(ask, self._now())
 
     def _send_due(self) -> None:

@@ -55,7 +55,7 @@ def _code(entry: Entry) -> int | None:
         return entry.packet.instruction
     if entry.kind == MISSED:
         return entry.request.instruction
-    return entry.data[3] if len(entry.data) > 3 else None
+    return entry.code or None
 
 
 def _is_error(entry: Entry) -> bool:

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 import time
 
 from dxl_monitor.bus.device import Device
-from dxl_monitor.bus.dialogue import OPEN
 from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.tools.dump.listing import DAMAGED
 from dxl_monitor.tools.dump.listing import Entry
@@ -30,6 +29,7 @@ from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import Packet
+from msg_defs.frame import OPEN
 
 WIDE = 110                         # columns, from which on there is room for bus and joint
 RED, GREEN, YELLOW, CYAN, DIM, BOLD = '31', '32', '33', '36', '2', '1'

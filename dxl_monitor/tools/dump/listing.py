@@ -19,19 +19,20 @@ from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.planner import NO_PLAN
 from dxl_monitor.bus.report import Incident
-from dxl_monitor.bus.tracker import GLITCH
 from dxl_monitor.model.models import Models
-from msg_defs.dxl1_packet import begin_of
-from msg_defs.dxl1_packet import FAMILY
 from msg_defs.dxl_instruction import Block
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_instruction import split_combined
 from msg_defs.dxl_packet import body_crc
 from msg_defs.dxl_packet import BROADCAST
-from msg_defs.dxl_packet import Frame
+from msg_defs.dxl_packet import fast_wire
 from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import packet_of
 from msg_defs.dxl_packet import STATUS
+from msg_defs.frame import Flaw
+from msg_defs.frame import Frame
+from msg_defs.frame import GLITCH
+from msg_defs.frame import IS_STATUS
 from msg_defs.heard import UNKNOWN
 from msg_defs.uart import BITS_PER_BYTE
 
@@ -43,7 +44,6 @@ NOISE_TOLD = 4096                  # bytes without any packet, until that is wor
 NO_REQUEST = NO_PLAN.request
 
 _ABOUT_A_STATUS = (ev.UNASKED, ev.LATE, ev.SECOND_ANSWER, ev.WRONG_SIZE, ev.BAD_ID)
-_FRONT = 4                         # bytes of a frame in front of its body
 _CRC_SIZE = 2
 
 
@@ -52,7 +52,7 @@ class Entry(NamedTuple):
     One thing that happened on a bus. stamp: when its first byte was on the wire, back-dated.
 
     request: the instruction itself, or the one that a status answers, or that was not answered;
-    else NO_REQUEST. data: the body of what is damaged, or the last bytes of noise.
+    else NO_REQUEST. data: of what is damaged, from its ID on; or the last bytes of noise.
     """
 
     kind: str
@@ -63,6 +63,7 @@ class Entry(NamedTuple):
     blocks: tuple[Block, ...] = ()         # the parts of a combined status
     notes: tuple[Incident[Any], ...] = ()
     data: bytes = b''
+    code: int = 0                          # the instruction of what is damaged, 0 unknown
     reason: str = ''                       # why it is damaged: 'crc', 'cut', 'length'
     length: int = 0                        # bytes of noise
     is_sure: bool = True                   # nothing was damaged between instruction and status
@@ -94,14 +95,10 @@ class Listing(Conversation):
 
     def take(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
         for frame in frames:
-            end, body, flaw = frame
-            is_damaged = flaw is not None and bool(flaw.reason)
-            start = end - len(body) - (_FRONT if is_damaged else _FRONT + _CRC_SIZE)
-            if body[2] >= FAMILY:
-                start = begin_of(end, body)
-            self._newest = max(self._newest, self._began(start, stamp, received))
-            if is_damaged:
-                self._damaged(frame, stamp, received, side)
+            begin, flaw = frame[0], frame[6]
+            self._newest = max(self._newest, self._began(begin, stamp, received))
+            if flaw is not None and flaw.reason:
+                self._damaged(frame, flaw, stamp, received, side)
             else:
                 self._good(frame, stamp, received, side)
         self._tell_much_noise(bool(frames), stamp, side)
@@ -117,22 +114,22 @@ class Listing(Conversation):
         super().pause(last, now)
         self._tell_missed(plan, counts, now)
 
-    def _damaged(self, frame: Frame, stamp: int, received: int, side: str) -> None:
-        _, body, flaw = frame
+    def _damaged(self, frame: Frame, flaw: Flaw, stamp: int, received: int, side: str) -> None:
         super().take([frame], stamp, received, side)
         self._is_told = True
-        self._on_entry(Entry(DAMAGED, self._newest, device=self.device(body[0]) if body else None,
-                             data=body, reason=flaw.reason if flaw is not None else '',
+        _, _, kind, number, code, data, _ = frame
+        self._on_entry(Entry(DAMAGED, self._newest, device=self.device(number), data=data,
+                             code=STATUS if kind == IS_STATUS else code, reason=flaw.reason,
                              side=side))
 
     def _good(self, frame: Frame, stamp: int, received: int, side: str) -> None:
-        flaw = frame[2]
+        flaw = frame[6]
         if flaw is not None and flaw.noise_length > GLITCH and not self._is_told:
             self._on_entry(Entry(NOISE, self._newest, length=flaw.noise_length, side=side))
         self._is_told = False
         before = self.evidence.noted
         plan = self.tracker.pending
-        if frame[1][3] == STATUS:
+        if frame[2] == IS_STATUS:
             super().take([frame], stamp, received, side)
         else:
             counts = _missed(plan)
@@ -142,8 +139,6 @@ class Listing(Conversation):
 
     def _heard(self, frame: Frame, incidents: tuple[Incident[Any], ...], side: str) -> None:
         packet = packet_of(frame, self._newest)
-        if frame[1][2] >= FAMILY:
-            packet = packet._replace(offset=begin_of(frame[0], frame[1]))
         notes = tuple(one for one in incidents if one.kind in _ABOUT_A_STATUS)
         request = self.tracker.pending.request
         blocks: tuple[Block, ...] = ()
@@ -151,7 +146,8 @@ class Listing(Conversation):
             if notes or packet.id not in self.tracker.pending.slots:
                 request = NO_REQUEST
             elif packet.id == BROADCAST:
-                wire = frame[1] + body_crc(frame[1]).to_bytes(_CRC_SIZE, 'little')
+                wire = fast_wire(packet.error, packet.params)
+                wire += body_crc(wire).to_bytes(_CRC_SIZE, 'little')
                 blocks = tuple(split_combined(wire, request.accesses))
         is_sure = packet.error is None or not self.tracker.is_doubtful
         self._on_entry(Entry(PACKET, self._newest, packet, request, self.device(packet.id),

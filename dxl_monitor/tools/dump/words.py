@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from collections.abc import Sequence
 from itertools import groupby
 
-from dxl_monitor.bus.dialogue import OPEN
 from dxl_monitor.bus.evidence import text_of
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.meaning import Part
@@ -20,6 +19,7 @@ from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import NAMES
+from msg_defs.frame import OPEN
 
 # What a device means by its error number (e-Manual, Protocol 2.0, status packet).
 _REASONS = {
@@ -95,10 +95,10 @@ def missed_words(entry: Entry) -> str:
 
 
 def damaged_words(entry: Entry) -> str:
-    """Return what is wrong about a frame, or open, and its bytes."""
-    name = name_of(entry.data[3]) if len(entry.data) > 3 else 'packet'
+    """Return what is wrong about a frame, or undecided, and its bytes."""
+    name = name_of(entry.code) if entry.code else 'packet'
     if entry.reason == OPEN:
-        return f'{name}, or a status; {(entry.data[:2] + entry.data[3:]).hex(" ")}'
+        return f'{name}, or a status; {entry.data.hex(" ")}'
     return f'{name}: {_FLAWS[entry.reason]}; {entry.data.hex(" ")}'
 
 

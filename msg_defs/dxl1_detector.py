@@ -1,0 +1,74 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Detector: whether the 1.0 family is spoken on a wire where 2.0 is looked for as well.
+
+One right sum of eight bits proves little, several packets directly after each other do.
+"""
+
+from typing import Any
+from typing import NamedTuple
+
+from msg_defs.frame import Frame
+from msg_defs.frame import GLITCH
+
+PROOF = 3                          # frames directly after each other that prove the family
+MUCH = 16                          # or so many in all, with fewer wrong ones than 16 to each
+
+
+class Candidate(NamedTuple):
+    """A good frame with the form of the 1.0 family, and the chunk that it came in."""
+
+    framer: Any                    # a MixedFramer
+    frame: Frame
+    stamp: int
+    received: int                  # stream offset after its chunk
+    side: str
+
+
+class Detector:
+    """
+    Decides whether the 1.0 family is spoken on a bus, for the framers of all its sides.
+
+    proven: the IDs that speak it. proof: earlier frames that the last chunk proved; proving: its
+    frame that did so.
+    """
+
+    __slots__ = ('_single', 'proof', 'proven', 'proving', 'streak')
+
+    def __init__(self) -> None:
+        self.proven: set[int] = set()
+        self.proof: list[Candidate] = []
+        self.proving: Frame | None = None
+        self.streak: list[Candidate] = []      # directly after each other, not yet proof
+        self._single = 0                       # good frames that were given up
+
+    def believes(self, one: Candidate) -> bool:
+        """Return whether a good frame is a packet; if it proves others as well, see `proof`."""
+        number, flaw = one.frame[3], one.frame[6]
+        is_next = flaw is None or flaw.noise_length <= GLITCH
+        if not self.proven or not (is_next or number in self.proven):
+            if not is_next:
+                self.reject()
+            self.streak.append(one)
+            one.framer.held += one.frame[1] - one.frame[0]
+            if len(self.streak) < PROOF \
+                    and not (self._single >= MUCH and MUCH * self._single > one.framer.wrong):
+                return False
+            for held in self.streak[:-1]:
+                held.framer.claim(held.frame)
+                self.proof.append(held)
+                self.proving = one.frame
+            self._let_go()
+        one.framer.claim(one.frame)
+        return True
+
+    def reject(self) -> None:
+        """Give up what is not proven: its bytes are noise."""
+        self._single += len(self.streak)
+        self._let_go()
+
+    def _let_go(self) -> None:
+        for held in self.streak:
+            held.framer.held = 0
+        self.streak = []
