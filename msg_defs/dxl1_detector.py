@@ -43,23 +43,21 @@ class Detector:
         self.streak: list[Candidate] = []      # directly after each other, not yet proof
         self._single = 0                       # good frames that were given up
 
-    def believes(self, one: Candidate) -> bool:
-        """Return whether a good frame is a packet; if it proves others as well, see `proof`."""
-        number, flaw = one.frame[3], one.frame[6]
-        is_next = flaw is None or flaw.noise_length <= GLITCH
-        if not self.proven or not (is_next or number in self.proven):
-            if not is_next:
-                self.reject()
-            self.streak.append(one)
-            one.framer.held += one.frame[1] - one.frame[0]
-            if len(self.streak) < PROOF \
-                    and not (self._single >= MUCH and MUCH * self._single > one.framer.wrong):
-                return False
-            for held in self.streak[:-1]:
-                held.framer.claim(held.frame)
-                self.proof.append(held)
-                self.proving = one.frame
-            self._let_go()
+    def proves(self, one: Candidate) -> bool:
+        """Take a frame that may be chance; return whether it is proof, with those in `proof`."""
+        flaw = one.frame[6]
+        if flaw is not None and flaw.noise_length > GLITCH:
+            self.reject()
+        self.streak.append(one)
+        one.framer.held += one.frame[1] - one.frame[0]
+        if len(self.streak) < PROOF \
+                and not (self._single >= MUCH and MUCH * self._single > one.framer.wrong):
+            return False
+        for held in self.streak[:-1]:
+            held.framer.claim(held.frame)
+            self.proof.append(held)
+            self.proving = one.frame
+        self._let_go()
         one.framer.claim(one.frame)
         return True
 

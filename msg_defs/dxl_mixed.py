@@ -31,6 +31,7 @@ _BEGUN = (b'\xff\xff\xfd', b'\xff\xfd', b'\xff\xff', b'\xff')
 # FF FF, an ID and a LEN of the 1.0 family; and what the next bytes may complete to that.
 _HOLDS = re.compile(rb'\xff\xff[^\xff][^\0\1]')
 _ENDS = re.compile(rb'\xff(\xff[^\xff]?)?\Z')
+_ENDINGS = (b'\xff', b'\xff\xfd')  # a chunk that may go on as such a header
 _SHORT = 3                         # bytes that cannot hold one
 Data = bytes                       # the built-in, whose name MixedFramer.bytes takes
 # Where it begins in the stream, its bytes, whether a packet of 2.0 directly behind it ends it.
@@ -63,6 +64,16 @@ class _First(Framer):
         self.noise_ahead = 0
         self.is_looking = False
         self.is_shared = is_shared
+
+    def has_nothing(self) -> bool:
+        """Return whether no bytes wait, and no gap."""
+        return not self._buffer and not self.gaps
+
+    def pass_over(self, noise: bytes) -> int:
+        """Give up a chunk that has nothing of 2.0; return the stream offset after it."""
+        self.bytes += len(noise)
+        self._give_up(noise)
+        return self.bytes
 
     def peek(self, size: int) -> bytes:
         """Return so many of the bytes that may begin a packet."""
@@ -232,13 +243,21 @@ class MixedFramer:
     def frames(self, chunk: Data) -> list[Frame]:
         """Return what this chunk completes, in the order of the wire."""
         first = self._first
-        if self._detector.proven or self._is_open or first.is_looking:
+        is_proven = bool(self._detector.proven)
+        if is_proven or self._is_open or first.is_looking:
             self._look_closely()
-        found = first.frames(chunk)
-        self.bytes = first.bytes
-        self.has_other = self.held > 0
-        if first.gaps or self._is_open:
-            found = self._mixed(found)
+        if (is_proven and first.is_shared and _TAIL not in chunk and not chunk.endswith(_ENDINGS)
+                and first.has_nothing()):
+            at = first.bytes           # no packet of 2.0 begins, goes on or ends in this chunk
+            self.bytes = first.pass_over(chunk)
+            self.has_other = self.held > 0
+            found = self._look(at, chunk)
+        else:
+            found = first.frames(chunk)
+            self.bytes = first.bytes
+            self.has_other = self.held > 0
+            if first.gaps or self._is_open:
+                found = self._mixed(found)
         return self._believed(found) if self.has_other else found
 
     def flush_frames(self) -> list[Frame]:
@@ -260,11 +279,19 @@ class MixedFramer:
         """Mark the frames of the 1.0 family that are no packets, as far as that is known."""
         detector = self._detector
         detector.proof = []
+        proven = detector.proven
         for at, frame in enumerate(found):
-            if frame[2] == EITHER_1 and not (
-                    detector.believes(Candidate(self, frame, self.stamp, self.bytes, self.side))
-                    if is_good(frame) else frame[3] in detector.proven):
-                begin, end, _, number, code, content, flaw = frame
+            begin, end, kind, number, code, content, flaw = frame
+            if kind != EITHER_1:
+                continue
+            if flaw is not None and flaw.reason:
+                is_one = number in proven
+            elif proven and (flaw is None or flaw.noise_length <= GLITCH or number in proven):
+                self.claim(frame)
+                continue
+            else:
+                is_one = detector.proves(Candidate(self, frame, self.stamp, self.bytes, self.side))
+            if not is_one:
                 found[at] = begin, end, UNPROVEN_1, number, code, content, flaw
         if detector.streak and self.noise_ahead > GLITCH:
             detector.reject()
@@ -336,7 +363,7 @@ class MixedFramer:
 
     def _without_data(self, mixed: list[Frame]) -> list[Frame]:
         """Leave out what only looks like a damaged packet of 2.0: the data of another packet."""
-        if not self.claimed:
+        if not self.claimed or not any(frame[2] < EITHER_1 for frame in mixed):
             return mixed
         good = [frame[:2] for frame in mixed if frame[2] == EITHER_1 and is_good(frame)]
         kept = []

@@ -246,19 +246,19 @@ def test_who_says_the_same_of_himself_again_stays_who_he_is() -> None:
     one.changed = lambda: changes.append(1)
     device = one.device(4)
     for data in (b'\x24\x04\x2e', b'\x24\x04\x2e'):
-        one.pinged(device, NO_SPAN, data, S, READ)
+        device.pinged(NO_SPAN, data, S, READ)
         one.resolve(device)
     assert (device.counts.pongs, len(changes), device.firmware) == (2, 1, 0x2e)
     device.table.store(132, bytes(4), S, READ)
-    one.pinged(device, NO_SPAN, b'\x24\x04\x2f', S, READ)                # new firmware
+    device.pinged(NO_SPAN, b'\x24\x04\x2f', S, READ)                # new firmware
     one.resolve(device)
     assert (len(changes), device.firmware, notes(one)) == (2, 0x2f, [])
     assert device.table.byte(132) == 0
-    one.pinged(device, NO_SPAN, b'\x37\x01\x2f', S, READ)                # another servo
+    device.pinged(NO_SPAN, b'\x37\x01\x2f', S, READ)                # another servo
     one.resolve(device)
     assert notes(one) == [(ev.MODEL, 4, ev.ModelNumbers(0x424, 0x137))]
     assert (device.counts.model_changes, device.table.byte(132)) == (1, None)
-    one.ponged(device, NO_SPAN, b'', S, READ)
+    device.pinged(NO_SPAN, b'', S, READ)
     assert device.counts.pongs == 5
 
 

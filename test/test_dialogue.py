@@ -539,7 +539,7 @@ class Told(Detector):
         super().__init__()
         self._believes_all = believes_all
 
-    def believes(self, one: Candidate) -> bool:
+    def proves(self, one: Candidate) -> bool:
         if self._believes_all:
             one.framer.claim(one.frame)
         return self._believes_all

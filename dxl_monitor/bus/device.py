@@ -14,6 +14,7 @@ from functools import lru_cache
 from dxl_monitor.bus.report import Counts
 from dxl_monitor.bus.report import ReplyLatency
 from dxl_monitor.bus.table import size_of
+from dxl_monitor.bus.table import Span
 from dxl_monitor.bus.table import Table
 from dxl_monitor.model.control_table import Field
 from dxl_monitor.model.control_table import Model
@@ -123,6 +124,18 @@ class Device:
         end = address + len(data)
         return [(field.name, _special_value(field, data[field.at - address:field.end - address]))
                 for field in self._special if address <= field.at and field.end <= end]
+
+    def pinged(self, span: Span, data: bytes, stamp: int, source: int) -> None:
+        """Keep the answer to a Ping: model number, firmware version; none in the 1.0 family."""
+        self.counts.pongs += 1
+        if data == self.identity or not data:
+            return
+        if self.identity and data[:2] != self.identity[:2]:
+            self.counts.model_changes += 1     # what was seen belongs to another device
+            self.table.clear()
+        self.identity = data
+        self.identity_stamp = stamp
+        self.is_unresolved = True              # Roster.resolve() makes use of it
 
     def forget_return_level(self) -> None:
         """Forget what it answers: it is another device, or was never heard."""

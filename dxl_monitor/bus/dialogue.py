@@ -196,7 +196,7 @@ class Dialogue:
         is_same = framer is held.framer
         is_next = not is_same or flaw is None or not (flaw.reason or flaw.noise_length)
         frame = self._met(held, is_next)
-        if not is_same or held.received != framer.bytes:       # of an earlier chunk
+        if not is_same or held.received != framer.bytes:       # from an earlier chunk
             self._add(parts, frame, *held[2:])
             return
         found.append(frame)

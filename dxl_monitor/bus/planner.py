@@ -194,9 +194,8 @@ class Planner:
 
     def _ping_slots(self, request: Request) -> list[Slot]:
         device = self._roster.device(request.id)
-        if device.dialect is not None:     # the 1.0 family answers without data
-            return [Slot(device, Due.ALWAYS, -1, 0, partial(self._roster.ponged, device))]
-        return [Slot(device, Due.ALWAYS, -1, 3, partial(self._roster.pinged, device))]
+        size = 3 if device.dialect is None else 0      # the 1.0 family answers without data
+        return [Slot(device, Due.ALWAYS, -1, size, device.pinged)]
 
     def _read_slots(self, request: Request) -> list[Slot]:
         highest = self._roster.highest

@@ -131,22 +131,6 @@ class Roster:
             if name == RETURN_LEVEL:
                 device.set_return_level(value)
 
-    def pinged(self, device: Device, span: Span, data: bytes, stamp: int,
-               source: int) -> None:
-        """Keep the answer to a Ping: model number, firmware version. resolve() makes use of it."""
-        device.counts.pongs += 1
-        if data == device.identity:
-            return
-        if data[:2] != device.identity[:2]:
-            self._changed(device, stamp)
-        device.identity = data
-        device.identity_stamp = stamp
-        device.is_unresolved = True
-
-    def ponged(self, device: Device, span: Span, data: bytes, stamp: int, source: int) -> None:
-        """Count the answer to a Ping of the 1.0 family, which tells nothing more."""
-        device.counts.pongs += 1
-
     def resolve(self, device: Device) -> None:
         """Give a device the model that it said it is, before anything depends on that."""
         if not device.is_unresolved:
@@ -169,12 +153,6 @@ class Roster:
         if firmware is not None and field is not None and field.size == 1:
             device.table.store(field.at, device.identity[2:], stamp, READ)
 
-    def _changed(self, device: Device, stamp: int) -> None:
-        """Another model number than before: what was seen belongs to another device."""
-        if device.identity:
-            device.counts.model_changes += 1
-            device.table.clear()
-
     def _read_identity(self, device: Device, address: int, data: bytes, stamp: int) -> None:
         at = device.identity_at - address
         number = data[at:at + 2]
@@ -186,7 +164,7 @@ class Roster:
         firmware = b''
         if field is not None and field.size == 1 and field.at >= address:
             firmware = data[field.at - address:field.end - address]
-        self.pinged(device, NO_SPAN, number + firmware, stamp, READ)
+        device.pinged(NO_SPAN, number + firmware, stamp, READ)
 
     def is_impossible(self, number: int) -> bool:
         """Tell whether no device can have this ID, and it is not everybody's either."""

@@ -269,7 +269,7 @@ class Tracker:
             if not data:
                 self._roster.speaks(device)
             elif not self.is_doubtful:
-                self._roster.pinged(device, NO_SPAN, data, stamp, READ)
+                device.pinged(NO_SPAN, data, stamp, READ)
         elif self.is_doubtful:       # it may well have been asked, by what was damaged
             if number in plan.slots:
                 self._note(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
@@ -395,5 +395,6 @@ class Tracker:
         if self.is_doubtful or device is not next(iter(self._plan.slots.values())).device:
             return                             # another device had its turn before it
         device.latency_resolved += 1
-        wait = self._on_wire(began, received, stamp) - self._on_wire(*self._asked)
-        device.latency.add(max(0.0, wait / 1e6), stamp)
+        end, asked_received, asked = self._asked       # as _on_wire(), which costs more
+        wait = stamp - asked - (received - began - asked_received + end) * self.byte_ns
+        device.latency.add(wait / 1e6 if wait > 0 else 0.0, stamp)
