@@ -76,6 +76,17 @@ class Monitor:
     idle_is_told: by flush_if_idle(), again and again while nothing comes. Then time counts only
     while the port is open; else the stamps alone say when the line was idle. conversation: where
     a tool needs more of each packet than a report tells. names: what the doctor's remedies name.
+
+    All is written under the lock, but for doctor, which report() uses under _examining.
+
+    | attributes | who writes them |
+    |---|---|
+    | _fed, _last, _time_per_buffer, _time_between, _buffer_size | feed() |
+    | _listened, _resumed | feed(), flush_if_idle(), report() where idle is not told |
+    | _line_errors | change() |
+    | _ticks, _next_tick, _noise_seen | feed() or report(), once a second |
+    | _started, _base, doctor | reset_statistics() |
+    | all others | set once |
     """
 
     def __init__(self, name: str, models: Models, settings: Settings = DEFAULTS,

@@ -18,6 +18,7 @@ from dxl_monitor.model.checked_yaml import ModelError
 from dxl_monitor.model.models import Models
 from dxl_monitor.port.source_name import bus_name
 from dxl_monitor.port.source_name import has_sides
+from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.recorder import Recorder
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
@@ -165,3 +166,10 @@ def check_models(devices: Iterable[Expected], models: Models) -> None:
                 'write it as XL430-W250, MX-64 or STS3215, leave it out, or add a file for it to '
                 'model_dirs')
             raise ParameterError(f'devices: no model is called {model!r}; {remedy}')
+
+
+def settings_of(bus: str, wire: Wire, devices: Sequence[str], protocol: str) -> Settings:
+    """Return those of a bus that a tool hears; devices: of all buses, as given by --devices."""
+    mine = [text.rpartition('/')[2] for text in devices if text.rpartition('/')[0] in ('', bus)]
+    return Settings(baud=wire.baud, devices=tuple(parse_all(mine)), protocol=protocol,
+                    latency_timer_ms=wire.latency_timer_ms)

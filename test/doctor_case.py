@@ -14,6 +14,7 @@ from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import ReplyLatency
 from dxl_monitor.bus.table import Observed
+from dxl_monitor.doctor import found_by
 from dxl_monitor.doctor import RULES
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Mark
@@ -101,7 +102,7 @@ def case(*devices: DeviceReport, notes: Iterable[Incident[Any]] = (),
 
 def told(rule: str, **parts: Any) -> list[Claim | Doubt]:
     """Return what a rule says of a case."""
-    return list(RULE[rule].check(case(*parts.pop('devices', ()), **parts)))
+    return found_by(RULE[rule], case(*parts.pop('devices', ()), **parts))
 
 
 def claims(rule: str, **parts: Any) -> list[Claim]:

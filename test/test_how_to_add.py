@@ -180,7 +180,7 @@ def _nameless(case: Case, device: DeviceReport) -> Found | None:
 
 """),
                 ("    Rule('watchdog',", """\
-    Rule('nameless', Level.WARN, each(_nameless)),
+    Rule('nameless', Level.WARN, _nameless, each=True),
 """), named='dxl_monitor/doctor/FAMILY.py')
     code.change('docs/doctor.md', (
         '| `watchdog` ', '| `nameless` WARN | no joint name | name it in `devices` |\n'))
@@ -242,7 +242,7 @@ class Xr21(Adapter):
     name = 'XR21'
 
     @classmethod
-    def matches(cls, identity: Identity) -> bool:
+    def matches(cls, identity: UsbIdentity) -> bool:
         return identity.vendor == 0x04E2
 
     @classmethod

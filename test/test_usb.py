@@ -40,8 +40,8 @@ from dxl_monitor.port.adapters import CdcAcm
 from dxl_monitor.port.adapters import Ch341
 from dxl_monitor.port.adapters import Cp210x
 from dxl_monitor.port.adapters import Ftdi
-from dxl_monitor.port.adapters import Identity
 from dxl_monitor.port.adapters import Setup
+from dxl_monitor.port.adapters import UsbIdentity
 from dxl_monitor.port.usb_port import UsbPort
 from dxl_monitor.port.usb_survey import Survey
 from dxl_monitor.port.usbmon import Records
@@ -213,7 +213,7 @@ def test_notice_of_a_cdc_adapter_may_come_in_several_packets(size):
 
 @pytest.mark.parametrize(('told', 'used'), [(0, 64), (64, 64), (512, 512)])
 def test_a_chip_that_does_not_say_its_packet_size_has_small_ones(told, used):
-    assert adapter_of(Identity(0x0403, 0x6001, 0x0600, 0xFF), told).packet_size == used
+    assert adapter_of(UsbIdentity(0x0403, 0x6001, 0x0600, 0xFF), told).packet_size == used
 
 
 @given(data=st.binary(max_size=200).map(lambda data: data.replace(b'\1', b'\xec')),

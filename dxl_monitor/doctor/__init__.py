@@ -31,7 +31,6 @@ from dxl_monitor.doctor.case import PARAMETERS
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
-from dxl_monitor.doctor.rule import MODEL
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.state import judged
 from dxl_monitor.model.control_table import UNKNOWN
@@ -75,7 +74,7 @@ class Doctor:
         doubts: list[Finding] = []
         since: dict[_Key, int] = {}
         for rule in RULES:
-            for found in _allowed(rule, case):
+            for found in found_by(rule, case):
                 if isinstance(found, Claim):
                     key = rule.name, found.device
                     since[key] = self._since.get(key, case.now)
@@ -94,7 +93,7 @@ class Doctor:
     def _last_told(self, case: Case) -> tuple[Finding, ...]:
         """Return what was known when the master asked last: nothing new can be judged."""
         for name in _AT_REST:
-            for found in _found(RULES[_RANK[name]], case):
+            for found in found_by(RULES[_RANK[name]], case):
                 if isinstance(found, Claim):
                     self._standing[name, found.device] = found, case.now
         return self._told()
@@ -108,20 +107,29 @@ class Doctor:
         return tuple(sorted(findings, key=lambda one: (-one.level, _RANK[one.rule])))
 
 
-def _found(rule: Rule, case: Case) -> list[Found]:
+def found_by(rule: Rule, case: Case) -> list[Found]:
+    """Return what a rule finds, where what it needs is known."""
+    if (rule.noted and case.kinds.isdisjoint(rule.noted)) \
+            or (rule.protocols and case.protocols.isdisjoint(rule.protocols)):
+        return []
     try:
-        return [*rule.check(case)]
+        if not rule.each:
+            return [*rule.check(case)]
+        return [found for device in _whom(rule, case)
+                if (found := rule.check(case, device)) is not None]
     except Exception as mistake:               # the other rules go on
         survive(f'the rule {rule.name}', mistake)
         return []
 
 
-def _allowed(rule: Rule, case: Case) -> Iterator[Found]:
-    """Yield what a rule finds, where what it needs is known."""
-    for found in _found(rule, case):
-        device = None if found.device is None else case.devices.get(found.device)
-        if MODEL not in rule.needs or device is None or device.model is not UNKNOWN:
-            yield found
+def _whom(rule: Rule, case: Case) -> Iterator[DeviceReport]:
+    """Yield the devices that a rule is asked of."""
+    numbers = {one.device for kind in rule.noted for one in case.incidents(kind)}
+    for device in case.report.devices:
+        if (device.id in numbers or not rule.noted) \
+                and (device.model.protocol in rule.protocols or not rule.protocols) \
+                and not (rule.needs_model and device.model is UNKNOWN):
+            yield device
 
 
 def _lost_from(case: Case) -> tuple[Finding, ...]:

@@ -139,6 +139,16 @@ class Case:
         return found
 
     @cached_property
+    def kinds(self) -> set[str]:
+        """The kinds of incidents in the window."""
+        return {kind for kind, many in self._seen.items() if many}
+
+    @cached_property
+    def protocols(self) -> set[str]:
+        """What the models of the devices speak, as model files call it."""
+        return {device.model.protocol for device in self.report.devices}
+
+    @cached_property
     def damage(self) -> int:
         """How many frames in the window were damaged."""
         return sum(self.count(kind) for kind in _DAMAGE)
@@ -200,6 +210,15 @@ class Case:
                 break
             found = mark
         return found
+
+    def counted(self, name: str) -> int:
+        """Return how much a count of a Mark grew in the window."""
+        return int(getattr(self.mark(0), name) - getattr(self.mark(10), name))
+
+    @property
+    def heard_s(self) -> float:
+        """For how long the bus was heard."""
+        return (self.now - self.report.started) / S
 
     def waits(self, seconds: float) -> list[Wait]:
         """Return the vain waits of the master since so long ago."""

@@ -16,11 +16,8 @@ from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
-from dxl_monitor.doctor.rule import each
-from dxl_monitor.doctor.rule import each_with
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
-from dxl_monitor.doctor.rule import MODEL
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.model.control_table import UNKNOWN
 from msg_defs.dxl_instruction import error_text
@@ -176,7 +173,7 @@ def _unstuffed(case: Case) -> Iterator[Found]:
 def _never_written(case: Case, device: DeviceReport) -> Found | None:
     if device.totals.writes or device.totals.reads < POLLED \
             or 'Goal Position' not in device.model.by_name \
-            or (case.now - case.report.started) / S < POLLED_S or not device.window.answers:
+            or case.heard_s < POLLED_S or not device.window.answers:
         return None
     written = [one.id for one in case.report.devices if one.window.writes]
     if not written:
@@ -243,7 +240,7 @@ def _scan(case: Case) -> Iterator[Found]:
 def _models(case: Case) -> Iterator[Found]:
     unknown = [device.id for device in case.report.devices
                if device.model is UNKNOWN and device.last_heard_s is not None]
-    if unknown and (case.now - case.report.started) / S >= POLLED_S:
+    if unknown and case.heard_s >= POLLED_S:
         yield Doubt(None, f'{listed(unknown, 3)}: model not known, so registers have no names and '
                     f'some causes are not looked for; set {case.names.devices}, or let the master '
                     'Ping')
@@ -266,20 +263,21 @@ def _remedy(device: DeviceReport, names: Names) -> str:
 
 
 RULES = (
-    Rule('eeprom_locked', Level.WARN, each_with(ev.REFUSED, _eeprom_locked), needs=(MODEL,)),
-    Rule('wrong_address', Level.WARN, each_with(ev.REFUSED, _wrong_address), needs=(MODEL,)),
-    Rule('refused', Level.WARN, each_with(ev.REFUSED, _refusals)),
+    Rule('eeprom_locked', Level.WARN, _eeprom_locked, each=True, noted=(ev.REFUSED,),
+         needs_model=True),
+    Rule('wrong_address', Level.WARN, _wrong_address, each=True, noted=(ev.REFUSED,),
+         needs_model=True),
+    Rule('refused', Level.WARN, _refusals, each=True, noted=(ev.REFUSED,)),
     Rule('impossible_id', Level.WARN, _impossible_id),
-    Rule(STOPPED, Level.WARN, _master_stopped,
-         holds=False),
+    Rule(STOPPED, Level.WARN, _master_stopped, holds=False),
     Rule('scan', Level.OK, _scan,
          ('noise', 'damaged_answers', 'stray_bytes', 'turnaround', 'jitter'), holds=False),
     Rule(MODELS, Level.OK, _models),
-    Rule('eeprom_wear', Level.WARN, each(_eeprom_wear), ('torque_off',)),
+    Rule('eeprom_wear', Level.WARN, _eeprom_wear, ('torque_off',), each=True),
     Rule('fast_read_unsupported', Level.WARN, _fast_reads,
          ('no_answer', 'sync_read_stops', 'all_silent', 'broken_cable', 'noise',
           'damaged_answers', 'missed_answers', 'jitter', 'wrong_address')),
     Rule('unstuffed', Level.WARN, _unstuffed),
-    Rule('no_acks', Level.OK, each(_no_acks), ('missed_answers',)),
-    Rule('never_written', Level.OK, each(_never_written)),
+    Rule('no_acks', Level.OK, _no_acks, ('missed_answers',), each=True),
+    Rule('never_written', Level.OK, _never_written, each=True),
 )

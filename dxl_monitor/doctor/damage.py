@@ -16,8 +16,6 @@ from dxl_monitor.doctor.rate import likely_rate
 from dxl_monitor.doctor.rule import about
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
-from dxl_monitor.doctor.rule import each
-from dxl_monitor.doctor.rule import each_with
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
@@ -96,7 +94,7 @@ def _baud_moved(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _overrun(case: Case) -> Iterator[Found]:
-    lost = case.mark(0).overruns - case.mark(10).overruns
+    lost = case.counted('overruns')
     if lost > 0:
         yield Claim(None, f'this computer lost bytes {lost} times: losses and damage are its own; '
                     'give the monitor a higher priority or a better adapter',
@@ -198,7 +196,7 @@ def _turnaround(case: Case) -> Iterator[Found]:
     if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < MOSTLY * total:
         hit = touched
         first = sum(_first_bytes(device) for device in hit)
-        stray = case.mark(0).glitches - case.mark(10).glitches
+        stray = case.counted('glitches')
         answers = sum(_spoken(device) for device in hit)
         yield Claim(None, f'first byte of {share(first, answers)} of the answers damaged, '
                     f'{len(hit)} devices: the line turns round too late; raise Return Delay Time '
@@ -224,7 +222,7 @@ def _spoken(device: DeviceReport) -> int:
 
 
 def _stray_bytes(case: Case) -> Iterator[Found]:
-    stray = case.mark(0).glitches - case.mark(10).glitches
+    stray = case.counted('glitches')
     packets = case.report.counters['Packets'] - case.mark(10).packets
     if stray >= SOME and stray > GLITCHY * packets:
         yield Claim(None, f'a stray byte or two ahead of {share(stray, packets)} of the packets: '
@@ -318,20 +316,20 @@ RULES = (
     Rule('wrong_baud', Level.ERROR, _wrong_baud, _ALL_ELSE),
     Rule('overrun', Level.WARN, _overrun,
          (*_OF_THE_WIRE, 'jitter')),
-    Rule('baud_moved', Level.WARN, each(_baud_moved),
+    Rule('baud_moved', Level.WARN, _baud_moved,
          ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter'),
-         holds=False),
+         holds=False, each=True),
     Rule('protocol_1', Level.WARN, _protocol_1,
          ('stray_bytes', 'wrong_baud')),
     Rule('echo', Level.WARN, _echo,
          (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'jitter', 'impatient_master',
           'late_answers')),
-    Rule('duplicate_id', Level.ERROR, each(_duplicate_id),
+    Rule('duplicate_id', Level.ERROR, _duplicate_id,
          ('noise', 'damaged_answers', 'turnaround', 'missed_answers', 'dropout', 'stray_bytes',
-          'late_answers', 'jitter', 'rebooted')),
-    Rule('foreign_answers', Level.WARN, each_with(ev.UNASKED, _foreign_answers),
+          'late_answers', 'jitter', 'rebooted'), each=True),
+    Rule('foreign_answers', Level.WARN, _foreign_answers,
          ('duplicate_id', 'missed_answers', 'noise', 'damaged_answers', 'stray_bytes',
-          'turnaround')),
+          'turnaround'), each=True, noted=(ev.UNASKED,)),
     Rule('turnaround', Level.WARN, _turnaround,
          ('turnaround', 'stray_bytes', 'damaged_answers', 'missed_answers', 'dropout')),
     Rule('noise', Level.WARN, _elsewhere,

@@ -11,8 +11,7 @@ from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rule import Claim
-from dxl_monitor.doctor.rule import each
-from dxl_monitor.doctor.rule import each_with
+from dxl_monitor.doctor.rule import FAMILY_1
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
@@ -22,15 +21,12 @@ FEETECH = 'feetech'
 # What LeRobot takes these codes for (its tables of Feetech motors, commit 7427f31).
 LEROBOT_BAUDS = {5: 57_600, 6: 38_400, 7: 19_200}
 TWICE = 2
-FAMILY_1 = ('1', FEETECH)
 # What Lock does to a write of EEPROM (e-Manual, Protocol 1.0; Feetech, STS memory table).
 _OF_LOCK = {'1': ('does not take it', 'switch its power off and on, that unlocks it'),
             FEETECH: ('forgets it at power-off', 'write 0 to Lock first, and 1 behind')}
 
 
 def _baud_code(case: Case, device: DeviceReport) -> Found | None:
-    if device.model.protocol != FEETECH:
-        return None
     code = case.incidents(ev.BAUD_WRITTEN, device.id)[-1].detail.value
     taken_for = LEROBOT_BAUDS.get(code)
     if taken_for is None:
@@ -45,7 +41,7 @@ def _baud_code(case: Case, device: DeviceReport) -> Found | None:
 def _locked(case: Case, device: DeviceReport) -> Found | None:
     values = case.values[device.id]
     lock = values.get('Lock')
-    if device.model.protocol not in FAMILY_1 or lock is None or lock.value.raw != 1:
+    if lock is None or lock.value.raw != 1:
         return None
     behind = [one.field.name for one in device.observed if one.source == 'w'
               and one.field.memory == 'eeprom' and one.age_s < lock.age_s]
@@ -90,10 +86,12 @@ def _mixed_firmware(case: Case) -> Iterator[Found]:
 
 
 RULES = (
-    Rule('baud_code', Level.WARN, each_with(ev.BAUD_WRITTEN, _baud_code),
-         ('baud_moved', 'no_answer', 'sync_read_stops',
-                                                  'broken_cable', 'missed_answers', 'jitter')),
-    Rule('lock', Level.WARN, each(_locked)),
-    Rule('calibrated_twice', Level.WARN, each(_calibrated_twice)),
-    Rule('mixed_firmware', Level.WARN, _mixed_firmware),
+    Rule('baud_code', Level.WARN, _baud_code,
+         ('baud_moved', 'no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers',
+          'jitter'),
+         each=True, noted=(ev.BAUD_WRITTEN,), protocols=(FEETECH,)),
+    Rule('lock', Level.WARN, _locked, each=True, protocols=FAMILY_1),
+    Rule('calibrated_twice', Level.WARN, _calibrated_twice, each=True,
+         noted=(ev.CALIBRATED, ev.OFFSET_WRITTEN)),
+    Rule('mixed_firmware', Level.WARN, _mixed_firmware, protocols=(FEETECH,)),
 )

@@ -14,7 +14,6 @@ from dxl_monitor.bus.table import Observed
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
-from dxl_monitor.doctor.rule import each
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
@@ -59,7 +58,7 @@ FACTORY = {
 }
 
 
-def _fresh(case: Case, device: DeviceReport, name: str) -> float | None:
+def fresh(case: Case, device: DeviceReport, name: str) -> float | None:
     """Return the value of a register that was read lately."""
     seen = case.values[device.id].get(name)
     return None if seen is None or seen.age_s > RECENT_S or seen.source != 'r' \
@@ -79,7 +78,7 @@ def latched(device: DeviceReport) -> Claim | None:
     values = {one.field.name: one for one in device.observed}
     seen = next((values[name] for name in _ERRORS
                  if name in values and values[name].value.raw), None)
-    torque = ', torque is off' if _is_off(values.get('Torque Enable')) else ''
+    torque = ', torque is off' if is_off(values.get('Torque Enable')) else ''
     figures = (('answers with alert', str(device.window.alerts)),)
     if seen is None:
         return Claim(device.id, f'alert in its answers{torque}: an error is latched; read '
@@ -90,11 +89,13 @@ def latched(device: DeviceReport) -> Claim | None:
                  f'{remedy}; until then it does not move', figures)
 
 
-def _is_off(torque: Observed | None) -> bool:
+def is_off(torque: Observed | None) -> bool:
+    """Tell whether Torque Enable was read and is 0."""
     return torque is not None and torque.source == 'r' and not torque.value.raw
 
 
-def _limit(case: Case, device: DeviceReport, name: str, factory: str) -> tuple[float | None, str]:
+def limit_of(case: Case, device: DeviceReport, name: str,
+             factory: str) -> tuple[float | None, str]:
     """Return a limit and where it is from: the device, or its model's factory values."""
     own = _known(case, device, name)
     if own is not None:
@@ -106,10 +107,10 @@ def _limit(case: Case, device: DeviceReport, name: str, factory: str) -> tuple[f
 def _too_hot(case: Case) -> Iterator[Found]:
     unknown = []
     for device in case.report.devices:
-        temperature = _fresh(case, device, 'Present Temperature')
+        temperature = fresh(case, device, 'Present Temperature')
         if temperature is None:
             continue
-        limit, source = _limit(case, device, 'Temperature Limit', 'degrees')
+        limit, source = limit_of(case, device, 'Temperature Limit', 'degrees')
         if limit is None:
             unknown.append(device.id)
         elif temperature >= limit - NEAR_DEGREES:
@@ -131,11 +132,11 @@ def _voltage(case: Case) -> Iterator[Found]:
     unknown = []
     found = []
     for device in case.report.devices:
-        volts = _fresh(case, device, 'Present Input Voltage')
+        volts = fresh(case, device, 'Present Input Voltage')
         if volts is None or volts < ALIVE_VOLTS:
             continue
-        low, source = _limit(case, device, 'Min Voltage Limit', 'low')
-        high, _ = _limit(case, device, 'Max Voltage Limit', 'high')
+        low, source = limit_of(case, device, 'Min Voltage Limit', 'low')
+        high, _ = limit_of(case, device, 'Max Voltage Limit', 'high')
         if low is None and high is None:
             unknown.append(device.id)
         if low is not None and volts < low + NEAR_VOLTS:
@@ -185,9 +186,10 @@ def _is_goal(device: DeviceReport, address: int) -> bool:
 
 
 RULES = (
-    Rule('hardware_error', Level.ERROR, each(lambda _, device: latched(device)),
-         ('torque_off',), holds=False),
-    Rule('watchdog', Level.ERROR, each(_watchdog), ('wrong_address', 'refused', 'torque_off')),
+    Rule('hardware_error', Level.ERROR, lambda _, device: latched(device), ('torque_off',),
+         holds=False, each=True),
+    Rule('watchdog', Level.ERROR, _watchdog, ('wrong_address', 'refused', 'torque_off'),
+         each=True),
     Rule('too_hot', Level.ERROR, _too_hot),
     Rule('voltage', Level.ERROR, _voltage, ('voltage',)),
 )

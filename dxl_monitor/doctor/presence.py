@@ -17,16 +17,14 @@ from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import GONE_S
 from dxl_monitor.doctor.case import is_waiting
 from dxl_monitor.doctor.case import Sample
+from dxl_monitor.doctor.health import is_off
 from dxl_monitor.doctor.rule import about
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
-from dxl_monitor.doctor.rule import each
-from dxl_monitor.doctor.rule import each_with
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import longer_than
-from dxl_monitor.doctor.rule import MODEL
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import share
 from msg_defs.reports import Level
@@ -177,8 +175,8 @@ def _brown_out(case: Case) -> Iterator[Found]:
 def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     """Return what says that a device started again while it was away, '' if nothing does."""
     torque = case.values[back.device].get('Torque Enable') if back.device in case.values else None
-    if torque is not None and torque.source == 'r' and not torque.value.raw \
-            and case.now - torque.age_s * S >= back.stamp and back.detail.torque > 0:
+    if torque is not None and is_off(torque) and case.now - torque.age_s * S >= back.stamp \
+            and back.detail.torque > 0:
         return 'Torque Enable fell to 0'
     samples = case.samples.get(back.device, ())
     before = [one for one in samples if one.stamp < back.stamp - back.detail.ms * MS]
@@ -216,9 +214,7 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
     if place is None or place.source != 'r' or place.age_s > STOPPED_S or not _stands(samples):
         return None
     torque = case.values[device.id].get('Torque Enable')
-    is_off = torque is not None and torque.source == 'r' and not torque.value.raw \
-        and torque.age_s < FOLLOW_S
-    if is_off:
+    if torque is not None and is_off(torque) and torque.age_s < FOLLOW_S:
         return Claim(device.id, 'goals are sent to it and its torque is off: switch it on '
                      '(Torque Enable 1), after a restart with all its settings')
     if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not any(
@@ -270,15 +266,12 @@ def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
                   ('missed', f'{lost} of {window.asked}')))
 
 
-def _expected(case: Case, device: DeviceReport) -> Found | None:
-    if device.state == words.EXPECTED and not device.window.asked and device.last_heard_s is None:
-        return Doubt(device.id, f'in {case.names.devices}, but the master never asks it')
-    return None
-
-
 def _no_answer(case: Case) -> Iterator[Found]:
     yield from _gone(case, False)
-    yield from each(_expected)(case)
+    for device in case.report.devices:
+        if device.state == words.EXPECTED and device.last_heard_s is None \
+                and not device.window.asked:
+            yield Doubt(device.id, f'in {case.names.devices}, but the master never asks it')
 
 
 RULES = (
@@ -292,13 +285,13 @@ RULES = (
          ('no_answer', 'missed_answers', 'jitter'),
          holds=False),
     Rule('no_answer', Level.ERROR, _no_answer, ('missed_answers', 'jitter'), holds=False),
-    Rule('rebooted', Level.ERROR, each_with(ev.RETURNED, _rebooted),
-         ('dropout', 'missed_answers', 'jitter', 'torque_off')),
-    Rule('torque_off', Level.WARN, each(_torque_off), needs=(MODEL,)),
-    Rule('ping_only', Level.WARN, each(_ping_only),
+    Rule('rebooted', Level.ERROR, _rebooted,
+         ('dropout', 'missed_answers', 'jitter', 'torque_off'), each=True, noted=(ev.RETURNED,)),
+    Rule('torque_off', Level.WARN, _torque_off, needs_model=True, each=True),
+    Rule('ping_only', Level.WARN, _ping_only,
          ('dropout', 'rebooted', 'no_answer', 'sync_read_stops', 'missed_answers', 'no_acks',
-          'jitter')),
-    Rule('dropout', Level.WARN, each_with(ev.RETURNED, _dropout),
-         ('missed_answers', 'jitter')),
-    Rule('missed_answers', Level.WARN, each(_missed_answers)),
+          'jitter'), each=True),
+    Rule('dropout', Level.WARN, _dropout,
+         ('missed_answers', 'jitter'), each=True, noted=(ev.RETURNED,)),
+    Rule('missed_answers', Level.WARN, _missed_answers, each=True),
 )

@@ -9,17 +9,14 @@ of time before the case: how long a claim stands is the Doctor's.
 
 from collections.abc import Callable
 from collections.abc import Iterable
-from collections.abc import Iterator
 from math import log
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import IncidentKind
-from dxl_monitor.doctor.case import Case
 from msg_defs.reports import Level
 
-MODEL = 'its model'                # a need: what stands where in its control table
+FAMILY_1 = ('1', 'feetech')        # as model files call the protocols of the 1.0 family
 
 
 class Claim(NamedTuple):
@@ -43,47 +40,29 @@ _PERCENT = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
 _SECONDS = (1, 5, 10, 30, 60, 300, 600, 1800, 3600)
 
 Found = Claim | Doubt
-Check = Callable[[Case], Iterable[Found]]
 
 
 class Rule(NamedTuple):
     """
     One cause. name: as in the key finding.<name> and in docs/doctor.md.
 
-    explains: rules with claims that follow from this one, on its device and those it covers,
-    and of the bus; a claim about the bus explains those of all devices. needs: what must be known
-    of a device before the rule may say anything of it; the Doctor sees to that.
+    check: from a case to what is found; with `each` from a case and a device to what is found of
+    it, or None. explains: rules with claims that follow from this one, on its device and those it
+    covers, and of the bus; a claim about the bus explains those of all devices.
     """
 
     name: str
     level: Level
-    check: Check
+    check: Callable[..., Any]
     explains: tuple[str, ...] = ()
     onset_s: float = 0.0           # claimed without a break for so long, before it is told
     holds: bool = True             # stands some seconds longer than its evidence; a state does not
-    needs: tuple[str, ...] = ()    # without it the rule is silent about a device
-
-
-def each(check: Callable[[Case, DeviceReport], Found | None]) -> Check:
-    """Make a check of the whole case from one of a device."""
-    def check_all(case: Case) -> Iterator[Found]:
-        for device in case.report.devices:
-            found = check(case, device)
-            if found is not None:
-                yield found
-    return check_all
-
-
-def each_with(kind: IncidentKind[Any],
-              check: Callable[[Case, DeviceReport], Found | None]) -> Check:
-    """Do as each(), for the devices that a kind of incident is noted of: mostly none."""
-    def check_some(case: Case) -> Iterator[Found]:
-        for number in sorted({one.device for one in case.incidents(kind)}):
-            device = case.devices.get(number)
-            found = None if device is None else check(case, device)
-            if found is not None:
-                yield found
-    return check_some
+    each: bool = False
+    # What it is asked of: all, or where there are such incidents, models of these protocols, a
+    # model that is known.
+    noted: tuple[IncidentKind[Any], ...] = ()
+    protocols: tuple[str, ...] = ()
+    needs_model: bool = False
 
 
 def share(part: float, whole: float) -> str:

@@ -9,14 +9,15 @@ from collections.abc import Iterator
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
-from dxl_monitor.doctor.health import FACTORY
+from dxl_monitor.doctor.health import ALIVE_VOLTS
+from dxl_monitor.doctor.health import fresh
+from dxl_monitor.doctor.health import limit_of
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
-from dxl_monitor.doctor.rule import each
+from dxl_monitor.doctor.rule import FAMILY_1
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
-from dxl_monitor.doctor.rule import MODEL
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.model.control_table import Field
 from dxl_monitor.model.control_table import Model
@@ -27,14 +28,11 @@ S = 1_000_000_000
 FEW = 3
 FACTORY_ID = 1
 CLASHES = 0.5                      # share of its answers: a bad cable spoils fewer
-FRESH_S = 10.0
 BEYOND = 1.25                      # times the limit: made for another supply, not just near it
 FOR_12_V = 12.0                    # a limit from here on: the servo is made for 12 V
 WEAK = 8.6                         # V: two cells; an empty battery of three has more
 ONSET_S = 3.0                      # a supply that sags for a moment is none
-ALIVE = 1.0                        # V: with less it would not answer
 ALL = 3                            # as many: it is the supply, not one servo
-FAMILY_1 = ('1', 'feetech')
 TABLE_END = 256                    # what is behind cannot be addressed there
 RECENT_NS = 10 * S
 DUMP = 4                           # bytes: who reads more at once, looks at all there is
@@ -100,31 +98,24 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
 
 
 def _volts(case: Case, device: DeviceReport) -> float | None:
-    seen = case.values[device.id].get('Present Input Voltage')
-    if device.model.protocol not in FAMILY_1 or seen is None or seen.source != 'r' \
-            or seen.age_s > FRESH_S or seen.value.number is None or seen.value.number < ALIVE:
-        return None
-    return seen.value.number
+    volts = fresh(case, device, 'Present Input Voltage')
+    return None if device.model.protocol not in FAMILY_1 or volts is None \
+        or volts < ALIVE_VOLTS else volts
 
 
 def _maximum(case: Case, device: DeviceReport) -> float | None:
     """Return Max Voltage Limit: its own, or that of its model from the factory."""
-    own = case.values[device.id].get('Max Voltage Limit')
-    if own is not None and own.value.number is not None:
-        return own.value.number
-    limits = FACTORY.get(device.model_number or -1) if device.model.protocol == '1' else None
-    return None if limits is None else limits.high
+    limit, is_of_model = limit_of(case, device, 'Max Voltage Limit', 'high')
+    return None if is_of_model and device.model.protocol != '1' else limit
 
 
 def _minimum(case: Case, device: DeviceReport) -> float:
     """Return Min Voltage Limit, where it was read: below it the supply has sagged."""
-    own = case.values[device.id].get('Min Voltage Limit')
-    return ALIVE if own is None or own.value.number is None else own.value.number
+    low, is_of_model = limit_of(case, device, 'Min Voltage Limit', 'low')
+    return ALIVE_VOLTS if low is None or is_of_model else low
 
 
 def _layout(case: Case, device: DeviceReport) -> Found | None:
-    if device.model.protocol not in FAMILY_1:
-        return None
     order = case.values[device.id].get('Byte Order')
     place = device.model.by_name.get('Present Position')
     if order is not None and place is not None \
@@ -168,7 +159,7 @@ RULES = (
           'broken_cable', 'all_silent', 'missed_answers', 'stray_bytes', 'turnaround', 'dropout',
           'foreign_answers', 'wrong_length', 'late_answers', 'jitter')),
     Rule('wrong_supply', Level.ERROR, _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
-         onset_s=ONSET_S),
-    Rule('layout', Level.WARN, each(_layout),
-         ('wrong_address',), needs=(MODEL,)),
+         onset_s=ONSET_S, protocols=FAMILY_1),
+    Rule('layout', Level.WARN, _layout, ('wrong_address',), each=True, protocols=FAMILY_1,
+         needs_model=True),
 )

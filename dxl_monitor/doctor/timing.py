@@ -33,7 +33,6 @@ from dxl_monitor.doctor.rhythm import Rhythm
 from dxl_monitor.doctor.rhythm import WRITES
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
-from dxl_monitor.doctor.rule import each_with
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
@@ -257,8 +256,7 @@ def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
                  measured: float | None) -> Claim:
     known = delay_ms if delay_ms is not None else measured or 0.0
     how = 'Return Delay Time' if delay_ms is not None else 'reply latency'
-    seconds = (case.now - case.report.started) / S
-    rate = device.totals.reads / seconds if seconds > 0 else 0.0
+    rate = device.totals.reads / case.heard_s if case.heard_s > 0 else 0.0
     return Claim(device.id, f'waits {known:.1f} ms before each answer ({how}): write 0 to Return '
                  f'Delay Time, that saves {known * rate:.0f} ms of bus time per second',
                  (('delay (ms)', f'{known:.2f}'), ('read', 'yes' if delay_ms else 'measured')))
@@ -288,12 +286,11 @@ def _two_masters(case: Case) -> Iterator[Found]:
                     'another program is on this bus; stop one', (('instructions', str(foreign)),))
         return
     pair = _apart(case)
-    collide = is_collision(case)
     if pair is None:
         for clocks in case.clocks:
             fast, slow = sorted(comb.period / MS for comb in clocks.combs)
             words = f'{_words(clocks.cycle, fast * MS)} and every {slow:.0f} ms'
-            if collide:
+            if is_collision(case):
                 yield _two(case, words)
             else:
                 yield Doubt(None, f'{words}: two programs, or one with two timers')
@@ -361,7 +358,7 @@ RULES = (
     Rule('late_answers', Level.WARN, _late_answers,
          ('duplicate_id', 'missed_answers', 'dropout', 'jitter', 'damaged_answers', 'noise',
           'foreign_answers', 'turnaround', 'stray_bytes')),
-    Rule('wrong_length', Level.WARN, each_with(ev.WRONG_SIZE, _wrong_length)),
+    Rule('wrong_length', Level.WARN, _wrong_length, each=True, noted=(ev.WRONG_SIZE,)),
     Rule('latency_timer', Level.WARN, _latency_timer, ('jitter',)),
     Rule('bus_too_slow', Level.WARN, _bus_too_slow, ('jitter', 'two_masters', 'impatient_master')),
     Rule('jitter', Level.WARN, _jitter, onset_s=JITTER_ONSET_S),

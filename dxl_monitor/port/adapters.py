@@ -45,7 +45,7 @@ class Setup(NamedTuple):
                    int.from_bytes(packet[4:6], 'little'))
 
 
-class Identity(NamedTuple):
+class UsbIdentity(NamedTuple):
     """What a device says it is; interface_class: of the interface with the bulk endpoints."""
 
     vendor: int
@@ -72,7 +72,7 @@ class Adapter:
     MULTI: tuple[int, ...] = ()    # the versions (bcdDevice) that have several ports
 
     @classmethod
-    def matches(cls, identity: Identity) -> bool:
+    def matches(cls, identity: UsbIdentity) -> bool:
         """Return whether a device that says this of itself is one."""
         return False
 
@@ -121,7 +121,7 @@ class Ftdi(Adapter):
     _EIGHTHS = (0, 3, 2, 4, 1, 5, 6, 7)       # by the code in bits 14 to 16 of the divisor
 
     @classmethod
-    def matches(cls, identity: Identity) -> bool:
+    def matches(cls, identity: UsbIdentity) -> bool:
         return identity.vendor == 0x0403
 
     @classmethod
@@ -178,7 +178,7 @@ class CdcAcm(Adapter):
     _ERRORS = ((0x04, BREAK), (0x10, FRAMING), (0x20, PARITY), (0x40, OVERRUN))
 
     @classmethod
-    def matches(cls, identity: Identity) -> bool:
+    def matches(cls, identity: UsbIdentity) -> bool:
         return identity.interface_class == _COMMUNICATION_DATA
 
     @classmethod
@@ -222,7 +222,7 @@ class Ch341(Adapter):
                 (0x1A86, 0xE523), (0x2184, 0x0057), (0x9986, 0x7523))
 
     @classmethod
-    def matches(cls, identity: Identity) -> bool:
+    def matches(cls, identity: UsbIdentity) -> bool:
         return identity[:2] in cls._DEVICES
 
     @classmethod
@@ -254,7 +254,7 @@ class Cp210x(Adapter):
     _SIZES = (2, 4, 3, 3)          # bytes of each message after ESC
 
     @classmethod
-    def matches(cls, identity: Identity) -> bool:
+    def matches(cls, identity: UsbIdentity) -> bool:
         return identity.vendor == 0x10C4
 
     @classmethod
@@ -313,7 +313,7 @@ class Cp210x(Adapter):
 FAMILIES: tuple[type[Adapter], ...] = (Ftdi, CdcAcm, Ch341, Cp210x)
 
 
-def adapter_of(identity: Identity, packet_size: int = 64) -> Adapter | None:
+def adapter_of(identity: UsbIdentity, packet_size: int = 64) -> Adapter | None:
     """Return the adapter that a device is; None: none that is understood."""
     family = next((one for one in FAMILIES if one.matches(identity)), None)
     return None if family is None else family(packet_size or 64, identity.version in family.MULTI)

@@ -71,6 +71,12 @@ class Listener:
     stamp): what the source reported besides bytes; only some do (usb_listener.py,
     tap_listener.py). on_pieces(pieces): what one read brought of a source with sides, (bytes,
     stamp, side) each; without it each of them goes to on_chunk.
+
+    | attributes | who writes them |
+    |---|---|
+    | _stopping | stop(), in the thread of the caller |
+    | port, _on_..., _gather_s, _take_every_s, _in_thread, _wake_..., _thread | set once |
+    | all others | its thread: one value each, so that others read them without a lock |
     """
 
     def __init__(self, port: str, baud: int, on_chunk: Callable[..., object],

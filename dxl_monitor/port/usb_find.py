@@ -18,7 +18,7 @@ from typing import NamedTuple
 from dxl_monitor.port.adapters import Adapter
 from dxl_monitor.port.adapters import adapter_of
 from dxl_monitor.port.adapters import FAMILIES
-from dxl_monitor.port.adapters import Identity
+from dxl_monitor.port.adapters import UsbIdentity
 from dxl_monitor.port.driver import SYS
 from dxl_monitor.port.usb_port import Place
 from mecarover_serial.preflight import PortError
@@ -43,7 +43,7 @@ def find(name: str, root: Path = SYS) -> PluggedAdapter:
     """Return the adapter of `/dev/ttyUSB0`, `1-1.2` or `1.7`; raise PortError without one."""
     interface = _interface(name, root)
     device = interface.parent
-    identity = Identity(_hex(device / 'idVendor'), _hex(device / 'idProduct'),
+    identity = UsbIdentity(_hex(device / 'idVendor'), _hex(device / 'idProduct'),
                         _hex(device / 'bcdDevice'), _hex(interface / 'bInterfaceClass'))
     number = f'{identity.vendor:04x}:{identity.product:04x}'
     ends = _bulk(interface)

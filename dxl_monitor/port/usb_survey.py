@@ -16,8 +16,8 @@ from dxl_monitor.port.adapters import adapter_of
 from dxl_monitor.port.adapters import CdcAcm
 from dxl_monitor.port.adapters import family_by_request
 from dxl_monitor.port.adapters import Ftdi
-from dxl_monitor.port.adapters import Identity
 from dxl_monitor.port.adapters import Setup
+from dxl_monitor.port.adapters import UsbIdentity
 from dxl_monitor.port.usb_port import Place
 from dxl_monitor.port.usbmon import BULK
 from dxl_monitor.port.usbmon import CONTROL
@@ -30,7 +30,7 @@ _BULK_KIND = 2                     # in an endpoint's attributes
 _SMALL, _LARGE = 64, 512           # packets of a full-speed and of a high-speed device
 _SMALL_MARK, _LARGE_MARK = 1, 2    # low half of FTDI's first status byte: the size of packets
 _HEADER = b'\xff\xff'              # what every packet of a servo begins with
-_TOLD_NOTHING = Identity(0, 0)
+_TOLD_NOTHING = UsbIdentity(0, 0)
 PENDING_LIMIT = 256
 DEVICES_LIMIT = 4096               # what a damaged file may invent
 
@@ -73,7 +73,7 @@ class _UsbDevice:
     def describe(self, data: bytes) -> None:
         """Take in a descriptor of the device, or those of a configuration."""
         if len(data) >= 18 and data[1] == _DEVICE:
-            self.identity = Identity(_word(data, 8), _word(data, 10), _word(data, 12))
+            self.identity = UsbIdentity(_word(data, 8), _word(data, 10), _word(data, 12))
         if data[1:2] == bytes([_CONFIGURATION]):
             endpoints = _endpoints(data)
             self.endpoints = endpoints or self.endpoints

@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dxl_monitor.bus.conversation import DEFAULTS
-from dxl_monitor.bus.conversation import Settings
-from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.doctor.case import OPTIONS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
+from dxl_monitor.settings import settings_of
 from dxl_monitor.tools.doctor.course import Course
 from dxl_monitor.tools.doctor.excerpt import Excerpt
 from dxl_monitor.tools.doctor.verdict import BusSummary
@@ -60,10 +59,7 @@ class Examination:
         monitor.feed(chunk.data, chunk.stamp, chunk.side)
 
     def _begin(self, bus: str, wire: Wire) -> Monitor:
-        mine = [text.rpartition('/')[2] for text in self._devices
-                if text.rpartition('/')[0] in ('', bus)]
-        settings = Settings(baud=wire.baud, devices=tuple(parse_all(mine)),
-                            latency_timer_ms=wire.latency_timer_ms, protocol=self._protocol)
+        settings = settings_of(bus, wire, self._devices, self._protocol)
         self._courses[bus] = Course()
         self._monitors[bus] = Monitor(bus, self._models, settings, names=OPTIONS)
         return self._monitors[bus]

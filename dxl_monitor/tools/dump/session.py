@@ -20,7 +20,6 @@ import time
 from types import TracebackType
 from typing import BinaryIO
 
-from dxl_monitor.bus.conversation import Settings
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor.case import OPTIONS
@@ -31,6 +30,7 @@ from dxl_monitor.record.capture import Writer
 from dxl_monitor.record.opening import open_source
 from dxl_monitor.settings import check_models
 from dxl_monitor.settings import load_models
+from dxl_monitor.settings import settings_of
 from dxl_monitor.tools.dump.filter import Filter
 from dxl_monitor.tools.dump.json import json_line
 from dxl_monitor.tools.dump.lines import Lines
@@ -118,12 +118,8 @@ class Session:
             sys.stdout.flush()
 
     def _new_monitor(self, bus: str) -> Monitor:
-        wire = self._source.wire(bus)
-        mine = [text.rpartition('/')[2] for text in self._options.devices
-                if text.rpartition('/')[0] in ('', bus)]
-        settings = Settings(baud=wire.baud, devices=tuple(parse_all(mine)),
-                            protocol=self._options.protocol,
-                            latency_timer_ms=wire.latency_timer_ms)
+        settings = settings_of(bus, self._source.wire(bus), self._options.devices,
+                               self._options.protocol)
         shown = printable(bus)
         listing = None
         if self._lists:
