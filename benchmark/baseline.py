@@ -34,8 +34,8 @@ from benchmark.confusion_cases import FEETECH_CASES
 from docs.sample import sample
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.tools.doctor import explain
-from dxl_monitor.tools.doctor.course import Course
 from dxl_monitor.tools.doctor.examination import TRAFFIC_S
+from dxl_monitor.tools.doctor.finding_log import FindingLog
 from rigs.bus import score
 from rigs.bus.field import PLAYED
 from rigs.bus.scene import Scene
@@ -59,15 +59,15 @@ def fault_cells(case: Case, result: confusion.Result) -> Cells:
 def field_cells(scene: Scene) -> Cells:
     """Return the cells of a case that people had: the screen of dxl_doctor counts."""
     rig = scene.rig(score.SEED)
-    course = Course()
+    log = FindingLog()
 
     def heard() -> Iterator[tuple[BusReport, float | None]]:
         for report, since in score.reports(scene, rig):
             if since is None or since <= TRAFFIC_S:
-                course.take(report)
+                log.take(report)
             yield report, since
     result = score.compare(scene, rig, heard(), score.BOOT)
-    told = tuple((one.finding.rule, one.finding.device) for one in course.told())
+    told = tuple((one.finding.rule, one.finding.device) for one in log.told())
     return score.cells(result._replace(
         told=told, verdict=score.verdict_of(scene, told, bool(result.false))))
 

@@ -37,11 +37,11 @@ from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
 from dxl_monitor.tools.doctor import explain
-from dxl_monitor.tools.doctor import quiet
+from dxl_monitor.tools.doctor import no_data
 from dxl_monitor.tools.doctor import report
 from dxl_monitor.tools.doctor import report_file
+from dxl_monitor.tools.doctor.error_window import ErrorWindow
 from dxl_monitor.tools.doctor.examination import Examination
-from dxl_monitor.tools.doctor.excerpt import Excerpt
 from dxl_monitor.tools.doctor.screen import screen
 from dxl_monitor.tools.doctor.verdict import ERROR
 from dxl_monitor.tools.doctor.verdict import NOTHING_HEARD
@@ -77,7 +77,7 @@ def said(chunks, devices=DEVICES, is_timed=True, wire=WIRE):
     for chunk in chunks:
         examination.take(chunk, wire)
     examination.finish(examination.last, is_over=True)
-    why = [] if examination.bytes else quiet.of_file('bus.txt')
+    why = [] if examination.bytes else no_data.of_file('bus.txt')
     return verdict('bus.txt', examination.buses(is_timed), examination.seconds, is_timed, why)
 
 
@@ -313,10 +313,10 @@ def test_a_program_that_opens_no_port(meeting_place):
 
 
 def test_a_port_that_is_silent_has_its_reasons():
-    text = '\n'.join(quiet.of_port('/dev/ttyNONE0'))
+    text = '\n'.join(no_data.of_port('/dev/ttyNONE0'))
     assert 'No program asks the servos' in text
     assert 'not the baud rate' in text
-    assert 'start it with dxl_tap arm' in '\n'.join(quiet.reasons('tap:arm/ttyUSB0', True))
+    assert 'start it with dxl_tap arm' in '\n'.join(no_data.reasons('tap:arm/ttyUSB0', True))
 
 
 def test_every_finding_of_an_error_text_is_a_rule():
@@ -485,16 +485,16 @@ def test_a_report_overwrites_no_other_file(tmp_path):
 
 
 def test_a_report_is_bounded():
-    excerpt = Excerpt()
+    window = ErrorWindow()
     for number in range(3000):
-        excerpt.take(Chunk(1 + number * SECOND // 100, 'bus', bytes(1000)), WIRE)
-    kept = list(Reader(io.BytesIO(excerpt.capture({}))))
+        window.take(Chunk(1 + number * SECOND // 100, 'bus', bytes(1000)), WIRE)
+    kept = list(Reader(io.BytesIO(window.capture({}))))
     assert sum(len(chunk.data) for chunk in kept) <= 1_500_000
     assert kept[-1].stamp == 1 + 2999 * SECOND // 100
-    excerpt = Excerpt()
+    window = ErrorWindow()
     for number in range(900):
-        excerpt.take(Chunk(1 + number * SECOND // 10, 'bus', bytes(1)), WIRE)
+        window.take(Chunk(1 + number * SECOND // 10, 'bus', bytes(1)), WIRE)
         if number == 400:
-            excerpt.first_error = 40 * SECOND
-    kept = list(Reader(io.BytesIO(excerpt.capture({}))))
+            window.first_error = 40 * SECOND
+    kept = list(Reader(io.BytesIO(window.capture({}))))
     assert 24 * SECOND < kept[0].stamp < kept[-1].stamp < 56 * SECOND

@@ -25,7 +25,7 @@ from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
 from dxl_monitor.tools.doctor import report
-from dxl_monitor.tools.doctor.excerpt import packed
+from dxl_monitor.tools.doctor.error_window import packed
 from mecarover_dashboard.history import HistoryWriter
 from mecarover_dashboard.recorder import Event
 from mecarover_dashboard.recorder import Subject

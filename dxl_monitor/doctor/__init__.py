@@ -32,7 +32,7 @@ from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import Rule
-from dxl_monitor.doctor.state import judged
+from dxl_monitor.doctor.states import judged
 from dxl_monitor.model.control_table import UNKNOWN
 from mecarover_serial.fault import survive
 from msg_defs.reports import Level

@@ -17,8 +17,8 @@ from dxl_monitor.monitor import Monitor
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.settings import settings_of
-from dxl_monitor.tools.doctor.course import Course
-from dxl_monitor.tools.doctor.excerpt import Excerpt
+from dxl_monitor.tools.doctor.error_window import ErrorWindow
+from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.verdict import BusSummary
 from msg_defs.reports import Level
 
@@ -36,19 +36,19 @@ class Examination:
                  protocol: str = DEFAULTS.protocol) -> None:
         self.bytes = 0
         self.first = self.last = 0             # stamps of chunks; 0: none yet
-        self.excerpt = Excerpt()
+        self.window = ErrorWindow()
         self._models = models
         self._devices = devices
         self._protocol = protocol
         self._monitors: dict[str, Monitor] = {}
-        self._courses: dict[str, Course] = {}
+        self._logs: dict[str, FindingLog] = {}
         self._due = 0
 
     def take(self, chunk: Chunk, wire: Wire) -> None:
         """Take a chunk of a bus; wire: what the source knows of that bus."""
         self.pass_time(chunk.stamp)
         self._due = self._due or chunk.stamp + REPORT_NS
-        self.excerpt.take(chunk, wire)
+        self.window.take(chunk, wire)
         monitor = self._monitors.get(chunk.bus) or self._begin(chunk.bus, wire)
         if chunk.change is not None:
             monitor.change(chunk.change, chunk.stamp)
@@ -60,7 +60,7 @@ class Examination:
 
     def _begin(self, bus: str, wire: Wire) -> Monitor:
         settings = settings_of(bus, wire, self._devices, self._protocol)
-        self._courses[bus] = Course()
+        self._logs[bus] = FindingLog()
         self._monitors[bus] = Monitor(bus, self._models, settings, names=OPTIONS)
         return self._monitors[bus]
 
@@ -76,10 +76,10 @@ class Examination:
     def _look(self, now: int) -> None:
         for bus, monitor in self._monitors.items():
             report = monitor.report(now)
-            self._courses[bus].take(report)
-            if report.findings and not self.excerpt.first_error and any(
+            self._logs[bus].take(report)
+            if report.findings and not self.window.first_error and any(
                     finding.level > Level.OK for finding in report.findings):
-                self.excerpt.first_error = now
+                self.window.first_error = now
 
     @property
     def seconds(self) -> float:
@@ -97,16 +97,16 @@ class Examination:
         """Return what is heard at this moment, in a line."""
         if not self.bytes:
             return 'nothing heard yet'
-        reports = [course.last for course in self._courses.values() if course.last is not None]
+        reports = [log.last for log in self._logs.values() if log.last is not None]
         packets = sum(report.counters['Packets'] for report in reports)
         devices = sum(device.last_heard_s is not None for report in reports
                       for device in report.devices)
-        rules = [one.finding.rule.replace('_', ' ') for course in self._courses.values()
-                 for one in course.told() if one.stands]
+        rules = [one.finding.rule.replace('_', ' ') for log in self._logs.values()
+                 for one in log.told() if one.stands]
         return '; '.join([f'{packets} packets, {devices} devices', *rules[:3]])
 
     def buses(self, is_timed: bool) -> list[BusSummary]:
         """Return each bus as it is told at the end."""
-        found = [(name, course, course.last) for name, course in self._courses.items()]
-        return [BusSummary.of(name if len(found) > 1 else '', last, course, is_timed)
-                for name, course, last in found if last is not None]
+        found = [(name, log, log.last) for name, log in self._logs.items()]
+        return [BusSummary.of(name if len(found) > 1 else '', last, log, is_timed)
+                for name, log, last in found if last is not None]

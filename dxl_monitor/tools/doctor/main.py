@@ -26,7 +26,7 @@ from dxl_monitor.settings import check_models
 from dxl_monitor.settings import load_models
 from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor import machine
-from dxl_monitor.tools.doctor import quiet
+from dxl_monitor.tools.doctor import no_data
 from dxl_monitor.tools.doctor import report_file
 from dxl_monitor.tools.doctor.examination import ARRIVAL_NS
 from dxl_monitor.tools.doctor.examination import Examination
@@ -207,8 +207,8 @@ class _Progress:
 
 def _why_quiet(name: str, source: Source | Program, command: Sequence[str]) -> list[str]:
     if isinstance(source, Program):
-        return quiet.of_program(command, source.ports, source.code)
-    return quiet.reasons(name, source.is_live)
+        return no_data.of_program(command, source.ports, source.code)
+    return no_data.reasons(name, source.is_live)
 
 
 def _show(said: Verdict, for_programs: dict[str, Any], options: argparse.Namespace) -> None:
@@ -232,7 +232,7 @@ def _write_report(source: Source | Program, examination: Examination, seconds: f
     maker = Maker(machine.system(), machine.adapters(ports, options.with_host),
                   machine.host(options.source, command) if options.with_host else (),
                   options.devices, options.protocol)
-    text = report(said, shown, seconds, maker, examination.excerpt.capture(names))
+    text = report(said, shown, seconds, maker, examination.window.capture(names))
     with open(options.report, 'w', encoding='utf-8') as file:
         file.write(text)
     print(f'dxl_doctor: the report is in {printable(options.report)}', file=sys.stderr)

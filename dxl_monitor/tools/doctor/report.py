@@ -14,7 +14,7 @@ import os
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.tools.doctor.excerpt import packed
+from dxl_monitor.tools.doctor.error_window import packed
 from dxl_monitor.tools.doctor.screen import screen
 from dxl_monitor.tools.doctor.verdict import as_json
 from dxl_monitor.tools.doctor.verdict import BusSummary

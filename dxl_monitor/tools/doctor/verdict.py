@@ -3,7 +3,7 @@
 """
 What dxl_doctor says of a run: what was heard, what is wrong, what cannot be told. Pure.
 
-From the last report of each bus and the course of its findings; screen.py and as_json() show it.
+From the last report of each bus and the log of its findings; screen.py and as_json() show it.
 """
 
 from __future__ import annotations
@@ -13,20 +13,18 @@ from itertools import groupby
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor import timing
-from dxl_monitor.tools.doctor.course import Course
-from dxl_monitor.tools.doctor.course import Told
+from dxl_monitor.doctor.states import LISTED_AS
+from dxl_monitor.tools.doctor.finding_log import FindingLog
+from dxl_monitor.tools.doctor.finding_log import Told
 from mecarover_serial.plain import printable
 from msg_defs.reports import Level
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
 _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
 _NEEDS_TIMES = frozenset(rule.name for rule in timing.RULES)
-_STATES = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard',
-           words.ASKED: 'asked, never heard', words.SILENT: 'not asked at present'}
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
 
 
@@ -75,9 +73,9 @@ class BusSummary(NamedTuple):
     told: tuple[Told, ...]
 
     @classmethod
-    def of(cls, name: str, report: BusReport, course: Course, is_timed: bool) -> BusSummary:
+    def of(cls, name: str, report: BusReport, log: FindingLog, is_timed: bool) -> BusSummary:
         """Return what is told of a bus; without times nothing is that needs them."""
-        return cls(name, report, tuple(one for one in course.told()
+        return cls(name, report, tuple(one for one in log.told()
                                        if is_timed or one.finding.rule not in _NEEDS_TIMES))
 
     def who(self, number: int | None) -> str:
@@ -142,7 +140,7 @@ def _heard(bus: BusSummary) -> list[DeviceGroup]:
 def _kind(device: DeviceReport) -> tuple[str, Level]:
     firmware = f', firmware {device.firmware}' if device.firmware is not None else ''
     model = 'model unknown' if device.model_name == 'unknown' else device.model_name
-    return f'{model}{firmware}: {_STATES.get(device.state, device.state)}', device.level
+    return f'{model}{firmware}: {LISTED_AS.get(device.state, device.state)}', device.level
 
 
 def _spans(devices: Sequence[DeviceReport]) -> list[str]:

@@ -29,7 +29,7 @@ class Told(NamedTuple):
     stands: bool
 
 
-class Course:
+class FindingLog:
     """The findings of one bus over time; takes its reports in order."""
 
     def __init__(self) -> None:

@@ -28,7 +28,7 @@ _HALF_NS = SECONDS * 500_000_000
 _COLUMNS = 100
 
 
-class Excerpt:
+class ErrorWindow:
     """Takes all chunks of a run; first_error: the stamp of the first finding, once there is."""
 
     def __init__(self) -> None:

@@ -25,6 +25,9 @@ from msg_defs.reports import number
 _CRC_ERRORS_PER_S = 1.0
 _LOST = (words.DISCONNECTED, words.EXPECTED)
 _NAMED = 5                     # lost devices in the message of a bus
+# What a list of devices says of some states.
+LISTED_AS = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard',
+             words.ASKED: 'asked, never heard', words.SILENT: 'not asked at present'}
 
 
 def judged(report: BusReport, settings: Settings, names: Names) -> BusReport:
