@@ -165,18 +165,21 @@ def test_stream_beats_while_nothing_happens(dashboard):
 
 def test_the_table_of_one_device(dashboard):
     robot = SyntheticRobot()
-    begin = time.monotonic()
-    dashboard.take(robot.messages(100.0))
+    messages, begin = robot.messages(100.0), time.monotonic()
+    dashboard.take(messages)
     stream = Stream(dashboard, f'watch={KNEE}')
     table = stream.until(lambda event: 'table' in event)['table']
     assert table['name'] == 'dxl_monitor: 007 left_knee'
     assert len(table['fields']) == 60
     assert len(table['latency'][0]) == 4
-    dashboard.take(robot.messages(100.0 + time.monotonic() - begin))
-    change = stream.until(lambda event: 'table' in event)['table']
-    assert 'fields' not in change
-    changed = {table['fields'][int(at)][0] for at in change['some']}
-    assert 'Present Position (rad)' in changed
+    for _ in range(20):         # what is handed over late makes all ages other ones
+        dashboard.take(robot.messages(100.0 + time.monotonic() - begin))
+        change = stream.until(lambda event: 'table' in event)['table']
+        assert 'fields' not in change
+        changed = {table['fields'][int(at)][0] for at in change['some']}
+        assert 'Present Position (rad)' in changed
+        if len(changed) < 30:
+            break
     assert len(changed) < 30
     stream.close()
 
