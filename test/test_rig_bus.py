@@ -106,7 +106,7 @@ def test_a_sync_read_is_answered_in_line(bus) -> None:  # type: ignore[no-untype
 
 def test_a_fast_read_is_one_status_whose_blocks_prove_themselves(bus) -> None:  # type: ignore[no-untyped-def]
     _, _, ask = bus
-    answer = ask(frames.sync_read((1, 2, 3), reg.ID, 1, fast=True))
+    answer = ask(frames.sync_read((1, 2, 3), reg.ID, 1, frames.FAST_SYNC_READ))
     assert len(frames.parse(answer, fast=True)) == 1
     for end in (13, 18, 23):           # behind each block: 8 ahead, then error, ID, data, CRC
         assert frames.crc(answer[:end - 2]) == answer[end - 2:end]

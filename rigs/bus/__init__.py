@@ -16,7 +16,7 @@ Time is counted in ns from 0. The parts know each other only like this:
     uart    one packet on a line that is not good, bit by bit
     scenes  all of it together, with what the doctor must say
 
-frames1, servo1, masters1 and field1 are the same for the 1.0 family, Dynamixel 1.0 and Feetech.
+frames1, servo1 and masters1 hold what differs in the 1.0 family, Dynamixel 1.0 and Feetech.
 
 Only `score` knows the product.
 """

@@ -227,7 +227,7 @@ STATE: tuple[Scene, ...] = (
           (f.since(0.0),), tuple(('fast_read_unsupported', n) for n in range(1, 7)),
           firmware=42),
     Scene('master does not stuff', m.beside(partial(m.poller, ping=True), m.says(
-        frames.sync_write(116, 4, [(1, b'\xff\xff\xfd\x00')], stuff=False))),
+        frames.UNSTUFFED.sync_write(116, 4, [(1, b'\xff\xff\xfd\x00')]))),
         _of(None, 'unstuffed'), (f.since(8.0),)),
     Scene('one is never written', partial(m.poller, ping=True, writes=(1, 2, 4, 5, 6)),
           _of(3, 'never_written'), (f.since(0.0),)),

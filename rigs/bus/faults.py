@@ -14,10 +14,13 @@ from collections.abc import Iterable
 from functools import partial
 
 from rigs.bus import frames
+from rigs.bus import frames1
 from rigs.bus import servo as reg
 from rigs.bus.masters import Master
 from rigs.bus.rig import Rig
 from rigs.bus.servo import Servo
+from rigs.bus.servo1 import Kind
+from rigs.bus.servo1 import Servo1
 from rigs.bus.wire import Heard
 from rigs.bus.wire import S
 
@@ -201,15 +204,15 @@ def echo(at: float = 0.0) -> Fault:
     return fault
 
 
-def twin(number: int, at: float = 0.0, *, own_us: int = 40, model: str = 'XL430-W250',
+def twin(number: int, at: float = 0.0, *, own_us: int = 40, model: str | Kind = 'XL430-W250',
          place: float = 1000.0) -> Fault:
     """Add a second servo with the same ID."""
     def fault(rig: Rig) -> None:
         def join() -> None:
-            other = Servo(rig.wire, number, model, own_us=own_us)
-            other._at = place
+            other = Servo(rig.wire, number, model, own_us=own_us) if isinstance(model, str) \
+                else Servo1(rig.wire, number, model, own_us=own_us)
+            other.stand(place)
             other.tremor = number + 1.6    # two joints never stand in the same place to the step
-            other.put(reg.GOAL, 4, round(place))
             other.changed = rig.alter
             rig.alter()
         rig.at(at, join)
@@ -247,13 +250,9 @@ def elsewhere(number: int, at: float = 8.0, rate: float = 20.0) -> Fault:
 def protocol_1(number: int = 9, at: float = 6.0, rate: float = 10.0) -> Fault:
     """Ask a device of Protocol 1.0, and let it answer (e-Manual, Protocol 1.0)."""
     def fault(rig: Rig) -> None:
-        def packet(code: int, params: bytes) -> bytes:
-            body = bytes((number, len(params) + 2, code)) + params
-            return b'\xff\xff' + body + bytes((~sum(body) & 0xFF,))
-
         def ask() -> None:
-            rig.wire.talk('master 0', packet(2, b'\x24\x02'))
-            answer = packet(0, b'\0\2')
+            rig.wire.talk('master 0', frames1.read(number, 36, 2))
+            answer = frames1.packet(number, 0, b'\0\2')
             rig.at(rig.clock.now / S + 0.0003, lambda: rig.wire.talk('servo 9', answer))
             rig.at(rig.clock.now / S + 1 / rate, ask)
             rig.alter()

@@ -4,10 +4,14 @@
 Packets of Protocol 2.0 (e-Manual, DYNAMIXEL Protocol 2.0): made and read byte by byte.
 
 Written for the rig alone and slow on purpose: it is what the product's framer is checked with.
+`Form` is what differs in the 1.0 family (frames1.py).
 """
 
+from collections.abc import Callable
 from collections.abc import Iterable
+from collections.abc import Sequence
 from functools import lru_cache
+from functools import partial
 from typing import NamedTuple
 
 EVERYBODY = 0xFE
@@ -27,6 +31,30 @@ class Packet(NamedTuple):
     instruction: int
     error: int
     params: bytes
+
+
+class Form(NamedTuple):
+    """How packets of a protocol are made and read."""
+
+    start: bytes
+    smallest: int                  # bytes of a status without data
+    size: Callable[[bytes], int]   # of the status that begins so; 0: none does
+    parse: Callable[[bytes], Sequence[Packet]]
+    whole: Callable[[int, int, bytes], bytes]      # ID, code, params
+    number: Callable[[int], bytes]                 # an address or a size
+
+    def read(self, number: int, at: int, size: int) -> bytes:
+        return self.whole(number, READ, self.number(at) + self.number(size))
+
+    def write(self, number: int, at: int, data: bytes) -> bytes:
+        return self.whole(number, WRITE, self.number(at) + data)
+
+    def sync_read(self, ids: Iterable[int], at: int, size: int, code: int = SYNC_READ) -> bytes:
+        return self.whole(EVERYBODY, code, self.number(at) + self.number(size) + bytes(ids))
+
+    def sync_write(self, at: int, size: int, values: Iterable[tuple[int, bytes]]) -> bytes:
+        return self.whole(EVERYBODY, SYNC_WRITE, self.number(at) + self.number(size) + b''.join(
+            bytes((number,)) + data for number, data in values))
 
 
 @lru_cache(maxsize=1)
@@ -97,25 +125,6 @@ def status(number: int, error: int = 0, params: bytes = b'') -> bytes:
     return _whole(number, stuffed(bytes((STATUS, error)) + params))
 
 
-def read(number: int, at: int, size: int) -> bytes:
-    return instruction(number, READ, two(at) + two(size))
-
-
-def write(number: int, at: int, data: bytes) -> bytes:
-    return instruction(number, WRITE, two(at) + data)
-
-
-def sync_read(ids: Iterable[int], at: int, size: int, *, fast: bool = False) -> bytes:
-    code = FAST_SYNC_READ if fast else SYNC_READ
-    return instruction(EVERYBODY, code, two(at) + two(size) + bytes(ids))
-
-
-def sync_write(at: int, size: int, values: Iterable[tuple[int, bytes]], *,
-               stuff: bool = True) -> bytes:
-    entries = b''.join(bytes((number,)) + data for number, data in values)
-    return instruction(EVERYBODY, SYNC_WRITE, two(at) + two(size) + entries, stuff=stuff)
-
-
 def bulk_read(entries: Iterable[tuple[int, int, int]], *, fast: bool = False) -> bytes:
     """Return a Bulk Read of (ID, address, size)."""
     params = b''.join(bytes((number,)) + two(at) + two(size) for number, at, size in entries)
@@ -165,3 +174,14 @@ def parse(data: bytes, *, fast: bool = False) -> tuple[Packet, ...]:
         else:
             at = data.find(START, at + 1)
     return tuple(found)
+
+
+def _size(front: bytes) -> int:
+    size = 7 + (front[5] | front[6] << 8)
+    return 0 if size > 1031 or front[3] or front[7] != STATUS else size
+
+
+FORM = Form(START[:3], 11, _size, partial(parse, fast=True), instruction, two)
+# As the official Python SDK does it in a group write: nothing is stuffed.
+UNSTUFFED = FORM._replace(whole=partial(instruction, stuff=False))
+read, write, sync_read, sync_write = FORM.read, FORM.write, FORM.sync_read, FORM.sync_write

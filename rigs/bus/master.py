@@ -19,6 +19,7 @@ from random import Random
 from typing import NamedTuple
 
 from rigs.bus import frames
+from rigs.bus.frames import Form
 from rigs.bus.frames import Packet
 from rigs.bus.wire import Heard
 from rigs.bus.wire import S
@@ -58,14 +59,14 @@ class Port:
     """
 
     def __init__(self, wire: Wire, random: Random, *, name: str, latency_ms: float = 0.2,
-                 wait_ms: float = SDK_WAIT_MS, stuffs: bool = True) -> None:
+                 wait_ms: float = SDK_WAIT_MS, form: Form = frames.FORM) -> None:
         self.wire = wire
         self.clock = wire.clock
         self.random = random
         self.latency_ms = latency_ms
         self.name = name
         self.wait_ms = wait_ms
-        self.stuffs = stuffs
+        self.form = form
         self.is_stopped = False
         self.is_deaf = False           # its receive path is dead
         self.slow_ms: Callable[[], float] = lambda: 0.0      # its computer is busy, each time
@@ -143,16 +144,16 @@ class Port:
     def receive(self, wanted: int, until: int) -> Generator[Step, None, Packet | None]:
         """Return the next status of this ID, None for a time-out or a damaged one."""
         while True:
-            start = self.input.find(b'\xff\xff\xfd')
-            if start >= 0 and len(self.input) >= start + 11:
-                size = 7 + (self.input[start + 5] | self.input[start + 6] << 8)
-                if size > 1031 or self.input[start + 3] or self.input[start + 7] != frames.STATUS:
+            start = self.input.find(self.form.start)
+            if start >= 0 and len(self.input) >= start + self.form.smallest:
+                size = self.form.size(self.input[start:])
+                if not size:
                     del self.input[:start + 1]
                     continue
                 if len(self.input) >= start + size:
                     raw = bytes(self.input[start:start + size])
                     del self.input[:start + size]
-                    found = frames.parse(raw, fast=True)
+                    found = self.form.parse(raw)
                     if not found or found[0].id == wanted:
                         return found[0] if found else None
                     continue
@@ -161,11 +162,11 @@ class Port:
             yield Listen(until)
 
     def ask(self, packet: bytes, wanted: int,
-            size: int) -> Generator[Step, None, Packet | None]:
+            size: int = 0) -> Generator[Step, None, Packet | None]:
         """Say an instruction to one device and return its status (txRxPacket)."""
         self.clear()
         yield Say(packet)
-        return (yield from self.receive(wanted, self.patience(size + 11)))
+        return (yield from self.receive(wanted, self.patience(size + self.form.smallest)))
 
     def ask_all(self, packet: bytes, ids: Iterable[int],
                 size: int) -> Generator[Step, None, dict[int, Packet]]:
@@ -173,7 +174,7 @@ class Port:
         wanted = list(ids)
         self.clear()
         yield Say(packet)
-        until = self.patience((size + 11) * len(wanted))
+        until = self.patience((size + self.form.smallest) * len(wanted))
         found: dict[int, Packet] = {}
         for number in wanted:
             answer = yield from self.receive(number, until)

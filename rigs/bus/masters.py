@@ -37,15 +37,14 @@ def sdk_loop(port: Port, ids: Ids, *, rate: float = 100.0, address: int = reg.PL
              size: int = 4, torque: bool = True, retries: int = 0) -> Program:
     """Group read, then group write, as the examples of the SDK do: the usual loop."""
     for number in ids if torque else ():
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number, 0)
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number)
     due = port.now
     while True:
         for _ in range(retries + 1):
             found = yield from port.ask_all(frames.sync_read(ids, address, size), ids, size)
             if len(found) == len(ids):
                 break
-        yield Say(frames.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids],
-                                    stuff=port.stuffs))
+        yield Say(port.form.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids]))
         sleep, due = port.pace(due, 1000 / rate)
         yield sleep
 
@@ -66,14 +65,15 @@ def hardware_interface(port: Port, ids: Ids, *, rate: float = 100.0, fast: bool 
     watched = [at + byte for at, size in items for byte in range(size)]
     for number in ids if pings else ():
         yield from port.ask(frames.instruction(number, frames.PING), number, 3)
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number, 0)
-        yield from port.ask(frames.write(number, reg.DELAY, b'\0'), number, 0)
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number)
+        yield from port.ask(frames.write(number, reg.DELAY, b'\0'), number)
         for slot, at in enumerate(watched):
-            yield from port.ask(frames.write(number, reg.REDIRECTS + 2 * slot, two(at)), number, 0)
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number, 0)
+            yield from port.ask(frames.write(number, reg.REDIRECTS + 2 * slot, two(at)), number)
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number)
         yield Sleep(port.now + 2 * MS)
     size, due = len(watched), port.now
-    packet = frames.sync_read(ids, reg.REDIRECTED, size, fast=fast)
+    packet = frames.sync_read(
+        ids, reg.REDIRECTED, size, frames.FAST_SYNC_READ if fast else frames.SYNC_READ)
     while True:
         if fast:
             yield from port.ask_fast(packet, ids, size)
@@ -110,13 +110,13 @@ def lerobot(port: Port, ids: Ids, *, rate: float = 30.0, gives_up: bool = True) 
         if (yield from port.ask(frames.instruction(number, frames.PING), number, 3)) is None:
             return
     for number in ids:
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number, 0)
-        yield from port.ask(frames.write(number, reg.DELAY, b'\0'), number, 0)
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number)
+        yield from port.ask(frames.write(number, reg.DELAY, b'\0'), number)
     for at, size in ((20, 4), (52, 4), (48, 4), (10, 1)):
         yield from port.ask_all(frames.sync_read(ids, at, size), ids, size)
     for number in ids:
-        yield from port.ask(frames.write(number, reg.MODE, b'\3'), number, 0)
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number, 0)
+        yield from port.ask(frames.write(number, reg.MODE, b'\3'), number)
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number)
     due = port.now
     while True:
         found = yield from port.ask_all(frames.sync_read(ids, reg.PLACE, 4), ids, 4)
@@ -127,7 +127,7 @@ def lerobot(port: Port, ids: Ids, *, rate: float = 30.0, gives_up: bool = True) 
         yield sleep
     for number in ids:
         for _ in range(6):
-            if (yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number, 0)):
+            if (yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number)):
                 break
 
 
@@ -147,16 +147,16 @@ def scan(port: Port, ids: Ids, *, first: int = 0, last: int = 252, again: bool =
 
 
 def beginner(port: Port, ids: Ids, *, print_ms: float = 4.0, address: int = reg.GOAL,
-             wanted: int = reg.PLACE) -> Program:
+             wanted: int = reg.PLACE, torque: int = reg.TORQUE, size: int = 4) -> Program:
     """Do as a first program: send a goal, read the position for a while and print it."""
     for number in ids:
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number, 0)
+        yield from port.ask(port.form.write(number, torque, b'\1'), number)
     while True:
         for number in ids:
-            place = goal(port, number)
-            yield from port.ask(frames.write(number, address, place), number, 0)
+            place = goal(port, number)[:size]
+            yield from port.ask(port.form.write(number, address, place), number)
             for _ in range(8):
-                yield from port.ask(frames.read(number, wanted, 4), number, 4)
+                yield from port.ask(port.form.read(number, wanted, size), number, size)
                 yield Sleep(port.now + round(port.random.expovariate(1 / print_ms) * MS))
 
 
@@ -164,7 +164,7 @@ def poller(port: Port, ids: Ids, *, rate: float = 20.0, torque: bool = False,
            ping: bool = False, writes: Ids | None = None) -> Program:
     """Item by item and device by device, as dynamixel_workbench: read, now and then write."""
     for number in ids if torque else ():
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number, 0)
+        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number)
     due = port.now
     while True:
         for number in ids:
@@ -174,7 +174,7 @@ def poller(port: Port, ids: Ids, *, rate: float = 20.0, torque: bool = False,
                 yield from port.ask(frames.read(number, reg.TORQUE, 1), number, 1)
             yield from port.ask(frames.read(number, reg.PLACE, 4), number, 4)
             if writes is None or number in writes:
-                yield from port.ask(frames.write(number, reg.GOAL, goal(port, number)), number, 0)
+                yield from port.ask(frames.write(number, reg.GOAL, goal(port, number)), number)
         sleep, due = port.pace(due, 1000 / rate)
         yield sleep
 

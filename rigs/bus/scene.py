@@ -7,6 +7,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rigs.bus import ear
+from rigs.bus import frames
+from rigs.bus import frames1
 from rigs.bus.faults import Fault
 from rigs.bus.masters import Master
 from rigs.bus.rig import Rig
@@ -44,7 +46,6 @@ class Scene(NamedTuple):
     devices: tuple[str, ...] = ()  # the monitor's parameter
     latency_ms: float = 0.2        # the master's adapter
     wait_ms: float = 34.0
-    stuffs: bool = True
     why: str = ''                  # where the expectation needs a word
 
     def rig(self, seed: int) -> Rig:
@@ -53,7 +54,8 @@ class Scene(NamedTuple):
         for number in {*self.ids, *self.spares} - {*self.absent}:
             rig.add(self._servo(rig, number))
         rig.run_master(self.master, list(self.ids), 0.1, latency_ms=self.latency_ms,
-                       wait_ms=self.wait_ms, stuffs=self.stuffs)
+                       wait_ms=self.wait_ms,
+                       form=(frames1 if self.family else frames).FORM)
         for fault in self.faults:
             fault(rig)
         return rig

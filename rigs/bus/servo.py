@@ -53,37 +53,76 @@ class _Turn(NamedTuple):
     heard: bytes                   # a fast reply so far
 
 
-class Servo:
-    """One servo. own_us: what its own code takes, behind the Return Delay Time."""
+class AnyServo:
+    """What servos of both families are. own_us: what its own code takes, after its delay."""
+
+    def __init__(self, wire: Wire, number: int, own_us: int, size: int) -> None:
+        self.wire = wire
+        self.clock: Clock = wire.clock
+        self.own_us = own_us
+        self.is_on = True              # supplied
+        self.loses: Callable[[], bool] = lambda: False       # an answer, now and then
+        self.changed: Callable[[], None] = lambda: None
+        self.tremor = float(number)    # where in its small movements it is
+        self.asked = self.answered = 0
+        self.table = bytearray(size)
+        self._at = 2048.0
+        self._moved = 0
+        wire.listeners.append(self.hear)
+
+    def hear(self, heard: Heard) -> None:
+        raise NotImplementedError
+
+    def put(self, at: int, size: int, value: int) -> None:
+        self.table[at:at + size] = (value % (1 << 8 * size)).to_bytes(size, 'little')
+
+    def get(self, at: int, size: int = 1) -> int:
+        return int.from_bytes(self.table[at:at + size], 'little')
+
+    def move(self, goal: int, has_torque: bool) -> float:
+        """Go towards the goal since the last time, 4000 steps per second; return how it shakes."""
+        seconds = (self.clock.now - self._moved) / S
+        self._moved = self.clock.now
+        if has_torque:
+            step = 4000 * seconds
+            self._at += max(-step, min(step, goal - self._at))
+        return 2 * sin(self.clock.now / 7e7 + self.tremor)
+
+    def say_after(self, delay: int, packet: bytes, later: int = 0) -> None:
+        """Say a status after a Return Delay Time (2 us units) and what the firmware takes."""
+        self.answered += 1
+        self.clock.at(self.clock.now + (2 * delay + self.own_us) * US + later,
+                      lambda: self._say(packet))
+
+    def _say(self, packet: bytes) -> None:
+        if self.is_on:
+            self.wire.talk(f'servo {self.number}', packet)
+
+    @property
+    def number(self) -> int:
+        raise NotImplementedError
+
+
+class Servo(AnyServo):
+    """One servo of the X series."""
 
     def __init__(self, wire: Wire, number: int, model: str = 'XL430-W250', *, firmware: int = 46,
                  delay: int = 0, own_us: int = 40, in_line: bool = True) -> None:
-        self.wire = wire
-        self.clock: Clock = wire.clock
+        super().__init__(wire, number, own_us, SIZE)
         self.model = model
         self.firmware = firmware
-        self.own_us = own_us
         self.in_line = in_line         # in a Sync Read it waits for the one before it for ever
-        self.is_on = True              # supplied
         self.is_deaf = False           # hears nothing, as behind a broken wire
-        self.loses: Callable[[], bool] = lambda: False       # an answer, now and then
         self.wrong_size = 0            # bytes that its answers have too many
         self.answers_only_pings = False
         self.volts: Callable[[], float] = lambda: 12.0
         self.heat: Callable[[], float] = lambda: 35.0
-        self.changed: Callable[[], None] = lambda: None
-        self.tremor = float(number)    # where in its small movements it is
-        self.asked = self.answered = 0
         self._registered = (0, b'')
         self._turn: _Turn | None = None
         self._born = 0
-        self._at = 2048.0
-        self._moved = 0
         self._fed = 0                  # the bus watchdog
         self._redirects: list[tuple[int, int]] = []    # indirect data: where, of what
-        self.table = bytearray(SIZE)
         self._factory(number, delay)
-        wire.listeners.append(self.hear)
 
     # --- registers -------------------------------------------------------------------------
 
@@ -111,11 +150,10 @@ class Servo:
         self.put(GOAL, 4, round(self._at))
         self.is_on = True
 
-    def put(self, at: int, size: int, value: int) -> None:
-        self.table[at:at + size] = (value % (1 << 8 * size)).to_bytes(size, 'little')
-
-    def get(self, at: int, size: int = 1) -> int:
-        return int.from_bytes(self.table[at:at + size], 'little')
+    def stand(self, place: float) -> None:
+        """Be at a place, and want to be there."""
+        self._at = place
+        self.put(GOAL, 4, round(place))
 
     @property
     def number(self) -> int:
@@ -123,14 +161,9 @@ class Servo:
 
     def _refresh(self) -> None:
         """Bring up to date what changes by itself: place, tick, supply, temperature."""
-        seconds = (self.clock.now - self._moved) / S
-        self._moved = self.clock.now
-        goal = self.get(GOAL, 4)
-        if self.table[TORQUE] and not self.table[ERRORS]:
-            step = 4000 * seconds              # steps per second
-            self._at += max(-step, min(step, goal - self._at))
-        wobble = round(2 * sin(self.clock.now / 7e7 + self.tremor))
-        self.put(PLACE, 4, round(self._at) + wobble)
+        wobble = self.move(self.get(GOAL, 4),
+                           bool(self.table[TORQUE]) and not self.table[ERRORS])
+        self.put(PLACE, 4, round(self._at) + round(wobble))
         self.put(TICK, 2, (self.clock.now - self._born) // 1_000_000 % 32_768)
         self.put(LOAD, 2, round(40 * sin(self.clock.now / 3e8)))
         self.put(VOLTS, 2, round(10 * self.volts()))
@@ -272,13 +305,7 @@ class Servo:
             data = data[:self.wrong_size] if self.wrong_size < 0 else data + bytes(self.wrong_size)
         alert = frames.ALERT if self.table[ERRORS] else 0
         packet = frames.status(self.number, error | alert, data)
-        wait = (2 * self.table[DELAY] + self.own_us) * US + later
-        self.answered += 1
-        self.clock.at(self.clock.now + wait, lambda: self._say(packet))
-
-    def _say(self, packet: bytes) -> None:
-        if self.is_on:
-            self.wire.talk(f'servo {self.number}', packet)
+        self.say_after(self.table[DELAY], packet, later)
 
     def _take_turn(self, accesses: list[tuple[int, int, int]], is_fast: bool) -> None:
         mine = next((i for i, one in enumerate(accesses) if one[0] == self.number), -1)

@@ -4,17 +4,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from math import sin
 from typing import NamedTuple
 
 from rigs.bus import frames1 as frames
-from rigs.bus.frames1 import Packet
+from rigs.bus.frames import Packet
+from rigs.bus.frames import PING
+from rigs.bus.frames import READ
+from rigs.bus.frames import SYNC_READ
+from rigs.bus.frames import SYNC_WRITE
+from rigs.bus.frames import WRITE
+from rigs.bus.servo import AnyServo
 from rigs.bus.wire import Heard
-from rigs.bus.wire import S
 from rigs.bus.wire import Wire
 
-US = 1_000
 SIZE = 128                         # bytes that a control table has
 
 
@@ -38,48 +40,35 @@ MX_28 = AX_12._replace(number=29, firmware=((2, 36),))
 STS3215 = Kind(777, 3, 5, 7, 40, 42, 56, 62, True, ((0, 3), (1, 10)))
 
 
-class Servo1:
+class Servo1(AnyServo):
     """One servo. errors: the bits that each of its statuses carries."""
 
     def __init__(self, wire: Wire, number: int, kind: Kind = STS3215, *, delay: int = 0,
-                 own_us: int = 40, place: float = 2048.0) -> None:
-        self.wire = wire
-        self.clock = wire.clock
+                 own_us: int = 40) -> None:
+        super().__init__(wire, number, own_us, SIZE)
         self.kind = kind
-        self.own_us = own_us
         self.errors = 0
-        self.is_on = True
-        self.tremor = float(number)    # where in its small movements it is
-        self.loses: Callable[[], bool] = lambda: False
-        self.changed: Callable[[], None] = lambda: None
-        self.asked = self.answered = 0
-        self.table = bytearray(SIZE)
         self._waits_for: tuple[int, int, int] | None = None     # an ID; address, size of its turn
-        self._at = place
-        self._moved = 0
         self.put(kind.model_at, 2, kind.number)
         self.put(kind.id_at, 1, number)
         self.put(kind.delay_at, 1, delay)
-        self.put(kind.goal_at, 2, round(place))
         for at, value in kind.firmware:
             self.put(at, 1, value)
-        wire.listeners.append(self.hear)
+        self.stand(2048.0)
 
-    def put(self, at: int, size: int, value: int) -> None:
-        self.table[at:at + size] = value.to_bytes(size, 'little')
+    def stand(self, place: float) -> None:
+        """Be at a place, and want to be there."""
+        self._at = place
+        self.put(self.kind.goal_at, 2, round(place))
 
     @property
     def number(self) -> int:
         return self.table[self.kind.id_at]
 
     def _refresh(self) -> None:
-        seconds = (self.clock.now - self._moved) / S
-        self._moved = self.clock.now
         kind = self.kind
-        goal = int.from_bytes(self.table[kind.goal_at:kind.goal_at + 2], 'little')
-        if self.table[kind.torque_at] and not self.errors & 0x20:
-            self._at += max(-4000 * seconds, min(4000 * seconds, goal - self._at))
-        wobble = 2 * sin(self.clock.now / 7e7 + self.tremor)
+        wobble = self.move(self.get(kind.goal_at, 2),
+                           bool(self.table[kind.torque_at]) and not self.errors & 0x20)
         self.put(kind.place_at, 2, max(0, round(self._at + wobble)))
         self.put(kind.volts_at, 1, 120)
         self.put(kind.volts_at + 1, 1, 35)         # the temperature, in both families
@@ -99,24 +88,24 @@ class Servo1:
 
     def _obey(self, packet: Packet) -> None:
         self._waits_for = None
-        code, params = packet.code, packet.params
-        if code == frames.SYNC_WRITE:
+        code, params = packet.instruction, packet.params
+        if code == SYNC_WRITE:
             step = params[1] + 1
             for at in range(2, len(params), step):
                 if params[at] == self.number:
                     self._store(params[0], params[at + 1:at + step])
-        elif code == frames.SYNC_READ and self.kind.has_sync_read:
+        elif code == SYNC_READ and self.kind.has_sync_read:
             self._line_up(params[0], params[1], params[2:])
         elif packet.id == self.number:
             self._alone(code, params)
 
     def _alone(self, code: int, params: bytes) -> None:
-        if code == frames.PING:
+        if code == PING:
             self._answer()
-        elif code == frames.READ:
+        elif code == READ:
             self._refresh()
             self._answer(bytes(self.table[params[0]:params[0] + params[1]]))
-        elif code == frames.WRITE:
+        elif code == WRITE:
             self._store(params[0], params[1:])
             self._answer()                             # with the new ID, if that was written
 
@@ -140,11 +129,5 @@ class Servo1:
         if self.loses():
             self.changed()
             return
-        self.answered += 1
-        status = frames.packet(self.number, self.errors, data)
-        wait = (2 * self.table[self.kind.delay_at] + self.own_us) * US
-        self.clock.at(self.clock.now + wait, lambda: self._say(status))
-
-    def _say(self, status: bytes) -> None:
-        if self.is_on:
-            self.wire.talk(f'servo {self.number}', status)
+        self.say_after(self.table[self.kind.delay_at],
+                       frames.packet(self.number, self.errors, data))
