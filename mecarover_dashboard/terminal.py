@@ -12,6 +12,7 @@ import time
 
 from mecarover_dashboard.lines import Board
 from mecarover_dashboard.lines import screen
+from mecarover_serial.cli import few_files
 from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
 from mecarover_serial.parameters import split_ros_args
@@ -81,6 +82,9 @@ def main(args: Sequence[str] | None = None) -> int:
     hold_signals()
     arguments = list(sys.argv[1:] if args is None else args)
     options = _parser().parse_args(split_ros_args(arguments)[1])
+    code = few_files(NAME)
+    if code is not None:
+        return code
     try:
         from mecarover_dashboard.node import StatusNode
         from mecarover_serial.node import run

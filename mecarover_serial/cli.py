@@ -48,7 +48,6 @@ def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
     failure: Exception | None = None
     code = DONE
     try:
-        check_limits()
         code = main(sys.argv[1:]) or DONE
     except KeyboardInterrupt:
         pass
@@ -66,22 +65,19 @@ def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
     return code if failure is None else _complain(tool, failure, code)
 
 
-def check_limits() -> None:
-    """Raise OSError where too few files may be open: libraries end in tracebacks then, or hang."""
+def few_files(name: str) -> int | None:
+    """
+    Say so where too few files may be open for a node, and return the exit code; None: all is well.
+
+    ROS's libraries end in tracebacks there, or hang.
+    """
     with suppress(ImportError):         # Windows has no such limit
         import resource
         files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
         if files < FILES_LEAST:
-            raise OSError(f'only {files} files may be open; raise the limit to {FILES_LEAST} or '
-                          'more (ulimit -n, LimitNOFILE=)')
-
-
-def few_files(name: str) -> int | None:
-    """Say so where too few files may be open, and return the exit code; None: all is well."""
-    try:
-        check_limits()
-    except OSError as error:
-        return _complain(name, error, COULD_NOT_RUN)
+            return _complain(name, OSError(
+                f'only {files} files may be open; raise the limit to {FILES_LEAST} or more '
+                '(ulimit -n, LimitNOFILE=)'), COULD_NOT_RUN)
     return None
 
 

@@ -41,8 +41,8 @@ def test_what_stands_outside_ros_args_is_one_line(module, arguments, thing, reme
 @pytest.mark.skipif(sys.platform != 'linux', reason='skipped: ulimit is of Linux')
 @pytest.mark.parametrize('files', [6, 8, 12])
 @pytest.mark.parametrize('words', [
-    ['vel2d_bridge.main'], ['dxl_monitor.main'], ['dxl_monitor.tools.dump.main', '-'],
-    ['dxl_monitor.tools.doctor.main', '-'], ['mecarover_dashboard.main', '--port', '0']])
+    [BRIDGE], [MONITOR], ['mecarover_dashboard.main', '--port', '0'],
+    ['mecarover_dashboard.terminal', '--once']])
 def test_too_few_files_are_one_line(files, words):
     with Program(*words, prefix=['sh', '-c', f'ulimit -n {files}; exec "$@"', 'sh']) as tool:
         assert tool.exit_code() == 1

@@ -34,7 +34,6 @@ class TapListener(Listener):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.others: set[str] = set()
-        self._wanted = self._heard_port = ''
 
     def problems(self) -> list[str]:
         if not self.others:
