@@ -14,6 +14,7 @@ from mecarover_dashboard.cdr import statuses
 from mecarover_dashboard.server import is_ours
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
+from mecarover_serial.plain import printable
 
 MOST_ROWS = 3000
 HISTORY = 300
@@ -85,13 +86,14 @@ def made(script):
         wanted.append((script.byte() % 8, script.pick(NAMES), script.pick(MESSAGES), 'left/11',
                        [(key, script.pick(VALUES)) for key in keys]))
     return cdr(wanted, script.pick('<>')), [
-        (*head, text[:TEXT_LIMIT] + f'\u2026 ({len(text.encode())} bytes)' * (len(text) > 500),
-         who, [(key, as_text(value)) for key, value in pairs])
-        for *head, text, who, pairs in wanted]
+        (level, as_text(name), as_text(text)[:TEXT_LIMIT]
+         + f'\u2026 ({len(text.encode())} bytes)' * (len(text) > 500),
+         who, [(as_text(key), as_text(value)) for key, value in pairs])
+        for level, name, text, who, pairs in wanted]
 
 
 def as_text(value):
-    return value.decode(errors='replace') if isinstance(value, bytes) else value
+    return printable(value.decode(errors='replace') if isinstance(value, bytes) else value)
 
 
 def as_sent(status):
