@@ -407,7 +407,7 @@ def test_the_first_miss_and_the_one_over_the_limit_are_noted() -> None:
     plan = Plan(Request(I.READ, 3, Answers.DATA, (Access(3, 132, 4, b''),)), {})
     slot = Slot(one.device(3), Due.READ, 132, 4, take_nothing)
     for turn in range(7):
-        Duty('auto', 4, one, one._evidence).miss(plan, slot, turn, turn, False)
+        Duty('auto', 4, one, one._evidence).judge(plan, [slot], turn, turn, set(), False)
     assert notes(one) == [(ev.MISSED, 3, ev.Unanswered(I.READ, 132)),
                           (ev.DISCONNECTED, 3, ev.Much(5))]
     assert [note.stamp for note in one._evidence.incidents()] == [0, 4]

@@ -37,14 +37,29 @@ _NUMBER_SIZE = 2                   # bytes: Model Number
 
 class Device:
     """
-    One device. `odd`: the next answer needs more than storing (it was away, or had an alert).
+    One device.
 
-    `acks`: whether it acknowledges writes, None while unknown; `dialect`: that of the 1.0 family
-    that it speaks, None with Protocol 2.0; `is_unresolved`: it said what it
-    is, and its model was not looked up yet; `moved_to`: the baud rate that was written to it, in
-    words; `followed_end`: no write from this address on changes what the device is or does;
-    `waiting_behind`: the silent device in front of it in a Sync or Bulk Read; `owed`: answers that
-    the master gave up lately, and that may still come.
+    Who writes what:
+
+    ===================================== =======================================================
+    number, joint, expected               Roster: made, or an ID was written
+    model, firmware, model_number,        Roster.resolve(), by become(): the model that it said
+    followed_end, table.limit             it is; no write from followed_end on changes that
+    dialect                               Roster.speaks(): of the 1.0 family; None with 2.0
+    identity, identity_stamp,             pinged(): what it said it is, as bytes; is_unresolved:
+    is_unresolved                         the model of that was not looked up yet
+    return_level, acks, acks_missing      set_return_level(), acknowledged(), Duty: whether it
+                                          acknowledges writes, None while unknown
+    heard, alert, odd, missed_in_a_row    Roster.heard(), the tracker, miss(); odd: the next answer
+                                          needs more than storing (it was away, or had an alert)
+    asked_stamp, owed, waiting_behind     miss(), not_served(), pays(): owed are answers that the
+                                          master gave up lately; waiting_behind: a silent device
+    last_error, asked_first, latency,     the tracker, with an answer
+    latency_resolved
+    registered, moved_to                  Roster: a Reg Write that waits for its Action; the baud
+                                          rate that was written, in words
+    table, counts, errors, snapshots      all who store or count
+    ===================================== =======================================================
     """
 
     __slots__ = (

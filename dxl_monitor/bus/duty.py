@@ -50,12 +50,22 @@ class Duty:
                                 ev.Much(device.acks_missing))
         return bool(device.acks)
 
-    def miss(self, plan: Plan, slot: Slot, now: int, stamp: int, is_doubtful: bool) -> None:
+    def judge(self, plan: Plan, due: list[Slot], now: int, stamp: int, spoke: set[int],
+              is_spoilt: bool) -> None:
         """
-        Count an answer that had to come and did not.
+        Count the missed, and those not served because the master gave up before them.
 
-        now: when, on the wire; stamp: of the chunk; is_doubtful: damage was in its place.
+        due: the slots without an answer. now: when, on the wire; stamp: of the chunk. spoke: IDs
+        with a damaged answer; is_spoilt: there was damage.
         """
+        served, behind = plan.served(due, spoke)
+        for slot in due[:served]:
+            self._miss(plan, slot, now, stamp, is_spoilt or slot.device.number in spoke)
+        for slot in due[served:]:
+            slot.device.not_served(now, behind)
+
+    def _miss(self, plan: Plan, slot: Slot, now: int, stamp: int, is_doubtful: bool) -> None:
+        """Count an answer that had to come and did not; is_doubtful: damage was in its place."""
         device = slot.device
         plan.missed += 1
         device.miss(now, stamp, is_doubtful)

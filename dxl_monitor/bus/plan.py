@@ -15,14 +15,12 @@ from typing import Any
 
 from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.evidence import UNKNOWN_INSTRUCTION
-from dxl_monitor.bus.table import READ
 from dxl_monitor.bus.table import Span
 from msg_defs.crc import bare_crc16
 from msg_defs.crc import CRC16_TABLE
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_packet import BROADCAST
-from msg_defs.dxl_packet import fast_wire
 from msg_defs.dxl_packet import HEADER_CRC
 
 # What takes an answer in: address and size, data, stamp, source (as Table.keep).
@@ -137,34 +135,6 @@ class Plan:
         self.counted = 0                   # how many of them the devices' counts include
         self.missed = 0
         self.stamps: deque[int] = deque(maxlen=STAMPS_KEPT)
-
-    def take_whole(self, awaited: int, error: int, data: bytes, stamp: int,
-                   answer: Callable[[Slot, int, bytes, int], object]) -> bool:
-        """
-        Take a fast reply of which every part holds; leave any other as it is and return False.
-
-        awaited: how many parts are still to come, all of them if it is the first reply. error,
-        data: of the frame. answer: takes a part that needs more than storing: slot, error byte,
-        data, stamp.
-        """
-        reply = self.fast_reply
-        if reply is None or awaited != len(reply.slots):
-            return False
-        fields = reply.read(fast_wire(error, data))
-        if not fields:
-            return False
-        for slot, error, data in zip(reply.slots, fields[::4], fields[2::4], strict=True):
-            device = slot.device
-            counts = device.counts
-            counts.fast_answers += 1
-            if error or device.odd:
-                answer(slot, error, data, stamp)
-            else:
-                counts.answers += 1
-                device.heard = stamp
-                device.last_error = 0
-                slot.take(slot.span, data, stamp, READ)
-        return True
 
     def failed(self, there: int, last_whole: int,
                silent: dict[int, Slot]) -> tuple[list[Slot], list[int]]:

@@ -158,14 +158,7 @@ class ReplyLatency(NamedTuple):
 
 
 class DeviceReport(NamedTuple):
-    """
-    One device. level and message say the worst about it in a few words.
-
-    | attributes | who writes them |
-    |---|---|
-    | state, level, message | the doctor; blank until then |
-    | all others | Monitor, under its lock |
-    """
+    """One device, made by assess.py; level and message say the worst of it in a few words."""
 
     id: int
     name: str                      # '011', with the joint name where `devices` gives one
@@ -210,14 +203,7 @@ class Cycle(NamedTuple):
 
 
 class BusReport(NamedTuple):
-    """
-    One bus at one moment.
-
-    | attributes | who writes them |
-    |---|---|
-    | level, message, findings, doubts | the doctor; blank until then |
-    | all others | Monitor; line_errors: the driver of the port |
-    """
+    """One bus at one moment: all by Monitor.report(), but findings and doubts by the doctor."""
 
     name: str
     stamp: int                     # now, monotonic ns

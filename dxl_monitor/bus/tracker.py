@@ -5,14 +5,12 @@ Tracker: pairs every status with the instruction it answers.
 
 Rules: an instruction closes the one before, and a device that had to answer that one and did not
 is missed; any status is life; only a status that surely answers the pending instruction touches a
-table. After a damaged packet, or noise long enough to hide one, nothing is sure until the next
-instruction. Nothing on the wire raises, and nothing here grows with what is on the wire.
-
-Where the side of a frame is known, damage on the way to the master hides no instruction: what the
-next answers belong to stays certain. An instruction from there is an echo, or of another master.
+table (pairing.py). What comes to the master as an instruction is an echo, or another master's.
+Nothing on the wire raises, and nothing here grows with what is on the wire.
 """
 
 from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus import pairing
 from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.duty import Duty
 from dxl_monitor.bus.evidence import Evidence
@@ -53,9 +51,9 @@ class Tracker:
     """Follows one bus. Feed it what the Framer finds, in order."""
 
     __slots__ = (
-        '_asked', '_deferred', '_duty', '_evidence', '_given_up', '_is_cut', '_is_flawed',
-        '_is_spoilt', '_known', '_last', '_noise', '_note', '_plan', '_roster', '_slots', '_spoke',
-        '_unresolved', 'byte_ns', 'is_doubtful', 'planner')
+        '_asked', '_deferred', '_duty', '_evidence', '_given_up', '_known', '_last', '_noise',
+        '_note', '_plan', '_roster', '_slots', '_spoke', '_state', '_unresolved', 'byte_ns',
+        'planner')
 
     def __init__(self, roster: Roster, evidence: Evidence, byte_ns: float,
                  missed_limit: int, write_acks: str) -> None:
@@ -66,11 +64,8 @@ class Tracker:
         self._note = evidence.note
         self.byte_ns = byte_ns
         self._duty = Duty(write_acks, missed_limit, roster, evidence)
-        self.is_doubtful = True                # an answer may not belong to what is pending
-        self._is_flawed = False                # one of the next two, or _spoke, may be set
-        self._is_spoilt = False                # there was damage since what is pending
+        self._state = pairing.DOUBTFUL
         self._noise = 0                        # bytes of it ahead of the last flawed frame
-        self._is_cut = False                   # a fast reply to it broke off, whole up to there
         # The pending instruction:
         self._plan: Plan = NO_PLAN
         self._last = _NOTHING                  # its kind, ID, code and parameters
@@ -108,7 +103,7 @@ class Tracker:
                 device.asked_first += 1
                 if side or begin >= self._asked[1]:
                     self._sample_latency(device, begin, received, stamp)
-            if len(data) != slot.size or code or device.odd or self.is_doubtful:
+            if len(data) != slot.size or code or device.odd or self._state:
                 self._unusual(slot, number, code, data, stamp)
             else:
                 device.counts.answers += 1
@@ -134,7 +129,7 @@ class Tracker:
         if lost:
             self._note(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Much(lost))
         self._forget()
-        self.is_doubtful = True
+        self._state = pairing.DOUBTFUL
 
     def _forget(self) -> None:
         self._plan = NO_PLAN
@@ -164,8 +159,7 @@ class Tracker:
             self._close(said, begin, received, stamp)
         else:
             self._given_up = _NO_SLOTS
-        if self._is_flawed:
-            self._is_flawed = self._is_cut = self._is_spoilt = False
+        if self._spoke:
             self._spoke.clear()
         plan = self._known.get(said) or self.planner.plan_for(said, stamp)
         self._plan = plan
@@ -178,21 +172,40 @@ class Tracker:
             self._deferred = plan.begin(said[3], stamp)
         self._asked = end, received, stamp
         self._unresolved = True
-        self.is_doubtful = False
+        self._state = pairing.SURE
         self._slots = slots = plan.slots.copy()
         return slots
 
     def _unusual(self, slot: Slot, number: int, error: int, data: bytes, stamp: int) -> None:
         """Take an awaited status that is damaged in its context, an error or a return."""
         if number == BROADCAST:
-            if not self.is_doubtful and self._plan.take_whole(
-                    len(self._slots), error, data, stamp, self._answer):
-                self._slots.clear()
-            else:
+            if self.is_doubtful or not self._take_whole(error, data, stamp):
                 wire = fast_wire(error, data)
                 self._combined(wire + body_crc(wire).to_bytes(2, 'little'), stamp)
         else:
             self._answer(slot, error, data, stamp)
+
+    def _take_whole(self, error: int, data: bytes, stamp: int) -> bool:
+        """Take a fast reply of which every part holds; leave any other as it is."""
+        reply = self._plan.fast_reply
+        if reply is None or len(self._slots) != len(reply.slots):
+            return False
+        fields = reply.read(fast_wire(error, data))
+        if not fields:
+            return False
+        for slot, error, data in zip(reply.slots, fields[::4], fields[2::4], strict=True):
+            device = slot.device
+            counts = device.counts
+            counts.fast_answers += 1
+            if error or device.odd:
+                self._answer(slot, error, data, stamp)
+            else:
+                counts.answers += 1
+                device.heard = stamp
+                device.last_error = 0
+                slot.take(slot.span, data, stamp, READ)
+        self._slots.clear()
+        return True
 
     def _answer(self, slot: Slot, error: int, data: bytes, stamp: int) -> None:
         device = slot.device
@@ -208,7 +221,7 @@ class Tracker:
             self._refused(slot, code, stamp)
         elif len(data) != slot.size:
             if self.planner.has_answer(device.number, len(data)):
-                self._late(device, stamp)
+                self._note(stamp, ev.LATE, device.number, ev.Lateness(self._since_asked(stamp)))
                 return
             self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
         else:
@@ -250,7 +263,7 @@ class Tracker:
                 self._speak_damaged(slot)
             for number in unknown:
                 del self._slots[number]
-        if there < len(accesses) and not self._is_spoilt:
+        if there < len(accesses) and self._state < pairing.SPOILT:
             self._note(stamp, ev.FAST_CUT, accesses[there].id, ev.Sizes(there, len(accesses)))
         return len(blocks) == there < len(accesses)
 
@@ -276,7 +289,7 @@ class Tracker:
         elif not plan.is_understood and request.id in (number, BROADCAST):
             pass                   # it may have asked for this answer
         elif device.pays(stamp) or (number in self._given_up and number not in plan.slots):
-            self._late(device, stamp)
+            self._note(stamp, ev.LATE, number, ev.Lateness(self._since_asked(stamp)))
             if not data and device.dialect is None and not error & ~ALERT:
                 device.acknowledged()          # Pings and reads are answered with data
         elif number in plan.slots:
@@ -284,27 +297,21 @@ class Tracker:
         else:
             self._note(stamp, ev.UNASKED, number, ev.Stranger(request.instruction, error))
 
-    def _late(self, device: Device, stamp: int) -> None:
-        self._note(stamp, ev.LATE, device.number, ev.Lateness(self._since_asked(stamp)))
-
     def _flawed(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
         reason, is_repaired, noise, is_unstuffed, _ = flaw
         if is_unstuffed and not (noise or is_repaired):
             return False
-        self._is_flawed = True
         self._noise = noise
         if reason:
+            damage = pairing.DAMAGE_IN if side == IN else pairing.DAMAGE
             if noise > GLITCH:
-                self._spoil(side)
-            if self._damaged(frame, flaw, stamp):
-                self._spoil(side)
+                self._happened(damage)
+            self._happened(self._damaged(frame, flaw, stamp, damage))
             return True
         device = self._roster.devices.get(frame[3]) if frame[2] == IS_STATUS else None
         if noise > GLITCH:
-            if not self._is_cut:               # else left by a fast reply: not noise
-                self._spoil(side)
-            self._is_cut = False
+            self._happened(pairing.NOISE_IN if side == IN else pairing.NOISE)
         elif noise:
             self._evidence.counts[ev.GLITCH] += 1
             if device is not None:
@@ -314,32 +321,33 @@ class Tracker:
             self._spoke.add(device.number)     # whether the others understood it, is not known
         return False
 
-    def _spoil(self, side: str) -> None:
-        """Take note of damage; where the side is not known it may have hidden an instruction."""
-        self._is_spoilt = True
-        self.is_doubtful |= side != IN
+    def _happened(self, event: int) -> None:
+        self._state = pairing.NEXT[self._state][event]
 
-    def _damaged(self, frame: Frame, flaw: Flaw, stamp: int) -> bool:
-        """Note a damaged frame; return whether it leaves a doubt about what else is answered."""
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether an answer may not belong to what is pending."""
+        return self._state == pairing.DOUBTFUL
+
+    def _damaged(self, frame: Frame, flaw: Flaw, stamp: int, damage: int) -> int:
+        """Note a damaged frame; return what happened to the pairing: mostly `damage`."""
         _, _, kind, number, code, data, _ = frame
         is_status = kind == IS_STATUS
         if is_status and number == BROADCAST and BROADCAST in self._slots:
             del self._slots[BROADCAST]
-            self._is_cut = self._combined(data, stamp)
-            if self._is_cut:                   # nothing is damaged: the next one is silent
-                return False
+            if self._combined(data, stamp):    # nothing is damaged: the next one is silent
+                return pairing.BROKE_OFF
         self._evidence.note_damage(stamp, frame, flaw)
         if is_status and number == BROADCAST:
-            return True
+            return damage
         slot = self._plan.slots.get(number) if is_status else None
         if slot is not None:
             self._speak_damaged(slot)
         elif self._slots and (is_status or code not in NAMES):
             self._speak_damaged(next(iter(self._slots.values())), 0)           # it is its turn
-        return True
+        return damage
 
     def _speak_damaged(self, slot: Slot, surely: int = 1) -> None:
-        self._is_flawed = True
         self._spoke.add(slot.device.number)
         slot.device.counts.garbled += 1
         slot.device.counts.damaged += surely
@@ -353,13 +361,16 @@ class Tracker:
         due = [slot for slot in slots.values() if self._duty.is_due(slot)]
         if due:
             now = int(self._on_wire(began, received, stamp))
-            if self._is_spoilt:
+            if self._state >= pairing.SPOILT:
                 self._look_at_noise(due, now)
-            self._judge(due, now, stamp)
+            is_spoilt = self._state >= pairing.SPOILT
+            self._duty.judge(self._plan, due, now, stamp, self._spoke, is_spoilt)
+            self._evidence.note_wait(
+                Wait(now, self._since_asked(now), due[0].device.number, is_spoilt))
             if following == self._last:
                 self._note(now, ev.REPEATED, due[0].device.number,
                            ev.Again(following[2], self._since_asked(now)))
-        if not due or self._is_spoilt:
+        if not due or self._state >= pairing.SPOILT:
             self._carry_out()
         self._deferred = None
 
@@ -371,17 +382,6 @@ class Tracker:
                 now, ev.TOO_LONG, due[0].device.number, ev.Sizes(self._noise, most))
         elif not self._spoke:
             self._speak_damaged(due[0], 0)
-
-    def _judge(self, due: list[Slot], now: int, stamp: int) -> None:
-        """Count the missed, and those not served because the master gave up before them."""
-        served, behind = self._plan.served(due, self._spoke)
-        for slot in due[:served]:
-            self._duty.miss(self._plan, slot, now, stamp,
-                            self._is_spoilt or slot.device.number in self._spoke)
-        for slot in due[served:]:
-            slot.device.not_served(now, behind)
-        self._evidence.note_wait(
-            Wait(now, self._since_asked(now), due[0].device.number, self._is_spoilt))
 
     def _since_asked(self, now: int) -> int:
         """Return the us since the end of the pending instruction."""
