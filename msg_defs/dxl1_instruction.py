@@ -14,7 +14,6 @@ from enum import Enum
 from typing import NamedTuple
 
 from msg_defs.dxl1_packet import BROADCAST
-from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import FEETECH_NAMES
@@ -143,12 +142,8 @@ def fits(code: int, id: int, params: bytes, dialect: Dialect = UNDECIDED) -> boo
 
 def parse(code: int, id: int, params: bytes, dialect: Dialect = UNDECIDED) -> Request:
     """Return what an instruction asks for."""
-    entry = dialect.entries.get(code)
-    if entry is None:
-        return Request(code, id, Answers.NONE)
-    if not _FITS[entry.layout](id, params):
-        return Request(code, id, Answers.NONE, malformed=True)
-    return Request(code, id, _answers(entry, id), tuple(_ACCESSES[entry.layout](id, params)))
+    kind, wide = in_common(code, id, params)
+    return understood(kind, code, id, wide, dialect)
 
 
 def common(code: int, params: bytes) -> bytes:
@@ -201,12 +196,6 @@ def _fits_bulk_read(id: int, params: bytes) -> bool:
             and len(set(params[2::3])) == len(params) // 3)
 
 
-def _sync_write(id: int, params: bytes) -> list[Access]:
-    size = params[1]
-    return [Access(params[at], params[0], size, params[at + 1:at + 1 + size])
-            for at in range(2, len(params), size + 1)]
-
-
 _FITS: dict[Layout, Callable[[int, bytes], bool]] = {
     Layout.NOTHING: lambda id, params: not params,
     Layout.READ: lambda id, params: len(params) == 2 and params[1] > 0,
@@ -215,17 +204,4 @@ _FITS: dict[Layout, Callable[[int, bytes], bool]] = {
     Layout.SYNC_WRITE: _fits_sync_write,
     Layout.BULK_READ: _fits_bulk_read,
     Layout.VALUE: lambda id, params: len(params) in (0, 2),
-}
-
-_ACCESSES: dict[Layout, Callable[[int, bytes], list[Access]]] = {
-    Layout.NOTHING: lambda id, params: [],
-    Layout.READ: lambda id, params: [Access(id, params[0], params[1], None)],
-    Layout.WRITE: lambda id, params: [Access(id, params[0], len(params) - 1, params[1:])],
-    Layout.SYNC_READ: lambda id, params: [Access(one, params[0], params[1], None)
-                                          for one in params[2:]],
-    Layout.SYNC_WRITE: _sync_write,
-    Layout.BULK_READ: lambda id, params: [
-        Access(params[at + 1], params[at + 2], params[at], None)
-        for at in range(1, len(params), 3)],
-    Layout.VALUE: lambda id, params: [],
 }

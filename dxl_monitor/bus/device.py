@@ -36,30 +36,27 @@ _NUMBER_SIZE = 2                   # bytes: Model Number
 
 
 class Device:
-    """
+    r"""
     One device.
 
-    Who writes what:
-
-    ===================================== =======================================================
-    number, joint, expected               Roster: made, or an ID was written
-    model, firmware, model_number,        Roster.resolve(), by become(): the model that it said
-    followed_end, table.limit             it is; no write from followed_end on changes that
-    dialect                               Roster.speaks(): of the 1.0 family; None with 2.0
-    identity, identity_stamp,             pinged(): what it said it is, as bytes; is_unresolved:
-    is_unresolved                         the model of that was not looked up yet
-    return_level, acks, acks_missing      set_return_level(), acknowledged(), Duty: whether it
-                                          acknowledges writes, None while unknown
-    heard, alert, odd, missed_in_a_row    Roster.heard(), the tracker, miss(); odd: the next answer
-                                          needs more than storing (it was away, or had an alert)
-    asked_stamp, owed, waiting_behind     miss(), not_served(), pays(): owed are answers that the
-                                          master gave up lately; waiting_behind: a silent device
-    last_error, asked_first, latency,     the tracker, with an answer
-    latency_resolved
-    registered, moved_to                  Roster: a Reg Write that waits for its Action; the baud
-                                          rate that was written, in words
-    table, counts, errors, snapshots      all who store or count
-    ===================================== =======================================================
+    | attributes | who writes them |
+    |---|---|
+    | number, joint, expected | Roster, where a device is new or an ID was written |
+    | model, model_number, firmware, followed_end | Roster.resolve(), become(): the model that it \
+    said it is; no write from followed_end on changes what it is or does |
+    | dialect | Roster.speaks(): that of the 1.0 family; None with Protocol 2.0 |
+    | identity, identity_stamp, is_unresolved | pinged(): what it said it is, as bytes; the model \
+    of that was not looked up yet |
+    | return_level, acks, acks_missing | set_return_level(), acknowledged(), Duty; acks: whether \
+    it acknowledges writes, None while unknown |
+    | heard, alert, odd, missed_in_a_row | Roster.heard(), Tracker, miss(); odd: the next answer \
+    needs more than storing (it was away, or had an alert) |
+    | asked_stamp, owed, waiting_behind | miss(), not_served(), pays(); owed: answers that the \
+    master gave up lately; waiting_behind: the silent device in front of it in a group read |
+    | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |
+    | registered, moved_to | Roster: a Reg Write before its Action; the baud rate that was \
+    written, in words |
+    | table, counts, errors, snapshots | all who store or count |
     """
 
     __slots__ = (

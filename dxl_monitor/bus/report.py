@@ -158,7 +158,14 @@ class ReplyLatency(NamedTuple):
 
 
 class DeviceReport(NamedTuple):
-    """One device, made by assess.py; level and message say the worst of it in a few words."""
+    """
+    One device. level and message say the worst about it in a few words.
+
+    | attributes | who writes them |
+    |---|---|
+    | state, level, message | the doctor; blank until then |
+    | all others | Monitor, under its lock |
+    """
 
     id: int
     name: str                      # '011', with the joint name where `devices` gives one
@@ -203,7 +210,14 @@ class Cycle(NamedTuple):
 
 
 class BusReport(NamedTuple):
-    """One bus at one moment: all by Monitor.report(), but findings and doubts by the doctor."""
+    """
+    One bus at one moment.
+
+    | attributes | who writes them |
+    |---|---|
+    | level, message, findings, doubts | the doctor; blank until then |
+    | all others | Monitor; line_errors: the driver of the port |
+    """
 
     name: str
     stamp: int                     # now, monotonic ns
