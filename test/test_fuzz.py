@@ -52,7 +52,7 @@ from vel2d_bridge.receiver import Receiver
 
 EXAMPLES = {'capture': 150, 'dashboard': 70, 'dialogue': 40, 'fast_reply': 120, 'framer': 150,
             'framer_1': 100, 'instruction': 250, 'mcu': 150, 'model_file': 80, 'tracker': 50,
-            'usb_file': 100, 'vel2d': 200}                      # a second at most
+            'vel2d': 200}                                       # a second at most
 STEADY = settings(derandomize=True, deadline=None, database=None)
 MACHINE = settings(STEADY, max_examples=50, stateful_step_count=40)
 MODELS = Models()

@@ -1,9 +1,10 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is heard in one case of whole.py: traffic of all families, mutated; frames; any stamps."""
+"""What is heard in one case: traffic of all families, mutated; frames of any form; any stamps."""
 
 from functools import lru_cache
 import random
+import re
 from typing import NamedTuple
 
 from fuzz.script import TRICKY
@@ -22,11 +23,11 @@ from rigs.bus.healthy import SCENES as HEALTHY
 S = 1_000_000_000
 BOOT = 1000 * S
 SCENES = (*BROKEN, *HEALTHY, *PLAYED)
-SCENE_S = 11
+SCENE_S = 14
 SCENES_AT_ONCE, CASES_OF_THEM = 16, 2000      # they take a while to make
 PAUSES_NS = (0, 1_000, 50_000, 1_000_000, 30_000_000, 600_000_000, 1_500_000_000, 13 * S, 700 * S)
 FAR = (-1, 0, 1, (1 << 62) - 1, (1 << 63) - 1, 1 << 63, 1 << 70, 1 << 90)
-BAUDS = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 4_500_000, 0)
+BAUDS = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_500_000, 0)
 PROTOCOLS = ('auto', 'auto', 'auto', '2', '1', 'feetech')
 NAMES = ('bus', 'left', 'a b', '\x1b[31mred', '#', '(', '-', 'tty\u00e9', '\u202e', 'x' * 300,
          "'; --", '%41', 'COM3', '\n', '=1+1')
@@ -87,12 +88,12 @@ def case_of(seed):
             more, rate = recorded((seed // CASES_OF_THEM * SCENES_AT_ONCE
                                    + chance.randrange(SCENES_AT_ONCE)) % len(SCENES))
             baud = rate if chance.random() < 0.9 else baud
-            at, size = chance.randrange(len(more)), chance.choice((3, 20, 60))
-            found += more[:chance.choice((0, 0, 8, 24))] + more[at:at + size]
+            at, size = chance.randrange(len(more)), chance.choice((*(3, 20, 60) * 6, 700))
+            found += more[:chance.choice((0, 0, 8, 24))] + more[at * (at % 3 > 0):][:size]
         else:
             found += exchanges(chance)
     has_sides = chance.random() < 0.5
-    rough = chance.choice((0.0, 0.0, 0.02, 0.2, 0.9))
+    rough = chance.choice((0.0, 0.0, 0.02, 0.2, 0.9)) if len(found) < 500 else 0.0
     far = chance.choice((0.0, 0.0, 0.0, 0.02, 0.3))
     heard = []
     for after_ns, data, side in found:
@@ -191,8 +192,12 @@ def _error(chance):
 
 
 def damaged(chance, data):
-    """Return bytes with something wrong."""
+    """Return bytes with something wrong; in a text it may be another figure."""
     at = chance.randrange(len(data) + 1)
+    figure = re.search(rb'\d', data[at:])
+    if figure and chance.random() < 0.5:
+        at += figure.start()
+        return data[:at] + b'%d' % chance.randrange(10) + data[at + 1:]
     return chance.choice((
         lambda: data[:at] + bytes([data[at] ^ 1 << chance.randrange(8)]) + data[at + 1:]
         if at < len(data) else data[1:],

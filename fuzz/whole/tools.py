@@ -1,0 +1,170 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A case as a file, or as a port, through the mains of the tools."""
+
+from contextlib import redirect_stderr
+from contextlib import redirect_stdout
+import gzip
+import io
+import json
+import os
+from pathlib import Path
+import re
+import struct
+import sys
+from types import SimpleNamespace
+from unittest.mock import patch
+
+from dxl_monitor.fake.usb_adapter import FakeAdapter
+from dxl_monitor.fake.usb_adapter import FAMILIES
+from dxl_monitor.record import live
+from dxl_monitor.tools import replay
+from dxl_monitor.tools.doctor import main as doctor
+from dxl_monitor.tools.dump import main as dump
+from dxl_monitor.tools.dump import session
+from fuzz.whole.node import Ear
+from fuzz.whole.node import MODELS
+from fuzz.whole.node import print_nothing
+from fuzz.whole.node import WALL
+from fuzz.whole.traffic import BAUDS
+from fuzz.whole.traffic import BOOT
+from fuzz.whole.traffic import damaged
+from fuzz.whole.traffic import FAR
+from fuzz.whole.traffic import PROTOCOLS
+from msg_defs.heard import OUT
+
+DUMP = (['--json'], ['--summary'], ['--changes'], ['--stats'], ['--errors'], ['--full'],
+        ['--id', '1,3'], ['--about', '2-5'], ['--instruction', 'read,status,0x83'],
+        ['--count', '5'], ['-t', 'clock'], ['-t', 'epoch'], ['--color', 'always'], ['-b', '57600'],
+        ['--devices', '1-6:XL430-W250'], ['--seconds', '0.5'])
+
+
+def through_tools(case, capture, folder, chance):
+    """Let two of the tools read a case as a file, or hear it as a port."""
+    path = folder / 'heard'
+    path.write_bytes(chance.choice(FORMS)(case, capture, chance))
+    for _ in range(2):
+        chance.choice((run_dump, run_dump, run_doctor, run_replay))(case, str(path), chance)
+
+
+def usb(case, capture, chance):
+    """Return it as the events of an adapter."""
+    adapter = FakeAdapter(chance.choice(sorted(FAMILIES)))
+    now = WALL if chance.random() < 0.9 else abs(chance.choice(FAR))
+    whole = adapter.plug(now) + adapter.set_baud(case.baud or 9600, now)
+    for one in case.heard:
+        now += one.after_ns
+        tell = adapter.sent if one.side == OUT else adapter.received
+        if one.change is not None and one.change.value in BAUDS:
+            whole += adapter.set_baud(one.change.value or 9600, now)
+        if one.data:
+            whole += tell(one.data, now if one.stamp is None else max(0, one.stamp))
+    return whole
+
+
+def pcap(case, capture, chance):
+    """Return the same as a pcap or pcapng file."""
+    events, is_new = usb(case, capture, chance), chance.random() < 0.5
+    out = [_block(0x0A0D0D0A, struct.pack('<IHHq', 0x1A2B3C4D, 1, 0, -1)),
+           _block(1, struct.pack('<HHI', 220, 0, 0) + chance.choice((
+               b'', struct.pack('<HHI', 9, 1, chance.randrange(256)))))] if is_new else [
+        struct.pack('<IHHiIII', 0xA1B2C3D4, 2, 4, 0, 0, 1 << 18, 220)]
+    while events:
+        size = 64 + struct.unpack_from('<I', events, 36)[0]
+        stamp, packet = chance.choice((1, 1 << 62)), events[:size]
+        out.append(_block(6, struct.pack('<IIIII', 0, stamp >> 32, stamp & 0xFFFFFFFF, size, size)
+                          + packet) if is_new else struct.pack('<IIII', 1, 1, size, size) + packet)
+        events = events[size:]
+    return b''.join(out)
+
+
+def _block(kind, body):
+    size = struct.pack('<I', len(body) + -len(body) % 4 + 12)
+    return struct.pack('<I', kind) + size + body + bytes(-len(body) % 4) + size
+
+
+def raw(case, capture, chance):
+    return b''.join(one.data for one in case.heard)
+
+
+def spoilt(case, capture, chance):
+    """Return a file of any form with something wrong in it."""
+    return wrong(chance.choice(FORMS[:4])(case, capture, chance), chance)
+
+
+def wrong(data, chance):
+    for _ in range(chance.choice((1, 5, 30))):
+        at = chance.randrange(len(data) + 1)
+        data = data[:at] + damaged(chance, data[at:at + 40]) + data[at + 40:]
+    return data
+
+
+FORMS = (lambda case, capture, chance: capture, usb, raw, pcap, spoilt)
+
+
+def run_dump(case, path, chance):
+    options = [part for one in chance.sample(DUMP, chance.choice((0, 1, 1, 2, 4))) for part in one]
+    if chance.random() < 0.3:
+        options += ['--protocol', chance.choice(PROTOCOLS)]
+    if chance.random() < 0.4:
+        options += ['-w', f'{path}.again']
+    code, out = tool(dump, case, path, options, chance)
+    if '--json' in options and not {'--changes', '--stats'} & {*options} and code == 0:
+        *_, last = [{}, *map(json.loads, out.splitlines())]
+        assert '--summary' not in options or last['bytes'] >= last['noise_bytes'] >= 0
+
+
+def run_doctor(case, path, chance):
+    options = chance.choice(([], ['--json'], ['--report', f'{path}.report']))
+    code, out = tool(doctor, case, path, options, chance)
+    if '--json' in options and out:
+        json.loads(out)
+    if '--report' in options and Path(f'{path}.report').exists():
+        again, _ = tool(doctor, None, f'{path}.report', [], chance)
+        assert again == code, (again, code)
+        text = wrong(Path(f'{path}.report').read_bytes(), chance)
+        Path(f'{path}.report').write_bytes(gzip.compress(text) if chance.random() < 0.2 else text)
+        tool(doctor, None, f'{path}.report', [], chance)
+        Path(f'{path}.report').unlink()
+    text = ascii(case.names[0]) + chance.choice(('', 'no status packet', 'TxRxResult', 'timeout'))
+    tool(doctor, None, '', ['--explain', text], chance)
+
+
+def run_replay(case, path, chance):
+    with open(os.devnull, 'wb') as nowhere, patch.object(
+            replay, 'Pty', lambda link: SimpleNamespace(
+                is_open=True, link=None, path='/dev/pts/9', master=nowhere.fileno(),
+                let_go=lambda: None, close=lambda: None)), patch.object(
+            replay, 'time', SimpleNamespace(monotonic=lambda: 0.0, sleep=print_nothing)):
+        tool(replay, None, path, chance.choice((['--speed', '0'], ['--side', 'out'], [])), chance)
+
+
+def tool(module, case, path, options, chance):
+    """Run a tool on a file, or on a port where the case is heard; return its code and output."""
+    def listener_on(*arguments, **more):
+        ear = Ear(*arguments, **more)
+        ear.after = lambda: [ear.hear(one, BOOT + at) for at, one in enumerate(case.heard)]
+        return ear
+
+    def end(_):
+        raise KeyboardInterrupt            # as a user does when nothing comes any more
+
+    if case is not None and chance.random() < 0.2:
+        path = 'tap:x'
+    out, err = (io.TextIOWrapper(io.BytesIO(), encoding='utf-8') for _ in range(2))
+    out.isatty = lambda: path == 'tap:x'
+    name = 'dxl_' + module.__name__.replace('.main', '').rpartition('.')[2]
+    with redirect_stdout(out), redirect_stderr(err), patch.object(
+            sys, 'argv', [name, *options, *filter(None, [path])]), patch.object(
+            session, 'load_models', lambda _: MODELS), patch.object(
+            doctor, 'load_models', lambda _: MODELS), patch.object(
+            live, 'listener_on', listener_on), patch.object(live, 'TICK_S', 0), patch.object(
+            live.LivePort, '_tell_state', end):
+        code = module.main()
+    out.seek(0)
+    err.seek(0)
+    said = out.read()
+    assert code in (0, 1, 2, 3, 4), code
+    assert all(line.startswith(f'{name}: ') for line in err) or code == 2
+    assert path == 'tap:x' or re.sub('\033\\[[0-9;]*m', '', said).replace('\n', '').isprintable()
+    return code, said
