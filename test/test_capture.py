@@ -139,21 +139,16 @@ def test_a_capture_does_not_make_buses_without_end() -> None:
     assert reader.bad_lines == 1000 - BUSES_LIMIT
 
 
-def test_a_clock_that_was_set_back_does_not_set_back_the_stamps() -> None:
+@pytest.mark.parametrize(('wall', 'boot', 'after'), [
+    (-10**18, 5, 3),                                    # the clock was set back
+    (60_000_000_000, 5_000_000_000, 60_000_000_007)])   # another boot: by the wall clock
+def test_the_stamps_of_a_second_capture_go_on(wall: int, boot: int, after: int) -> None:
     first = written(Chunk(NOW.stamp + 1, 'bus', b'\x01'))
     file = io.BytesIO()
-    Writer(file, Moment(NOW.wall - 10**18, 5)).take(WIRE, b'\x02', 7)
+    Writer(file, Moment(NOW.wall + wall, boot)).take(
+        WIRE, b'\x02', boot + (2 if wall < 0 else 7))
     stamps = [chunk.stamp for chunk in Reader(io.BytesIO(first + file.getvalue()))]
-    assert stamps == [NOW.stamp + 1, NOW.stamp + 3]
-
-
-def test_another_boot_goes_on_by_the_wall_clock() -> None:
-    first = written(Chunk(NOW.stamp + 1, 'bus', b'\x01'))
-    file = io.BytesIO()
-    Writer(file, Moment(NOW.wall + 60_000_000_000, 5_000_000_000)).take(
-        WIRE, b'\x02', 5_000_000_007)
-    stamps = [chunk.stamp for chunk in Reader(io.BytesIO(first + file.getvalue()))]
-    assert stamps == [NOW.stamp + 1, NOW.stamp + 60_000_000_007]
+    assert stamps == [NOW.stamp + 1, NOW.stamp + after]
 
 
 def test_nothing_is_written_to_a_port_or_over_a_file_that_is_no_capture(tmp_path) -> None:

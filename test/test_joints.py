@@ -67,17 +67,17 @@ def test_nothing_is_told_twice() -> None:
     assert bus.monitor.joints(stamp)[1] == later
 
 
-def test_only_what_was_read() -> None:
-    bus = Bus(Expected(1, 'XL430-W250'))
-    bus.hear(encode(1, I.READ, struct.pack('<HH', 132, 4)),
-             encode(1, STATUS, struct.pack('<i', 2048), error=0))
-    assert bus.monitor.joints(0)[0] == (Joint('001', pytest.approx(0.0, abs=1e-9)),)
-
-
-def test_what_the_master_writes_is_no_joint_state() -> None:
-    bus = Bus(Expected(1, 'MX-106'))
-    bus.hear(encode(1, I.WRITE, struct.pack('<Hi', 116, 3000)), encode(1, STATUS, b'', error=0))
-    assert bus.monitor.joints(0) == ((), 0)
+@pytest.mark.parametrize(('model', 'code', 'params', 'data', 'joints'), [
+    ('XL430-W250', I.READ, struct.pack('<HH', 132, 4), struct.pack('<i', 2048),
+     (Joint('001', pytest.approx(0.0, abs=1e-9)),)),
+    ('MX-106', I.WRITE, struct.pack('<Hi', 116, 3000), b'', ()),    # what the master writes
+    ('MX-106', I.WRITE, struct.pack('<Hi', 132, 3000), b'', ()),
+    ('BitFoot', I.READ, struct.pack('<HH', 36, 16), bytes(16), ())])       # has no position
+def test_only_positions_that_were_read(model: str, code: int, params: bytes, data: bytes,
+                                       joints: tuple[Joint, ...]) -> None:
+    bus = Bus(Expected(1, model))
+    stamp = bus.hear(encode(1, code, params), encode(1, STATUS, data, error=0))
+    assert bus.monitor.joints(0) == (joints, stamp if joints else 0)
 
 
 def test_no_effort_without_a_torque_constant() -> None:
@@ -87,13 +87,6 @@ def test_no_effort_without_a_torque_constant() -> None:
     [joint] = bus.monitor.joints(0)[0]
     assert joint.effort is None
     assert joint.velocity == 0
-
-
-def test_what_has_no_position_is_no_joint() -> None:
-    bus = Bus(Expected(1, 'BitFoot'))
-    bus.hear(encode(1, I.READ, struct.pack('<HH', 36, 16)),
-             encode(1, STATUS, bytes(16), error=0))
-    assert bus.monitor.joints(0) == ((), 0)
 
 
 def test_an_unknown_device_is_no_joint_until_it_is_known() -> None:

@@ -1,6 +1,8 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """Pacer: writes, refusals, a line that is slow or stuck, freezes; on simulated time."""
+import pytest
+
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
@@ -222,32 +224,21 @@ def test_a_partial_write_is_dropped_not_completed():
     assert set(world.velocities[1:]) == {STOP}
 
 
-def test_behind_a_frame_that_left_late_there_is_a_gap():
+@pytest.mark.parametrize('early', [0, 1])
+def test_behind_a_frame_that_left_late_there_is_a_gap_and_else_none(early):
     world = World()
     world.drive()
-    spacing = characters_ns(FRAME_SIZE + 2, 115200)
     world.line.holds = 1
-    world.pacer.step(world.now + spacing)
+    world.pacer.step(world.now + characters_ns(FRAME_SIZE + 2, 115200) - early)
     world.line.holds = 0
     now = world.now + 45 * MS
     world.pacer.offer(DRIVE, now)
     wake = world.pacer.step(now)
-    assert len(world.line.written) == 1
-    assert wake == now + characters_ns(2, 115200)
-    world.pacer.step(wake)
-    assert len(world.line.written) == 2
-
-
-def test_a_frame_that_leaves_in_time_costs_the_next_nothing():
-    world = World()
-    world.drive()
-    world.line.holds = 1
-    world.pacer.step(world.now + characters_ns(FRAME_SIZE + 2, 115200) - 1)
-    world.line.holds = 0
-    now = world.now + 45 * MS
-    world.pacer.offer(DRIVE, now)
-    world.pacer.step(now)
-    assert len(world.line.written) == 2
+    assert len(world.line.written) == 1 + early
+    if not early:
+        assert wake == now + characters_ns(2, 115200)
+        world.pacer.step(wake)
+        assert len(world.line.written) == 2
 
 
 def test_a_new_line_begins_anew():

@@ -125,12 +125,14 @@ def since(at: float) -> Fault:
 def heating(number: int, top: float, at: float = 2.0, seconds: float = 12.0) -> Fault:
     """Heat a servo; the fault counts from where it is near its limit."""
     def fault(rig: Rig) -> None:
-        def heat() -> float:
-            part = min(1.0, max(0.0, (rig.clock.now / S - at) / seconds))
-            return 40.0 + (top - 40.0) * part
-        rig.servos[number].heat = heat
-        rig.at(at + 0.9 * seconds, rig.alter)
+        rig.servos[number].heat = _ramp(rig, 40.0, top, at, seconds)
     return fault
+
+
+def _ramp(rig: Rig, first: float, last: float, at: float, seconds: float) -> Callable[[], float]:
+    """Return a value that goes from one to the other in this time; nine tenths of it alter."""
+    rig.at(at + 0.9 * seconds, rig.alter)
+    return lambda: first + (last - first) * min(1.0, max(0.0, (rig.clock.now / S - at) / seconds))
 
 
 def sagging(ids: Iterable[int], low: float, at: float = 2.0, seconds: float = 12.0) -> Fault:
@@ -138,25 +140,31 @@ def sagging(ids: Iterable[int], low: float, at: float = 2.0, seconds: float = 12
     names = tuple(ids)
 
     def fault(rig: Rig) -> None:
-        def volts() -> float:
-            return 12.0 + (low - 12.0) * min(1.0, max(0.0, (rig.clock.now / S - at) / seconds))
+        volts = _ramp(rig, 12.0, low, at, seconds)
         for number in names:
             rig.servos[number].volts = volts
-        rig.at(at + 0.9 * seconds, rig.alter)
+    return fault
+
+
+def spoiled(change: Callable[[Rig, int, bytes], bytes], who: str, at: float) -> Fault:
+    """Change the bytes of a talker (the start of its name), packet by packet."""
+    def fault(rig: Rig) -> None:
+        def spoiler(now: int, talker: str, data: bytes) -> bytes:
+            if now < at * S or not (talker + ' ').startswith(who):
+                return data
+            heard = change(rig, now, data)
+            if heard != data:
+                rig.alter()
+            return heard
+        rig.wire.spoilers.append(spoiler)
     return fault
 
 
 def spoil(change: Callable[[Rig, bytes], bytes], share: float, who: str = '',
           at: float = 8.0) -> Fault:
-    """Change the bytes of a talker (the start of its name), in a share of its packets."""
-    def fault(rig: Rig) -> None:
-        def spoiler(now: int, talker: str, data: bytes) -> bytes:
-            if now < at * S or not (talker + ' ').startswith(who) or rig.random.random() >= share:
-                return data
-            rig.alter()
-            return change(rig, data)
-        rig.wire.spoilers.append(spoiler)
-    return fault
+    """Change a share of the packets of a talker."""
+    return spoiled(lambda rig, now, data: change(rig, data) if rig.random.random() < share
+                   else data, who, at)
 
 
 def flip(rig: Rig, data: bytes) -> bytes:
@@ -194,14 +202,7 @@ def stray(rig: Rig, data: bytes) -> bytes:
 
 def echo(at: float = 0.0) -> Fault:
     """Let the adapter of the master echo what it sends."""
-    def fault(rig: Rig) -> None:
-        def spoiler(now: int, talker: str, data: bytes) -> bytes:
-            if now < at * S or not talker.startswith('master'):
-                return data
-            rig.alter()
-            return data + data
-        rig.wire.spoilers.append(spoiler)
-    return fault
+    return spoiled(lambda rig, now, data: data + data, 'master', at)
 
 
 def twin(number: int, at: float = 0.0, *, own_us: int = 40, model: str | Kind = 'XL430-W250',

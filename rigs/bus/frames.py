@@ -38,7 +38,7 @@ class Form(NamedTuple):
 
     start: bytes
     smallest: int                  # bytes of a status without data
-    size: Callable[[bytes], int]   # the size of the status that begins so; 0: none
+    size: Callable[[bytes], int]   # a status that begins so has; 0: none does
     parse: Callable[[bytes], Sequence[Packet]]
     whole: Callable[[int, int, bytes], bytes]      # ID, code, params
     number: Callable[[int], bytes]                 # an address or a size

@@ -16,7 +16,7 @@ from random import Random
 from typing import NamedTuple
 
 from rigs.bus.faults import Fault
-from rigs.bus.rig import Rig
+from rigs.bus.faults import spoiled
 from rigs.bus.wire import BITS
 from rigs.bus.wire import S
 
@@ -120,18 +120,8 @@ Draw = Callable[[Random, int, float], Line]            # random, bits of a packe
 
 def bad_line(draw: Draw, who: str, at: float = 2.0) -> Fault:
     """Send the packets of a talker (the start of its name) over a line that is not good."""
-    def fault(rig: Rig) -> None:
-        bit_ns = S / rig.wire.baud
-
-        def spoiler(now: int, talker: str, data: bytes) -> bytes:
-            if now < at * S or not (talker + ' ').startswith(who):
-                return data
-            heard = received(data, draw(rig.random, BITS * len(data), now / bit_ns), rig.random)
-            if heard != data:
-                rig.alter()
-            return heard
-        rig.wire.spoilers.append(spoiler)
-    return fault
+    return spoiled(lambda rig, now, data: received(
+        data, draw(rig.random, BITS * len(data), now / (S / rig.wire.baud)), rig.random), who, at)
 
 
 def clock(least: float, most: float) -> Draw:
