@@ -31,11 +31,12 @@ SHARE = get_package_share_directory(PACKAGE)
 DEVICES = ['1-4:MX-106', '5-12:MX-64', '13-15:Rhoban DXL board', '16-18:BitFoot',
            '19-20:Bit-Bots IMU']
 ARGUMENTS = (
-    Argument('folder', '', 'for the links to the fake ports; default: a new one, removed at the '
-             'end'),
-    Argument('fault', '', 'of the fake bus, e.g. silent:7:10:5; see fake_bus --list-faults'),
-    Argument('dashboard', 'true', 'serve the web page too', YES + NO),
-    Argument('dashboard_port', '8420', 'of the web page; 0 = any free one'),
+    Argument('folder', '', 'folder for the links to the fake ports; default: a new one, removed '
+             'at the end'),
+    Argument('fault', '', 'faults of the fake bus, e.g. silent:7:10:5; see fake_bus '
+                          '--list-faults'),
+    Argument('dashboard', 'true', 'start the web page too', YES + NO),
+    Argument('dashboard_port', '8420', 'port of the web page; 0 = any free port'),
     *SHARED,
 )
 

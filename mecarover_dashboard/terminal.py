@@ -69,7 +69,7 @@ class Display:
             width, height = shutil.get_terminal_size()
             if len(lines) >= height:
                 more = len(lines) - height + 2
-                lines = [*lines[:height - 2], f'... and {more} lines more']
+                lines = [*lines[:height - 2], f'... and {more} more lines']
             begin = _HOME if self._last else f'\033[2J{_HOME}'
             text = '\n'.join(line[:width - 1] + _CLEAR_LINE for line in lines)
             on_screen(sys.stdout, f'{begin}{text}\n{_CLEAR_BELOW}')

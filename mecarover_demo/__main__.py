@@ -58,9 +58,9 @@ def _main(arguments: list[str]) -> int:
     operator = Operator()
     if operator.is_in_company():
         operator.close()
-        raise OSError(f'there are other nodes in ROS domain {domain}: what this publishes on '
-                      'cmd_vel could drive a rover; end them, or wait 20 s where they were killed')
-    print(f'demo: its topics are in their own domain: export ROS_DOMAIN_ID={domain}', flush=True)
+        raise OSError(f"other nodes run in ROS domain {domain}, and the demo's cmd_vel could "
+                      'drive a rover; end them, or wait 20 s if they were killed')
+    print(f'demo: to see its topics: export ROS_DOMAIN_ID={domain}', flush=True)
     with tempfile.TemporaryDirectory(prefix='mecarover-') as folder, Stage() as stage:
         show = Show(stage, operator, folder, _page_port(domain))
         try:
@@ -128,7 +128,7 @@ class Show:
             with open(self._books, encoding='utf-8') as file:
                 books = json.load(file)
         except (OSError, ValueError) as error:
-            return SceneResult(BOOKS, False, f'no books of the fake bus: {error}')
+            return SceneResult(BOOKS, False, f'the fake bus gave no counts: {error}')
         verdict = judge_books(self._table.missed(self._operator.statuses), books)
         print(f'  {verdict.mark}  {BOOKS:24} {verdict.text}', flush=True)
         return verdict
@@ -142,7 +142,7 @@ class Show:
                 if actor.exit_code is not None:
                     raise OSError(f'{actor.name} ended: {" / ".join(list(actor.lines)[-3:])}')
             if time.monotonic() > deadline:
-                raise OSError(f'not ready after {READY_S:g} s; is the machine very busy?')
+                raise OSError(f'not ready after {READY_S:g} s; the computer may be too busy')
 
     def _see_dashboard(self) -> SceneResult:
         """Say where the page is, and load it."""
@@ -206,7 +206,7 @@ def _page_port(domain: int) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='scripts/demo', description='The whole suite against fake hardware.',
-        epilog='Exit code 0: everything that was shown worked.')
+        epilog='Exit code 0: everything worked.')
     parser.add_argument('--seconds', type=float, metavar='N',
                         help='end after about N seconds (default: run until Ctrl-C)')
     return parser

@@ -81,12 +81,12 @@ def judge(scene: Scene, begin: float, end: float,
     followed = [one for one in during if _close(one.velocity, scene.command)]
     if not followed:
         return SceneResult(scene.name, False, 'its set-point never reached the MCU')
-    text = f'at the MCU after {followed[0].stamp - begin:.2f} s'
+    text = f'reached the MCU after {followed[0].stamp - begin:.2f} s'
     if not scene.kill:
         return SceneResult(scene.name, True, text)
     stops = [one for one in set_points if one.stamp > end and one.velocity == STOP]
     if not stops:
-        return SceneResult(scene.name, False, 'the MCU drives on')
+        return SceneResult(scene.name, False, 'the MCU still drives')
     after = stops[0].stamp - end
     return SceneResult(scene.name, after <= KILL_BOUND_S,
                        f'{text}, stopped {after:.2f} s after kill')
@@ -100,7 +100,7 @@ def _judge_stillness(scene: Scene, begin: float, end: float,
         return SceneResult(scene.name, False, 'the MCU still drives')
     stopped = before[-1].stamp if before else begin
     after = max(0.0, stopped - begin)
-    text = f'stopped after {after:.2f} s' if after else 'stands still'
+    text = f'stopped after {after:.2f} s' if after else 'no movement'
     return SceneResult(scene.name, after <= TIME_OUT_BOUND_S, text)
 
 
@@ -112,12 +112,12 @@ def judge_books(missed: Mapping[str, int], books: Mapping[str, Any]) -> SceneRes
     lost as in a UART: then it is right to miss answers that were given.
     """
     given = {f'{int(number):03}': known['missed'] for number, known in books['devices'].items()}
-    wrong = [f'{name}: {count}, in truth {given.get(name, 0)}'
+    wrong = [f'{name}: {count} counted, {given.get(name, 0)} simulated'
              for name, count in missed.items() if count > given.get(name, 0)]
     lost = books['totals']['bus']['overrun']
     if wrong and lost:
-        return SceneResult(BOOKS, True, f'cannot tell: the busy machine lost {lost} bytes')
-    text = '; '.join(wrong) or f'{sum(missed.values())} seen, in truth {sum(given.values())}'
+        return SceneResult(BOOKS, True, f'unknown: the busy computer lost {lost} bytes')
+    text = '; '.join(wrong) or f'{sum(missed.values())} counted, {sum(given.values())} simulated'
     return SceneResult(BOOKS, not wrong, text)
 
 

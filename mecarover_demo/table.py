@@ -65,8 +65,8 @@ class DeviceTable:
         return [
             SceneResult('all devices seen', len(self._states) == _EXPECTED,
                         f'{len(self._states)} of {_EXPECTED}'),
-            SceneResult(f'device {name} lost and found', back,
-                        ' -> '.join(states) or 'never seen'),
+            SceneResult(f'device {name} lost and found again', back,
+                        ' -> '.join(states) or 'never lost'),
             SceneResult('no other device lost', lost in ([name], []), ', '.join(lost)),
         ]
 

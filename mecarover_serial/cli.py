@@ -160,7 +160,7 @@ def answer(name: str, about: str, parameters: Sequence[Parameter],
     """
     Answer a command line that needs no node, for help or by mistake; None: run the node.
 
-    ROS ignores what stands outside --ros-args: the node would go on with another port than the
+    ROS ignores what is outside --ros-args: the node would go on with another port than the
     one that was meant. args: None for those of the process.
     """
     arguments = sys.argv[1:] if args is None else args
@@ -170,7 +170,7 @@ def answer(name: str, about: str, parameters: Sequence[Parameter],
     _, outside = split_ros_args(arguments)
     if outside:
         return _complain(name, UsageError(
-            f'{outside[0]}: not understood outside --ros-args; write e.g. --ros-args '
+            f'{outside[0]}: has no effect outside --ros-args; write e.g. --ros-args '
             f'{_meant(outside, parameters)}, or see --help'), WRONG_USAGE)
     return few_files(name)
 
@@ -188,6 +188,6 @@ def _meant(outside: Sequence[str], parameters: Sequence[Parameter]) -> str:
 
 def no_ros(name: str, error: ImportError) -> int:
     """Say that ROS 2 is not there; return the exit code."""
-    print(f'{name}: ROS 2 is not here ({error}); source /opt/ros/jazzy/setup.bash, '
-          'or run scripts/setup and use .venv/bin', file=sys.stderr)
+    print(f'{name}: ROS 2 is not sourced ({error}); source /opt/ros/jazzy/setup.bash, or run '
+          'scripts/setup and use .venv/bin', file=sys.stderr)
     return COULD_NOT_RUN

@@ -15,5 +15,6 @@ def survive(what: str, mistake: Exception) -> None:
         trace = trace.tb_next
     place = ('', 0) if trace is None else (trace.tb_frame.f_code.co_filename, trace.tb_lineno)
     if place not in _logged:
-        LOG.error('internal fault in %s, which goes on; please report it', what, exc_info=mistake)
+        LOG.error('internal error in %s, which continues; please report '
+                  'it', what, exc_info=mistake)
         _logged.add(place)

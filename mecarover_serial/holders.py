@@ -18,7 +18,7 @@ from typing import NamedTuple
 ROOT = Path('/')
 _LOGINS = ('getty', 'login')    # parts of the names of programs that offer one
 PTYS = range(136, 144)          # major numbers
-_TTY_NR = 4                     # field of /proc/PID/stat behind the name, see proc_pid_stat(5)
+_TTY_NR = 4                     # field of /proc/PID/stat after the name, see proc_pid_stat(5)
 
 
 class Holder(NamedTuple):

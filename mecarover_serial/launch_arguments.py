@@ -55,27 +55,27 @@ class Launched(NamedTuple):
               for name, text in self.parameters),
             *(Argument(name, name, text) for name, text in self.remapped),
             Argument('config', self.settings,
-                     f'file with parameters of {self.node}; an argument wins over it, it over '
-                     'SetParameter of a launch file, and that over our own file'),
+                     f'file with parameters of {self.node}; it overrides SetParameter of a launch '
+                     'file and our own file, and arguments override it'),
             Argument('name', self.node, f'name of the node {self.node}'),
             Argument('enclave', '', f'SROS2 enclave, e.g. /{self.node}'),
             Argument('respawn', str(self.respawn).lower(),
-                     f'start {self.node} again when it ends', YES + NO),
+                     f'restart {self.node} when it ends', YES + NO),
         ]
 
 
 BRIDGE = Launched(
     'vel2d_bridge', 'bridge', 'bridge.yaml',
-    (('port', 'the UART to the MCU'), ('baud', 'its rate in bit/s')),
-    respawn=True, remapped=(('cmd_vel', 'the topic of the commands'),))
+    (('port', 'the UART to the MCU'), ('baud', 'its baud rate')),
+    respawn=True, remapped=(('cmd_vel', 'topic of the commands'),))
 MONITOR = Launched(
     'dxl_monitor', 'monitor', 'monitor.yaml',
-    (('ports', "the bus, or a list: \"['/dev/ttyUSB0','/dev/ttyUSB1']\""),
-     ('bauds', 'its rate in bit/s, or a list'),
-     ('devices', "what is on it, as a list: \"['1:MX-106:left_knee','2-20:MX-64']\"")),
+    (('ports', "port of the bus, or a list: \"['/dev/ttyUSB0','/dev/ttyUSB1']\""),
+     ('bauds', 'its baud rate, or a list'),
+     ('devices', "the devices on it, as a list: \"['1:MX-106:left_knee','2-20:MX-64']\"")),
     respawn=False)
 SHARED = (
-    Argument('namespace', '', 'of the nodes and their topics'),
+    Argument('namespace', '', 'namespace of the nodes and their topics'),
     Argument('log_level', 'info', 'debug, info, warn, error, fatal',
              LEVELS + tuple(level.upper() for level in LEVELS)),
 )

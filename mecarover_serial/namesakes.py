@@ -40,6 +40,6 @@ class Namesakes:
         self._old = others if age < DISCOVERED_NS else min(self._old, others)
         if others < 1 or (others <= self._old and age < FORGOTTEN_NS):
             return []
-        return [f'{self._name}: {others + 1} nodes have this name, their statuses and services '
+        return [f'{self._name}: {others + 1} nodes have this name, so their statuses and services '
                 'are mixed up; end all but one, or give each a namespace (-r __ns:=/NAME, '
                 'namespace:=NAME with ros2 launch)']

@@ -41,11 +41,11 @@ _TERMIOS2_OSPEED = 10           # index of c_ospeed in struct termios2, in 32-bi
 
 
 def as_port_error(name: str, error: Exception) -> PortError:
-    """Return what a user is told of any error of the port `name`, a mistake in a program too."""
+    """Return the message for any error of the port `name`, a bug in a program too."""
     if isinstance(error, PortError):
         return error
     return PortError(name, Reason('other', f'{type(error).__name__}: {error}',
-                                  'a mistake in a program, please report it'))
+                                  'an error in this program; please report it'))
 
 
 class Port:
@@ -134,7 +134,7 @@ class Port:
             with socket.socket(fileno=os.dup(self._socket)) as own:
                 own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _DROP_AT_CLOSE)
             raise PortError(self.name, Reason(
-                'lost', 'lost (its peer confirms nothing)',
+                'lost', 'lost (the peer does not confirm any byte)',
                 'check the network; raise write_timeout where it is slow'))
         if self.is_tty:
             try:
@@ -156,7 +156,8 @@ class Port:
         number = getattr(error, 'errno', None)
         text = os.strerror(number) if number else str(error)
         return PortError(self.name, Reason(
-            'lost', f'lost ({text})', 'check plug and power; it is opened again when it is back'))
+            'lost', f'lost ({text})', 'check plug and power; the port is opened again when it is '
+            'back'))
 
 
 def open_port(path_or_url: str, baud: int, *, read_only: bool = False) -> Port:
@@ -184,7 +185,7 @@ def _configured(path_or_url: str, baud: int) -> Any:
     """Return the open pyserial object of a path or URL."""
     try:
         if baud <= 0:           # 0 would hang up
-            raise ValueError('a baud rate is positive')
+            raise ValueError('a baud rate must be positive')
         device = serial.serial_for_url(path_or_url, do_not_open=True)
         device.baudrate = baud
         device.timeout = 0
@@ -206,7 +207,8 @@ def _bad_setting(path_or_url: str, baud: int, error: Exception) -> Reason:
     if '://' in path_or_url and 'baud' not in str(error).lower():
         return Reason('url', f'not a URL that pyserial knows ({error})',
                       'use a path such as /dev/ttyUSB0 or socket://HOST:PORT')
-    return Reason('baud', f'cannot run at {baud} baud ({error})', 'set a rate the adapter takes')
+    return Reason('baud', f'does not support {baud} baud '
+                          f'({error})', 'set a rate that the adapter supports')
 
 
 def _check_rate(name: str, fd: int, baud: int) -> None:
@@ -218,10 +220,10 @@ def _check_rate(name: str, fd: int, baud: int) -> None:
         return
     actual = struct.unpack_from('11I', raw)[_TERMIOS2_OSPEED]
     if actual and abs(actual - baud) > _BAUD_TOLERANCE * baud:
-        # What a driver falls back to (9600, or the rate before) tells nothing of the highest one.
+        # What a driver falls back to (9600, or the old rate) says nothing of the highest one.
         raise PortError(name, Reason(
-            'baud', f'asked for {baud} baud, the driver gives {actual}',
-            'set a rate that the adapter takes'))
+            'baud', f'the driver sets {actual} baud, not the {baud} that was asked for',
+            'set a rate that the adapter supports'))
 
 
 def _settle(fd: int, read_only: bool) -> None:

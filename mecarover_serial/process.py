@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 
 _PAGE_MB = os.sysconf('SC_PAGE_SIZE') / 1e6
-_ARG_START, _ARG_END = 45, 46      # fields of /proc/PID/stat behind the name; see proc(5)
+_ARG_START, _ARG_END = 45, 46      # fields of /proc/PID/stat after the name; see proc(5)
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36     # linux/prctl.h
 

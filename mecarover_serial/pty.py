@@ -83,7 +83,7 @@ class Pty:
                           f'({error.strerror}); give another --link') from error
 
     def let_go(self) -> None:
-        """Hold the other end open no longer, so that is_open tells whether somebody else does."""
+        """Hold the other end open no longer, so that is_open says whether somebody else does."""
         os.close(self._slave)
         self._slave = -1
 

@@ -28,8 +28,8 @@ class Domain:
                 continue
             return
         self.release()
-        raise OSError(f'ROS domains {numbers[0]} to {numbers[-1]} are taken by others of its kind '
-                      'on this machine; end one')
+        raise OSError(f'ROS domains {numbers[0]} to {numbers[-1]} are in use by other demos or '
+                      'tests on this machine; end one of them')
 
     def release(self) -> None:
         """Let others have it."""

@@ -31,8 +31,8 @@ def check(files: Sequence[str], node: str) -> None:
     headers = [header for file in files for header in _headers(_composed(file))]
     if files and not any(_fits(header, node) for header in headers):
         what = f'it is for {", ".join(headers)}' if headers else 'it has no ros__parameters'
-        raise SettingsError(f'{", ".join(files)}: has nothing for the node {node}, {what}; '
-                            f'put the parameters below {node}: or /**:')
+        raise SettingsError(f"{', '.join(files)}: has no parameters for the node {node}, {what}; "
+                            f'put them below {node}: or /**:')
 
 
 def _fits(header: str, node: str) -> bool:
@@ -64,11 +64,11 @@ def _composed(file: str) -> yaml.Node | None:
             root = yaml.compose(settings)
         if root is None or isinstance(root, yaml.MappingNode):
             return root
-        reason = 'this is not a file with parameters'
+        reason = 'not a file with parameters'
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         reason = getattr(error, 'strerror', None) or ' '.join(str(error).split())
     except RecursionError:
-        reason = 'too many brackets in brackets'
+        reason = 'brackets are nested too deeply'
     raise SettingsError(f'{file}: {reason}; give a file with parameters')
 
 

@@ -118,7 +118,7 @@ def test_what_is_not_finite_neither_drives_nor_keeps_driving(ros, graph, running
     last = time.monotonic_ns()
     with ros.Teleop(cmd_vel, lambda: ros.twist(*bad), rate=50):
         assert standing.stopped_at(last) / 1e9 < TIME_OUT_BOUND + LATE_S
-        graph.wait_status(COMMANDS, 'commands are refused: not finite; mend its publisher',
+        graph.wait_status(COMMANDS, 'commands are refused: not finite; correct its publisher',
                           level=1)
     assert all(math.isfinite(part) for frame in standing.arrivals for part in frame.velocity)
     assert running.said('WARN', '/cmd_vel: command (', 'refused: not finite')
@@ -183,10 +183,10 @@ def test_what_the_mcu_says_goes_to_the_log(graph, running, standing):
     running.wait_for('INFO', 'MCU: pose loop 30 ms')
     running.wait_for('MCU: battery 11.8 V')
     standing.say(b'line\n' * 500)
-    running.wait_for('MCU: ... and', 'lines more')
+    running.wait_for('MCU: ... and', 'more lines')
     assert len(running.said('MCU: line')) <= 10
     standing.say(b'\x00\xff\xfe\x80garbage\x07\n')
-    running.wait_for('WARN', 'bytes that are no text; check baud')
+    running.wait_for('WARN', 'bytes that are not text; check baud')
     graph.wait_status(LINK, 'Garbage from MCU (B)=12', 'Lines from MCU=502')
     assert 'garbage' not in running.text
 

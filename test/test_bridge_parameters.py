@@ -112,8 +112,8 @@ def test_read_only_is_refused(graph, running):
 def test_holding_for_ever_is_refused_at_run_time(graph, running, zero):
     [before] = graph.get(NODE, ['cmd_vel_timeout'])
     [said] = graph.set(NODE, cmd_vel_timeout=zero)
-    assert said.startswith('cmd_vel_timeout: 0 holds the last command for ever and is taken only ')
-    assert '; set 0.5, or write it to the settings file and start again' in said
+    assert said.startswith('cmd_vel_timeout: 0 holds the last command for ever and is accepted ')
+    assert '; set 0.5, or write 0 to the settings file and restart' in said
     assert graph.get(NODE, ['cmd_vel_timeout']) == [before]
 
 
@@ -143,8 +143,8 @@ def test_a_settings_file_for_another_node_is_refused(tmp_path, node, module):
     with Program(module, *words) as running:
         assert running.exit_code() == 2
     [line] = running.said(f'{node}: ')
-    assert line.startswith(f'{node}: {mine}, {other}: has nothing for the node /{node}, it is for '
-                           f'/rover1/{node}, /planner; put the parameters below /{node}: or /**:')
+    assert line.startswith(f'{node}: {mine}, {other}: has no parameters for the node /{node}, it '
+                           f'is for /rover1/{node}, /planner; put them below /{node}: or /**:')
     with Program(module, *words, '-r', '__ns:=/rover1') as running:
         running.wait_for('is not there')
 
@@ -279,7 +279,7 @@ def test_a_baud_that_the_port_refuses(ros):
               'port._BAUD_TOLERANCE = -1\nsys.exit(main.main())')
     with Pty() as pty, bridge(pty, script=script, baud=4_000_000) as running:
         assert running.exit_code() == 1
-    assert running.said(f'{pty.path}: asked for 4000000 baud, the driver gives')
+    assert running.said(f'{pty.path}: the driver sets 9600 baud, not the 4000000')
 
 
 def test_the_command_line_wins_over_a_file_of_another_type(graph, mcu, tmp_path):
@@ -323,5 +323,5 @@ def test_help_and_no_ros():
     with Program('', script=script) as running:
         assert running.exit_code() == 1
     [line] = running.lines
-    assert line.startswith('vel2d_bridge: ROS 2 is not here (')
+    assert line.startswith('vel2d_bridge: ROS 2 is not sourced (')
     assert 'source /opt/ros/jazzy/setup.bash' in line

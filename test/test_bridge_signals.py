@@ -245,14 +245,14 @@ def test_a_deadman_whose_server_was_killed_too_is_reported(ros, graph, mcu, cmd_
         _, server, deadman = family(running.pid)
         os.kill(server, signal.SIGKILL)
         os.kill(deadman, signal.SIGKILL)
-        graph.wait_status('vel2d_bridge: link', 'deadman: its process has gone', level=2)
+        graph.wait_status('vel2d_bridge: link', 'deadman: its process has ended', level=2)
         running.signal(signal.SIGINT)
         assert running.exit_code() == 0, running.text
 
 
 def test_without_a_deadman(ros, mcu, cmd_vel):
     with bridge(mcu, deadman='false') as running:
-        running.wait_for('deadman: off, the rover drives on when this process is killed')
+        running.wait_for('deadman: false, so the rover drives on when this process is killed')
         assert running.children() == []
         with ros.Teleop(cmd_vel, lambda: ros.twist(0.3), rate=50):
             wait(lambda: mcu.velocity == Vel2d(0.3, 0.0, 0.0))

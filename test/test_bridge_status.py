@@ -55,7 +55,7 @@ def periods(*seconds):
     (OPEN._replace(is_open=False), [], Level.WARN, 'opening the port'),
     (OPEN._replace(is_open=False, problem=ABSENT), [], Level.ERROR,
      f'{PORT}: is not there; plug it in'),
-    (OPEN._replace(deadman='lost'), [], Level.ERROR, 'deadman: its process has gone'),
+    (OPEN._replace(deadman='lost'), [], Level.ERROR, 'deadman: its process has ended'),
     (OPEN._replace(deadman='off'), [], Level.OK, 'open'),
     (OPEN._replace(deadman='no use'), [], Level.WARN, 'deadman: it cannot write to this kind of'),
     (OPEN, [CONSOLE], Level.WARN, CONSOLE),
@@ -76,13 +76,13 @@ def test_link(state, warnings, level, message):
      '/cmd_vel: disabled; ros2 service call /vel2d_bridge/enable std_srvs/srv/SetBool "{data: '),
     (OPEN, HEARD._replace(complaints=[FIGHT]), Level.WARN, FIGHT),
     (OPEN, HEARD._replace(refused=Outcome.NOT_FINITE), Level.WARN,
-     '/cmd_vel: commands are refused: not finite; mend its publisher'),
+     '/cmd_vel: commands are refused: not finite; correct its publisher'),
     (OPEN, HEARD._replace(timeout_s=0.0), Level.WARN, 'cmd_vel_timeout: 0 holds'),
     (OPEN, HEARD._replace(timeout_s=0.0, choice=Choice('twist', False)), Level.WARN,
      'cmd_vel_timeout: 0 holds the last command for ever, and best effort may lose'),
     (OPEN, HEARD._replace(period=periods(0.1, 0.1, 0.1)), Level.OK, 'driving'),
     (OPEN, HEARD._replace(period=periods(0.8, 0.8, 0.8)), Level.WARN,
-     '/cmd_vel: a command every 0.8 s, slower than cmd_vel_timeout (0.5 s), the rover stutters; '),
+     '/cmd_vel: a command every 0.8 s, slower than cmd_vel_timeout (0.5 s), so the rover stops'),
     (OPEN, HEARD._replace(period=periods(0.8)), Level.OK, 'driving'),           # no stream yet
     (OPEN, HEARD._replace(period=periods(8, 9, 7)), Level.OK, 'driving'),       # taps on a key
     (OPEN, HEARD._replace(period=periods(8, 8, 8), timeout_s=0.0), Level.WARN, 'cmd_vel_timeout'),
@@ -100,7 +100,7 @@ def test_all_complaints_are_there():
     assert status.message.endswith('(and 2 more)')
     assert values['Complaint 1'].startswith('/cmd_vel: disabled')
     assert values['Complaint 2'] == FIGHT
-    assert 'stutters' in values['Complaint 3']
+    assert 'stops in between' in values['Complaint 3']
 
 
 def test_keys_are_there_from_the_beginning():
@@ -138,7 +138,7 @@ def test_a_babbling_mcu():
     for _ in range(100):
         mcu.feed(b'the same again\n' * 10)
     lines = mcu.take(SECOND)
-    assert lines[-1] == f'... and {1000 - len(lines) + 1} lines more'
+    assert lines[-1] == f'... and {1000 - len(lines) + 1} more lines'
     assert len(lines) < 10
     assert mcu.take(2 * SECOND) == []
     mcu.feed(b'x' * 100_000)                                        # no end of line at all
@@ -150,7 +150,7 @@ def test_garbage_is_counted_and_not_printed():
     mcu.feed(bytes(range(128, 256)) + b'\n' + b'\x00\x07bell\n' + b'good\n')
     assert mcu.take(SECOND) == ['good']
     assert mcu.garbage_bytes == 134
-    assert '134 bytes that are no text; check baud' in mcu.garbage(SECOND)
+    assert '134 bytes that are not text; check baud' in mcu.garbage(SECOND)
     assert mcu.garbage(2 * SECOND) == ''                            # nothing new
     mcu.feed(b'\xff\n')
     assert mcu.garbage(3 * SECOND) == ''                            # said just now
@@ -163,7 +163,7 @@ def test_what_the_mcu_refuses_is_counted_and_a_complaint():
     mcu.feed(b'crc mismatch!\r\nboot\r\nCRC Mismatch!\r\ninsufficient bytes received\r\n')
     assert mcu.take(SECOND) == ['boot']
     crc, short = mcu.complaints(SECOND, 'words')
-    assert 'set crc_input to words if it refuses every frame' in crc
+    assert 'set crc_input to words if the MCU refuses every frame' in crc
     assert 'no console' in short
     values = dict(link(mcu=mcu).values)
     assert values['Refused by MCU: crc mismatch'] == '2'
@@ -185,7 +185,7 @@ def test_what_the_mcu_refuses_is_counted_and_a_complaint():
     ('max_rate', 34.0, 'max_rate: 34 Hz is more than the MCU takes'),
     ('resend_rate', 0.0, 'resend_rate: 0 sends each set-point once'),
     ('baud', 9600, 'baud: 9600 bit/s is too slow for the rover to stop in the time'),
-    ('deadman', False, 'deadman: off, the rover drives on when this process is killed'),
+    ('deadman', False, 'deadman: false, so the rover drives on when this process is killed'),
 ])
 def test_what_is_possible_and_probably_not_meant_is_doubted(name, value, begin):
     values = {parameter.name: parameter.default for parameter in PARAMETERS}
@@ -206,4 +206,4 @@ def test_a_stop_that_is_owed_is_an_error_whatever_else_is_so(enabled):
 def test_a_limit_that_is_taken_away_is_said():
     before = {'max_linear_x': 0.5, 'max_linear_y': 0.0, 'max_angular_z': 1.0, 'max_stamp_age': 0.0}
     assert taken_away(before, before | {'max_linear_x': 0.0, 'max_angular_z': 0.5}) == [
-        'max_linear_x: 0 takes the limit away; it was 0.5']
+        'max_linear_x: 0 removes the limit, which was 0.5']

@@ -96,6 +96,6 @@ def test_what_cannot_be_kept_is_said_and_the_rover_stops_all_the_same(ros, graph
         answer = enable(graph, ros, False)
         assert not answer.success
         assert answer.message.startswith('/proc/disabled: ')
-        assert 'commands will be taken after a restart' in answer.message
+        assert 'commands will be accepted after a restart' in answer.message
         wait(lambda: mcu.receiver.wheels.is_stop)
         end(running)

@@ -67,7 +67,7 @@ def test_auto_follows_a_teleop_that_changes_its_type(ros, graph, mcu, running, o
             assert taken_s < 1.0 + LATE_S
         frames = [frame.velocity for frame in mcu.arrivals]
         assert frames[frames.index(velocity) - 1] == STOP
-    assert running.said('/teleop/cmd_vel carries twist_stamped now, following')
+    assert running.said('/teleop/cmd_vel: the message type is twist_stamped now')
 
 
 def test_two_types_at_once(ros, graph, mcu, running, operator):
@@ -114,7 +114,7 @@ def test_stream_that_is_too_slow(ros, graph, operator):
     with operator('slow', ros.Twist) as publisher, \
             ros.Teleop(publisher, lambda: ros.twist(0.3), rate=1 / 0.6):
         graph.wait_status(COMMANDS, 'a command every 0.6', 'slower than cmd_vel_timeout (0.5 s)',
-                          'the rover stutters', level=1)
+                          'the rover stops in between', level=1)
 
 
 def test_limits_keep_the_direction(ros, graph, mcu, operator):

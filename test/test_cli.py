@@ -34,7 +34,7 @@ def test_what_stands_outside_ros_args_is_one_line(module, arguments, thing, reme
     """It was ignored, and the node went on with its defaults: on another port than was meant."""
     with Program(module, *arguments) as program:
         assert program.exit_code() == 2
-    assert program.lines == [f'{module.partition(".")[0]}: {thing}: not understood outside '
+    assert program.lines == [f'{module.partition(".")[0]}: {thing}: has no effect outside '
                              f'--ros-args; write e.g. --ros-args {remedy}, or see --help']
 
 

@@ -486,8 +486,8 @@ def test_a_port_without_a_single_packet_is_asked_about(tmp_path):
             wait(lambda: tool.has_ended or not os.write(pty.master, b'Protocol 1.0'))
             assert tool.exit_code() == 0
     [line] = tool.lines
-    assert re.fullmatch(rf'dxl_dump: {link}: \d+ bytes and no packet; is it a servo bus, '
-                        r'and 2000000 baud its rate\? --baud takes another', line)
+    assert re.fullmatch(rf'dxl_dump: {link}: \d+ bytes, but no packet; check that it is a servo '
+                        'bus at 2000000 baud; --baud sets another rate', line)
 
 
 def test_a_capture_can_go_through_a_pipe(bus):
@@ -559,16 +559,16 @@ def test_a_terminal_without_umlauts_gets_question_marks(recorded, tmp_path):
     (['loop://?x=y'], 1, 'loop://?x=y: not a URL that pyserial knows '),
     (['/dev/null'], 1, '/dev/null: a device, but not a serial port; '),
     (['/'], 2, '/: a directory; '),
-    (['-', '--id', 'knee'], 2, "'knee': no ID; "),
-    (['-', '--id', '9-3'], 2, "'9-3': no ID; "),
-    (['-', '--id', '0-999999999999'], 2, "'0-999999999999': no ID; "),
-    (['-', '--instruction', '999'], 2, "'999': no instruction; "),
-    (['-', '--instruction', 'sing'], 2, "'sing': no instruction; there are ping, read, "),
+    (['-', '--id', 'knee'], 2, "'knee': not an ID; "),
+    (['-', '--id', '9-3'], 2, "'9-3': not an ID; "),
+    (['-', '--id', '0-999999999999'], 2, "'0-999999999999': not an ID; "),
+    (['-', '--instruction', '999'], 2, "'999': not an instruction; "),
+    (['-', '--instruction', 'sing'], 2, "'sing': not an instruction; use one of ping, read, "),
     (['-', '--devices', '300'], 2, "devices: '300': an ID is at most 253; "),
     (['-', '--devices', '1:MX-107'], 2, "devices: no model is called 'MX-107'; did you mean "),
     (['-', '--model-dirs', '/does/not/exist'], 2, 'model_dirs: /does/not/exist: '),
     (['-', '-w', '/does/not/exist/x'], 2, 'capture: /does/not/exist/x: No such file'),
-    (['-', '-w', '-', '--json'], 2, '-w -: the capture goes to stdout; '),
+    (['-', '-w', '-', '--json'], 2, '-w -: the capture goes to stdout, '),
     (['-', '-b', '0'], 2, '--baud 0: not possible; '),
     (['-', '-b', '9' * 4000], 2, '--baud: not possible; give less'),
     (['-', '--count', '0'], 2, '--count 0: not possible; '),
@@ -625,8 +625,8 @@ def test_a_file_without_a_single_packet_is_asked_about(tmp_path, view):
     noise.write_bytes(100 * b'\xf8\x80root:x:0:0:root:/root:/bin/ba')
     empty = tmp_path / 'empty'
     empty.write_bytes(b'')
-    for path, lines in (noise, [f'dxl_dump: {noise}: 3100 bytes and no packet; is it a recording '
-                                'of a servo bus, made at its rate?']), (empty, []):
+    for path, lines in (noise, [f'dxl_dump: {noise}: 3100 bytes, but no packet; check that it is '
+                                'a recording of a servo bus, made at its baud rate']), (empty, []):
         done = subprocess.run([sys.executable, '-m', DUMP, str(path), *view],
                               cwd=ROOT, capture_output=True, text=True, timeout=DEADLINE_S)
         assert done.returncode == 0
@@ -649,7 +649,7 @@ def test_it_never_writes_over_what_it_reads(recorded, tmp_path):
         [sys.executable, '-m', DUMP, str(recorded), '-w', str(link)],
         cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
-    assert 'is what is read' in done.stderr
+    assert 'is also the source' in done.stderr
     assert Path(recorded).read_bytes() == before
 
 

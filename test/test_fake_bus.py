@@ -463,8 +463,8 @@ def test_command_plays_tells_totals_and_truth(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(('arguments', 'words'), [
     (('--fault', 'silnt'), 'did you mean silent'),
-    (('--fault', 'silent:1:nan'), "'silent:1:nan' is not NAME"),
-    (('--fault', 'silent:1:0:1e999'), "'silent:1:0:1e999' is not NAME"),
+    (('--fault', 'silent:1:nan'), "'silent:1:nan' does not have the form NAME"),
+    (('--fault', 'silent:1:0:1e999'), "'silent:1:0:1e999' does not have the form NAME"),
     (('--devices', '1:MX-107'), 'did you mean MX-106'),
     (('--devices', '1-999:MX-106'), 'at most 253'),
     (('--baud', '0'), 'give bits per second'),

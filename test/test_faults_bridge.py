@@ -125,7 +125,7 @@ def test_a_babbling_mcu(cable, rover, row, recovery):
     cable.calm()
     end = time.monotonic_ns()
     recovery('cable: noise from the MCU, 200 kB/s', row.until_driving(end))
-    rover.running.wait_for('WARN', 'bytes that are no text; check baud')
+    rover.running.wait_for('WARN', 'bytes that are not text; check baud')
     assert len(rover.running.lines) - lines < 20 + 6 * (time.monotonic_ns() - begin) / 1e9
 
 
@@ -294,7 +294,7 @@ def test_frozen_and_continued(mcu, rover, row, recovery):
                for one in row.frames(end)) <= 1
     row.counts(LINK, 'Freezes')
     row.counts(COMMANDS, 'Stops: bridge was frozen')
-    row.sees(COMMANDS, 'bridge was frozen; commands that come now are taken', level=1)
+    row.sees(COMMANDS, 'bridge was frozen; newer commands are accepted', level=1)
 
 
 # --- DDS ---
@@ -307,8 +307,8 @@ def test_a_publisher_of_nonsense(rover, row, recovery):
     last = row.last
     row.drive(lambda: next(values))
     assert row.mcu.stopped_at(last) / 1e9 < BOUND_S + row.late_s()
-    row.sees(COMMANDS, 'not finite; mend its publisher', level=1)
-    row.says('WARN', 'refused: not finite; mend its publisher')
+    row.sees(COMMANDS, 'not finite; correct its publisher', level=1)
+    row.says('WARN', 'refused: not finite; correct its publisher')
     row.counts(COMMANDS, 'Refused: not finite', at_least=2 * 3 * len(NONSENSE))
     row.counts(COMMANDS, 'Time-outs')
     begin = time.monotonic_ns()
@@ -340,7 +340,7 @@ def until_followed(row, name):
     followed_s = row.until_driving(begin)
     first = row.drives(begin)[0].stamp
     assert any(one.velocity == STOP and row.last < one.stamp < first for one in row.frames())
-    row.says('INFO', f'carries {name} now, following')
+    row.says('INFO', f'the message type is {name} now')
     return followed_s
 
 

@@ -126,8 +126,8 @@ def test_settings_for_another_node_start_nothing(tmp_path, header):
     with launched('bridge', f'config:={config}', f'port:={tmp_path}/mcu') as launch:
         assert launch.exit_code() == 1
     full = header if header.startswith('/') else f'/{header}'
-    assert launch.said('Caught exception', f'config: {config}: has nothing for the node '
-                       f'/vel2d_bridge, it is for {full}; put the parameters below')
+    assert launch.said('Caught exception', f'config: {config}: has no parameters for the node '
+                       f'/vel2d_bridge, it is for {full}; put them below')
     assert pids(launch) == []
 
 

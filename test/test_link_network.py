@@ -111,5 +111,5 @@ def test_what_was_commanded_before_the_network_went_away_never_arrives(away_s, s
     assert seen['late'] == []
     assert seen['oldest'] < BOUND_S + LATE_S
     assert not seen['was_open']
-    assert any('its peer confirms nothing' in line for line in seen['problems'])
+    assert any('the peer does not confirm any byte' in line for line in seen['problems'])
     assert all(first == [0.0, 0.0, 0.0] for first in seen['firsts'])

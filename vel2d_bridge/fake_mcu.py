@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Fake MCU: the receiver of receiver.py behind a pty, to try the bridge without a rover.
+Fake MCU: the receiver of receiver.py on a pty, to try the bridge without a rover.
 
 A pty has no character times: what was written at once arrives in one read, and is put on the
 simulated line with a gap before it. Two frames in one read mean that this process was late, not
@@ -236,22 +236,26 @@ class _Printer:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog='fake_mcu', description='The MCU of the rover on a pty: shows what it understands.')
+        prog='fake_mcu', description='Simulates the MCU of the rover on a pty and shows the '
+        'set-points that it takes.')
     add = parser.add_argument
     add('--link', metavar='PATH', help='make this symlink to the pty, for the bridge to open')
-    add('--baud', type=int, default=115200, help='of the simulated line (default %(default)s)')
+    add('--baud', type=int, default=115200, help='baud rate of the simulated line (default '
+        '%(default)s)')
     add('--crc-input', choices=sorted(CRC_INPUTS), default='bytes',
         help='how the CRC unit is fed (default %(default)s)')
     add('--seconds', type=float, help='end after this time (default: run until Ctrl-C)')
     add('--json', action='store_true', help='JSON lines; stamps are monotonic seconds')
-    add('--frames', action='store_true', help='also a line for every frame')
+    add('--frames', action='store_true', help='print a line for every frame too')
     add('--drop', type=int, default=0, metavar='N', help='drop a byte in each Nth frame')
     add('--flip', type=int, default=0, metavar='N', help='flip a bit in each Nth frame')
-    add('--deaf-after', type=int, default=0, metavar='N', help='be overrun after N frames')
-    add('--vanish', metavar='AFTER:FOR', help='be unplugged after so many seconds, for so long')
-    add('--silent', action='store_true', help='do not tell the host which frames are refused')
-    add('--outlive', action='store_true', help='at Ctrl-C wait until the host has closed the port')
-    add('--seed', type=int, default=0, help='of the faults (default %(default)s)')
+    add('--deaf-after', type=int, default=0, metavar='N', help='lose bytes (overrun) after N '
+        'frames')
+    add('--vanish', metavar='AFTER:FOR', help='unplug after so many seconds, for so long')
+    add('--silent', action='store_true', help='send no error text to the host when a frame is '
+        'refused')
+    add('--outlive', action='store_true', help='at Ctrl-C wait until the host closed the port')
+    add('--seed', type=int, default=0, help='seed of the faults (default %(default)s)')
     return parser
 
 

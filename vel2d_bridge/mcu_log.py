@@ -77,7 +77,7 @@ class McuLog:
         while self._kept:
             lines.append(self._kept.popleft())
         if self._skipped:
-            lines.append(f'... and {self._skipped} lines more')
+            lines.append(f'... and {self._skipped} more lines')
             self._skipped = 0
         return lines
 
@@ -92,12 +92,12 @@ class McuLog:
                 self._known_refused[words] = count
                 self._refused_at[words] = now
         remedies = {
-            CRC_MISMATCH: f'set crc_input to {crc_input} if it refuses every frame, else check '
-                          'cable and ground',
+            CRC_MISMATCH: f'set crc_input to {crc_input} if the MCU refuses every frame, else '
+                          'check cable and ground',
             INSUFFICIENT: 'check the cable, and that no console, login or other program writes '
                           'to the port',
         }
-        return [f'the MCU refuses frames, it says "{words}"; {remedies[words]}'
+        return [f'the MCU refuses frames with "{words}"; {remedies[words]}'
                 for words, stamp in self._refused_at.items() if now - stamp < _REFUSED_FOR]
 
     def garbage(self, now: int) -> str:
@@ -107,4 +107,4 @@ class McuLog:
             return ''
         self._known_garbage = self.garbage_bytes
         self._complained = now
-        return f'the MCU sent {new} bytes that are no text; check baud, ground and its firmware'
+        return f'the MCU sent {new} bytes that are not text; check baud, ground and its firmware'

@@ -144,8 +144,8 @@ class Bridge:
     def _starts_enabled(self) -> bool:
         path = self._values['disabled_file']
         if is_kept_off(path):
-            self._log.warning(f'{path}: is there, so commands are refused as when the last bridge '
-                              'ended; call ~/enable with data: true')
+            self._log.warning(f'{path}: exists because commands were switched off when the last '
+                              'bridge ended, so they are refused; call ~/enable with data: true')
             return False
         return bool(self._values['enabled'])
 
@@ -189,7 +189,7 @@ class Bridge:
                     self._surroundings.clock_stands()))
         if twist.linear.z or twist.angular.x or twist.angular.y:
             self._log.warning(
-                f'{self._subscriber.topic}: linear.z, angular.x and angular.y are ignored, the '
+                f'{self._subscriber.topic}: linear.z, angular.x and angular.y are ignored, as the '
                 'rover moves in a plane; publish them as 0', once=True)
 
     def _notice_freeze(self) -> None:
@@ -203,10 +203,11 @@ class Bridge:
     def _on_type(self, message_type: str) -> None:
         """Stop before another type is subscribed: its publisher is somebody else."""
         self._link.stop(Stop.TYPE_SWITCH)
-        self._log.info(f'{self._subscriber.topic} carries {message_type} now, following')
+        self._log.info(f'{self._subscriber.topic}: the message type is {message_type} now; the '
+                       'bridge follows it')
 
     def _on_left(self) -> None:
-        self._log.info(f'{self._subscriber.topic}: its publisher has left')
+        self._log.info(f'{self._subscriber.topic}: its last publisher has ended')
 
     # The port's thread calls these
 
@@ -242,8 +243,8 @@ class Bridge:
         The first line of a process takes rclpy 30 ms.
         """
         if left_out := self._port_log.left_out():
-            self._log.warning(f'{self._port}: was opened or lost {left_out} times more than is '
-                              'logged, as the node was held up; what follows came last')
+            self._log.warning(f'{self._port}: was opened or lost {left_out} more times than this '
+                              'log shows, as the node was blocked; the next lines are the newest')
         for problem in self._port_log.take():
             if problem is None:         # two lines: rclpy ties a severity to a place in the code
                 until = 'a command comes' if self._link.gate.enabled else 'commands are enabled'
@@ -275,7 +276,7 @@ class Bridge:
             for line in self._mcu.complaints(time.monotonic_ns(), other))]
 
     def _say_new(self, complaints: Sequence[str]) -> None:
-        """Warn of a complaint when it comes up, not for as long as it stands."""
+        """Warn of a complaint once, when it comes up."""
         self._warn([line for line in complaints if line not in self._said])
         self._said = set(complaints)
 
@@ -317,7 +318,7 @@ class Bridge:
             problems.insert(0, NO_STOP)
         response.success = not problems
         response.message = '; '.join(problems) or (
-            'commands are taken' if request.data else
+            'commands are accepted' if request.data else
             'stopped; commands are refused until enabled')
         return response
 
@@ -327,5 +328,5 @@ class Bridge:
         self._mcu.reset()
         self._subscriber.zero_stamps = 0
         response.success = True
-        response.message = 'all counts and statistics start at 0, those of the port go on'
+        response.message = 'all counts and statistics restart at 0, except those of the port'
         return response

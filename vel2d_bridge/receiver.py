@@ -92,7 +92,7 @@ class Receiver:
         return len(self._queue)
 
     def feed(self, chunk: bytes, now: int) -> None:
-        """Send bytes from `now` on, or behind those still on the line, without a gap inside."""
+        """Send bytes from `now` on, or after those still on the line, without a gap inside."""
         self.totals.received += len(chunk)
         if self._deaf:
             self.totals.unheard += len(chunk)

@@ -18,32 +18,33 @@ PARAMETERS = (
     Parameter('port', '/dev/ttyAMA0', 'UART to the MCU: a path, best a stable one from '
               '/dev/serial/by-id, or a pyserial URL'),
     Parameter('baud', 115200, 'rate of the UART, 8N1', 'bit/s', 1200, 4_500_000),
-    Parameter('message_type', AUTO, 'what cmd_vel carries; auto follows its publishers',
+    Parameter('message_type', AUTO, 'message type of cmd_vel; auto follows its publishers',
               choices=(AUTO, TWIST, TWIST_STAMPED)),
-    Parameter('cmd_vel_timeout', 0.5, 'no accepted command for so long: stop; 0 holds the last '
-              'command for ever, which is dangerous, and is refused at run time', 's', 0.05, 10.0,
+    Parameter('cmd_vel_timeout', 0.5, 'the rover stops when no command was accepted for so long; '
+              '0 holds the last command for ever, which is dangerous, and is refused at run '
+              'time', 's', 0.05, 10.0,
               or_zero=True, run_time=True),
-    Parameter('resend_rate', 20.0, 'the set-point, a stop included, is sent again at this rate so '
+    Parameter('resend_rate', 20.0, 'the set-point, a stop too, is sent again at this rate, so '
               'that one lost frame does no harm; 0 = never', 'Hz', 2.0, 33.0, or_zero=True,
               run_time=True),
-    Parameter('max_rate', 30.0, 'frames per second at most; more than 33 fills the queue of the '
-              'MCU and the rover lags behind', 'Hz', 2.0, 400.0, run_time=True),
-    Parameter('max_linear_x', 0.0, 'largest |linear.x|; 0 = no limit. A velocity beyond a limit '
-              'is scaled as a whole: its direction stays', 'm/s', 0.0, 100.0, run_time=True),
+    Parameter('max_rate', 30.0, 'most frames per second; more than 33 fill the queue of the MCU, '
+              'and the rover reacts late', 'Hz', 2.0, 400.0, run_time=True),
+    Parameter('max_linear_x', 0.0, 'largest |linear.x|; 0 = no limit. A velocity above a limit is '
+              'scaled down as a whole: its direction stays', 'm/s', 0.0, 100.0, run_time=True),
     Parameter('max_linear_y', 0.0, 'largest |linear.y|; 0 = no limit', 'm/s', 0.0, 100.0,
               run_time=True),
     Parameter('max_angular_z', 0.0, 'largest |angular.z|; 0 = no limit', 'rad/s', 0.0, 100.0,
               run_time=True),
     Parameter('max_stamp_age', 0.0, 'refuse a TwistStamped that is older, or further in the '
               'future; 0 = no check', 's', 0.0, 3600.0, run_time=True),
-    Parameter('write_timeout', 0.05, 'a frame that has not left by then is thrown away, and a '
-              'stop follows; never less than the time of two frames on the wire', 's', 0.005,
+    Parameter('write_timeout', 0.05, 'a frame that is not sent within this time is discarded, and '
+              'a stop follows; never less than the time of two frames on the wire', 's', 0.005,
               1.0, run_time=True),
     Parameter('crc_input', 'bytes', 'how the MCU feeds its CRC unit', choices=tuple(CRC_INPUTS)),
-    Parameter('enabled', True, 'whether commands are taken; if not, the rover stands and stops go '
-              'on. ~/enable sets it too', run_time=True),
-    Parameter('disabled_file', '', 'a file that is there while commands are switched off; a start '
-              'that finds it begins switched off. Empty: a restart forgets it'),
+    Parameter('enabled', True, 'whether commands are accepted; if not, the rover does not move '
+              'and stops are still sent. The service ~/enable sets it too', run_time=True),
+    Parameter('disabled_file', '', 'a file that exists while commands are switched off; a bridge '
+              'that finds it starts switched off. Empty: a restart switches commands on'),
     Parameter('deadman', True, 'a child process stops the rover when this one is killed or '
               'frozen'),
     TIMING_PARAMETER,
@@ -58,14 +59,14 @@ def gate_settings(values: dict[str, Any]) -> GateSettings:
 def refuse_at_run_time(changes: dict[str, Any]) -> None:
     """Raise ParameterError for a value that is good at a start only."""
     if changes.get('cmd_vel_timeout') == 0:
-        raise ParameterError('cmd_vel_timeout: 0 holds the last command for ever and is taken '
-                             'only at a start; set 0.5, or write it to the settings file and '
-                             'start again')
+        raise ParameterError('cmd_vel_timeout: 0 holds the last command for ever and is accepted '
+                             'only at the start; set 0.5, or write 0 to the settings file and '
+                             'restart')
 
 
 def taken_away(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
     """Say which limits a change at run time takes away, a line each."""
-    return [f'{name}: 0 takes the limit away; it was {before[name]:g}'
+    return [f'{name}: 0 removes the limit, which was {before[name]:g}'
             for name in ('max_linear_x', 'max_linear_y', 'max_angular_z', 'max_stamp_age')
             if before[name] and not after[name]]
 
@@ -79,15 +80,17 @@ def doubts(values: dict[str, Any]) -> list[str]:
                      'dies; set 0.5')
     elif timeout * rate < 2:
         lines.append(f'cmd_vel_timeout: {timeout:g} s is less than two frames at max_rate '
-                     f'{rate:g} Hz, commands expire before they are sent; set {2 / rate:.2g}')
+                     f'{rate:g} Hz, so commands expire before they are sent; set {2 / rate:.2g}')
     if values['resend_rate'] == 0:
-        lines.append('resend_rate: 0 sends each set-point once, a lost frame stays lost; set 20')
+        lines.append('resend_rate: 0 sends each set-point once, so a lost frame is not sent '
+                     'again; set 20')
     if rate > 33:
-        lines.append(f'max_rate: {rate:g} Hz is more than the MCU takes (one '
-                     'set-point per 30 ms), the rover will lag; set 30')
+        lines.append(f'max_rate: {rate:g} Hz is more than the MCU takes (one set-point per 30 '
+                     'ms), so the rover reacts late; set 30')
     if values['baud'] < SLOWEST_BAUD:
         lines.append(f'baud: {values["baud"]} bit/s is too slow for the rover to stop in the time '
                      f'that is promised; set {SLOWEST_BAUD} or more')
     if not values['deadman']:
-        lines.append('deadman: off, the rover drives on when this process is killed; set true')
+        lines.append('deadman: false, so the rover drives on when this process is killed; set '
+                     'true')
     return lines

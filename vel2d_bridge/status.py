@@ -31,24 +31,24 @@ from vel2d_bridge.link import NO_USE
 from vel2d_bridge.mcu_log import McuLog
 
 # What is `starting` for longer than a second is FROZEN.
-_UNGUARDED = {GONE: 'its process has gone', FROZEN: 'its process does not respond'}
+_UNGUARDED = {GONE: 'its process has ended', FROZEN: 'its process is not responding'}
 _STUTTER_SAMPLES = 3            # periods of commands that tell a rate
 _STREAM_S = 5.0                 # what is slower is a person who taps a key
 _REMEDIES = {
-    Outcome.NOT_FINITE: 'mend its publisher',
-    Outcome.TOO_LARGE: 'mend its publisher',
+    Outcome.NOT_FINITE: 'correct its publisher',
+    Outcome.TOO_LARGE: 'correct its publisher',
     Outcome.DISABLED: 'ros2 service call /NODE/enable std_srvs/srv/SetBool "{data: true}"',
     Outcome.NO_PORT: 'see the status of the link',
-    Outcome.FROZEN: 'commands that come now are taken again',
-    Outcome.WAITED: 'the network or this machine is too slow for cmd_vel_timeout',
-    Outcome.STAMP_OLD: 'set the clocks of both machines right, or raise max_stamp_age',
-    Outcome.STAMP_AHEAD: 'set the clocks of both machines right, or raise max_stamp_age',
-    Outcome.SHUTDOWN: 'start the bridge again',
+    Outcome.FROZEN: 'newer commands are accepted again',
+    Outcome.WAITED: 'the network or this computer is too slow for cmd_vel_timeout',
+    Outcome.STAMP_OLD: 'set the clocks of both computers, or raise max_stamp_age',
+    Outcome.STAMP_AHEAD: 'set the clocks of both computers, or raise max_stamp_age',
+    Outcome.SHUTDOWN: 'restart the bridge',
 }
 
 
 class Commands(NamedTuple):
-    """What the node knows about commands, beside the gate's counters."""
+    """What the node knows about commands, besides the gate's counters."""
 
     topic: str
     choice: Choice
@@ -78,16 +78,16 @@ def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str],
     """Is the port open, does it take frames, what disturbs it."""
     complaints = list(warnings) if state.is_open else []
     if state.deadman == NO_USE:
-        complaints.insert(0, 'deadman: it cannot write to this kind of URL, nothing stops the '
-                             'rover if this process dies; use a device or socket://')
+        complaints.insert(0, 'deadman: it cannot write to this kind of URL, so nothing stops the '
+                          'rover if this process dies; use a device or socket://')
     level, message = Level.OK, 'open'
     if state.problem is not None:
         level, message = Level.ERROR, str(state.problem)
     elif not state.is_open:
         level, message = Level.WARN, 'opening the port'
     elif state.deadman in _UNGUARDED:
-        level, message = Level.ERROR, (f'deadman: {_UNGUARDED[state.deadman]}, nothing stops the '
-                                       'rover if this one dies; restart the bridge')
+        level, message = Level.ERROR, (f'deadman: {_UNGUARDED[state.deadman]}, so nothing stops '
+                                       'the rover if the bridge dies; restart the bridge')
     elif complaints:
         level, message = Level.WARN, _first(complaints)
     velocity = state.last.velocity if state.last else STOP
@@ -144,7 +144,7 @@ def commands_status(node: str, port: str, state: LinkState, counters: Counters,
 
 
 def _complaints(node: str, state: LinkState, commands: Commands) -> list[str]:
-    """Return what keeps the rover from doing as it is told, the most telling first."""
+    """Return what keeps the rover from following its commands, the main reason first."""
     lines = []
     if state.owes_stop:
         lines.append(f'{NO_STOP}; switch it off, or see the status of the link')
@@ -161,12 +161,12 @@ def _complaints(node: str, state: LinkState, commands: Commands) -> list[str]:
     if period is not None and _stutters(period, commands.timeout_s):
         lines.append(
             f'{commands.topic}: a command every {number(round(period.p50 / 1000, 2))} s, slower '
-            f'than cmd_vel_timeout ({number(commands.timeout_s)} s), the rover stutters; '
-            'publish faster or raise the time-out')
+            f'than cmd_vel_timeout ({number(commands.timeout_s)} s), so the rover stops in '
+            'between; publish faster or raise cmd_vel_timeout')
     if commands.timeout_s == 0:
         lines.append('cmd_vel_timeout: 0 holds the last command for ever'
                      + ('' if commands.choice.reliable else
-                        ', and best effort may lose the one that stops')
+                        ', and best effort may lose the command to stop')
                      + '; set 0.5')
     return lines
 

@@ -47,7 +47,7 @@ class CmdVelSubscriber:
 
     `on_command(twist, waited, stamp_age)`: ns in the middleware, ns since the stamp (None: the
     type has none, or it is zero). `on_type(message_type)` comes before a switch, `on_left()` when
-    the last publisher has left. `complaints` are all that stand, `warnings` those for the log.
+    the last publisher has left. `complaints` are all current ones, `warnings` those for the log.
     """
 
     def __init__(self, node: Node, setting: str,
@@ -86,7 +86,7 @@ class CmdVelSubscriber:
         choice = choose(self._setting, self.choice, publishers)
         if choice == self.choice:
             self._judge(publishers)
-        else:                           # who conflicts with the new one, the next look tells
+        else:                           # the next look finds which publishers conflict with it
             self._follow(choice)
 
     def _judge(self, publishers: list[Publisher]) -> None:
@@ -119,7 +119,7 @@ class CmdVelSubscriber:
         Subscribe again: what was published until now is no longer heard.
 
         After a freeze it waits in the sockets, or is sent again by a reliable publisher, up to
-        seconds later, and nothing tells it from a new command.
+        seconds later, and it looks like a new command.
         """
         self._node.destroy_subscription(self._subscription)
         self._subscription = self._subscribe()

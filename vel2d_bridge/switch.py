@@ -31,7 +31,7 @@ def keep(path: str, is_on: bool) -> str:
             finally:
                 os.close(fd)
     except OSError as error:
-        what = 'commands may be off' if is_on else 'commands will be taken'
-        return (f'{path}: {error.strerror}, {what} after a restart; set disabled_file to a file '
-                'in a folder that this user may write to')
+        what = 'commands may be refused' if is_on else 'commands will be accepted'
+        return (f'{path}: {error.strerror}, so {what} after a restart; set disabled_file to a '
+                'file in a folder that this user may write to')
     return ''

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Wall clock: how long a message waited in the middleware, told by a clock that may be stepped.
+Wall clock: how long a message waited in the middleware, by a clock that may be stepped.
 
 The middleware stamps reception with the system clock. A step of that clock (NTP, a Pi without a
 battery) must neither refuse good commands nor let old ones pass for long. A suspend of the machine

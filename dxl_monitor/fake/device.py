@@ -70,7 +70,7 @@ class FakeDevice(Registers):
         self.hardware_error = 0
         self.voltage = VOLTAGE
         self.temperature = TEMPERATURE
-        self.rest_angle = 0.0                # where it stands while it does not move by `motion`
+        self.rest_angle = 0.0                # its angle while it does not move by `motion`
         self.up_at = 0
         self.extra_delay_ns = 0
         self._registered: tuple[int, bytes] | None = None

@@ -69,12 +69,12 @@ def make_devices(entries: list[str], models: Models, baud: int, *,
         model = models.by_name(entry.model or USUAL_MODEL[dialect])
         if model is None:
             near = models.closest(entry.model)
-            remedy = f'did you mean {near}?' if near else 'give the name of a model file'
+            remedy = f'did you mean {near}?' if near else 'give the name of a model'
             raise ParameterError(f'devices: no model {entry.model!r}; {remedy}')
         motion = Sine(phase=0.35 * entry.id) if moving else None
         if model.protocol != PROTOCOLS[dialect]:
-            raise ParameterError(f'devices: {model.name} does not speak what --dialect {dialect} '
-                                 'says; give devices of one protocol')
+            raise ParameterError(f'devices: {model.name} does not speak the protocol of --dialect '
+                                 f'{dialect}; give devices of one protocol')
         if dialect == '2':
             devices.append(FakeDevice(entry.id, model, baud=baud, motion=motion))
         else:
@@ -128,12 +128,13 @@ def _finish(bus: FakeBus, truth_file: str | None) -> None:
 def _check(options: argparse.Namespace) -> None:
     spoken = FAMILY_1.get(PROTOCOLS[options.dialect], PATTERNS)
     if options.pattern is not None and options.pattern not in spoken:
-        raise UsageError(f'--pattern {options.pattern}: not with --dialect {options.dialect}; '
-                         f'there are: {", ".join(spoken)}')
+        raise UsageError(f'--pattern {options.pattern}: not possible with --dialect '
+                         f"{options.dialect}; use one of: {', '.join(spoken)}")
     if options.baud is None:
         options.baud = 2_000_000 if options.dialect == '2' else 1_000_000
     if options.baud <= 0:
-        raise UsageError(f'--baud {options.baud}: no rate; give bits per second, e.g. 2000000')
+        raise UsageError(f'--baud {options.baud}: not a baud rate; give bits per second, e.g. '
+                         '2000000')
     for name, unit in (('rate', 'cycles per second'), ('patience', 'ms'), ('seconds', 's')):
         value = getattr(options, name)
         if value is not None and not 0 <= value < float('inf'):
@@ -153,38 +154,42 @@ def _parser() -> argparse.ArgumentParser:
     patterns = ''.join(f'  {name:11} {pattern.__doc__}\n' for name, pattern in PATTERNS.items())
     parser = argparse.ArgumentParser(
         prog='fake_bus', formatter_class=argparse.RawDescriptionHelpFormatter,
-        description='A Dynamixel bus on a pty: devices, and a master unless --pattern none.',
+        description='Simulates a Dynamixel bus on a pty: devices, and a master unless --pattern '
+                    'none.',
         epilog=_EXAMPLES + patterns)
     add = parser.add_argument
-    add('--link', metavar='PATH', help='make this symlink to the pty, for the monitor to open')
+    add('--link', metavar='PATH', help='make this symlink to the pty that the monitor opens')
     add('--tap', metavar='PATH', help='symlink to a second pty with a copy of everything')
-    add('--usbmon', metavar='PATH', help='socket that shows it as usbmon would show an adapter: '
-        'listen with usb:PATH')
+    add('--usbmon', metavar='PATH', help='Unix socket that shows the bus as usbmon shows an '
+        'adapter; listen with usb:PATH')
     add('--adapter', choices=FAMILIES, default='ftdi', metavar='KIND',
-        help=f'which adapter --usbmon shows: {", ".join(FAMILIES)} (default %(default)s)')
-    add('--baud', type=int, help='default 2000000, with the other dialects 1000000')
+        help=f"kind of adapter that --usbmon shows: {', '.join(FAMILIES)} (default %(default)s)")
+    add('--baud', type=int, help='baud rate (default 2000000, with the other dialects 1000000)')
     add('--dialect', choices=PROTOCOLS, default='2', help='2: Dynamixel Protocol 2.0, dxl1: '
         'Protocol 1.0, feetech: FT-SCS (default %(default)s)')
-    add('--devices', nargs='+', metavar='ID:MODEL', help="like '1-20:MX-106' '101:BitFoot' "
-        '(default: the robot of the thesis; with --pattern fast servos that can)')
-    add('--model-dirs', nargs='+', metavar='DIR', default=[], help='more folders of model files')
+    add('--devices', nargs='+', metavar='ID:MODEL', help="e.g. '1-20:MX-106' '101:BitFoot' "
+        '(default: the robot of the thesis; with --pattern fast: servos with fast reads)')
+    add('--model-dirs', nargs='+', metavar='DIR', default=[], help='one more folder of model '
+        'files')
     add('--pattern', choices=PATTERNS, metavar='NAME',
-        help='traffic, see below (default moving; with --tap none)')
-    add('--rate', type=float, default=100.0, help='cycles per second, 0: no pause '
-        '(default %(default)g)')
+        help='traffic of the master, see below (default moving; none with --tap)')
+    add('--rate', type=float, default=100.0, help='cycles per second, 0: without a pause (default '
+        '%(default)g)')
     add('--fault', action='append', default=[], metavar='NAME[:id[:at_s[:for_s]]]',
-        help='play a fault; may be given again')
-    add('--list-faults', action='store_true', help='list the faults and end')
-    add('--vanish', metavar='AFTER:FOR', help='be unplugged after so many seconds, for so long')
-    add('--mid-traffic', action='store_true', help='begin without Pings and torque on')
+        help='simulate a fault; repeat it for more')
+    add('--list-faults', action='store_true', help='list the faults and exit')
+    add('--vanish', metavar='AFTER:FOR', help='unplug after so many seconds, for so long')
+    add('--mid-traffic', action='store_true', help='begin without Pings and without switching the '
+        'torque on')
     add('--behind-silent', choices=('wait', 'answer'), default='wait',
-        help='what devices do behind a silent one in a Sync Read (default %(default)s)')
+        help='what devices after a silent one do in a Sync Read (default %(default)s)')
     add('--patience', type=float, default=34.0, metavar='MS',
-        help='the master waits for answers their wire time + this (default %(default)g)')
-    add('--seed', type=int, default=1, help='of faults (default %(default)s)')
-    add('--outlive', action='store_true', help='at Ctrl-C wait until the host has closed the port')
+        help='the master waits for answers for their wire time plus this (default %(default)g)')
+    add('--seed', type=int, default=1, help='seed of the faults (default %(default)s)')
+    add('--outlive', action='store_true', help='at Ctrl-C wait until the host closed the port')
     add('--seconds', type=float, help='end after this time (default: run until Ctrl-C)')
-    add('--truth', metavar='FILE', help='write what a perfect monitor knows at the end, as JSON')
+    add('--truth', metavar='FILE', help='at the end write what really happened to this file, as '
+        'JSON')
     return parser
 
 

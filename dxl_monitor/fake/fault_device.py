@@ -46,7 +46,7 @@ class Silent(Effect):
 
 
 class Cable(Silent):
-    """The cable is broken in front of the device: it and all behind it are gone."""
+    """The cable to the device is broken: it and everything downstream are gone."""
 
     def affected(self) -> list[FakeDevice]:
         return self.line.chain[self.line.chain.index(self.device):]
@@ -72,7 +72,7 @@ class Duplicate(Effect):
         self.line.remove(self.twin)
 
     def step(self, now: int) -> None:
-        # Now on top of the other's answer, now behind it.
+        # Sometimes on top of the other's answer, sometimes after it.
         self.twin.set('Return Delay Time', self.rng.choice((5, FACTORY_DELAY)))
 
 

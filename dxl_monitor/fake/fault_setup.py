@@ -69,7 +69,7 @@ class BaudCode(Baud):
 
 
 class FactoryId(Effect):
-    """The device still has the ID of the factory, 1, beside the one that is meant to have it."""
+    """The device still has the factory ID 1, which another device was given."""
 
     exact = False
 

@@ -98,7 +98,7 @@ def parse(text: str) -> Fault:
     if name not in KINDS:
         near = difflib.get_close_matches(name, KINDS, 1)
         remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(KINDS)}'
-        raise ParameterError(f'fault: {name!r} is none; {remedy}')
+        raise ParameterError(f'fault: there is no fault {name!r}; {remedy}')
     try:
         if len(figures) > 3:
             raise ValueError
@@ -107,7 +107,7 @@ def parse(text: str) -> Fault:
         start = round((begin or 0.0) * S)
         end = None if length is None else start + round(length * S)
     except (ValueError, OverflowError):        # the latter: of inf
-        raise ParameterError(f'fault: {text!r} is not NAME[:id[:at_s[:for_s]]]; '
+        raise ParameterError(f'fault: {text!r} does not have the form NAME[:id[:at_s[:for_s]]]; '
                              "write e.g. 'silent:5:2:3'") from None
     return Fault(name, number, start, end)
 
@@ -118,11 +118,11 @@ class Faults:
     def __init__(self, faults: list[Fault], scene: FaultScope) -> None:
         for fault in faults:
             if scene.line.protocol not in KINDS[fault.name].protocols:
-                raise ParameterError(f'fault: {fault.name}: not with these servos; it is one of '
-                                     f'{" and ".join(KINDS[fault.name].protocols)}')
+                raise ParameterError(f'fault: {fault.name}: not possible with these servos; it '
+                                     f"needs {' and '.join(KINDS[fault.name].protocols)}")
             if fault.id is not None and scene.line.at(fault.id) is None:
-                raise ParameterError(f'fault: {fault.name}:{fault.id}: no device has this ID; '
-                                     'name one of --devices')
+                raise ParameterError(f'fault: {fault.name}:{fault.id}: no device has this ID; use '
+                                     'one of --devices')
         self._waiting = sorted(faults, key=lambda fault: fault.begin)
         self._scene = scene
         self.active: list[Effect] = []

@@ -64,7 +64,7 @@ class Burst:
 
 
 class Answer(NamedTuple):
-    """What one device sent: error byte as in 2.0 and data, and where they stand on the line."""
+    """What one device sent: error byte as in 2.0 and data, and their place on the line."""
 
     id: int
     error: int
@@ -102,7 +102,7 @@ class Line:
     A line at `baud` with devices in the order of the cable.
 
     `waits_in_line`: a device in a Sync or Bulk Read answers only after the one before it did, so
-    that all behind a silent one stay silent too; else they answer after its slot.
+    that all after a silent one stay silent too; else they answer after its slot.
     """
 
     protocol = '2'                   # as model files call it
@@ -161,11 +161,11 @@ class Line:
 
     def instruction_wire(self, number: int, instruction: int, params: bytes,
                          stuffed: bool) -> bytes:
-        """Return an instruction as it stands on the wire."""
+        """Return the bytes of an instruction on the wire."""
         return encode(number, instruction, params, stuffed=stuffed)
 
     def status_wire(self, number: int, error: int, params: bytes) -> bytes:
-        """Return a status as it stands on the wire."""
+        """Return the bytes of a status on the wire."""
         return encode(number, STATUS, params, error)
 
     def understood(self, instruction: int, number: int, params: bytes) -> Request:
@@ -329,7 +329,7 @@ def _way(request: Request) -> str:
 
 def mix(bursts: Iterable[Burst], baud: int) -> list[Burst]:
     """
-    Return what stands on the line, in order of time.
+    Return the bursts on the line, in order of time.
 
     Where two senders overlap neither is intact, and a bit is low as soon as one drives it low.
     """

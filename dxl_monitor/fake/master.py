@@ -63,7 +63,7 @@ class Master:
         self._until: int | None = None
 
     def bursts(self, until: int | None = None) -> Iterator[Burst]:
-        """Yield what stands on the line until a time (None: until stop()), exchanges whole."""
+        """Yield the bursts on the line until a time (None: until stop()), exchanges whole."""
         self._until = until
         self._faults.update(0)
         if self._started:
@@ -82,11 +82,11 @@ class Master:
         yield from self._flush()
 
     def stop(self) -> None:
-        """End bursts() behind the exchange in progress."""
+        """End bursts() after the exchange in progress."""
         self._until = 0
 
     def respond(self, ask: Ask, now: int) -> list[Burst]:
-        """Return what stands on the line when a real master sends an instruction at `now`."""
+        """Return the bursts on the line when a real master sends an instruction at `now`."""
         self._faults.update(now)
         self.now = now
         self._exchange(ask)

@@ -57,12 +57,12 @@ class Registers:
         return address < end <= len(self.image) and 1 in self._defined[address:end]
 
     def redirects(self, address: int, end: int) -> bool:
-        """Tell whether a range holds bytes that stand for others."""
+        """Tell whether a range holds bytes that show other registers."""
         return any(address < data + count and end > data
                    for _, data, count in self.model.indirect)
 
     def resolve(self, address: int) -> int:
-        """Follow an indirect data byte to the register it stands for, one level deep."""
+        """Follow an indirect data byte to the register that it shows, one level deep."""
         for pointers, data, count in self.model.indirect:
             if data <= address < data + count:
                 at = pointers + 2 * (address - data)

@@ -4,7 +4,7 @@
 The simulated bus on ptys: bytes leave on schedule at the baud rate, whether or not anyone reads.
 
 A simulated master plays by itself; with the pattern `none` a real one at the other end drives the
-devices. When this process comes too late, it is the bus that stands still, not the reader's fault.
+devices. When this process comes too late, the bus stops for a while; the reader is not to blame.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class FakeBus:
             self._thread.join(timeout_s)
 
     def stop(self) -> None:
-        """End behind the exchange in progress and hang up."""
+        """End after the exchange in progress and hang up."""
         self._is_stopping = True
         self.master.stop()
         os.write(self._wake_write, b'x')
@@ -160,7 +160,7 @@ class FakeBus:
             self._usb.received(burst.data[done:end])
 
     def _catch_up(self, due: int) -> int:
-        """Return the time on the bus; it stands still while we are too late for what is due."""
+        """Return the time on the bus; it stops while we are too late for what is due."""
         now = self._now()
         too_late = now - due - wire_ns(LATE_BYTES, self.master.line.baud)
         if too_late <= 0:

@@ -99,7 +99,7 @@ class Fleet:
 
 
 def words(*numbers: int) -> bytes:
-    """Return 16-bit words as they stand in an instruction."""
+    """Return 16-bit words as bytes of an instruction."""
     return b''.join(number.to_bytes(2, 'little') for number in numbers)
 
 
@@ -291,7 +291,7 @@ def _read_board(device: FakeDevice) -> Ask:
 
 
 def _sensor_span(device: FakeDevice) -> CommonRange:
-    """Return what there is to read from a board: all behind its writable head."""
+    """Return what there is to read from a board: all after its writable head."""
     fields = [field for field in device.model.fields if field.access == 'r' and field.at > 6]
     if not fields:
         return CommonRange(0, 3, (device.id,))

@@ -3,9 +3,9 @@
 """
 What a perfect listener must know after the simulated traffic: the oracle of the monitor's tests.
 
-It is told each exchange after the faults did their work, and unlike a listener it knows who sent
+It gets each exchange after the faults did their work, and unlike a listener it knows who sent
 what. Bytes count as known only where the rules of the monitor let them be known: data of a good
-status behind a good instruction, with nothing damaged between the two.
+status after a good instruction, with nothing damaged between the two.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Known:
         self.asked = 0               # answers that were due
         self.answered = 0            # came undamaged
         self.missed = 0              # did not come, or damaged
-        self.waiting = 0             # behind a silent device, never had their turn
+        self.waiting = 0             # after a silent device: their turn never came
         self.missed_in_a_row = 0
         self.statuses = 0            # undamaged ones, due or not
         self.errors: dict[int, int] = {}
@@ -85,7 +85,7 @@ class Truth:
         return self.known.setdefault(number, Known())
 
     def count(self, bursts: list[Burst]) -> None:
-        """Count what stands on the line."""
+        """Count the bytes on the line."""
         self.bytes += sum(len(burst.data) for burst in bursts)
         self.damaged += sum(not burst.intact for burst in bursts)
 
@@ -164,7 +164,7 @@ class Truth:
                 self._learn_identity(answer.id, answer.params)
 
     def _learn_identity(self, number: int, params: bytes) -> None:
-        """Note what a Ping tells; another model makes what was known worthless."""
+        """Note what a Ping says; with another model nothing known before holds."""
         known = self.of(number)
         model_number = int.from_bytes(params[:2], 'little')
         if known.model_number not in (None, model_number):

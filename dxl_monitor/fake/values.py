@@ -89,7 +89,7 @@ def pack_raw(field: Field, number: float) -> bytes:
     return STRUCTS[field.type].pack(number if field.type[0] == 'f' else round(number))
 
 
-# The second figure stands in for a unit where the model file leaves the register raw.
+# The second figure replaces a unit where the model file leaves the register raw.
 _SERVO: dict[str, Callable[[LiveState], float]] = {
     'Present Position': lambda state: state.angle,
     'Present Velocity': lambda state: state.velocity,

@@ -16,7 +16,7 @@ from rigs.drivers.guest import Guest
 from rigs.drivers.guest import INSIDE
 from rigs.drivers.lead import Mcu
 
-ANOTHER = 'set a rate that the adapter takes'
+ANOTHER = 'set a rate that the adapter supports'
 
 
 @pytest.mark.parametrize('kind', KINDS, ids=lambda kind: kind.driver)
@@ -50,7 +50,7 @@ def test_a_user_of_dialout_sets_the_latency_timer_without_a_udev_rule(
 
 @pytest.mark.parametrize(('baud', 'told'), [
     (3_000_000, 'open'),
-    (4_000_000, f'asked for 4000000 baud, the driver gives 9600; {ANOTHER}'),
+    (4_000_000, f'the driver sets 9600 baud, not the 4000000 that was asked for; {ANOTHER}'),
 ], ids=('3000000', '4000000'))
 def test_a_rate_is_taken_or_refused_without_guessing_a_ceiling(
         guest: Guest, ftdi: Adapter, baud: int, told: str) -> None:

@@ -87,7 +87,7 @@ def _ids(entries: Sequence[str] | None) -> frozenset[int] | None:
         except ValueError:
             ids = range(0)
         if not ids or not 0 <= ids[0] <= ids[-1] <= HIGHEST_ID:
-            raise UsageError(f'{text!r}: no ID; write e.g. 7 or 7,11-13, 254 for broadcasts'
+            raise UsageError(f'{text!r}: not an ID; write e.g. 7 or 7,11-13, or 254 for broadcasts'
                              )
         found.update(ids)
     return frozenset(found)
@@ -106,8 +106,8 @@ def _instructions(entries: Sequence[str] | None) -> frozenset[int] | None:
         except ValueError:
             code = -1
         if not 0 <= code <= 0xFF:
-            raise UsageError(f'{text!r}: no instruction; there are {", ".join(codes)}, '
-                             'or give a code like 0x83')
+            raise UsageError(f"{text!r}: not an instruction; use one of {', '.join(codes)}, or a "
+                             'code like 0x83')
         found.add(code)
     return frozenset(found)
 
@@ -122,44 +122,46 @@ def _has_colours(wish: str) -> bool:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='dxl_dump', formatter_class=argparse.RawDescriptionHelpFormatter, epilog=EXAMPLES,
-        description='Shows what happens on a Dynamixel or Feetech bus. It never sends.')
+        description='Shows the packets on a Dynamixel or Feetech bus. It never sends.')
     add = parser.add_argument
     add('source', metavar='SOURCE', nargs='?',
-        help='a port, a pyserial URL, usb:PORT (what another program exchanges with it), tap:NAME '
-        '(a program started with dxl_tap), a capture, a pcap file, raw bytes, or - for stdin')
-    add('-b', '--baud', type=int, help='rate of the bus (default: as the source says, '
-        'else 2000000)')
-    add('--protocol', choices=PROTOCOLS, default='auto', help='what the bus speaks: auto, 2, 1 '
-        '(Dynamixel) or feetech (default: tell by what is heard)')
-    add('--adapter', metavar='BUS.DEVICE', help='which one, where a pcap file holds several')
+        help='a port, a pyserial URL, usb:PORT (the traffic of another program that uses PORT), '
+             'tap:NAME (a program started with dxl_tap), a capture, a pcap file, a file of raw '
+             'bytes, or - for stdin')
+    add('-b', '--baud', type=int, help='baud rate of the bus (default: that of the source, else '
+        '2000000)')
+    add('--protocol', choices=PROTOCOLS, default='auto', help='protocol of the bus: auto, 2, 1 '
+        '(Dynamixel) or feetech (default: auto, learned from the traffic)')
+    add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
     add('--devices', action='append', metavar='ID:MODEL:JOINT', default=[],
-        help="what is on the bus, like '1-20:MX-106,30:XL-320:jaw'; else it is learned")
+        help="devices on the bus, e.g. '1-20:MX-106,30:XL-320:jaw' (default: learned from the "
+             'traffic)')
     add('--model-dirs', action='append', metavar='DIR', default=[],
         help='one more folder of model files')
-    show = parser.add_argument_group('what is shown (default: a line for each packet)')
+    show = parser.add_argument_group('what to show (default: a line for each packet)')
     add = show.add_argument
     add('--json', action='store_true', help='a JSON object for each packet')
     add('--summary', action='store_true', help='the counters, as one JSON object at the end')
-    add('--changes', action='store_true', help='a line for each device that changes in place')
+    add('--changes', action='store_true', help='one line for each device, updated in place')
     add('--stats', action='store_true', help='load, rates, errors, latency of each device')
     add('-w', '--write', metavar='FILE', help='record to a capture file (- for stdout)')
     only = parser.add_argument_group('which packets')
     add = only.add_argument
-    add('--id', action='append', metavar='IDS', help='with these IDs, like 7,11-13')
+    add('--id', action='append', metavar='IDS', help='packets with these IDs, e.g. 7,11-13')
     add('--about', action='append', metavar='IDS',
-        help='also those that list them: Sync Reads, Bulk Writes and so on')
-    add('--instruction', action='append', metavar='NAMES', help='like write,status or 0x83')
-    add('--errors', action='store_true', help='only what went wrong')
-    add('--count', type=int, metavar='N', help='end after N of them')
+        help='also packets that list these IDs: Sync Read, Bulk Write and so on')
+    add('--instruction', action='append', metavar='NAMES', help='e.g. write,status or 0x83')
+    add('--errors', action='store_true', help='only errors')
+    add('--count', type=int, metavar='N', help='end after N packets')
     add('--seconds', type=float, metavar='S', help='end after this time')
-    look = parser.add_argument_group('how it looks')
+    look = parser.add_argument_group('format')
     add = look.add_argument
     add('-t', '--time', choices=TIMES, default='start',
         help='time since the first line, local time, or since 1970')
     add('--full', action='store_true', help='do not cut lines to the width of the terminal')
     add('--color', choices=('auto', 'always', 'never'), default='auto',
         help='default: on a terminal, unless NO_COLOR is set')
-    add('--check-models', metavar='DIR', help='check a folder of model files and end')
+    add('--check-models', metavar='DIR', help='check a folder of model files and exit')
     return parser
 
 

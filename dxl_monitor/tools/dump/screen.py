@@ -55,7 +55,7 @@ class Screen:
             return
         rows = shutil.get_terminal_size().lines - 1
         if len(lines) > rows and not is_last:
-            lines = [*lines[:rows - 1], f'... and {len(lines) - rows + 1} lines more']
+            lines = [*lines[:rows - 1], f'... and {len(lines) - rows + 1} more lines']
         up = f'\033[{self._height}A' if self._height else ''
         text = ''.join(f'{plain(line)}\033[K\n' for line in lines)
         on_screen(self._file, f'{up}\r{text}\033[J')
@@ -88,7 +88,7 @@ class Changes:
         shown = words if colour is None else paint(words, colour)
         room = width - len(words)
         if device.model is UNKNOWN:
-            hint = fit(f'  no model yet; --devices {device.id}:MODEL names one', room)
+            hint = fit(f'  model not known yet; --devices {device.id}:MODEL sets it', room)
             return shown + (paint(hint, DIM) if self._colours else hint)
         for rank, is_bright, seen in sorted(
                 (self._rank(report, device, seen) for seen in device.observed), key=_place):
@@ -117,7 +117,7 @@ class Changes:
 def headline(report: BusReport) -> str:
     """Return what a bus does, in a line of less than 80 columns, as a rule."""
     load = next((one.value or 0.0 for one in report.metrics if one.name == 'bus_load'), None)
-    rate = 'rate not known yet' if load is None else f'{report.baud} baud  load {load:.0f} %'
+    rate = 'baud rate not known yet' if load is None else f'{report.baud} baud  load {load:.0f} %'
     # Most buses speak 2.0, and the line is short: only what is less usual is said.
     protocol = '' if report.protocol in ('', PROTOCOL_2) else f'{report.protocol}  '
     return (f'{report.name}  {rate}  {protocol}'

@@ -252,11 +252,11 @@ class Session:
         """Ask about bytes without a single packet: of no bus, or heard at another rate."""
         if not self._bytes or any(report.counters['Packets'] for report in reports):
             return []
-        question = 'is it a recording of a servo bus, made at its rate?'
+        question = 'check that it is a recording of a servo bus, made at its baud rate'
         if self._source.is_live:
-            question = (f'is it a servo bus, and {reports[0].baud} baud its rate? '
-                        '--baud takes another') if reports[0].baud else 'is it a servo bus?'
-        return [f'{self._options.source}: {self._bytes} bytes and no packet; {question}']
+            question = (f'check that it is a servo bus at {reports[0].baud} baud; --baud sets '
+                        'another rate') if reports[0].baud else 'check that it is a servo bus'
+        return [f'{self._options.source}: {self._bytes} bytes, but no packet; {question}']
 
 
 def _output(options: argparse.Namespace) -> BinaryIO | None:
@@ -265,9 +265,10 @@ def _output(options: argparse.Namespace) -> BinaryIO | None:
         if options.write and os.path.exists(options.write) \
                 and os.path.exists(options.source) \
                 and os.path.samefile(options.write, options.source):
-            raise UsageError(f'{options.write}: is what is read, writing would destroy it; '
+            raise UsageError(f'{options.write}: is also the source, and writing would destroy it; '
                              'give another file name')
         return open_new(options.write) if options.write else None
     if options.json or options.summary or options.changes or options.stats:
-        raise UsageError('-w -: the capture goes to stdout; nothing else can, give a file name')
+        raise UsageError('-w -: the capture goes to stdout, so nothing else can be shown; give a '
+                         'file name')
     return open(sys.stdout.fileno(), 'wb', closefd=False)

@@ -23,7 +23,7 @@ from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 
 WINDOW_S = 10.0
-UNTIMED = 'these bytes have no times: rates are as if they were sent without a pause'
+UNTIMED = 'these bytes have no times: rates assume that they were sent without a pause'
 REFUSALS_SHOWN = 8
 _COUNTERS = {
     'bytes': 'Bytes', 'packets': 'Packets', 'repaired': 'Repaired Packets',
