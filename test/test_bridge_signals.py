@@ -182,7 +182,7 @@ def test_a_guard_that_does_not_respond_is_reported(ros, graph, mcu, cmd_vel):
         _, server, deadman = family(running.pid)
         os.kill(server, signal.SIGSTOP)
         os.kill(deadman, signal.SIGSTOP)
-        graph.wait_status('vel2d_bridge: link', 'deadman: its process does not respond', level=2)
+        graph.wait_status('vel2d_bridge: link', 'deadman: its process is not responding', level=2)
         os.kill(server, signal.SIGCONT)
         graph.wait_status('vel2d_bridge: link', 'Deadman=ready')
         assert deadman not in family(running.pid)
