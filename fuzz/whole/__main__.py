@@ -11,6 +11,7 @@ fault is told once, made small, with the command that shows it again; the exit c
 """
 
 import argparse
+from contextlib import suppress
 import logging
 from pathlib import Path
 import random
@@ -21,6 +22,7 @@ import traceback
 
 from fuzz.whole.node import OPEN
 from fuzz.whole.node import through_node
+from fuzz.whole.tools import RUNS
 from fuzz.whole.tools import through_tools
 from fuzz.whole.traffic import case_of
 
@@ -86,19 +88,21 @@ def main():
         where, error = fault_of(case_of(options.case), options.case)
         traceback.print_exception(error)
         return int(bool(where))
-    while time.process_time() < options.seconds and count < options.cases:
-        count, seed = count + 1, seed + 1
-        case = case_of(seed)
-        where, error = fault_of(case, seed)
-        if where and where not in found:
-            found.add(where)
-            print(f'{time.process_time():.0f} s, case {count}: {where}: {str(error)[:200]}; '
-                  f'again: python -m fuzz.whole --case {seed}', flush=True)
-            if options.small:
-                print(*smaller(case, seed, where).heard, sep='\n', flush=True)
+    with suppress(KeyboardInterrupt):
+        while time.process_time() < options.seconds and count < options.cases:
+            count, seed = count + 1, seed + 1
+            case = case_of(seed)
+            where, error = fault_of(case, seed)
+            if where and where not in found:
+                found.add(where)
+                print(f'{time.process_time():.0f} s, case {count}: {where}: {str(error)[:200]}; '
+                      f'again: python -m fuzz.whole --case {seed}', flush=True)
+                if options.small:
+                    print(*smaller(case, seed, where).heard, sep='\n', flush=True)
     spent = time.process_time()
     print(f'{count} cases in {spent:.0f} s, {count / spent:.1f} a second, '
-          f'from seed {options.seed}: {len(found)} faults')
+          f'from seed {options.seed}: {len(found)} faults; runs of tools:',
+          ', '.join(f'{count} {name}' for name, count in sorted(RUNS.items())))
     return int(bool(found))
 
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A case as a file, or as a port, through the mains of the tools."""
 
+from collections import Counter
 from contextlib import redirect_stderr
 from contextlib import redirect_stdout
 import gzip
@@ -33,6 +34,7 @@ from fuzz.whole.traffic import FAR
 from fuzz.whole.traffic import PROTOCOLS
 from msg_defs.heard import OUT
 
+RUNS: Counter[str] = Counter()
 DUMP = (['--json'], ['--summary'], ['--changes'], ['--stats'], ['--errors'], ['--full'],
         ['--id', '1,3'], ['--about', '2-5'], ['--instruction', 'read,status,0x83'],
         ['--count', '5'], ['-t', 'clock'], ['-t', 'epoch'], ['--color', 'always'], ['-b', '57600'],
@@ -154,6 +156,7 @@ def tool(module, case, path, options, chance):
     out, err = (io.TextIOWrapper(io.BytesIO(), encoding='utf-8') for _ in range(2))
     out.isatty = lambda: path == 'tap:x'
     name = 'dxl_' + module.__name__.replace('.main', '').rpartition('.')[2]
+    RUNS[name] += 1
     with redirect_stdout(out), redirect_stderr(err), patch.object(
             sys, 'argv', [name, *options, *filter(None, [path])]), patch.object(
             session, 'load_models', lambda _: MODELS), patch.object(
