@@ -69,15 +69,7 @@ class Family:
         self._session = int(self._process.stdout.readline().split()[1])
 
     def living(self):
-        """Return the dead man and its server as they are now, those of them that live."""
-        found = []
-        for entry in Path('/proc').glob('[0-9]*'):
-            with suppress(OSError, ValueError, IndexError):
-                fields = (entry / 'stat').read_text().rpartition(')')[2].split()
-                if int(fields[3]) == self._session and fields[0] not in 'ZX':
-                    found.append((int(entry.name), int(fields[1])))
-        parents = {parent for _, parent in found}
-        return sorted((pid for pid, _ in found), key=lambda pid: pid in parents)
+        return living(self._session)
 
     def guards(self):
         """Return dead man and server as soon as there are two, the former with the port."""
@@ -105,6 +97,18 @@ class Family:
     def __exit__(self, *_):
         self._process.kill()
         self._process.communicate()
+
+
+def living(session):
+    """Return dead man and server as they are now, those of them that live."""
+    found = []
+    for entry in Path('/proc').glob('[0-9]*'):
+        with suppress(OSError, ValueError, IndexError):
+            fields = (entry / 'stat').read_text().rpartition(')')[2].split()
+            if int(fields[3]) == session and fields[0] not in 'ZX':
+                found.append((int(entry.name), int(fields[1])))
+    parents = {parent for _, parent in found}
+    return sorted((pid for pid, _ in found), key=lambda pid: pid in parents)
 
 
 def holds_port(pid):

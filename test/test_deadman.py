@@ -17,6 +17,8 @@ import subprocess
 import sys
 import time
 
+from bridge_family import holds_port
+from bridge_family import living
 from harness import LATE_S
 import pytest
 
@@ -152,24 +154,8 @@ def replaced(mcu, pids, victim):
     """Kill one of the two; return both as they are when there are two again."""
     os.kill(victim, signal.SIGKILL)
     wait(mcu, lambda: not is_alive(victim))
-    wait(mcu, lambda: len(living(pids)) == 2 and holds_port(living(pids)[0]))
-    return living(pids)
-
-
-def living(pids):
-    """Return dead man and server as they are now: they share the session of the first server."""
-    found = []
-    for entry in Path('/proc').glob('[0-9]*'):
-        with suppress(OSError, ValueError):
-            fields = (entry / 'stat').read_text().rpartition(')')[2].split()
-            if int(fields[3]) == pids[1] and fields[0] != 'Z':
-                found.append((int(entry.name), int(fields[1])))
-    parents = {parent for _, parent in found}
-    return sorted((pid for pid, _ in found), key=lambda pid: pid in parents)
-
-
-def holds_port(pid):
-    return any('/dev/pts/' in os.readlink(link) for link in Path(f'/proc/{pid}/fd').iterdir())
+    wait(mcu, lambda: len(living(pids[1])) == 2 and holds_port(living(pids[1])[0]))
+    return living(pids[1])
 
 
 @pytest.mark.parametrize('number', [signal.SIGKILL, signal.SIGSTOP])
