@@ -120,13 +120,14 @@ class Plan:
     of incident that each of these instructions is; the first is noted, the others are counted.
     """
 
-    __slots__ = ('asked', 'begin', 'counted', 'fast_reply', 'missed', 'oddities', 'request',
-                 'slots', 'stamps')
+    __slots__ = ('asked', 'begin', 'counted', 'fast_reply', 'first', 'missed', 'oddities',
+                 'request', 'slots', 'stamps')
 
     def __init__(self, request: Request, slots: dict[int, Slot], begin: Begin | None = None,
                  oddities: tuple[str, ...] = ()) -> None:
         self.request = request
         self.slots = slots
+        self.first = next((slot.device for slot in slots.values()), None)
         self.fast_reply = FastReply(request.accesses, slots) if BROADCAST in slots and all(
             access.id in slots for access in request.accesses) else None
         self.begin = begin

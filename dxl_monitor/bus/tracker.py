@@ -392,7 +392,7 @@ class Tracker:
         return stamp - (received - offset) * self.byte_ns
 
     def _sample_latency(self, device: Device, began: int, received: int, stamp: int) -> None:
-        if self.is_doubtful or device is not next(iter(self._plan.slots.values())).device:
+        if device is not self._plan.first or self._state == pairing.DOUBTFUL:
             return                             # another device had its turn before it
         device.latency_resolved += 1
         end, asked_received, asked = self._asked       # as _on_wire(), which costs more
