@@ -3,7 +3,7 @@
 """
 What a bus says about joints: position, velocity and effort, as the devices reported them.
 
-Pure, and cheap enough for 200 Hz. Only what was read since the last time is told: a lost reply
+Pure, and cheap enough for 200 Hz. Only what was read since the last time is reported: a lost reply
 leaves its joint out, so that no old value is ever shown under a new stamp. Effort is current times
 torque constant, where the model has both.
 """

@@ -75,14 +75,14 @@ class Monitor:
 
     idle_is_told: by flush_if_idle(), again and again while nothing comes. Then time counts only
     while the port is open; else the stamps alone say when the line was idle. conversation: where
-    a tool needs more of each packet than a report tells. names: what the doctor's remedies name.
+    a tool needs more of each packet than a report shows. names: what the doctor's remedies name.
 
     All is written under the lock, but for doctor, which report() uses under _examining.
 
     | attributes | who writes them |
     |---|---|
     | _fed, _last, _time_per_buffer, _time_between, _buffer_size | feed() |
-    | _listened, _resumed | feed(), flush_if_idle(), report() where idle is not told |
+    | _listened, _resumed | feed(), flush_if_idle(), report() where idle is not reported |
     | _line_errors | change() |
     | _ticks, _next_tick, _noise_seen | feed() or report(), once a second |
     | _started, _base, doctor | reset_statistics() |
@@ -102,11 +102,11 @@ class Monitor:
         self._examining = Lock()               # the doctor remembers from report to report
         self.conversation = said = conversation or Conversation(models, settings)
         self._tracker, self._roster, self._evidence = said.tracker, said.roster, said.evidence
-        self._line_errors: LineErrors | None = None    # told by the source beside the bytes
+        self._line_errors: LineErrors | None = None    # reported by the source
         self._idle_is_told = idle_is_told
         self._fed = 0                          # bytes
         self._last = 0                         # stamp of the last chunk
-        self._listened = 0                     # up to when all that came was fed, if told
+        self._listened = 0                     # up to when all that came was fed, if known
         self._resumed = 0                      # when somebody listened again
         self._noise_seen = 0
         self._start_statistics(0)
@@ -146,7 +146,7 @@ class Monitor:
             self._time_per_buffer.add((self._clock() - began) / 1e6, stamp)
 
     def change(self, change: Change, stamp: int) -> None:
-        """Take what the source said beside bytes (msg_defs/heard.py)."""
+        """Take what the source reported besides bytes (msg_defs/heard.py)."""
         with self._lock:
             field = _LINE_ERRORS.get(change.what)
             if field is None:

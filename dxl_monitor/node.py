@@ -67,7 +67,7 @@ OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
 CHECK_S = 1.0               # whether the timers are well
 LOOK_S = 0.1                # whether something cannot wait for the next report
 APART_NS = 200_000_000      # ... and at least so long after the one before
-BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s behind at most
+BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s late at most
 AGAIN_NS = 50_000_000       # until it is looked again whether that is over; at the start too
 PATIENCE_NS = 2_500_000_000     # longer is not a freeze: its reader hangs; a dashboard waits 4 s
 
@@ -106,7 +106,7 @@ class MonitoredBus:
             self._recorder.change(self._wire, change, stamp)
         self.monitor.change(change, stamp)
 
-    def is_behind(self, now: int) -> bool:
+    def is_late(self, now: int) -> bool:
         """Return whether a report must wait, because what came is still to be read."""
         if not self.listener.state.is_open or now - self.listener.listened < BEHIND_NS:
             self._behind_since = 0
@@ -144,7 +144,7 @@ class MonitoredBus:
         warning = '' if self._recorder is None else self._recorder.problem
         warning = warning or '; '.join([*self.listener.problems(), *self._complaints()])
         if state.is_open and self._behind_since:
-            warning = (f'{self.bus.port}: who reads it says nothing, what is told here is old; '
+            warning = (f'{self.bus.port}: its reader is not responding, so the data is stale; '
                        'plug the adapter in again, or restart the node')
         return PortState(self.bus.port, '' if state.is_open else state.text, tuple(values),
                          '; '.join(filter(None, [*warnings, warning])))
@@ -270,7 +270,7 @@ class MonitorNode:
         heard: list[Heard] = []
         if not self._waiting:
             now = time.monotonic_ns()
-            if self._is_early(now) or self._is_behind(now):
+            if self._is_early(now) or self._is_late(now):
                 self._timer.period_s = 1e-9 * AGAIN_NS
                 return
             heard = self._hear(now)
@@ -292,15 +292,15 @@ class MonitorNode:
             not self._tables.get_subscription_count()
             or any(one.listener.state.kind == STARTING for one in self._buses))
 
-    def _is_behind(self, now: int) -> bool:
-        behind = [one.is_behind(now) for one in self._buses]     # each: it notes since when
-        return any(behind)
+    def _is_late(self, now: int) -> bool:
+        late = [one.is_late(now) for one in self._buses]     # each: it notes since when
+        return any(late)
 
     def _look(self) -> None:
         """Tell at once what cannot wait: a device was lost, came back or has an alert."""
         now = time.monotonic_ns()
         if (self._count_alarms() != self._alarms and now - self._reported > APART_NS
-                and not self._is_stopped and not self._is_behind(now)):
+                and not self._is_stopped and not self._is_late(now)):
             self._tell(self._hear(now))
 
     def _count_alarms(self) -> int:
@@ -381,5 +381,5 @@ class MonitorNode:
         for one in self._buses:
             one.monitor.reset_statistics(time.monotonic_ns())
         response.success = True
-        response.message = 'all counts and statistics start at 0, those of the port go on'
+        response.message = 'all counts and statistics restart at 0, except those of the port'
         return response

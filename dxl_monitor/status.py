@@ -41,7 +41,7 @@ def device_status(node: str, bus: str, device: DeviceReport, findings: tuple[Fin
     """
     Return the status of a device; `bus` is '' where there is only one.
 
-    While the port is closed (not is_listening) nothing can be told of a device that answered
+    While the port is closed (not is_listening) nothing is known of a device that answered
     before: its values are the last ones.
     """
     level, message = device.level, device.message
@@ -70,8 +70,8 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
     if port.problem:
         level, message = Level.ERROR, port.problem
     if port.warning:
-        told = (port.warning, message) if level is Level.OK else (message, port.warning)
-        level, message = worst([level, Level.WARN]), '; '.join(filter(None, told))
+        both = (port.warning, message) if level is Level.OK else (message, port.warning)
+        level, message = worst([level, Level.WARN]), '; '.join(filter(None, both))
     by_state: dict[str, int] = {}
     for device in report.devices:
         by_state[device.state] = by_state.get(device.state, 0) + 1

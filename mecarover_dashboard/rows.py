@@ -163,7 +163,7 @@ _MAKERS = {'devices': _device, 'buses': _bus, 'bridge': _bridge, 'timing': _timi
 
 def _findings(pairs: list[tuple[str, str]],
               prefix: str = keys.FINDING) -> list[tuple[str, str, str]]:
-    """Return (rule, message, severity) of each; 'warn' where no severity is told."""
+    """Return (rule, message, severity) of each; 'warn' where no severity is given."""
     severities = {key.removeprefix(keys.SEVERITY): value for key, value in pairs
                   if key.startswith(keys.SEVERITY)}
     found = ((key.removeprefix(prefix), value) for key, value in pairs if key.startswith(prefix))

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the dashboard knows, and what of it changed since a client was told last.
+What the dashboard knows, and what of it changed since the last update of a client.
 
 Pure: serialised messages in, plain values out; time is an argument (monotonic s, of arrival:
 what a bag plays back has old stamps). Each row carries the version at which it changed, so that
@@ -168,7 +168,7 @@ class State:
             return None
         if entry is None:
             entry = entries[status.name] = _Row()
-        # A short form does not take the room of the table that is kept beside it.
+        # A short form does not take the room of the table that is kept with it.
         entry.cost = max(old, cost)
         self.bytes += entry.cost - old
         return entry
@@ -252,7 +252,7 @@ class State:
         return found[1] if found is not None and found[0] == key else ''
 
     def values(self) -> dict[str, rows.Values]:
-        """Return the values of all devices that told any."""
+        """Return the values of all devices that reported any."""
         return {name: entry.values for name, entry in self._entries['devices'].items()
                 if entry.values is not rows.NOTHING}
 

@@ -60,7 +60,7 @@ STEP_S = 1.0                    # the system clock was set when it jumps by more
 _SHARED_MEMORY = '/dev/shm'
 _ROOM = 4_000_000               # bytes: a participant takes 0.5 MB and something for each port
 _TRANSPORTS = 'FASTDDS_BUILTIN_TRANSPORTS'
-_LARGEST = 1e9                  # stands for "no upper limit" in a range, which needs both ends
+_LARGEST = 1e9                  # means "no upper limit" in a range, which needs both ends
 
 
 class Stoppable(Protocol):
@@ -122,7 +122,7 @@ def _run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None,
     except PortError as error:
         return _complain(name, str(error), COULD_NOT_RUN)
     except OSError as error:
-        return _complain(name, f'{error}; mend that and start it again', COULD_NOT_RUN)
+        return _complain(name, f'{error}; correct that and restart it', COULD_NOT_RUN)
     finally:
         if not clock.went_back:
             rclpy.try_shutdown()
@@ -199,7 +199,7 @@ def overridable_publisher(node: Node, kind: type, topic: str, profile: QoSProfil
 
 
 class Surroundings:
-    """What is wrong around a node, by the graph: another one of its name, a clock that stands."""
+    """What is wrong around a node, by the graph: another one of its name, a clock that stopped."""
 
     def __init__(self, node: Node) -> None:
         self._node = node

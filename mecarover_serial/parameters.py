@@ -4,7 +4,7 @@
 Parameters as data: what each is, what it takes, and what to say when it is given something else.
 
 rclpy's own typing kills a node for `-p cmd_vel_timeout:=1` (an int for a double) and accepts
-anything once it is told not to; so values are converted and checked here, without ROS.
+anything once checks are off; so values are converted and checked here, without ROS.
 """
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def settings_files(arguments: Sequence[str]) -> list[str]:
 
 
 def typed(arguments: Sequence[str], node: str) -> dict[str, Any]:
-    """Return the values of `-p [NODE:]NAME:=VALUE` behind --ros-args; the last one counts."""
+    """Return the values of `-p [NODE:]NAME:=VALUE` after --ros-args; the last one counts."""
     found = {}
     for word, value in pairwise([*split_ros_args(arguments)[0], '']):
         if word in ('-p', '--param') and ':=' in value:
@@ -147,7 +147,7 @@ def refuse_twice(thing: str, values: Iterable[object]) -> None:
     seen: set[object] = set()
     for value in values:
         if value in seen:
-            raise ParameterError(f'{thing} {value} is there twice; give each once')
+            raise ParameterError(f'{thing} {value} is given twice; give it once')
         seen.add(value)
 
 

@@ -68,9 +68,10 @@ def why_not(path: str, error: Exception, root: Path = ROOT) -> Reason:
         return _absent(path)
     if number in (errno.EMFILE, errno.ENFILE):
         return Reason('other', 'no file descriptor is left to open it',
-                      'raise the limit (ulimit -n, LimitNOFILE=) or look for who leaks them')
+                      'raise the limit (ulimit -n, LimitNOFILE=) or find the program that leaks '
+                      'them')
     if number in (errno.ENODEV, errno.ENXIO, errno.EIO):
-        return Reason('lost', 'the device behind it has gone', 'check plug and power')
+        return Reason('lost', 'its device was removed', 'check plug and power')
     return Reason('other', str(error), 'check the address and what answers there (a plain TCP '
                   'port is socket://)' if '://' in path else
                   'check the path, the cable and the adapter')
@@ -107,7 +108,7 @@ def ports_here() -> str:
         found = list_ports.comports()
     except Exception:               # TypeError: one of them vanished while pyserial looked at it
         return 'ls /dev/serial/by-id names those that are plugged in'
-    # ttyS* without hardware behind them are listed on every PC: only real ones help.
+    # ttyS* without hardware are listed on every PC: only real ones help.
     ports = [port for port in found if not port.device.startswith('/dev/ttyS')
              or port.hwid != 'n/a']
     if not ports:
@@ -130,8 +131,8 @@ def _absent(path: str) -> Reason:
     if '://' in path:
         return Reason('absent', 'no answer from this address', 'check host, port and network')
     if os.path.islink(path):
-        return Reason('absent', f'points at {os.readlink(path)}, which is not there',
-                      f'plug the adapter in, or mend the link; {ports_here()}')
+        return Reason('absent', f'points to {os.readlink(path)}, which is not there',
+                      f'plug the adapter in, or correct the link; {ports_here()}')
     return Reason('absent', 'is not there', f'plug it in or set another port; {ports_here()}')
 
 
@@ -151,7 +152,7 @@ def _wrong_kind(path: str, root: Path) -> Reason | None:
     if _SCREENS.fullmatch(name):
         return _not_a_port('a text console, not a serial port')
     if file_text(root / 'sys/class/tty' / name / 'type').strip() == '0':     # PORT_UNKNOWN
-        return Reason('absent', 'no UART is behind this name',
+        return Reason('absent', 'this name has no UART',
                       f'enable it in the firmware, or set another port; {ports_here()}')
     return None
 
@@ -170,7 +171,7 @@ def _permission(path: str, root: Path) -> Reason:
     except (OSError, KeyError):
         return Reason('permission', f'user {user} may not open it', 'check its owner and mode')
     if os.major(status.st_rdev) in PTYS:
-        return Reason('permission', f'a pty that user {_name_of(status.st_uid)} made, and you are '
+        return Reason('permission', f'a pty of user {_name_of(status.st_uid)}, and you are '
                       f'{user}', 'run both ends as one user')
     if group == 'tty':              # no rule of udev gives a port to it, a getty does
         return _left_by_login(path, root)
@@ -191,7 +192,7 @@ def _left_by_login(path: str, root: Path) -> Reason:
     for who in holders(path, root):
         if who.is_login:
             return _login(who.name, path)
-    return Reason('permission', 'a login that ran here took it away from its group',
+    return Reason('permission', 'a login on this port took it away from its group',
                   f'{_end_login(path)} gives it back')
 
 

@@ -6,7 +6,7 @@ Relay: what is written to stdout and stderr never blocks, also where it is not r
 rclpy logs while it holds the interpreter's lock. A pipe that is full, or a terminal after Ctrl-S,
 would then stop every thread, those that stop a rover too. So descriptors 1 and 2 become pipes that
 refuse what they have no room for, and a thread passes on what comes through them. Lines that find
-no room are lost, counted, and told of when there is room again.
+no room are lost, counted, and reported when there is room again.
 """
 from __future__ import annotations
 
@@ -136,7 +136,8 @@ class _Way:
 
     def _pass_on(self) -> None:
         if not self._waiting:
-            self._keep(f'{self._name}: {self._lost} lines of this log are lost, it was not read\n')
+            self._keep(f'{self._name}: {self._lost} lines of this log are lost, as nothing read '
+                       'it\n')
             self._lost = 0
         chunk = self._waiting.popleft()
         try:

@@ -42,9 +42,9 @@ bare_crc16, CRC16_TABLE = bare_crc(crc16)
 
 def crc16_behind(head: bytes) -> Callable[[bytes], int]:
     """Return the CRC-16 of head and what follows it, as a function of what follows."""
-    behind: Callable[[bytes], int] = crcmod.mkCrcFun(
+    after: Callable[[bytes], int] = crcmod.mkCrcFun(
         0x18005, initCrc=crc16(head), rev=False, xorOut=0)
-    return behind
+    return after
 
 
 def crc32_mpeg2_words(data: bytes) -> int:

@@ -53,7 +53,7 @@ class Dialect(NamedTuple):
     protocol: what model files and parameters call it. errors: bits of the error byte in words.
     refusals: those of them that refuse an instruction, with the error number that 2.0 has for it;
     all others tell the state of the device.
-    error_at: where the error byte stands in the control table; 256 is behind its end.
+    error_at: where the error byte is in the control table; 256 is after its end.
     identity_at, level_at: addresses of Model Number and Status Return Level.
     """
 

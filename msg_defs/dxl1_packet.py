@@ -73,7 +73,7 @@ class Framer1(StreamFramer):
         return data[3] + 4 - len(data) if len(data) > 3 else 0
 
     def ends_with(self, tail: bytes) -> bool:
-        """Return whether the frame that waits for its end is good with these bytes behind."""
+        """Return whether the frame that waits for its end is good with these bytes at its end."""
         return sum(self._buffer[2:]) + sum(tail) & 0xFF == 0xFF
 
     def _ends_in(self, chunk: bytes) -> bool:

@@ -50,7 +50,7 @@ class Packet(NamedTuple):
 
 
 def stuff(data: bytes) -> bytes:
-    """Insert FD behind every FF FF FD."""
+    """Insert FD after every FF FF FD."""
     return data.replace(_RUN, b'\xff\xff\xfd\xfd') if _RUN in data else data
 
 
@@ -66,7 +66,7 @@ def encode(
     error: int | None = None,
     stuffed: bool = True,
 ) -> bytes:
-    """Return the packet as it stands on the wire; error is given for a status only."""
+    """Return the bytes of the packet on the wire; error is given for a status only."""
     content = bytes([instruction]) + (b'' if error is None else bytes([error])) + params
     if stuffed:
         content = stuff(content)
@@ -144,13 +144,13 @@ class StreamFramer:
         """
         Take note of a pause: on the line, or in the delivery of what was on the line.
 
-        Which of the two, the next chunk tells: if it begins with a header, the frame that waits
+        The next chunk shows which of the two: if it begins with a header, the frame that waits
         for its end was cut off, unless it ends in this chunk after all (its CRC or sum decides).
         """
         self._is_interrupted = bool(self._buffer)
 
     def _cut_off(self, chunk: bytes) -> list[Frame]:
-        """Decide what is pending, if this chunk behind a pause does not go on with it."""
+        """Decide what is pending, if this chunk after a pause does not go on with it."""
         self._is_interrupted = False
         if not chunk.startswith(self.header) or self._ends_in(chunk):
             return []

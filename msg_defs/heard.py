@@ -3,7 +3,7 @@
 """
 What a source hears: bytes with the side they came from, and changes of the line.
 
-A second adapter hears both sides mixed and no change. The port of the master itself tells both.
+A second adapter hears both sides mixed and no change. The port of the master itself has both.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ UNKNOWN = ''
 OUT = 'out'                        # from the master
 IN = 'in'                          # to the master
 
-# What a change is about. The value stands behind it.
+# What a change is about. The value follows it.
 BAUD = 'baud'                      # bit/s
 LATENCY_TIMER = 'latency_timer_ms'
 DTR = 'dtr'                        # 0 or 1
@@ -29,7 +29,7 @@ CHANGES = (BAUD, LATENCY_TIMER, DTR, RTS, PURGED, OVERRUN, PARITY, FRAMING, BREA
 
 
 class Change(NamedTuple):
-    """What a source says beside bytes: one of the names above and its value."""
+    """What a source reports besides bytes: one of the names above and its value."""
 
     what: str
     value: int

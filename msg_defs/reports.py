@@ -43,7 +43,7 @@ class Metric(NamedTuple):
     """
     One timing metric: a series (window, total) or a single value.
 
-    `notes` are further (key, value) pairs that belong beside the figures, unit in the key.
+    `notes` are further (key, value) pairs that belong to the figures, unit in the key.
     """
 
     name: str

@@ -79,7 +79,7 @@ def slices(statuses: Sequence[Status]) -> list[list[Status]]:
     Cut a report into equal slices of at most 30 statuses and 60 kB, one for each message.
 
     Equal, so that a single message shows as much as any other; where there are several, each
-    status says which slice it stands in, `part` = `1 of 2`. A status of more than 60 kB cannot be
+    status says which slice it is in, `part` = `1 of 2`. A status of more than 60 kB cannot be
     cut: its slice may be larger.
     """
     sizes = [_size(status) for status in statuses]
@@ -218,7 +218,7 @@ class TimingPublisher:
         self._topics = topics
         if topics == ALL and statistics_msgs is None:
             node.get_logger().warning('timing_topics: all needs statistics_msgs, which is not '
-                                      'here; sudo apt install ros-jazzy-statistics-msgs')
+                                      'installed; sudo apt install ros-jazzy-statistics-msgs')
         self._node = node
         self._prefix = prefix
         self._buses = topic_names(buses)

@@ -3,8 +3,8 @@
 """
 Keys of statuses that a program reads again: the web page, the demo, mecarover_status.
 
-Nodes publish under these names and readers look for them, so each stands here once, with its place
-on the page. A key that only people read stands where it is written; docs/diagnostics.md has them
+Nodes publish under these names and readers look for them, so each is here once, with its place
+on the page. A key that only people read is where it is written; docs/diagnostics.md has them
 all.
 """
 
@@ -58,5 +58,5 @@ ERROR = 'error '                   # then a number: an entry of the error log
 
 
 def raw(field: str) -> str:
-    """Return the key of the number behind a field that is shown in words."""
+    """Return the key of the number of a field that is shown in words."""
     return f'{field} (raw)'

@@ -166,7 +166,7 @@ def bursts(late):
     ([wreck(11 + at, 7) for at in range(18)] + [wreck(500), wreck(600)], bits.CLOCK),
     ([wreck(11 + at, 7) for at in range(17)] + [wreck(500 + at) for at in range(3)],
      f'{bits.LEVEL}: 0 read as 1 each time'),
-    ([WHOLE_HEAD] * 19 + [wreck()], f'{bits.SPEAKERS}: the heads are whole, data and checksums '
+    ([WHOLE_HEAD] * 19 + [wreck()], f'{bits.SPEAKERS}: the headers are whole, data and checksums '
                                     'are not'),
     ([WHOLE_HEAD] * 18 + [wreck()] * 2, ''),
     ([WHOLE_HEAD] * 17 + [wreck()] * 3, ''),

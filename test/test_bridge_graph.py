@@ -46,11 +46,11 @@ def test_choice(setting, current, publishers, choice):
 @pytest.mark.parametrize(('publishers', 'parts'), [
     ([], []),
     ([PLAIN], []),
-    ([PLAIN, STAMPED], [['/planner is not heard', 'TwistStamped', 'subscribed is twist',
+    ([PLAIN, STAMPED], [['/planner is not heard', 'TwistStamped', 'the bridge subscribes twist',
                          'set message_type']]),
     ([CHATTER], [['/talker is not heard', 'std_msgs/msg/String']]),
     ([MISFIT], [['/misfit is not heard', MISFIT.conflict, 'qos_overrides']]),
-    ([PLAIN, LOSSY], [['2 publishers overrule each other (/joystick, /teleop)', 'twist_mux']]),
+    ([PLAIN, LOSSY], [['2 publishers compete (/joystick, /teleop)', 'twist_mux']]),
     ([PLAIN, MISFIT], [['/misfit is not heard']]),          # not heard: no conflict
     ([PLAIN, LOSSY, STAMPED], [['/planner'], ['2 publishers']]),
 ])
@@ -90,7 +90,8 @@ def test_a_missing_publisher_is_news_after_three_seconds():
 def test_another_bridge_on_the_topic_is_named():
     assert complaints(Choice(TWIST, True), [PLAIN], TOPIC) == []
     [line] = complaints(Choice(TWIST, True), [PLAIN], TOPIC, ['/left', '/right'])
-    assert line.startswith(f'{TOPIC}: /left, /right hears it too, so one teleop drives 3 rovers; ')
+    assert line.startswith(
+        f'{TOPIC}: /left, /right subscribes it too, so one teleop drives 3 rovers; ')
 
 
 NAME = '/rover1/vel2d_bridge'

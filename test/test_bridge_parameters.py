@@ -217,7 +217,7 @@ def test_ports_that_cannot_be_used_yet(ros, graph, tmp_path):
         locked = stack.enter_context(bridge(busy.path, '-r', '__ns:=/locked'))
         line = missing.wait_for('ERROR', f'{link}: is not there')
         assert 'plug it in or set another port; ' in line
-        line = denied.wait_for('ERROR', f'{forbidden.path}: a pty that user ')
+        line = denied.wait_for('ERROR', f'{forbidden.path}: a pty of user ')
         assert '; run both ends as one user' in line
         line = locked.wait_for('ERROR', f'{busy.path}: in use by ')
         assert f'(pid {os.getpid()}); stop that program' in line

@@ -77,8 +77,8 @@ def test_two_types_at_once(ros, graph, mcu, running, operator):
         with operator('teleop_new', ros.TwistStamped) as new, \
                 ros.Teleop(new, lambda: ros.stamped(0.9), rate=50):
             graph.wait_status(
-                COMMANDS, '/teleop_new is not heard, it publishes geometry_msgs/msg/TwistStamped',
-                'subscribed is twist; make all publishers agree', 'Complaint 1', level=1)
+                COMMANDS, '/teleop_new is not heard, as it publishes', 'msg/TwistStamped',
+                'the bridge subscribes twist; make all publishers agree', 'Complaint 1', level=1)
             running.wait_for('WARN', '/teleop_new is not heard')
             assert mcu.velocity == Vel2d(0.3, 0.0, 0.0)         # it stays with the old one
         graph.wait_status(COMMANDS, level=0)
@@ -87,13 +87,13 @@ def test_two_types_at_once(ros, graph, mcu, running, operator):
 
 def test_a_type_that_is_no_command(ros, graph, running, operator):
     with operator('chatterbox', ros.String):
-        graph.wait_status(COMMANDS, '/chatterbox is not heard, it publishes std_msgs/msg/String',
-                          level=1)
+        graph.wait_status(
+            COMMANDS, '/chatterbox is not heard, as it publishes std_msgs/msg/String', level=1)
 
 
 def test_several_publishers(ros, graph, running, operator):
     with operator('planner', ros.Twist), operator('joystick', ros.Twist):
-        graph.wait_status(COMMANDS, '2 publishers overrule each other (/joystick, /planner)',
+        graph.wait_status(COMMANDS, '2 publishers compete (/joystick, /planner)',
                           'use twist_mux', level=1)
         running.wait_for('WARN', '2 publishers overrule each other')
 
@@ -166,7 +166,7 @@ def test_overridden_qos_and_a_fixed_type(ros, graph, tmp_path):
         with ros.Graph('lossy') as lossy, ros.Graph('stamping') as stamping:
             best_effort = lossy.publisher('/fixed/cmd_vel', ros.Twist, ros.qos(1, False), False)
             stamping.publisher('/fixed/cmd_vel', ros.TwistStamped, heard=False)
-            status = graph.wait_status(commands, '/lossy is not heard, its QoS does not fit',
+            status = graph.wait_status(commands, '/lossy is not heard, as its QoS',
                                        'Best effort publisher and reliable subscription',
                                        '/stamping is not heard', 'Complaint 2', level=1)
             assert status.message.endswith('(and 1 more)')

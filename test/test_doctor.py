@@ -229,12 +229,12 @@ def test_without_the_limit_it_cannot_tell() -> None:
 
 
 @pytest.mark.parametrize(('identity', 'names', 'message'), [
-    (b'', PARAMETERS, "connected; model unknown, its registers have no names: add '1:MODEL' to "
+    (b'', PARAMETERS, "connected; model unknown, so its registers have no names: add '1:MODEL' to "
      '`devices`, or let the master read Model Number'),
-    (b'', OPTIONS, "connected; model unknown, its registers have no names: add '1:MODEL' to "
+    (b'', OPTIONS, "connected; model unknown, so its registers have no names: add '1:MODEL' to "
      '--devices, or let the master read Model Number'),
     (b'\x67\x12\x01', PARAMETERS,
-     'connected; no file for this model, its registers have no names: add one to `model_dirs`'),
+     'connected; no model file, so its registers have no names: add one to `model_dirs`'),
 ])
 def test_a_device_whose_registers_have_no_names_says_so(identity: bytes, names: Names,
                                                         message: str) -> None:
@@ -261,7 +261,7 @@ def test_without_its_own_limit_that_of_its_model_counts() -> None:
     bus.hear(PING, PONG, *read(146, b'\x60'))
     [finding] = bus.report().findings
     assert (finding.rule, finding.level) == ('too_hot', Level.ERROR)
-    assert 'its limit of 80 °C from the factory' in finding.message
+    assert 'its shutdown limit of 80 °C from the factory' in finding.message
 
 
 def test_a_reboot_that_was_ordered_is_no_finding() -> None:

@@ -90,20 +90,20 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     ('wrong_baud',
      {'counters': {'Bytes': 400, 'Packet Bytes': 51},
       'marks': {3: {}, 2: {'bytes': 100, 'packet_bytes': 50, 'framing': 4}, 0: {'framing': 9}}},
-     "300 bytes and no packets at 1000000 Bd: cannot tell the right one from it: set `bauds` to "
-     "the bus's rate", {'bytes': '300', 'framing errors': '5'},
+     '300 bytes, but no packets at 1000000 Bd: the right rate is unknown: set `bauds` to the '
+     'rate of the bus', {'bytes': '300', 'framing errors': '5'},
      [{'counters': {'Bytes': 399, 'Packet Bytes': 51}},
       {'counters': {'Bytes': 400, 'Packet Bytes': 52}}, {'baud': 0},
       {'notes': note(ev.PROTOCOL_1, ev.Code(2), 1)}]),
     ('wrong_baud', {'counters': {'Bytes': 600_001, 'Packet Bytes': 600_001},
                     'started': NOW - 5 * S},
-     'more bytes than 1000000 Bd can carry: the bus is faster, set `bauds` to its rate',
+     'more bytes than 1000000 Bd can carry: the bus is faster; set `bauds` to its rate',
      {'load (%)': '120'},
      [{'counters': {'Bytes': 600_000, 'Packet Bytes': 600_000}}, {'has_sides': True},
       {'baud': 0}]),
     ('wrong_baud', {'counters': {'Bytes': 500_000, 'Packet Bytes': 500_000},
                     'started': NOW - 4 * S},
-     'more bytes than 1000000 Bd can carry: the bus is faster, set `bauds` to its rate',
+     'more bytes than 1000000 Bd can carry: the bus is faster; set `bauds` to its rate',
      {'load (%)': '125'},
      [{'counters': {'Bytes': 499_999, 'Packet Bytes': 499_999}}]),
     ('protocol_1', {'whom': None, 'protocol': words.PROTOCOL_2,
@@ -127,12 +127,12 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      'have it, or give them another bus', {'packets': '2'},
      [{'devices': [spoken(2, protocol='Dynamixel 1.0')]}]),
     ('overrun', {'marks': {10: {'overruns': 2}, 0: {'overruns': 3}}},
-     'this computer lost bytes 1 times: losses and damage are its own; give the monitor a higher '
-     'priority or a better adapter', {'overruns': '1'},
+     'this computer lost bytes 1 times, so packets seem missing or damaged: give the monitor a '
+     'higher priority or a better adapter', {'overruns': '1'},
      [{'marks': {10: {'overruns': 3}, 0: {'overruns': 3}}}]),
     ('baud_moved', {'devices': [device(state=words.MOVED, moved_to='57600 Bd')]},
-     'moved to 57600 Bd by a write, the bus is at 1000000 Bd: write it back at its new rate, or '
-     'move the others and the master too', {}, [{'devices': [device()]}]),
+     'set to 57600 Bd by a write, but the bus is at 1000000 Bd: set it back at its new rate, or '
+     'set the others and the master to it too', {}, [{'devices': [device()]}]),
     ('noise', {'devices': TWO_HIT, 'notes': damage(5, 1, 1000 / 3), 'counters': {'Packets': 5000}},
      'less than 0.2 % of the packets damaged, in both directions, of several devices: check '
      'termination, ground, shielding and motor cables',
@@ -144,28 +144,29 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      {'share': '6.0 %', 'damaged instructions': '1', 'devices': '001, 002'},
      [{'devices': ONE_HIT}]),
     ('damaged_answers', {'devices': ONE_HIT, 'notes': damage(10, 1)},
-     'about 5 % of its answers damaged, others whole: cannot tell a bad cable from a second '
-     'device with its ID; unplug it and ping', {'share': '7.0 %', 'damaged': '7 of 100'},
+     'about 5 % of its answers damaged, others whole: a bad cable or a second device with its ID; '
+     'unplug it and ping its ID', {'share': '7.0 %', 'damaged': '7 of 100'},
      [{'devices': [spoken(1, window={'answers': 93, 'missed': 6, 'spoilt': 6}), ONE_HIT[1]]},
       {'devices': [spoken(1, window={'answers': 93, 'missed': 2, 'spoilt': 2})]},
       {'notes': damage(10, 2)}]),
     ('duplicate_id', {'whom': 3,
       'devices': [spoken(3)], 'notes': note(ev.SECOND_ANSWER, ev.Code(2), 3, 3)
                       + note(ev.UNASKED, ev.Stranger(2, 0), 1, 3)},
-     'answered twice: two devices have this ID; unplug one and give it another',
+     'answered twice: two devices have this ID; unplug one and change the ID of the other',
      {'second answers': '3', 'damaged': '0', 'model changes': '0'},
      [{'notes': note(ev.SECOND_ANSWER, ev.Code(I.READ), 2, 3)},
       {'notes': note(ev.SECOND_ANSWER, ev.Code(I.READ), 5, 3)
        + note(ev.UNASKED, ev.Stranger(2, 0), 2, 3)}]),
     ('duplicate_id', {'devices': [spoken(window={'model_changes': 2, 'spoilt': 3})]},
-     'answered twice, by two models: two devices have this ID; unplug one and give it another',
+     'answered twice, by two models: two devices have this ID; unplug one and change the ID of '
+     'the other',
      {'second answers': '0', 'damaged': '3', 'model changes': '2'},
      [{'devices': [spoken(window={'model_changes': 1, 'spoilt': 3})]},
       {'devices': [spoken(window={'model_changes': 2, 'spoilt': 2})]}]),
     ('duplicate_id', {'devices': [spoken(), spoken(2, window={'answers': 7}),
                                   spoken(3, window={'answers': 7})],
                       'notes': note(ev.ANSWERED_AGAIN, ev.Code(2), 7) + damage(10)},
-     'answered twice: two devices have this ID; unplug one and give it another',
+     'answered twice: two devices have this ID; unplug one and change the ID of the other',
      {'second answers': '7', 'damaged': '0', 'model changes': '0'},
      [{'devices': [spoken(), spoken(2)]},
       {'devices': [spoken(), spoken(2), spoken(3, window={'answers': 6})]},
@@ -175,7 +176,7 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
        + note(ev.ANSWERED_AGAIN, ev.Code(2), 1, 2)},
       {'notes': note(ev.ANSWERED_AGAIN, ev.Code(2), 7) + note(ev.PROTOCOL_1, ev.Code(2), 1)}]),
     ('turnaround', {'devices': [spoken(window={'answers': 399, 'repaired': 4}), spoken(2)]},
-     'first byte of 1.0 % of its answers damaged: it talks before the line has turned; raise its '
+     'first byte of 1.0 % of its answers damaged: it answers before the line switches; raise its '
      'Return Delay Time by a step or two', {'answers': '4'},
      [{'devices': [spoken(window={'answers': 400, 'repaired': 4})]},
       {'devices': [spoken(window={'answers': 299, 'repaired': 3})]},
@@ -186,16 +187,16 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
                                 spoken(2, window={'answers': 90, 'repaired': 2}),
                                 spoken(3, window={'answers': 89, 'beheaded': 1})],
                     'marks': GLITCHES},
-     'first byte of 3.3 % of the answers damaged, 3 devices: the line turns round too late; raise '
-     'Return Delay Time or mend the driver enable',
+     'first byte of 3.3 % of the answers damaged, 3 devices: the line switches too late; raise '
+     'Return Delay Time or correct the driver enable',
      {'answers': '9', 'packets with a stray byte': '5', 'devices': '001, 002, 003'}, []),
     ('stray_bytes', {'marks': GLITCHES, 'counters': {'Packets': 4999}},
-     'a stray byte or two ahead of 0.1 % of the packets: driver enable switches late or the line '
+     'one or two stray bytes before 0.1 % of the packets: driver enable switches late or the line '
      'floats; add bias resistors', {'packets': '5'},
      [{'counters': {'Packets': 5000}}, {'marks': {10: {'glitches': 3}, 0: {'glitches': 7}}}]),
     ('echo', {'has_sides': True, 'marks': {10: {}, 1: {'echoes': 1, 'instructions': 10},
                                            0: {'echoes': 6, 'instructions': 19}}},
-     'what the master sends comes back to it: its adapter echoes; switch the echo off, or let the '
+     'the master receives what it sends: its adapter echoes; switch the echo off, or let the '
      'program skip it', {'echoes': '5'},
      [{'marks': {10: {}, 1: {'echoes': 1, 'instructions': 10},
                  0: {'echoes': 6, 'instructions': 20}}},
@@ -204,31 +205,31 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     ('echo', {'has_sides': True, 'marks': {11: {}, 10: {'echoes': 1, 'instructions': 10},
                                            2: {'echoes': 3, 'instructions': 12},
                                            0: {'echoes': 6, 'instructions': 19}}},
-     'what the master sends comes back to it: its adapter echoes; switch the echo off, or let the '
+     'the master receives what it sends: its adapter echoes; switch the echo off, or let the '
      'program skip it', {'echoes': '5'}, []),
     ('echo', {'cycles': (asks(I.READ, 1, asked=1),), 'notes': [
         *note(ev.REPEATED, ev.Again(2, 99), 5), *note(ev.REPEATED, ev.Again(2, 100), 4)]},
      'every instruction is heard twice: the adapter echoes what its master sends; switch the echo '
-     'off, losses counted here are not real', {'echoes': '5'},
+     'off. Losses counted here are not real', {'echoes': '5'},
      [{'notes': note(ev.REPEATED, ev.Again(2, 99), 4)}, {'cycles': (asks(I.READ, 1, asked=0),)},
       {'notes': note(ev.REPEATED, ev.Again(2, 99), 5) + note(ev.REPEATED, ev.Again(2, 100), 5)}]),
     ('foreign_answers', {'whom': 4,
       'devices': [spoken(4)],
                          'notes': note(ev.UNASKED, ev.Stranger(2, 0), 3, 4)},
-     '3 answers that the master here did not ask for: another master asks it where this port does '
-     'not hear; find and stop that', {'answers': '3'},
+     '3 answers that this master did not ask for: another master, on a segment that is not '
+     'monitored; find and stop it', {'answers': '3'},
      [{'notes': note(ev.UNASKED, ev.Stranger(2, 0), 2, 4)},
       {'notes': note(ev.UNASKED, ev.Stranger(2, 0), 3, 4)
        + note(ev.PROTOCOL_1, ev.Code(2), 1, 4)}]),
     ('not_sent', {'notes': note(ev.NOT_SENT, ev.Code(2), 2, 7) + note(ev.NOT_SENT, ev.Code(2), 1)},
-     '3 instructions never left the adapter: switch flow control off in the program and let it '
-     'not clear its output behind a write; else plug the adapter in again',
+     '3 instructions never left the adapter: in the program, switch flow control off and do not '
+     'flush output after a write; else plug the adapter in again',
      {'instructions': '3', 'to': '001, 007'}, [{'notes': note(ev.NOT_SENT, ev.Code(2), 2)}]),
     # presence
     ('all_silent', {'devices': [device(1, **SILENT), device(2, missed_in_a_row=1)],
                     'counters': {'Instructions': 5}, 'marks': {2: {}, 0: {}}},
-     'the master asks, none of 2 devices answers: check power and first cable; or 001 is dead and '
-     'all wait for it; or listen on both directions', {'instructions': '5'},
+     'none of 2 devices answers the master: check power and first cable; or 001 is dead and the '
+     'others wait for it; or listen to both directions', {'instructions': '5'},
      [{'counters': {'Instructions': 4}}, {'devices': [device(1, **SILENT), device(2)]},
       {'devices': [device(1, **SILENT), device(2, missed_in_a_row=1, totals={'answers': 1})]},
       {'devices': [device(1, **{**SILENT, 'last_heard_s': 1.5}), device(2, missed_in_a_row=1)]},
@@ -236,7 +237,7 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
                    device(2, missed_in_a_row=1)]}]),
     ('all_silent', {'devices': [device(1, **SILENT), device(2, **SILENT)],
                     'counters': {'Instructions': 9}, 'marks': {1.6: {'instructions': 2}, 0: {}}},
-     'the master asks, none of 2 devices answers: check power and first cable; or listen on both '
+     'none of 2 devices answers the master: check power and first cable; or listen to both '
      'directions', {'instructions': '7'}, []),
     ('no_answer', {'whom': 2,
       'devices': [device(2, **SILENT), spoken(3)], 'waits': (
@@ -254,21 +255,23 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     ('sync_read_stops', {'whom': 2,
       'devices': [device(2, **SILENT), *(device(
         number, state=words.DISCONNECTED, waiting_behind=2) for number in (3, 4, 5))]},
-     'silent, and the Sync Read ends there: 003, 004 and 1 more behind it get no turn; check its '
-     'power and cable, or leave it out', {'not served': '003, 004, 005'},
+     'silent, and the Sync Read ends there: 003, 004 and 1 more after it are never read; check '
+     'its power and cable, or leave it out', {'not served': '003, 004, 005'},
      [{'devices': [device(2, **SILENT), device(3, waiting_behind=2)]}]),
     ('broken_cable', {'whom': 2, 'covers': (2, 3, 4),
       'devices': [device(1), *(device(n, **SILENT) for n in (2, 3, 4))],
                       'chain': (1, 2, 3, 4)},
-     'it and all behind it are silent: the cable between 001 and 002 is broken or unplugged',
+     'it and everything downstream are silent: the cable between 001 and 002 is broken or '
+     'unplugged',
      {'silent': '002, 003, 004'},
      [{'chain': (2, 3, 4)}, {'chain': (2, 3, 1)}, {'chain': (1, 2)},
       {'chain': (5, 2, 3, 1), 'devices': [device(1), device(5), device(2, **SILENT),
                                           device(3, **SILENT)]}]),
     ('rebooted', {'devices': [device(registers={'Torque Enable': 0}, age_s=2.0)],
                   'notes': back(100, torque=1)},
-     'restarted by itself, 100 ms away (Torque Enable fell to 0): check its supply and plug, then '
-     'set it up again, torque too', {'away (ms)': '100', 'seen by': 'Torque Enable fell to 0'},
+     'restarted by itself, no answers for 100 ms (Torque Enable fell to 0): check its supply and '
+     'plug, then set it up again, torque '
+     'too', {'away (ms)': '100', 'seen by': 'Torque Enable fell to 0'},
      [{'notes': back(99, torque=1)}, {'notes': back(100, torque=0)},
       {'notes': back(100, torque=-1)},
       {'devices': [device(written={'Torque Enable': 0}, age_s=2.0)]},
@@ -276,8 +279,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'devices': [device(registers={'Torque Enable': 1}, age_s=2.0)]},
       {'notes': back(100, torque=1) + note(ev.REBOOTED, ev.NOTHING, 1)}]),
     ('rebooted', {'devices': [device()], 'notes': back(500), 'samples': {1: ticks(20.0, 20.9)}},
-     'restarted by itself, 500 ms away (Realtime Tick jumped back): check its supply and plug, '
-     'then set it up again, torque too',
+     'restarted by itself, no answers for 500 ms (Realtime Tick jumped back): check its supply '
+     'and plug, then set it up again, torque too',
      {'away (ms)': '500', 'seen by': 'Realtime Tick jumped back'},
      [{'samples': {1: ticks(20.0, now)}} for now in (21.5, 21.9, 22.1, 30.0)]
      + [{'samples': {1: ticks(32.0, now)}} for now in (1.232, 0.9)]
@@ -289,15 +292,15 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
         {'samples': {1: [sample(4, tick=20.0), sample(2)]}}]),
     ('rebooted', {'devices': [device()], 'notes': back(500), 'samples': {1: [
         sample(6, 0, 0), sample(5, 90, 90), *STANDING]}},
-     'restarted by itself, 500 ms away (follows its goal no more): check its supply and plug, '
-     'then set it up again, torque too',
-     {'away (ms)': '500', 'seen by': 'follows its goal no more'},
+     'restarted by itself, no answers for 500 ms (no longer follows its goal): check its supply and '
+     'plug, then set it up again, torque too',
+     {'away (ms)': '500', 'seen by': 'no longer follows its goal'},
      [{'samples': {1: [sample(8, 0, 0), sample(6, 0, 0), sample(5, 90, 0), *STANDING]}},
       {'samples': {1: STANDING[:-1]}}]),
     ('dropout', {'devices': [spoken(window={'missed': 4, 'spoilt': 2})],
                  'notes': [*back(300), *note(ev.DISCONNECTED, ev.Much(5), 1)]},
-     'was away for 300 ms: cannot tell a loose plug from a restart; read Torque Enable or '
-     'Realtime Tick to know', {'absences': '1', 'longest (ms)': '300'},
+     'no answers for 300 ms: a loose plug or a restart; read Torque Enable or Realtime Tick to '
+     'find out', {'absences': '1', 'longest (ms)': '300'},
      [{'notes': back(300)}, {'devices': [spoken(window={'missed': 4, 'spoilt': 3})]},
       {'notes': [*back(300, ago_s=2.0), *note(ev.DISCONNECTED, ev.Much(5), 1)]},
       {'devices': [spoken(window={'missed': 4}, registers={'Present Position': 1}, age_s=2.5)]}]),
@@ -305,23 +308,23 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       'devices': [device(1), device(2), device(3)],
                    'notes': back(300, 2) + back(400, 3, ago_s=2.701),
                    'samples': {2: volts(8.9, 10.0)}},
-     '002, 003 restarted together (002 saw 8.9 V before, 10.0 V now): the supply broke down; '
+     '002, 003 restarted together (002 measured 8.9 V before, 10.0 V now): the supply failed; '
      'check battery and cables, set up again',
-     {'devices': '002, 003', 'seen by': '002 saw 8.9 V before, 10.0 V now'},
+     {'devices': '002, 003', 'seen by': '002 measured 8.9 V before, 10.0 V now'},
      [{'samples': {2: volts(9.0, 10.0)}}, {'notes': back(300, 2)},
       {'notes': back(300, 2) + back(400, 3, ago_s=2.8)}]),
     ('torque_off', {'devices': [device(registers={'Present Position': 5, 'Torque Enable': 0})],
                     'samples': {1: moves(1.0, 20, 6)}},
-     'goals are sent to it and its torque is off: switch it on (Torque Enable 1), after a restart '
-     'with all its settings', {},
+     'goals are sent to it, but its torque is off: switch it on (Torque Enable 1); after a '
+     'restart, write all its settings again', {},
      [{'samples': {1: moves(1.0, 19, 6)}}, {'samples': {1: moves(1.0, 20, 7)}},
       {'samples': {1: moves(0.99, 20, 6)}},
       {'devices': [device(registers={'Present Position': 5, 'Torque Enable': 1})]},
       {'devices': [device(registers={'Torque Enable': 0})]}]),
     ('torque_off', {'devices': [device(registers={'Present Position': 5}, age_s=1.0), device(2)],
                     'samples': {1: moves(2.45, 50, 0), 2: moves(3.9, 0, 20)[1:]}},
-     'its goal moves and it stands, others follow: its torque is off or it is blocked; read '
-     'Torque Enable, switch it on', {},
+     'its goal changes but the joint does not move, others follow: its torque is off or it is '
+     'blocked; read Torque Enable, switch it on', {},
      [{'samples': {1: moves(2.44, 50, 0), 2: moves(3.9, 0, 20)[1:]}},
       {'samples': {1: moves(2.45, 50, 0), 2: moves(3.9, 0, 19)[1:]}},
       {'samples': {1: moves(2.45, 50, 0)}}, {'devices': [device(
@@ -329,8 +332,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'devices': [device(registers={'Present Position': 5}, age_s=1.1), device(2)]}]),
     ('missed_answers', {'devices': [spoken(window={'answers': 296, 'missed': 3})],
                         'notes': MISSED},
-     'about 1 % of its answers missing, with nothing in their place: check its plugs; a device '
-     'that did not understand looks the same', {'loss': '1.0 %', 'missed': '3 of 299'},
+     'about 1 % of its answers missing, with no bytes in their place: check its plugs; a device '
+     'that did not get the instruction looks the same', {'loss': '1.0 %', 'missed': '3 of 299'},
      [{'devices': [spoken(**LOST)]}, {'notes': MISSED[1:]},
       {'devices': [spoken(window={'answers': 199, 'missed': 3, 'spoilt': 1})]},
       {'devices': [spoken(missed_in_a_row=4, window={'answers': 199, 'missed': 4})]},
@@ -355,8 +358,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
           *((level, raw, 'below its limit of 6.0', 'charge the battery, check cable gauge and the '
              'load on the chain') for level, raw in (
               (Level.ERROR, 10), (Level.ERROR, 59), (Level.WARN, 60), (Level.WARN, 62))),
-          *((level, raw, 'above its limit of 14.0', 'lower the supply, or give braking current '
-             'somewhere to go') for level, raw in (
+          *((level, raw, 'above its limit of 14.0', 'lower the supply, or let it absorb the '
+             'braking current') for level, raw in (
               (Level.WARN, 138), (Level.WARN, 140), (Level.ERROR, 141))))),
     ('watchdog', {'devices': [device(registers={'Bus Watchdog': 50})],
                   'notes': note(ev.REFUSED, ev.Refusal(3, 116, 4), 3)
@@ -368,8 +371,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'devices': [device(registers={'Bus Watchdog': 0})]}, {'devices': [device()]}]),
     ('too_hot', {'level': Level.WARN,
       'devices': [device(registers={'Present Temperature': 67})]},
-     'near its limit of 72 °C from the factory, where it shuts down: reduce load or holding '
-     'torque, let it cool', {'temperature (°C)': '67', 'limit (°C)': '72'},
+     'near its shutdown limit of 72 °C from the factory: reduce load or holding torque, let it '
+     'cool', {'temperature (°C)': '67', 'limit (°C)': '72'},
      [{'devices': [device(registers={'Present Temperature': 66})]},
       {'devices': [device(registers={'Present Temperature': 67}, age_s=10.1)]},
       {'devices': [device(written={'Present Temperature': 67})]}]),
@@ -387,8 +390,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     ('wrong_supply', {'whom': 2, 'level': Level.WARN, 'covers': (2,),
       'devices': [device(2, 'STS3215', registers={
         'Max Voltage Limit': 120, 'Min Voltage Limit': 60, 'Present Input Voltage': 85})]},
-     'at 8 V, while its limit is 12.0 V: a servo for 12 V on a lower supply, slow and weak; feed '
-     'it 12 V', {'voltage (V)': '8.5', 'limit (V)': '12.0', 'devices': '002'},
+     'at 8 V, while its limit is 12.0 V: a servo for 12 V on a lower supply, slow and weak; '
+     'supply 12 V', {'voltage (V)': '8.5', 'limit (V)': '12.0', 'devices': '002'},
      [{'devices': [device(2, 'STS3215', registers={
          'Max Voltage Limit': 120, 'Present Input Voltage': 86})]},
       {'devices': [device(2, 'STS3215', registers={
@@ -399,7 +402,7 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       'devices': [spoken(1, window={'answers': 3, 'missed': 3, 'spoilt': 3}),
                                 device(2, missed_in_a_row=3, last_heard_s=None)]},
      'several servos answer as 001, and 002 never did: new ones still have ID 1; connect one at a '
-     'time and give each its ID', {'never heard': '002', 'spoilt': '3 of 6'},
+     'time and give each its own ID', {'never heard': '002', 'spoilt': '3 of 6'},
      [{'devices': [spoken(1, window={'answers': 4, 'missed': 3, 'spoilt': 3}),
                    device(2, missed_in_a_row=3, last_heard_s=None)]},
       {'devices': [spoken(1, window={'missed': 2, 'spoilt': 2}),
@@ -430,8 +433,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     # configuration
     ('eeprom_locked', {'devices': [device(registers={'Torque Enable': 1})],
                        'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 9, 7), 3)},
-     'write to Return Delay Time (9) refused 3 times: EEPROM takes no writes while the torque is '
-     'on; switch it off first', {'refused': '3'},
+     'write to Return Delay Time (9) refused 3 times: EEPROM cannot be written while the torque '
+     'is on; switch it off first', {'refused': '3'},
      [{'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 9, 7), 2)},
       {'notes': note(ev.REFUSED, ev.Refusal(I.READ, 9, 7), 3)},
       {'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 7), 3)},
@@ -447,8 +450,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
                          'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, at, error), 3)},
        f'address {at} refused 3 times ({why}', {'refused': '3'}, [])
       for at, error, why in (
-          (132, 7, 'Access): Present Position (r, 4 bytes) cannot be used like that'),
-          (116, 5, 'Data Length): Goal Position (rw, 4 bytes) cannot be used like that'),
+          (132, 7, 'Access): Present Position (r, 4 bytes) does not allow this access'),
+          (116, 5, 'Data Length): Goal Position (rw, 4 bytes) does not allow this access'),
           *((at, 7, f'Access): {name} of the PRO series; use the control table of XL430-W250')
             for at, name in ((562, 'Torque Enable'), (596, 'Goal Position'),
                              (600, 'Goal Velocity'), (604, 'Goal Torque'),
@@ -458,28 +461,28 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     ('wrong_address', {'devices': [device()],
                        'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 132, 7), 2)
                        + note(ev.REFUSED, ev.Refusal(I.REG_WRITE, 132, 7), 1)},
-     'address 132 refused 3 times (Access): Present Position (r, 4 bytes) cannot be used like '
-     'that', {'refused': '3'}, []),
+     'address 132 refused 3 times (Access): Present Position (r, 4 bytes) does not allow this '
+     'access', {'refused': '3'}, []),
     ('eeprom_wear', {'devices': [device(window={'eeprom_writes': 30})]},
-     'EEPROM written 30 times in 10 s: it lasts some 100 000 writes, 9.3 hours at this rate; '
+     'EEPROM written 30 times in 10 s: it lasts about 100 000 writes, 9.3 hours at this rate; '
      'write only what changes', {'writes in 10 s': '30'},
      [{'devices': [device(window={'eeprom_writes': 29})]}]),
     ('no_acks', {'devices': [device(acks_missing=3, missed_in_a_row=3, totals={'answers': 1})]},
-     'acknowledges no writes (Status Return Level below 2): a master that waits for it loses a '
-     'time-out each; use Sync Write or level 2', {},
+     'does not acknowledge writes (Status Return Level below 2): a master that waits for it loses '
+     'a time-out each time; use Sync Write or level 2', {},
      [{'devices': [device(acks_missing=3)]},
       {'devices': [device(acks_missing=2, totals={'answers': 1})]},
       {'devices': [device(acks_missing=3, missed_in_a_row=4, totals={'answers': 1})]}]),
     ('no_acks', {'devices': [device(status_return_level=1, totals={'answers': 1})]},
-     'acknowledges no writes (Status Return Level 1): a master that waits for it loses a time-out '
-     'each; use Sync Write or level 2', {},
+     'does not acknowledge writes (Status Return Level 1): a master that waits for it loses a '
+     'time-out each time; use Sync Write or level 2', {},
      [{'devices': [device(status_return_level=2, totals={'answers': 1})]},
       {'devices': [device(status_return_level=1, acks=True, totals={'answers': 1})]}]),
     ('fast_read_unsupported', {'covers': (1, 2),
       'devices': [spoken(1, firmware=44), spoken(2)],
                                'cycles': (FAST_READ,)},
-     'answers, but never a fast read (XL430-W250, firmware 44): update it or use plain Sync Read; '
-     'devices behind it get no turn', {'fast reads': '3'},
+     'answers, but never a fast read (XL430-W250, firmware 44), so devices after it are never '
+     'read: update it or use plain Sync Read', {'fast reads': '3'},
      [{'cycles': (FAST_READ._replace(asked=2),)},
       {'cycles': (FAST_READ._replace(stamps=(NOW - 2 * S - 1,)),)},
       {'cycles': (FAST_READ._replace(instruction=I.SYNC_READ),)},
@@ -488,21 +491,21 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     ('fast_read_unsupported', {'covers': (1,), 'devices': [device(1)],
       'cycles': (asks(I.FAST_SYNC_READ, 1, asked=3),),
       'notes': note(ev.REFUSED, ev.Refusal(I.FAST_SYNC_READ, -1, 2), 3)},
-     'answers, but never a fast read (XL430-W250, firmware 50): update it or use plain Sync Read; '
-     'devices behind it get no turn', {'fast reads': '3'},
+     'answers, but never a fast read (XL430-W250, firmware 50), so devices after it are never '
+     'read: update it or use plain Sync Read', {'fast reads': '3'},
      [{'notes': note(ev.REFUSED, ev.Refusal(I.FAST_SYNC_READ, -1, 2), 2)},
       {'notes': note(ev.REFUSED, ev.Refusal(I.FAST_SYNC_READ, -1, 3), 3)},
       {'notes': note(ev.REFUSED, ev.Refusal(I.READ, -1, 2), 3)}]),
     ('fast_read_unsupported', {'covers': (1,), 'devices': [spoken(1, firmware=None)],
       'cycles': (asks(I.FAST_SYNC_READ, 1),)},
-     'answers, but never a fast read (XL430-W250): update it or use plain Sync Read; devices '
-     'behind it get no turn', {'fast reads': '30'}, []),
+     'answers, but never a fast read (XL430-W250), so devices after it are never read: update it '
+     'or use plain Sync Read', {'fast reads': '30'}, []),
     ('fast_read_unsupported', {'whom': 2, 'covers': (2, 3),
       'devices': [spoken(1, totals={'fast_answers': 1}), device(2, totals={'answers': 3}),
                   spoken(3)],
       'cycles': (asks(I.FAST_BULK_READ, 1, 2, 3, asked=3), FAST_READ._replace(ids=(2, 3)))},
-     'answers, but never a fast read (XL430-W250, firmware 50): update it or use plain Sync Read; '
-     'devices behind it get no turn', {'fast reads': '3'},
+     'answers, but never a fast read (XL430-W250, firmware 50), so devices after it are never '
+     'read: update it or use plain Sync Read', {'fast reads': '3'},
      [{'devices': [spoken(1, totals={'fast_answers': 1}), device(2, totals={'answers': 2}),
                    spoken(3)]},
       {'devices': [spoken(1, totals={'fast_answers': 1}), device(
@@ -510,7 +513,7 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
        'counts': [(NOW - 2 * S, {2: Counts(answers=1)})]}]),
     ('never_written', {'devices': [spoken(totals={'reads': 20}), spoken(2, window={'writes': 1})],
                        'started': NOW - 3 * S},
-     'polled 20 times and never written, others are (002): forgotten in the program?',
+     'read 20 times but never written, others are (002): check whether the program forgot it',
      {'reads': '20'},
      [{'devices': [spoken(totals={'reads': 19}), spoken(2, window={'writes': 1})]},
       {'devices': [spoken(totals={'reads': 20, 'writes': 1}), spoken(2, window={'writes': 1})]},
@@ -518,13 +521,13 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'started': NOW - 3 * S + 1}]),
     ('refused', {'devices': [device(model='')],
                  'notes': note(ev.REFUSED, ev.Refusal(I.READ, 0, 7), 3)},
-     'refuses Read at 0 (Access): name its model in `devices` to learn what stands there',
+     'refuses Read at 0 (Access): set its model in `devices` to learn which register that is',
      {'refused': '3'},
      [{'notes': note(ev.REFUSED, ev.Refusal(I.READ, 0, 7), 2)}, {'devices': [device()]},
       {'notes': note(ev.REFUSED, ev.Refusal(I.READ, -1, 7), 3)}]),
     ('master_stopped', {'quiet_s': 1.2, 'last_byte_s': 1.2, 'asked': NOW - 57 * S},
-     'the master stopped 3.0 s after listening began: look at its program; what is said of '
-     'devices is from then', {'stopped after (s)': '3.0'},
+     'the master stopped 3.0 s after listening began: check its program; device states date from '
+     'then', {'stopped after (s)': '3.0'},
      [{'quiet_s': 1.19}, {'last_byte_s': 1.19}, {'asked': NOW - 57 * S - 1}]),
     ('impossible_id', {'cycles': (asks(I.PING, 253, stamps=(
         NOW - 10 * S, NOW - 10 * S + 1, NOW - 1, NOW)),)},
@@ -535,8 +538,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     ('scan', {'level': Level.WARN,
       'cycles': (asks(I.PING, BROADCAST, stamps=(
         NOW - 10 * S, *[NOW - 10 * S + 1] * 15)),), 'notes': damage(3)},
-     'the master sends one broadcast Ping after the other, and the answers collide: let it wait '
-     '0.8 s after each, as long as all IDs take', {'broadcast Pings in 10 s': '15'},
+     'the master sends broadcast Pings without a pause, and the answers collide: let it wait 0.8 '
+     's after each, the time that all IDs need', {'broadcast Pings in 10 s': '15'},
      [{'cycles': (asks(I.PING, BROADCAST, stamps=(NOW - 10 * S, *[NOW - 10 * S + 1] * 14)),)}]),
     ('scan', {'scanned': (4, 5), 'devices': [device(1)]},
      'a scan: 2 IDs were pinged and do not answer, 1 devices are known',

@@ -107,7 +107,7 @@ def test_bits_that_two_talkers_lose_are_no_noise(turn: list[bytes], said: bytes,
     report = heard([said[:7] + bytes((code,)) + said[8:], *turn] * 40)
     assert 'noise' not in dict(names(report))
     assert [one.message[:26] for one in report.doubts if one.rule == 'noise'] \
-        == ['packets run into each othe']
+        == ['packets overlap: two progr']
 
 
 def test_bits_that_turn_over_are_noise() -> None:

@@ -72,7 +72,7 @@ def test_writes_to_a_locked_eeprom() -> None:
     bus.ask(2, 3, b'\x37\1')
     device, message = bus.findings()['lock']
     assert device == 1
-    assert 'write 0 to Lock first' in message
+    assert 'write 0 to Lock before it' in message
 
 
 def test_an_offset_measured_on_top_of_another() -> None:

@@ -29,7 +29,7 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 
 LOST = tuple(note(ev.SOURCE_LOST, ev.Much(3), 1))
-MANY_LOST = '3 USB events or bytes were not heard'
+MANY_LOST = '3 USB events or bytes were lost'
 
 
 def silent(pause_s: float = 1.0, last_byte_s: float | None = 1.0, **parts: Any) -> BusReport:

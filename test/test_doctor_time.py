@@ -116,16 +116,17 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      'take; raise it', {'repeated': '4'}, []),
     ('impatient_master', {'devices': [device(**ANSWERS)], 'waits': waits(10, 499, 3.0),
                           'notes': damaged(3)},
-     'the master does not wait for answers, and talks into them: it gives up within 500 us, '
-     'before a servo answers as it comes from the factory; raise its time-out',
+     'the master does not wait for answers and sends during them: it gives up within 500 us, '
+     'before a servo with factory settings answers; raise its time-out',
      {'given up at once': '10'},
      [{'waits': waits(10, 500)}, {'waits': waits(9, 499)}, {'waits': waits(10, 499, 3.001)},
       {'waits': waits(10, 499, spoilt=True)}, {'notes': damaged(2)}, {'devices': [device()]}]),
     ('impatient_master', {'devices': [device(1), device(2, acks=False)], 'cycles': (
         HANDFUL._replace(stamps=tuple(UNPACED.stamps[n] - 2 * MS for n in range(3))), UNPACED),
         'waits': tuple(Wait(UNPACED.stamps[n] + 500_000, 500, 2, True) for n in range(3))},
-     'the master writes and does not wait for the acknowledgement: its next question ran into it '
-     '3 times in 10 s; let it wait, or use Sync Write', {'questions spoilt behind a write': '3'},
+     'the master does not wait for the acknowledgement of a write: its next instruction ran into '
+     'it 3 times in 10 s; let it wait, or use Sync '
+     'Write', {'instructions into an acknowledgement': '3'},
      [{'devices': [device(1, acks=True), device(2)]},
       {'cycles': (HANDFUL._replace(stamps=tuple(
           UNPACED.stamps[n] + 2 * MS + 1 for n in range(3))), UNPACED)},
@@ -138,8 +139,9 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
         HANDFUL._replace(stamps=tuple(UNPACED.stamps[n] + at for n, at in enumerate(
             (-MS, MS, 2 * MS)))), UNPACED),
         'waits': tuple(Wait(UNPACED.stamps[n] + 500_000, 500, 2, True) for n in range(3))},
-     'the master writes and does not wait for the acknowledgement: its next question ran into it '
-     '3 times in 10 s; let it wait, or use Sync Write', {'questions spoilt behind a write': '3'},
+     'the master does not wait for the acknowledgement of a write: its next instruction ran into '
+     'it 3 times in 10 s; let it wait, or use Sync '
+     'Write', {'instructions into an acknowledgement': '3'},
      []),
     ('impatient_master', {'cycles': (asks(I.READ, 3),), 'noise': CUT_IN, 'notes': [
         *note(ev.TOO_LONG, ev.Sizes(1, 2), 1), *damaged(1),
@@ -150,13 +152,13 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
                                  *note(ev.REPEATED, ev.Again(I.READ, 1680), 3)]},
       {'notes': [*damaged(1), *note(ev.REPEATED, ev.Again(I.READ, 1679), 3)]}]),
     ('late_answers', {'notes': late(3), 'waits': waits(1, 95_000)},
-     'answers when the master has given up, into the next question: lower its Return Delay Time '
+     'answers after the master gave up, during the next instruction: lower its Return Delay Time '
      'or raise the time-out', {'late answers': '3', 'waits': '95.0 ms'},
      [{'notes': late(2)}, {'notes': late(3, 3.0)}, {'waits': waits(1, 49)}]),
     ('wrong_length', {'whom': 3,
       'devices': [device(3)], 'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 3, 3)},
      'answers 2 bytes to a read of 4: its firmware is at fault, or a second device has its ID; '
-     'update it, and ping its ID without it', {'answers': '3'},
+     'update it, then unplug it and ping its ID', {'answers': '3'},
      [{'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 2, 3)},
       {'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 3, 3) + late(1, number=3)}]),
     ('bus_too_slow', {'level': Level.OK,
@@ -175,39 +177,39 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
        'rate, or read less', {'load (%)': '90', 'bytes per second': '90000'}, [])
       for harm in ({'notes': damaged(1)}, {'devices': [device(window={'missed': 1})]})),
     ('two_masters', {'notes': note(ev.FOREIGN, ev.Code(2), 3)},
-     '3 instructions came to the master that it did not send: another program is on this bus; '
+     'the master received 3 instructions that it did not send: another program uses this bus; '
      'stop one', {'instructions': '3'}, [{'notes': note(ev.FOREIGN, ev.Code(2), 2)}]),
     ('return_delay', {'devices': [device(delay=summary(0.41, 0.55), **ANSWERS)]},
-     'waits 0.4 ms before each answer (reply latency): write 0 to Return Delay Time, that saves 4 '
-     'ms of bus time per second', {'delay (ms)': '0.41', 'read': 'measured'},
+     'waits 0.4 ms before each answer (reply latency): write 0 to Return Delay Time, which saves '
+     '4 ms of bus time per second', {'delay (ms)': '0.41', 'read': 'measured'},
      [{'devices': [device(delay=summary(0.39, 0.5))]}, {'devices': [device(delay=summary(0.71))]},
       {'devices': [device(delay=summary(0.41, 0.57))]},
       {'devices': [device(delay=summary(0.41, 0.55, 4))]}]),
     ('return_delay', {'devices': [device(registers={'Return Delay Time': 250}, **ANSWERS)]},
-     'waits 0.5 ms before each answer (Return Delay Time): write 0 to Return Delay Time, that '
+     'waits 0.5 ms before each answer (Return Delay Time): write 0 to Return Delay Time, which '
      'saves 5 ms of bus time per second', {'delay (ms)': '0.50', 'read': 'yes'},
      [{'devices': [device(registers={'Return Delay Time': 199}, **ANSWERS)]},
       {'devices': [device(registers={'Return Delay Time': 0}, delay=summary(0.5))]}]),
     ('latency_timer', {'cycles': (asks(I.READ, 1, stamps=FULL[::2]),
                                   asks(I.READ, 2, stamps=FULL[1::2]))},
-     "most instructions come 16 ms after the answer before: the latency timer of the master's "
+     "most instructions come 16 ms after the previous answer: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '42 of 70'}, []),
     ('latency_timer', {'cycles': apart(16.016), 'metrics': blurred(4.1)},
-     "most instructions come 16 ms after the answer before: the latency timer of the master's "
+     "most instructions come 16 ms after the previous answer: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
      [{'cycles': apart(16.015999)}, {'cycles': apart(15.985)}]),
     ('latency_timer', {'cycles': (asks(I.READ, 1, stamps=ELEVEN[::2]),
                                   asks(I.READ, 2, stamps=ELEVEN[1::2]))},
-     "most instructions come 16 ms after the answer before: the latency timer of the master's "
+     "most instructions come 16 ms after the previous answer: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '10 of 10'},
      [{'cycles': (asks(I.READ, 1, stamps=ELEVEN[2::2]),
                   asks(I.READ, 2, stamps=ELEVEN[1::2]))}]),
     ('latency_timer', {'cycles': apart(19, 289)},      # an answer takes 3 ms
-     "most instructions come 16 ms after the answer before: the latency timer of the master's "
+     "most instructions come 16 ms after the previous answer: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
      [{'cycles': apart(19)}, {'cycles': apart(17.999, 289)[:1]}, {'cycles': apart(21.6, 289)}]),
     ('latency_timer', {'cycles': SIXTEEN},
-     "most instructions come 16 ms after the answer before: the latency timer of the master's "
+     "most instructions come 16 ms after the previous answer: the latency timer of the master's "
      'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
      [{'cycles': (*SIXTEEN, HANDFUL._replace(instruction=I.READ))}, {'metrics': blurred(4.1)},
       {'cycles': (asks(I.READ, 1, stamps=FULL[::2]), asks(I.READ, 2, stamps=FULL[1::2]),
@@ -226,28 +228,27 @@ def test_a_rule_speaks_from_its_edge_on(row: tuple[Any, ...]) -> None:
 
 DOUBTS: list[tuple[str, dict[str, Any], int | None, str]] = [
     ('noise', {'notes': damaged(4)}, None,
-     '4 damaged packets in 10 s are too few to name a cause'),
+     '4 damaged packets in 10 s are too few to find a cause'),
     ('noise', {'notes': note(ev.SOURCE_LOST, ev.Much(3), 2)}, None,
-     '6 USB events or bytes were not heard: what is missing cannot be told from what was not '
-     'said; take other devices off this USB bus'),
+     '6 USB events or bytes were lost: lost data looks like silence; take other devices off this '
+     'USB bus'),
     ('models', {'devices': [device(9, ''), device(8, '', last_heard_s=None)],
                 'started': NOW - 3 * S}, None,
-     '009: model not known, so registers have no names and some causes are not looked for; set '
+     '009: model not known, so registers have no names and some causes cannot be found; set '
      '`devices`, or let the master Ping'),
     ('no_answer', {'devices': [device(3, state=words.EXPECTED, last_heard_s=None)]}, 3,
      'in `devices`, but the master never asks it'),
     ('late_answers', {'notes': late(3, number=2), 'waits': waits(1, 49)}, 2,
-     'the next question comes into its answers, before a wait: two programs, or one that does not '
-     'wait'),
+     'the next instruction comes during its answers: two programs, or one that does not wait'),
     ('too_hot', {'devices': [device(4, 'MX-106', model_number=9, registers={
         'Present Temperature': 99})]}, None, '004: Temperature Limit never read'),
     ('voltage', {'devices': [device(4, 'MX-106', model_number=9, registers={
         'Present Input Voltage': 99})]}, None, '004: voltage limits never read'),
     ('wrong_supply', {'devices': [device(4, 'STS3215', registers={
         'Present Input Voltage': 99})]}, None,
-     '004: Max Voltage Limit never read, so whether they fit the supply cannot be told'),
+     '004: Max Voltage Limit never read, so it is unknown whether they fit the supply'),
     ('never_written', {'devices': [device(5, totals={'reads': 20}, window={'answers': 1})]}, 5,
-     'polled and never written, as all others: perhaps this master only looks'),
+     'read but never written, like all others: this master may only monitor'),
     ('return_delay', {'devices': [device(5, window={'answers': 1}), device(6)]}, None,
      '005: reply latency not resolved by the adapter and Return Delay Time never read'),
 ]
@@ -531,7 +532,7 @@ def test_a_cycle_that_was_regular_and_is_not(gaps: list[float], parts: dict[str,
     found = told('jitter', **{'rhythms': rhythms((cycle,), NOW, 1_000_000),
                               'steady': {key_of(cycle)}, **parts})
     assert [dict(one.figures) for one in found] == [
-        {'spread': '0.67', 'cycle (ms)': '20.0 to 40.0, 30.0 as a rule'}] * is_told
+        {'spread': '0.67', 'cycle (ms)': '20.0 to 40.0, usually 30.0'}] * is_told
 
 
 # --- what is remembered ----------------------------------------------------------------------

@@ -100,7 +100,7 @@ def test_a_bus_that_is_well():
     found = said(heard())
     assert found.code == WELL
     assert found.wrong == ()
-    assert 'Wrong: nothing that can be heard' in screen(found)
+    assert 'Wrong: nothing that listening can find' in screen(found)
 
 
 def test_the_cause_its_device_by_name_and_what_to_do():
@@ -314,7 +314,7 @@ def test_a_program_that_opens_no_port(meeting_place):
 
 def test_a_port_that_is_silent_has_its_reasons():
     text = '\n'.join(no_data.of_port('/dev/ttyNONE0'))
-    assert 'No program asks the servos' in text
+    assert 'No program sends to the servos' in text
     assert 'not the baud rate' in text
     assert 'start it with dxl_tap arm' in '\n'.join(no_data.reasons('tap:arm/ttyUSB0', True))
 

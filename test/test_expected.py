@@ -49,8 +49,8 @@ def test_order_is_that_of_the_cable() -> None:
 
 
 @pytest.mark.parametrize(('entries', 'words'), [
-    (['1-5', '3:MX-64'], 'ID 3 is there twice'),
-    (['1:MX-64:knee', '2:MX-64:knee'], 'joint knee is there twice'),
+    (['1-5', '3:MX-64'], 'ID 3 is given twice'),
+    (['1:MX-64:knee', '2:MX-64:knee'], 'joint knee is given twice'),
 ])
 def test_nothing_is_listed_twice(entries: list[str], words: str) -> None:
     with pytest.raises(ParameterError, match=words):

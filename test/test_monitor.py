@@ -161,7 +161,7 @@ def test_waiting_behind_a_silent_one() -> None:
     assert bus.device(1).state == 'disconnected'
     for number in (2, 3):
         assert verdict(bus.device(number)) == (
-            'waiting', Level.WARN, 'asked but not served: waiting behind 001')
+            'waiting', Level.WARN, 'asked but not served: 001 before it does not answer')
     bus.hear(POSITIONS, *[encode(n, STATUS, bytes(4), error=0) for n in (1, 2, 3)])
     assert [bus.device(n).state for n in (1, 2, 3)] == ['connected'] * 3
 
@@ -204,13 +204,13 @@ def test_moved_to_another_baud_rate() -> None:
     bus = Bus()
     bus.hear(PING, PONG, encode(1, I.WRITE, b'\x08\x00\x01'), encode(1, STATUS, error=0))
     assert verdict(bus.device())[:2] == ('moved', Level.WARN)
-    assert bus.device().message.startswith('moved to 57600 Bd by a write')
+    assert bus.device().message.startswith('set to 57600 Bd by a write')
 
 
 def test_moved_to_a_rate_that_its_model_does_not_name() -> None:
     bus = Bus()
     bus.hear(PING, PONG, encode(1, I.WRITE, b'\x08\0\x63'), encode(1, STATUS, error=0), PING)
-    assert bus.device().message.startswith('moved to an unknown baud rate (code 99) by a write')
+    assert bus.device().message.startswith('set to an unknown baud rate (code 99) by a write')
 
 
 def test_damage_is_told_by_device_and_by_bus() -> None:

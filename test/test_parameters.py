@@ -64,7 +64,7 @@ def test_what_is_given_twice_is_named():
     refuse_twice('ports:', ['a', 'b'])
     with pytest.raises(ParameterError) as caught:
         refuse_twice('devices: ID', [3, 4, 3, 4])
-    assert str(caught.value) == 'devices: ID 3 is there twice; give each once'
+    assert str(caught.value) == 'devices: ID 3 is given twice; give it once'
 
 
 def test_words_for_people():

@@ -182,7 +182,7 @@ def test_a_name_without_a_uart_behind_it(tmp_path):
     with Pty() as pty:
         kind = tmp_path / 'sys/class/tty' / os.path.basename(pty.path) / 'type'
         kind.parent.mkdir(parents=True)
-        for number, words in (('0', 'no UART is behind this name'), ('4', 'has gone')):
+        for number, words in (('0', 'this name has no UART'), ('4', 'was removed')):
             kind.write_text(number + '\n')
             reason = preflight.why_not(pty.path, OSError(errno.EIO, 'error'), tmp_path)
             assert words in reason.reason
@@ -214,7 +214,7 @@ def test_a_port_as_a_login_leaves_it(tmp_path, monkeypatch):
 def test_a_pty_of_somebody_else(monkeypatch):
     with Pty() as pty:
         reason = preflight.why_not(pty.path, PermissionError(errno.EACCES, 'denied'))
-    assert 'a pty that user' in reason.reason
+    assert 'a pty of user' in reason.reason
     assert 'sudo' not in reason.remedy
 
 

@@ -83,7 +83,7 @@ def test_lost_lines_are_counted_and_told():
     lost = int(report.split()[1])
     assert lost == 12_000 - (len(lines) - 1)
     assert lost > 1000
-    assert report == f'node: {lost} lines of this log are lost, it was not read'
+    assert report == f'node: {lost} lines of this log are lost, as nothing read it'
     os.close(told)
     os.close(tell)
 

@@ -64,7 +64,7 @@ def test_two_robots_in_namespaces_are_no_mistake(robots, graph):
     for robot in ('rover1', 'rover2'):
         graph.wait_status(f'{robot}/dxl_monitor: bus')
         status = graph.wait_status(f'{robot}/vel2d_bridge: commands', 'no node publishes it')
-        assert 'hears it too' not in str(status)
+        assert 'subscribes it too' not in str(status)
         for status in list(graph.statuses.values()):
             assert 'nodes have this name' not in str(status)
 
@@ -77,12 +77,12 @@ def test_one_teleop_for_two_rovers_is_said_by_both_bridges(graph, tmp_path):
             str(tmp_path / name), '-r', f'__node:={name}', '-r', 'cmd_vel:=/both/cmd_vel'))
             for name in names]
         for one, name, other in zip(bridges, names, reversed(names), strict=True):
-            words = f'/both/cmd_vel: /{other} hears it too, so one teleop drives 2 rovers; '
+            words = f'/both/cmd_vel: /{other} subscribes it too, so one teleop drives 2 rovers; '
             graph.wait_status(f'{name}: commands', words, level=1)
             one.wait_for('WARN', words)
             assert len(one.said(words)) == 1
         bridges.pop().signal(signal.SIGTERM)
-        wait(lambda: 'hears it too' not in str(graph.statuses['left: commands']))
+        wait(lambda: 'subscribes it too' not in str(graph.statuses['left: commands']))
 
 
 @pytest.mark.parametrize(('module', 'status', 'port'), [

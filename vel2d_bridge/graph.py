@@ -57,7 +57,7 @@ class Absence:
 
     @staticmethod
     def words(topic: str) -> str:
-        """Return what a person is told: the thing, the reason, the remedy."""
+        """Return the message for a person: the thing, the reason, the remedy."""
         return f'{topic}: no node publishes it; start teleop_twist_keyboard or your planner'
 
 
@@ -94,20 +94,21 @@ def complaints(choice: Choice, publishers: Sequence[Publisher], topic: str,
     """
     lines = []
     if bridges:
-        lines.append(f'{topic}: {", ".join(bridges)} hears it too, so one teleop drives '
+        lines.append(f"{topic}: {', '.join(bridges)} subscribes it too, so one teleop drives "
                      f'{len(bridges) + 1} rovers; end all bridges but one, or give each rover a '
                      'namespace')
     for one in publishers:
         if TYPE_NAMES.get(one.type) != choice.message_type:
             lines.append(
-                f'{topic}: {one.node} is not heard, it publishes {one.type}, subscribed is '
-                f'{choice.message_type}; make all publishers agree, or set message_type')
+                f'{topic}: {one.node} is not heard, as it publishes {one.type} and the bridge '
+                f'subscribes {choice.message_type}; make all publishers agree, or set '
+                'message_type')
         elif one.conflict:
-            lines.append(f'{topic}: {one.node} is not heard, its QoS does not fit '
+            lines.append(f'{topic}: {one.node} is not heard, as its QoS is not compatible '
                          f'({one.conflict}); change its QoS or our qos_overrides')
     heard = [one.node for one in publishers
              if TYPE_NAMES.get(one.type) == choice.message_type and not one.conflict]
     if len(heard) > 1:
-        lines.append(f'{topic}: {len(heard)} publishers overrule each other '
-                     f'({", ".join(sorted(heard))}); stop all but one, or use twist_mux')
+        lines.append(f"{topic}: {len(heard)} publishers compete ({', '.join(sorted(heard))}); "
+                     'stop all but one, or use twist_mux')
     return lines

@@ -43,7 +43,7 @@ from vel2d_bridge.watch import SILENCE
 
 NO_STOP = 'no stop could be sent, the rover may be driving'
 OFF, NO_USE = 'off', 'no use'      # besides the dead man's own states
-_FEW_TIME_OUTS = 2                 # in a row: no accident, it is told
+_FEW_TIME_OUTS = 2                 # in a row: no accident, it is reported
 _STUCK_TIME_OUTS = 10              # reopening may help an adapter that hangs
 _SEARCH_NS = SECOND                # when closing: for a lost port to come back
 _CLOSE_NS = 3 * SECOND // 2        # and for the last burst; the port may be stuck

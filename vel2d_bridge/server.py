@@ -96,7 +96,7 @@ class _DeadmanServer:
     def _have_one(self) -> None:
         """Start a dead man; return when another one is needed."""
         server = self._words[SERVER] = os.getpid()
-        ours, theirs = socket.socketpair()       # tells of its end
+        ours, theirs = socket.socketpair()       # closed at its end
         with ours:
             with theirs:
                 child = os.fork()

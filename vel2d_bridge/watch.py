@@ -72,7 +72,7 @@ class Watch:
         self._is_dead = False          # the bridge is
 
     def run(self, replace_server: Callable[[], None]) -> None:
-        """Return when the bridge has left, or is dead and the rover stands."""
+        """Return when the bridge has left, or is dead and the rover has stopped."""
         wait_s = 0.0
         while self._hears_bridge(wait_s):
             self._look()

@@ -69,7 +69,7 @@ class Conversation:
     def __init__(self, models: Models, settings: Settings = DEFAULTS) -> None:
         self.settings = settings
         self.byte_ns = byte_ns(settings.baud)
-        self._heard_in = 0                     # stamp of the last bytes to the master, if told
+        self._heard_in = 0                     # stamp of the last bytes to the master, if known
         self.evidence = Evidence()
         self.roster = Roster(models, settings.devices, settings.baud, self.evidence)
         self.choice = DialectChoice(models, settings.protocol)
@@ -178,7 +178,7 @@ class Conversation:
             self._take_parts(self.dialogue.settle())
 
     def change(self, change: Change, stamp: int) -> None:
-        """Take what a source said beside bytes."""
+        """Take what a source reported besides bytes."""
         what, value = change
         if what == BAUD and value != self.settings.baud:
             self._set_baud(value, stamp)

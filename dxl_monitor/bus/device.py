@@ -177,11 +177,11 @@ class Device:
         self.waiting_behind = None
         self.odd = True
 
-    def not_served(self, now: int, behind: int) -> None:
+    def not_served(self, now: int, blocker: int) -> None:
         """Count an answer whose turn did not come: the master gave up at the one in front."""
         self.counts.not_served += 1
         self.asked_stamp = now
-        self.waiting_behind = behind
+        self.waiting_behind = blocker
         self.odd = True
 
     def pays(self, stamp: int) -> bool:

@@ -34,7 +34,7 @@ class Duty:
         """Return whether this status, which did not come, had to come."""
         device = slot.device
         if device.is_unresolved:
-            self._roster.resolve(device)       # its model tells where its level stands
+            self._roster.resolve(device)       # its model says where its level is
         if slot.due is Due.READ:
             return device.return_level != 0
         if slot.due is Due.ALWAYS or self._write_acks == 'always':

@@ -31,7 +31,7 @@ NO_DEVICE = -1
 Register = Callable[[int, int], str]        # what a device calls the register at an address
 
 
-# --- what is known of an incident beside its device --------------------------------------------
+# --- what is known of an incident besides its device -------------------------------------------
 
 class Nothing(NamedTuple):
     """That it happened is all."""
@@ -146,7 +146,7 @@ RETURNED = IncidentKind[SilentFor]('returned')
 REFUSED = IncidentKind[Refusal]('refused')
 ALERT = IncidentKind[Nothing]('alert')                        # it began
 SECOND_ANSWER = IncidentKind[Code]('second answer')           # already answered by this ID
-ANSWERED_AGAIN = IncidentKind[Code]('answered again')         # behind damage that hid another
+ANSWERED_AGAIN = IncidentKind[Code]('answered again')         # after damage that hid another
 UNASKED = IncidentKind[Stranger]('unasked answer')
 LATE = IncidentKind[Lateness]('late answer')
 TOO_LONG = IncidentKind[Sizes]('noise too long')              # for all answers that were due

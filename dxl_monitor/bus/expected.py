@@ -31,7 +31,7 @@ class Expected(NamedTuple):
 
 
 def parse(text: str) -> list[Expected]:
-    """Return the devices of one entry, or of several behind commas."""
+    """Return the devices of one entry, or of several with commas."""
     return [device for entry in text.split(',') for device in _parse_entry(entry)]
 
 
@@ -53,9 +53,8 @@ def _parse_entry(entry: str) -> list[Expected]:
     if last > MAX_ID_1:
         raise ParameterError(f'devices: {entry!r}: an ID is at most {MAX_ID_1}; {_EXAMPLES}')
     if last < first:
-        raise ParameterError(f'devices: {entry!r}: the range runs backwards; '
-                             f'write {last}-{first}')
+        raise ParameterError(f'devices: {entry!r}: the range goes down; write {last}-{first}')
     if joint and last > first:
         raise ParameterError(f'devices: {entry!r}: one joint name for {last - first + 1} devices; '
-                             'name the joints one by one')
+                             'write an entry for each device')
     return [Expected(number, model, joint) for number in range(first, last + 1)]

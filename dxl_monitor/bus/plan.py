@@ -142,7 +142,7 @@ class Plan:
         """
         Return the IDs with a damaged part in a fast reply, and those where that is not known.
 
-        there: how many parts came; last_whole: the ID of the last good one, behind which only the
+        there: how many parts came; last_whole: the ID of the last good one, after which only the
         first is surely damaged; silent: the slots without a good part.
         """
         ids = [access.id for access in self.request.accesses[:there]]
@@ -153,7 +153,7 @@ class Plan:
 
     def served(self, due: list[Slot], spoke: set[int]) -> tuple[int, int]:
         """
-        Return how many of the due had their turn, and the ID that the others wait behind.
+        Return how many of the due had their turn, and the ID that the others wait for.
 
         due: the slots without an answer, in order; spoke: IDs with a damaged answer.
         """

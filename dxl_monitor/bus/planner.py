@@ -53,7 +53,7 @@ _ADDRESS_SIZE = 2                  # in front of what is written
 NO_PLAN = Plan(Request(0, 0xFF, Answers.NONE), {})
 
 _KEY_SIZE = {code: kind.key_size for code, kind in KINDS.items()}
-# What tells one instruction from another: kind, ID, code, parameters; where there are data to
+# What makes two instructions differ: kind, ID, code, parameters; where there are data to
 # write, the parameters in front of them, and how many there are in all.
 Said = tuple[int, int, int, bytes]
 Key = Said | tuple[int, int, int, bytes, int]

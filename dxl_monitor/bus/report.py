@@ -27,7 +27,7 @@ from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.timing import Summary
 
-PROTOCOL_2 = 'Dynamixel 2.0'       # beside the names of the dialects of the 1.0 family
+PROTOCOL_2 = 'Dynamixel 2.0'       # besides the names of the dialects of the 1.0 family
 
 # State words of a device.
 CONNECTED = 'connected'
@@ -35,7 +35,7 @@ DISCONNECTED = 'disconnected'      # more answers missed in a row than missed_li
 SILENT = 'silent'                  # not asked, and silent, for silent_after
 EXPECTED = 'expected'              # listed in `devices`, never heard
 ASKED = 'asked'                    # addressed by the master, never heard, not listed
-WAITING = 'waiting'                # asked, but behind a silent device in the same Sync Read
+WAITING = 'waiting'                # asked, but after a silent device in the same Sync Read
 MOVED = 'moved'                    # its Baud Rate was written: not on this bus any more
 
 
@@ -240,7 +240,7 @@ class BusReport(NamedTuple):
     asked: int = 0                              # stamp of the last instruction (0: none yet)
     scanned: tuple[int, ...] = ()               # IDs that were pinged and never heard, if many
     chain: tuple[int, ...] = ()                 # the IDs of `devices`, in the order of the cable
-    has_sides: bool = False                     # what the master says is told from what it hears
+    has_sides: bool = False                     # TX and RX of the master are known apart
     line_errors: LineErrors | None = None       # since start, where the driver counts them
     findings: tuple[Finding, ...] = ()
     doubts: tuple[Finding, ...] = ()            # what the doctor cannot tell, and why

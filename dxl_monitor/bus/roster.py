@@ -209,11 +209,11 @@ class Roster:
         Keep what the master wrote, and follow what it changes about the device.
 
         alone: False for a write to everybody where there are several: an ID that all of them
-        take at once tells none of them apart, so each stays who it was.
+        take at once is the same for all, so each stays who it was.
         """
         device.counts.writes += 1
         if device.is_unresolved:
-            self.resolve(device)           # its model tells how much of the table is kept
+            self.resolve(device)           # its model says how much of the table is kept
         device.table.keep((address, len(data)), data, stamp, WRITTEN)
         if address < device.followed_end and device.is_changed_by(address, len(data)):
             self.follow(device, address, data, stamp, alone)

@@ -16,7 +16,7 @@ from msg_defs.frame import Frame
 SIGHTINGS = 3                      # on a bus with stray bytes, noise is around all packets
 SIGHTING_NS = 1_000_000_000        # at most, from one to the next
 # Where the IDs begin in the parameters of what is said to several, and how far apart they are: 0
-# for one more than the size that stands in front of them.
+# for one more than the size before them.
 _LISTS = {0x82: (2, 1), 0x83: (2, 0), 0x92: (2, 3)}
 
 

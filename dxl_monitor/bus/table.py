@@ -33,7 +33,7 @@ LAST_STAMP = (1 << 63) - 1      # ns: 292 years
 LONG = 256              # bytes of a span that does not wait
 Data = bytes            # the built-in: Table.bytes hides its name
 Span = tuple[int, int]  # address and size
-NO_SPAN = (-1, 0)       # for an answer that tells no registers
+NO_SPAN = (-1, 0)       # for an answer without registers
 IDENTITY = ('Model Number', 'Model Information', 'Firmware Version')
 
 

@@ -3,7 +3,7 @@
 """
 The bus doctor: reports in, named causes out. docs/doctor.md has every one of them.
 
-Rules are data and pure functions, one file per family. Here is what joins them: a claim stands
+Rules are data and pure functions, one file per family. Here is what joins them: a claim lasts
 some seconds longer than its evidence, so that nothing flickers, and what another claim accounts
 for is not said. Time comes with the report; no IO, no clock.
 """
@@ -40,14 +40,14 @@ from msg_defs.reports import worst
 
 S = 1_000_000_000
 HUSH_S = 0.5                       # no byte for so long: there is nothing to judge
-HOLD_NS = 3 * S                    # a claim stands so much longer than its evidence
+HOLD_NS = 3 * S                    # a claim lasts so much longer than its evidence
 
-# In the order in which they are told where levels are equal: the causes of others first.
+# In the order in which they are reported where levels are equal: the causes of others first.
 RULES: tuple[Rule, ...] = (
     *setting_up.RULES, *damage.RULES, *presence.RULES, *health.RULES, *timing.RULES,
     *configuration.RULES, *feetech.RULES)
 _RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
-# What can be told of a bus on which nothing happens any more.
+# The rules that work on a bus on which nothing happens any more.
 _AT_REST = ('sync_read_stops', 'no_answer', configuration.STOPPED)
 
 _Key = tuple[str, int | None]
@@ -133,7 +133,7 @@ def _whom(rule: Rule, case: Case) -> Iterator[DeviceReport]:
 
 
 def _lost_from(case: Case) -> tuple[Finding, ...]:
-    """Return what cannot be told of a bus that fell silent before the first report."""
+    """Return what is unknown of a bus that fell silent before the first report."""
     return tuple(Finding('noise', Level.OK, found.device, found.reason)
                  for found in damage.source_lost(case))
 

@@ -5,7 +5,7 @@ What damage looks like bit by bit: which bits of a packet turned over, and what 
 
 A damaged packet is compared with what must have been sent: header, ID, length and code are known
 from what the master repeats; in the rest a single wrong bit is found by the checksum. What this
-says is evidence beside a finding, worded as "looks like", and nothing where it is not clear.
+says is evidence of a finding, worded as "looks like", and nothing where it is not clear.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ BOTH_WAYS = 1 / 4                  # packets with a first wrong bit that went th
 FAR = 15                           # bits: nearer ones are one pulse, not two
 LINE_BITS = 10                     # a byte on the line, start and stop bit with it
 
-CLOCK = 'a clock that is off: the last bits of bytes are wrong'
-SPEAKERS = 'two that talk at once'
-LEVEL = 'a level or an edge'
-INTERFERENCE = 'interference: a bit here and there, up and down'
+CLOCK = 'a wrong clock rate: the last bits of bytes are wrong'
+SPEAKERS = 'two senders at once'
+LEVEL = 'a wrong level or edge'
+INTERFERENCE = 'interference: single wrong bits, 0 as 1 and 1 as 0'
 PWM = 'the PWM of a motor'
 
 
@@ -202,7 +202,7 @@ def look(found: Sequence[Wreck]) -> str:
         return ''
     known = [wreck for wreck in found if wreck.flips]
     if len(known) < NEARLY_NONE * len(found):
-        return f'{SPEAKERS}: the heads are whole, data and checksums are not'
+        return f'{SPEAKERS}: the headers are whole, data and checksums are not'
     flips = [flip for wreck in known for flip in wreck.flips]
     if len(flips) < ENOUGH:
         return ''
@@ -234,7 +234,7 @@ def _by_direction(known: Sequence[Wreck], flips: Sequence[WrongBit]) -> str:
 
 
 def _first_byte(wreck: Wreck) -> list[WrongBit]:
-    """Return the wrong bits of the first wrong byte: a lost start bit spoils those behind it."""
+    """Return the wrong bits of the first wrong byte: a lost start bit spoils the next ones."""
     place = wreck.flips[0].at // LINE_BITS
     return [flip for flip in wreck.flips if flip.at // LINE_BITS == place]
 

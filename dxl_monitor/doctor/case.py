@@ -52,7 +52,7 @@ Key = tuple[int, tuple[int, ...], int | None]  # a cycle's instruction, IDs, add
 
 
 class Names(NamedTuple):
-    """What a remedy tells a person to set, as it is called there: a parameter or an option."""
+    """What a remedy asks a person to set, as it is called there: a parameter or an option."""
 
     bauds: str
     devices: str
@@ -227,7 +227,7 @@ class Case:
 
 
 def key_of(cycle: Cycle) -> Key:
-    """Return what tells one repeated instruction from another."""
+    """Return what makes two repeated instructions differ."""
     return cycle.instruction, cycle.ids, cycle.address
 
 

@@ -5,7 +5,7 @@ What shows that two talked at the same time, which no cable and no ground can me
 
 A line that two drive is low where either pulls it low: of what both send, bits get lost and none
 is added. And what began later goes on alone when the other is over, so that the end of a question
-stands in the noise behind the answer that it ran into, without the header that it had.
+is in the noise after the answer that it ran into, without the header that it had.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def _has_lost_bits(front: ev.Front, used: set[ev.Front]) -> bool:
 
 
 def _front_of(cycle: Cycle) -> ev.Front | None:
-    """Return how the packets of an instruction begin behind their ID, None where that varies."""
+    """Return how the packets of an instruction begin after their ID, None where that varies."""
     code, many = cycle.instruction, len(cycle.ids)
     if code == Instruction.PING:
         return ev.Front(code, 3)

@@ -81,6 +81,6 @@ def _comb(stamps: Sequence[int], period: float, blur_ns: float) -> Comb | None:
 
 
 def _nearest(stamps: Sequence[int], due: float, first: int) -> int:
-    """Return the stamp from `first` on that is nearest to `due`, which is not behind the last."""
+    """Return the stamp from `first` on that is nearest to `due`, which is not after the last."""
     at = bisect_left(stamps, due, first)
     return at - 1 if at > first and due - stamps[at - 1] <= stamps[at] - due else at

@@ -46,7 +46,7 @@ PINGS_NS = 10 * S
 _FAST_SINCE = (((30, 311, 321), 256), (range(1190, 1250), 46), (range(1000, 1400), 45),
                (range(2000, 2130), 12))
 
-# Addresses of other series that programs use by mistake (e-Manual, PRO): what stands there.
+# Addresses of other series that programs use by mistake (e-Manual, PRO), with their registers.
 _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: 'Goal Torque',
         611: 'Present Position', 615: 'Present Velocity'}
 
@@ -70,7 +70,7 @@ def _eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
                 and (torque is None or torque.value.raw):
             name = device.model.by_address[address].name
             return Claim(device.id, f'write to {name} ({address}) refused {count} times: EEPROM '
-                         'takes no writes while the torque is on; switch it off first',
+                         'cannot be written while the torque is on; switch it off first',
                          (('refused', str(count)),))
     return None
 
@@ -96,7 +96,7 @@ def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
         return f'{device.model_name} has no register there; check the control table in use'
     if error == RANGE:
         return f'the value is out of the range of {field.name}; limit it'
-    return f'{field.name} ({field.access}, {field.size} bytes) cannot be used like that'
+    return f'{field.name} ({field.access}, {field.size} bytes) does not allow this access'
 
 
 def _eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
@@ -104,8 +104,8 @@ def _eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
     if count < WORN:
         return None
     hours = 100_000 / (count / 10) / 3600
-    return Claim(device.id, f'EEPROM written {count} times in 10 s: it lasts some 100 000 writes, '
-                 f'{hours:.1f} hours at this rate; write only what changes',
+    return Claim(device.id, f'EEPROM written {count} times in 10 s: it lasts about 100 000 '
+                 f'writes, {hours:.1f} hours at this rate; write only what changes',
                  (('writes in 10 s', str(count)),))
 
 
@@ -118,23 +118,24 @@ def _no_acks(case: Case, device: DeviceReport) -> Found | None:
     if not unanswered and device.status_return_level not in (0, 1):
         return None
     level = device.status_return_level
-    return Claim(device.id, f'acknowledges no writes (Status Return Level {level or "below 2"}): '
-                 'a master that waits for it loses a time-out each; use Sync Write or level 2')
+    return Claim(device.id, 'does not acknowledge writes (Status Return Level '
+                 f"{level or 'below 2'}): a master that waits for it loses a time-out each time; "
+                 'use Sync Write or level 2')
 
 
 def _fast_reads(case: Case) -> Iterator[Found]:
     """Look at the first device of each fast read that never gave its part of one."""
-    told = set()
+    known = set()
     for cycle in case.report.cycles:
         if cycle.instruction not in FAST or not cycle.stamps or cycle.asked < FEW \
                 or case.now - cycle.stamps[-1] > 2 * S:
             continue
         first = next((number for number in cycle.ids if number in case.devices
                       and not case.devices[number].totals.fast_answers), None)
-        found = None if first is None or first in told else \
+        found = None if first is None or first in known else \
             _fast_read(case, case.devices[first], cycle)
         if found is not None and first is not None:
-            told.add(first)
+            known.add(first)
             yield found
 
 
@@ -146,10 +147,10 @@ def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
     if refused < FEW and answers < FEW and not known:
         return None                            # perhaps it is not there
     firmware = '' if device.firmware is None else f', firmware {device.firmware}'
-    behind = cycle.ids[cycle.ids.index(device.id):]
-    return Claim(device.id, f'answers, but never a fast read ({device.model_name}{firmware}): '
-                 'update it or use plain Sync Read; devices behind it get no turn',
-                 (('fast reads', str(cycle.asked)),), covers=tuple(behind))
+    after = cycle.ids[cycle.ids.index(device.id):]
+    return Claim(device.id, f'answers, but never a fast read ({device.model_name}{firmware}), so '
+                 'devices after it are never read: update it or use plain Sync Read',
+                 (('fast reads', str(cycle.asked)),), covers=tuple(after))
 
 
 def _lacks_fast_reads(device: DeviceReport) -> bool:
@@ -165,9 +166,10 @@ def _unstuffed(case: Case) -> Iterator[Found]:
     notes = case.incidents(ev.UNSTUFFED)
     if notes:
         last = notes[-1]
-        yield Claim(None, f'the master does not stuff FF FF FD in what it sends '
-                    f'({name_of(last.detail.instruction)} to {last.device:03}), as the Python '
-                    'SDK: a device may miss it; mend its library', (('packets', str(len(notes))),))
+        yield Claim(None, 'the master sends FF FF FD without byte stuffing '
+                          f'({name_of(last.detail.instruction)} to {last.device:03}), like the '
+                          'Python SDK: a device may miss the packet; correct its '
+                          'library', (('packets', str(len(notes))),))
 
 
 def _never_written(case: Case, device: DeviceReport) -> Found | None:
@@ -177,10 +179,10 @@ def _never_written(case: Case, device: DeviceReport) -> Found | None:
         return None
     written = [one.id for one in case.report.devices if one.window.writes]
     if not written:
-        return Doubt(device.id, 'polled and never written, as all others: perhaps this master '
-                     'only looks')
-    return Claim(device.id, f'polled {device.totals.reads} times and never written, others are '
-                 f'({listed(written, 2)}): forgotten in the program?',
+        return Doubt(device.id, 'read but never written, like all others: this master may only '
+                     'monitor')
+    return Claim(device.id, f'read {device.totals.reads} times but never written, others are '
+                 f'({listed(written, 2)}): check whether the program forgot it',
                  (('reads', str(device.totals.reads)),))
 
 
@@ -191,8 +193,8 @@ def _refusals(case: Case, device: DeviceReport) -> Found | None:
     for (instruction, address, error), count in _refused(case, device).most_common(1):
         if count >= FEW and address >= 0:
             return Claim(device.id, f'refuses {name_of(instruction)} at {address} '
-                         f'({error_text(error)}): name its model in {case.names.devices} to learn '
-                         'what stands there', (('refused', str(count)),))
+                         f'({error_text(error)}): set its model in {case.names.devices} to learn '
+                         'which register that is', (('refused', str(count)),))
     return None
 
 
@@ -203,8 +205,8 @@ def _master_stopped(case: Case) -> Iterator[Found]:
     since = (report.asked - report.started) / S
     if since < WORKED_S:
         return                                 # a command, and it is done
-    yield Claim(None, f'the master stopped {since:.1f} s after listening began: look at its '
-                'program; what is said of devices is from then',
+    yield Claim(None, f'the master stopped {since:.1f} s after listening began: check its '
+                      'program; device states date from then',
                 (('stopped after (s)', f'{since:.1f}'),))
 
 
@@ -226,9 +228,9 @@ def _scan(case: Case) -> Iterator[Found]:
                 if cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,))
     if pings >= SCANS:
         collide = case.damage >= FEW
-        yield Claim(None, 'the master sends one broadcast Ping after the other'
-                    f'{", and the answers collide" if collide else ""}: let it wait 0.8 s after '
-                    'each, as long as all IDs take',
+        yield Claim(None, 'the master sends broadcast Pings without a '
+                          f"pause{', and the answers collide' if collide else ''}: let it wait "
+                          '0.8 s after each, the time that all IDs need',
                     (('broadcast Pings in 10 s', str(pings)),),
                     Level.WARN if collide else Level.OK)
     elif case.report.scanned:
@@ -242,8 +244,8 @@ def _models(case: Case) -> Iterator[Found]:
                if device.model is UNKNOWN and device.last_heard_s is not None]
     if unknown and case.heard_s >= POLLED_S:
         yield Doubt(None, f'{listed(unknown, 3)}: model not known, so registers have no names and '
-                    f'some causes are not looked for; set {case.names.devices}, or let the master '
-                    'Ping')
+                          f'some causes cannot be found; set {case.names.devices}, or let the '
+                          'master Ping')
 
 
 def with_models_named(report: BusReport, names: Names) -> BusReport:
@@ -257,9 +259,9 @@ def with_models_named(report: BusReport, names: Names) -> BusReport:
 
 def _remedy(device: DeviceReport, names: Names) -> str:
     if device.model_number is not None:
-        return f'no file for this model, its registers have no names: add one to {names.folders}'
-    return ('model unknown, its registers have no names: add '
-            f"'{device.id}:MODEL' to {names.devices}, or let the master read Model Number")
+        return f'no model file, so its registers have no names: add one to {names.folders}'
+    return (f"model unknown, so its registers have no names: add '{device.id}:MODEL' to "
+            f'{names.devices}, or let the master read Model Number')
 
 
 RULES = (

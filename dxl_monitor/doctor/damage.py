@@ -30,7 +30,7 @@ from msg_defs.uart import byte_ns
 FEW = 3
 SOME = 5
 NOISY = 0.001                      # damaged of all packets
-GLITCHY = 0.001                    # packets behind a stray byte
+GLITCHY = 0.001                    # packets after a stray byte
 HEADERS = 0.01                     # answers with a damaged first byte
 BY_CHANCE = 1 / 8                  # share of damage that hits a first byte by chance
 MOSTLY = 0.7
@@ -51,7 +51,7 @@ _ALL_ELSE = (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'broken_cable', 'all
              'fast_read_unsupported', 'ping_only', 'no_acks', 'return_delay')
 # What is said of a bus without a packet where the bytes are too few for the rule.
 NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and check that it is a '
-              'servo bus, with D+ and D- not swapped')
+              'servo bus and that D+ and D- are not swapped')
 
 
 def _wrong_baud(case: Case) -> Iterator[Found]:
@@ -62,16 +62,16 @@ def _wrong_baud(case: Case) -> Iterator[Found]:
         return
     load = _load(case)
     if load > IMPOSSIBLE:
-        yield Claim(None, f'more bytes than {report.baud} Bd can carry: the bus is faster, set '
-                    f'{case.names.bauds} to its rate', (('load (%)', f'{load:.0f}'),))
+        yield Claim(None, f'more bytes than {report.baud} Bd can carry: the bus is faster; set '
+                          f'{case.names.bauds} to its rate', (('load (%)', f'{load:.0f}'),))
         return
     if got < BYTES_NEEDED or good > GARBLED * got or case.count(ev.PROTOCOL_1):
         return
     rate = likely_rate(report.noise, report.baud)
-    remedy = f'what comes in looks like {rate} Bd: set {case.names.bauds} to it' if rate \
-        else f"cannot tell the right one from it: set {case.names.bauds} to the bus's rate"
+    remedy = f'the bytes look like {rate} Bd: set {case.names.bauds} to it' if rate \
+        else f'the right rate is unknown: set {case.names.bauds} to the rate of the bus'
     errors = case.mark(0).framing - before.framing
-    yield Claim(None, f'{got} bytes and no packets at {report.baud} Bd: {remedy}',
+    yield Claim(None, f'{got} bytes, but no packets at {report.baud} Bd: {remedy}',
                 (('bytes', str(got)), ('framing errors', str(errors))))
 
 
@@ -88,16 +88,16 @@ def _load(case: Case) -> float:
 def _baud_moved(case: Case, device: DeviceReport) -> Found | None:
     if device.state != words.MOVED:
         return None
-    return Claim(device.id, f'moved to {device.moved_to} by a write, the bus is at '
-                 f'{case.report.baud} Bd: write it back at its new rate, or move the others '
-                 'and the master too')
+    return Claim(device.id, f'set to {device.moved_to} by a write, but the bus is at '
+                 f'{case.report.baud} Bd: set it back at its new rate, or set the others and the '
+                 'master to it too')
 
 
 def _overrun(case: Case) -> Iterator[Found]:
     lost = case.counted('overruns')
     if lost > 0:
-        yield Claim(None, f'this computer lost bytes {lost} times: losses and damage are its own; '
-                    'give the monitor a higher priority or a better adapter',
+        yield Claim(None, f'this computer lost bytes {lost} times, so packets seem missing or '
+                          'damaged: give the monitor a higher priority or a better adapter',
                     (('overruns', str(lost)),))
 
 
@@ -110,8 +110,8 @@ def _noise(case: Case) -> Iterator[Found]:
     if asked < BOTH_WAYS * case.damage and _most_hit(case) is not None:
         return
     if is_collision(case):
-        yield Doubt(None, 'packets run into each other: two programs, a second device with an ID, '
-                    'or a master that does not wait for answers')
+        yield Doubt(None, 'packets overlap: two programs, two devices with one ID, or a master '
+                          'that does not wait for answers')
         return
     way = 'in both directions' if asked >= BOTH_WAYS * case.damage else 'in answers'
     share_of = about(case.damage, packets + case.damage)
@@ -142,13 +142,13 @@ def _damaged_answers(case: Case) -> Iterator[Found]:
             BOTH_WAYS * max(case.damage, case.spoilt):
         return
     if case.count(ev.TOO_LONG, worst.id) >= FEW and ran_into_answers(case):
-        yield Doubt(worst.id, 'the master talks into its answers')
+        yield Doubt(worst.id, 'the master sends during its answers')
         return
     window = worst.window
     yield Claim(worst.id, f'{about(window.spoilt, window.asked)} of its answers damaged, others '
-                'whole: cannot tell a bad cable from a second device with its ID; unplug it and '
-                'ping', (*case.looks_like(worst.id), ('share', share(window.spoilt, window.asked)),
-                         ('damaged', f'{window.spoilt} of {window.asked}')))
+                'whole: a bad cable or a second device with its ID; unplug it and ping its ID',
+                (*case.looks_like(worst.id), ('share', share(window.spoilt, window.asked)),
+                 ('damaged', f'{window.spoilt} of {window.asked}')))
 
 
 def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
@@ -160,8 +160,8 @@ def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     if (twice < FEW or twice < 3 * case.count(ev.UNASKED, device.id)) and not models:
         return None
     also = ', by two models' if window.model_changes >= 2 else ''
-    return Claim(device.id, f'answered twice{also}: two devices have this ID; unplug one and give '
-                 'it another',
+    return Claim(device.id, f'answered twice{also}: two devices have this ID; unplug one and '
+                 'change the ID of the other',
                  (*case.looks_like(device.id), ('second answers', str(twice)),
                   ('damaged', str(window.spoilt)),
                   ('model changes', str(window.model_changes))))
@@ -199,16 +199,16 @@ def _turnaround(case: Case) -> Iterator[Found]:
         stray = case.counted('glitches')
         answers = sum(_spoken(device) for device in hit)
         yield Claim(None, f'first byte of {share(first, answers)} of the answers damaged, '
-                    f'{len(hit)} devices: the line turns round too late; raise Return Delay Time '
-                    'or mend the driver enable',
+                          f'{len(hit)} devices: the line switches too late; raise Return Delay '
+                          'Time or correct the driver enable',
                     (('answers', str(first)), ('packets with a stray byte', str(stray)),
                      ('devices', in_full([one.id for one in hit]))))
         return
     for device in hit:
         first = _first_bytes(device)
-        yield Claim(device.id, f'first byte of {share(first, _spoken(device))} of its '
-                    'answers damaged: it talks before the line has turned; raise its Return '
-                    'Delay Time by a step or two', (('answers', str(first)),))
+        yield Claim(device.id, f'first byte of {share(first, _spoken(device))} of its answers '
+                    'damaged: it answers before the line switches; raise its Return Delay Time by '
+                    'a step or two', (('answers', str(first)),))
 
 
 def _first_bytes(device: DeviceReport) -> int:
@@ -225,8 +225,8 @@ def _stray_bytes(case: Case) -> Iterator[Found]:
     stray = case.counted('glitches')
     packets = case.report.counters['Packets'] - case.mark(10).packets
     if stray >= SOME and stray > GLITCHY * packets:
-        yield Claim(None, f'a stray byte or two ahead of {share(stray, packets)} of the packets: '
-                    'driver enable switches late or the line floats; add bias resistors',
+        yield Claim(None, f'one or two stray bytes before {share(stray, packets)} of the packets: '
+                          'driver enable switches late or the line floats; add bias resistors',
                     (('packets', str(stray)),))
 
 
@@ -234,15 +234,15 @@ def _echo(case: Case) -> Iterator[Found]:
     if case.report.has_sides:          # what it says twice it says itself
         heard_back = max(_echoes(case, seconds) for seconds in ECHO_S)
         if heard_back:
-            yield Claim(None, 'what the master sends comes back to it: its adapter echoes; switch '
-                        'the echo off, or let the program skip it',
+            yield Claim(None, 'the master receives what it sends: its adapter echoes; switch the '
+                        'echo off, or let the program skip it',
                         (('echoes', str(heard_back)),))
         return
     again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_US]
     answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
     if len(again) >= SOME and answered and len(again) > 0.5 * case.count(ev.REPEATED):
         yield Claim(None, 'every instruction is heard twice: the adapter echoes what its master '
-                    'sends; switch the echo off, losses counted here are not real',
+                          'sends; switch the echo off. Losses counted here are not real',
                     (('echoes', str(len(again))),))
 
 
@@ -256,10 +256,10 @@ def _echoes(case: Case, seconds: float) -> int:
 
 def _foreign_answers(case: Case, device: DeviceReport) -> Found | None:
     unasked = case.count(ev.UNASKED, device.id)
-    if unasked < FEW or case.count(ev.PROTOCOL_1, device.id):      # that rule tells of it
+    if unasked < FEW or case.count(ev.PROTOCOL_1, device.id):      # that rule reports it
         return None
-    return Claim(device.id, f'{unasked} answers that the master here did not ask for: another '
-                 'master asks it where this port does not hear; find and stop that',
+    return Claim(device.id, f'{unasked} answers that this master did not ask for: another master, '
+                 'on a segment that is not monitored; find and stop it',
                  (('answers', str(unasked)),))
 
 
@@ -289,18 +289,18 @@ def source_lost(case: Case) -> Iterator[Doubt]:
     """Say how much the source could not hand over."""
     lost = sum(one.detail.number for one in case.incidents(ev.SOURCE_LOST))
     if lost:
-        yield Doubt(None, f'{lost} USB events or bytes were not heard: what is missing cannot be '
-                    'told from what was not said; take other devices off this USB bus')
+        yield Doubt(None, f'{lost} USB events or bytes were lost: lost data looks like silence; '
+                          'take other devices off this USB bus')
 
 
 def _not_sent(case: Case) -> Iterator[Found]:
-    """Count instructions that the adapter's driver gave back: only a source with sides tells."""
+    """Count instructions that the adapter's driver gave back: only a source with sides knows."""
     count = case.count(ev.NOT_SENT)
     if count >= FEW:
         asked = sorted({one.device for one in case.incidents(ev.NOT_SENT)})
-        yield Claim(None, f'{count} instructions never left the adapter: switch flow control off '
-                    'in the program and let it not clear its output behind a write; else plug the '
-                    'adapter in again',
+        yield Claim(None, f'{count} instructions never left the adapter: in the program, switch '
+                          'flow control off and do not flush output after a write; else plug the '
+                          'adapter in again',
                     (('instructions', str(count)), ('to', in_full(asked))))
 
 
@@ -309,7 +309,7 @@ def _elsewhere(case: Case) -> Iterator[Found]:
     yield from _noise(case)
     yield from source_lost(case)
     if 0 < case.damage < SOME:
-        yield Doubt(None, f'{case.damage} damaged packets in 10 s are too few to name a cause')
+        yield Doubt(None, f'{case.damage} damaged packets in 10 s are too few to find a cause')
 
 
 RULES = (

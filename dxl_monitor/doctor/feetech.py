@@ -22,8 +22,8 @@ FEETECH = 'feetech'
 LEROBOT_BAUDS = {5: 57_600, 6: 38_400, 7: 19_200}
 TWICE = 2
 # What Lock does to a write of EEPROM (e-Manual, Protocol 1.0; Feetech, STS memory table).
-_OF_LOCK = {'1': ('does not take it', 'switch its power off and on, that unlocks it'),
-            FEETECH: ('forgets it at power-off', 'write 0 to Lock first, and 1 behind')}
+_OF_LOCK = {'1': ('ignores it', 'switch its power off and on to unlock it'),
+            FEETECH: ('forgets it at power-off', 'write 0 to Lock before it, and 1 after it')}
 
 
 def _baud_code(case: Case, device: DeviceReport) -> Found | None:
@@ -43,27 +43,27 @@ def _locked(case: Case, device: DeviceReport) -> Found | None:
     lock = values.get('Lock')
     if lock is None or lock.value.raw != 1:
         return None
-    behind = [one.field.name for one in device.observed if one.source == 'w'
+    written = [one.field.name for one in device.observed if one.source == 'w'
               and one.field.memory == 'eeprom' and one.age_s < lock.age_s]
-    if not behind or not device.window.eeprom_writes:
+    if not written or not device.window.eeprom_writes:
         return None
     effect, remedy = _OF_LOCK[device.model.protocol]
-    return Claim(device.id, f'{behind[0]} written while Lock is 1: the servo {effect}; {remedy}',
-                 (('written', ', '.join(behind)),))
+    return Claim(device.id, f'{written[0]} written while Lock is 1: the servo {effect}; {remedy}',
+                 (('written', ', '.join(written)),))
 
 
 def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
     times = case.count(ev.CALIBRATED, device.id)
     if times >= TWICE:
-        return Claim(device.id, f'calibrated {times} times within 10 s: each time the position it '
-                     'has then becomes the middle; do it once, with the joint in the middle',
+        return Claim(device.id, f'calibrated {times} times within 10 s: each time its present '
+                     'position becomes the middle; do it once, with the joint in the middle',
                      (('times', str(times)),))
     offsets = case.incidents(ev.OFFSET_WRITTEN, device.id)
     last = offsets[-1] if len(offsets) >= TWICE else None
     if last is None or not all(last.detail):
         return None
     return Claim(device.id, f'Homing Offset written {len(offsets)} times within 10 s, {TWICE} '
-                 'without 0 between: what was measured last has the other in it; write 0, measure '
+                 'without 0 between: the new offset includes the old one; write 0, measure '
                  'again', (('now, before', f'{last.detail.now}, {last.detail.before}'),))
 
 
@@ -81,7 +81,7 @@ def _mixed_firmware(case: Case) -> Iterator[Found]:
             least = min(set(versions.values()), key=list(versions.values()).count)
             odd = sorted(number for number, one in versions.items() if one == least)
             yield Claim(None, f'{name} with different firmware, {least} in {listed(odd)}: LeRobot '
-                        "refuses that; bring them to one version with Feetech's debugger",
+                        "refuses that; update them to one version with Feetech's debugger",
                         (('versions', ', '.join(sorted(set(versions.values())))),))
 
 

@@ -122,8 +122,8 @@ def _too_hot(case: Case) -> Iterator[Found]:
 def _hot_claim(device: DeviceReport, temperature: float, limit: float, source: str) -> Claim:
     level = Level.ERROR if temperature >= limit else Level.WARN
     what = 'above' if level is Level.ERROR else 'near'
-    return Claim(device.id, f'{what} its limit of {limit:.0f} °C{source}, where it shuts down: '
-                 'reduce load or holding torque, let it cool',
+    return Claim(device.id, f'{what} its shutdown limit of {limit:.0f} °C{source}: reduce load or '
+                 'holding torque, let it cool',
                  (('temperature (°C)', f'{temperature:.0f}'), ('limit (°C)', f'{limit:.0f}')),
                  level)
 
@@ -146,8 +146,8 @@ def _voltage(case: Case) -> Iterator[Found]:
     yield from found
     if len(found) >= FEW:
         worst = Level.ERROR if any(one.level is Level.ERROR for one in found) else Level.WARN
-        yield Claim(None, f'{len(found)} devices near or beyond a voltage limit: it is the '
-                    'supply; measure it, charge the battery, check cable gauge',
+        yield Claim(None, f'{len(found)} devices near or beyond a voltage limit: the supply is '
+                          'the cause; measure it, charge the battery, check cable gauge',
                     (('devices', in_full([one.device for one in found if one.device])),), worst)
     if unknown:
         yield Doubt(None, f'{listed(unknown, 3)}: voltage limits never read')
@@ -161,7 +161,7 @@ def _low_claim(device: DeviceReport, volts: float, low: float, source: str) -> C
 
 def _high_claim(device: DeviceReport, volts: float, high: float, source: str) -> Claim:
     return Claim(device.id, f'its supply is near or above its limit of {high:.1f} V{source}: '
-                 'lower the supply, or give braking current somewhere to go',
+                 'lower the supply, or let it absorb the braking current',
                  (('voltage (V)', f'{volts:.1f}'),), Level.ERROR if volts > high else Level.WARN)
 
 

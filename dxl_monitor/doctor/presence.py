@@ -36,7 +36,7 @@ DIP = 0.9                          # below this share of the voltage now the sup
 MOVES, STANDS = 20, 6              # raw steps of a goal, of a position: it does not follow
 STOPPED_S = 1.0                    # standing still for so long means something
 FOLLOW_S = 4.0                     # samples of so long tell whether it follows
-STANDS_S = 2.5                     # it stands for so long of them; its torque was not read
+STANDS_S = 2.5                     # it does not move for so long of them; its torque was not read
 SETTLED_S = 2.0                    # after a return: by then a restart has shown
 TICK_TURN_S = 32.768               # Realtime Tick begins at 0 again (e-Manual)
 TICK_SLACK_S = 0.5
@@ -52,18 +52,18 @@ def _all_silent(case: Case) -> Iterator[Found]:
                if device.missed_in_a_row or is_waiting(device)]
     if len(missing) > 1 and asked >= 5 and heard <= 0 and case.gone:
         first = case.gone[0] if len(case.gone) == 1 else None
-        alone = '' if first is None else f'; or {first:03} is dead and all wait for it'
-        yield Claim(None, f'the master asks, none of {len(missing)} devices answers: check power '
-                    f'and first cable{alone}; or listen on both directions',
+        alone = '' if first is None else f'; or {first:03} is dead and the others wait for it'
+        yield Claim(None, f'none of {len(missing)} devices answers the master: check power and '
+                          f'first cable{alone}; or listen to both directions',
                     (('instructions', str(asked)),))
 
 
 def _gone(case: Case, blocking: bool) -> Iterator[Found]:
     for number in case.gone:
-        behind = [device.id for device in case.report.devices
+        after = [device.id for device in case.report.devices
                   if device.waiting_behind == number and is_waiting(device)]
-        if bool(behind) is blocking:
-            yield _claim_blocking(case, number, behind) if behind else _claim_gone(case, number)
+        if bool(after) is blocking:
+            yield _claim_blocking(case, number, after) if after else _claim_gone(case, number)
 
 
 def _claim_gone(case: Case, number: int) -> Claim:
@@ -77,10 +77,10 @@ def _claim_gone(case: Case, number: int) -> Claim:
                   *_waiting(case, number)))
 
 
-def _claim_blocking(case: Case, number: int, behind: list[int]) -> Claim:
-    return Claim(number, f'silent, and the Sync Read ends there: {listed(behind, 2)} behind it '
-                 'get no turn; check its power and cable, or leave it out',
-                 (('not served', in_full(behind)), *_waiting(case, number)))
+def _claim_blocking(case: Case, number: int, after: list[int]) -> Claim:
+    return Claim(number, f'silent, and the Sync Read ends there: {listed(after, 2)} after it are '
+                         'never read; check its power and cable, or leave it out',
+                 (('not served', in_full(after)), *_waiting(case, number)))
 
 
 def _waiting(case: Case, number: int) -> tuple[tuple[str, str], ...]:
@@ -96,7 +96,7 @@ def _broken_cable(case: Case) -> Iterator[Found]:
         tail += 1
     lost = chain[len(chain) - tail:]
     if 0 < tail < len(chain) and sum(number in case.gone for number in lost) > 1:
-        yield Claim(lost[0], f'it and all behind it are silent: the cable between '
+        yield Claim(lost[0], 'it and everything downstream are silent: the cable between '
                     f'{chain[-1 - tail]:03} and {lost[0]:03} is broken or unplugged',
                     (('silent', in_full(lost)),), covers=tuple(lost))
 
@@ -136,8 +136,8 @@ def _dropout(case: Case, device: DeviceReport) -> Found | None:
     if not absences:
         return None
     away = max(one.detail.ms for one in absences)
-    return Claim(device.id, f'was away for {away} ms: cannot tell a loose plug from a restart; '
-                 'read Torque Enable or Realtime Tick to know',
+    return Claim(device.id, f'no answers for {away} ms: a loose plug or a restart; read Torque '
+                 'Enable or Realtime Tick to find out',
                  (('absences', str(len(absences))), ('longest (ms)', str(away))))
 
 
@@ -145,8 +145,8 @@ def _rebooted(case: Case, device: DeviceReport) -> Found | None:
     for one in _absences(case, device.id):
         proof = _restart_proof(case, one)
         if proof and _talks_since(case, one):
-            return Claim(device.id, f'restarted by itself, {one.detail.ms} ms away ({proof}): '
-                         'check its supply and plug, then set it up again, torque too',
+            return Claim(device.id, f'restarted by itself, no answers for {one.detail.ms} ms '
+                         f'({proof}): check its supply and plug, then set it up again, torque too',
                          (('away (ms)', str(one.detail.ms)), ('seen by', proof)))
     return None
 
@@ -158,7 +158,7 @@ def _brown_out(case: Case) -> Iterator[Found]:
     last = max(absences, key=lambda one: one.stamp)
     begin = last.stamp - last.detail.ms * MS
     together = [one for one in absences if one.stamp > begin]
-    if len({one.device for one in together}) == 1:     # others waited behind it, unasked
+    if len({one.device for one in together}) == 1:     # others waited for it, unasked
         together += [other for number, device in case.devices.items()
                      if number != last.device and device.window.not_served and not device.alert
                      and (_restart_proof(case, other := replace(last, device=number))
@@ -167,8 +167,8 @@ def _brown_out(case: Case) -> Iterator[Found]:
     proofs = [proof for one in together if (proof := _restart_proof(case, one) or
                                             _dip(case, one.device))]
     if len(ids) > 1 and proofs:
-        yield Claim(None, f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply broke '
-                    'down; check battery and cables, set up again',
+        yield Claim(None, f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
+                          'check battery and cables, set up again',
                     (('devices', in_full(ids)), ('seen by', proofs[0])), covers=tuple(ids))
 
 
@@ -184,7 +184,7 @@ def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     if before and after and _tick_jumped(before[-1], after[0]):
         return 'Realtime Tick jumped back'
     if _stands(after) and not _stands(before):
-        return 'follows its goal no more'
+        return 'no longer follows its goal'
     return ''
 
 
@@ -215,14 +215,14 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
         return None
     torque = case.values[device.id].get('Torque Enable')
     if torque is not None and is_off(torque) and torque.age_s < FOLLOW_S:
-        return Claim(device.id, 'goals are sent to it and its torque is off: switch it on '
-                     '(Torque Enable 1), after a restart with all its settings')
+        return Claim(device.id, 'goals are sent to it, but its torque is off: switch it on '
+                     '(Torque Enable 1); after a restart, write all its settings again')
     if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not any(
             _follows([one for one in case.samples[other] if one.stamp > case.now - FOLLOW_S * S])
             for other in case.samples if other != device.id):
         return None
-    return Claim(device.id, 'its goal moves and it stands, others follow: its torque is off or it '
-                 'is blocked; read Torque Enable, switch it on')
+    return Claim(device.id, 'its goal changes but the joint does not move, others follow: its '
+                 'torque is off or it is blocked; read Torque Enable, switch it on')
 
 
 def _follows(samples: list[Sample]) -> bool:
@@ -233,7 +233,7 @@ def _follows(samples: list[Sample]) -> bool:
 def _dip(case: Case, number: int) -> str:
     voltages = [one.voltage for one in case.samples.get(number, ()) if one.voltage]
     if voltages and min(voltages) < DIP * voltages[-1]:
-        return f'{number:03} saw {min(voltages):.1f} V before, {voltages[-1]:.1f} V now'
+        return f'{number:03} measured {min(voltages):.1f} V before, {voltages[-1]:.1f} V now'
     return ''
 
 
@@ -260,8 +260,9 @@ def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
             or device.missed_in_a_row > FEW or case.count(ev.MISSED, device.id) < FEW \
             or case.count(ev.REBOOTED, device.id):
         return None
-    return Claim(device.id, f'{about(lost, window.asked)} of its answers missing, with nothing in '
-                 'their place: check its plugs; a device that did not understand looks the same',
+    return Claim(device.id, f'{about(lost, window.asked)} of its answers missing, with no bytes '
+                 'in their place: check its plugs; a device that did not get the instruction '
+                 'looks the same',
                  (('loss', share(lost, window.asked)),
                   ('missed', f'{lost} of {window.asked}')))
 

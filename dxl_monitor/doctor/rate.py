@@ -31,7 +31,7 @@ def _looks(baud: int) -> dict[int, bytes]:
 
 
 def _look(ratio: float) -> bytes:
-    """Return the bytes that are the same for every ID behind the header."""
+    """Return the bytes that are the same for every ID after the header."""
     looks = [heard_at(HEADER + bytes([number, 4, 0]), ratio) for number in (1, 0x55, 0xFE)]
     same = 0
     while all(same < len(look) and look[same] == looks[0][same] for look in looks):

@@ -31,7 +31,7 @@ AGREE = 0.15                       # share of the period: the same
 EVEN = 0.25                        # spread of a loop that a clock paces
 MOSTLY = 0.8                       # share of the periods
 RARELY = 0.3                       # more often, and it is part of the cycle
-AT_ONCE_NS = 1_500_000             # behind the answers; chunks of 2 ms blur it
+AT_ONCE_NS = 1_500_000             # after the answers; chunks of 2 ms blur it
 STATUS_SIZE = 11                   # bytes, without parameters
 INSIDE = 8                         # repetitions of one rhythm while the other went on
 BINS = 16
@@ -159,7 +159,7 @@ def is_independent(one: Rhythm, other: Rhythm) -> bool:
     """
     Tell whether one rhythm knows nothing of another.
 
-    What one program asks stands in few places of its cycle; another's falls anywhere in it. Where
+    What one program asks has few places in its cycle; another's falls anywhere in it. Where
     the two alternate strictly, one program asks both.
     """
     stamps = one.cycle.stamps

@@ -4,7 +4,7 @@
 What a rule of the doctor is: data and a pure function from a Case to claims.
 
 A claim names a cause; a doubt says that the evidence is there and does not decide. Neither knows
-of time before the case: how long a claim stands is the Doctor's.
+of time before the case: how long a claim lasts is the Doctor's.
 """
 
 from collections.abc import Callable
@@ -55,8 +55,8 @@ class Rule(NamedTuple):
     level: Level
     check: Callable[..., Any]
     explains: tuple[str, ...] = ()
-    onset_s: float = 0.0           # claimed without a break for so long, before it is told
-    holds: bool = True             # stands some seconds longer than its evidence; a state does not
+    onset_s: float = 0.0           # claimed without a break for so long, before it is reported
+    holds: bool = True             # lasts some seconds longer than its evidence; a state does not
     each: bool = False
     # What it is asked of: all, or where there are such incidents, models of these protocols, a
     # model that is known.

@@ -33,10 +33,10 @@ FOR_12_V = 12.0                    # a limit from here on: the servo is made for
 WEAK = 8.6                         # V: two cells; an empty battery of three has more
 ONSET_S = 3.0                      # a supply that sags for a moment is none
 ALL = 3                            # as many: it is the supply, not one servo
-TABLE_END = 256                    # what is behind cannot be addressed there
+TABLE_END = 256                    # no address above it exists there
 RECENT_NS = 10 * S
 DUMP = 4                           # bytes: who reads more at once, looks at all there is
-# What stands there in other series (e-Manual; Feetech, memory tables of STS and SCS).
+# The registers there in other series (e-Manual; Feetech, memory tables of STS and SCS).
 _ELSEWHERE = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX and MX',
               48: 'Lock of SCS', 55: 'Lock of STS', 64: 'Torque Enable of X',
               116: 'Goal Position of X', 132: 'Present Position of X'}
@@ -49,7 +49,7 @@ def _factory_id(case: Case) -> Iterator[Found]:
     if first is None or not absent or not _clashes(case, first):
         return
     yield Claim(FACTORY_ID, f'several servos answer as 001, and {listed(absent, 3)} never did: '
-                'new ones still have ID 1; connect one at a time and give each its ID',
+                'new ones still have ID 1; connect one at a time and give each its own ID',
                 (('never heard', in_full(absent)),
                  ('spoilt', f'{first.window.spoilt} of {first.window.asked}')),
                 covers=tuple(absent))
@@ -79,10 +79,10 @@ def _wrong_supply(case: Case) -> Iterator[Found]:
                               'voltage{others}; switch off, and check which servos these are',
                               Level.ERROR)
     yield from _supply_claims(low, 'while its limit is {limit:.1f} V: a servo for 12 V on a lower '
-                              'supply{others}, slow and weak; feed it 12 V', Level.WARN)
+                              'supply{others}, slow and weak; supply 12 V', Level.WARN)
     if unknown:
-        yield Doubt(None, f'{listed(unknown, 3)}: Max Voltage Limit never read, so whether they '
-                    'fit the supply cannot be told')
+        yield Doubt(None, f'{listed(unknown, 3)}: Max Voltage Limit never read, so it is unknown '
+                          'whether they fit the supply')
 
 
 def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
@@ -120,9 +120,8 @@ def _layout(case: Case, device: DeviceReport) -> Found | None:
     place = device.model.by_name.get('Present Position')
     if order is not None and place is not None \
             and (order.value.raw == 1) != (place.byte_order == 'big'):
-        return Claim(device.id, f'says that its numbers are {order.value.text}, and those of '
-                     f'{device.model_name} are not: name its real model in '
-                     f'{case.names.devices}')
+        return Claim(device.id, f'reports that its numbers are {order.value.text}, but those of '
+                     f'{device.model_name} are not: set its real model in {case.names.devices}')
     for cycle in case.report.cycles:
         if cycle.address is None or device.id not in cycle.ids or cycle.asked < FEW \
                 or cycle.stamps[-1] < case.now - RECENT_NS:

@@ -39,7 +39,7 @@ def judged(report: BusReport, settings: Settings, names: Names) -> BusReport:
 
 def _device(device: DeviceReport, settings: Settings) -> DeviceReport:
     if device.moved_to:
-        found = words.MOVED, Level.WARN, f'moved to {device.moved_to} by a write'
+        found = words.MOVED, Level.WARN, f'set to {device.moved_to} by a write'
     elif device.missed_in_a_row > settings.missed_limit:
         found = (words.DISCONNECTED, Level.ERROR,
                  f'disconnected: {device.missed_in_a_row} answers missed')
@@ -49,7 +49,7 @@ def _device(device: DeviceReport, settings: Settings) -> DeviceReport:
         found = words.SILENT, Level.STALE, f'silent: not asked for {device.quiet_s:.0f} s'
     elif device.waiting_behind is not None:
         found = (words.WAITING, Level.WARN,
-                 f'asked but not served: waiting behind {device.waiting_behind:03}')
+                 f'asked but not served: {device.waiting_behind:03} before it does not answer')
     else:
         found = words.CONNECTED, *_degraded(device, settings)
     state, level, message = found

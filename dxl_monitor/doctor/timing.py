@@ -56,14 +56,14 @@ JITTERY = 0.5                      # spread of the cycle
 JITTER_ONSET_S = 3.0               # a computer that is busy for a moment is not a finding
 LATENCY_MS = (15.0, 18.5)          # a latency timer of 16 ms, and what its host adds
 SLOW_PER_S = 70                    # answers; with 16 ms each there cannot be more
-RESOLVED_MS = 4.0                  # between chunks; else all gaps count, not those behind answers
+RESOLVED_MS = 4.0                  # between chunks; else all gaps count, not those after answers
 GRID_NS = 16 * MS                  # exactly that is made by the adapter that we hear through
 LATENT = 0.6                       # share of the gaps
 WAITED_S = 3.0
 LATE_S = 10.0
 NO_WAIT_US = 50                   # less than any answer takes on the wire
 MOSTLY = 0.7
-RARELY = 0.1                      # questions behind a write: noise would hit as few of them
+RARELY = 0.1                      # questions after a write: noise would hit as few of them
 BEHIND_NS = 2 * MS               # as far as chunks tell time
 MANY = 10                          # vain waits
 SOON_US = 500                      # Return Delay Time as from the factory (e-Manual)
@@ -82,23 +82,24 @@ def _impatient(case: Case) -> Iterator[Found]:
     hasty = [one.us for one in case.waits(WAITED_S) if not one.is_spoilt]
     if len(hasty) >= MANY and median(hasty) < SOON_US and case.damage >= FEW \
             and any(case.lately(device, WAITED_S).answers for device in case.report.devices):
-        yield Claim(None, 'the master does not wait for answers, and talks into them: it gives up '
-                    f'within {SOON_US} us, before a servo answers as it comes from the factory; '
-                    'raise its time-out', (('given up at once', str(len(hasty))),))
+        yield Claim(None, 'the master does not wait for answers and sends during them: it gives '
+                          f'up within {SOON_US} us, before a servo with factory settings answers; '
+                          'raise its time-out', (('given up at once', str(len(hasty))),))
         return
-    behind = _questions_into_acks(case)
-    if behind:
-        yield Claim(None, 'the master writes and does not wait for the acknowledgement: its next '
-                    f'question ran into it {behind} times in 10 s; let it wait, or use Sync Write',
-                    (('questions spoilt behind a write', str(behind)),))
+    times = _questions_into_acks(case)
+    if times:
+        yield Claim(None, 'the master does not wait for the acknowledgement of a write: its next '
+                          f'instruction ran into it {times} times in 10 s; let it wait, or use '
+                          'Sync Write',
+                    (('instructions into an acknowledgement', str(times)),))
 
 
 def _questions_into_acks(case: Case) -> int:
     """
-    Return how many answers were spoilt right behind a write that nothing acknowledged, else 0.
+    Return how many answers were spoilt right after a write that nothing acknowledged, else 0.
 
-    Noise would spoil the answers to other questions too; where many questions stand behind a
-    write, that cannot be told.
+    Noise would spoil the answers to other questions too; where many questions follow a
+    write, the cause is unknown.
     """
     spoilt = [wait.stamp - 1000 * wait.us for wait in case.waits(LATE_S) if wait.is_spoilt]
     if len(spoilt) < FEW:
@@ -107,9 +108,9 @@ def _questions_into_acks(case: Case) -> int:
                     if cycle.instruction == Instruction.WRITE and not _acknowledges(case, cycle))
     asked = [stamp for cycle in case.report.cycles if cycle.instruction not in WRITES
              for stamp in cycle.stamps]
-    behind = sum(_is_behind(writes, stamp) for stamp in spoilt)
-    usual = sum(_is_behind(writes, stamp) for stamp in asked)
-    return behind if behind >= max(FEW, MOSTLY * len(spoilt)) \
+    times = sum(_is_after(writes, stamp) for stamp in spoilt)
+    usual = sum(_is_after(writes, stamp) for stamp in asked)
+    return times if times >= max(FEW, MOSTLY * len(spoilt)) \
         and usual <= RARELY * len(asked) else 0
 
 
@@ -118,7 +119,7 @@ def _acknowledges(case: Case, cycle: Cycle) -> bool:
                for number in cycle.ids)
 
 
-def _is_behind(writes: list[int], stamp: int) -> bool:
+def _is_after(writes: list[int], stamp: int) -> bool:
     """Tell whether a write came so shortly before that its answer was still due."""
     at = bisect_right(writes, stamp + BEHIND_NS)
     return at > 0 and writes[at - 1] >= stamp - BEHIND_NS
@@ -142,7 +143,7 @@ def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
 
 def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
     """
-    Return the first of each group of answers that came again behind damage in an answer.
+    Return the first of each group of answers that came again after damage in an answer.
 
     Behind a damaged instruction they would be its own answers.
     """
@@ -167,10 +168,10 @@ def _late_answers(case: Case) -> Iterator[Found]:
         if count < FEW:
             return
         if _is_cut_short(case):
-            yield Doubt(number, 'the next question comes into its answers, before a wait: two '
-                        'programs, or one that does not wait')
+            yield Doubt(number, 'the next instruction comes during its answers: two programs, or '
+                        'one that does not wait')
         else:
-            yield Claim(number, 'answers when the master has given up, into the next question: '
+            yield Claim(number, 'answers after the master gave up, during the next instruction: '
                         'lower its Return Delay Time or raise the time-out',
                         (('late answers', str(count)), ('waits', _wait(case))),
                         covers=tuple(case.devices))
@@ -188,7 +189,7 @@ def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
         return None
     size, asked = wrong[-1].detail.got, wrong[-1].detail.wanted
     return Claim(device.id, f'answers {size} bytes to a read of {asked}: its firmware is at '
-                 'fault, or a second device has its ID; update it, and ping its ID without it',
+                 'fault, or a second device has its ID; update it, then unplug it and ping its ID',
                  (('answers', str(len(wrong))),))
 
 
@@ -219,8 +220,8 @@ def _latency_timer(case: Case) -> Iterator[Found]:
     slow = [kinds for kinds, _ in latent]
     other = any(number != following for number, following in slow)
     if len(slow) >= 10 and len(slow) >= LATENT * len(gaps) and other:
-        yield Claim(None, 'most instructions come 16 ms after the answer before: the latency '
-                    "timer of the master's adapter; set it to 1 ms",
+        yield Claim(None, 'most instructions come 16 ms after the previous answer: the latency '
+                          "timer of the master's adapter; set it to 1 ms",
                     (('16 ms later', f'{len(slow)} of {len(gaps)}'),))
 
 
@@ -258,7 +259,7 @@ def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
     how = 'Return Delay Time' if delay_ms is not None else 'reply latency'
     rate = device.totals.reads / case.heard_s if case.heard_s > 0 else 0.0
     return Claim(device.id, f'waits {known:.1f} ms before each answer ({how}): write 0 to Return '
-                 f'Delay Time, that saves {known * rate:.0f} ms of bus time per second',
+                 f'Delay Time, which saves {known * rate:.0f} ms of bus time per second',
                  (('delay (ms)', f'{known:.2f}'), ('read', 'yes' if delay_ms else 'measured')))
 
 
@@ -282,8 +283,9 @@ def _bus_too_slow(case: Case) -> Iterator[Found]:
 def _two_masters(case: Case) -> Iterator[Found]:
     foreign = case.count(ev.FOREIGN)
     if foreign >= FOREIGN_ENOUGH:
-        yield Claim(None, f'{foreign} instructions came to the master that it did not send: '
-                    'another program is on this bus; stop one', (('instructions', str(foreign)),))
+        yield Claim(None, f'the master received {foreign} instructions that it did not send: '
+                          'another program uses this bus; stop '
+                          'one', (('instructions', str(foreign)),))
         return
     pair = _apart(case)
     if pair is None:
@@ -340,10 +342,10 @@ def _jitter(case: Case) -> Iterator[Found]:
     low, high = ordered[edge] / MS, ordered[-1 - edge] / MS
     if best.jitter > JITTERY and high - low > BLURRED * case.blur_ms \
             and key_of(best.cycle) in case.steady:
-        yield Claim(None, "the master's cycle was regular and is not any more: its computer is "
-                    'busy, or its loop does too much; give it a higher priority',
+        yield Claim(None, "the master's cycle is no longer regular: its computer is busy, or its "
+                          'loop does too much; give it a higher priority',
                     (('spread', f'{best.spread:.2f}'),
-                     ('cycle (ms)', f'{low:.1f} to {high:.1f}, {best.period / MS:.1f} as a rule')))
+                     ('cycle (ms)', f'{low:.1f} to {high:.1f}, usually {best.period / MS:.1f}')))
 
 
 RULES = (

@@ -54,7 +54,7 @@ def test_a_port_that_a_login_left_comes_back_with_the_remedy_that_is_told(
     ('/etc/passwd', 'a file; give the port itself'),
     ('/etc', 'a directory; give the port itself'),
     ('/dev/vda', 'a disk; give the port itself'),
-    ('/dev/ttyS2', 'no UART is behind this name'),
+    ('/dev/ttyS2', 'this name has no UART'),
     ('/dev/ttyS9', 'is not there; plug it in or set another port'),
 ])
 def test_what_is_no_port_is_told_as_what_it_is(

@@ -62,7 +62,7 @@ class ErrorWindow:
 
 
 def packed(capture: bytes) -> Iterator[str]:
-    """Yield a capture as lines of text, a blank line behind each block of it."""
+    """Yield a capture as lines of text, a blank line after each block of it."""
     for at in range(0, len(capture), BLOCK_SIZE):
         text = b64encode(zlib.compress(capture[at:at + BLOCK_SIZE], 9)).decode()
         yield from textwrap.wrap(text, _COLUMNS)

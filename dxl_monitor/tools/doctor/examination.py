@@ -3,7 +3,7 @@
 """
 A run of dxl_doctor: a monitor per bus, a report twice a second, until there is enough.
 
-Time is that of the stamps; a live source tells in between that nothing came.
+Time is that of the stamps; a live source reports in between that nothing came.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Examination:
         return '; '.join([f'{packets} packets, {devices} devices', *rules[:3]])
 
     def buses(self, is_timed: bool) -> list[BusSummary]:
-        """Return each bus as it is told at the end."""
+        """Return each bus as it is shown at the end."""
         found = [(name, log, log.last) for name, log in self._logs.items()]
         return [BusSummary.of(name if len(found) > 1 else '', last, log, is_timed)
                 for name, log, last in found if last is not None]

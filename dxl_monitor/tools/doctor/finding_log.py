@@ -21,7 +21,7 @@ _Key = tuple[str, int | None]
 
 
 class Told(NamedTuple):
-    """A finding; first_s and last_s: when it was told, from the first byte; stands: at the end."""
+    """A finding; first_s, last_s: its times from the first byte; stands: there at the end."""
 
     finding: Finding
     first_s: float

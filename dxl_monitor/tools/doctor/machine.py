@@ -1,9 +1,9 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The machine behind a source, for a report: versions, system, adapter. It looks only.
+The computer of a source, for a report: versions, system, adapter. It looks only.
 
-What tells who somebody is (host and user name, serial number, paths, command line) comes from
+What identifies a person (host and user name, serial number, paths, command line) comes from
 host() alone, for those who ask for it.
 """
 
@@ -39,7 +39,7 @@ def system() -> list[str]:
 
 
 def device(source: str) -> str:
-    """Return the port of a source, '' if it has none: of usb:/dev/ttyUSB0 the part behind usb:."""
+    """Return the port of a source, '' if it has none: of usb:/dev/ttyUSB0 the part after usb:."""
     path = source.removeprefix('usb:')
     is_port = path.startswith('/dev/') or re.fullmatch(r'COM\d+', path) is not None
     return path if is_port else ''
@@ -60,7 +60,7 @@ def plain_name(source: str, is_program: bool) -> str:
 
 
 def adapters(ports: Sequence[str], with_serial: bool = False, root: Path = _SYS) -> list[str]:
-    """Return maker, product, driver and latency timer of the adapters behind these ports."""
+    """Return maker, product, driver and latency timer of the adapters of these ports."""
     known = {one.device: one for one in list_ports.comports()}
     return [_adapter(os.path.realpath(port), known, with_serial, root) for port in ports]
 

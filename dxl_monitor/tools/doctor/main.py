@@ -62,7 +62,7 @@ EXAMPLES = """examples:
   dxl_doctor bus.txt                            a recording of dxl_dump -w bus.txt
   dxl_doctor --report bus_report.txt run -- python my_script.py
   dxl_doctor --explain "There is no status packet!"
-exit codes: 0 well, 1 could not run or nothing heard, 2 usage, 3 warning, 4 error"""
+exit codes: 0 no problem, 1 could not run or nothing heard, 2 usage, 3 warning, 4 error"""
 
 
 def main() -> int:
@@ -100,7 +100,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _parse(arguments: Sequence[str]) -> tuple[argparse.Namespace, Sequence[str]]:
-    """Return the options, and the command behind --."""
+    """Return the options, and the command after --."""
     mark = arguments.index('--') if '--' in arguments else len(arguments)
     parser = _parser()
     options, left = parser.parse_known_args(arguments[:mark])
@@ -121,7 +121,7 @@ def _explain(pasted: str) -> int:
         print('\n'.join(explain.lines(found)))
         return DONE
     near = explain.nearest(pasted)
-    raise OSError(f'{pasted}: no error text that is known here; ' + (
+    raise OSError(f'{pasted}: not a known error text; ' + (
         f'did you mean "{near}"?' if near else 'paste the line as the program printed it'))
 
 
@@ -130,8 +130,8 @@ def _check(options: argparse.Namespace, command: Sequence[str]) -> None:
         raise UsageError('SOURCE: none given; name a port, a file, or write dxl_doctor run -- '
                          'python my_script.py')
     if (options.source == RUN) != bool(command):
-        raise UsageError(f'{options.source}: the program to run stands behind --; write '
-                         'dxl_doctor run -- python my_script.py')
+        raise UsageError(f'{options.source}: the program to run goes after --; write dxl_doctor '
+                         'run -- python my_script.py')
     for name, least, most in (('baud', 1, BAUD_LIMIT), ('seconds', 0.1, 1e9)):
         value = getattr(options, name)
         if value is not None and not least <= value <= most:
@@ -258,10 +258,10 @@ def _retell(stored: SavedReport, models: Models, options: argparse.Namespace) ->
 
 
 def _difference(then: SavedReport, now: Sequence[BusSummary]) -> list[str]:
-    """Say what the capture of a report tells that the report does not."""
+    """Say what the capture of a report shows that the report does not."""
     if then.told is None:
         return []
-    return [f'its capture, read by this version, also says {one.finding.rule.replace("_", " ")} '
+    return [f"read by this version, its capture also shows {one.finding.rule.replace('_', ' ')} "
             f'of {bus.who(one.finding.device)}' for bus in now for one in bus.told
             if (bus.report.name, one.finding.rule, str(one.finding.device)) not in then.told]
 
@@ -274,21 +274,21 @@ def _parser() -> argparse.ArgumentParser:
         'It ends after 10 s of traffic, 5 s of silence, or with COMMAND.')
     add = parser.add_argument
     add('source', metavar='SOURCE', nargs='?',
-        help='a port, usb:PORT, tap:NAME, a recording; or run, and a command behind --')
-    add('-b', '--baud', type=int, help='rate of the bus, where the source does not know it')
+        help='a port, usb:PORT, tap:NAME, a recording; or run, with a command after --')
+    add('-b', '--baud', type=int, help='baud rate of the bus, if the source does not know it')
     add('--protocol', choices=PROTOCOLS, default=DEFAULTS.protocol,
-        help='what the bus speaks, where it does not show')
-    add('--adapter', metavar='BUS.DEVICE', help='which one, where a pcap file holds several')
+        help='protocol of the bus, if the traffic does not show it')
+    add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
     add('--seconds', type=float, metavar='N', help='listen for N seconds')
     add('--devices', action='append', metavar='ID:MODEL:JOINT', default=[],
-        help="what is on the bus, in the order of the cable, like '1-6:XL430-W250'")
+        help="devices on the bus, in the order along the cable, e.g. '1-6:XL430-W250'")
     add('--model-dirs', action='append', metavar='DIR', default=[],
         help='one more folder of model files')
     add('--report', metavar='FILE', help='write a report to attach to an issue')
     add('--with-host', action='store_true',
-        help='with host, user, serial number and command line in it')
-    add('--explain', metavar='TEXT', help='say what an error text means, and end')
-    add('--json', action='store_true', help='one JSON object, for programs')
+        help='put host, user, serial number and command line into it')
+    add('--explain', metavar='TEXT', help='explain an error text and exit')
+    add('--json', action='store_true', help='print one JSON object, for programs')
     return parser
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Why nothing was heard: the usual reasons, the likeliest first, as far as can be told."""
+"""Why nothing was heard: the usual reasons, the likeliest first, as far as is known."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from mecarover_serial.preflight import ports_here
 from mecarover_serial.preflight import warnings
 
 _OURS = ('dxl_doctor', 'dxl_reader')
-_NOT_BAUD = 'It is not the baud rate: at a wrong one there would be bytes that make no sense.'
-_NO_MASTER = 'No program asks the servos now: start it, and listen while it runs.'
-_WIRE = ('The adapter is not on the data line: D+, D- and ground (TTL: data and ground) go to the '
-         'bus that the master uses. Without supply a bus is silent too.')
+_NOT_BAUD = 'The baud rate is not the cause: a wrong one gives bytes that make no sense.'
+_NO_MASTER = 'No program sends to the servos now: start yours, and listen while it runs.'
+_WIRE = ('The adapter is not connected to the data line: connect D+, D- and ground (TTL: data and '
+         'ground) to the bus of the master. A bus without supply is silent too.')
 
 
 def of_port(name: str) -> list[str]:
@@ -29,19 +29,20 @@ def of_port(name: str) -> list[str]:
 
 def of_usb(name: str) -> list[str]:
     """Return why usb:PORT heard no byte."""
-    return [f'No program uses {name.partition(":")[2]} now: start it, and listen while it runs.',
-            'The program was started on another adapter: see what it says of its port.', _NOT_BAUD]
+    return [f"No program uses {name.partition(':')[2]} now: start yours, and listen while it "
+            'runs.',
+            'The program uses another adapter: check which port it opens.', _NOT_BAUD]
 
 
 def of_file(name: str) -> list[str]:
-    return [f'{name} holds no byte of a bus; was anything running while it was recorded?']
+    return [f'{name} holds no byte of a bus: record again while a program uses the bus.']
 
 
 def of_tap(name: str) -> list[str]:
     """Return why tap:NAME heard no byte."""
     program = name.partition(':')[2].partition('/')[0]
-    return [f'No program said anything: start it with dxl_tap {program} -- COMMAND, and listen '
-            'while it runs.', 'The tap hears programs that use pyserial; others are heard with '
+    return [f'No program sent anything: start it with dxl_tap {program} -- COMMAND, and listen '
+            'while it runs.', 'A tap works with programs that use pyserial; listen to others with '
             'usb:/dev/ttyUSB0.']
 
 
@@ -52,10 +53,9 @@ def of_program(command: Sequence[str], ports: Sequence[str], code: int) -> list[
         return [f'{ended}; it opened {", ".join(ports)} and sent nothing.']
     found = [f'{ended} and opened no port through pyserial.']
     if code:
-        found.append('What it printed says why it ended: often the port is absent, busy, or '
-                     f'needs rights; {ports_here()}.')
-    return [*found, 'A program that does not use pyserial (C++, Rust) is heard with '
-            'usb:/dev/ttyUSB0.']
+        found.append('Its output says why it ended: often the port is absent, busy, or needs '
+                     f'rights; {ports_here()}.')
+    return [*found, 'Listen to a program without pyserial (C++, Rust) with usb:/dev/ttyUSB0.']
 
 
 def reasons(name: str, is_live: bool) -> list[str]:

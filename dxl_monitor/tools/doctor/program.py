@@ -57,23 +57,23 @@ class Program:
             yield from self._some(self._reader.wait(TICK_S))
         yield from self._some(self._reader.rest())
 
-    def _some(self, told: list[TapRecord]) -> Iterator[Chunk | None]:
-        for one in told:
-            chunk = self._chunk(one)
+    def _some(self, records: list[TapRecord]) -> Iterator[Chunk | None]:
+        for record in records:
+            chunk = self._chunk(record)
             if chunk is not None:
                 yield chunk
-        if not told:
+        if not records:
             yield None
 
-    def _chunk(self, told: TapRecord) -> Chunk | None:
-        if told.kind == OPENED and told.port not in self.ports:
-            self.ports.append(told.port)
-        bus = ntpath.basename(told.port)           # works for both kinds of path
-        if told.side:
-            return Chunk(told.stamp, bus, told.data, told.side)
-        if told.change is None or not bus:
+    def _chunk(self, record: TapRecord) -> Chunk | None:
+        if record.kind == OPENED and record.port not in self.ports:
+            self.ports.append(record.port)
+        bus = ntpath.basename(record.port)           # works for both kinds of path
+        if record.side:
+            return Chunk(record.stamp, bus, record.data, record.side)
+        if record.change is None or not bus:
             return None
-        return Chunk(told.stamp, bus, change=told.change)
+        return Chunk(record.stamp, bus, change=record.change)
 
     def wire(self, bus: str) -> Wire:
         """Return what is known of a bus: its rate comes with its opening."""

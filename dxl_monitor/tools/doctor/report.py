@@ -3,7 +3,7 @@
 """
 The report of a run, to attach to an issue: text for people, a verdict and a capture for us.
 
-It is made of parts, each behind a line that begins with a mark. report_file.py reads it.
+It is made of parts, each after a line that begins with a mark. report_file.py reads it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def check_report(path: str | None) -> None:
         return
     folder = os.path.dirname(path) or '.'
     if not os.access(folder, os.W_OK):
-        raise UsageError(f'--report {path}: no file can be made in {folder}; give another name')
+        raise UsageError(f'--report {path}: cannot write to {folder}; give another name')
     if not os.path.exists(path):
         return
     if not os.path.isfile(path):
@@ -58,7 +58,7 @@ def check_report(path: str | None) -> None:
     with open(path, 'rb') as file:
         head = file.read(len(MAGIC))
     if head and head != MAGIC.encode():
-        raise UsageError(f'--report {path}: is there and is not a report; give another name')
+        raise UsageError(f'--report {path}: exists and is not a report; give another name')
 
 
 def anonymous(buses: Sequence[BusSummary]) -> list[BusSummary]:

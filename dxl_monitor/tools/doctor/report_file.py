@@ -3,8 +3,8 @@
 """
 A report of somebody else, read again: what was said then, and what its capture says now.
 
-Nothing in it is trusted, and nothing is refused: what is damaged or cut off is left out and told.
-Packed files are unpacked, up to a limit.
+Nothing in it is trusted, and nothing is refused: what is damaged or cut off is left out and
+reported. Packed files are unpacked, up to a limit.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def load(path: str) -> SavedReport | None:
     problems = [] if report.END in parts else ['the report is cut off: its end is missing']
     stored = _stored(parts.get(report.VERDICT, []))
     if stored is None:
-        problems.append('what was said then cannot be read; this is from the capture')
+        problems.append('its verdict cannot be read; this one is from the capture')
     capture, lost = _capture(parts.get(report.CAPTURE, []))
     if lost:
         problems.append(f'{lost} blocks of the capture are damaged and were left out')
@@ -105,7 +105,7 @@ def _first_of_zip(file: io.BytesIO) -> Any:
 
 
 def _parts(text: str) -> dict[str, list[str]]:
-    """Return the lines behind each mark."""
+    """Return the lines after each mark."""
     parts: dict[str, list[str]] = {}
     part: list[str] = []
     for line in map(str.strip, text.splitlines()):

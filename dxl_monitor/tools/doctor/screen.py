@@ -3,8 +3,8 @@
 """
 The one screen of dxl_doctor: lines of text for a width and a height. Pure.
 
-Three findings are told in full, the others in a line each. Where it is too much, the devices that
-are well are counted rather than listed, then what cannot be told is cut.
+Three findings are shown in full, the others in a line each. Where it is too much, the devices that
+are well are counted rather than listed, then what is unknown is cut.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ def _heard(said: Verdict, width: int, most: int) -> list[str]:
              for one in sorted(said.heard, key=lambda one: one.level in (Level.OK, Level.STALE))]
     if len(lines) > most:
         cut = max(0, most - 1)
-        lines = [*lines[:cut], f'  and {len(lines) - cut} lines more: --json lists all']
+        lines = [*lines[:cut], f'  and {len(lines) - cut} more lines: --json lists all']
     return [fit(heard, width), *lines]
 
 
 def _wrong(entries: Sequence[Trouble], colours: bool, width: int) -> list[str]:
     if not entries:
-        return [_paint('Wrong: nothing that can be heard', GREEN, colours)]
+        return [_paint('Wrong: nothing that listening can find', GREEN, colours)]
     lines = ['Wrong:']
     for number, entry in enumerate(entries[:IN_FULL], 1):
         lines += _in_full(number, entry, colours, width)

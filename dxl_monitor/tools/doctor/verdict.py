@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What dxl_doctor says of a run: what was heard, what is wrong, what cannot be told. Pure.
+What dxl_doctor says of a run: what was heard, what is wrong, what is unknown. Pure.
 
 From the last report of each bus and the log of its findings; screen.py and as_json() show it.
 """
@@ -39,7 +39,7 @@ class Trouble(NamedTuple):
 
 
 class DeviceGroup(NamedTuple):
-    """Devices alike, beside each other. level: the worst of what is said of them."""
+    """Devices alike, one after the other. level: the worst that is said of them."""
 
     who: str
     what: str
@@ -74,7 +74,7 @@ class BusSummary(NamedTuple):
 
     @classmethod
     def of(cls, name: str, report: BusReport, log: FindingLog, is_timed: bool) -> BusSummary:
-        """Return what is told of a bus; without times nothing is that needs them."""
+        """Return what is said of a bus; without times nothing that needs them."""
         return cls(name, report, tuple(one for one in log.told()
                                        if is_timed or one.finding.rule not in _NEEDS_TIMES))
 
@@ -144,7 +144,7 @@ def _kind(device: DeviceReport) -> tuple[str, Level]:
 
 
 def _spans(devices: Sequence[DeviceReport]) -> list[str]:
-    """Spell the IDs of devices that stand beside each other: '001-003', '005'."""
+    """Spell the IDs of devices one after the other: '001-003', '005'."""
     runs: list[list[int]] = []
     for device in devices:
         if runs and runs[-1][-1] == device.id - 1:
@@ -192,10 +192,10 @@ def _entry(bus: BusSummary, alike: Sequence[Told]) -> Trouble:
 
 
 def _evidence(one: Told) -> str:
-    """Return the figures behind a finding, and its time, as one sentence."""
+    """Return the figures of a finding, and its time, as one sentence."""
     figures = [f'{key} {value}' for key, value in one.finding.evidence]
     when = f'seen from {one.first_s:.1f} s on' if one.stands \
-        else f'seen from {one.first_s:.1f} to {one.last_s:.1f} s, and not since'
+        else f'seen from {one.first_s:.1f} to {one.last_s:.1f} s, then cleared'
     return printable('; '.join([when, *figures]))
 
 

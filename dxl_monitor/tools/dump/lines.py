@@ -57,7 +57,7 @@ class Lines:
         self.width = width
         self._colours = colours
         self.show_bus = show_bus
-        self.has_sides = False             # a source told who put what on the wire
+        self.has_sides = False             # the source knows who put what on the wire
         self._show_time = show_time
         self._first: int | None = None
         self._last = 0

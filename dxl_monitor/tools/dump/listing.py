@@ -154,7 +154,7 @@ class Listing(Conversation):
                              blocks, notes, is_sure=is_sure, side=side))
 
     def _tell_much_noise(self, has_frames: bool, stamp: int, side: str) -> None:
-        """Tell of noise without any packet behind it, as at a wrong baud rate."""
+        """Report noise without any packet after it, as at a wrong baud rate."""
         noise = self.total('noise_bytes')
         if has_frames:
             self._noise_told = noise

@@ -125,7 +125,7 @@ def _targets(model: Model, access: Access, table: Table) -> tuple[int, ...]:
     """
     Return where each byte of a range belongs, indirect data where they point.
 
-    A write that sets the addresses and the data behind them at once goes by its own addresses.
+    A write that sets the addresses and the data after them at once goes by its own addresses.
     """
     _, first, length, written = access
     targets = []

@@ -26,7 +26,7 @@ from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import plain
 from msg_defs.reports import Level
 
-NEWS_S = 3.0                       # for so long a rare change stands in front
+NEWS_S = 3.0                       # for so long a rare change comes first
 BRIGHT_S = 1.0                     # for so long a change is bold
 RARE = 0.25                        # changed in fewer of the paintings than this
 NEWS, OFTEN, NEVER = range(3)       # places of a register in its line
