@@ -67,7 +67,7 @@ def field_cells(scene: Scene) -> Cells:
                 log.take(report)
             yield report, since
     result = score.compare(scene, rig, heard(), score.BOOT)
-    told = tuple((one.finding.rule, one.finding.device) for one in log.told())
+    told = tuple((one.finding.rule, one.finding.device) for one in log.entries())
     return score.cells(result._replace(
         told=told, verdict=score.verdict_of(scene, told, bool(result.false))))
 

@@ -34,7 +34,7 @@ _ENDS = re.compile(rb'\xff(\xff[^\xff]?)?\Z')
 _ENDINGS = (b'\xff', b'\xff\xfd')  # a chunk that may go on as such a header
 _SHORT = 3                         # bytes that cannot hold one
 Data = bytes                       # the built-in, whose name MixedFramer.bytes takes
-# Where it begins in the stream, its bytes, whether a packet of 2.0 directly behind it ends it.
+# Where it begins in the stream, its bytes, whether a packet of 2.0 directly after it ends it.
 Gap = tuple[int, Data, bool]
 
 
@@ -43,7 +43,7 @@ class _Run(NamedTuple):
 
     at: int                        # where the gap begins in the stream
     frames: list[Frame]
-    noise_ahead: int               # bytes of noise behind the last good one
+    noise_ahead: int               # bytes of noise after the last good one
 
 
 class _First(Framer):
@@ -136,7 +136,7 @@ def _is_passed_over(gap: Data, following: Data) -> bool:
     """
     Return whether a gap neither holds a packet of the 1.0 family nor ends in a begin of one.
 
-    following: what is known of the bytes behind it, perhaps nothing.
+    following: what is known of the bytes after it, perhaps nothing.
     """
     if len(gap) > _SHORT and _HOLDS.search(gap):
         return False

@@ -292,8 +292,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
         {'samples': {1: [sample(4, tick=20.0), sample(2)]}}]),
     ('rebooted', {'devices': [device()], 'notes': back(500), 'samples': {1: [
         sample(6, 0, 0), sample(5, 90, 90), *STANDING]}},
-     'restarted by itself, no answers for 500 ms (no longer follows its goal): check its supply and '
-     'plug, then set it up again, torque too',
+     'restarted by itself, no answers for 500 ms (no longer follows its goal): check its supply '
+     'and plug, then set it up again, torque too',
      {'away (ms)': '500', 'seen by': 'no longer follows its goal'},
      [{'samples': {1: [sample(8, 0, 0), sample(6, 0, 0), sample(5, 90, 0), *STANDING]}},
       {'samples': {1: STANDING[:-1]}}]),

@@ -178,7 +178,7 @@ class Device:
         self.odd = True
 
     def not_served(self, now: int, blocker: int) -> None:
-        """Count an answer whose turn did not come: the master gave up at the one in front."""
+        """Count an answer whose turn did not come: the master gave up at the one before."""
         self.counts.not_served += 1
         self.asked_stamp = now
         self.waiting_behind = blocker

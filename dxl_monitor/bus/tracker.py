@@ -72,13 +72,13 @@ class Tracker:
         self._asked = (0, 0, 0)                # its end, the end of its chunk, the stamp
         self._deferred: Effect | None = None   # what it does once it is accepted
         self._slots: dict[int, Slot] = {}      # the statuses that are still to come
-        self._unresolved = False               # no status yet: the first one tells a latency
+        self._unresolved = False               # no status yet: the first one gives a latency
         self._spoke: set[int] = set()          # the devices that answered it with damage
         self._given_up = _NO_SLOTS             # the statuses to the one before that did not come
 
     def track(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
         """
-        Take the frames of one chunk; received is the stream offset behind the chunk.
+        Take the frames of one chunk; received is the stream offset after the chunk.
 
         side: of the chunk. Each side is a stream of its own; call in the order of time.
         """
@@ -247,7 +247,7 @@ class Tracker:
         self._note(stamp, ev.REFUSED, slot.device.number, refusal)
 
     def _combined(self, body: bytes, stamp: int) -> bool:
-        """Take the parts of a fast reply; return whether it breaks off behind a whole one."""
+        """Take the parts of a fast reply; return whether it breaks off after a whole one."""
         accesses = self._plan.request.accesses
         blocks = split_combined(body, accesses)        # each part that holds proves itself
         there = max(len(blocks), blocks_in(body, accesses))
@@ -375,7 +375,7 @@ class Tracker:
         self._deferred = None
 
     def _look_at_noise(self, due: list[Slot], now: int) -> None:
-        """Say whose answer the noise may have been: not that of one who says less."""
+        """Note the device that the noise may come from: one with an answer of that size."""
         most = sum(slot.size + _AROUND for slot in self._slots.values())
         if self._noise > most + GLITCH:
             self._evidence.note_often(

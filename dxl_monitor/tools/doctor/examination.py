@@ -102,7 +102,7 @@ class Examination:
         devices = sum(device.last_heard_s is not None for report in reports
                       for device in report.devices)
         rules = [one.finding.rule.replace('_', ' ') for log in self._logs.values()
-                 for one in log.told() if one.stands]
+                 for one in log.entries() if one.stands]
         return '; '.join([f'{packets} packets, {devices} devices', *rules[:3]])
 
     def buses(self, is_timed: bool) -> list[BusSummary]:

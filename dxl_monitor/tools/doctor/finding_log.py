@@ -20,7 +20,7 @@ _EXPLAINS = {rule.name: rule.explains for rule in RULES}
 _Key = tuple[str, int | None]
 
 
-class Told(NamedTuple):
+class Logged(NamedTuple):
     """A finding; first_s, last_s: its times from the first byte; stands: there at the end."""
 
     finding: Finding
@@ -33,28 +33,28 @@ class FindingLog:
     """The findings of one bus over time; takes its reports in order."""
 
     def __init__(self) -> None:
-        self._told: dict[_Key, Told] = {}
+        self._entries: dict[_Key, Logged] = {}
         self.last: BusReport | None = None
 
     def take(self, report: BusReport) -> None:
         """Remember what this report says."""
         now_s = max(0, report.stamp - report.started) / 1e9 if report.started else 0.0
         said = {(finding.rule, finding.device): finding for finding in report.findings}
-        self._told = {key: one._replace(stands=False) for key, one in self._told.items()}
+        self._entries = {key: one._replace(stands=False) for key, one in self._entries.items()}
         for key, finding in said.items():
-            before = self._told.get(key)
-            self._told[key] = Told(finding, before.first_s if before else now_s, now_s, True)
+            before = self._entries.get(key)
+            self._entries[key] = Logged(finding, before.first_s if before else now_s, now_s, True)
         self.last = report
 
-    def told(self) -> list[Told]:
+    def entries(self) -> list[Logged]:
         """Return the findings: the worst first, then those that still stand, causes first."""
-        return sorted((one for one in self._told.values() if not self._is_explained(one)),
+        return sorted((one for one in self._entries.values() if not self._is_explained(one)),
                       key=lambda one: (-one.finding.level, not one.stands,
                                        _RANK.get(one.finding.rule, len(_RANK))))
 
-    def _is_explained(self, one: Told) -> bool:
+    def _is_explained(self, one: Logged) -> bool:
         """Tell whether another finding accounts for one that is over."""
         rule, device = one.finding.rule, one.finding.device
         return not one.stands and any(
             rule in _EXPLAINS.get(by.finding.rule, ()) and by is not one
-            and by.finding.device in (None, device) for by in self._told.values())
+            and by.finding.device in (None, device) for by in self._entries.values())

@@ -259,11 +259,11 @@ def _retell(stored: SavedReport, models: Models, options: argparse.Namespace) ->
 
 def _difference(then: SavedReport, now: Sequence[BusSummary]) -> list[str]:
     """Say what the capture of a report shows that the report does not."""
-    if then.told is None:
+    if then.logged is None:
         return []
     return [f"read by this version, its capture also shows {one.finding.rule.replace('_', ' ')} "
-            f'of {bus.who(one.finding.device)}' for bus in now for one in bus.told
-            if (bus.report.name, one.finding.rule, str(one.finding.device)) not in then.told]
+            f'of {bus.who(one.finding.device)}' for bus in now for one in bus.logged
+            if (bus.report.name, one.finding.rule, str(one.finding.device)) not in then.logged]
 
 
 def _parser() -> argparse.ArgumentParser:

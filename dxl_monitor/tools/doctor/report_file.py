@@ -46,12 +46,12 @@ class SavedReport(NamedTuple):
     """
     What was left of a report. None: that part is damaged; problems: a line each.
 
-    told: each finding as (bus, rule, device): one by one, however the screen put them together.
+    logged: each finding as (bus, rule, device): one by one, however the screen put them together.
     """
 
     said: Verdict | None
     as_json: dict[str, Any] | None
-    told: frozenset[tuple[str, str, str]] | None
+    logged: frozenset[tuple[str, str, str]] | None
     devices: tuple[str, ...]
     protocol: str
     chunks: tuple[Chunk, ...]

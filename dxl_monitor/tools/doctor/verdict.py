@@ -18,7 +18,7 @@ from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor import timing
 from dxl_monitor.doctor.states import LISTED_AS
 from dxl_monitor.tools.doctor.finding_log import FindingLog
-from dxl_monitor.tools.doctor.finding_log import Told
+from dxl_monitor.tools.doctor.finding_log import Logged
 from mecarover_serial.plain import printable
 from msg_defs.reports import Level
 
@@ -70,12 +70,12 @@ class BusSummary(NamedTuple):
 
     name: str
     report: BusReport
-    told: tuple[Told, ...]
+    logged: tuple[Logged, ...]
 
     @classmethod
     def of(cls, name: str, report: BusReport, log: FindingLog, is_timed: bool) -> BusSummary:
         """Return what is said of a bus; without times nothing that needs them."""
-        return cls(name, report, tuple(one for one in log.told()
+        return cls(name, report, tuple(one for one in log.entries()
                                        if is_timed or one.finding.rule not in _NEEDS_TIMES))
 
     def who(self, number: int | None) -> str:
@@ -157,12 +157,12 @@ def _spans(devices: Sequence[DeviceReport]) -> list[str]:
 # --- wrong ---------------------------------------------------------------------------------------
 
 def _wrong(bus: BusSummary) -> list[Trouble]:
-    found = [_entry(bus, alike) for alike in _alike(bus.told)]
+    found = [_entry(bus, alike) for alike in _alike(bus.logged)]
     if any(entry.level is Level.ERROR for entry in found):
         return found                   # that of other devices follows from it, as a rule
     report = bus.report
     named = {finding.device for finding in report.findings}
-    named |= {one.finding.device for one in bus.told}
+    named |= {one.finding.device for one in bus.logged}
     found += [Trouble(device.level, bus.who(device.id), '', printable(device.message), '')
               for device in report.devices
               if device.id not in named and device.level in _CODES]
@@ -171,16 +171,16 @@ def _wrong(bus: BusSummary) -> list[Trouble]:
     return found
 
 
-def _alike(told: Sequence[Told]) -> list[list[Told]]:
+def _alike(logged: Sequence[Logged]) -> list[list[Logged]]:
     """Return findings of several devices that say the same together, the others alone."""
-    groups: dict[tuple[str, Level, str, bool], list[Told]] = {}
-    for one in told:
+    groups: dict[tuple[str, Level, str, bool], list[Logged]] = {}
+    for one in logged:
         rule, level, _, message, _ = one.finding
         groups.setdefault((rule, level, message, one.stands), []).append(one)
     return list(groups.values())
 
 
-def _entry(bus: BusSummary, alike: Sequence[Told]) -> Trouble:
+def _entry(bus: BusSummary, alike: Sequence[Logged]) -> Trouble:
     first = alike[0].finding
     who = bus.who(first.device)
     if len(alike) > 1:
@@ -191,7 +191,7 @@ def _entry(bus: BusSummary, alike: Sequence[Told]) -> Trouble:
     return Trouble(first.level, who, first.rule, printable(first.message), _evidence(alike[0]))
 
 
-def _evidence(one: Told) -> str:
+def _evidence(one: Logged) -> str:
     """Return the figures of a finding, and its time, as one sentence."""
     figures = [f'{key} {value}' for key, value in one.finding.evidence]
     when = f'seen from {one.first_s:.1f} s on' if one.stands \
@@ -210,7 +210,7 @@ def as_json(said: Verdict, buses: Sequence[BusSummary], seconds: float) -> dict[
             'level': bus.report.level.name, 'message': bus.report.message,
             'counters': bus.report.counters,
             'devices': [_device_json(device) for device in bus.report.devices],
-            'findings': [_told_json(one, bus) for one in bus.told]} for bus in buses]}
+            'findings': [_finding_json(one, bus) for one in bus.logged]} for bus in buses]}
 
 
 def _device_json(device: DeviceReport) -> dict[str, Any]:
@@ -220,7 +220,7 @@ def _device_json(device: DeviceReport) -> dict[str, Any]:
             'missed': device.totals.missed, 'damaged': device.totals.damaged}
 
 
-def _told_json(one: Told, bus: BusSummary) -> dict[str, Any]:
+def _finding_json(one: Logged, bus: BusSummary) -> dict[str, Any]:
     finding = one.finding
     return {'rule': finding.rule, 'level': finding.level.name, 'device': finding.device,
             'who': bus.who(finding.device), 'message': finding.message,
