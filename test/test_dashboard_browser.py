@@ -230,7 +230,7 @@ def test_what_was_refused_is_said(open_page):
         dashboard.take([('/diagnostics', serialise([Status('dxl_monitor: 004', Level.OK, '', '4', [
             ('Model', ''), ('State', ''), filler])]))] * 2)
         page = open_page(dashboard.address)
-        see(page, '#refused', '^2 statuses refused')
+        see(page, '#refused', '^2 statuses left out')
         page.context.close()
 
 
@@ -678,7 +678,7 @@ def test_nothing_published_yet(open_page):
         show(page, 'bridge')
         see(page, '.empty', 'vel2d_bridge')
         dashboard.server.publishers({'dxl/diagnostics': 1, 'vel2d/timing': 1})
-        see(page, '.empty', '1 publisher of vel2d/timing, no message yet')
+        see(page, '.empty', '1 publisher of vel2d/timing, but no message yet')
         page.context.close()
 
 
