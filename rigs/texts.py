@@ -5,11 +5,10 @@ Every text that a user can meet: test/baseline/texts.txt, each marked + once it 
 
     python -m rigs.texts                    print what is new, changed or not read: exit code 1
     python -m rigs.texts --write            bring the list up to date; what is new is marked -
-    python -m rigs.texts --draw 80 --seed 1 print 80 of all texts, for a readers' test
+    python -m rigs.texts --draw 80 --seed 1 print 80 sentences, for a readers' test
 
-A text is a string of at least two words in the product, launch/, deploy/ and scripts/, an item of
-a YAML file or a label of the web page. {name} is a value that the program fills in; only its place
-counts. A docstring counts where a program prints it.
+A text is a string of two words or more; {name} is a value that the program fills in, only its
+place counts. The words of makers in model files are not ours.
 """
 import argparse
 import ast
@@ -27,48 +26,34 @@ PLACES = ('msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor', 'mecaro
           'mecarover_demo', 'launch', 'deploy', 'scripts')
 WORDS = re.compile(r"[^\W\d_]{2,}[\"'”)\]},.:;%]* [\"'“({\[]*[\w-]{2,}"
                    r'|\} [^\W\d_]{3,}|[^\W\d_]{3,},? \{')
-NO_TEXT = re.compile(               # patterns, SQL, names of registers and keys
-    r'\\[sdwSb]|\(\?|\[\^|^[\w-]+=|^(SELECT|PRAGMA|INSERT|UPDATE|DELETE|WITH|CREATE|BEGIN|M0)\b'
-    r'|^(?:[A-Z0-9({][\w/%°)}-]* ?)+$')
+NO_TEXT = re.compile(               # patterns, queries, names of registers and keys
+    r'\\[sdwSb]|\(\?|\[\^|^[\w-]+=|^(export|SELECT|PRAGMA|INSERT|UPDATE|DELETE|WITH|CREATE|BEGIN|M0)'
+    r'\b|^(?:[A-Z0-9({][\w/%°)}-]* ?)+$')
 JS = re.compile(
     r"""(?://[^\n]*|/\*.*?\*/|class: '[^']*')|'((?:[^'\\\n]|\\.)*)'|"((?:[^"\\\n]|\\.)*)"|"""
     r'`((?:[^`\\$]|\\.|\$\{(?:[^{}`]|`[^`]*`|\{[^}]*\})*\}|\$)*)`', re.S)
-HTML = re.compile(r'(?:aria-label|title|placeholder|content)="([^"]+)"|>([^<>]+)<')
-SHELL = re.compile(r'\b(?:echo|fail|printf)\b[^"\n]*"((?:[^"\\]|\\.)*)"')
+JS_VALUE = re.compile(r'\$\{((?:[^{}`]|`[^`]*`)*)\}')
 QUOTED = {'text', 'also', 'says', 'source', 'name', 'expr'}     # YAML keys with words of others
-Texts = list[tuple[str, str]]                                   # (file, text)
 
 
 def place(value: str) -> str:
     """Return a place for a value in a text, named after the last name in its expression."""
-    name = (re.findall(r'[A-Za-z_]\w*', value) or ['value'])[-1]
-    return f'{{{name}}}'
+    return f'{{{(re.findall(r"[A-Za-z_][A-Za-z_0-9]*", value) or ["value"])[-1]}}}'
 
 
-def joined(node: ast.JoinedStr) -> str:
-    """Return an f-string as one text."""
-    return ''.join(part.value if isinstance(part, ast.Constant) else place(ast.unparse(part.value))
-                   for part in node.values)
-
-
-def python_texts(node: ast.AST, prints_doc: bool = True) -> Iterator[str]:
-    """Yield the strings of a module: no docstrings, keys of dicts, patterns."""
-    match node:
-        case ast.Constant(value=str(text)):
-            yield text
-        case ast.JoinedStr():
-            yield joined(node)
-            for part in node.values:
-                if isinstance(part, ast.FormattedValue):
-                    yield from python_texts(part.value)
-        case ast.Expr(value=ast.Constant()):
-            pass
-        case ast.Dict():
-            for value in node.values:
-                yield from python_texts(value)
-        case _:
-            for child in ast.iter_child_nodes(node):
-                yield from python_texts(child)
+def python_texts(node: ast.AST) -> Iterator[str]:
+    """Yield the strings of a module, f-strings as one: no docstrings, no keys of dicts."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield node.value
+    elif isinstance(node, ast.JoinedStr):
+        yield ''.join(str(part.value) if isinstance(part, ast.Constant) else
+                      place(ast.unparse(part.value)) for part in node.values)  # type: ignore
+        for part in node.values:
+            if isinstance(part, ast.FormattedValue):
+                yield from python_texts(part.value)
+    elif not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)):
+        for child in node.values if isinstance(node, ast.Dict) else ast.iter_child_nodes(node):
+            yield from python_texts(child)
 
 
 def module_texts(source: str) -> Iterator[str]:
@@ -79,57 +64,44 @@ def module_texts(source: str) -> Iterator[str]:
 
 
 def script_texts(source: str) -> Iterator[str]:
-    """Yield the strings of a JavaScript file; what has one word only if it is a label."""
+    """Yield the strings of a JavaScript file, those within templates too."""
     for found in JS.finditer(source):
-        text = next(filter(None, found.groups()), '')
-        if found[3]:
-            for inner in re.findall(r'\$\{((?:[^{}`]|`[^`]*`)*)\}', text):
-                yield from script_texts(inner)
-            text = re.sub(r'\$\{((?:[^{}`]|`[^`]*`)*)\}', lambda one: place(one[1]), text)
-        yield f'{text} (label)' if re.fullmatch('[A-Z][a-z]{2,}', text) else text
+        for inner in JS_VALUE.findall(found[3] or ''):
+            yield from script_texts(inner)
+        yield JS_VALUE.sub(lambda one: place(one[1]), next(filter(None, found.groups()), ''))
 
 
 def yaml_texts(node: object) -> Iterator[str]:
     """Yield the strings of a YAML document, but for the words of others."""
-    match node:
-        case str():
-            yield node
-        case dict():
-            for key, value in node.items():
-                if key not in QUOTED:
-                    yield from yaml_texts(value)
-        case list():
-            for value in node:
+    if isinstance(node, str):
+        yield node
+    elif isinstance(node, dict | list):
+        for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+            if key not in QUOTED:
                 yield from yaml_texts(value)
 
 
-def texts_in(path: Path) -> Iterator[str]:
-    """Yield the texts of one file."""
-    source = path.read_text(encoding='utf-8')
-    match path.suffix:
-        case '.py':
-            found = module_texts(source)
-        case '.js':
-            found = script_texts(source)
-        case '.html':
-            found = (unescape(one[1] or one[2]) for one in HTML.finditer(source))
-        case '.yaml' | '.yml':
-            found = yaml_texts(yaml.safe_load(source))
-        case '':
-            found = (one[1] for one in SHELL.finditer(source))
-        case _:
-            return
-    for text in found:
-        text = ' '.join(text.split())
-        if WORDS.search(text) and not NO_TEXT.search(text):
-            yield text
+READERS = {
+    '.py': module_texts, '.js': script_texts,
+    '.html': lambda source: map(unescape, re.findall(r'(?<=[">])[^"<>]{4,}(?=["<])', source)),
+    '.yaml': lambda source: yaml_texts(yaml.safe_load(source)),
+    '.yml': lambda source: yaml_texts(yaml.safe_load(source)),
+    '': lambda source: re.findall(r'\b(?:echo|fail|printf)\b[^"\n]*"((?:[^"\\]|\\.)*)"', source)}
 
 
-def all_texts() -> Texts:
-    """Return all texts in the order of the files, each once for its file."""
-    files = sorted(path for name in PLACES for path in (ROOT / name).rglob('*') if path.is_file())
-    return list(dict.fromkeys((str(path.relative_to(ROOT)), text)
-                              for path in files for text in texts_in(path)))
+def is_text(text: str) -> bool:
+    """Tell whether a string is a text, and no name, pattern or query."""
+    return bool(WORDS.search(text)) and not NO_TEXT.search(text)
+
+
+def all_texts() -> list[tuple[str, str]]:
+    """Return (file, text) in the order of the files, each text once for its file."""
+    files = sorted(path for name in PLACES for path in (ROOT / name).rglob('*')
+                   if path.is_file() and path.suffix in READERS and path.parent.name != 'files')
+    return list(dict.fromkeys(
+        (str(path.relative_to(ROOT)), text) for path in files
+        for text in map(' '.join, map(str.split, READERS[path.suffix](path.read_text('utf-8'))))
+        if is_text(text)))
 
 
 def key(file: str, text: str) -> tuple[str, str]:
@@ -137,50 +109,44 @@ def key(file: str, text: str) -> tuple[str, str]:
     return file, re.sub(r'\{\w+\}', '{}', text)
 
 
-def read() -> dict[tuple[str, str], str]:
+def marks() -> dict[tuple[str, str], str]:
     """Return the marks of the list, by key."""
-    marks, file = {}, ''
-    for line in LIST.read_text(encoding='utf-8').splitlines() if LIST.exists() else ():
+    found, file = {}, ''
+    for line in LIST.read_text('utf-8').splitlines():
         if line[:2] in ('+ ', '- '):
-            marks[key(file, line[2:])] = line[0]
+            found[key(file, line[2:])] = line[0]
         else:
             file = line
-    return marks
+    return found
 
 
 def differences() -> list[str]:
     """Return a line for each text that is new or not read, and for each that is gone."""
-    marks, now = read(), {key(*one): one for one in all_texts()}
+    known, now = marks(), {key(*one): one for one in all_texts()}
     return [f'{file}: not read: {text}' for one, (file, text) in now.items()
-            if marks.get(one) != '+'] + [f'{file}: gone: {text}'
-                                         for file, text in marks.keys() - now.keys()]
-
-
-def write() -> None:
-    """Bring the list up to date; what is in it already keeps its mark."""
-    marks, lines, last = read(), [], ''
-    for file, text in all_texts():
-        lines += [file] * (file != last) + [f'{marks.get(key(file, text), "-")} {text}']
-        last = file
-    LIST.write_text('\n'.join(lines) + '\n', encoding='utf-8')
+            if known.get(one) != '+'] + [': gone: '.join(one) for one in known.keys() - now.keys()]
 
 
 def main() -> int:
     """Print differences or a draw, or write the list."""
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(usage=__doc__)
     parser.add_argument('--write', action='store_true')
     parser.add_argument('--draw', type=int, metavar='COUNT')
     parser.add_argument('--seed', type=int, default=1)
     options = parser.parse_args()
+    texts = all_texts()
     if options.draw:
-        for file, text in random.Random(options.seed).sample(all_texts(), options.draw):
-            print(f'{file}\n    {text}')
+        whole = [one for one in texts if len(re.findall(r'(?<!\{)\b[a-z]+\b', one[1])) > 4]
+        drawn = random.Random(options.seed).sample(whole, options.draw)
+        print(*(f'{file}\n    {text}' for file, text in drawn), sep='\n')
         return 0
     if options.write:
-        write()
+        known, lines = marks(), ['']
+        for file, text in texts:
+            lines += [file] * (file not in lines) + [f'{known.get(key(file, text), "-")} {text}']
+        LIST.write_text('\n'.join(lines[1:]) + '\n', 'utf-8')
     found = differences()
-    print(*found, f'{len(all_texts())} texts, {len(found)} new, not read or gone', sep='\n')
+    print(*found, f'{len(texts)} texts, {len(found)} new, not read or gone', sep='\n')
     return bool(found)
 
 
