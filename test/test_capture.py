@@ -246,7 +246,7 @@ def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch)
     recorder.start()
     recorder.stop()
     assert recorder.left_out == 90
-    assert b'# gap: the disk is too slow since 12345.678901245, 90 bytes' in path.read_bytes()
+    assert b'# gap: the disk was too slow from 12345.678901245 on, 90 bytes' in path.read_bytes()
     assert len(list(Reader(path.open('rb')))) == 11
 
 

@@ -130,8 +130,8 @@ class Recorder:
                 self._file = open_new(self.path, waits=False)
                 self._writer = Writer(self._file, self._now())
         if gap is not None:
-            self._writer.remark(f'gap: the disk is too slow since {seconds(gap)}, {self.left_out} '
-                                'bytes left out so far')
+            self._writer.remark(f'gap: the disk was too slow from {seconds(gap)} on, '
+                                f'{self.left_out} bytes left out so far')
         self._file.flush()
 
     def _make_room(self) -> None:
