@@ -137,7 +137,7 @@ def test_joints_swing_and_goals_lead() -> None:
     model = MODELS.by_name('MX-106')
     assert model is not None
     field = model.by_name['Present Position']
-    raw = bytes(known.bytes[at] for at in range(field.at, field.end))
+    raw = bytes(known.table[at] for at in range(field.at, field.end))
     assert field.decode(raw).number == pytest.approx(motion.angle(1.99), abs=0.02)
 
 
@@ -176,8 +176,8 @@ def assert_agrees(report: BusReport, truth: Truth) -> None:
         assert (device.model_number, device.firmware) == (known.model_number, known.firmware)
         seen = {value.field.name: value for value in device.observed}
         for field in device.model.fields:
-            raw = bytes(known.bytes.get(at, 0) for at in range(field.at, field.end))
-            if all(at in known.bytes for at in range(field.at, field.end)):
+            raw = bytes(known.table.get(at, 0) for at in range(field.at, field.end))
+            if all(at in known.table for at in range(field.at, field.end)):
                 assert seen[field.name].value.raw == STRUCTS[field.type].unpack(raw)[0], field
 
 

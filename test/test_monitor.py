@@ -522,8 +522,8 @@ def test_what_a_perfect_listener_would_know(pattern: str, fault: str) -> None:
         assert (device.model_number, device.firmware) == (known.model_number, known.firmware)
         for seen in device.observed:
             field = seen.field
-            if all(at in known.bytes for at in range(field.at, field.end)):
-                raw = bytes(known.bytes[at] for at in range(field.at, field.end))
+            if all(at in known.table for at in range(field.at, field.end)):
+                raw = bytes(known.table[at] for at in range(field.at, field.end))
                 assert seen.value == field.decode(raw), (device.id, field)
 
 

@@ -127,8 +127,9 @@ class FakeDevice(Registers):
     def restart(self, now: int, boot_ns: int = BOOT_NS) -> None:
         """Start as after power-on: RAM at its defaults, deaf while booting."""
         self.rest_angle = self.angle(now)
-        for at in self.ram:
-            self.image[at] = self.factory[at]
+        for at in range(2, len(self.image)):
+            if at not in self.eeprom:
+                self.image[at] = self.factory[at]
         self.hardware_error = 0
         self._registered = None
         self.up_at = now + boot_ns

@@ -9,16 +9,15 @@ Protocol 2.0, instruction packets; combined replies are sent piece by piece, one
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
 from typing import NamedTuple
 
 from dxl_monitor.fake.device import FakeDevice
+from dxl_monitor.fake.device import Reply
 from dxl_monitor.fake.device import WATCHDOG_UNIT_NS
 from msg_defs import dxl1_packet
 from msg_defs.crc import crc16
-from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import NAMES
@@ -55,9 +54,7 @@ class Burst:
         self.sender = sender
         self.end = start + wire_ns(len(data), baud)
         self.intact = intact
-        self.said: tuple[tuple[int, bytes], ...] = ()
-        if sender == MASTER:
-            self.said = ((start, data),)
+        self.said = ((start, data),) * (sender == MASTER)
 
     def __repr__(self) -> str:
         return f'Burst({self.start}, {self.data.hex(" ")}, {self.sender})'
@@ -117,7 +114,6 @@ class Line:
         self.chain = list(devices)
         self.baud = baud
         self.waits_in_line = waits_in_line
-        self._by_id: dict[int, list[FakeDevice]] = {}
         self._heard_at = 0
         self._index()
 
@@ -154,7 +150,7 @@ class Line:
         exchange = Exchange(request, params, [asked], self._due(request), [])
         if heard:
             self._watch(asked.end)
-            _ANSWERING[_way(request)](self, exchange, asked.end)
+            self._answer(exchange, asked.end)
         return exchange
 
     # --- what is of Protocol 2.0 alone ------------------------------------------------------
@@ -192,7 +188,7 @@ class Line:
     # ---------------------------------------------------------------------------------------
 
     def _index(self) -> None:
-        self._by_id.clear()
+        self._by_id: dict[int, list[FakeDevice]] = {}
         for device in self.chain:
             self._by_id.setdefault(device.id, []).append(device)
 
@@ -203,8 +199,7 @@ class Line:
         self._heard_at = now
 
     def _hearing(self, number: int, now: int) -> list[FakeDevice]:
-        return [device for device in self._by_id.get(number, ())
-                if device.hears(self.baud, now)]
+        return [device for device in self._by_id.get(number, ()) if device.hears(self.baud, now)]
 
     def _due(self, request: Request) -> tuple[int, ...]:
         """Return who must answer, Status Return Level considered; a stranger must."""
@@ -223,6 +218,21 @@ class Line:
 
     # --- ways to answer --------------------------------------------------------------------
 
+    def _answer(self, exchange: Exchange, now: int) -> None:
+        request = exchange.request
+        if request.answers is Answers.EVERYBODY:
+            self._everybody(exchange, now)
+        elif request.answers is Answers.LISTED:
+            self._listed(exchange, now)
+        elif request.answers is Answers.COMBINED:
+            self._combined(exchange, now)
+        elif request.instruction in _LISTED_WRITES:
+            self._write_each(exchange, now)
+        elif request.id == BROADCAST:
+            self._all(exchange, now)
+        else:
+            self._single(exchange, now)
+
     def _single(self, exchange: Exchange, now: int) -> None:
         request = exchange.request
         for device in self._hearing(request.id, now):
@@ -239,21 +249,24 @@ class Line:
         if device.id != number:
             self._index()
 
-    def _send(self, exchange: Exchange, number: int, error: int, params: bytes,
-              start: int) -> int:
-        """Put a status on the line; return when it ends."""
-        burst = Burst(start, self.status_wire(number, error, params), number, self.baud)
+    def _send(self, exchange: Exchange, number: int, error: int, params: bytes, start: int,
+              wire: bytes = b'') -> int:
+        """Put a status, or that part of a combined one, on the line; return when it ends."""
+        burst = Burst(start, wire or self.status_wire(number, error, params), number, self.baud)
         exchange.bursts.append(burst)
         exchange.answers.append(Answer(number, self.common_error(error), params, burst))
         return burst.end
+
+    def _reply(self, exchange: Exchange, device: FakeDevice, reply: Reply, now: int) -> int:
+        return self._send(exchange, device.id, device.error_byte(reply.error), reply.params,
+                          now + device.return_delay_ns)
 
     def _everybody(self, exchange: Exchange, now: int) -> None:
         for number in sorted(self._by_id):
             end = now
             for device in self._hearing(number, now):
                 reply = device.execute(Instruction.PING, b'', now)
-                end = max(end, self._send(exchange, number, device.error_byte(reply.error),
-                                          reply.params, now + device.return_delay_ns))
+                end = max(end, self._reply(exchange, device, reply, now))
             now = end
 
     def _listed(self, exchange: Exchange, now: int) -> None:
@@ -265,8 +278,7 @@ class Line:
             end = now + (0 if devices else wire_ns(access.length + self.status_size, self.baud))
             for device in devices:
                 reply = device.read(access.address, access.length, now)
-                end = max(end, self._send(exchange, access.id, device.error_byte(reply.error),
-                                          reply.params, now + device.return_delay_ns))
+                end = max(end, self._reply(exchange, device, reply, now))
             now = end
 
     def _combined(self, exchange: Exchange, now: int) -> None:
@@ -278,21 +290,15 @@ class Line:
             device = next(iter(self._hearing(access.id, now)), None)
             if device is None or not device.has_fast_reads:
                 return
-            block = self._block(device, access, now)
+            reply = device.read(access.address, access.length, now)
+            error, data = device.error_byte(reply.error), reply.params or bytes(access.length)
+            block = bytes([error, access.id]) + data
             crc = crc16(block, crc)
             tail = crc.to_bytes(2, 'little')
             crc = crc16(tail, crc)
             start = now if position else now + device.return_delay_ns
             piece = (b'' if position else sent) + block + tail
-            burst = Burst(start, piece, access.id, self.baud)
-            exchange.bursts.append(burst)
-            exchange.answers.append(Answer(access.id, block[0], block[2:], burst))
-            now = burst.end
-
-    def _block(self, device: FakeDevice, access: Access, now: int) -> bytes:
-        reply = device.read(access.address, access.length, now)
-        return bytes([device.error_byte(reply.error), access.id]) \
-            + (reply.params or bytes(access.length))
+            now = self._send(exchange, access.id, error, data, start, piece)
 
     def _write_each(self, exchange: Exchange, now: int) -> None:
         for access in exchange.request.accesses:
@@ -300,7 +306,7 @@ class Line:
                 device.write(access.address, access.data or b'', now)
                 self._follow(device, access.id)
 
-    def _tell_all(self, exchange: Exchange, now: int) -> None:
+    def _all(self, exchange: Exchange, now: int) -> None:
         request = exchange.request
         if request.instruction == Instruction.FACTORY_RESET and exchange.params == b'\xff':
             return               # ignored by firmware 42 and later
@@ -310,21 +316,7 @@ class Line:
         self._index()
 
 
-_Way = Callable[[Line, Exchange, int], None]
-_ANSWERING: dict[str, _Way] = {
-    'single': Line._single, 'everybody': Line._everybody, 'listed': Line._listed,
-    'combined': Line._combined, 'write each': Line._write_each, 'tell all': Line._tell_all,
-}
-_WAYS = {Answers.EVERYBODY: 'everybody', Answers.LISTED: 'listed', Answers.COMBINED: 'combined'}
 _LISTED_WRITES = (Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
-
-
-def _way(request: Request) -> str:
-    if request.answers in _WAYS:
-        return _WAYS[request.answers]
-    if request.instruction in _LISTED_WRITES:
-        return 'write each'
-    return 'tell all' if request.id == BROADCAST else 'single'
 
 
 def mix(bursts: Iterable[Burst], baud: int) -> list[Burst]:

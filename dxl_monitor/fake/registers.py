@@ -28,7 +28,8 @@ class Registers:
         self._defined = _defined_bytes(model)
         self.factory = bytes(initial_image(model, firmware, len(self._defined)))
         self.image = bytearray(self.factory)
-        self.ram = _ram_addresses(model, len(self._defined))
+        self.eeprom = {at for field in model.fields if field.memory == 'eeprom'
+                       for at in range(field.at, field.end)}
 
     def field(self, name: str) -> Field | None:
         """Return the register of that name, None where the model has none."""
@@ -103,10 +104,3 @@ def _defined_bytes(model: Model) -> bytearray:
     for first, end in spans or [(0, _SMALLEST_TABLE)]:
         defined[first:end] = b'\x01' * (end - first)
     return defined
-
-
-def _ram_addresses(model: Model, size: int) -> list[int]:
-    """Return the addresses that a start puts back to their defaults."""
-    kept = {at for field in model.fields if field.memory == 'eeprom'
-            for at in range(field.at, field.end)}
-    return [at for at in range(2, size) if at not in kept]
