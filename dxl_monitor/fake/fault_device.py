@@ -13,6 +13,7 @@ from dxl_monitor.fake.fault import FaultScope
 from dxl_monitor.fake.fault import MS
 from dxl_monitor.fake.traffic import Ask
 from dxl_monitor.fake.traffic import read
+from dxl_monitor.fake.traffic import read_register
 from dxl_monitor.fake.traffic import sync_read
 from dxl_monitor.fake.traffic import write
 from dxl_monitor.fake.values import Sine
@@ -182,11 +183,10 @@ class Hot(Effect):
             device.temperature = TEMPERATURE
 
     def asks(self, cycle: int) -> Iterable[Ask]:
-        for name in ('Temperature Limit', 'Min Voltage Limit', 'Max Voltage Limit'):
-            for device in self.devices:
-                field = device.field(name)
-                if cycle % 50 == 0 and field is not None:
-                    yield read(device.id, field.at, field.size)
+        if cycle % 50 == 0:
+            for name in ('Temperature Limit', 'Min Voltage Limit', 'Max Voltage Limit'):
+                for device in self.devices:
+                    yield from read_register(device, name)
 
 
 class LowVoltage(Hot):

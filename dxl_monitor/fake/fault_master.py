@@ -16,6 +16,7 @@ from dxl_monitor.fake.traffic import Ask
 from dxl_monitor.fake.traffic import read
 from dxl_monitor.fake.traffic import words
 from dxl_monitor.fake.traffic import write
+from dxl_monitor.fake.traffic import write_register
 from msg_defs.dxl_instruction import Instruction
 
 LATENCY_NS = 16 * MS             # an FTDI adapter as delivered
@@ -89,9 +90,8 @@ class Eeprom(Effect):
     """The master writes an EEPROM register while the torque is on."""
 
     def asks(self, cycle: int) -> Iterable[Ask]:
-        field = self.device.field('Return Delay Time')
-        if cycle % 10 == 0 and field is not None:
-            yield write(self.device.id, field.at, b'\x00')
+        if cycle % 10 == 0:
+            yield from write_register(self.device, 'Return Delay Time', b'\x00')
 
 
 class EepromWear(Effect):

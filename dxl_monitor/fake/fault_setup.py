@@ -12,7 +12,9 @@ from dxl_monitor.fake.fault import Effect
 from dxl_monitor.fake.fault_device import Hot
 from dxl_monitor.fake.traffic import Ask
 from dxl_monitor.fake.traffic import read
+from dxl_monitor.fake.traffic import read_register
 from dxl_monitor.fake.traffic import write
+from dxl_monitor.fake.traffic import write_register
 from dxl_monitor.fake.values import VOLTAGE
 from msg_defs.dxl1_instruction import CALIBRATE
 
@@ -47,13 +49,9 @@ class Baud(Once):
     """The master writes Baud Rate of the device, which is never heard again."""
 
     def first(self) -> Iterable[Ask]:
-        device = self.device
-        torque, rate = device.field('Torque Enable'), device.field('Baud Rate')
-        if rate is None:
-            return
-        if torque is not None:
-            yield write(device.id, torque.at, b'\x00')
-        yield write(device.id, rate.at, bytes([self.code()]))
+        if self.device.field('Baud Rate') is not None:
+            yield from write_register(self.device, 'Torque Enable', b'\x00')
+            yield from write_register(self.device, 'Baud Rate', bytes([self.code()]))
 
     def code(self) -> int:
         """Return what is written."""
@@ -114,10 +112,8 @@ class Locked(Once):
         self.device.set('Lock', 1)
 
     def first(self) -> Iterable[Ask]:
-        lock, limit = self.device.field('Lock'), self.device.field('Temperature Limit')
-        if lock is not None and limit is not None:
-            yield read(self.device.id, lock.at, 1)
-            yield write(self.device.id, limit.at, b'\x46')
+        yield from read_register(self.device, 'Lock')
+        yield from write_register(self.device, 'Temperature Limit', b'\x46')
 
 
 class Calibrated(Once):
@@ -131,18 +127,17 @@ class Middle(Once):
     """The master calibrates the device twice, by Torque Enable 128."""
 
     def first(self) -> Iterable[Ask]:
-        torque = self.device.field('Torque Enable')
-        return [] if torque is None else [write(self.device.id, torque.at, bytes([MIDDLE]))] * 2
+        return list(write_register(self.device, 'Torque Enable', bytes([MIDDLE]))) * 2
 
 
 class Offset(Once):
     """The master calibrates the device on top of the offset that it has."""
 
     def first(self) -> Iterable[Ask]:
-        offset, place = self.device.field('Homing Offset'), self.device.field('Present Position')
-        if offset is not None and place is not None:
+        offset = self.device.field('Homing Offset')
+        if offset is not None:
             yield write(self.device.id, offset.at, offset.bytes_of(120))
-            yield read(self.device.id, place.at, place.size)
+            yield from read_register(self.device, 'Present Position')
             yield write(self.device.id, offset.at, offset.bytes_of(95))
 
 

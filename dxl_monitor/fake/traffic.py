@@ -113,6 +113,20 @@ def write(number: int, address: int, data: bytes) -> Ask:
     return Ask(number, Instruction.WRITE, words(address) + data)
 
 
+def read_register(device: FakeDevice, name: str) -> Iterator[Ask]:
+    """Ask a device for a register, if it has it."""
+    field = device.field(name)
+    if field is not None:
+        yield read(device.id, field.at, field.size)
+
+
+def write_register(device: FakeDevice, name: str, data: bytes) -> Iterator[Ask]:
+    """Write a register of a device, if it has it."""
+    field = device.field(name)
+    if field is not None:
+        yield write(device.id, field.at, data)
+
+
 def sync_read(span: CommonRange, instruction: int = Instruction.SYNC_READ) -> Iterator[Ask]:
     """Ask several devices for the same registers, in as few packets as the answers fit."""
     for ids in _batches(list(span.ids), lambda number: span.length + BLOCK):
