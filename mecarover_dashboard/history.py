@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The record of the last day in an SQLite file: windows of values, and events.
+The history of the last day: its SQLite file of windows and events, its writer and its reader.
 
 A value is stored in thousandths, as an integer of few bytes, and only where it differs from the
 window before: what is missing is carried forward. Each source has a whole window every 10 minutes,
@@ -15,15 +15,17 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 import sqlite3
+from typing import NamedTuple
 
-from mecarover_dashboard.recorder import Event
-from mecarover_dashboard.recorder import Subject
-from mecarover_dashboard.recorder import VALUES
-from mecarover_dashboard.recorder import Window
-from mecarover_dashboard.recorder import WINDOW_S
 from mecarover_serial.plain import printable
 
 VERSION = 1
+WINDOW_S = 10
+VALUES = {                      # what is kept of each kind, in this order
+    'devices': ('position', 'temperature', 'voltage', 'load', 'loss', 'latency'),
+    'buses': ('bus_load', 'packet_rate', 'error_rate'),
+    'bridge': (),
+}
 KEPT_S = 24 * 3600
 MOST_BYTES = 200_000_000
 WHOLE_S = 600                   # a window at a multiple of this is stored whole
@@ -42,10 +44,46 @@ _SCHEMA = f"""
     PRAGMA user_version = {VERSION};
 """
 _FAR = 1e12                     # beyond this a value is not a measurement
-
-
 _UNKNOWN = (1, 0)               # low above high: the value is not known, and not carried forward
 _Pairs = tuple[tuple[int, int], ...]
+
+
+class Subject(NamedTuple):
+    """What a record is about: the status of this name."""
+
+    name: str
+    kind: str                   # a key of VALUES
+    robot: str
+    unit: str = ''              # `load` is in: % or A
+
+
+class Window(NamedTuple):
+    """What a source was in the 10 s that begin at `at` (Unix s); None where nothing is known."""
+
+    at: int
+    source: Subject
+    level: int                  # the worst
+    lows: tuple[float | None, ...]
+    highs: tuple[float | None, ...]
+
+
+class Event(NamedTuple):
+    """Something that happened to a source; kind: 'state', 'finding', 'over' or 'error'."""
+
+    at: float                   # Unix s
+    source: Subject
+    kind: str
+    level: int
+    text: str
+
+
+class Question(NamedTuple):
+    """What is asked of a history; times in Unix s. `of`: names of sources, none = all."""
+
+    from_s: float
+    to_s: float
+    of: tuple[str, ...] = ()
+    robot: str | None = None
 
 
 class DamagedError(Exception):
@@ -181,39 +219,39 @@ class HistoryReader:
         """Close the file."""
         self._database.close()
 
-    def count(self, of: Iterable[str] = (), robot: str | None = None) -> int:
+    def count(self, question: Question) -> int:
         """Return how many sources a question is about."""
-        return len(self._numbers(of, robot))
+        return len(self._numbers(question))
 
-    def events(self, from_s: float, to_s: float, of: Iterable[str] = (), robot: str | None = None,
-               most: int = 1000) -> list[Event]:
-        """Return the newest events of some sources (by name; none = all), the newest first."""
-        wanted = self._numbers(of, robot)
-        marks = ', '.join(map(str, wanted))
+    def events(self, question: Question, most: int = 1000) -> list[Event]:
+        """Return the newest events, the newest first."""
+        marks = ', '.join(map(str, self._numbers(question)))
         return [Event(at, self._sources[source], kind, level, text)
                 for at, source, kind, level, text in self._database.execute(
                     f'SELECT * FROM events WHERE at BETWEEN ? AND ? AND source IN ({marks}) '
-                    'ORDER BY at DESC LIMIT ?', (from_s, to_s, most))]
+                    'ORDER BY at DESC LIMIT ?', (question.from_s, question.to_s, most))]
 
-    def windows(self, from_s: float, to_s: float, of: Iterable[str] = (),
-                robot: str | None = None) -> Iterator[Window]:
-        """Return the windows of some sources (none = all) in the order of time."""
-        wanted = self._numbers(of, robot)
+    def windows(self, question: Question) -> Iterator[Window]:
+        """Return the windows in the order of time."""
+        from_s = int(question.from_s)
         held: dict[int, tuple[int, ...]] = {}
         first, last = self._database.execute('SELECT min(at), max(at) FROM windows').fetchone()
-        begin = max(int(from_s) // WHOLE_S * WHOLE_S, first or 0)
-        for at, number, level, *stored in self._rows(begin, min(int(to_s), last or 0), wanted):
-            count = 2 * len(VALUES[self._sources[number].kind])
-            before = held.get(number, _UNKNOWN * (count // 2))
-            pairs = tuple(old if new is None else new
-                          for new, old in zip(stored[:count], before, strict=True))
-            held[number] = pairs
-            if at >= int(from_s) // WINDOW_S * WINDOW_S:
-                known = [low <= high for low, high in zip(pairs[::2], pairs[1::2], strict=True)]
-                yield Window(at, self._sources[number], level, *(
+        begin = max(from_s // WHOLE_S * WHOLE_S, first or 0)
+        for at, number, level, *stored in self._rows(
+                begin, min(int(question.to_s), last or 0), self._numbers(question)):
+            source = self._sources[number]
+            count = len(VALUES[source.kind])
+            before = held.get(number, _UNKNOWN * count)
+            pairs = held[number] = tuple(
+                old if new is None else new
+                for new, old in zip(stored[:2 * count], before, strict=True))
+            if at >= from_s // WINDOW_S * WINDOW_S:
+                lows, highs = pairs[::2], pairs[1::2]
+                known = [low <= high for low, high in zip(lows, highs, strict=True)]
+                yield Window(at, source, level, *(
                     tuple(value / 1000 if is_known else None
                           for value, is_known in zip(ends, known, strict=True))
-                    for ends in (pairs[::2], pairs[1::2])))
+                    for ends in (lows, highs)))
 
     def _rows(self, begin: int, end: int, wanted: list[int]) -> Iterator[tuple[int, ...]]:
         marks = ', '.join(map(str, wanted))
@@ -228,11 +266,11 @@ class HistoryReader:
             f'SELECT windows.* FROM times CROSS JOIN windows ON at = t AND source IN ({marks})',
             (begin, WINDOW_S, end))
 
-    def _numbers(self, of: Iterable[str], robot: str | None) -> list[int]:
-        names = set(of)
+    def _numbers(self, question: Question) -> list[int]:
+        names = set(question.of)
         return [number for number, source in self._sources.items()
                 if (not names or source.name in names)
-                and (robot is None or source.robot == robot)]
+                and question.robot in (None, source.robot)]
 
 
 def _stored(low: float | None, high: float | None) -> tuple[int, int]:

@@ -13,9 +13,9 @@ import socket
 import sys
 from typing import Any
 
-from mecarover_dashboard.recording import default_path
-from mecarover_dashboard.recording import Recording
-from mecarover_dashboard.recording import RecordingError
+from mecarover_dashboard.history_recorder import default_path
+from mecarover_dashboard.history_recorder import HistoryError
+from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import few_files
 from mecarover_serial.cli import hold_signals
@@ -72,13 +72,13 @@ def main(args: Sequence[str] | None = None) -> int:
     return run(NAME, lambda: Subscriber(server), ['dxl_dashboard', *arguments])
 
 
-def open_history(wanted: str | None) -> tuple[Recording | None, str]:
+def open_history(wanted: str | None) -> tuple[HistoryRecorder | None, str]:
     """Return what records the history; or None and why, which is said unless it is wanted."""
     if wanted == NONE:
         return None, NOT_WANTED
     try:
-        recording = Recording(default_path() if wanted is None else Path(wanted))
-    except RecordingError as error:
+        recording = HistoryRecorder(default_path() if wanted is None else Path(wanted))
+    except HistoryError as error:
         print(f'{NAME}: no history: {printable(str(error))}', file=sys.stderr)
         return None, str(error)
     if recording.notice:

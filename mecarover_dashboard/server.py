@@ -31,8 +31,8 @@ from aiohttp.http_exceptions import HttpProcessingError
 from mecarover_dashboard.client import Client
 from mecarover_dashboard.client import json_text
 from mecarover_dashboard.door import Door
-from mecarover_dashboard.past import Past
-from mecarover_dashboard.recording import Recording
+from mecarover_dashboard.history_recorder import HistoryRecorder
+from mecarover_dashboard.history_requests import HistoryRequests
 from mecarover_dashboard.state import MOST_OF_MESSAGE
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
@@ -85,7 +85,7 @@ class Server:
     """Serves a State on a listening socket, in a thread of its own."""
 
     def __init__(self, listener: socket.socket, facts: dict[str, Any], is_open: bool,
-                 recording: Recording | None = None, name: str = '') -> None:
+                 recording: HistoryRecorder | None = None, name: str = '') -> None:
         self._listener = listener
         self._is_open = is_open
         names = {'localhost', name.lower().rstrip('.')} - {''}
@@ -188,10 +188,10 @@ class Server:
         app = web.Application(middlewares=[self._guard])
         app.on_response_prepare.append(_add_headers)
         app.router.add_get('/events', self._events)
-        past = Past(None if self._recording is None else self._recording.path)
+        history = HistoryRequests(None if self._recording is None else self._recording.path)
         app.router.add_get('/metrics', self._metrics)
-        app.router.add_get('/history/values', past.values)
-        app.router.add_get('/history/events', past.events)
+        app.router.add_get('/history/values', history.values)
+        app.router.add_get('/history/events', history.events)
         for name, data in files.items():
             app.router.add_get(f'/{name}', _serve_file(name, data))
             if name == 'index.html':

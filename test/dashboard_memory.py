@@ -25,8 +25,8 @@ from dashboard_page import Dashboard
 from synthetic_robot import MANY
 from synthetic_robot import SyntheticRobot
 
-from mecarover_dashboard.recorder import WINDOW_S
-from mecarover_dashboard.recording import Recording
+from mecarover_dashboard.history import WINDOW_S
+from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_dashboard.rows import Values
 from mecarover_dashboard.state import State
 
@@ -47,7 +47,7 @@ def show(what):
 def feed(state, hours, path):
     """Let all devices move for so many hours; with a history where there is a path."""
     end = int(time.time())
-    recording = path and Recording(path)
+    recording = path and HistoryRecorder(path)
     for second in range(0, int(hours * HOUR), WINDOW_S):
         move(state, second)
         if recording:

@@ -60,14 +60,14 @@ class Dashboard:
         self.start()
 
     def start(self):
+        from mecarover_dashboard.history_recorder import HistoryRecorder
         from mecarover_dashboard.main import facts
         from mecarover_dashboard.main import listen
-        from mecarover_dashboard.recording import Recording
         from mecarover_dashboard.server import Server
         listener = listen('127.0.0.1', self.port)
         self.port = listener.getsockname()[1]
         about = facts('127.0.0.1', self.port) | {'machine': 'robot'}
-        recording = self._history and Recording(self._history)
+        recording = self._history and HistoryRecorder(self._history)
         self.server = Server(listener, about, self._is_open, recording)
         self.server.start()
 

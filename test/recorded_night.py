@@ -13,8 +13,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from synthetic_robot import serialise
 
 from mecarover_dashboard.history import HistoryWriter
-from mecarover_dashboard.recorder import HistoryRecorder
-from mecarover_dashboard.recording import FLUSH_S
+from mecarover_dashboard.history_recorder import FLUSH_S
+from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
 from msg_defs.reports import Level
@@ -56,7 +56,7 @@ def second_of(second, lost_at):
 
 def record(writer, begin, seconds, lost_at, flush_s=FLUSH_S, tell=lambda second: None):
     """Record so many seconds from a Unix time on, one message in each."""
-    state, recorder = State(), HistoryRecorder(writer.errors_until())
+    state, recorder = State(), HistorySampler(writer.errors_until())
     for second in range(seconds):
         state.take(TABLES, second_of(second, lost_at), float(second))
         state.expire(float(second))

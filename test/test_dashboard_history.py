@@ -21,19 +21,20 @@ from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard import history
 from mecarover_dashboard.history import DamagedError
+from mecarover_dashboard.history import Event
 from mecarover_dashboard.history import HistoryReader
 from mecarover_dashboard.history import HistoryWriter
+from mecarover_dashboard.history import Question
+from mecarover_dashboard.history import Subject
+from mecarover_dashboard.history import VALUES
+from mecarover_dashboard.history import Window
+from mecarover_dashboard.history import WINDOW_S
+from mecarover_dashboard.history_recorder import default_path
+from mecarover_dashboard.history_recorder import HistoryError
+from mecarover_dashboard.history_recorder import HistoryRecorder
+from mecarover_dashboard.history_recorder import HistorySampler
+from mecarover_dashboard.history_recorder import MOST_ERRORS
 from mecarover_dashboard.main import open_history
-from mecarover_dashboard.recorder import Event
-from mecarover_dashboard.recorder import HistoryRecorder
-from mecarover_dashboard.recorder import MOST_ERRORS
-from mecarover_dashboard.recorder import Subject
-from mecarover_dashboard.recorder import VALUES
-from mecarover_dashboard.recorder import Window
-from mecarover_dashboard.recorder import WINDOW_S
-from mecarover_dashboard.recording import default_path
-from mecarover_dashboard.recording import Recording
-from mecarover_dashboard.recording import RecordingError
 from mecarover_dashboard.state import State
 from msg_defs.reports import Level
 
@@ -62,13 +63,14 @@ def window(at, *values, source=KNEE, level=0):
 def read(path, from_s=0, to_s=NIGHT * 2, of=()):
     reader = HistoryReader(path)
     try:
-        return list(reader.windows(from_s, to_s, of)), reader.events(from_s, to_s, of)
+        question = Question(from_s, to_s, of)
+        return list(reader.windows(question)), reader.events(question)
     finally:
         reader.close()
 
 
 def looked_at(robot, seconds, recorder=None):
-    recorder, state = recorder or HistoryRecorder(), State()
+    recorder, state = recorder or HistorySampler(), State()
     for second in seconds:
         for topic, message in robot.messages(second):
             state.take(topic, message, second)
@@ -91,7 +93,7 @@ def test_what_is_kept_of_a_window():
 
 
 def test_events():
-    robot, recorder, state = SyntheticRobot(), HistoryRecorder(), State()
+    robot, recorder, state = SyntheticRobot(), HistorySampler(), State()
 
     def told(second):
         for topic, message in robot.messages(second):
@@ -120,7 +122,7 @@ def test_events():
 
 
 def test_noise_does_not_fill_the_file():
-    robot, recorder, state = SyntheticRobot(), HistoryRecorder(), State()
+    robot, recorder, state = SyntheticRobot(), HistorySampler(), State()
     for topic, message in robot.messages(100.0):
         state.take(topic, message, 100.0)
     row = next(state.reports('buses')).row
@@ -159,14 +161,14 @@ def test_impossible_values_are_unknown(writer, path):
 def test_a_restart_records_no_error_twice(writer, path):
     robot = SyntheticRobot()
     robot.lost = {7}
-    for recorder in (HistoryRecorder(), HistoryRecorder(writer.errors_until())):
+    for recorder in (HistorySampler(), HistorySampler(writer.errors_until())):
         writer.write(*looked_at(robot, [100.0], recorder))
-    again = HistoryRecorder(writer.errors_until())
+    again = HistorySampler(writer.errors_until())
     assert not [event for event in looked_at(robot, [100.0], again)[1] if event.kind == 'error']
 
 
 def test_no_error_is_noted_twice_where_the_two_clocks_are_read_late():
-    robot, state, recorder = SyntheticRobot(), State(), HistoryRecorder()
+    robot, state, recorder = SyntheticRobot(), State(), HistorySampler()
     robot.lost = {7}
     noted = []
     for second, late in ((100.0, 0.0), (100.1, 0.4), (100.15, -0.2), (100.2, 2.0)):
@@ -204,7 +206,7 @@ def test_a_damaged_file_is_set_aside(path, content):
     path.write_bytes(content)
     with pytest.raises(DamagedError):
         HistoryWriter(path)
-    recording = Recording(path)
+    recording = HistoryRecorder(path)
     recording.close()
     assert recording.notice.startswith(f'{path}: this history cannot be read (')
     [aside] = path.parent.glob('*.damaged-*')
@@ -229,19 +231,19 @@ def test_a_file_of_the_same_version_goes_on(path):
 
 
 def test_two_dashboards_do_not_share_a_file(path):
-    first = Recording(path)
-    with pytest.raises(RecordingError, match='another dashboard writes to it; give another'):
-        Recording(path)
+    first = HistoryRecorder(path)
+    with pytest.raises(HistoryError, match='another dashboard writes to it; give another'):
+        HistoryRecorder(path)
     first.close()
-    Recording(path).close()
+    HistoryRecorder(path).close()
 
 
 def test_a_link_in_place_of_the_lock_is_refused_and_its_target_left_alone(path):
     precious = path.with_name('precious')
     precious.write_text('kept')
     path.with_name(f'{path.name}.lock').symlink_to(precious)
-    with pytest.raises(RecordingError, match=r'\.lock: too many levels'):
-        Recording(path)
+    with pytest.raises(HistoryError, match=r'\.lock: too many levels'):
+        HistoryRecorder(path)
     assert precious.read_text() == 'kept'
 
 
@@ -263,8 +265,8 @@ def test_two_robots_on_one_machine(monkeypatch, tmp_path, capsys):
 
 def test_a_place_that_cannot_be_written(tmp_path):
     (tmp_path / 'file').touch()
-    with pytest.raises(RecordingError, match='file exists; give another file with --history'):
-        Recording(tmp_path / 'file' / 'history.sqlite')
+    with pytest.raises(HistoryError, match='file exists; give another file with --history'):
+        HistoryRecorder(tmp_path / 'file' / 'history.sqlite')
 
 
 def test_where_it_is(monkeypatch, tmp_path):
@@ -324,7 +326,7 @@ def test_a_robot_that_failed_at_night(path):
 
 
 def test_many_sources_share_the_points_of_an_answer(path, monkeypatch):
-    monkeypatch.setattr('mecarover_dashboard.past._MOST_POINTS', 100)
+    monkeypatch.setattr('mecarover_dashboard.history_requests._MOST_POINTS', 100)
     writer = HistoryWriter(path)
     sources = [KNEE._replace(name=f'dxl_monitor: {n:03}') for n in range(10)]
     for at in range(NIGHT, NIGHT + HOURS, WINDOW_S):
@@ -369,6 +371,6 @@ def test_it_is_recorded_while_it_is_served(path):
 
 def _all(path):
     reader = HistoryReader(path)
-    found = list(reader.windows(1_700_000_000, 4_000_000_000))
+    found = list(reader.windows(Question(1_700_000_000, 4_000_000_000)))
     reader.close()
     return found

@@ -26,10 +26,10 @@ from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
 from dxl_monitor.tools.doctor import report
 from dxl_monitor.tools.doctor.error_window import packed
+from mecarover_dashboard.history import Event
 from mecarover_dashboard.history import HistoryWriter
-from mecarover_dashboard.recorder import Event
-from mecarover_dashboard.recorder import Subject
-from mecarover_dashboard.recorder import Window
+from mecarover_dashboard.history import Subject
+from mecarover_dashboard.history import Window
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_serial.plain import plain
 from mecarover_serial.plain import printable

@@ -22,13 +22,14 @@ from dxl_monitor.settings import PARAMETERS
 from fuzz.dashboard import cdr
 from fuzz.whole.traffic import BOOT
 from fuzz.whole.traffic import S
-from mecarover_dashboard import past
+from mecarover_dashboard import history_requests
 from mecarover_dashboard import terminal
 from mecarover_dashboard.history import HistoryReader
 from mecarover_dashboard.history import HistoryWriter
+from mecarover_dashboard.history import Question
+from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.lines import Board
 from mecarover_dashboard.metrics import exposition
-from mecarover_dashboard.recorder import HistoryRecorder
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
 
@@ -78,7 +79,7 @@ class Dashboard:
         self.is_on = is_on
         self.state, self.board = State(), Board(every_device=True)
         self.file = folder / 'history'
-        self.recorder, self.version = HistoryRecorder(), 0
+        self.recorder, self.version = HistorySampler(), 0
         self.history = HistoryWriter(self.file if is_on else ':memory:')
         self.terminal = terminal.Display(self.board, None)
 
@@ -113,11 +114,13 @@ class Dashboard:
         self.history.close()
         if self.is_on:
             reader = HistoryReader(self.file)
+            asked = Question(0, 1e11 - 1)
             for points in (1, 600):
-                asked = past.Question(0, 1e11 - 1, (), None, points)
-                json.dumps([past._values_json(reader, asked), past._events_json(reader, asked)],
-                           allow_nan=False)
-            assert all(isinstance(cell, str) for answer in (past._values_csv, past._events_csv)
+                json.dumps([answer(reader, asked, points) for answer in (
+                    history_requests._values_json, history_requests._events_json)],
+                    allow_nan=False)
+            assert all(isinstance(cell, str) for answer in (
+                history_requests._values_csv, history_requests._events_csv)
                        for row in answer(reader, asked) for cell in row)
             reader.close()
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from collections.abc import Iterable
 from collections.abc import Iterator
 import csv
 from datetime import datetime
@@ -23,16 +22,15 @@ import re
 import sqlite3
 import time
 from typing import Any
-from typing import NamedTuple
 
 from aiohttp import web
 
 from mecarover_dashboard.client import json_text
 from mecarover_dashboard.history import HistoryReader
-from mecarover_dashboard.recorder import Event
-from mecarover_dashboard.recorder import VALUES
-from mecarover_dashboard.recorder import Window
-from mecarover_dashboard.recorder import WINDOW_S
+from mecarover_dashboard.history import Question
+from mecarover_dashboard.history import VALUES
+from mecarover_dashboard.history import Window
+from mecarover_dashboard.history import WINDOW_S
 from msg_defs.reports import Level
 from msg_defs.reports import worst
 
@@ -46,17 +44,7 @@ _FORMULA = re.compile(r'(^|;)(?=\s*[=+@-])')    # in many countries a semicolon 
 _CSV_VALUES = tuple(dict.fromkeys(name for names in VALUES.values() for name in names))
 
 
-class Question(NamedTuple):
-    """What is asked for; times in Unix s."""
-
-    from_s: float
-    to_s: float
-    of: tuple[str, ...]
-    robot: str | None
-    points: int
-
-
-class Past:
+class HistoryRequests:
     """Answers questions about a history file."""
 
     def __init__(self, path: Path | None) -> None:
@@ -72,14 +60,14 @@ class Past:
         return await self._answer(request, _events_json, _events_csv)
 
     async def _answer(self, request: web.Request,
-                      as_json: Callable[[HistoryReader, Question], Any],
+                      as_json: Callable[[HistoryReader, Question, int], Any],
                       as_csv: Callable[[HistoryReader, Question], Iterator[list[str]]],
                       ) -> web.StreamResponse:
         if self._path is None:
             return web.Response(status=404, text='No history is recorded: the server was started '
                                 'with --history none.\n')
         try:
-            question = _question(request)
+            question, points = _question(request)
         except ValueError as error:
             return web.Response(status=400, text=f'{error}\n')
         async with self._free:
@@ -90,7 +78,7 @@ class Past:
             try:
                 if request.query.get('format') == 'csv':
                     return await _stream(request, as_csv(reader, question))
-                answer = await asyncio.to_thread(as_json, reader, question)
+                answer = await asyncio.to_thread(as_json, reader, question, points)
             finally:
                 reader.close()
         response = web.Response(text=json_text(answer), content_type='application/json')
@@ -112,8 +100,8 @@ async def _stream(request: web.Request, lines: Iterator[list[str]]) -> web.Strea
     return response
 
 
-def _question(request: web.Request) -> Question:
-    """Read the query; raise ValueError with what is wrong and what is wanted."""
+def _question(request: web.Request) -> tuple[Question, int]:
+    """Read the query, and its points; raise ValueError with what is wrong and what is wanted."""
     query = request.query
     to_s = _time(query.get('to'), time.time(), 'to')
     from_s = _time(query.get('from'), to_s - 3600, 'from')
@@ -122,7 +110,8 @@ def _question(request: web.Request) -> Question:
     points = query.get('points', str(_POINTS))
     if not points.isdecimal() or not 1 <= int(points[:9]) <= 10_000:
         raise ValueError('points: not a number from 1 to 10000; correct it')
-    return Question(from_s, to_s, tuple(query.getall('of', ())), query.get('robot'), int(points))
+    return (Question(from_s, to_s, tuple(query.getall('of', ())), query.get('robot')),
+            int(points))
 
 
 def _time(text: str | None, default: float, name: str) -> float:
@@ -137,14 +126,13 @@ def _time(text: str | None, default: float, name: str) -> float:
     return value
 
 
-def _values_json(reader: HistoryReader, question: Question) -> dict[str, Any]:
+def _values_json(reader: HistoryReader, question: Question, most: int) -> dict[str, Any]:
     """Return by source its level and its values: [[s, low, high], ...], thinned out."""
     span_s = question.to_s - question.from_s
-    count = max(1, reader.count(question.of, question.robot))
-    points = max(1, min(question.points, _MOST_POINTS // count))
+    points = max(1, min(most, _MOST_POINTS // max(1, reader.count(question))))
     step_s = max(1, math.ceil(span_s / points / WINDOW_S)) * WINDOW_S
     sources: dict[str, Any] = {}
-    for window in reader.windows(question.from_s, question.to_s, question.of, question.robot):
+    for window in reader.windows(question):
         source = sources.setdefault(window.source.name, {
             'kind': window.source.kind, 'robot': window.source.robot, 'unit': window.source.unit,
             'levels': [], 'values': {name: [] for name in VALUES[window.source.kind]}})
@@ -172,7 +160,7 @@ def _merge(source: dict[str, Any], window: Window, at: int) -> None:
 def _values_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]]:
     yield ['time', 'robot', 'name', 'level', 'load unit',
            *(f'{name} {end}' for name in _CSV_VALUES for end in ('min', 'max'))]
-    for window in reader.windows(question.from_s, question.to_s, question.of, question.robot):
+    for window in reader.windows(question):
         names = VALUES[window.source.kind]
         ends = dict(zip(names, zip(window.lows, window.highs, strict=True), strict=True))
         yield [_iso(window.at), _cell(window.source.robot), _cell(window.source.name),
@@ -181,19 +169,15 @@ def _values_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]
                  for name in _CSV_VALUES for end in ends.get(name, (None, None)))]
 
 
-def _events_json(reader: HistoryReader, question: Question) -> dict[str, Any]:
-    found = reader.events(question.from_s, question.to_s, question.of, question.robot,
-                          _MOST_EVENTS)
+def _events_json(reader: HistoryReader, question: Question, _: int) -> dict[str, Any]:
     return {'from': question.from_s, 'to': question.to_s, 'most': _MOST_EVENTS, 'events': [
         [event.at, event.source.name, event.source.robot, event.kind, event.level, event.text]
-        for event in found]}
+        for event in reader.events(question, _MOST_EVENTS)]}
 
 
 def _events_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]]:
     yield ['time', 'robot', 'name', 'kind', 'level', 'text']
-    events: Iterable[Event] = reader.events(question.from_s, question.to_s, question.of,
-                                            question.robot, _ALL_EVENTS)
-    for event in events:
+    for event in reader.events(question, _ALL_EVENTS):
         yield [_iso(event.at), _cell(event.source.robot), _cell(event.source.name),
                _cell(event.kind), Level(event.level).name, _cell(event.text)]
 

@@ -1,0 +1,275 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Records the history: what of the reports is kept for a day, and the thread that writes it.
+
+Of each value a window of 10 s keeps the lowest and the highest. An event is a change of level or
+state, a finding that came or went, an error of a bus. A disk may stop for seconds, so the server
+never waits for it. Every FLUSH_S all that is known goes to the file, windows that still run
+included: this is what kill -9 or a power failure can cost.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from dataclasses import field
+import fcntl
+import os
+from pathlib import Path
+import queue
+import sqlite3
+import threading
+import time
+
+from mecarover_dashboard import rows
+from mecarover_dashboard.history import DamagedError
+from mecarover_dashboard.history import Event
+from mecarover_dashboard.history import HistoryWriter
+from mecarover_dashboard.history import set_aside
+from mecarover_dashboard.history import Subject
+from mecarover_dashboard.history import VALUES
+from mecarover_dashboard.history import Window
+from mecarover_dashboard.history import WINDOW_S
+from mecarover_dashboard.rows import Row
+from mecarover_dashboard.state import RowReport
+from mecarover_dashboard.state import State
+from msg_defs.reports import Level
+
+FLUSH_S = 5.0
+LIMIT_S = 300.0                 # between two looks at the size
+_MOST_WAITING = 24              # batches, two minutes: a disk that hangs longer costs the rest
+NAME = 'history.sqlite'
+MOST_ERRORS = 20                # for one bus in one window; noise would fill the file
+_SEVERITY = (Level.OK, Level.WARN, Level.STALE, Level.ERROR)
+
+_Batch = tuple[list[Window], list[Event]]
+
+
+@dataclass(slots=True)
+class _LastSeen:
+    """What was seen of a source last."""
+
+    arrived: float = -1.0
+    state: tuple[int, str] | None = None
+    findings: dict[str, tuple[int, str]] = field(default_factory=dict)
+    row: Row = field(default_factory=dict)
+    window: Window | None = None
+    is_new: bool = False        # the window is not written as it is now
+    errors: int = 0             # in this window
+    error_s: float | None = None    # monotonic s of the last one that was noted
+
+
+class HistorySampler:
+    """Looks at a State again and again; `taken` gives what there is to keep since then."""
+
+    def __init__(self, errors_until: dict[str, float] | None = None) -> None:
+        self._seen: dict[str, _LastSeen] = {}
+        self._done: list[Window] = []
+        self._events: list[Event] = []
+        self._until = dict(errors_until or {})      # for each bus Unix s of its last error
+
+    def look(self, state: State, now_s: float, unix_s: float) -> None:
+        """Take in what was reported since the last look."""
+        offset_s = unix_s - now_s
+        for kind in VALUES:
+            for report in state.reports(kind):
+                last = self._seen.get(report.row_name)
+                if last is None:
+                    last = self._seen[report.row_name] = _LastSeen()
+                source = Subject(report.row_name, kind, report.row['robot'], report.values.unit)
+                if report.row is not last.row:
+                    last.row = report.row
+                    self._judge(last, source, report.row, unix_s)
+                if report.arrived == last.arrived:
+                    continue
+                last.arrived = report.arrived
+                self._add(last, source, report, state, unix_s)
+                if kind == 'buses':
+                    self._take_errors(last, source, report.row, offset_s)
+
+    def taken(self) -> tuple[list[Window], list[Event]]:
+        """Return what to write: ended windows, those that still run, and events."""
+        windows, events = self._done, self._events
+        self._done, self._events = [], []
+        for last in self._seen.values():
+            if last.is_new and last.window is not None:
+                windows.append(last.window)
+                last.is_new = False
+        return windows, events
+
+    def _add(self, last: _LastSeen, source: Subject, report: RowReport, state: State,
+             unix_s: float) -> None:
+        at = int(unix_s) // WINDOW_S * WINDOW_S
+        values = tuple(_values(source.kind, report, state))
+        level = report.row['level']
+        old, last.is_new = last.window, True
+        if old is None or old.at != at:
+            if old is not None:
+                self._done.append(old)
+            last.window, last.errors = Window(at, source, level, values, values), 0
+            return
+        last.window = Window(
+            at, source, max(old.level, level, key=_SEVERITY.index),
+            tuple(_extremes(min, old.lows, values)), tuple(_extremes(max, old.highs, values)))
+
+    def _judge(self, last: _LastSeen, source: Subject, row: Row, unix_s: float) -> None:
+        """Note changes of level, state and findings."""
+        now = _state_of(row)
+        if now[:2] != (last.state or (Level.OK, '')) and (last.state or now[0] != Level.OK):
+            self._events.append(Event(unix_s, source, 'state', now[0], now[2]))
+        last.state = now[:2]
+        found: dict[str, tuple[int, str]] = {
+            rule: (Level.ERROR if severity == 'error' else Level.WARN, text)
+                 for rule, text, severity in row.get('findings', ())}
+        for rule in found.keys() - last.findings.keys():
+            level, text = found[rule]
+            self._events.append(Event(unix_s, source, 'finding', level, f'{_words(rule)}: {text}'))
+        for rule in last.findings.keys() - found.keys():
+            self._events.append(Event(unix_s, source, 'over', Level.OK, _words(rule)))
+        last.findings = found
+
+    def _take_errors(self, last: _LastSeen, source: Subject, row: Row, offset_s: float) -> None:
+        """Note the errors that are new, the oldest first, as many as there is room for."""
+        if last.error_s is None:
+            last.error_s = self._until.get(source.name, 0.0) - offset_s + rows.JITTER_S
+        new = [(at_s, text) for at_s, text in row['errors']
+               if at_s is not None and at_s > last.error_s]
+        for at_s, text in sorted(new):
+            last.error_s, at = at_s, at_s + offset_s      # the two clocks tremble: one judges
+            last.errors += 1
+            if last.errors < MOST_ERRORS:
+                self._events.append(Event(at, source, 'error', Level.ERROR, text))
+            elif last.errors == MOST_ERRORS:
+                self._events.append(Event(at, source, 'error', Level.ERROR,
+                                          f'{text}; more errors in these {WINDOW_S} s are not '
+                                          'listed'))
+
+
+def _state_of(row: Row) -> tuple[int, str, str]:
+    """Return (level, state, message); what counts as a change is level or state."""
+    if 'quiet_since' in row:
+        return Level.STALE, 'no report', f'no report; last: {row["message"]}'
+    return row['level'], row.get('state', ''), row['message']
+
+
+def _values(kind: str, report: RowReport, state: State) -> Iterator[float | None]:
+    if kind == 'devices':
+        for text in (*report.values[:4], report.row['loss'], report.row['latency']):
+            yield rows.finite(text)
+    elif kind == 'buses':
+        node, bus = report.row['node'], report.row['bus']
+        yield from (state.figure(node, bus, metric) for metric in VALUES['buses'])
+
+
+def _extremes(choose: Callable[[list[float]], float], old: tuple[float | None, ...],
+              new: tuple[float | None, ...]) -> Iterator[float | None]:
+    """Return the lowest (min) or the highest (max) of each value, as far as it is known."""
+    for both in zip(old, new, strict=True):
+        known = [one for one in both if one is not None]
+        yield choose(known) if known else None
+
+
+def _words(rule: str) -> str:
+    return rule.replace('_', ' ')
+
+
+class HistoryError(Exception):
+    """One line why nothing can be recorded: the file, the reason, the remedy."""
+
+
+def default_path() -> Path:
+    """Return where the history is: in the state folder of the service, or of the user."""
+    folder = os.environ.get('STATE_DIRECTORY', '').partition(':')[0]
+    if folder:
+        return Path(folder) / NAME
+    state = os.environ.get('XDG_STATE_HOME') or Path.home() / '.local' / 'state'
+    return Path(state) / 'mecarover_serial' / NAME
+
+
+class HistoryRecorder:
+    """Records a State until it is closed; `path` can be read meanwhile."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the file, set a damaged one aside; raise HistoryError where that fails."""
+        self.path = path
+        self.notice = ''        # what became of a file that was there
+        self.problem = ''       # why nothing is written now
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._take_lock(path.with_name(f'{path.name}.lock'))
+            self._writer = self._open()
+        except (OSError, sqlite3.Error) as error:
+            raise HistoryError(f'{path}: {_reason(error)}; give another file with --history '
+                                 'FILE, or --history none') from error
+        self._sampler = HistorySampler(self._writer.errors_until())
+        self._batches: queue.Queue[_Batch | None] = queue.Queue(_MOST_WAITING)
+        self._flushed_s = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name='history', daemon=True)
+        self._thread.start()
+
+    def _take_lock(self, path: Path) -> None:
+        """Lock a file and leave what is in it; a link is not followed, it may lead anywhere."""
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        try:
+            self._lock = os.open(path, flags, 0o600)
+        except OSError as error:
+            raise OSError(error.errno, f'{path.name}: {error.strerror}') from error
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(self._lock)
+            raise OSError('another dashboard writes to it') from None
+
+    def _open(self) -> HistoryWriter:
+        try:
+            return HistoryWriter(self.path)
+        except DamagedError as error:
+            aside = set_aside(self.path, time.time())
+            self.notice = (f'{self.path}: this history cannot be read ({error}); it was renamed '
+                           f'to {aside.name}')
+            return HistoryWriter(self.path)
+
+    def look(self, state: State, now_s: float, unix_s: float) -> None:
+        """Take in what was reported; never waits."""
+        self._sampler.look(state, now_s, unix_s)
+        if now_s - self._flushed_s >= FLUSH_S:
+            self._flushed_s = now_s
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        try:
+            self._batches.put_nowait(self._sampler.taken())
+        except queue.Full:
+            self.problem = f'{self.path}: the disk is too slow, so part of the history is lost'
+
+    def close(self) -> None:
+        """Write what is known and end."""
+        self._hand_over()
+        self._batches.put(None)
+        self._thread.join(5.0)
+        os.close(self._lock)
+
+    def _run(self) -> None:
+        limited_s = 0.0
+        while (batch := self._batches.get()) is not None:
+            self._write(batch)
+            if time.monotonic() - limited_s > LIMIT_S:
+                limited_s = time.monotonic()
+                with suppress(sqlite3.Error):
+                    self._writer.limit(time.time())
+        self._writer.close()
+
+    def _write(self, batch: _Batch) -> None:
+        try:
+            self._writer.write(*batch)
+            self.problem = ''
+        except sqlite3.Error as error:
+            self.problem = f'{self.path}: {_reason(error)}; the history has a gap'
+
+
+def _reason(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror.lower()
+    return str(error)
