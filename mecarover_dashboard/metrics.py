@@ -10,6 +10,7 @@ level (3, stale) and no values.
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
 
@@ -30,6 +31,18 @@ MOST_FINDINGS = 1000            # series, of all robots
 _LABEL = 100                    # characters
 _DEVICE = ('robot', 'bus', 'id', 'model', 'joint')
 _BUS = ('robot', 'bus')
+_DEVICE_GAUGES: tuple[tuple[str, str, float, Callable[[RowReport], str]], ...] = (
+    ('temperature_celsius', 'Temperature', 1.0, lambda one: one.values.temperature),
+    ('voltage_volts', 'Input voltage', 1.0, lambda one: one.values.voltage),
+    ('load_ratio', 'Load, of what the device can do', 0.01,
+     lambda one: one.values.load if one.values.unit == '%' else ''),
+    ('current_amperes', 'Current', 1.0,
+     lambda one: one.values.load if one.values.unit == 'A' else ''),
+    ('loss_ratio', 'Answers missed in the last 10 s, of those asked for', 0.01,
+     lambda one: str(one.row['loss'])),
+    ('reply_latency_seconds', 'Reply latency, median of 10 s', 0.001,
+     lambda one: str(one.row['latency'])),
+)
 
 
 def exposition(state: State, accept: str) -> tuple[bytes, str]:
@@ -63,15 +76,9 @@ class _Scrape:
                      _DEVICE, ((labels, _level(one.row)) for labels, one in found))
         yield _gauge('device_connected', 'Whether a device answers', _DEVICE, (
             (labels, float(one.row['state'] == 'connected')) for labels, one in fresh))
-        for name, text, read, scale in (
-                ('temperature_celsius', 'Temperature', _temperature, 1.0),
-                ('voltage_volts', 'Input voltage', _voltage, 1.0),
-                ('load_ratio', 'Load, of what the device can do', _load, 0.01),
-                ('current_amperes', 'Current', _current, 1.0),
-                ('loss_ratio', 'Answers missed in the last 10 s, of those asked for', _loss, 0.01),
-                ('reply_latency_seconds', 'Reply latency, median of 10 s', _latency, 0.001)):
+        for name, text, scale, read in _DEVICE_GAUGES:
             yield _gauge(f'device_{name}', text, _DEVICE, (
-                (labels, _scaled(read(one), scale)) for labels, one in fresh))
+                (labels, _scaled(rows.finite(read(one)), scale)) for labels, one in fresh))
         for name, text, key in (('answers', 'Answers heard since the start', keys.ANSWERS),
                                 ('missed_answers', 'Answers missed', keys.MISSED_ANSWERS)):
             yield _counter(f'device_{name}', text, _DEVICE, (
@@ -130,30 +137,6 @@ def _value(row: Row, key: str) -> float | None:
 
 def _scaled(value: float | None, scale: float) -> float | None:
     return None if value is None else value * scale
-
-
-def _temperature(one: RowReport) -> float | None:
-    return rows.finite(one.values.temperature)
-
-
-def _voltage(one: RowReport) -> float | None:
-    return rows.finite(one.values.voltage)
-
-
-def _load(one: RowReport) -> float | None:
-    return rows.finite(one.values.load) if one.values.unit == '%' else None
-
-
-def _current(one: RowReport) -> float | None:
-    return rows.finite(one.values.load) if one.values.unit == 'A' else None
-
-
-def _loss(one: RowReport) -> float | None:
-    return rows.finite(one.row['loss'])
-
-
-def _latency(one: RowReport) -> float | None:
-    return rows.finite(one.row['latency'])
 
 
 _Samples = Iterable[tuple[tuple[str, ...], float | None]]

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
+from dataclasses import field
 from typing import Any
 from typing import NamedTuple
 
@@ -43,22 +45,19 @@ _ONLY_LONG: Row = {'errors': [], 'running': None, 'started': None}
 Point = list[float | None]
 
 
+@dataclass(slots=True)
 class _Row:
     """One row; `arrived` is when it was reported last, `whole` its last status with a table."""
 
-    __slots__ = ('arrived', 'cost', 'period_s', 'points', 'row', 'values', 'version', 'whole',
-                 'whole_arrived')
-
-    def __init__(self) -> None:
-        self.row: Row = {}
-        self.version = 0
-        self.cost = 0               # bytes, about
-        self.arrived = 0.0
-        self.period_s = 0.0         # between reports: the longest of late
-        self.whole: RawStatus | None = None
-        self.whole_arrived = 0.0
-        self.values = rows.NOTHING
-        self.points: deque[tuple[int, Point]] = deque(maxlen=HISTORY)
+    row: Row = field(default_factory=dict)
+    version: int = 0
+    cost: int = 0               # bytes, about
+    arrived: float = 0.0
+    period_s: float = 0.0       # between reports: the longest of late
+    whole: RawStatus | None = None
+    whole_arrived: float = 0.0
+    values: rows.Values = rows.NOTHING
+    points: deque[tuple[int, Point]] = field(default_factory=lambda: deque(maxlen=HISTORY))
 
 
 class RowReport(NamedTuple):

@@ -12,9 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Mapping
+from dataclasses import dataclass
+from dataclasses import field
+from dataclasses import KW_ONLY
+from dataclasses import replace
 from decimal import Decimal
 import math
 import struct
+from typing import Any
 from typing import Literal
 from typing import NamedTuple
 
@@ -76,6 +81,7 @@ class Cases(NamedTuple):
     fields: dict[int, Field]
 
 
+@dataclass(slots=True, eq=False, repr=False)
 class Field:
     """
     One register: where it is, what its bytes mean. Immutable by convention.
@@ -88,38 +94,37 @@ class Field:
     text of a value is words for a code, so that the raw number is shown too.
     """
 
-    __slots__ = ('_decimals', '_unpack', 'access', 'at', 'byte_order', 'cases', 'end', 'enum',
-                 'flags', 'hexadecimal', 'in_words', 'key', 'memory', 'name', 'offset', 'scale',
-                 'sign_bit', 'size', 'spans', 'type', 'unit')
+    at: int
+    name: str
+    type: str
+    _: KW_ONLY
+    access: str = ''
+    memory: str = ''
+    unit: str = ''
+    scale: float | None = None
+    offset: float = 0.0
+    sign_bit: int | None = None
+    enum: Mapping[int, Word] | None = None
+    spans: tuple[Span, ...] = ()
+    flags: tuple[Bits, ...] = ()
+    cases: Cases | None = None
+    hexadecimal: bool = False
+    byte_order: Literal['little', 'big'] = 'little'
+    size: int = field(init=False)
+    end: int = field(init=False)
+    key: str = field(init=False)
+    in_words: bool = field(init=False)
+    _unpack: Callable[[bytes], tuple[Any, ...]] = field(init=False)
+    _decimals: int | None = field(init=False)
 
-    def __init__(self, at: int, name: str, type: str, *, access: str = '', memory: str = '',
-                 unit: str = '', scale: float | None = None, offset: float = 0.0,
-                 sign_bit: int | None = None, enum: Mapping[int, Word] | None = None,
-                 spans: tuple[Span, ...] = (), flags: tuple[Bits, ...] = (),
-                 cases: Cases | None = None, hexadecimal: bool = False,
-                 byte_order: Literal['little', 'big'] = 'little') -> None:
-        self.at = at
-        self.name = name
-        self.type = type
-        self.access = access
-        self.memory = memory
-        self.unit = unit
-        self.scale = scale
-        self.offset = offset
-        self.sign_bit = sign_bit
-        self.enum = enum
-        self.spans = spans
-        self.flags = flags
-        self.cases = cases
-        self.hexadecimal = hexadecimal
-        self.byte_order = byte_order
-        self.size = STRUCTS[type].size
-        self.end = at + self.size
-        self.key = f'{name} ({unit})' if unit else name
-        self.in_words = bool(enum or spans or flags)
-        self._unpack = (STRUCTS if byte_order == 'little' else _BIG_STRUCTS)[type].unpack
-        self._decimals = None if scale is None or type[0] == 'f' \
-            else max(0, math.ceil(-math.log10(abs(scale))) + 2)
+    def __post_init__(self) -> None:
+        self.size = STRUCTS[self.type].size
+        self.end = self.at + self.size
+        self.key = f'{self.name} ({self.unit})' if self.unit else self.name
+        self.in_words = bool(self.enum or self.spans or self.flags)
+        self._unpack = (STRUCTS if self.byte_order == 'little' else _BIG_STRUCTS)[self.type].unpack
+        self._decimals = None if self.scale is None or self.type[0] == 'f' \
+            else max(0, math.ceil(-math.log10(abs(self.scale))) + 2)
 
     def __repr__(self) -> str:
         return f'Field({self.at}, {self.name!r}, {self.type!r})'
@@ -128,10 +133,7 @@ class Field:
         """Make the same kind of register, `by` bytes further on, under another name."""
         cases = self.cases and Cases(rename(self.cases.by), self.cases.mask, {
             code: field.moved(by, rename) for code, field in self.cases.fields.items()})
-        return Field(self.at + by, rename(self.name), self.type, access=self.access,
-                     memory=self.memory, unit=self.unit, scale=self.scale, offset=self.offset,
-                     sign_bit=self.sign_bit, enum=self.enum, spans=self.spans, flags=self.flags,
-                     cases=cases, hexadecimal=self.hexadecimal, byte_order=self.byte_order)
+        return replace(self, at=self.at + by, name=rename(self.name), cases=cases)
 
     def code_of(self, raw: bytes) -> int:
         """Return the bytes of the control table as a number without a sign."""
@@ -203,6 +205,7 @@ class FieldGroup(NamedTuple):
     name: str
 
 
+@dataclass(slots=True, eq=False, repr=False)
 class Model:
     """
     The control table of one device (for one firmware). Immutable by convention.
@@ -213,25 +216,24 @@ class Model:
     `torque_constant` is in N m/A at the output, None where the maker states none.
     """
 
-    __slots__ = ('aliases', 'blocks', 'by_address', 'by_name', 'fields', 'file',
-                 'indirect', 'indirect_from', 'name', 'number', 'protocol', 'source',
-                 'torque_constant')
+    number: int | None
+    name: str
+    fields: tuple[Field, ...] = ()
+    _: KW_ONLY
+    indirect: tuple[Indirect, ...] = ()
+    aliases: Mapping[str, str] = field(default_factory=dict)
+    blocks: tuple[FieldGroup, ...] = ()
+    torque_constant: float | None = None
+    source: str = ''
+    file: str = ''
+    protocol: str = '2'
+    indirect_from: int = field(init=False)
+    by_address: dict[int, Field] = field(init=False)
+    by_name: dict[str, Field] = field(init=False)
 
-    def __init__(self, number: int | None, name: str, fields: tuple[Field, ...] = (), *,
-                 indirect: tuple[Indirect, ...] = (), aliases: Mapping[str, str] | None = None,
-                 blocks: tuple[FieldGroup, ...] = (), torque_constant: float | None = None,
-                 source: str = '', file: str = '', protocol: str = '2') -> None:
-        self.number = number
-        self.name = name
-        self.fields = tuple(sorted(fields, key=lambda field: field.at))
-        self.indirect = indirect
-        self.indirect_from = min((one.data for one in indirect), default=1 << 16)
-        self.aliases = dict(aliases or {})
-        self.blocks = blocks
-        self.torque_constant = torque_constant
-        self.source = source
-        self.protocol = protocol
-        self.file = file
+    def __post_init__(self) -> None:
+        self.fields = tuple(sorted(self.fields, key=lambda field: field.at))
+        self.indirect_from = min((one.data for one in self.indirect), default=1 << 16)
         self.by_address = {field.at: field for field in self.fields}
         self.by_name = {field.name: field for field in self.fields}
         self.by_name.update((alias, self.by_name[name]) for alias, name in self.aliases.items())

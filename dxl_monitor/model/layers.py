@@ -102,6 +102,9 @@ class Layers:
         self._layers: dict[Path, Layer] = {}
         self._whole: dict[tuple[Path, int | None, int | None], Layer] = {}
 
+    def _refuse(self, path: Path, field: str, reason: str, remedy: str) -> None:
+        self._report(ModelError(path, field, reason, remedy))
+
     def definition(self, path: Path) -> Definition:
         """Return the outline of one file; raises ModelError."""
         if path not in self._definitions:
@@ -210,8 +213,8 @@ class Layers:
                           self.definition(path).raw.get('byte_order', 'little'))
         for field in build_fields(raw.get('fields', []), context):
             if field.name in own:
-                self._report(Check(path, field.name).error(
-                    f'name given twice, at {own[field.name].at} and {field.at}', 'rename one'))
+                self._refuse(path, field.name, f'name given twice, at {own[field.name].at} and '
+                             f'{field.at}', 'rename one')
             own[field.name] = field
         return own
 
@@ -221,28 +224,28 @@ class Layers:
                               for name in check.sequence(raw.get('without', []), 'without'))
         for name in names:
             if name not in below.fields:
-                self._report(Check(path, name).error('no included file has this field',
-                                                     'correct the name'))
+                self._refuse(path, name, 'no included file has this field', 'correct the name')
         return {name: field for name, field in below.fields.items() if name not in names}
 
     def _check_whole(self, path: Path, layer: Layer) -> None:
         fields = layer.all_fields()
         for first, second in pairwise(fields):
             if second.at < first.end:
-                self._report(Check(path, second.name).error(
+                self._refuse(
+                    path, second.name,
                     f'at {second.at} it overlaps {first.name} ({first.at} to {first.end - 1})',
-                    'correct at or type, or take the other away with without: [NAME]'))
+                    'correct at or type, or take the other away with without: [NAME]')
         names = {field.name for field in fields}
         for field in fields:
             if field.cases and field.cases.by not in names:
-                self._report(Check(path, field.name).error(
-                    f'by {describe(field.cases.by)}: no such field', 'correct by'))
+                self._refuse(path, field.name, f'by {describe(field.cases.by)}: no such field',
+                             'correct by')
         for alias, name in layer.aliases.items():
             if name not in names or alias in names:
                 reason = 'no such field' if name not in names else (f'{alias} is also the name of '
                                                                     'a field')
-                self._report(Check(path, str(alias)).error(f'alias of {describe(name)}: {reason}',
-                                                           'correct aliases'))
+                self._refuse(path, alias, f'alias of {describe(name)}: {reason}',
+                             'correct aliases')
 
 
 def _outline(path: Path) -> Definition:
