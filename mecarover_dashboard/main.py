@@ -17,10 +17,8 @@ from mecarover_dashboard.history_recorder import default_path
 from mecarover_dashboard.history_recorder import HistoryError
 from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_serial.cli import COULD_NOT_RUN
-from mecarover_serial.cli import few_files
-from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
-from mecarover_serial.parameters import split_ros_args
+from mecarover_serial.cli import options_of_node
 from mecarover_serial.plain import plain_streams
 from mecarover_serial.plain import printable
 
@@ -39,12 +37,7 @@ _REMEDIES = {
 @plain_streams()
 def main(args: Sequence[str] | None = None) -> int:
     """Run the dashboard; return the exit code."""
-    hold_signals()
-    arguments = list(sys.argv[1:] if args is None else args)
-    options = _parser().parse_args(split_ros_args(arguments)[1])
-    code = few_files(NAME)
-    if code is not None:
-        return code
+    options, arguments = options_of_node(_parser(), args)
     try:
         listener = listen(options.host, options.port)
     except OSError as error:
@@ -69,7 +62,7 @@ def main(args: Sequence[str] | None = None) -> int:
     if recording is None and options.history not in (None, NONE):
         return COULD_NOT_RUN
     server = Server(listener, facts(host, port, without), is_open, recording, options.name)
-    return run(NAME, lambda: Subscriber(server), ['dxl_dashboard', *arguments])
+    return run(NAME, lambda: Subscriber(server), arguments)
 
 
 def open_history(wanted: str | None) -> tuple[HistoryRecorder | None, str]:

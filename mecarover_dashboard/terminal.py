@@ -12,10 +12,8 @@ import time
 
 from mecarover_dashboard.lines import Board
 from mecarover_dashboard.lines import screen
-from mecarover_serial.cli import few_files
-from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_ros
-from mecarover_serial.parameters import split_ros_args
+from mecarover_serial.cli import options_of_node
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import plain_streams
 
@@ -79,12 +77,7 @@ class Display:
 @plain_streams()
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
-    hold_signals()
-    arguments = list(sys.argv[1:] if args is None else args)
-    options = _parser().parse_args(split_ros_args(arguments)[1])
-    code = few_files(NAME)
-    if code is not None:
-        return code
+    options, arguments = options_of_node(_parser(), args)
     try:
         from mecarover_dashboard.node import StatusNode
         from mecarover_serial.node import run
@@ -92,7 +85,7 @@ def main(args: Sequence[str] | None = None) -> int:
         return no_ros(NAME, error)
     board = Board(every_device=options.all)
     display = Display(board, options.wait if options.once else None)
-    return run(NAME, lambda: StatusNode(board, display.look), [NAME, *arguments]) or display.code
+    return run(NAME, lambda: StatusNode(board, display.look), arguments) or display.code
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -171,7 +171,7 @@ class Show:
             end = self._bridge.kill()
             self._listen(TIME_OUT_BOUND_S)
             self._operator.forget()
-            self._bridge.restart()
+            self._bridge.start()
         elif scene.name == 'restarted':
             self._await_ready(end + READY_S)
         verdict = judge(scene, begin, end, self._set_points)

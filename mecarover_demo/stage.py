@@ -22,9 +22,10 @@ class Actor:
         self.name = name
         self.lines: deque[str] = deque(maxlen=10_000)
         self._arguments = arguments
-        self._start()
+        self.start()
 
-    def _start(self) -> None:
+    def start(self) -> None:
+        """Start it, or start it again, as respawn in a launch file does."""
         # A session of its own: Ctrl-C in the terminal is ours to pass on, in the right order.
         self._process = subprocess.Popen(
             self._arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
@@ -49,10 +50,6 @@ class Actor:
         stamp = time.monotonic()
         self._process.wait()
         return stamp
-
-    def restart(self) -> None:
-        """Start it again, as respawn in a launch file does."""
-        self._start()
 
     def end(self, timeout_s: float = 5.0) -> int:
         """

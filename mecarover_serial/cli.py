@@ -7,6 +7,7 @@ How every console tool of this package ends: one line per mistake, no traceback,
 """
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
 from collections.abc import Sequence
 from contextlib import suppress
@@ -153,6 +154,21 @@ def node_help(name: str, about: str, parameters: Sequence[Parameter]) -> str:
                   textwrap.fill(one.description, 95, initial_indent='      ',
                                 subsequent_indent='      ')]
     return '\n'.join(lines)
+
+
+def options_of_node(parser: argparse.ArgumentParser, args: Sequence[str] | None
+                    ) -> tuple[argparse.Namespace, list[str]]:
+    """
+    Begin a node with options of its own: return these, and the command line for ROS.
+
+    Ends the process after --help, for a wrong option, and where too few files may be open.
+    """
+    hold_signals()
+    arguments = sys.argv[1:] if args is None else args
+    options = parser.parse_args(split_ros_args(arguments)[1])
+    if code := few_files(parser.prog):
+        sys.exit(code)
+    return options, [parser.prog, *arguments]
 
 
 def answer(name: str, about: str, parameters: Sequence[Parameter],

@@ -164,7 +164,7 @@ def _not_a_port(what: str) -> Reason:
 def _permission(path: str, root: Path) -> Reason:
     import grp  # Windows has none, and no use for what follows
 
-    user = _user_name()
+    user = _name_of(os.geteuid())
     try:
         status = os.stat(path)
         group, _, _, members = grp.getgrgid(status.st_gid)
@@ -214,10 +214,6 @@ def _busy(path: str) -> Reason:
                       'stop that program')
     return Reason('busy', 'in use by another process',
                   f'stop that program; sudo fuser -v {path} names it')
-
-
-def _user_name() -> str:
-    return _name_of(os.geteuid())
 
 
 def _name_of(user: int) -> str:

@@ -120,6 +120,13 @@ class Writer:
         self._introduce(wire)
         self._put(f'({seconds(stamp)}) {_word(wire.name)} {change.what} {change.value}\n'.encode())
 
+    def write(self, wire: Wire, chunk: Chunk) -> None:
+        """Write a chunk, its bytes or its change."""
+        if chunk.change is None:
+            self.take(wire, chunk.data, chunk.stamp, chunk.side)
+        else:
+            self.change(wire, chunk.change, chunk.stamp)
+
     def _introduce(self, wire: Wire) -> None:
         if wire.name not in self._told:
             self._told.add(wire.name)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import struct
+from typing import Any
 from typing import NamedTuple
 from typing import Protocol
 
@@ -81,10 +82,10 @@ class PcapReader:
 
     def _pcap(self, magic: bytes) -> Iterator[CapturedPacket]:
         self._order = '<' if int.from_bytes(magic, 'little') in _PCAP_MAGIC else '>'
-        unit = _PCAP_MAGIC.get(struct.unpack(self._order + 'I', magic)[0])
+        unit = _PCAP_MAGIC.get(self._unpack('I', magic)[0])
         if unit is None:
             raise _Damaged('not a pcap file')
-        *_, link = struct.unpack(self._order + 'HHiIII', self._exactly(20, 'its header'))
+        *_, link = self._unpack('HHiIII', self._exactly(20, 'its header'))
         link &= 0xFFFF             # above: length of a checksum
         head = struct.Struct(self._order + 'IIII')
         while front := self._some(head.size, 'the header of a packet'):
@@ -100,7 +101,7 @@ class PcapReader:
     def _pcapng(self) -> Iterator[CapturedPacket]:
         self._section()
         while front := self._some(8, 'the header of a block'):
-            kind, size = struct.unpack(self._order + 'II', front)
+            kind, size = self._unpack('II', front)
             if kind == _SECTION:               # its length is in the order of the new section
                 self._section(front[4:])
                 continue
@@ -122,34 +123,34 @@ class PcapReader:
         else:
             raise _Damaged('a section without its byte-order magic: damaged')
         self._interfaces = []
-        self._body(struct.unpack(self._order + 'I', length)[0], 12)
+        self._body(self._unpack('I', length)[0], 12)
 
     def _body(self, size: int, done: int = 8) -> bytes:
         """Read the rest of a block of which `done` bytes were read, and check its end."""
         if size % 4 or not done + 4 <= size <= BLOCK_LIMIT:
             raise _Damaged(f'a block of {size} bytes: damaged')
         body = self._exactly(size - done, 'a block')
-        if struct.unpack(self._order + 'I', body[-4:])[0] != size:
+        if self._unpack('I', body[-4:])[0] != size:
             raise _Damaged('a block that ends with another length: damaged')
         return body[:-4]
 
     def _interface(self, body: bytes) -> None:
         if len(body) < 8 or len(self._interfaces) >= INTERFACES_LIMIT:
             raise _Damaged('a description of an interface that makes no sense: damaged')
-        link, _, snap_length = struct.unpack_from(self._order + 'HHI', body)
+        link, _, snap_length = self._unpack('HHI', body)
         units, offset_s = 1_000_000, 0
         for code, value in self._options(body[8:]):
             if code == _RESOLUTION and value:
                 base, power = (2, value[0] & 0x7F) if value[0] & 0x80 else (10, value[0])
                 units = base ** min(power, 64)
             elif code == _OFFSET and len(value) == 8:
-                offset_s = struct.unpack(self._order + 'q', value)[0]
+                offset_s = self._unpack('q', value)[0]
         self._interfaces.append(_Interface(link, snap_length, units, offset_s))
 
     def _options(self, body: bytes) -> Iterator[tuple[int, bytes]]:
         at = 0
         while at + 4 <= len(body):
-            code, size = struct.unpack_from(self._order + 'HH', body, at)
+            code, size = self._unpack('HH', body, at)
             if code == 0:
                 return
             yield code, body[at + 4:at + 4 + size]
@@ -161,9 +162,9 @@ class PcapReader:
         if len(body) < 20:
             raise _Damaged('a packet without its header: damaged')
         if kind == _ENHANCED:
-            number, high, low, kept = struct.unpack_from(self._order + 'IIII', body)
+            number, high, low, kept = self._unpack('IIII', body)
         else:
-            number, _, high, low, kept = struct.unpack_from(self._order + 'HHIII', body)
+            number, _, high, low, kept = self._unpack('HHIII', body)
         if number >= len(self._interfaces) or kept > len(body) - 20:
             raise _Damaged('a packet of no interface, or cut: damaged')
         one = self._interfaces[number]
@@ -174,11 +175,14 @@ class PcapReader:
         if not self._interfaces or len(body) < 4:
             raise _Damaged('a packet of no interface: damaged')
         one = self._interfaces[0]
-        size = struct.unpack_from(self._order + 'I', body)[0]
+        size = self._unpack('I', body)[0]
         kept = min(size, one.snap_length or size, len(body) - 4)
         return CapturedPacket(one.link, 0, self._order, body[4:4 + kept])
 
     # --- bytes ---------------------------------------------------------------------------------
+
+    def _unpack(self, layout: str, data: bytes, at: int = 0) -> tuple[Any, ...]:
+        return struct.unpack_from(self._order + layout, data, at)
 
     def _some(self, size: int, what: str) -> bytes:
         """Read so many bytes, or nothing at the end of the file."""

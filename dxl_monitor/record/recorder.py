@@ -120,10 +120,7 @@ class Recorder:
             gap, self._gap = self._gap, None
             self._waiting_bytes = 0
         for wire, chunk in waiting:
-            if chunk.change is None:
-                self._writer.take(wire, chunk.data, chunk.stamp, chunk.side)
-            else:
-                self._writer.change(wire, chunk.change, chunk.stamp)
+            self._writer.write(wire, chunk)
             if self._writer.size >= self._size:
                 self._file.close()
                 self._make_room()

@@ -174,10 +174,7 @@ class Session:
             if self._writer is None:
                 self._writer = Writer(file, self._source.began)
             wire = self._source.wire(chunk.bus)
-            if chunk.change is None:
-                self._writer.take(wire, chunk.data, chunk.stamp, chunk.side)
-            else:
-                self._writer.change(wire, chunk.change, chunk.stamp)
+            self._writer.write(wire, chunk)
             if self._source.is_live:
                 file.flush()
 
