@@ -10,14 +10,14 @@ from setuptools import setup
 NAME = 'mecarover_serial'
 TOOLS = {
     'vel2d_bridge': 'vel2d_bridge.main',
-    'dxl_monitor': 'dxl_monitor.main',
-    'fake_mcu': 'vel2d_bridge.fake_mcu',
-    'fake_bus': 'dxl_monitor.fake.fake_bus',
-    'dxl_dump': 'dxl_monitor.tools.dump.main',
-    'dxl_doctor': 'dxl_monitor.tools.doctor.main',
+    'dxl_monitor': 'dxl_monitor.start',
+    'fake_mcu': 'mecarover_fakes.fake_mcu',
+    'fake_bus': 'mecarover_fakes.fake_bus',
+    'dxl_dump': 'dxl_monitor.tools.dxl_dump',
+    'dxl_doctor': 'dxl_monitor.tools.dxl_doctor',
     'dxl_replay': 'dxl_monitor.tools.replay',
     'dxl_tap': 'dxl_monitor.tools.tap',
-    'dxl_dashboard': 'mecarover_dashboard.main',
+    'dxl_dashboard': 'mecarover_dashboard.serve',
     'mecarover_status': 'mecarover_dashboard.terminal',
 }
 DASHBOARD = ['aiohttp>=3.9', 'prometheus-client>=0.16']
@@ -36,7 +36,7 @@ setup(
     python_requires='>=3.10',
     packages=find_packages(include=[
         'msg_defs', NAME, 'vel2d_bridge*', 'dxl_monitor*', 'mecarover_dashboard',
-        'mecarover_demo']),
+        'mecarover_demo', 'mecarover_fakes']),
     package_data={'dxl_monitor.model': ['files/*.yaml'],
                   'dxl_monitor.tools.doctor': ['errors.yaml'],
                   'mecarover_dashboard': ['static/*']},

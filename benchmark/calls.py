@@ -23,7 +23,7 @@ from benchmark.traffic import BAUD
 from benchmark.traffic import BAUD_1
 from benchmark.traffic import packets
 from benchmark.traffic import packets_1
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from mecarover_serial.cli import run_tool

@@ -18,19 +18,19 @@ from benchmark.confusion_cases import Case
 from benchmark.confusion_cases import CASES
 from benchmark.confusion_cases import Key
 from benchmark.confusion_cases import Scene
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import Finding
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.fake_bus import make_line
-from dxl_monitor.fake.faults import parse
-from dxl_monitor.fake.line import by_sides
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from msg_defs.heard import UNKNOWN
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_bus import make_line
+from mecarover_fakes.faults import parse
+from mecarover_fakes.line import by_sides
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
+from msg_defs.event import UNKNOWN
 
 S = 1_000_000_000
 SEED = 1

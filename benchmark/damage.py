@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from itertools import product
 import sys
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor import bits
 from dxl_monitor.model.models import Models

@@ -21,12 +21,12 @@ import time
 from typing import Any
 from urllib.request import urlopen
 
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.shell import FakeBus
-from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_port import FakeBus
+from mecarover_fakes.line import Line
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
 from msg_defs.reports import Level
 from rigs.harness import Child
 from rigs.harness import Figure
@@ -54,11 +54,11 @@ def run(options: Options) -> list[Figure]:
         bus = stack.enter_context(Child('benchmark.dashboard', str(folder / 'bus')))
         bus.hear()
         stack.enter_context(Child(
-            'dxl_monitor.main', '--ros-args', '-p', f"ports:=['{folder / 'bus'}']",
+            'dxl_monitor.start', '--ros-args', '-p', f"ports:=['{folder / 'bus'}']",
             '-p', f"devices:=['{ENTRY}']", env=env, quiet=True))
         dashboard = stack.enter_context(Child(
-            'mecarover_dashboard.main', '--port', '0', '--history', str(folder / 'history.sqlite'),
-            env=env, quiet=True))
+            'mecarover_dashboard.serve', '--port', '0',
+            '--history', str(folder / 'history.sqlite'), env=env, quiet=True))
         page = Page(stack.enter_context(
             urlopen(f'{dashboard.line().split()[1]}/events', timeout=START_S)))
         for device in range(1, SERVOS + 1):

@@ -12,16 +12,16 @@ from functools import partial
 import time
 
 from benchmark.confusion import chunks
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor import Doctor
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.faults import parse
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.faults import parse
+from mecarover_fakes.line import Line
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
 from rigs.harness import Figure
 from rigs.harness import interleaved
 from rigs.harness import Options

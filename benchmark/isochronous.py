@@ -20,12 +20,12 @@ from typing import Any
 from typing import NamedTuple
 from unittest.mock import patch
 
-from dxl_monitor.fake.usb_adapter import BUS
-from dxl_monitor.fake.usb_adapter import DEVICE
-from dxl_monitor.fake.usb_adapter import FakeAdapter
-from dxl_monitor.fake.usb_adapter import FAMILIES
 from dxl_monitor.port import usb_ring
 from dxl_monitor.port.reader import GATHER_S
+from mecarover_fakes.usb_adapter import BUS
+from mecarover_fakes.usb_adapter import DEVICE
+from mecarover_fakes.usb_adapter import FakeAdapter
+from mecarover_fakes.usb_adapter import FAMILIES
 
 _HEAD = struct.Struct('<QBBBBHBBqiiII8siiII')
 _SUBMIT, _DONE = b'SC'

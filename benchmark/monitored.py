@@ -26,7 +26,7 @@ from rigs.harness import Child
 from rigs.harness import ros_environment
 from rigs.harness import usage
 
-NODE = 'dxl_monitor.main'
+NODE = 'dxl_monitor.start'
 THREAD_NODE = 'benchmark.thread_node'        # the same, without its reader process
 SETTLE_S = 1.0
 QUEUE_DEPTH = 100                              # 253 devices come in 14 messages at once

@@ -21,7 +21,7 @@ from benchmark.traffic import KINDS
 from benchmark.traffic import packets
 from benchmark.traffic import TRACE
 from benchmark.traffic import trace_packets
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from msg_defs.dxl_packet import Framer

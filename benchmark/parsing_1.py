@@ -27,7 +27,7 @@ from benchmark.parsing import SDK_PACKETS
 from benchmark.traffic import BAUD_1
 from benchmark.traffic import KINDS_1
 from benchmark.traffic import packets_1
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from rigs.harness import Figure
 from rigs.harness import interleaved

@@ -30,7 +30,7 @@ from rigs.harness import ros_environment
 SECTION = 'from the start of a process'
 LIMIT_S = 30.0
 WANTED = 'wanted: at most 0.3'
-BRIDGE, MONITOR, MINIMAL = 'vel2d_bridge.main', 'dxl_monitor.main', 'benchmark.minimal_node'
+BRIDGE, MONITOR, MINIMAL = 'vel2d_bridge.main', 'dxl_monitor.start', 'benchmark.minimal_node'
 
 
 def run(options: Options) -> list[Figure]:

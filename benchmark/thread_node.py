@@ -6,11 +6,12 @@ from functools import partial
 import sys
 from unittest import mock
 
-from dxl_monitor import node
-from dxl_monitor.main import main
+from dxl_monitor import monitor_node
+from dxl_monitor.start import main
 
-# Fails where node.py no longer has that name; an assignment would go unseen.
-in_thread = mock.patch.object(node, 'listener_on', partial(node.listener_on, in_thread=True))
+# Fails where monitor_node.py no longer has that name; an assignment would go unseen.
+in_thread = mock.patch.object(monitor_node, 'listener_on',
+                              partial(monitor_node.listener_on, in_thread=True))
 
 if __name__ == '__main__':
     with in_thread:

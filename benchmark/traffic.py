@@ -11,12 +11,12 @@ nearly every packet is different, as with a robot that moves.
 from itertools import islice
 from pathlib import Path
 
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.fake_bus import make_line
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_bus import make_line
+from mecarover_fakes.line import Line
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
 from msg_defs.dxl_packet import HEADER
 
 BAUD = 2_000_000

@@ -23,15 +23,15 @@ from typing import NamedTuple
 
 from benchmark.isochronous import beside_a_camera
 from benchmark.traffic import ROBOT
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.line import Burst
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.line import MASTER
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.outlet import Outlet
-from dxl_monitor.fake.traffic import PATTERNS
-from dxl_monitor.fake.usb_adapter import FakeAdapter
 from dxl_monitor.model.models import Models
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.line import Burst
+from mecarover_fakes.line import Line
+from mecarover_fakes.line import MASTER
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
+from mecarover_fakes.usb_adapter import FakeAdapter
+from mecarover_fakes.virtual_uart import VirtualUart
 from rigs.harness import Child
 from rigs.harness import Figure
 from rigs.harness import interleaved
@@ -90,7 +90,7 @@ def _master() -> Master:
 
 
 def through_tty(bursts: Sequence[Burst], seconds: float) -> Run:
-    outlet = Outlet()
+    outlet = VirtualUart()
     try:
         with Child('benchmark.heard', outlet.path, str(BAUD)) as listener:
             rows = [(burst.end, burst.data) for burst in bursts]

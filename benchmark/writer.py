@@ -19,8 +19,8 @@ from typing import Any
 from benchmark.traffic import packets
 from benchmark.traffic import TRACE
 from benchmark.traffic import trace_packets
-from dxl_monitor.fake.line import wire_ns
-from dxl_monitor.fake.outlet import Outlet
+from mecarover_fakes.line import wire_ns
+from mecarover_fakes.virtual_uart import VirtualUart
 from rigs.harness import quantile
 from rigs.harness import say
 
@@ -28,7 +28,7 @@ TICK_S = 0.001
 LATE_BYTES = 2048               # when this process is later than that, the bus stands still
 
 
-def steady(outlet: Outlet, traffic: list[bytes], baud: int) -> Iterator[int]:
+def steady(outlet: VirtualUart, traffic: list[bytes], baud: int) -> Iterator[int]:
     """Write without gaps; yield how long nothing was written (ns), after each write."""
     stream = b''.join(traffic)
     before = time.monotonic_ns()
@@ -46,7 +46,7 @@ def steady(outlet: Outlet, traffic: list[bytes], baud: int) -> Iterator[int]:
         before = now
 
 
-def spaced(outlet: Outlet, traffic: list[bytes], baud: int, gap: int) -> Iterator[int]:
+def spaced(outlet: VirtualUart, traffic: list[bytes], baud: int, gap: int) -> Iterator[int]:
     """Write packet by packet; yield the gap that there really was on the line (ns)."""
     end = time.monotonic_ns()
     for packet in cycle(traffic):
@@ -73,7 +73,7 @@ def main() -> None:
     order: dict[str, Any] = json.loads(sys.stdin.readline())
     traffic = trace_packets(Path(order['trace'])) if order['kind'] == TRACE else \
         packets(order['kind'], devices=tuple(order['devices']))
-    outlet = Outlet()
+    outlet = VirtualUart()
     say({'port': outlet.path})
     duration = json.loads(sys.stdin.readline())
     baud, gap = order['baud'], order['gap_us'] * 1000

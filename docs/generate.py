@@ -14,28 +14,28 @@ from pathlib import Path
 import sys
 
 from dxl_monitor.bus import report as words
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.settings import PARAMETERS as MONITOR
-from dxl_monitor.status import bus_status
-from dxl_monitor.status import device_metrics
-from dxl_monitor.status import device_status
-from dxl_monitor.status import PortState
+from dxl_monitor.monitor_settings import PARAMETERS as MONITOR
+from dxl_monitor.monitor_status import bus_status
+from dxl_monitor.monitor_status import device_metrics
+from dxl_monitor.monitor_status import device_status
+from dxl_monitor.monitor_status import PortState
 from mecarover_serial.parameters import Parameter
 from msg_defs.dxl_packet import encode
 from msg_defs.reports import Metric
 from msg_defs.reports import unit_name
+from vel2d_bridge.bridge_settings import PARAMETERS as BRIDGE
+from vel2d_bridge.bridge_status import Commands
+from vel2d_bridge.bridge_status import commands_status
+from vel2d_bridge.bridge_status import link_status
+from vel2d_bridge.bridge_timing import Timing
 from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.link import Link
 from vel2d_bridge.mcu_log import McuLog
-from vel2d_bridge.settings import PARAMETERS as BRIDGE
-from vel2d_bridge.status import Commands
-from vel2d_bridge.status import commands_status
-from vel2d_bridge.status import link_status
-from vel2d_bridge.timing import Timing
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTE = '<!-- Made from the code by docs/generate.py: edit that, or the code. -->\n'

@@ -12,12 +12,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 import struct
 
-from dxl_monitor.bus.conversation import Settings
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.line import Line
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.status import device_status
+from dxl_monitor.monitor_status import device_status
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.line import Line
 from msg_defs.dxl_instruction import Instruction
 
 FAMILIES = ('1:MX-106', '2:XM430-W350', '3:XL330-M288', '4:XL-320', '5:PH54-200-S500',

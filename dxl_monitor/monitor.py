@@ -17,9 +17,9 @@ from typing import Any
 from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus.conversation import Conversation
-from dxl_monitor.bus.conversation import DEFAULTS
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import BusDecoder
+from dxl_monitor.bus.decoder import DEFAULTS
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.report import BusReport
@@ -36,16 +36,16 @@ from dxl_monitor.model import control_table
 from dxl_monitor.model.layers import model_key
 from dxl_monitor.model.models import Models
 from dxl_monitor.port.driver import LineErrors
-from mecarover_serial.fault import survive
+from mecarover_serial.internal_fault import survive
 from msg_defs.dxl_instruction import error_text
-from msg_defs.heard import BREAK
-from msg_defs.heard import Change
-from msg_defs.heard import CLOSED
-from msg_defs.heard import FRAMING
-from msg_defs.heard import OUT
-from msg_defs.heard import OVERRUN
-from msg_defs.heard import PARITY
-from msg_defs.heard import UNKNOWN
+from msg_defs.event import BREAK
+from msg_defs.event import Change
+from msg_defs.event import CLOSED
+from msg_defs.event import FRAMING
+from msg_defs.event import OUT
+from msg_defs.event import OVERRUN
+from msg_defs.event import PARITY
+from msg_defs.event import UNKNOWN
 from msg_defs.reports import Joint
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
@@ -74,7 +74,7 @@ class Monitor:
     One bus under observation.
 
     idle_is_told: by flush_if_idle(), again and again while nothing comes. Then time counts only
-    while the port is open; else the stamps alone say when the line was idle. conversation: where
+    while the port is open; else the stamps alone say when the line was idle. decoder: where
     a tool needs more of each packet than a report shows. names: what the doctor's remedies name.
 
     All is written under the lock, but for doctor, which report() uses under _examining.
@@ -91,7 +91,7 @@ class Monitor:
 
     def __init__(self, name: str, models: Models, settings: Settings = DEFAULTS,
                  clock: Callable[[], int] = monotonic_ns, *, idle_is_told: bool = False,
-                 conversation: Conversation | None = None, names: Names = PARAMETERS) -> None:
+                 decoder: BusDecoder | None = None, names: Names = PARAMETERS) -> None:
         self.name = name
         self.settings = settings
         self._clock = clock
@@ -100,8 +100,8 @@ class Monitor:
         self._names = names
         self.doctor = Doctor(settings, names)
         self._examining = Lock()               # the doctor remembers from report to report
-        self.conversation = said = conversation or Conversation(models, settings)
-        self._tracker, self._roster, self._evidence = said.tracker, said.roster, said.evidence
+        self.decoder = said = decoder or BusDecoder(models, settings)
+        self._tracker, self._registry, self._evidence = said.tracker, said.registry, said.evidence
         self._line_errors: LineErrors | None = None    # reported by the source
         self._idle_is_told = idle_is_told
         self._fed = 0                          # bytes
@@ -121,7 +121,7 @@ class Monitor:
 
     def feed_pieces(self, pieces: Sequence[tuple[bytes, int, str]]) -> None:
         """Take what one read brought, in pieces with a stamp and a side each, as feed() does."""
-        said, stamp, size = self.conversation, 0, 0
+        said, stamp, size = self.decoder, 0, 0
         with self._lock:
             began = self._clock()
             before = self._last
@@ -146,11 +146,11 @@ class Monitor:
             self._time_per_buffer.add((self._clock() - began) / 1e6, stamp)
 
     def change(self, change: Change, stamp: int) -> None:
-        """Take what the source reported besides bytes (msg_defs/heard.py)."""
+        """Take what the source reported besides bytes (msg_defs/event.py)."""
         with self._lock:
             field = _LINE_ERRORS.get(change.what)
             if field is None:
-                self._try(self.conversation.change, change, stamp)
+                self._try(self.decoder.change, change, stamp)
             else:
                 before = self._line_errors or LineErrors()
                 self._line_errors = before._replace(
@@ -177,13 +177,13 @@ class Monitor:
 
     def expect_delay(self, latency_timer_ms: float) -> None:
         """Say how long the adapter may keep bytes back (ms)."""
-        self.conversation.expect_delay(latency_timer_ms)
+        self.decoder.expect_delay(latency_timer_ms)
 
     def reset_statistics(self, now: int) -> None:
         """Start all counts and statistics at 0; what is known of the devices stays."""
         with self._lock:
             self._start_statistics(now)
-            for device in self._roster.devices.values():
+            for device in self._registry.devices.values():
                 device.reset_statistics()
         with self._examining:
             # The old one compares with what was counted before.
@@ -216,7 +216,7 @@ class Monitor:
 
     def _device_report(self, device: Device, now: int) -> DeviceReport:
         with self._lock:
-            self._roster.resolve(device)
+            self._registry.resolve(device)
             quiet_ns = self._listened - max(device.heard, device.asked_stamp, self._resumed)
             report, table = _facts(device, now, quiet_ns / 1e9)
         observed = tuple(table.observed(report.model, now))
@@ -235,13 +235,13 @@ class Monitor:
     def _by_id(self) -> list[Device]:
         """Return the devices known now; the lock is free while somebody goes through them."""
         with self._lock:
-            return sorted(self._roster.devices.values(), key=attrgetter('number'))
+            return sorted(self._registry.devices.values(), key=attrgetter('number'))
 
     def _load_models(self) -> None:
         """Read the files of newly seen models: not under the lock, as that takes a while."""
         with self._lock:
             said = {model_key(device.identity[0] | device.identity[1] << 8, device.protocol)
-                    for device in self._roster.devices.values() if device.is_unresolved}
+                    for device in self._registry.devices.values() if device.is_unresolved}
         for key in said:
             self._models.get(key)
 
@@ -264,7 +264,7 @@ class Monitor:
         self._listened = now
 
     def _flush_if_idle(self, now: int) -> None:
-        said = self.conversation
+        said = self.decoder
         if self._last and now - self._last > said.idle_ns:
             self._try(said.pause, self._last, now)
 
@@ -288,9 +288,9 @@ class Monitor:
         self._next_tick += TICK_NS
         if not self._started:
             self._started = now
-        for device in self._roster.devices.values():
+        for device in self._registry.devices.values():
             device.tick()
-        said = self.conversation
+        said = self.decoder
         noise_bytes = said.total('noise_bytes')
         if self._ticks and noise_bytes != self._noise_seen:
             self._evidence.look_at_noise(said.noise, noise_bytes - self._noise_seen, now)
@@ -298,12 +298,12 @@ class Monitor:
         self._ticks.append((now, self._activity()))
 
     def _activity(self) -> Activity:
-        total = self.conversation.total
+        total = self.decoder.total
         errors = sum(map(total, ('crc_errors', 'truncated', 'bad_length')))
         return Activity(total('bytes'), total('packets'), errors)
 
     def _counters(self) -> dict[str, int]:
-        total = self.conversation.total
+        total = self.decoder.total
         counts = self._evidence.counts
         left_out = self._fed - total('bytes')      # where a mistake of ours was
         now = {
@@ -333,21 +333,21 @@ class Monitor:
         evidence = self._evidence
         rates = self._rates(now)
         return BusReport(
-            name=self.name, stamp=now, started=self._started, baud=self.conversation.settings.baud,
+            name=self.name, stamp=now, started=self._started, baud=self.decoder.settings.baud,
             level=Level.OK, message='', devices=(), counters=self._counters(), rates=rates,
-            errors=evidence.errors(self._roster.register_name),
+            errors=evidence.errors(self._registry.register_name),
             incidents=evidence.incidents(), waits=evidence.waits(),
             cycles=cycles, metrics=(),
-            noise=self.conversation.noise,
+            noise=self.decoder.noise,
             last_byte_s=(now - self._last) / 1e9 if self._last else None,
-            kinds=dict(evidence.counts), protocol=self.conversation.protocol(),
+            kinds=dict(evidence.counts), protocol=self.decoder.protocol(),
             asked=self._tracker.asked, scanned=self._scanned(),
             chain=tuple(expected.id for expected in self.settings.devices),
-            has_sides=OUT in self.conversation.framers)
+            has_sides=OUT in self.decoder.framers)
 
     def _scanned(self) -> tuple[int, ...]:
         """Return the IDs that were only pinged and never heard: many are a scan, no devices."""
-        found = tuple(device.number for device in self._roster.devices.values()
+        found = tuple(device.number for device in self._registry.devices.values()
                       if not (device.heard or device.expected or device.counts.reads
                               or device.counts.writes))
         return found if len(found) >= SCAN else ()
@@ -358,8 +358,8 @@ class Monitor:
                   ('bytes_per_buffer', 'B', self._buffer_size))
         values = [('byte_rate', 'B/s', rates['bytes']), ('packet_rate', 'Hz', rates['packets']),
                   ('error_rate', 'Hz', rates['errors'])]
-        if self.conversation.byte_ns:          # the rate is known
-            values.append(('bus_load', '%', rates['bytes'] * self.conversation.byte_ns / 1e7))
+        if self.decoder.byte_ns:          # the rate is known
+            values.append(('bus_load', '%', rates['bytes'] * self.decoder.byte_ns / 1e7))
         return (*(Metric(name, unit, one.summary(now), one.total(), bus=self.name)
                   for name, unit, one in series),
                 *(Metric(name, unit, value=value, bus=self.name) for name, unit, value in values))

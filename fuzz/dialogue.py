@@ -1,18 +1,18 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Dialogue of the 1.0 family: who said a packet, where an instruction and a status look alike."""
+"""The classifier of the 1.0 family: instruction or status, where both look alike."""
 
-from dxl_monitor.bus.conversation import Conversation
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import BusDecoder
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from fuzz.framer import pieces
 from fuzz.reference import Said
 from fuzz.script import Script
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
 from msg_defs.frame import IS_STATUS
-from msg_defs.heard import IN
-from msg_defs.heard import OUT
-from msg_defs.heard import UNKNOWN
 
 MODELS = Models()
 BAUD, BYTE_NS = 1_000_000, 10_000
@@ -24,8 +24,8 @@ ERRORS = (0, 0, 0, 1, 2, 4, 5, 0x20, 0x24)
 OPEN, INSTRUCTION, ANSWER = 'open', 'instruction', 'answer'
 
 
-class Watched(Conversation):
-    """A conversation that keeps what its packets were taken for, by side and where they end."""
+class Watched(BusDecoder):
+    """A decoder that keeps what its packets were taken for, by side and where they end."""
 
     def __init__(self, protocol):
         super().__init__(MODELS, Settings(baud=BAUD, protocol=protocol))
@@ -102,8 +102,8 @@ def exchange(script, protocol):
 
 def hear(said, protocol, has_sides=False, seed=None):
     """Return what each packet was taken for; seed: in pieces that follow from it."""
-    conversation = Watched(protocol)
-    monitor = Monitor('bus', MODELS, conversation=conversation)
+    decoder = Watched(protocol)
+    monitor = Monitor('bus', MODELS, decoder=decoder)
     now = 1_000_000_000
     ends = dict.fromkeys((IN, OUT, UNKNOWN), 0)
     places = []
@@ -117,5 +117,5 @@ def hear(said, protocol, has_sides=False, seed=None):
         places.append((side, ends[side]))
     report = monitor.report(now + 4_000_000_000)
     assert {device.id for device in report.devices} == set(IDS)
-    assert conversation.meant.keys() == set(places)
-    return [conversation.meant[place] for place in places]
+    assert decoder.meant.keys() == set(places)
+    return [decoder.meant[place] for place in places]

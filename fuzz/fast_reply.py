@@ -66,7 +66,7 @@ def bus_holds(accesses, blocks, body):
     monitor.feed(encode(0xFE, FAST_BULK_READ, asked), 1_000_000_000)
     monitor.feed(b'\xff\xff\xfd\x00' + body, 1_001_000_000)
     monitor.flush_if_idle(2_100_000_000)
-    devices = monitor.conversation.roster.devices
+    devices = monitor.decoder.registry.devices
     assert set(devices) == {one.id for one in accesses}
     for error, number, data in blocks:
         known = [(AT, data)] if data and not error & 0x7F else []

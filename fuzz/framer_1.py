@@ -6,8 +6,8 @@ from fuzz import reference
 from fuzz.framer import pieces
 from fuzz.script import Script
 from msg_defs.dxl1_packet import content
+from msg_defs.dxl1_packet import Dxl1Framer
 from msg_defs.dxl1_packet import encode
-from msg_defs.dxl1_packet import Framer1
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl1_packet import MAX_FRAME
 from msg_defs.frame import is_good
@@ -58,7 +58,7 @@ def traffic(script):
 
 def feed(chunks, sent):
     """Return what is found in chunks and a flush; compare with the reference on the way."""
-    framer = Framer1()
+    framer = Dxl1Framer()
     total = 0
     good = []
     damaged = []
@@ -89,7 +89,7 @@ def as_found(frame):
 
 def good_is_found_behind(stream):
     """Hold that a good packet is found, or lies in a frame that the sum takes for good."""
-    framer = Framer1()
+    framer = Dxl1Framer()
     frames = framer.frames(stream + GOOD) + framer.flush_frames()
     end = len(stream) + len(GOOD)
     assert any((one == end and data == GOOD[5:-1]) or begin < len(stream) < one

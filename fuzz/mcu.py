@@ -8,8 +8,8 @@ import struct
 from fuzz import reference
 from fuzz.script import Script
 from fuzz.vel2d import value
-from vel2d_bridge.receiver import BadCable
-from vel2d_bridge.receiver import Receiver
+from mecarover_fakes.receiver import BadCable
+from mecarover_fakes.receiver import Receiver
 
 SIZE = 28
 LOOP_NS = 30_000_000

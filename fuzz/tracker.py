@@ -5,13 +5,13 @@
 from functools import lru_cache
 import json
 
-from dxl_monitor.bus.conversation import Conversation
+from dxl_monitor.bus.decoder import BusDecoder
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.status import bus_status
-from dxl_monitor.status import device_metrics
-from dxl_monitor.status import device_status
-from dxl_monitor.status import PortState
+from dxl_monitor.monitor_status import bus_status
+from dxl_monitor.monitor_status import device_metrics
+from dxl_monitor.monitor_status import device_status
+from dxl_monitor.monitor_status import PortState
 from fuzz.framer import pieces
 from fuzz.framer import Watched
 from fuzz.script import Script
@@ -63,9 +63,9 @@ def flood():
 
 def run(bursts):
     """Feed bursts of chunks, each at one stamp; return what does not hang on the chunks."""
-    conversation = Conversation(MODELS)
-    conversation.framer = framer = Watched()
-    monitor = Monitor('bus', MODELS, conversation=conversation)
+    decoder = BusDecoder(MODELS)
+    decoder.framer = framer = Watched()
+    monitor = Monitor('bus', MODELS, decoder=decoder)
     now = 1_000_000_000
     total = 0
     for chunks, pause in bursts:
@@ -82,7 +82,7 @@ def run(bursts):
     assert report.counters['Pending Bytes'] == 0
     published(report)
     kept(monitor)
-    tables = {number: one.table for number, one in monitor.conversation.roster.devices.items()}
+    tables = {number: one.table for number, one in monitor.decoder.registry.devices.items()}
     assert all(len(one._settle().data) <= TABLE_END for one in tables.values())
     return report.counters, report.kinds, [
         (device.id, device.model_name, device.state, device.totals, device.errors,
@@ -91,10 +91,10 @@ def run(bursts):
 
 def kept(monitor):
     """Hold that what was not looked at yet is bounded too."""
-    roster, planner = monitor.conversation.roster, monitor.conversation.tracker.planner
+    registry, planner = monitor.decoder.registry, monitor.decoder.tracker.planner
     assert sum(1 + len(plan.slots) for plan in planner.known.values()) <= SLOTS
-    assert roster.devices.keys() <= set(range(253))
-    for number, device in roster.devices.items():
+    assert registry.devices.keys() <= set(range(253))
+    for number, device in registry.devices.items():
         assert device.number == number
         assert len(device.table._latest) <= SPANS
         assert len(device.errors) <= ERRORS

@@ -20,7 +20,7 @@ import time
 
 from benchmark.traffic import packets
 from benchmark.traffic import trace_packets
-from dxl_monitor.bus.conversation import Conversation
+from dxl_monitor.bus.decoder import BusDecoder
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from fuzz.framer import Watched
@@ -118,9 +118,9 @@ def chunks(chance, block):
 
 def run(make, size, chance, traffic, sent):
     """Feed so many bytes in chunks of all sizes; check the accounts at every chunk."""
-    conversation = Conversation(Models())
-    conversation.framer = framer = Watched()
-    monitor = Monitor('bus', Models(), conversation=conversation)
+    decoder = BusDecoder(Models())
+    decoder.framer = framer = Watched()
+    monitor = Monitor('bus', Models(), decoder=decoder)
     now, total, false, packets_found, tried, memory = 1_000_000_000, 0, 0, 0, 0, None
     while total < size:
         block = make(chance, traffic)

@@ -5,10 +5,10 @@ python -m fuzz.volume_1 --bytes N: N bytes of hostile input on a bus with `proto
 
 A quarter each: random bytes, bytes that look like headers of the 1.0 family, the traffic of a
 robot of Protocol 2.0 and that of one of Feetech, both with bytes lost, turned, doubled and torn
-apart. Two readers: Framer1 takes each right sum for a packet, and of what looks like a frame and
-was not sent that is one of 256; the monitor wants more evidence. Exit code 1 when an exception
-comes, a byte is counted twice or not at all, memory grows, Framer1 finds more than chance gives,
-or the monitor shows a device that is not on that bus.
+apart. Two readers: Dxl1Framer takes each right sum for a packet, and of what looks like a frame
+and was not sent that is one of 256; the monitor wants more evidence. Exit code 1 when an exception
+comes, a byte is counted twice or not at all, memory grows, Dxl1Framer finds more than chance
+gives, or the monitor shows a device that is not on that bus.
 """
 
 import argparse
@@ -19,8 +19,8 @@ import time
 from benchmark.traffic import KINDS_1
 from benchmark.traffic import packets
 from benchmark.traffic import packets_1
-from dxl_monitor.bus.conversation import Conversation
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import BusDecoder
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from fuzz.framer_1 import TRICKY
@@ -32,7 +32,7 @@ from fuzz.volume import mutated
 from fuzz.volume import random_bytes
 from mecarover_serial.process import resident_memory_mb
 from msg_defs import dxl1_packet
-from msg_defs.dxl1_packet import Framer1
+from msg_defs.dxl1_packet import Dxl1Framer
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.frame import is_good
@@ -62,7 +62,7 @@ def content(frame):
 
 
 def good_in(stream):
-    framer = Framer1()
+    framer = Dxl1Framer()
     frames = framer.frames(stream) + framer.flush_frames()
     return [content(frame) for frame in frames if is_good(frame)]
 
@@ -103,10 +103,10 @@ def main():
 
 def run(make, size, chance, traffic, sent):
     """Feed so many bytes in chunks of all sizes; check the accounts at every chunk."""
-    conversation = Conversation(Models(), Settings(baud=BAUD))
-    conversation.framer = framer = Watched(conversation.detector)
-    monitor = Monitor('bus', Models(), conversation=conversation)
-    alone = Framer1()
+    decoder = BusDecoder(Models(), Settings(baud=BAUD))
+    decoder.framer = framer = Watched(decoder.detector)
+    monitor = Monitor('bus', Models(), decoder=decoder)
+    alone = Dxl1Framer()
     total, packets_found, false, by_chance, tried, memory = 0, 0, 0, 0, 0, None
     while total < size:
         for chunk in chunks(chance, make(chance, traffic)):

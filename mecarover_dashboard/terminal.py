@@ -10,8 +10,8 @@ import shutil
 import sys
 import time
 
-from mecarover_dashboard.lines import Board
-from mecarover_dashboard.lines import screen
+from mecarover_dashboard.status_lines import Board
+from mecarover_dashboard.status_lines import screen
 from mecarover_serial.cli import no_ros
 from mecarover_serial.cli import options_of_node
 from mecarover_serial.plain import on_screen
@@ -79,8 +79,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
     options, arguments = options_of_node(_parser(), args)
     try:
-        from mecarover_dashboard.node import StatusNode
-        from mecarover_serial.node import run
+        from mecarover_dashboard.dashboard_node import StatusNode
+        from mecarover_serial.ros_node import run
     except ImportError as error:
         return no_ros(NAME, error)
     board = Board(every_device=options.all)

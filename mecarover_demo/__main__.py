@@ -17,6 +17,7 @@ import time
 from typing import Any
 import urllib.request
 
+from mecarover_demo.device_lines import DeviceTable
 from mecarover_demo.scenes import BOOKS
 from mecarover_demo.scenes import judge
 from mecarover_demo.scenes import judge_books
@@ -26,7 +27,6 @@ from mecarover_demo.scenes import SCENES
 from mecarover_demo.scenes import TakenSetPoint
 from mecarover_demo.scenes import TIME_OUT_BOUND_S
 from mecarover_demo.stage import Stage
-from mecarover_demo.table import DeviceTable
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import no_ros
 from mecarover_serial.cli import run_tool
@@ -52,7 +52,7 @@ def _main(arguments: list[str]) -> int:
     domain = own.number
     os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(domain))
     try:
-        from mecarover_demo.node import Operator
+        from mecarover_demo.demo_node import Operator
     except ImportError as error:
         return no_ros('demo', error)
     operator = Operator()
@@ -95,17 +95,17 @@ class Show:
         mcu = os.path.join(folder, 'mcu')
         bus = os.path.join(folder, 'bus')
         print(f'demo: fake MCU on {mcu}, fake Dynamixel bus on {bus}', flush=True)
-        self._mcu = stage.start('vel2d_bridge.fake_mcu', '--link', mcu, '--json')
+        self._mcu = stage.start('mecarover_fakes.fake_mcu', '--link', mcu, '--json')
         self._bridge = stage.start('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}')
         self._table = DeviceTable()
         self._stage = stage
         self._books = os.path.join(folder, 'books.json')
         devices = ','.join(DEVICES)
-        stage.start('dxl_monitor.fake.fake_bus', '--link', bus, '--devices', devices, '--fault',
+        stage.start('mecarover_fakes.fake_bus', '--link', bus, '--devices', devices, '--fault',
                     f'silent:{SILENT_ID}:{SILENT_AT_S}:{SILENT_FOR_S}', '--truth', self._books)
-        stage.start('dxl_monitor.main', '--ros-args', '-p', f'ports:={bus}', '-p',
+        stage.start('dxl_monitor.start', '--ros-args', '-p', f'ports:={bus}', '-p',
                     f'devices:={list(DEVICES)}')
-        self._dashboard = stage.start('mecarover_dashboard.main', '--port', page_port,
+        self._dashboard = stage.start('mecarover_dashboard.serve', '--port', page_port,
                                         '--history', 'none')
 
     def run(self, seconds: float | None) -> list[SceneResult]:

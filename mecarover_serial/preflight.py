@@ -19,11 +19,11 @@ from typing import NamedTuple
 
 from serial.tools import list_ports
 
-from mecarover_serial.holders import file_text
-from mecarover_serial.holders import holders
-from mecarover_serial.holders import PTYS
-from mecarover_serial.holders import ROOT
 from mecarover_serial.plain import printable
+from mecarover_serial.port_users import file_text
+from mecarover_serial.port_users import holders
+from mecarover_serial.port_users import PTYS
+from mecarover_serial.port_users import ROOT
 
 _FOREIGN = {stat.S_IFDIR: 'a directory', stat.S_IFREG: 'a file', stat.S_IFBLK: 'a disk',
             stat.S_IFIFO: 'a pipe', stat.S_IFSOCK: 'a socket'}

@@ -43,11 +43,11 @@ def ends_with_another(frame: Frame) -> bool:
     _, _, _, number, code, data, _ = frame
     if HEADER not in data:
         return False
-    last = Framer1().frames(encode(number, code, data)[5:])[-1:]
+    last = Dxl1Framer().frames(encode(number, code, data)[5:])[-1:]
     return any(is_good(one) and one[1] == len(data) + 1 for one in last)
 
 
-class Framer1(StreamFramer):
+class Dxl1Framer(StreamFramer):
     """
     Finds the frames of the 1.0 family in a stream that comes in chunks of any size.
 

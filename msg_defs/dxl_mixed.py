@@ -159,7 +159,7 @@ class MixedFramer:
                  '_seen', '_shift', 'bytes', 'claimed', 'has_other', 'held', 'side', 'stamp')
 
     def __init__(self, detector: Detector, is_shared: bool = False, side: str = '') -> None:
-        self._second = dxl1_packet.Framer1()
+        self._second = dxl1_packet.Dxl1Framer()
         self._first = _First(is_shared)
         self._detector = detector
         self._is_open = False          # some bytes wait in the second framer

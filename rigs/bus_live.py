@@ -18,7 +18,7 @@ import sys
 from threading import Thread
 import time
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.model.models import Models

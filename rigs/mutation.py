@@ -38,8 +38,8 @@ FILES = {
     'msg_defs/crc.py': ('test_vel2d.py', 'test_dxl_packet.py', 'test_dxl_instruction.py'),
     'msg_defs/dxl_packet.py': ('test_dxl_packet.py', 'test_tracker.py', 'test_fuzz.py'),
     **{f'dxl_monitor/bus/{name}.py': _BUS for name in (
-        'conversation', 'device', 'dialect', 'dialogue', 'duty', 'evidence', 'expected', 'plan',
-        'planner', 'report', 'roster', 'stranger', 'table', 'tracker')},
+        'decoder', 'device', 'dialect', 'dialogue', 'duty', 'evidence', 'expected', 'plan',
+        'planner', 'report', 'registry', 'stranger', 'table', 'tracker')},
     **{f'dxl_monitor/doctor/{name}.py': _DOCTOR for name in (
         '__init__', 'bits', 'case', 'collision', 'combs', 'configuration', 'damage', 'feetech',
         'health', 'presence', 'rate', 'rhythm', 'rule', 'setting_up', 'timing')},

@@ -25,6 +25,7 @@ import time
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
+from mecarover_fakes.fake_mcu import FakeMcu
 from rigs.cable import Cable
 from rigs.harness import Child
 from rigs.harness import family
@@ -44,7 +45,6 @@ from rigs.soak_watch import MONITOR
 from rigs.soak_watch import NODES
 from rigs.soak_watch import S
 from rigs.soak_watch import TABLES
-from vel2d_bridge.fake_mcu import FakeMcu
 
 __all__ = ['problems', 'run']      # what benchmark/__main__.py calls
 SEED = 1

@@ -12,10 +12,10 @@ from geometry_msgs.msg import Twist
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 
+from mecarover_fakes.fake_mcu import FakeMcu
 from rigs.soak_watch import BRIDGE
 from rigs.soak_watch import Hearing
 from rigs.soak_watch import Machine
-from vel2d_bridge.fake_mcu import FakeMcu
 
 SPEED = 0.3
 DRIVE_S, REST_S = 2.0, 1.5

@@ -19,7 +19,7 @@ import tempfile
 from harness import Mcu
 import pytest
 
-from mecarover_serial.fault import LOG
+from mecarover_serial.internal_fault import LOG
 from mecarover_serial.ros_domain import Domain
 from mecarover_serial.ros_domain import TESTS
 

@@ -92,7 +92,7 @@ def measure(page, session, pid, seconds):
 def main(seconds=10.0):
     views = {**dashboard_page.VIEWS, 'device': '#/device/dxl_monitor: 042'}
     with TemporaryDirectory() as folder, Program(
-            'mecarover_dashboard.main', '--port', '0', '--history', f'{folder}/history.sqlite',
+            'mecarover_dashboard.serve', '--port', '0', '--history', f'{folder}/history.sqlite',
             ) as server, Publisher() as robot, dashboard_page.browser() as browser:
         address = server.wait_for('http://').split()[1]
         page = browser.new_page(viewport={'width': 1280, 'height': 800})

@@ -61,9 +61,9 @@ class Dashboard:
 
     def start(self):
         from mecarover_dashboard.history_recorder import HistoryRecorder
-        from mecarover_dashboard.main import facts
-        from mecarover_dashboard.main import listen
-        from mecarover_dashboard.server import Server
+        from mecarover_dashboard.serve import facts
+        from mecarover_dashboard.serve import listen
+        from mecarover_dashboard.web_server import Server
         listener = listen('127.0.0.1', self.port)
         self.port = listener.getsockname()[1]
         about = facts('127.0.0.1', self.port) | {'machine': 'robot'}

@@ -45,7 +45,7 @@ DEVICES = [*(f'{at + 1}:{"MX-106" if at < 10 else "MX-64"}:{JOINTS[at]}' for at 
 DASHBOARD = """
 import socket, sys
 socket.gethostname = lambda: 'wolfgang'
-from mecarover_dashboard.main import main
+from mecarover_dashboard.serve import main
 sys.exit(main())
 """
 
@@ -61,13 +61,13 @@ def robot(stack, folder):
     """Start everything, return the address of the dashboard."""
     bus, mcu = folder / 'ttyUSB0', folder / 'ttyAMA0'
     start = stack.enter_context
-    start(Program('dxl_monitor.fake.fake_bus', '--link', str(bus), '--behind-silent', 'answer',
+    start(Program('mecarover_fakes.fake_bus', '--link', str(bus), '--behind-silent', 'answer',
                   '--fault', f'silent:7:{WARM_UP_S}:600', '--fault', f'hot:14:{WARM_UP_S}:600'))
-    start(Program('vel2d_bridge.fake_mcu', '--link', str(mcu)))
+    start(Program('mecarover_fakes.fake_mcu', '--link', str(mcu)))
     dashboard = start(Program('', '--port', '0', '--history', str(folder / 'history.sqlite'),
                               script=DASHBOARD))
     wait(lambda: bus.exists() and mcu.exists())
-    start(Program('dxl_monitor.main', '--ros-args', '-p', f"ports:=['{bus}']",
+    start(Program('dxl_monitor.start', '--ros-args', '-p', f"ports:=['{bus}']",
                   '-p', f'devices:={DEVICES}'))
     start(Program('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}'))
     graph = start(ros_side.Graph('operator'))

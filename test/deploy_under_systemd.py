@@ -71,7 +71,7 @@ def main(folder):
     with (folder / 'systemd.log').open('w') as log:
         manager = subprocess.Popen([SYSTEMD, '--user', '--log-target=console'],
                                    stdout=log, stderr=log)
-    mcu = subprocess.Popen([sys.executable, '-m', 'vel2d_bridge.fake_mcu', '--json', '--link',
+    mcu = subprocess.Popen([sys.executable, '-m', 'mecarover_fakes.fake_mcu', '--json', '--link',
                             folder / 'mcu'], cwd=ROOT, stdout=(folder / 'mcu.log').open('w'))
     operator = subprocess.Popen([sys.executable, '-c', PUBLISHER])
     try:

@@ -14,8 +14,8 @@ import sys
 import threading
 import time
 
+from mecarover_fakes.fake_mcu import FakeMcu
 from rigs.harness import children
-from vel2d_bridge.fake_mcu import FakeMcu
 
 ROOT = Path(__file__).parents[1]
 DEADLINE_S = 30.0               # for what takes a moment: generous, the machine may be busy

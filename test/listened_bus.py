@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import time
 from typing import Any
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.fake_bus import make_line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.shell import FakeBus
-from dxl_monitor.fake.traffic import none
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.listener import Listener
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_bus import make_line
+from mecarover_fakes.fake_port import FakeBus
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import none
 
 BAUD = 1_000_000
 MODELS = Models()

@@ -48,8 +48,8 @@ COUNTERS = {
 # Five times, as a machine that is too busy may tear a packet apart.
 BUS_THAT_WAITS = """
 import os, signal
-from dxl_monitor.fake import fake_bus
-from dxl_monitor.fake import master
+from mecarover_fakes import fake_bus
+from mecarover_fakes import master
 once = master.start_up
 def start_up(*arguments):
     for _ in range(5):
@@ -184,7 +184,7 @@ class Node(Program):
         self._mark = self._row = None   # the newest, and the one at which this row began
         self._unheard = 0               # None: not known, as after a row that failed
         self._read_at_cut = None
-        super().__init__('dxl_monitor.main', '--ros-args', '-r', f'__node:={name}', *(
+        super().__init__('dxl_monitor.start', '--ros-args', '-r', f'__node:={name}', *(
             part for key, value in given.items() for part in ('-p', f'{key}:={value}')))
 
     # --- what it says ------------------------------------------------------------------------

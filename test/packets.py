@@ -3,7 +3,7 @@
 """Framers as tests read them: chunks in, whole packets out, without what was damaged."""
 from typing import NamedTuple
 
-from msg_defs.dxl1_packet import Framer1
+from msg_defs.dxl1_packet import Dxl1Framer
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import packet_of
@@ -29,7 +29,7 @@ class Packet1(NamedTuple):
     params: bytes
 
 
-def packets_1_in(framer: Framer1, chunk: bytes | None) -> list[Packet1]:
+def packets_1_in(framer: Dxl1Framer, chunk: bytes | None) -> list[Packet1]:
     """Return the packets that this chunk completes; None: the line is idle."""
     found = framer.flush_frames() if chunk is None else framer.frames(chunk)
     return [Packet1(begin, number, code, params)

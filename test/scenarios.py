@@ -23,32 +23,32 @@ SILENT = f'silent:{LOST_ID}:10:5'
 # starts, in the words of a plain process.
 CASTS = {
     'bridge': {
-        'fakes': [('vel2d_bridge.fake_mcu', '--link', '{folder}/mcu', *VANISH)],
+        'fakes': [('mecarover_fakes.fake_mcu', '--link', '{folder}/mcu', *VANISH)],
         'launch': {'port': '{folder}/mcu'},
         'nodes': [('vel2d_bridge.main', 'bridge.yaml', 'port:={folder}/mcu')],
     },
     'monitor': {
-        'fakes': [('dxl_monitor.fake.fake_bus', '--link', '{folder}/bus', '--devices', DEVICES,
+        'fakes': [('mecarover_fakes.fake_bus', '--link', '{folder}/bus', '--devices', DEVICES,
                    '--fault', SILENT)],
         'launch': {'ports': '{folder}/bus', 'devices': f"['{DEVICES}']"},
-        'nodes': [('dxl_monitor.main', 'monitor.yaml', 'ports:={folder}/bus',
+        'nodes': [('dxl_monitor.start', 'monitor.yaml', 'ports:={folder}/bus',
                    f"devices:=['{DEVICES}']")],
     },
     'suite': {
-        'fakes': [('vel2d_bridge.fake_mcu', '--link', '{folder}/mcu'),
-                  ('dxl_monitor.fake.fake_bus', '--link', '{folder}/bus')],
+        'fakes': [('mecarover_fakes.fake_mcu', '--link', '{folder}/mcu'),
+                  ('mecarover_fakes.fake_bus', '--link', '{folder}/bus')],
         'launch': {'port': '{folder}/mcu', 'ports': '{folder}/bus', 'namespace': 'rover'},
         'nodes': [('vel2d_bridge.main', 'bridge.yaml', 'port:={folder}/mcu', '__ns:=/rover'),
-                  ('dxl_monitor.main', 'monitor.yaml', 'ports:={folder}/bus', '__ns:=/rover')],
+                  ('dxl_monitor.start', 'monitor.yaml', 'ports:={folder}/bus', '__ns:=/rover')],
     },
     'demo': {
         'fakes': [],
         'launch': {'fault': SILENT, 'dashboard_port': '0'},
-        'nodes': [('vel2d_bridge.fake_mcu', '--link', '{folder}/mcu'),
-                  ('dxl_monitor.fake.fake_bus', '--link', '{folder}/bus', '--devices', DEVICES,
+        'nodes': [('mecarover_fakes.fake_mcu', '--link', '{folder}/mcu'),
+                  ('mecarover_fakes.fake_bus', '--link', '{folder}/bus', '--devices', DEVICES,
                    '--fault', SILENT),
                   ('vel2d_bridge.main', 'bridge.yaml', 'port:={folder}/mcu'),
-                  ('dxl_monitor.main', 'monitor.yaml', 'ports:={folder}/bus',
+                  ('dxl_monitor.start', 'monitor.yaml', 'ports:={folder}/bus',
                    f"devices:=['{DEVICES}']")],
     },
 }

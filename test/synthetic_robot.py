@@ -10,7 +10,7 @@ import math
 import struct
 
 from dxl_monitor.bus import report as words
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.report import Counts
 from dxl_monitor.bus.report import Error
@@ -19,15 +19,18 @@ from dxl_monitor.bus.report import ReplyLatency
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.status import bus_status
-from dxl_monitor.status import device_metrics
-from dxl_monitor.status import device_status
-from dxl_monitor.status import PortState
+from dxl_monitor.monitor_status import bus_status
+from dxl_monitor.monitor_status import device_metrics
+from dxl_monitor.monitor_status import device_status
+from dxl_monitor.monitor_status import PortState
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
 from msg_defs.timing import Summary
 from msg_defs.vel2d import Vel2d
+from vel2d_bridge.bridge_status import Commands
+from vel2d_bridge.bridge_status import commands_status
+from vel2d_bridge.bridge_status import link_status
 from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate
@@ -35,9 +38,6 @@ from vel2d_bridge.graph import Choice
 from vel2d_bridge.link import Link
 from vel2d_bridge.mcu_log import McuLog
 from vel2d_bridge.pacer import Sent
-from vel2d_bridge.status import Commands
-from vel2d_bridge.status import commands_status
-from vel2d_bridge.status import link_status
 
 NODE = 'dxl_monitor'
 JOINTS = ('left_hip_yaw', 'right_hip_yaw', 'left_hip_roll', 'right_hip_roll', 'left_hip_pitch',

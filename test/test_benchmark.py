@@ -20,8 +20,8 @@ from benchmark.traffic import KINDS
 from benchmark.traffic import packets
 from benchmark.traffic import ROBOT
 from benchmark.traffic import trace_packets
-from dxl_monitor.fake.line import wire_ns
-from dxl_monitor.fake.usb_adapter import FakeAdapter
+from mecarover_fakes.line import wire_ns
+from mecarover_fakes.usb_adapter import FakeAdapter
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import Framer

@@ -5,14 +5,14 @@ import pytest
 
 from mecarover_serial.namesakes import Namesakes
 from mecarover_serial.namesakes import node_name
+from vel2d_bridge.bridge_settings import AUTO
+from vel2d_bridge.bridge_settings import TWIST
+from vel2d_bridge.bridge_settings import TWIST_STAMPED
 from vel2d_bridge.graph import Absence
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.graph import choose
 from vel2d_bridge.graph import complaints
 from vel2d_bridge.graph import Publisher
-from vel2d_bridge.settings import AUTO
-from vel2d_bridge.settings import TWIST
-from vel2d_bridge.settings import TWIST_STAMPED
 
 PLAIN = Publisher('/teleop', 'geometry_msgs/msg/Twist', reliable=True)
 LOSSY = PLAIN._replace(node='/joystick', reliable=False)

@@ -23,7 +23,7 @@ import yaml
 
 from mecarover_serial.pty import Pty
 from msg_defs.vel2d import STOP
-from vel2d_bridge.settings import PARAMETERS
+from vel2d_bridge.bridge_settings import PARAMETERS
 
 pytestmark = pytest.mark.ros
 NODE = '/vel2d_bridge'
@@ -133,7 +133,7 @@ def test_holding_for_ever_is_taken_at_a_start_and_said(graph, tmp_path):
 
 
 @pytest.mark.parametrize(('node', 'module'), [('vel2d_bridge', 'vel2d_bridge.main'),
-                                              ('dxl_monitor', 'dxl_monitor.main')])
+                                              ('dxl_monitor', 'dxl_monitor.start')])
 def test_a_settings_file_for_another_node_is_refused(tmp_path, node, module):
     """A typo in its header, another namespace: the limits in it would not be in force."""
     mine, other = tmp_path / 'mine.yaml', tmp_path / 'other.yaml'

@@ -17,6 +17,7 @@ import random
 
 import pytest
 
+from mecarover_fakes.receiver import Receiver
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
@@ -31,7 +32,6 @@ from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.pacer import Pacer
-from vel2d_bridge.receiver import Receiver
 
 FIFO = 16                                            # bytes that a flush does not reach
 LATE = 2 * MS                                        # how late the host's thread may wake

@@ -10,19 +10,19 @@ from mecarover_serial.preflight import Reason
 from msg_defs.reports import Level
 from msg_defs.timing import Series
 from msg_defs.vel2d import Vel2d
+from vel2d_bridge.bridge_settings import doubts
+from vel2d_bridge.bridge_settings import PARAMETERS
+from vel2d_bridge.bridge_settings import taken_away
+from vel2d_bridge.bridge_status import Commands
+from vel2d_bridge.bridge_status import commands_status
+from vel2d_bridge.bridge_status import link_status
+from vel2d_bridge.bridge_status import refusal
 from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.link import LinkState
 from vel2d_bridge.mcu_log import McuLog
-from vel2d_bridge.settings import doubts
-from vel2d_bridge.settings import PARAMETERS
-from vel2d_bridge.settings import taken_away
-from vel2d_bridge.status import Commands
-from vel2d_bridge.status import commands_status
-from vel2d_bridge.status import link_status
-from vel2d_bridge.status import refusal
 
 PORT = '/dev/ttyAMA0'
 OPEN = LinkState(

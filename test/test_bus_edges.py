@@ -7,26 +7,26 @@ from typing import Any
 import pytest
 
 from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus.conversation import Conversation
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import BusDecoder
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.dialect import DialectChoice
 from dxl_monitor.bus.dialect import DYNAMIXEL_AT
 from dxl_monitor.bus.dialect import FEETECH_AT
-from dxl_monitor.bus.duty import Duty
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.evidence import text_of
 from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.id_confirmation import IdConfirmation
 from dxl_monitor.bus.plan import Due
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.plan import take_nothing
 from dxl_monitor.bus.planner import Planner
+from dxl_monitor.bus.registry import DeviceRegistry
+from dxl_monitor.bus.reply_policy import ReplyPolicy
 from dxl_monitor.bus.report import Counts
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import Wait
-from dxl_monitor.bus.roster import Roster
-from dxl_monitor.bus.stranger import Strangers
 from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
 from dxl_monitor.bus.table import Table
@@ -55,11 +55,11 @@ S = 1_000_000_000
 MS = 1_000_000
 
 
-def roster(*expected: Expected, baud: int = 1_000_000) -> Roster:
-    return Roster(MODELS, expected, baud, Evidence())
+def registry(*expected: Expected, baud: int = 1_000_000) -> DeviceRegistry:
+    return DeviceRegistry(MODELS, expected, baud, Evidence())
 
 
-def notes(one: Roster) -> list[tuple[str, int, Any]]:
+def notes(one: DeviceRegistry) -> list[tuple[str, int, Any]]:
     return [(note.kind, note.device, note.detail) for note in one._evidence.incidents()]
 
 
@@ -203,7 +203,7 @@ def test_64_different_errors_of_a_device_are_kept() -> None:
 
 @pytest.mark.parametrize(('away_ms', 'is_noted'), [(49.9, False), (50, True)])
 def test_an_absence_is_noted_from_50_ms_on(away_ms: float, is_noted: bool) -> None:
-    one = roster(Expected(4, 'XL430-W250'))
+    one = registry(Expected(4, 'XL430-W250'))
     device = one.device(4)
     one.heard(device, 0, S)
     device.table.store(64, b'\1', S, READ)
@@ -219,7 +219,7 @@ def test_of_a_device_that_never_answered_no_latency_is_told() -> None:
 
 
 def test_an_alert_is_noted_when_it_begins_and_counted_each_time() -> None:
-    one = roster()
+    one = registry()
     device = one.device(4)
     for error in (0x7F, 0x80, 0x85, 0, 0x80):
         one.heard(device, error, S)
@@ -228,7 +228,7 @@ def test_an_alert_is_noted_when_it_begins_and_counted_each_time() -> None:
 
 
 def test_an_id_that_no_device_can_have_gets_none() -> None:
-    one = roster()
+    one = registry()
     assert one.device(252).number == 252
     assert one.device(253) is one.device(255)
     assert list(one.devices) == [252]
@@ -241,7 +241,7 @@ def test_an_id_that_no_device_can_have_gets_none() -> None:
 
 
 def test_who_says_the_same_of_himself_again_stays_who_he_is() -> None:
-    one = roster()
+    one = registry()
     changes: list[int] = []
     one.changed = lambda: changes.append(1)
     device = one.device(4)
@@ -263,7 +263,7 @@ def test_who_says_the_same_of_himself_again_stays_who_he_is() -> None:
 
 
 def test_only_a_backup_that_is_restored_changes_a_device() -> None:
-    one = roster(Expected(4, 'XL430-W250'))
+    one = registry(Expected(4, 'XL430-W250'))
     table = one.device(4).table
     for address in (0, 7, 8, 9, 64):
         table.store(address, b'\1', S, READ)
@@ -275,13 +275,13 @@ def test_only_a_backup_that_is_restored_changes_a_device() -> None:
 
 
 def test_a_register_is_named_where_its_model_is_known() -> None:
-    one = roster(Expected(4, 'XL430-W250'))
+    one = registry(Expected(4, 'XL430-W250'))
     assert [one.register_name(number, 132) for number in (4, 5)] == ['Present Position', '132']
     assert one.register_name(4, 5000) == '5000'
 
 
 def test_an_offset_is_noted_when_it_changes() -> None:
-    one = roster(Expected(2, 'STS3215'))
+    one = registry(Expected(2, 'STS3215'))
     for value in (0, 7, 7, 9):
         one.write(one.device(2), 31, bytes([value, 0]), S)
     assert notes(one) == [(ev.OFFSET_WRITTEN, 2, ev.Offsets(7, 0)),
@@ -295,7 +295,7 @@ def test_an_offset_is_noted_when_it_changes() -> None:
 @pytest.mark.parametrize(('code', 'baud', 'moved_to'), [
     (3, 57_600, '1000000 Bd'), (3, 1_000_000, ''), (1, 1_000_000, '57600 Bd')])
 def test_where_a_device_goes_at_a_written_rate(code: int, baud: int, moved_to: str) -> None:
-    one = roster(Expected(4, 'XL430-W250'), baud=baud)
+    one = registry(Expected(4, 'XL430-W250'), baud=baud)
     one.write(one.device(4), 8, bytes([code]), S)
     assert one.device(4).moved_to == moved_to
     assert notes(one) == [(ev.BAUD_WRITTEN, 4, ev.Written(code))]
@@ -304,7 +304,7 @@ def test_where_a_device_goes_at_a_written_rate(code: int, baud: int, moved_to: s
 
 @pytest.mark.parametrize(('other', 'number'), [('none', 9), ('dead', 9), ('alive', 4)])
 def test_an_id_is_taken_over_where_nothing_answers_to_it(other: str, number: int) -> None:
-    one = roster(Expected(4, 'XL430-W250'), Expected(9, 'XL430-W250', 'elbow'))
+    one = registry(Expected(4, 'XL430-W250'), Expected(9, 'XL430-W250', 'elbow'))
     changes: list[int] = []
     one.changed = lambda: changes.append(1)
     device = one.device(4)
@@ -321,7 +321,7 @@ def test_an_id_is_taken_over_where_nothing_answers_to_it(other: str, number: int
 
 
 def test_after_a_calibration_the_place_is_unknown_and_the_rest_is_known() -> None:
-    one = roster(Expected(2, 'STS3215'))
+    one = registry(Expected(2, 'STS3215'))
     table = one.device(2).table
     table.store(31, bytes(2), S, READ)
     table.store(56, bytes(2), S, READ)
@@ -382,11 +382,11 @@ def test_what_was_seen_is_told_in_runs() -> None:
 
 def due(level: int | None, asked: Due, write_acks: str = 'auto', acks: bool | None = None,
         missing: int = 0, missed: int = 0) -> bool:
-    one = roster()
+    one = registry()
     device = one.device(3)
     device.return_level, device.acks = level, acks
     device.acks_missing, device.missed_in_a_row = missing, missed
-    duty = Duty(write_acks, 4, one, one._evidence)
+    duty = ReplyPolicy(write_acks, 4, one, one._evidence)
     return duty.is_due(Slot(device, asked, 0, 0, take_nothing))
 
 
@@ -403,11 +403,11 @@ def test_whether_an_answer_had_to_come(parts: tuple[Any, ...], expected: bool) -
 
 
 def test_the_first_miss_and_the_one_over_the_limit_are_noted() -> None:
-    one = roster()
+    one = registry()
     plan = Plan(Request(I.READ, 3, Answers.DATA, (Access(3, 132, 4, b''),)), {})
     slot = Slot(one.device(3), Due.READ, 132, 4, take_nothing)
     for turn in range(7):
-        Duty('auto', 4, one, one._evidence).judge(plan, [slot], turn, turn, set(), False)
+        ReplyPolicy('auto', 4, one, one._evidence).judge(plan, [slot], turn, turn, set(), False)
     assert notes(one) == [(ev.MISSED, 3, ev.Unanswered(I.READ, 132)),
                           (ev.DISCONNECTED, 3, ev.Much(5))]
     assert [note.stamp for note in one._evidence.incidents()] == [0, 4]
@@ -417,10 +417,10 @@ def test_the_first_miss_and_the_one_over_the_limit_are_noted() -> None:
 @pytest.mark.parametrize(('idle_ns', 'missed'), [(S, 0), (S + 1, 1)])
 def test_an_answer_is_given_up_behind_an_idle_line_of_more_than_a_second(
         idle_ns: int, missed: int) -> None:
-    one = Conversation(MODELS)
+    one = BusDecoder(MODELS)
     one.hear(encode(3, I.READ, b'\x84\0\4\0'), S)
     one.pause(S, S + idle_ns)
-    assert one.roster.devices[3].counts.missed == missed
+    assert one.registry.devices[3].counts.missed == missed
 
 
 def plan_of(*numbers: int) -> Plan:
@@ -442,7 +442,7 @@ def test_who_had_its_turn(silent: tuple[int, ...], spoke: set[int],
 
 
 def test_plans_are_counted_and_forgotten_without_losing_counts() -> None:
-    one = roster()
+    one = registry()
     planner = Planner(one, one._evidence, lambda *_: None)
     read = (INSTRUCTION_2, 3, int(I.READ), b'\x84\0\4\0')
     plan = planner.plan_for(read, S)
@@ -461,7 +461,7 @@ def test_plans_are_counted_and_forgotten_without_losing_counts() -> None:
 
 
 def test_an_answer_is_looked_for_in_the_first_64_plans() -> None:
-    one = roster()
+    one = registry()
     planner = Planner(one, one._evidence, lambda *_: None)
     for number in range(65):
         planner.plan_for((INSTRUCTION_2, number, int(I.READ), b'\x84\0\4\0'), S)
@@ -469,7 +469,7 @@ def test_an_answer_is_looked_for_in_the_first_64_plans() -> None:
 
 
 def test_64_lists_of_sync_writes_are_kept() -> None:
-    one = roster()
+    one = registry()
     planner = Planner(one, one._evidence, lambda *_: None)
     for number, kept in ((62, 63), (63, 64), (63, 64), (64, 1)):
         for other in range(63 if number == 62 else 0):
@@ -486,7 +486,7 @@ def test_64_lists_of_sync_writes_are_kept() -> None:
 @pytest.mark.parametrize('noise', [b'', b'\0\0'])
 def test_what_a_master_did_not_stuff_is_noted(data: bytes, detail: list[ev.Code],
                                               noise: bytes) -> None:
-    one = roster()
+    one = registry()
     tracker = Tracker(one, one._evidence, 5_000, 4, 'auto')
     framer = Framer()
     wire = noise + encode(3, 3, b'\x74\0' + data, stuffed=False) + encode(3, STATUS, error=0)
@@ -567,15 +567,15 @@ def ping_1(number: int, noise: int = 0) -> Frame:
 
 
 def test_a_new_id_is_believed_alone_or_at_its_third_sighting_within_a_second_each() -> None:
-    assert Strangers(roster()).exists(ping_1(7), S, True)
-    strangers = Strangers(roster())
+    assert IdConfirmation(registry()).exists(ping_1(7), S, True)
+    strangers = IdConfirmation(registry())
     assert not strangers.exists(ping_1(7), S, False)
     assert not strangers.exists(ping_1(7), 2 * S, False)
     assert strangers.exists(ping_1(7), 3 * S, False)
-    strangers = Strangers(roster())
+    strangers = IdConfirmation(registry())
     for stamp in (S, 2 * S, 3 * S + 1, 4 * S + 1):
         assert not strangers.exists(ping_1(7, 1), stamp, True)
     assert strangers.exists(ping_1(7, 1), 5 * S + 1, True)
-    known = roster()
+    known = registry()
     known.device(7)
-    assert Strangers(known).exists(ping_1(7), S, False)
+    assert IdConfirmation(known).exists(ping_1(7), S, False)

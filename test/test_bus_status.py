@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.report import Counts
 from dxl_monitor.bus.report import Error
 from dxl_monitor.bus.report import Finding
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.status import bus_status
-from dxl_monitor.status import device_status
-from dxl_monitor.status import PortState
+from dxl_monitor.monitor_status import bus_status
+from dxl_monitor.monitor_status import device_status
+from dxl_monitor.monitor_status import PortState
 from msg_defs import status_keys as keys
 from msg_defs.reports import Level
 

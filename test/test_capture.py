@@ -22,11 +22,11 @@ from dxl_monitor.record.capture import open_new
 from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
-from dxl_monitor.record.recorder import Recorder
+from dxl_monitor.record.capture_recorder import Recorder
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.plain import printable
 from mecarover_serial.pty import Pty
-from msg_defs.heard import Change
+from msg_defs.event import Change
 
 NOW = Moment(1_790_000_000_123_456_000, 12_345_678_901_234)
 WIRE = Wire('ttyUSB0', 2_000_000, 1, '/dev/ttyUSB0')
@@ -238,7 +238,7 @@ def test_a_file_that_may_not_grow_ends_the_capture(tmp_path) -> None:
 
 
 def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr('dxl_monitor.record.recorder.WAITING_LIMIT', 100)
+    monkeypatch.setattr('dxl_monitor.record.capture_recorder.WAITING_LIMIT', 100)
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 10**6, 2, lambda: NOW)
     for number in range(20):
@@ -274,7 +274,7 @@ def test_a_pipe_is_not_rotated(tmp_path) -> None:
 
 
 def test_a_pipe_whose_reader_sleeps_does_not_hold_up_the_end(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr('dxl_monitor.record.recorder.STOP_S', 0.2)
+    monkeypatch.setattr('dxl_monitor.record.capture_recorder.STOP_S', 0.2)
     path = tmp_path / 'pipe'
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)

@@ -8,7 +8,7 @@ import pytest
 
 from mecarover_serial.parameters import split_ros_args
 
-BRIDGE, MONITOR = 'vel2d_bridge.main', 'dxl_monitor.main'
+BRIDGE, MONITOR = 'vel2d_bridge.main', 'dxl_monitor.start'
 
 
 @pytest.mark.parametrize(('arguments', 'outside'), [
@@ -41,7 +41,7 @@ def test_what_stands_outside_ros_args_is_one_line(module, arguments, thing, reme
 @pytest.mark.skipif(sys.platform != 'linux', reason='skipped: ulimit is of Linux')
 @pytest.mark.parametrize('files', [6, 8, 12])
 @pytest.mark.parametrize('words', [
-    [BRIDGE], [MONITOR], ['mecarover_dashboard.main', '--port', '0'],
+    [BRIDGE], [MONITOR], ['mecarover_dashboard.serve', '--port', '0'],
     ['mecarover_dashboard.terminal', '--once']])
 def test_too_few_files_are_one_line(files, words):
     with Program(*words, prefix=['sh', '-c', f'ulimit -n {files}; exec "$@"', 'sh']) as tool:

@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from dxl_monitor.doctor.combs import two_combs
+from dxl_monitor.doctor.two_timers import two_combs
 
 MS = 1_000_000
 BLUR_NS = 1.0 * MS

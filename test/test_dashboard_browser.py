@@ -235,7 +235,7 @@ def test_what_was_refused_is_said(open_page):
 
 
 def test_one_page_too_many_is_told_why(open_page, monkeypatch):
-    monkeypatch.setattr('mecarover_dashboard.server.MOST_CLIENTS', 1)
+    monkeypatch.setattr('mecarover_dashboard.web_server.MOST_CLIENTS', 1)
     with Dashboard() as dashboard:
         first = open_page(dashboard.address)
         see(first, '#live', 'live')

@@ -34,7 +34,7 @@ from mecarover_dashboard.history_recorder import HistoryError
 from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.history_recorder import MOST_ERRORS
-from mecarover_dashboard.main import open_history
+from mecarover_dashboard.serve import open_history
 from mecarover_dashboard.state import State
 from msg_defs.reports import Level
 

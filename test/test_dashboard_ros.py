@@ -24,7 +24,7 @@ class Running(Program):
     """A dashboard process on a free port."""
 
     def __init__(self, *arguments):
-        super().__init__('mecarover_dashboard.main', '--port', '0', '--history', 'none',
+        super().__init__('mecarover_dashboard.serve', '--port', '0', '--history', 'none',
                          *arguments)
 
     def __enter__(self):
@@ -50,10 +50,10 @@ def collect(stream, rows, condition):
 @pytest.mark.ros
 def test_the_real_monitor_on_a_fake_bus(ros, tmp_path):
     link = tmp_path / 'bus'
-    with Program('dxl_monitor.fake.fake_bus', '--link', str(link), '--devices', '1-3:MX-106',
+    with Program('mecarover_fakes.fake_bus', '--link', str(link), '--devices', '1-3:MX-106',
                  '4:BitFoot', *NOW_AND_THEN), Running() as dashboard:
         wait(link.exists)
-        with Program('dxl_monitor.main', '--ros-args', '-p', f"ports:=['{link}']", '-p',
+        with Program('dxl_monitor.start', '--ros-args', '-p', f"ports:=['{link}']", '-p',
                      "devices:=['1-2:MX-106','3:MX-106:knee','4:BitFoot']"):
             stream, rows = Stream(dashboard, 'watch=dxl_monitor:%20003%20knee'), {}
             devices = rows.setdefault('devices', {})
@@ -84,11 +84,11 @@ def test_the_real_monitor_on_a_fake_bus(ros, tmp_path):
 @pytest.mark.skipif(bool(dashboard_page.why_not()), reason=dashboard_page.why_not() or 'runs')
 def test_every_view_of_the_real_robot(ros, tmp_path):
     link, mcu = tmp_path / 'bus', tmp_path / 'mcu'
-    with Program('dxl_monitor.fake.fake_bus', '--link', str(link), '--devices', '1-3:MX-106',
+    with Program('mecarover_fakes.fake_bus', '--link', str(link), '--devices', '1-3:MX-106',
                  '4:BitFoot', *NOW_AND_THEN), \
-            Program('vel2d_bridge.fake_mcu', '--link', str(mcu)), Running() as dashboard:
+            Program('mecarover_fakes.fake_mcu', '--link', str(mcu)), Running() as dashboard:
         wait(lambda: link.exists() and mcu.exists())
-        with Program('dxl_monitor.main', '--ros-args', '-p', f"ports:=['{link}']", '-p',
+        with Program('dxl_monitor.start', '--ros-args', '-p', f"ports:=['{link}']", '-p',
                      "devices:=['1-3:MX-106','4:BitFoot']"), \
                 Program('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}'), \
                 dashboard_page.browser() as chromium:
@@ -154,7 +154,7 @@ def test_signals_end_it_with_code_0(ros, number):
 
 INTERRUPTED = """
 import os, signal, sys
-from mecarover_dashboard import main
+from mecarover_dashboard import serve
 
 class Finder:
     def find_spec(name, *_):
@@ -162,7 +162,7 @@ class Finder:
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Finder)
-sys.exit(main.main(['--port', '0']))
+sys.exit(serve.main(['--port', '0']))
 """
 
 

@@ -201,7 +201,7 @@ def test_watching_nobody(dashboard):
 
 
 def test_streams_are_limited(dashboard):
-    from mecarover_dashboard.server import MOST_CLIENTS
+    from mecarover_dashboard.web_server import MOST_CLIENTS
     streams = [Stream(dashboard) for _ in range(MOST_CLIENTS)]
     assert ask(dashboard, '/events')[0].status == 503
     assert ask(dashboard, '/')[0].status == 200
@@ -218,7 +218,7 @@ def test_stop_ends_open_streams(dashboard):
 
 
 def test_an_inbox_that_nobody_empties_is_bounded():
-    from mecarover_dashboard.server import INBOX
+    from mecarover_dashboard.web_server import INBOX
     with Dashboard() as dashboard:
         dashboard.stop()
         for _ in range(2 * INBOX):
@@ -227,7 +227,7 @@ def test_an_inbox_that_nobody_empties_is_bounded():
 
 
 def test_an_inbox_is_bounded_in_bytes_too(monkeypatch):
-    monkeypatch.setattr('mecarover_dashboard.server.INBOX_BYTES', 1000)
+    monkeypatch.setattr('mecarover_dashboard.web_server.INBOX_BYTES', 1000)
     with Dashboard() as dashboard:
         dashboard.stop()
         for _ in range(20):
@@ -236,7 +236,7 @@ def test_an_inbox_is_bounded_in_bytes_too(monkeypatch):
 
 
 def test_a_message_beyond_all_bounds_takes_no_room_of_others():
-    from mecarover_dashboard.server import INBOX_BYTES
+    from mecarover_dashboard.web_server import INBOX_BYTES
     with Dashboard() as dashboard:
         dashboard.stop()
         dashboard.server.take('/diagnostics', bytes(300))
@@ -245,7 +245,7 @@ def test_a_message_beyond_all_bounds_takes_no_room_of_others():
 
 
 def test_versions_that_clients_claim_do_not_pile_up(dashboard):
-    from mecarover_dashboard.server import MOST_CLIENTS
+    from mecarover_dashboard.web_server import MOST_CLIENTS
     for since in range(2 * MOST_CLIENTS):
         dashboard.server._text(since)
     assert len(dashboard.server._texts) <= MOST_CLIENTS
@@ -267,7 +267,7 @@ def test_what_is_no_request_is_answered_and_not_logged(dashboard, request_, capl
 
 def test_connections_are_limited(dashboard, monkeypatch):
     """The files of the process are those of its ROS node too."""
-    monkeypatch.setattr('mecarover_dashboard.door.MOST_CONNECTIONS', 3)
+    monkeypatch.setattr('mecarover_dashboard.connection_limit.MOST_CONNECTIONS', 3)
     idle = [socket.create_connection(('127.0.0.1', dashboard.port), timeout=20) for _ in range(9)]
     assert [_is_closed(client) for client in idle[3:]] == [True] * 6
     for client in idle:
@@ -276,7 +276,7 @@ def test_connections_are_limited(dashboard, monkeypatch):
 
 
 def test_one_address_leaves_room_for_others(dashboard, monkeypatch):
-    monkeypatch.setattr('mecarover_dashboard.door.MOST_OF_ADDRESS', 3)
+    monkeypatch.setattr('mecarover_dashboard.connection_limit.MOST_OF_ADDRESS', 3)
     idle = [socket.create_connection(('127.0.0.1', dashboard.port), timeout=20) for _ in range(3)]
     wait(lambda: not _answers(dashboard))
     other = socket.create_connection(('127.0.0.1', dashboard.port), timeout=20,
@@ -288,7 +288,7 @@ def test_one_address_leaves_room_for_others(dashboard, monkeypatch):
 
 
 def test_a_head_that_does_not_come_is_not_waited_for(dashboard, monkeypatch):
-    monkeypatch.setattr('mecarover_dashboard.door.HEAD_S', 0.3)
+    monkeypatch.setattr('mecarover_dashboard.connection_limit.HEAD_S', 0.3)
     client = socket.create_connection(('127.0.0.1', dashboard.port), timeout=20)
     client.sendall(b'GET / HTTP/1.1\r\nHost: loc')
     assert _is_closed(client)
@@ -304,7 +304,7 @@ def test_a_head_in_pieces_is_understood(dashboard):
 
 
 def test_a_name_of_its_own_and_what_to_do_without():
-    from mecarover_dashboard.server import is_ours
+    from mecarover_dashboard.web_server import is_ours
     assert is_ours('rover1.example.org:8420', frozenset({'rover1.example.org'}), False)
     with Dashboard() as dashboard:
         response, body = ask(dashboard, Host='evil.example')
@@ -333,7 +333,7 @@ def _answers(dashboard):
     (['--host', 'a..b'], 1, 'a..b:8420: not a name; '),
     (['--host', 'no.such.host.invalid'], 1, 'no.such.host.invalid:8420: ')])
 def test_mistakes_are_one_line(options, code, words):
-    with Program('mecarover_dashboard.main', *options) as program:
+    with Program('mecarover_dashboard.serve', *options) as program:
         assert program.exit_code() == code
     assert words in program.text
     assert 'Traceback' not in program.text
@@ -343,14 +343,14 @@ def test_mistakes_are_one_line(options, code, words):
 
 def test_a_port_in_use_is_one_line_with_a_remedy():
     with Dashboard() as dashboard, \
-            Program('mecarover_dashboard.main', '--port', str(dashboard.port)) as program:
+            Program('mecarover_dashboard.serve', '--port', str(dashboard.port)) as program:
         assert program.exit_code() == 1
     assert program.lines == [f'dxl_dashboard: 127.0.0.1:{dashboard.port}: in use; stop the other '
                              'dashboard, or choose another port with --port']
 
 
 def test_opening_to_the_network_is_said():
-    from mecarover_dashboard.main import announcement
+    from mecarover_dashboard.serve import announcement
     assert 'this machine only' in announcement('127.0.0.1', 8420, False)
     text = announcement('0.0.0.0', 8420, True)
     assert 'OPEN TO THE NETWORK' in text

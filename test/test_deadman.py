@@ -22,6 +22,7 @@ from bridge_family import living
 from harness import LATE_S
 import pytest
 
+from mecarover_fakes.fake_mcu import FakeMcu
 from mecarover_serial.port import open_port
 from msg_defs.vel2d import STOP
 from rigs.harness import family
@@ -29,7 +30,6 @@ from vel2d_bridge import watch as watching
 from vel2d_bridge.board import BEATEN
 from vel2d_bridge.board import PortRecord
 from vel2d_bridge.board import SharedBoard
-from vel2d_bridge.fake_mcu import FakeMcu
 from vel2d_bridge.watch import Watch
 
 pytestmark = pytest.mark.alone

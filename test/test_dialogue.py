@@ -10,10 +10,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.dialect import DYNAMIXEL_AT
 from dxl_monitor.bus.dialect import FEETECH_AT
-from dxl_monitor.bus.dialogue import MEANINGS_KEPT
+from dxl_monitor.bus.dxl1_classifier import MEANINGS_KEPT
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
@@ -26,10 +26,10 @@ from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import encode as encode_2
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import IN
+from msg_defs.event import OUT
 from msg_defs.frame import EITHER_1
 from msg_defs.frame import is_good
-from msg_defs.heard import IN
-from msg_defs.heard import OUT
 
 MODELS = Models()
 BAUD = 1_000_000
@@ -188,7 +188,7 @@ def test_the_first_instruction_of_a_bus_counts_in_its_cycle() -> None:
 
 def test_what_is_remembered_of_instructions_is_bounded() -> None:
     bus = Bus('1', Expected(1))
-    dialogue = bus.monitor.conversation.dialogue
+    dialogue = bus.monitor.decoder.dialogue
     assert dialogue is not None
     sizes = set()
     for number in range(1, MEANINGS_KEPT + 3):
@@ -249,7 +249,7 @@ def test_ff_ff_fd_in_the_data_is_neither_stuffed_nor_a_header(protocol: str) -> 
     bus.ask(encode(2, 3, b'\x64' + data), encode(2, 0))
     bus.ask(encode(2, 2, b'\x64\x0b'), encode(2, 0, data), after_ms=40)
     bus.report()                   # looks like 2.0 as long as more may come
-    table = bus.monitor.conversation.roster.devices[2].table
+    table = bus.monitor.decoder.registry.devices[2].table
     assert table.bytes(100, len(data)) == data
     found = bus.report().counters
     assert (found['Noise Bytes'], found['Truncated Packets'], found['Bad Lengths']) == (0, 0, 0)
@@ -336,7 +336,7 @@ def test_one_right_sum_makes_no_device() -> None:
     bus = Bus()
     for _ in range(4000):
         bus.say(b'\0\xff\xff' + chance.randbytes(40), after_ms=1)
-    framer = bus.monitor.conversation.framer
+    framer = bus.monitor.decoder.framer
     assert isinstance(framer, MixedFramer)
     assert framer._second.packets > 10             # right by chance
     assert bus.report().devices == ()
@@ -353,7 +353,7 @@ def test_three_behind_each_other_are_proof_and_none_of_them_is_lost() -> None:
     bus.ask(encode(1, 2, b'\x38\2'))
     assert counters(bus) == (40, 40, 0, 0, 5, 3)
     assert bus.devices()[1].totals.answers == 2
-    assert bus.monitor.conversation.framer.pending == 0        # nothing is held back from now on
+    assert bus.monitor.decoder.framer.pending == 0        # nothing is held back from now on
 
 
 TORN = (encode(0xFE, 0x82, b'\x38\2\1\2\4\5\6\x19'),     # it lost a byte, and took one too many
@@ -411,7 +411,7 @@ def test_a_new_servo_is_found_where_a_stray_byte_is_ahead_of_each_packet() -> No
 
 
 def packets_of_2_0(bus: Bus) -> int:
-    framer = bus.monitor.conversation.framer
+    framer = bus.monitor.decoder.framer
     assert isinstance(framer, MixedFramer)
     assert framer.claimed == 0
     return framer._first.packets
@@ -607,7 +607,7 @@ def test_a_wrong_length_of_2_0_is_not_taken_for_one_of_the_1_0_family() -> None:
 
 def dialect(bus: Bus) -> str:
     bus.report()                   # the line is idle: nothing waits for what is behind it
-    return bus.monitor.conversation.choice.dialect.name
+    return bus.monitor.decoder.choice.dialect.name
 
 
 @pytest.mark.parametrize(('said', 'name'), [

@@ -252,8 +252,8 @@ def running(graph, node, complete):
 
 @pytest.mark.ros
 @pytest.mark.parametrize('node, link, fake', [
-    ('vel2d_bridge', 'port', ('vel2d_bridge.fake_mcu',)),
-    ('dxl_monitor', 'ports', ('dxl_monitor.fake.fake_bus',))])
+    ('vel2d_bridge', 'port', ('mecarover_fakes.fake_mcu',)),
+    ('dxl_monitor', 'ports', ('mecarover_fakes.fake_bus',))])
 def test_policy_allows_what_a_running_node_uses_and_little_more(
         graph, tmp_path, node, link, fake):
     publish, subscribe, reply = policy(node)
@@ -271,7 +271,7 @@ def test_policy_allows_what_a_running_node_uses_and_little_more(
 
 @pytest.mark.ros
 @pytest.mark.parametrize('node, program', [
-    ('dxl_dashboard', ('mecarover_dashboard.main', '--port', '0')),
+    ('dxl_dashboard', ('mecarover_dashboard.serve', '--port', '0')),
     ('mecarover_status', ('mecarover_dashboard.terminal',))])
 def test_policy_allows_what_a_running_listener_uses(graph, node, program):
     publish, subscribe, reply = policy(node)

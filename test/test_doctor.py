@@ -11,7 +11,7 @@ import struct
 import pytest
 
 from dxl_monitor import doctor as doctor_module
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import Cycle
 from dxl_monitor.doctor import Doctor
@@ -30,10 +30,10 @@ from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor_status import bus_status
+from dxl_monitor.monitor_status import device_status
+from dxl_monitor.monitor_status import PortState
 from dxl_monitor.port.driver import LineErrors
-from dxl_monitor.status import bus_status
-from dxl_monitor.status import device_status
-from dxl_monitor.status import PortState
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS

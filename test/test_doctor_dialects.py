@@ -25,8 +25,8 @@ from benchmark.confusion_cases import Key
 from benchmark.confusion_cases import Scene
 from dxl_monitor.doctor import feetech
 from dxl_monitor.doctor import setting_up
-from dxl_monitor.fake.faults import KINDS
-from dxl_monitor.fake.traffic import FAMILY_1
+from mecarover_fakes.faults import KINDS
+from mecarover_fakes.traffic import FAMILY_1
 
 ENOUGH = 25                        # faults of each dialect
 LONG = 140                         # characters of a line that one reads at a glance

@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor

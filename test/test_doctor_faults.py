@@ -28,8 +28,8 @@ from benchmark.confusion_cases import FEETECH_CASES
 from benchmark.confusion_cases import Key
 from benchmark.confusion_cases import Scene
 from dxl_monitor.doctor import RULES
-from dxl_monitor.fake.faults import KINDS
-from dxl_monitor.fake.traffic import PATTERNS
+from mecarover_fakes.faults import KINDS
+from mecarover_fakes.traffic import PATTERNS
 
 AT = '2'                           # s, when the faults begin
 LONG = 140                         # characters of a line that one reads at a glance

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rules of the doctor about Feetech servos: found where they are true, and only there."""
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor

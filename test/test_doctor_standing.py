@@ -22,7 +22,7 @@ from dxl_monitor.doctor import feetech
 from dxl_monitor.doctor import health
 from dxl_monitor.doctor import presence
 from dxl_monitor.doctor import setting_up
-from dxl_monitor.doctor import timing
+from dxl_monitor.doctor import timing_rules
 from dxl_monitor.doctor.case import History
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
@@ -66,7 +66,8 @@ def test_a_bus_is_judged_while_there_are_bytes(last_byte_s: float | None, is_jud
     assert [one.rule for one in found.findings] == ['baud_moved'] * is_judged
 
 
-RULES = [one for family in (configuration, damage, feetech, health, presence, setting_up, timing)
+RULES = [one for family in (configuration, damage, feetech, health, presence, setting_up,
+                            timing_rules)
          for one in family.RULES]
 
 

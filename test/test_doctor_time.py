@@ -32,7 +32,6 @@ from dxl_monitor.doctor.case import Sample
 from dxl_monitor.doctor.case import TwoClocks
 from dxl_monitor.doctor.collision import is_collision
 from dxl_monitor.doctor.collision import ran_into_answers
-from dxl_monitor.doctor.combs import Comb
 from dxl_monitor.doctor.rate import likely_rate
 from dxl_monitor.doctor.rhythm import answer_ns
 from dxl_monitor.doctor.rhythm import is_independent
@@ -44,6 +43,7 @@ from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import longer_than
 from dxl_monitor.doctor.rule import share
+from dxl_monitor.doctor.two_timers import PeriodicTimer
 from dxl_monitor.port.driver import LineErrors
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
@@ -494,7 +494,8 @@ CLASHES = note(ev.DAMAGED_INSTRUCTION, ev.Front(0, 2), 3)
 def two_clocks(**parts: Any) -> list[Claim | Doubt]:
     """Return what is said of one instruction that two loops repeat."""
     found = case(**parts)
-    found.clocks = [TwoClocks(NOW, asks(I.READ, 3), (Comb(31.0 * MS, ()), Comb(20.0 * MS, ())))]
+    found.clocks = [TwoClocks(NOW, asks(I.READ, 3), (
+        PeriodicTimer(31.0 * MS, ()), PeriodicTimer(20.0 * MS, ())))]
     return list(RULE['two_masters'].check(found))
 
 

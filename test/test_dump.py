@@ -24,17 +24,17 @@ from packets import packets_in
 from packets import packets_left
 import pytest
 
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.faults import parse
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
-from dxl_monitor.tools.dump.lines import delta_text
+from dxl_monitor.tools.dump.packet_lines import delta_text
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.faults import parse
+from mecarover_fakes.line import Line
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
 from mecarover_serial.pty import Pty
 from msg_defs import dxl1_packet
 from msg_defs.dxl_instruction import Instruction as I
@@ -43,7 +43,7 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
 
-DUMP, FAKE_BUS = 'dxl_monitor.tools.dump.main', 'dxl_monitor.fake.fake_bus'
+DUMP, FAKE_BUS = 'dxl_monitor.tools.dxl_dump', 'mecarover_fakes.fake_bus'
 ROOT = Path(__file__).parents[1]
 TRACE = ROOT.parent / 'shared' / 'data' / 'bus_trace_head.bin'
 MODELS = Models()

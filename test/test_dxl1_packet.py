@@ -14,8 +14,8 @@ import pytest
 import scservo_sdk
 
 from msg_defs.dxl1_packet import BROADCAST
+from msg_defs.dxl1_packet import Dxl1Framer
 from msg_defs.dxl1_packet import encode
-from msg_defs.dxl1_packet import Framer1
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl1_packet import MAX_FRAME
 from msg_defs.dxl_packet import encode as encode_2
@@ -55,9 +55,9 @@ pieces = st.one_of(
 streams = st.lists(pieces, max_size=12).map(b''.join)
 
 
-def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet1], Framer1]:
+def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet1], Dxl1Framer]:
     """Feed in chunks of these sizes, the rest at once; then flush. Checks the byte accounting."""
-    framer = Framer1()
+    framer = Dxl1Framer()
     found: list[Packet1] = []
     at = 0
     for size in [*(sizes or []), len(data)]:
@@ -72,7 +72,7 @@ def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet1], Fr
     return found, framer
 
 
-def summary(framer: Framer1) -> tuple[int, ...]:
+def summary(framer: Dxl1Framer) -> tuple[int, ...]:
     return (framer.packets, framer.crc_errors, framer.truncated, framer.bad_length,
             framer.noise_bytes)
 
@@ -160,7 +160,7 @@ def test_what_is_wrong_is_said_exactly() -> None:
         (b'\xff\xff\x01\x01\x00\x00', 'length', (0, 0, 1)),
     ]
     for wire, reason, counts in cases:
-        framer = Framer1()
+        framer = Dxl1Framer()
         framer.frames(PING + b'\x00' * 3)
         frames = framer.frames(wire) + framer.flush_frames()
         assert damaged(frames) == [(reason, 3)], wire.hex()
@@ -179,7 +179,7 @@ def test_a_run_of_ff_ends_in_a_header() -> None:
 
 
 def test_a_frame_is_no_instruction_and_no_status() -> None:
-    assert Framer1().frames(REPLY) == [(0, len(REPLY), EITHER_1, 1, 0, b'\x18\5', None)]
+    assert Dxl1Framer().frames(REPLY) == [(0, len(REPLY), EITHER_1, 1, 0, b'\x18\5', None)]
 
 
 def test_no_broadcast_and_no_length_is_too_large() -> None:
@@ -192,7 +192,7 @@ def test_no_broadcast_and_no_length_is_too_large() -> None:
 
 
 def test_memory_of_noise_is_bounded() -> None:
-    framer = Framer1()
+    framer = Dxl1Framer()
     for _ in range(100):
         framer.frames(b'\x00\x80' * 500)
     assert len(framer.noise) <= NOISE_KEPT
@@ -200,7 +200,7 @@ def test_memory_of_noise_is_bounded() -> None:
 
 
 def test_a_packet_behind_one_that_is_cut_off_comes_with_the_silence() -> None:
-    framer = Framer1()
+    framer = Dxl1Framer()
     assert packets_1_in(framer, encode(1, 3, bytes(100))[:9] + PING) == []
     assert [packet.code for packet in packets_1_in(framer, None)] == [1]
 
@@ -217,7 +217,7 @@ def test_any_split_gives_the_same_packets(data: bytes, sizes: list[int]) -> None
 @settings(max_examples=300, deadline=None)
 @given(streams)
 def test_the_good_packet_after_garbage_is_found(data: bytes) -> None:
-    framer = Framer1()
+    framer = Dxl1Framer()
     framer.frames(data)
     framer.flush_frames()
     assert packets_1_in(framer, REPLY)[-1].params == b'\x18\x05'
@@ -241,7 +241,7 @@ def test_of_random_candidates_one_in_256_passes() -> None:
 ])
 def test_after_a_pause_the_next_chunk_decides(first: bytes, second: bytes, codes: list[int],
                                               noise: int) -> None:
-    framer = Framer1()
+    framer = Dxl1Framer()
     found = packets_1_in(framer, first)
     framer.interrupt()
     found += packets_1_in(framer, second) + packets_1_in(framer, None)

@@ -25,11 +25,6 @@ from harness import wait
 import pytest
 
 from dxl_monitor.doctor import RULES
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.faults import parse
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
@@ -37,24 +32,29 @@ from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
 from dxl_monitor.tools.doctor import explain
+from dxl_monitor.tools.doctor import issue_report
 from dxl_monitor.tools.doctor import no_data
-from dxl_monitor.tools.doctor import report
 from dxl_monitor.tools.doctor import report_file
+from dxl_monitor.tools.doctor.answer_screen import screen
 from dxl_monitor.tools.doctor.error_window import ErrorWindow
 from dxl_monitor.tools.doctor.examination import Examination
-from dxl_monitor.tools.doctor.screen import screen
 from dxl_monitor.tools.doctor.verdict import ERROR
 from dxl_monitor.tools.doctor.verdict import NOTHING_HEARD
 from dxl_monitor.tools.doctor.verdict import verdict
 from dxl_monitor.tools.doctor.verdict import WARNING
 from dxl_monitor.tools.doctor.verdict import WELL
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.faults import parse
+from mecarover_fakes.line import Line
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
 from mecarover_serial.pty import Pty
 from msg_defs import dxl1_packet
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
 
 ROOT = Path(__file__).parents[1]
-DOCTOR = 'dxl_monitor.tools.doctor.main'
+DOCTOR = 'dxl_monitor.tools.dxl_doctor'
 MODELS = Models()
 BAUD = 2_000_000
 SECOND = 1_000_000_000
@@ -419,7 +419,7 @@ def test_only_what_the_report_lacks_is_told_of_its_capture(tmp_path, left_out, s
 
 def test_a_report_says_nothing_of_its_maker(reported):
     path, _ = reported
-    readable, packed_part = path.read_text().split(report.CAPTURE)
+    readable, packed_part = path.read_text().split(issue_report.CAPTURE)
     assert len(packed_part) > 1000
     stored = report_file.load(str(path))
     text = readable + repr(stored.chunks) + repr(stored.wires)

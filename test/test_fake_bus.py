@@ -17,27 +17,27 @@ from typing import Any
 
 import pytest
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
-from dxl_monitor.fake.fake_bus import DEFAULT_DEVICES
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.fault import Fault
-from dxl_monitor.fake.faults import KINDS
-from dxl_monitor.fake.faults import parse as parse_fault
-from dxl_monitor.fake.line import Burst
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.line import MASTER
-from dxl_monitor.fake.line import wire_ns
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.outlet import CAPACITY
-from dxl_monitor.fake.outlet import Outlet
-from dxl_monitor.fake.shell import FakeBus
-from dxl_monitor.fake.traffic import PATTERNS
-from dxl_monitor.fake.truth import _LEARNING
-from dxl_monitor.fake.truth import Truth
 from dxl_monitor.model.control_table import STRUCTS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
+from mecarover_fakes.fake_bus import DEFAULT_DEVICES
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_port import FakeBus
+from mecarover_fakes.fault import Fault
+from mecarover_fakes.faults import KINDS
+from mecarover_fakes.faults import parse as parse_fault
+from mecarover_fakes.ground_truth import _LEARNING
+from mecarover_fakes.ground_truth import GroundTruth
+from mecarover_fakes.line import Burst
+from mecarover_fakes.line import Line
+from mecarover_fakes.line import MASTER
+from mecarover_fakes.line import wire_ns
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
+from mecarover_fakes.virtual_uart import CAPACITY
+from mecarover_fakes.virtual_uart import VirtualUart
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.pty import Away
 from msg_defs.dxl_instruction import KINDS as INSTRUCTIONS
@@ -165,7 +165,7 @@ def monitored(master: Master, seconds: float, write_acks: str = 'always') -> Bus
     return monitor.report(master.now + S + LATER_NS)
 
 
-def assert_agrees(report: BusReport, truth: Truth) -> None:
+def assert_agrees(report: BusReport, truth: GroundTruth) -> None:
     """Hold what the monitor reports against the truth, device by device."""
     devices = {device.id: device for device in report.devices}
     for number, known in truth.known.items():
@@ -313,13 +313,13 @@ class Reader:
 
 
 @pytest.fixture
-def outlet() -> Iterator[Outlet]:
-    outlet = Outlet()
+def outlet() -> Iterator[VirtualUart]:
+    outlet = VirtualUart()
     yield outlet
     outlet.close()
 
 
-def test_outlet_counts_what_nobody_took_as_unheard_then_as_overrun(outlet: Outlet) -> None:
+def test_outlet_counts_what_nobody_took_as_unheard_then_as_overrun(outlet: VirtualUart) -> None:
     for _ in range(100):
         outlet.write(bytes(100))
         wait_for(lambda: outlet.outstanding() >= min(outlet.taken, CAPACITY - 1), 'settled')
@@ -336,7 +336,7 @@ def test_outlet_counts_what_nobody_took_as_unheard_then_as_overrun(outlet: Outle
     os.close(reader.fd)
 
 
-def test_outlet_hands_over_what_fits(outlet: Outlet) -> None:
+def test_outlet_hands_over_what_fits(outlet: VirtualUart) -> None:
     outlet.write(bytes(3 * CAPACITY))
     assert outlet.taken == CAPACITY - 1
 
@@ -443,7 +443,7 @@ def test_simulated_master_counts_what_is_sent_to_it() -> None:
 
 def run_tool(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, '-m', 'dxl_monitor.fake.fake_bus', *arguments], check=False, text=True,
+        [sys.executable, '-m', 'mecarover_fakes.fake_bus', *arguments], check=False, text=True,
         capture_output=True, timeout=60, cwd=Path(__file__).parents[1])
 
 

@@ -4,21 +4,21 @@
 
 import pytest
 
-from dxl_monitor.fake.device import BOOT_NS
-from dxl_monitor.fake.device import FakeDevice
-from dxl_monitor.fake.line import Exchange
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.line import MASTER
-from dxl_monitor.fake.line import mix
-from dxl_monitor.fake.registers import ACCESS
-from dxl_monitor.fake.registers import LENGTH
-from dxl_monitor.fake.registers import OK
-from dxl_monitor.fake.registers import RANGE
-from dxl_monitor.fake.registers import RESULT_FAIL
-from dxl_monitor.fake.traffic import words
-from dxl_monitor.fake.values import Sine
 from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.model.models import Models
+from mecarover_fakes.fake_servo import BOOT_NS
+from mecarover_fakes.fake_servo import FakeDevice
+from mecarover_fakes.line import Exchange
+from mecarover_fakes.line import Line
+from mecarover_fakes.line import MASTER
+from mecarover_fakes.line import mix
+from mecarover_fakes.registers import ACCESS
+from mecarover_fakes.registers import LENGTH
+from mecarover_fakes.registers import OK
+from mecarover_fakes.registers import RANGE
+from mecarover_fakes.registers import RESULT_FAIL
+from mecarover_fakes.traffic import words
+from mecarover_fakes.values import Sine
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_instruction import split_combined

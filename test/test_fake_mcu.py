@@ -14,16 +14,16 @@ from hypothesis import given
 from hypothesis import settings
 from hypothesis import strategies as st
 
+from mecarover_fakes.fake_mcu import FakeMcu
+from mecarover_fakes.receiver import BadCable
+from mecarover_fakes.receiver import LOOP
+from mecarover_fakes.receiver import QUEUE_DEPTH
+from mecarover_fakes.receiver import Receiver
 from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
-from vel2d_bridge.fake_mcu import FakeMcu
-from vel2d_bridge.receiver import BadCable
-from vel2d_bridge.receiver import LOOP
-from vel2d_bridge.receiver import QUEUE_DEPTH
-from vel2d_bridge.receiver import Receiver
 
 MS = 1_000_000
 DRIVE = Vel2d(0.5, -0.25, 1.0)
@@ -239,7 +239,7 @@ def test_it_vanishes_and_comes_back(tmp_path):
 
 def tool(*arguments, **options):
     return subprocess.Popen(
-        [sys.executable, '-m', 'vel2d_bridge.fake_mcu', *arguments], stdout=subprocess.PIPE,
+        [sys.executable, '-m', 'mecarover_fakes.fake_mcu', *arguments], stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True, **options)
 
 

@@ -37,6 +37,9 @@ from fuzz.reference import Stream
 from fuzz.script import fast_reply
 from fuzz.volume import candidates
 from fuzz.volume import good_in
+from mecarover_fakes.receiver import LOOP
+from mecarover_fakes.receiver import QUEUE_DEPTH
+from mecarover_fakes.receiver import Receiver
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
@@ -46,9 +49,6 @@ from msg_defs.dxl_packet import STATUS
 from msg_defs.vel2d import encode as encode_velocity
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
-from vel2d_bridge.receiver import LOOP
-from vel2d_bridge.receiver import QUEUE_DEPTH
-from vel2d_bridge.receiver import Receiver
 
 EXAMPLES = {'capture': 150, 'dashboard': 70, 'dialogue': 40, 'fast_reply': 120, 'framer': 150,
             'framer_1': 100, 'instruction': 250, 'mcu': 150, 'model_file': 80, 'tracker': 50,
@@ -244,7 +244,7 @@ class MonitorMachine(RuleBasedStateMachine):
         self.monitor.feed(data, self.now)
 
     def table(self, number):
-        return self.monitor.conversation.roster.devices[number].table
+        return self.monitor.decoder.registry.devices[number].table
 
     @rule(number=IDS, address=ADDRESSES, data=SPAN)
     def read(self, number, address, data):
@@ -265,7 +265,7 @@ class MonitorMachine(RuleBasedStateMachine):
     @rule(address=ADDRESSES, data=SPAN)
     def write_to_all(self, address, data):
         self.hear(encode(BROADCAST, 3, u16(address) + data))
-        for number in self.monitor.conversation.roster.devices:
+        for number in self.monitor.decoder.registry.devices:
             self.learn(number, address, data)
 
     @rule(number=IDS, address=ADDRESSES, error=st.integers(1, 127))

@@ -12,10 +12,12 @@ from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
 
+from mecarover_fakes.receiver import Receiver
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
+from vel2d_bridge.bridge_settings import PARAMETERS
 from vel2d_bridge.gate import BURST_FRAMES
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import FrameKind
@@ -27,8 +29,6 @@ from vel2d_bridge.gate import NEVER
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
-from vel2d_bridge.receiver import Receiver
-from vel2d_bridge.settings import PARAMETERS
 from vel2d_bridge.wall_clock import WallClock
 
 DRIVE = Vel2d(0.5, -0.25, 1.0)

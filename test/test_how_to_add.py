@@ -97,15 +97,15 @@ def test_an_instruction(copy: Callable[[str], Copy]) -> None:
     code.change('msg_defs/dxl_instruction.py',
                 ('    STATUS = 0x55\n', '    HOME = 0x21\n'),
                 ('    Instruction.SYNC_READ: Kind', '    Instruction.HOME: Kind(_command),\n'))
-    code.change('dxl_monitor/bus/roster.py', ('    def reboot(', """\
+    code.change('dxl_monitor/bus/registry.py', ('    def reboot(', """\
     def home(self, device: Device, stamp: int) -> None:
         self.resolve(device)
         device.table.forget('ram', device.model)
 
 """))
     code.change('dxl_monitor/bus/planner.py', (
-        '            Instruction.REBOOT: ', '            Instruction.HOME: roster.home,\n'))
-    code.change('dxl_monitor/fake/device.py',
+        '            Instruction.REBOOT: ', '            Instruction.HOME: registry.home,\n'))
+    code.change('mecarover_fakes/fake_servo.py',
                 ('    def _on_reboot(', """\
     def _on_home(self, params: bytes, now: int) -> Reply:
         self.rest_angle = 0.0
@@ -113,20 +113,20 @@ def test_an_instruction(copy: Callable[[str], Copy]) -> None:
 
 """),
                 ('    Instruction.REBOOT: ', '    Instruction.HOME: FakeDevice._on_home,\n'))
-    code.change('dxl_monitor/fake/truth.py', (
-        '    Instruction.REBOOT: ', '    Instruction.HOME: Truth._learn_restart,\n'))
+    code.change('mecarover_fakes/ground_truth.py', (
+        '    Instruction.REBOOT: ', '    Instruction.HOME: GroundTruth._learn_restart,\n'))
     code.change('fuzz/instruction.py', ('OPTIONS = {', 'ACKNOWLEDGED += (0x21,)\n'))
     code.change('msg_defs/dxl1_instruction.py', (
         "             0x92: DialectInstruction('Bulk Read'",
         "             0x21: DialectInstruction('Home', Layout.NOTHING, Answers.ACK),\n"))
     assert code.run('-c', """
-from dxl_monitor.bus.conversation import Conversation
-from dxl_monitor.fake.device import FakeDevice
+from dxl_monitor.bus.decoder import BusDecoder
+from mecarover_fakes.fake_servo import FakeDevice
 from dxl_monitor.model.models import Models
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import encode
 models = Models()
-bus = Conversation(models)
+bus = BusDecoder(models)
 servo = FakeDevice(1, models.by_name('MX-64'))
 def ask(instruction, params=b''):
     reply = servo.execute(instruction, params, 0)
@@ -135,13 +135,13 @@ def ask(instruction, params=b''):
     return reply
 ask(1)
 ask(2, b'\\x84\\0\\4\\0')
-known = bus.roster.devices[1].table.bytes(132, 4) is not None
-print(name_of(0x21), ask(0x21).error, known, bus.roster.devices[1].table.bytes(132, 4))
+known = bus.registry.devices[1].table.bytes(132, 4) is not None
+print(name_of(0x21), ask(0x21).error, known, bus.registry.devices[1].table.bytes(132, 4))
 """) == 'Home 0 True None'
     assert code.run('-c', """
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
-from dxl_monitor.fake.family_1 import Servo1
+from mecarover_fakes.dxl1_servo import Servo1
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from msg_defs.dxl1_instruction import DYNAMIXEL_1, name_of
@@ -192,11 +192,11 @@ def _nameless(case: Case, device: DeviceReport) -> Found | None:
     code.passes('test_doctor_faults.py', 'every_rule')
     code.passes('test_doctor.py', 'every_rule or rules_explain', 2)
     assert code.run('-c', """
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.status import device_status
+from dxl_monitor.monitor_status import device_status
 report = Monitor('', Models(), Settings(devices=(Expected(1), Expected(2, '', 'hip')))).report(0)
 for device in report.devices:
     print(dict(device_status('dxl_monitor', '', device, report.findings, False).values).get(
@@ -206,7 +206,7 @@ for device in report.devices:
 
 def test_a_value_in_a_status(copy: Callable[[str], Copy]) -> None:
     code = copy('a value in a status')
-    code.change('dxl_monitor/status.py', (
+    code.change('dxl_monitor/monitor_status.py', (
         "        ('Missed in a Row',", '        (keys.ERRORS, str(len(device.errors))),\n'))
     code.change('docs/generate.py', (
         "    'Missed in a Row': ", "    'Kinds of Errors': 'refused so far',\n"))
@@ -217,12 +217,12 @@ def test_a_value_in_a_status(copy: Callable[[str], Copy]) -> None:
     code.passes('test_bus_status.py', 'documented')
     code.passes('test_docs.py', 'generated')
     assert code.run('-c', """
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.status import device_status
-from mecarover_dashboard.server import _files
+from dxl_monitor.monitor_status import device_status
+from mecarover_dashboard.web_server import _files
 from mecarover_dashboard.state import State, TABLES
 import sys
 sys.path.insert(0, 'test')
@@ -256,7 +256,7 @@ class Xr21(Adapter):
 
 
 """), ('Ftdi, CdcAcm, Ch341', 'Xr21, '))
-    code.change('dxl_monitor/fake/usb_adapter.py', ("    'cp210x': Family(", """\
+    code.change('mecarover_fakes/usb_adapter.py', ("    'cp210x': Family(", """\
     'xr21': Family(0x04E2, 0x1410, 0x0003, 64, (0x81, 0x01), 0xFF, lambda baud: [
         (_setup(0x40, 0x55, 0, 0, 4), baud.to_bytes(4, 'little'))]),
 """))
@@ -302,7 +302,7 @@ class Hex(Source):
 
         return Hex(name.removeprefix('hex:'))
 """))
-    said = code.run('-m', 'dxl_monitor.tools.dump.main', 'hex:fffffd0001030001194e')
+    said = code.run('-m', 'dxl_monitor.tools.dxl_dump', 'hex:fffffd0001030001194e')
     assert 'Ping' in said
 
 
@@ -327,6 +327,6 @@ class HexListener(Listener):
                 ('from dxl_monitor.port.listener import',
                  'from dxl_monitor.port.hex_listener import HexListener\n'),
                 ('TAP: TapListener', "'hex:': HexListener, "))
-    said = code.run('-m', 'dxl_monitor.tools.dump.main', '--count', '1',
+    said = code.run('-m', 'dxl_monitor.tools.dxl_dump', '--count', '1',
                     'hex:fffffd0001030001194e')
     assert 'Ping' in said

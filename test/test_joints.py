@@ -5,16 +5,16 @@ import struct
 
 import pytest
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.faults import parse
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.traffic import PATTERNS
-from dxl_monitor.fake.values import Sine
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.faults import parse
+from mecarover_fakes.line import Line
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
+from mecarover_fakes.values import Sine
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS

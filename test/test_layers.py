@@ -20,7 +20,8 @@ LAYERS = {                              # package: what of ours it may import
     'dxl_monitor': {'msg_defs', 'mecarover_serial', 'dxl_monitor'},
     'mecarover_dashboard': {'msg_defs', 'mecarover_serial', 'mecarover_dashboard'},
     'mecarover_demo': {'msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor',
-                       'mecarover_dashboard', 'mecarover_demo'},
+                       'mecarover_dashboard', 'mecarover_fakes', 'mecarover_demo'},
+    'mecarover_fakes': {'msg_defs', 'mecarover_serial', 'dxl_monitor', 'mecarover_fakes'},
 }
 BELOW = {'model', 'port', 'bus', 'doctor', 'record'}
 ROOMS = {                               # room of dxl_monitor ('': none): what it may import
@@ -29,7 +30,6 @@ ROOMS = {                               # room of dxl_monitor ('': none): what i
     'bus': {'model', 'port'},
     'doctor': {'model', 'bus'},
     'record': {'port', 'bus'},
-    'fake': {'model', 'bus'},
     '': BELOW,
     'tools': BELOW | {''},
 }
@@ -55,7 +55,7 @@ def is_ros(module):
 
 
 def may_use_ros(path):
-    return path.name in ('node.py', 'subscriber.py') or path in (
+    return path.name.endswith(('_node.py', '_subscriber.py')) or path in (
         ROOT / 'msg_defs/ros.py', ROOT / 'mecarover_serial/launch.py')
 
 

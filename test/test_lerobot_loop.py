@@ -10,18 +10,18 @@ instructions.
 
 import pytest
 
-from dxl_monitor.bus.conversation import Settings
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.fake_bus import make_line
-from dxl_monitor.fake.line import MASTER
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.traffic import Ask
-from dxl_monitor.fake.traffic import none
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from msg_defs.heard import IN
-from msg_defs.heard import OUT
-from msg_defs.heard import UNKNOWN
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_bus import make_line
+from mecarover_fakes.line import MASTER
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import Ask
+from mecarover_fakes.traffic import none
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
 
 MODELS = Models()
 BAUD = 1_000_000

@@ -11,6 +11,7 @@ import time
 import pytest
 from terminal_server import TerminalServer
 
+from mecarover_fakes.fake_mcu import FakeMcu
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
 from msg_defs.reports import Level
@@ -18,7 +19,7 @@ from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
-from vel2d_bridge.fake_mcu import FakeMcu
+from vel2d_bridge.bridge_status import link_status
 from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import GateSettings
@@ -28,7 +29,6 @@ from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.link import Link
 from vel2d_bridge.mcu_log import McuLog
-from vel2d_bridge.status import link_status
 
 pytestmark = pytest.mark.alone
 

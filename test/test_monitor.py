@@ -12,29 +12,29 @@ from hypothesis import strategies as st
 import pytest
 
 from dxl_monitor import doctor
-from dxl_monitor.bus.conversation import ANSWER_NS
-from dxl_monitor.bus.conversation import Conversation
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import ANSWER_NS
+from dxl_monitor.bus.decoder import BusDecoder
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.tracker import Tracker
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.faults import parse
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from mecarover_serial import fault
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.faults import parse
+from mecarover_fakes.line import Line
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
+from mecarover_serial import internal_fault
 from msg_defs import dxl1_packet
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
-from msg_defs.heard import IN
-from msg_defs.heard import OUT
-from msg_defs.heard import UNKNOWN
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
 from msg_defs.reports import Level
 
 TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
@@ -288,7 +288,7 @@ def test_one_packet_of_protocol_1_is_counted_once() -> None:
 def test_a_pause_in_delivery_costs_no_answer(cut: int) -> None:
     bus = Bus()
     bus.hear(PING, PONG, READ, REPLY[:cut])
-    bus.now += bus.monitor.conversation.idle_ns + 1
+    bus.now += bus.monitor.decoder.idle_ns + 1
     bus.monitor.flush_if_idle(bus.now)                 # a reader that sees an idle line
     bus.hear(REPLY[cut:] + READ, every_ms=40)
     bus.hear(REPLY)
@@ -302,7 +302,7 @@ def test_a_long_idle_line_decides_what_is_pending() -> None:
     bus = Bus()
     bus.hear(READ[:9])
     assert bus.report().counters['Pending Bytes'] == 9
-    bus.now += bus.monitor.conversation.idle_ns + 1
+    bus.now += bus.monitor.decoder.idle_ns + 1
     bus.monitor.flush_if_idle(bus.now)
     assert bus.report().counters['Pending Bytes'] == 9
     bus.now += ANSWER_NS
@@ -315,7 +315,7 @@ def test_a_long_idle_line_decides_what_is_pending() -> None:
 def test_behind_a_pause_the_next_packet_tells_that_one_was_cut_off() -> None:
     bus = Bus()
     bus.hear(READ[:9])
-    bus.now += bus.monitor.conversation.idle_ns + 1
+    bus.now += bus.monitor.decoder.idle_ns + 1
     bus.monitor.flush_if_idle(bus.now)
     bus.hear(READ + REPLY)
     counters = bus.report().counters
@@ -406,9 +406,9 @@ def test_a_told_pause_decides_and_settles() -> None:
 
 
 def test_the_idle_time_is_that_of_the_design() -> None:
-    assert Conversation(MODELS, Settings(baud=2_000_000)).idle_ns == 20 * MS
-    assert Conversation(MODELS, Settings(latency_timer_ms=16)).idle_ns == 32 * MS
-    assert Conversation(MODELS, Settings(baud=9_600)).idle_ns == 20 * 10 * SECOND // 9_600
+    assert BusDecoder(MODELS, Settings(baud=2_000_000)).idle_ns == 20 * MS
+    assert BusDecoder(MODELS, Settings(latency_timer_ms=16)).idle_ns == 32 * MS
+    assert BusDecoder(MODELS, Settings(baud=9_600)).idle_ns == 20 * 10 * SECOND // 9_600
 
 
 def test_rates_and_load() -> None:
@@ -608,12 +608,12 @@ def test_a_stamp_may_be_any():
 @pytest.fixture
 def survives(monkeypatch):
     """Let the program survive a mistake of ours, as it does but in tests."""
-    monkeypatch.setattr(fault.LOG, 'handlers', [])
-    monkeypatch.setattr(fault, '_logged', set())
+    monkeypatch.setattr(internal_fault.LOG, 'handlers', [])
+    monkeypatch.setattr(internal_fault, '_logged', set())
 
 
 @pytest.mark.parametrize(('where', 'name'), [
-    (Tracker, 'track'), (Conversation, 'hear'), (Conversation, 'pause')])
+    (Tracker, 'track'), (BusDecoder, 'hear'), (BusDecoder, 'pause')])
 def test_a_mistake_of_ours_costs_no_byte_and_is_logged_once(survives, caplog, monkeypatch, where,
                                                            name):
     bus, calls, right = Bus(), [], getattr(where, name)

@@ -17,10 +17,10 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
+from dxl_monitor.monitor_settings import Bus
 from dxl_monitor.port.listener import ListenerState
-from dxl_monitor.settings import Bus
 from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
@@ -33,12 +33,12 @@ ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 def monitor(ports, **parameters):
     """Start the node on ports (a list of paths)."""
     options = [f'-p {name}:={value}'.split() for name, value in parameters.items()]
-    return Program('dxl_monitor.main', '--ros-args', '-p', f'ports:={list(map(str, ports))}',
+    return Program('dxl_monitor.start', '--ros-args', '-p', f'ports:={list(map(str, ports))}',
                    *(part for option in options for part in option))
 
 
 def fake_bus(link, *arguments):
-    return Program('dxl_monitor.fake.fake_bus', '--link', str(link), *arguments)
+    return Program('mecarover_fakes.fake_bus', '--link', str(link), *arguments)
 
 
 def devices(graph, bus=''):
@@ -171,7 +171,7 @@ def test_no_system_call_writes_to_the_port(tmp_path, heard):
 
 def test_a_report_waits_until_what_waited_is_read(ros):
     """After a freeze; but not for ever, if it is the reader that hangs."""
-    from dxl_monitor.node import MonitoredBus
+    from dxl_monitor.monitor_node import MonitoredBus
     watched = MonitoredBus(Bus('bus', '', '/does/not/exist', Settings()), Models(), None, 0.0)
     listener = watched.listener
     assert not watched.is_behind(1 * S)            # nothing is open
@@ -243,11 +243,11 @@ def test_a_login_that_begins_while_it_listens_is_told(tmp_path, heard):
     link = tmp_path / 'bus'
     script = f"""
         import pathlib, sys
-        from dxl_monitor import main
+        from dxl_monitor import start
         from mecarover_serial import inspection, preflight
         preflight.warnings.__defaults__ = (pathlib.Path({str(tmp_path)!r}), ())
         inspection.EVERY_S = 0.2
-        sys.exit(main.main())"""
+        sys.exit(start.main())"""
     (tmp_path / 'proc').mkdir()
     with fake_bus(link, '--devices', '1:MX-64') as fake:
         fake.wait_for('2000000 baud')

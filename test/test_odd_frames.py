@@ -8,17 +8,17 @@ import sys
 
 import pytest
 
-from dxl_monitor.bus.conversation import PROTOCOLS
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import PROTOCOLS
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from msg_defs.crc import crc16
 from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import HEADER
-from msg_defs.heard import IN
-from msg_defs.heard import OUT
-from msg_defs.heard import UNKNOWN
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
 
 MODELS = Models()
 BAUD = 1_000_000
@@ -67,7 +67,7 @@ def test_odd_packets_are_shown(options: list[str], tmp_path: Path) -> None:
     file = tmp_path / 'odd.bin'
     file.write_bytes(b''.join(START[family] + odd for family, odd in ODD.values()))
     done = subprocess.run(
-        [sys.executable, '-m', 'dxl_monitor.tools.dump.main', str(file), '--baud', str(BAUD),
+        [sys.executable, '-m', 'dxl_monitor.tools.dxl_dump', str(file), '--baud', str(BAUD),
          *options], capture_output=True, text=True, cwd=Path(__file__).parents[1])
     assert (done.returncode, 'Traceback' in done.stderr) == (0, False)
     assert done.stdout

@@ -22,19 +22,6 @@ from usb_files import pcap
 from usb_files import REAL
 
 from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.fake.fake_bus import default_devices
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.fake_bus import make_line
-from dxl_monitor.fake.fake_bus import PROTOCOLS
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.line import MASTER
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.shell import FakeBus
-from dxl_monitor.fake.traffic import FAMILY_1
-from dxl_monitor.fake.traffic import PATTERNS
-from dxl_monitor.fake.usb_adapter import FakeAdapter
-from dxl_monitor.fake.usb_adapter import FAMILIES
-from dxl_monitor.fake.usb_outlet import UsbOutlet
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor import Settings
@@ -49,11 +36,24 @@ from dxl_monitor.port.usb_ring import kept_of
 from dxl_monitor.port.usb_survey import Survey
 from dxl_monitor.record.opening import open_source
 from dxl_monitor.tools.tap import environment
+from mecarover_fakes.fake_bus import default_devices
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_bus import make_line
+from mecarover_fakes.fake_bus import PROTOCOLS
+from mecarover_fakes.fake_port import FakeBus
+from mecarover_fakes.line import Line
+from mecarover_fakes.line import MASTER
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import FAMILY_1
+from mecarover_fakes.traffic import PATTERNS
+from mecarover_fakes.usb_adapter import FakeAdapter
+from mecarover_fakes.usb_adapter import FAMILIES
+from mecarover_fakes.virtual_usb import VirtualUsb
 from mecarover_serial.cli import UsageError
 from mecarover_serial.preflight import PortError
 from mecarover_serial.pty import Pty
-from msg_defs.heard import IN
-from msg_defs.heard import OUT
+from msg_defs.event import IN
+from msg_defs.event import OUT
 
 MODELS = Models()
 ROOT = Path(__file__).parents[1]
@@ -71,7 +71,7 @@ def wait_for(condition, what):
 
 
 def dump(*arguments, **more):
-    return subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.dump.main',
+    return subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.dxl_dump',
                            *map(str, arguments)], capture_output=True, text=True, cwd=ROOT,
                           check=False, timeout=60, **more)
 
@@ -210,7 +210,7 @@ def test_bus_is_heard_through_usb(meeting_place, family):
     path = os.path.join(meeting_place, 'usb')
     line = Line(make_devices(DEVICES, MODELS, BAUD), BAUD)
     bus = FakeBus(Master(line, PATTERNS['moving'], rate=50.0),
-                  usb=UsbOutlet(path, family, BAUD))
+                  usb=VirtualUsb(path, family, BAUD))
     ear = Ear(f'usb:{path}')
     try:
         wait_for(lambda: ear.listener.state.is_open, 'the listener')
@@ -225,7 +225,7 @@ def test_bus_is_heard_through_usb(meeting_place, family):
     assert {device.id for device in report.devices} == {1, 2, 3, 4, 101}
     assert sum(device.totals.missed for device in report.devices) == 0
     assert report.counters['Noise Bytes'] == report.counters['CRC Errors'] == 0
-    assert set(ear.monitor.conversation.framers) == {'', OUT, IN}
+    assert set(ear.monitor.decoder.framers) == {'', OUT, IN}
 
 
 @pytest.mark.alone
@@ -286,7 +286,7 @@ def test_dump_of_a_tapped_program(meeting_place):
     ping = "bytes.fromhex('fffffd0001030001194e')"
     script = f'import serial, sys; port = serial.Serial(sys.argv[1], 57600); port.write({ping})'
     with Pty() as pty, subprocess.Popen(
-            [sys.executable, '-m', 'dxl_monitor.tools.dump.main', 'tap:arm', '--json', '--count',
+            [sys.executable, '-m', 'dxl_monitor.tools.dxl_dump', 'tap:arm', '--json', '--count',
              '1'], cwd=ROOT, env=environ, stdout=subprocess.PIPE, text=True) as child:
         try:
             wait_for(lambda: Path(meeting_place, 'mecarover_serial').is_dir() and any(

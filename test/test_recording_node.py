@@ -20,11 +20,11 @@ STALL_S = 0.1
 def monitor(port, **parameters):
     options = [part for name, value in {'ports': port, **parameters}.items()
                for part in ('-p', f'{name}:={value}')]
-    return Program('dxl_monitor.main', '--ros-args', *options)
+    return Program('dxl_monitor.start', '--ros-args', *options)
 
 
 def fake_bus(link, *arguments):
-    return Program('dxl_monitor.fake.fake_bus', '--link', str(link), *arguments)
+    return Program('mecarover_fakes.fake_bus', '--link', str(link), *arguments)
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ import pytest
 
 START = """
 import os, sys, time
-from mecarover_serial.relay import Relay
-with Relay('node'):
+from mecarover_serial.standard_streams import StandardStreams
+with StandardStreams('node'):
 """
 WRITES = START + """
     for number in range(int(sys.argv[1])):

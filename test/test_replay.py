@@ -12,13 +12,8 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.faults import parse
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.listener import Listener
@@ -26,6 +21,11 @@ from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.faults import parse
+from mecarover_fakes.line import Line
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
 
 pytestmark = pytest.mark.alone
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmark import baseline
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from rigs.bus import ear

@@ -19,7 +19,7 @@ from listened_bus import MODELS
 from listened_bus import PATIENCE_MS
 import pytest
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.bus.report import DeviceReport
 

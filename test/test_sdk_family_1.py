@@ -17,7 +17,7 @@ from listened_bus import ListenedBus
 from listened_bus import PATIENCE_MS
 import pytest
 
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 
 try:
     import dynamixel_sdk
@@ -90,7 +90,7 @@ def test_feetech_sdk(so_101: Bench) -> None:
     assert {device.id: (device.model_name, device.totals.missed) for device in found.devices} \
         == dict.fromkeys(SO_101, ('STS3215', 0))
     assert (found.counters['CRC Errors'], found.counters['Noise Bytes']) == (0, 0)
-    assert so_101.monitor.conversation.choice.dialect.name == 'Feetech'
+    assert so_101.monitor.decoder.choice.dialect.name == 'Feetech'
 
 
 def test_a_loop_as_lerobot_has_it(so_101: Bench) -> None:
@@ -144,7 +144,7 @@ def test_dynamixel_sdk_with_protocol_1() -> None:
     assert [(one.model_name, one.totals.missed) for one in found.devices] == [
         ('AX-12A', 0), ('MX-28(1.0)', 0), ('RX-64', 0)]
     assert found.devices[0].errors == {(3, 30, 4): 1}
-    assert bench.monitor.conversation.choice.dialect.name == 'Dynamixel 1.0'
+    assert bench.monitor.decoder.choice.dialect.name == 'Dynamixel 1.0'
     bench.close()
 
 

@@ -9,27 +9,27 @@ import pytest
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.fake.fake_bus import default_devices
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.line import MASTER
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor import Settings
+from mecarover_fakes.fake_bus import default_devices
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.line import Line
+from mecarover_fakes.line import MASTER
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
-from msg_defs.heard import BAUD
-from msg_defs.heard import Change
-from msg_defs.heard import CLOSED
-from msg_defs.heard import IN
-from msg_defs.heard import LATENCY_TIMER
-from msg_defs.heard import LOST
-from msg_defs.heard import NOT_SENT
-from msg_defs.heard import OUT
-from msg_defs.heard import OVERRUN
-from msg_defs.heard import UNKNOWN
+from msg_defs.event import BAUD
+from msg_defs.event import Change
+from msg_defs.event import CLOSED
+from msg_defs.event import IN
+from msg_defs.event import LATENCY_TIMER
+from msg_defs.event import LOST
+from msg_defs.event import NOT_SENT
+from msg_defs.event import OUT
+from msg_defs.event import OVERRUN
+from msg_defs.event import UNKNOWN
 
 MODELS = Models()
 RATE = 1_000_000
@@ -83,7 +83,7 @@ def test_every_byte_is_in_one_counter_of_its_side(chunks, gap_ms):
     for side, data in chunks:
         bus.feed(data, stamp, side)
         stamp += gap_ms * MS
-    for side, framer in bus.conversation.framers.items():
+    for side, framer in bus.decoder.framers.items():
         assert framer.bytes == sum(len(data) for one, data in chunks if one == side)
         assert framer.packet_bytes + framer.noise_bytes + framer.pending == framer.bytes
     bus.report(stamp + S)
@@ -200,7 +200,7 @@ def test_rate_is_learned_and_begins_a_new_wire():
     assert report.baud == RATE
     assert (report.counters['Noise Bytes'], report.counters['Packets']) == (7, 4)
     assert report.devices[0].totals.missed == 0
-    assert bus.conversation.byte_ns == 10_000
+    assert bus.decoder.byte_ns == 10_000
 
 
 def test_line_errors_and_latency_timer_come_from_the_source():
@@ -210,7 +210,7 @@ def test_line_errors_and_latency_timer_come_from_the_source():
     bus.change(Change(OVERRUN, 1), S)
     bus.change(Change(LATENCY_TIMER, 16), S)
     assert bus.report(S).line_errors.overrun == 3
-    assert bus.conversation.idle_ns == 32 * MS
+    assert bus.decoder.idle_ns == 32 * MS
 
 
 def test_latency_is_from_the_end_of_the_instruction_to_the_begin_of_the_answer():

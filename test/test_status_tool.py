@@ -11,8 +11,8 @@ import pytest
 from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
-from mecarover_dashboard.lines import Board
-from mecarover_dashboard.lines import screen
+from mecarover_dashboard.status_lines import Board
+from mecarover_dashboard.status_lines import screen
 from msg_defs.reports import Level
 from msg_defs.reports import Status
 
@@ -106,9 +106,9 @@ def test_once_for_scripts(ros, tmp_path):
             ('well', (), 0, r'ok +well +bus +3 of 3 devices connected'),
             ('sick', ('--fault', 'silent:2:0:9999'), 4,
              r'ERROR +sick +002 +(disconnected|expected|silent)')):
-        with Program('dxl_monitor.fake.fake_bus', '--link', bus, '--devices', '1-3:MX-64',
+        with Program('mecarover_fakes.fake_bus', '--link', bus, '--devices', '1-3:MX-64',
                      *fault) as fake, \
-                Program('dxl_monitor.main', '--ros-args', '-r', f'__ns:=/{name}', '-p',
+                Program('dxl_monitor.start', '--ros-args', '-r', f'__ns:=/{name}', '-p',
                         f'ports:={bus}', '-p', "devices:=['1-3:MX-64']") as monitor:
             fake.wait_for('2000000 baud')
             monitor.wait_for('open at')

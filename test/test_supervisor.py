@@ -20,8 +20,8 @@ from harness import LATE_S
 from harness import wait
 import pytest
 
+from mecarover_fakes.fake_mcu import FakeMcu
 from rigs.harness import family
-from vel2d_bridge.fake_mcu import FakeMcu
 
 ROOT = Path(__file__).parents[1]
 INSIDE = ['unshare', '--pid', '--fork', '--mount-proc', '--kill-child']

@@ -24,7 +24,7 @@ from dxl_monitor.port.tap_reader import _Connection
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
-from dxl_monitor.tools.doctor import report
+from dxl_monitor.tools.doctor import issue_report
 from dxl_monitor.tools.doctor.error_window import packed
 from mecarover_dashboard.history import Event
 from mecarover_dashboard.history import HistoryWriter
@@ -45,8 +45,8 @@ ROOT = Path(__file__).parents[1]
 # Colour, title, clear screen, C1, bidi override, line separators, a bell: and a line of our own.
 EVIL = '=evil\x1b[31m\x1b]0;t\x07\x1b[2J\x9b31m\u202e\u2028\r\nall is well\x00\x7f'
 LONE = '\udc9b'                 # a byte that is no UTF-8, as Python has it in a name of a file
-TOOLS = {'dxl_dump': 'dxl_monitor.tools.dump.main', 'dxl_doctor': 'dxl_monitor.tools.doctor.main',
-         'dxl_replay': 'dxl_monitor.tools.replay', 'dxl_dashboard': 'mecarover_dashboard.main'}
+TOOLS = {'dxl_dump': 'dxl_monitor.tools.dxl_dump', 'dxl_doctor': 'dxl_monitor.tools.dxl_doctor',
+         'dxl_replay': 'dxl_monitor.tools.replay', 'dxl_dashboard': 'mecarover_dashboard.serve'}
 SECOND = 1_000_000_000
 
 
@@ -132,8 +132,9 @@ def test_a_report(tmp_path, arguments):
 
     stored = json.loads(stored)
     stored = {**evil(stored), 'protocol': 'auto', 'devices': [f'{EVIL}/1:MX-64']}
-    made.write_text('\n'.join([head, report.VERDICT, json.dumps(stored), report.CAPTURE,
-                               *packed(captured(EVIL)), report.END]))
+    made.write_text('\n'.join([head, issue_report.VERDICT, json.dumps(stored),
+                               issue_report.CAPTURE,
+                               *packed(captured(EVIL)), issue_report.END]))
     code, text = run('dxl_doctor', str(made), *arguments)
     assert code == 4
     assert is_safe(text)

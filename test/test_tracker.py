@@ -17,8 +17,8 @@ from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.planner import SLOTS_KEPT
+from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.report import Counts
-from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.model.models import Models
 from msg_defs.crc import crc16
@@ -52,8 +52,8 @@ class Bus:
     def __init__(self, *expected: Expected, write_acks: str = 'auto',
                  models: Models = MODELS) -> None:
         self.evidence = Evidence()
-        self.roster = Roster(models, expected, 2_000_000, self.evidence)
-        self.tracker = Tracker(self.roster, self.evidence, BYTE_NS, 4, write_acks)
+        self.registry = DeviceRegistry(models, expected, 2_000_000, self.evidence)
+        self.tracker = Tracker(self.registry, self.evidence, BYTE_NS, 4, write_acks)
         self.framer = Framer()
         self.now = 1_000_000_000
 
@@ -67,15 +67,15 @@ class Bus:
         self.tracker.track(self.framer.flush_frames(), self.now, self.framer.bytes)
 
     def device(self, number: int) -> Device:
-        device = self.roster.devices[number]
-        self.roster.resolve(device)
+        device = self.registry.devices[number]
+        self.registry.resolve(device)
         return device
 
     def counts(self, number: int) -> Counts:
         return self.device(number).counts
 
     def known(self, number: int, address: int, size: int = 4) -> bytes | None:
-        return self.roster.devices[number].table.bytes(address, size)
+        return self.registry.devices[number].table.bytes(address, size)
 
     def kinds(self) -> list[str]:
         return [incident.kind for incident in self.evidence.incidents()]
@@ -177,7 +177,7 @@ def test_an_answer_that_nobody_asked_for_is_life_only() -> None:
     bus.hear(read(1), reply(2, b'aaaa'), reply(1, b'bbbb'), reply(1, b'cccc'))
     assert bus.device(2).heard
     assert bus.counts(2).answers == 0
-    assert bus.roster.devices[2].table.known() == []
+    assert bus.registry.devices[2].table.known() == []
     assert bus.known(1, POSITION) == b'bbbb'
     assert bus.kinds() == [ev.UNASKED, ev.SECOND_ANSWER]
 
@@ -192,7 +192,7 @@ def test_who_answers_what_nobody_here_understands_is_not_unasked(
     bus.hear(asked, reply(1, b'aaaa'))
     assert bus.evidence.counts[ev.UNASKED] == unasked
     assert bus.device(1).heard == bus.now
-    assert bus.roster.devices[1].table.known() == []
+    assert bus.registry.devices[1].table.known() == []
 
 
 def test_what_is_not_understood_is_noted_once_and_counted_each_time() -> None:
@@ -260,7 +260,7 @@ def test_noise_that_is_longer_than_the_answer_is_not_that(
 def test_a_status_of_no_device_is_nobody(number: int) -> None:
     bus = Bus()
     bus.hear(read(1), reply(number, b'aaaa'), reply(1, b'bbbb'))
-    assert list(bus.roster.devices) == [1]
+    assert list(bus.registry.devices) == [1]
     assert bus.known(1, POSITION) == b'bbbb'
 
 
@@ -311,7 +311,7 @@ def test_a_status_before_any_instruction_is_life_only() -> None:
     bus = Bus()
     bus.hear(reply(1, b'aaaa'))
     assert bus.device(1).heard
-    assert bus.roster.devices[1].table.known() == []
+    assert bus.registry.devices[1].table.known() == []
 
 
 # --- missed and not served ---
@@ -338,7 +338,7 @@ def test_a_broadcast_read_disconnects_nobody() -> None:
     for _ in range(10):
         bus.hear(read(BROADCAST))
     assert bus.counts(1).missed == 0
-    assert list(bus.roster.devices) == [1]
+    assert list(bus.registry.devices) == [1]
 
 
 def test_a_silent_first_device_of_a_sync_read_keeps_the_others_waiting() -> None:
@@ -578,7 +578,7 @@ def test_a_sync_write_to_one_device_is_no_write() -> None:
     """It has no data where a Write has them."""
     bus = Bus()
     bus.hear(encode(1, I.SYNC_WRITE, words(GOAL, 4) + b'\x01aaaa'), ping(1), pong(1))
-    assert bus.roster.devices[1].table.bytes(GOAL, 2) is None
+    assert bus.registry.devices[1].table.bytes(GOAL, 2) is None
 
 
 def test_a_broadcast_write_is_for_everybody_known() -> None:
@@ -635,7 +635,7 @@ def test_a_factory_reset_keeps_what_it_says() -> None:
 def test_a_factory_reset_of_all_makes_it_device_1_at_57600() -> None:
     bus = Bus()
     bus.hear(ping(5), pong(5), encode(5, I.FACTORY_RESET, b'\xff'), reply(5))
-    assert list(bus.roster.devices) == [1]
+    assert list(bus.registry.devices) == [1]
     assert bus.device(1).moved_to == '57600 Bd'
 
 
@@ -664,7 +664,7 @@ def test_a_restored_backup_forgets_everything_a_stored_one_nothing() -> None:
 def test_a_written_id_is_followed(how: tuple[bytes, ...]) -> None:
     bus = filled(Bus())
     bus.hear(*how, read(9), reply(9, b'qqqq'))
-    assert list(bus.roster.devices) == [9]
+    assert list(bus.registry.devices) == [9]
     assert bus.known(9, POSITION) == b'qqqq'
     assert bus.known(9, GOAL) == b'gggg'
     assert bus.device(9).model.name == 'MX-64'
@@ -673,7 +673,7 @@ def test_a_written_id_is_followed(how: tuple[bytes, ...]) -> None:
 def test_a_refused_id_is_not_followed() -> None:
     bus = filled(Bus())
     bus.hear(write(1, 7, b'\x09'), reply(1, error=7), ping(1), pong(1))
-    assert list(bus.roster.devices) == [1]
+    assert list(bus.registry.devices) == [1]
 
 
 @pytest.mark.parametrize('how', [I.WRITE, I.REG_WRITE])
@@ -681,35 +681,35 @@ def test_an_id_written_to_everybody_leaves_everybody_who_he_is(how: int) -> None
     bus = Bus(Expected(1, 'MX-64', 'left_knee'), Expected(2, 'MX-106', 'right_knee'))
     bus.hear(ping(1), pong(1), ping(2), pong(2, MX_106), ping(3), pong(3),
              encode(BROADCAST, how, words(7) + b'\x09'), encode(BROADCAST, I.ACTION), ping(1))
-    assert [(n, bus.device(n).joint, bus.device(n).model.name) for n in bus.roster.devices] == [
+    assert [(n, bus.device(n).joint, bus.device(n).model.name) for n in bus.registry.devices] == [
         (1, 'left_knee', 'MX-64'), (2, 'right_knee', 'MX-106'), (3, '', 'MX-64')]
 
 
 def test_an_id_written_to_everybody_is_that_of_the_only_one() -> None:
     bus = Bus(Expected(2, 'MX-106', 'right_knee'))
     bus.hear(ping(1), pong(1), write(BROADCAST, 7, b'\x09'), ping(9), pong(9))
-    assert set(bus.roster.devices) == {2, 9}
+    assert set(bus.registry.devices) == {2, 9}
     assert bus.counts(9).answers == 2
 
 
 def test_nobody_takes_the_place_of_a_device_that_was_heard() -> None:
     bus = Bus(Expected(2, 'MX-106', 'right_knee'))
     bus.hear(ping(2), pong(2, MX_106), ping(1), pong(1), write(1, 7, b'\x02'), reply(1))
-    assert {n: bus.device(n).joint for n in bus.roster.devices} == {1: '', 2: 'right_knee'}
+    assert {n: bus.device(n).joint for n in bus.registry.devices} == {1: '', 2: 'right_knee'}
 
 
 def test_who_replaces_a_dead_device_is_a_new_one_under_its_id() -> None:
     bus = Bus()
     bus.hear(ping(5), pong(5, MX_106), read(5), ping(1), pong(1), write(1, 7, b'\x05'), reply(1),
              ping(5), pong(5))
-    assert set(bus.roster.devices) == {5}
+    assert set(bus.registry.devices) == {5}
     assert bus.device(5).model.name == 'MX-64'
 
 
 def test_who_gets_the_id_of_one_that_is_listed_is_that_one() -> None:
     bus = Bus(Expected(2, 'MX-106', 'right_knee'))
     bus.hear(ping(1), pong(1, MX_106), write(1, 7, b'\x02'), reply(1))
-    assert set(bus.roster.devices) == {2}
+    assert set(bus.registry.devices) == {2}
     device = bus.device(2)
     assert (device.joint, device.expected, device.counts.answers) == ('right_knee', True, 2)
 
@@ -825,7 +825,7 @@ def test_a_fast_reply_of_more_or_fewer_devices_than_were_asked_is_split(
     there = [number in numbers for number in (1, 2, 3)]
     assert [bus.known(n, POSITION) is not None for n in (1, 2, 3)] == there
     assert [bus.counts(n).fast_answers for n in (1, 2, 3)] == there
-    assert 4 not in bus.roster.devices
+    assert 4 not in bus.registry.devices
 
 
 def test_a_fast_reply_cut_by_the_next_instruction_is_kept_too() -> None:
@@ -882,7 +882,7 @@ def test_a_good_frame_whose_last_part_names_another_device() -> None:
     bus.hear(fast_read(1, 2, 3), wire, ping(9))
     assert [bus.known(number, POSITION) for number in (1, 2, 3)] == [b'aaaa', b'bbbb', None]
     assert [bus.counts(number).fast_answers for number in (1, 2, 3)] == [1, 1, 0]
-    assert 5 not in bus.roster.devices
+    assert 5 not in bus.registry.devices
 
 
 def test_a_device_may_refuse_a_fast_read_on_its_own() -> None:
@@ -944,7 +944,7 @@ def test_odd_instructions_are_counted_and_nothing_else(packet: bytes) -> None:
     bus = filled(Bus())
     bus.hear(packet, reply(1, b'zzzz'), read(1), reply(1, b'qqqq'))
     assert bus.known(1, POSITION) == b'qqqq'
-    assert set(bus.roster.devices) == {1}
+    assert set(bus.registry.devices) == {1}
 
 
 hostile = st.lists(st.builds(
@@ -961,10 +961,10 @@ def test_nothing_raises_and_nothing_grows(packets: list[bytes], noise: bytes) ->
     bus.hear(*packets, noise)
     bus.idle()
     bus.tracker.settle(bus.now + 10**9)
-    assert max(bus.roster.devices) <= 252
-    for number, device in bus.roster.devices.items():
+    assert max(bus.registry.devices) <= 252
+    for number, device in bus.registry.devices.items():
         assert device.number == number
-        bus.roster.resolve(device)
+        bus.registry.resolve(device)
 
 
 def test_memory_is_bounded_whatever_is_asked() -> None:
@@ -988,7 +988,7 @@ def test_memory_is_bounded_whatever_is_written() -> None:
         bus.hear(encode(BROADCAST, I.BULK_WRITE, bytes([n % 253]) + words(0, 900) + bytes(900)))
         bus.hear(encode(BROADCAST, I.BULK_WRITE, b'\xfd' + words(n, 1) + b'a'))
     assert _devices_alive() - before <= 150
-    assert set(bus.roster.devices) == set(range(150))
+    assert set(bus.registry.devices) == set(range(150))
     assert sum(len(plan.request.accesses) for plan in bus.tracker.planner.plans()) <= SLOTS_KEPT
     assert bus.tracker.planner.instructions() == 450
 
@@ -1008,7 +1008,7 @@ def test_the_robot_trace_in_any_chunks() -> None:
         bus.hear(*(data[at:at + size] for at in range(0, len(data), size)))
         results.append({n: (bus.device(n).model.name, bus.counts(n).answers, bus.counts(n).missed,
                             bus.counts(n).not_served, bus.counts(n).damaged)
-                        for n in sorted(bus.roster.devices)})
+                        for n in sorted(bus.registry.devices)})
     assert results[0] == results[1] == results[2]
     found = results[0]
     assert set(found) == {*range(1, 21), 101}
@@ -1065,7 +1065,7 @@ def test_what_an_answer_is_worth_is_noted_exactly() -> None:
 def test_a_group_asks_up_to_the_highest_id_and_none_above() -> None:
     bus = Bus()
     bus.hear(sync_read(252, 253), reply(252, b'aaaa'))
-    assert (set(bus.roster.devices), bus.known(252, POSITION)) == ({252}, b'aaaa')
+    assert (set(bus.registry.devices), bus.known(252, POSITION)) == ({252}, b'aaaa')
 
 
 def test_damage_is_noted_exactly() -> None:
@@ -1084,7 +1084,7 @@ def test_damage_is_noted_exactly() -> None:
 def test_the_last_id_is_a_device_and_the_next_is_none() -> None:
     bus = Bus()
     bus.hear(reply(252), reply(253))
-    assert set(bus.roster.devices) == {252}
+    assert set(bus.registry.devices) == {252}
     assert notes(bus)[-1][1:] == (ev.BAD_ID, ev.NO_DEVICE, (253,))
 
 

@@ -28,9 +28,9 @@ def robots(ros, tmp_path_factory):
         for name, fault in (('rover1', ()), ('rover2', ('--fault', f'silent:{LOST}:0:9999'))):
             bus, mcu, namespace = folder / name, folder / f'mcu_{name}', ('-r', f'__ns:=/{name}')
             for part in (
-                    ('dxl_monitor.fake.fake_bus', '--link', str(bus), '--devices', '1-3:MX-64',
+                    ('mecarover_fakes.fake_bus', '--link', str(bus), '--devices', '1-3:MX-64',
                      *fault),
-                    ('dxl_monitor.main', '--ros-args', *namespace, '-p', f'ports:={bus}', '-p',
+                    ('dxl_monitor.start', '--ros-args', *namespace, '-p', f'ports:={bus}', '-p',
                      "devices:=['1-3:MX-64']"),
                     ('vel2d_bridge.main', '--ros-args', *namespace, '-p', f'port:={mcu}')):
                 stack.enter_context(Program(*part))
@@ -87,7 +87,7 @@ def test_one_teleop_for_two_rovers_is_said_by_both_bridges(graph, tmp_path):
 
 @pytest.mark.parametrize(('module', 'status', 'port'), [
     ('vel2d_bridge.main', 'vel2d_bridge: commands', 'port'),
-    ('dxl_monitor.main', 'dxl_monitor: bus', 'ports')])
+    ('dxl_monitor.start', 'dxl_monitor: bus', 'ports')])
 def test_two_nodes_of_one_name_are_said(graph, tmp_path, module, status, port):
     """By the older one at once: what it finds after its start was not killed before."""
     words = ['--ros-args', '-r', '__ns:=/twins', '-p', f'{port}:={tmp_path}/none']

@@ -32,8 +32,6 @@ from usb_files import REAL
 from usb_files import side
 from usb_files import USBPCAP
 
-from dxl_monitor.fake.usb_adapter import FakeAdapter
-from dxl_monitor.fake.usb_adapter import FAMILIES
 from dxl_monitor.port import adapters
 from dxl_monitor.port.adapters import adapter_of
 from dxl_monitor.port.adapters import CdcAcm
@@ -48,8 +46,10 @@ from dxl_monitor.port.usbmon import Records
 from dxl_monitor.record.pcap import PcapReader
 from dxl_monitor.record.usb_events import is_usb
 from dxl_monitor.record.usb_events import UsbEvents
-from msg_defs.heard import IN
-from msg_defs.heard import OUT
+from mecarover_fakes.usb_adapter import FakeAdapter
+from mecarover_fakes.usb_adapter import FAMILIES
+from msg_defs.event import IN
+from msg_defs.event import OUT
 
 SESSIONS = ('healthy', 'missing', 'acm')
 STEADY = settings(derandomize=True, deadline=None, database=None, max_examples=60)
@@ -420,7 +420,7 @@ def test_a_time_far_out_is_passed_over(tmp_path):
     (tmp_path / 'far.bin').write_bytes(
         adapter.plug(far) + adapter.sent(b'\1', far) + adapter.sent(b'\2', BEGAN))
     done = subprocess.run(
-        [sys.executable, '-m', 'dxl_monitor.tools.dump.main', 'far.bin', '-w', 'bus.txt'],
+        [sys.executable, '-m', 'dxl_monitor.tools.dxl_dump', 'far.bin', '-w', 'bus.txt'],
         cwd=tmp_path, env=os.environ | {'PYTHONPATH': str(Path(__file__).parents[1])},
         capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -19,7 +19,7 @@ import pytest
 from test_packaging import NAME
 from test_packaging import ROOT
 
-from dxl_monitor.tools.doctor.report import CAPTURE
+from dxl_monitor.tools.doctor.issue_report import CAPTURE
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone]
 KEEP_OUT = ('.venv', '.git', '.*_cache', '.hypothesis', 'build', '*.egg-info', '__pycache__')
@@ -98,7 +98,7 @@ def test_it_brings_no_more_than_it_declares(home):
         <= {name.replace('-', '_').lower() for name in DECLARED}
 
 
-@pytest.mark.parametrize('module', ['dxl_monitor.tools.doctor.main', 'dxl_monitor.tools.dump.main',
+@pytest.mark.parametrize('module', ['dxl_monitor.tools.dxl_doctor', 'dxl_monitor.tools.dxl_dump',
                                     'dxl_monitor.tools.tap', 'dxl_monitor.tools.replay'])
 def test_it_imports_no_ros_no_web_and_no_database(home, module):
     (home / 'imported.py').write_text(IMPORTED)
@@ -136,7 +136,7 @@ def test_a_person_runs_a_script_and_the_dead_servo_is_named(home, bus, meeting_p
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert done.returncode == 4
     elsewhere = subprocess.run(                        # this tree, another user's home
-        [sys.executable, '-m', 'dxl_monitor.tools.doctor.main', home / 'report.txt'], cwd=ROOT,
+        [sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', home / 'report.txt'], cwd=ROOT,
         capture_output=True, text=True, timeout=60)
     assert (elsewhere.returncode, elsewhere.stderr) == (4, '')
     assert findings(elsewhere.stdout) == findings(done.stdout) != []

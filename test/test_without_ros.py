@@ -62,17 +62,17 @@ def run(refused, module, *arguments, meeting_place=''):
 
 @pytest.mark.parametrize('refused', [NEEDS_ROS, UNIX], ids=['no ROS', 'no fcntl'])
 def test_files_are_judged_and_listed(recording, refused):
-    done = run(refused, 'dxl_monitor.tools.doctor.main', recording)
+    done = run(refused, 'dxl_monitor.tools.dxl_doctor', recording)
     assert done.returncode == 0
     assert '001  model unknown (--devices names it): answers' in done.stdout
-    done = run(refused, 'dxl_monitor.tools.dump.main', recording)
+    done = run(refused, 'dxl_monitor.tools.dxl_dump', recording)
     assert (done.returncode, done.stdout.count('Status')) == (0, 50)
 
 
 @pytest.mark.alone
 @pytest.mark.parametrize('refused', [NEEDS_ROS, UNIX], ids=['no ROS', 'no fcntl'])
 def test_programs_are_run(refused, meeting_place):
-    done = run(refused, 'dxl_monitor.tools.doctor.main', 'run', '--', sys.executable, '-c',
+    done = run(refused, 'dxl_monitor.tools.dxl_doctor', 'run', '--', sys.executable, '-c',
                'print("hello")', meeting_place=meeting_place)
     assert (done.returncode, done.stdout.splitlines()[0]) == (1, 'hello')
     done = run(refused, 'dxl_monitor.tools.tap', 'arm', '--', sys.executable, '-c', 'pass',

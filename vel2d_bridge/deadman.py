@@ -3,9 +3,9 @@
 """
 Deadman: the bridge's side of the process that stops the rover when the bridge dies or freezes.
 
-Forked before rclpy.init, while there is one thread; server.py and watch.py are what it does. Both
-sides share a board in memory, a channel, which wakes it and ends with either side, and a pocket,
-in which the open port lies.
+Forked before rclpy.init, while there is one thread; deadman_server.py and watch.py are what it
+does. Both sides share a board in memory, a channel, which wakes it and ends with either side, and
+a pocket, in which the open port lies.
 """
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from vel2d_bridge.board import PortRecord
 from vel2d_bridge.board import SERVER
 from vel2d_bridge.board import SharedBoard
 from vel2d_bridge.board import WATCH
-from vel2d_bridge.server import serve
+from vel2d_bridge.deadman_server import serve
 from vel2d_bridge.watch import NUMBER
 
 READY, STARTING, FROZEN, GONE = 'ready', 'starting', 'frozen', 'lost'

@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from vel2d_bridge.settings import AUTO
-from vel2d_bridge.settings import TWIST
-from vel2d_bridge.settings import TWIST_STAMPED
+from vel2d_bridge.bridge_settings import AUTO
+from vel2d_bridge.bridge_settings import TWIST
+from vel2d_bridge.bridge_settings import TWIST_STAMPED
 
 _NEWS_NS = 3_000_000_000
 TYPE_NAMES = {

@@ -15,7 +15,7 @@ from pathlib import Path
 import struct
 import termios
 
-from mecarover_serial.holders import file_text
+from mecarover_serial.port_users import file_text
 from vel2d_bridge.claim import is_claimed
 
 _TCGETS2, _TCSETS2 = 0x802C542A, 0x402C542B

@@ -15,8 +15,8 @@ from mecarover_serial.cli import answer
 from mecarover_serial.cli import hold_signals
 from mecarover_serial.cli import no_process
 from mecarover_serial.cli import no_ros
+from vel2d_bridge.bridge_settings import PARAMETERS
 from vel2d_bridge.deadman import Deadman
-from vel2d_bridge.settings import PARAMETERS
 from vel2d_bridge.supervisor import supervise
 
 NAME = 'vel2d_bridge'
@@ -37,8 +37,8 @@ def main(args: Sequence[str] | None = None) -> int:
     except OSError as error:
         return no_process(NAME, error)
     try:
-        from mecarover_serial.node import run
-        from vel2d_bridge.node import Bridge
+        from mecarover_serial.ros_node import run
+        from vel2d_bridge.bridge_node import Bridge
     except ImportError as error:
         return no_ros(NAME, error)
     else:

@@ -41,21 +41,21 @@ class Device:
 
     | attributes | who writes them |
     |---|---|
-    | number, joint, expected | Roster, where a device is new or an ID was written |
-    | model, model_number, firmware, followed_end | Roster.resolve(), become(): the model that it \
-    said it is; no write from followed_end on changes what it is or does |
-    | dialect | Roster.speaks(): that of the 1.0 family; None with Protocol 2.0 |
+    | number, joint, expected | DeviceRegistry, where a device is new or an ID was written |
+    | model, model_number, firmware, followed_end | DeviceRegistry.resolve(), become(): the \
+    model that it said it is; no write from followed_end on changes what it is or does |
+    | dialect | DeviceRegistry.speaks(): that of the 1.0 family; None with Protocol 2.0 |
     | identity, identity_stamp, is_unresolved | pinged(): what it said it is, as bytes; the model \
     of that was not looked up yet |
-    | return_level, acks, acks_missing | set_return_level(), acknowledged(), Duty; acks: whether \
-    it acknowledges writes, None while unknown |
-    | heard, alert, odd, missed_in_a_row | Roster.heard(), Tracker, miss(); odd: the next answer \
-    needs more than storing (it was away, or had an alert) |
+    | return_level, acks, acks_missing | set_return_level(), acknowledged(), ReplyPolicy; acks: \
+    whether it acknowledges writes, None while unknown |
+    | heard, alert, odd, missed_in_a_row | DeviceRegistry.heard(), Tracker, miss(); odd: the next \
+    answer needs more than storing (it was away, or had an alert) |
     | asked_stamp, owed, waiting_behind | miss(), not_served(), pays(); owed: answers that the \
     master gave up lately; waiting_behind: the silent device in front of it in a group read |
     | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |
-    | registered, moved_to | Roster: a Reg Write before its Action; the baud rate that was \
-    written, in words |
+    | registered, moved_to | DeviceRegistry: a Reg Write before its Action; the baud rate that \
+    was written, in words |
     | table, counts, errors, snapshots | all who store or count |
     """
 
@@ -78,7 +78,7 @@ class Device:
         self.is_unresolved = False
         self.model_number: int | None = None
         self.firmware: int | None = None
-        self.registered: tuple[int, bytes, bool] | None = None     # as Roster.write() takes it
+        self.registered: tuple[int, bytes, bool] | None = None  # for DeviceRegistry.write()
         self.moved_to = ''
         self.waiting_behind: int | None = None
         self.alert = False
@@ -147,7 +147,7 @@ class Device:
             self.table.clear()
         self.identity = data
         self.identity_stamp = stamp
-        self.is_unresolved = True              # Roster.resolve() makes use of it
+        self.is_unresolved = True              # DeviceRegistry.resolve() makes use of it
 
     def forget_return_level(self) -> None:
         """Forget what it answers: it is another device, or was never heard."""

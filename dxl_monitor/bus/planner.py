@@ -27,8 +27,8 @@ from dxl_monitor.bus.plan import Effect
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.plan import Take
+from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.report import IncidentKind
-from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.table import WRITTEN
 from msg_defs.dxl1_instruction import CALIBRATE
 from msg_defs.dxl1_instruction import understood
@@ -70,12 +70,21 @@ class Target(NamedTuple):
 class Planner:
     """The plans of one bus. on_ack: called with the device and its status when it acknowledges."""
 
-    __slots__ = ('_actions', '_evidence', '_makers', '_on_ack', '_retired', '_roster', '_size',
-                 '_targets', 'known')
+    __slots__ = (
+        '_actions',
+        '_evidence',
+        '_makers',
+        '_on_ack',
+        '_registry',
+        '_retired',
+        '_size',
+        '_targets',
+        'known',
+    )
 
-    def __init__(self, roster: Roster, evidence: Evidence,
+    def __init__(self, registry: DeviceRegistry, evidence: Evidence,
                  on_ack: Callable[..., object]) -> None:
-        self._roster = roster
+        self._registry = registry
         self._evidence = evidence
         self._on_ack = on_ack
         self.known: dict[Key, Plan] = {}
@@ -83,18 +92,18 @@ class Planner:
         # Of a Sync Write, by address, size and IDs.
         self._targets: dict[bytes, tuple[list[Target], Struct]] = {}
         self._retired = 0              # instructions of forgotten plans
-        roster.changed = self.forget_plans
+        registry.changed = self.forget_plans
         self._actions: dict[int, Action] = {
-            Instruction.WRITE: roster.write,
-            Instruction.SYNC_WRITE: roster.write,
-            Instruction.BULK_WRITE: roster.write,
-            Instruction.REG_WRITE: roster.register,
-            Instruction.ACTION: roster.act,
-            Instruction.REBOOT: roster.reboot,
-            Instruction.FACTORY_RESET: roster.factory_reset,
-            Instruction.CLEAR: roster.clear,
-            Instruction.CONTROL_TABLE_BACKUP: roster.restore,
-            CALIBRATE: roster.calibrate,
+            Instruction.WRITE: registry.write,
+            Instruction.SYNC_WRITE: registry.write,
+            Instruction.BULK_WRITE: registry.write,
+            Instruction.REG_WRITE: registry.register,
+            Instruction.ACTION: registry.act,
+            Instruction.REBOOT: registry.reboot,
+            Instruction.FACTORY_RESET: registry.factory_reset,
+            Instruction.CLEAR: registry.clear,
+            Instruction.CONTROL_TABLE_BACKUP: registry.restore,
+            CALIBRATE: registry.calibrate,
         }
         self._makers: dict[Answers, Callable[[Request], list[Slot]]] = {
             Answers.NONE: lambda request: [],
@@ -163,17 +172,17 @@ class Planner:
         if kind == INSTRUCTION_2:
             request = parse(code, id, params)
         else:
-            names = self._roster.dialect.entries
-            request = understood(kind, code, id, params, self._roster.dialect)
-            self._roster.highest = MAX_ID_1
+            names = self._registry.dialect.entries
+            request = understood(kind, code, id, params, self._registry.dialect)
+            self._registry.highest = MAX_ID_1
             for number in {id, *(access.id for access in request.accesses)} - {BROADCAST}:
-                self._roster.speaks(self._roster.device(number))
+                self._registry.speaks(self._registry.device(number))
         oddities: list[tuple[IncidentKind[Any], int, Any]] = []
         if code not in names:
             oddities.append((ev.UNKNOWN_INSTRUCTION, id, ev.Code(code)))
         if request.malformed:
             oddities.append((ev.MALFORMED, id, ev.Front(code, len(params))))
-        if self._roster.is_impossible(id):
+        if self._registry.is_impossible(id):
             oddities.append((ev.BAD_ID, ev.NO_DEVICE, ev.Written(id)))
             plan = Plan(request, {})
         else:
@@ -193,23 +202,23 @@ class Planner:
         return Plan(request, slots, self._beginner(request) if is_known else None)
 
     def _ping_slots(self, request: Request) -> list[Slot]:
-        device = self._roster.device(request.id)
+        device = self._registry.device(request.id)
         size = 3 if device.dialect is None else 0      # the 1.0 family answers without data
         return [Slot(device, Due.ALWAYS, -1, size, device.pinged)]
 
     def _read_slots(self, request: Request) -> list[Slot]:
-        highest = self._roster.highest
+        highest = self._registry.highest
         return [self._read_slot(access) for access in request.accesses if access.id <= highest]
 
     def _read_slot(self, access: Access) -> Slot:
-        device = self._roster.device(access.id)
+        device = self._registry.device(access.id)
         take: Take = device.table.keep
         if device.is_told_by(access.address, access.length):
-            take = partial(self._roster.read_special, device)
+            take = partial(self._registry.read_special, device)
         return Slot(device, Due.READ, access.address, access.length, take)
 
     def _ack_slots(self, request: Request) -> list[Slot]:
-        device = self._roster.device(request.id)
+        device = self._registry.device(request.id)
         address = request.accesses[0].address if request.accesses else -1
         return [Slot(device, Due.ACK, address, 0, partial(self._on_ack, device))]
 
@@ -223,7 +232,7 @@ class Planner:
         if request.instruction == Instruction.SYNC_WRITE:
             return self._sync_write
         if request.id != BROADCAST:
-            device = self._roster.device(request.id)
+            device = self._registry.device(request.id)
             if request.accesses:
                 return partial(self._defer_write, action, device, request.accesses[0].address)
             return partial(self._defer_command, action, device, _arguments(request))
@@ -252,17 +261,17 @@ class Planner:
         targets, layout = self._targets.get(key) or self._find_targets(key, address, size, ids)
         parts = layout.unpack_from(params, 4)      # all at once: slices of each cost more
         for (device, keep, is_changed), data in zip(targets, parts, strict=True):
-            device.counts.writes += 1              # as Roster.write(), which costs a call more
+            device.counts.writes += 1              # DeviceRegistry.write() costs a call more
             keep(span, data, stamp, WRITTEN)
             if is_changed or device.is_unresolved:
-                self._roster.follow(device, address, data, stamp)
+                self._registry.follow(device, address, data, stamp)
 
     def _find_targets(self, key: bytes, address: int, size: int,
                       ids: bytes) -> tuple[list[Target], Struct]:
         """Return the devices of a Sync Write, and the layout of ID and data of each."""
         if len(self._targets) >= TARGETS_KEPT:
             self._targets.clear()
-        devices = [self._roster.device(number) for number in ids]
+        devices = [self._registry.device(number) for number in ids]
         found = self._targets[key] = [
             Target(one, one.table.keep, one.is_changed_by(address, size))
             for one in devices], Struct(f'x{size}s' * len(ids))
@@ -272,7 +281,7 @@ class Planner:
         """Write what makes sense; is_known: that not all of it does is noted already."""
         entries = bulk_write_entries(params)
         for number, address, data in entries:
-            self._roster.write(self._roster.device(number), address, data, stamp)
+            self._registry.write(self._registry.device(number), address, data, stamp)
         if not is_known and not is_whole_bulk_write(params, entries):
             self._note_malformed(Instruction.BULK_WRITE, params, stamp)
 
@@ -280,7 +289,7 @@ class Planner:
         self._evidence.note(stamp, ev.MALFORMED, BROADCAST, ev.Front(code, len(params)))
 
     def _write_all(self, action: Action, address: int, params: bytes, stamp: int) -> None:
-        devices = list(self._roster.devices.values())
+        devices = list(self._registry.devices.values())
         heard = [device for device in devices if device.heard]
         for device in devices:
             action(device, address, params[_ADDRESS_SIZE:], stamp, heard == [device])
@@ -288,7 +297,7 @@ class Planner:
     def _command_all(self, action: Action, request: Request, params: bytes, stamp: int) -> None:
         if request.option == RESET_ALL:
             return             # X and MX ignore it: all would get the same ID
-        for device in list(self._roster.devices.values()):
+        for device in list(self._registry.devices.values()):
             action(device, *_arguments(request), stamp)
 
 

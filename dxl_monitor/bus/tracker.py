@@ -12,7 +12,6 @@ Nothing on the wire raises, and nothing here grows with what is on the wire.
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import pairing
 from dxl_monitor.bus.device import Device
-from dxl_monitor.bus.duty import Duty
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.plan import Due
 from dxl_monitor.bus.plan import Effect
@@ -21,8 +20,9 @@ from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.planner import NO_PLAN
 from dxl_monitor.bus.planner import Planner
 from dxl_monitor.bus.planner import Said
+from dxl_monitor.bus.registry import DeviceRegistry
+from dxl_monitor.bus.reply_policy import ReplyPolicy
 from dxl_monitor.bus.report import Wait
-from dxl_monitor.bus.roster import Roster
 from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
 from msg_defs.dxl_instruction import ALERT
@@ -33,13 +33,13 @@ from msg_defs.dxl_instruction import split_combined
 from msg_defs.dxl_packet import body_crc
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import fast_wire
+from msg_defs.event import IN
+from msg_defs.event import UNKNOWN
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
 from msg_defs.frame import GLITCH
 from msg_defs.frame import INSTRUCTION_2
 from msg_defs.frame import IS_STATUS
-from msg_defs.heard import IN
-from msg_defs.heard import UNKNOWN
 
 _NO_SLOTS: dict[int, Slot] = {}
 _AROUND = 11                       # bytes of a status without its data
@@ -52,18 +52,18 @@ class Tracker:
 
     __slots__ = (
         '_asked', '_deferred', '_duty', '_evidence', '_given_up', '_known', '_last', '_noise',
-        '_note', '_plan', '_roster', '_slots', '_spoke', '_state', '_unresolved', 'byte_ns',
+        '_note', '_plan', '_registry', '_slots', '_spoke', '_state', '_unresolved', 'byte_ns',
         'planner')
 
-    def __init__(self, roster: Roster, evidence: Evidence, byte_ns: float,
+    def __init__(self, registry: DeviceRegistry, evidence: Evidence, byte_ns: float,
                  missed_limit: int, write_acks: str) -> None:
-        self._roster = roster
-        self.planner = Planner(roster, evidence, self._acknowledged)
+        self._registry = registry
+        self.planner = Planner(registry, evidence, self._acknowledged)
         self._known = self.planner.known
         self._evidence = evidence
         self._note = evidence.note
         self.byte_ns = byte_ns
-        self._duty = Duty(write_acks, missed_limit, roster, evidence)
+        self._duty = ReplyPolicy(write_acks, missed_limit, registry, evidence)
         self._state = pairing.DOUBTFUL
         self._noise = 0                        # bytes of it ahead of the last flawed frame
         # The pending instruction:
@@ -210,7 +210,7 @@ class Tracker:
     def _answer(self, slot: Slot, error: int, data: bytes, stamp: int) -> None:
         device = slot.device
         device.counts.answers += 1
-        self._roster.heard(device, error, stamp)
+        self._registry.heard(device, error, stamp)
         code = error & ~ALERT
         if self.is_doubtful:
             if code:                           # if it answers this write, nothing was written
@@ -269,18 +269,18 @@ class Tracker:
 
     def _unasked(self, number: int, error: int, data: bytes, stamp: int) -> None:
         """Take a status that was not due: a sign of life, no more."""
-        if number > self._roster.highest:
+        if number > self._registry.highest:
             self._note(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
             return
-        device = self._roster.device(number)
-        self._roster.heard(device, error, stamp)
+        device = self._registry.device(number)
+        self._registry.heard(device, error, stamp)
         plan = self._plan
         request = plan.request
         if request.answers is Answers.EVERYBODY and len(data) == (
                 _PING_SIZE if self._last[0] == INSTRUCTION_2 else 0):
             device.counts.answers += 1
             if not data:
-                self._roster.speaks(device)
+                self._registry.speaks(device)
             elif not self.is_doubtful:
                 device.pinged(NO_SPAN, data, stamp, READ)
         elif self.is_doubtful:       # it may well have been asked, by what was damaged
@@ -309,7 +309,7 @@ class Tracker:
                 self._happened(damage)
             self._happened(self._damaged(frame, flaw, stamp, damage))
             return True
-        device = self._roster.devices.get(frame[3]) if frame[2] == IS_STATUS else None
+        device = self._registry.devices.get(frame[3]) if frame[2] == IS_STATUS else None
         if noise > GLITCH:
             self._happened(pairing.NOISE_IN if side == IN else pairing.NOISE)
         elif noise:

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dxl_monitor.bus.conversation import DEFAULTS
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import DEFAULTS
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Finding
@@ -23,7 +23,7 @@ from dxl_monitor.doctor import feetech
 from dxl_monitor.doctor import health
 from dxl_monitor.doctor import presence
 from dxl_monitor.doctor import setting_up
-from dxl_monitor.doctor import timing
+from dxl_monitor.doctor import timing_rules
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import History
 from dxl_monitor.doctor.case import Names
@@ -34,7 +34,7 @@ from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.states import judged
 from dxl_monitor.model.control_table import UNKNOWN
-from mecarover_serial.fault import survive
+from mecarover_serial.internal_fault import survive
 from msg_defs.reports import Level
 from msg_defs.reports import worst
 
@@ -44,7 +44,7 @@ HOLD_NS = 3 * S                    # a claim lasts so much longer than its evide
 
 # In the order in which they are reported where levels are equal: the causes of others first.
 RULES: tuple[Rule, ...] = (
-    *setting_up.RULES, *damage.RULES, *presence.RULES, *health.RULES, *timing.RULES,
+    *setting_up.RULES, *damage.RULES, *presence.RULES, *health.RULES, *timing_rules.RULES,
     *configuration.RULES, *feetech.RULES)
 _RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
 # The rules that work on a bus on which nothing happens any more.

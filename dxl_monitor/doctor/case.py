@@ -28,10 +28,10 @@ from dxl_monitor.doctor.bits import look
 from dxl_monitor.doctor.bits import shapes
 from dxl_monitor.doctor.bits import Wreck
 from dxl_monitor.doctor.bits import wrecks
-from dxl_monitor.doctor.combs import Comb
-from dxl_monitor.doctor.combs import two_combs
 from dxl_monitor.doctor.rhythm import Rhythm
 from dxl_monitor.doctor.rhythm import rhythms
+from dxl_monitor.doctor.two_timers import PeriodicTimer
+from dxl_monitor.doctor.two_timers import two_combs
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -68,7 +68,7 @@ class TwoClocks(NamedTuple):
 
     stamp: int
     cycle: Cycle
-    combs: tuple[Comb, Comb]
+    combs: tuple[PeriodicTimer, PeriodicTimer]
 
 
 class Mark(NamedTuple):

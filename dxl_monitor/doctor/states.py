@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dxl_monitor.bus import report as words
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.device import WINDOW_S
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport

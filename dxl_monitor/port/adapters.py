@@ -11,16 +11,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from msg_defs.heard import BAUD
-from msg_defs.heard import BREAK
-from msg_defs.heard import Change
-from msg_defs.heard import DTR
-from msg_defs.heard import FRAMING
-from msg_defs.heard import LATENCY_TIMER
-from msg_defs.heard import OVERRUN
-from msg_defs.heard import PARITY
-from msg_defs.heard import PURGED
-from msg_defs.heard import RTS
+from msg_defs.event import BAUD
+from msg_defs.event import BREAK
+from msg_defs.event import Change
+from msg_defs.event import DTR
+from msg_defs.event import FRAMING
+from msg_defs.event import LATENCY_TIMER
+from msg_defs.event import OVERRUN
+from msg_defs.event import PARITY
+from msg_defs.event import PURGED
+from msg_defs.event import RTS
 
 _VENDOR_OUT, _VENDOR_INTERFACE_OUT, _CLASS_OUT = 0x40, 0x41, 0x21
 _COMMUNICATION_DATA = 0x0A         # class of an interface

@@ -31,8 +31,8 @@ from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
 from mecarover_serial.readable import readable
-from msg_defs.heard import Change
-from msg_defs.heard import UNKNOWN
+from msg_defs.event import Change
+from msg_defs.event import UNKNOWN
 from msg_defs.uart import byte_ns
 from msg_defs.uart import idle_s
 

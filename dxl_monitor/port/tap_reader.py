@@ -23,14 +23,14 @@ from typing import NamedTuple
 from dxl_monitor.port import tap_sender as sent
 from mecarover_serial.plain import printable
 from mecarover_serial.readable import readable
-from msg_defs.heard import BAUD
-from msg_defs.heard import Change
-from msg_defs.heard import CLOSED
-from msg_defs.heard import IN
-from msg_defs.heard import LOST
-from msg_defs.heard import NOT_SENT
-from msg_defs.heard import OUT
-from msg_defs.heard import PURGED
+from msg_defs.event import BAUD
+from msg_defs.event import Change
+from msg_defs.event import CLOSED
+from msg_defs.event import IN
+from msg_defs.event import LOST
+from msg_defs.event import NOT_SENT
+from msg_defs.event import OUT
+from msg_defs.event import PURGED
 
 HOLD_S = 0.06                              # three times what a sender lets gather
 SIZE_LIMIT = 1 << 24                       # bytes of a record: more is none of ours

@@ -23,8 +23,8 @@ from dxl_monitor.port.driver import SYS
 from dxl_monitor.port.usb_port import Place
 from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
-from msg_defs.heard import IN
-from msg_defs.heard import OUT
+from msg_defs.event import IN
+from msg_defs.event import OUT
 
 _SOCKET = re.compile(r'\d+-\d+(\.\d+)*')               # bus and the numbers of sockets: 1-1.2
 _NUMBER = re.compile(r'(\d+)\.(\d+)')                  # bus and device: 1.7

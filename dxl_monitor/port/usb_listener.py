@@ -32,11 +32,11 @@ from dxl_monitor.port.usbmon import Records
 from dxl_monitor.port.usbmon import UsbEvent
 from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
-from msg_defs.heard import BAUD
-from msg_defs.heard import Change
-from msg_defs.heard import GONE
-from msg_defs.heard import LATENCY_TIMER
-from msg_defs.heard import LOST
+from msg_defs.event import BAUD
+from msg_defs.event import Change
+from msg_defs.event import GONE
+from msg_defs.event import LATENCY_TIMER
+from msg_defs.event import LOST
 
 _MONITOR = '/dev/usbmon{}'
 _AT_ONCE_NS = 100_000               # two clocks were read without a pause between

@@ -25,14 +25,14 @@ from dxl_monitor.port.usbmon import SUBMITTED
 from dxl_monitor.port.usbmon import UNPLUGGED
 from dxl_monitor.port.usbmon import UsbEvent
 from dxl_monitor.port.usbmon import what_key
-from msg_defs.heard import Change
-from msg_defs.heard import CLOSED
-from msg_defs.heard import GONE
-from msg_defs.heard import IN
-from msg_defs.heard import LOST
-from msg_defs.heard import NOT_SENT
-from msg_defs.heard import OUT
-from msg_defs.heard import UNKNOWN
+from msg_defs.event import Change
+from msg_defs.event import CLOSED
+from msg_defs.event import GONE
+from msg_defs.event import IN
+from msg_defs.event import LOST
+from msg_defs.event import NOT_SENT
+from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
 
 PENDING_LIMIT = 256                # transfers under way; a driver has 16 at most
 

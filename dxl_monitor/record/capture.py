@@ -30,11 +30,11 @@ from urllib.parse import unquote
 
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.plain import printable
-from msg_defs.heard import Change
-from msg_defs.heard import CHANGES
-from msg_defs.heard import IN
-from msg_defs.heard import OUT
-from msg_defs.heard import UNKNOWN
+from msg_defs.event import Change
+from msg_defs.event import CHANGES
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
 
 MAGIC = b'# dxl_capture '            # a number follows: 1 is 2 without sides and changes
 VERSIONS = (b'1', b'2')
@@ -68,7 +68,7 @@ class Chunk(NamedTuple):
     """
     Bytes that were read at once; stamp: when, monotonic ns.
 
-    side: who put them on the wire (msg_defs/heard.py). Where there is a change there are no bytes.
+    side: who put them on the wire (msg_defs/event.py). Where there is a change there are no bytes.
     """
 
     stamp: int

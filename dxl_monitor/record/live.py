@@ -16,11 +16,11 @@ from dxl_monitor.port.source_name import has_sides
 from dxl_monitor.port.source_name import rate_of
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.recorder import moment
+from dxl_monitor.record.capture_recorder import moment
 from dxl_monitor.record.source import Source
-from msg_defs.heard import BAUD
-from msg_defs.heard import Change
-from msg_defs.heard import UNKNOWN
+from msg_defs.event import BAUD
+from msg_defs.event import Change
+from msg_defs.event import UNKNOWN
 
 TICK_S = 0.1
 QUEUED_LIMIT = 100_000             # chunks that wait because our output is not taken

@@ -21,7 +21,7 @@ from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.source import File
 from dxl_monitor.record.usb_events import UsbEvents
 from mecarover_serial.cli import UsageError
-from msg_defs.heard import BAUD
+from msg_defs.event import BAUD
 
 
 class UsbFile(File):

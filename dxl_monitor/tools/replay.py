@@ -35,8 +35,8 @@ from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import printable
 from mecarover_serial.pty import Pty
 from mecarover_serial.readable import is_writable
-from msg_defs.heard import IN
-from msg_defs.heard import OUT
+from msg_defs.event import IN
+from msg_defs.event import OUT
 
 SLOWEST = 1e-6                     # times the original speed
 SETTLE_S = 0.5                     # a reader has opened the port, and sets it up

@@ -14,11 +14,11 @@ from unittest.mock import patch
 
 from dxl_monitor import timers
 from dxl_monitor.model.models import Models
+from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.port.listener import Listener
 from dxl_monitor.port.listener import ListenerState
 from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import STAMP_END
-from dxl_monitor.settings import PARAMETERS
 from fuzz.dashboard import cdr
 from fuzz.whole.traffic import BOOT
 from fuzz.whole.traffic import S
@@ -28,13 +28,13 @@ from mecarover_dashboard.history import HistoryReader
 from mecarover_dashboard.history import HistoryWriter
 from mecarover_dashboard.history import Question
 from mecarover_dashboard.history_recorder import HistorySampler
-from mecarover_dashboard.lines import Board
 from mecarover_dashboard.metrics import exposition
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
+from mecarover_dashboard.status_lines import Board
 
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'      # messages look for it when they are imported
-dxl_node = import_module('dxl_monitor.node')
+dxl_node = import_module('dxl_monitor.monitor_node')
 MODELS = Models()
 OPEN = []                          # listeners
 WALL = 1_790_000_000 * S
@@ -155,7 +155,8 @@ def through_node(case, folder):
             changed.enter_context(patch.object(dxl_node, name, value))
         changed.enter_context(patch.object(timers, 'time', stopped))
         changed.enter_context(patch.object(timers.Timers, 'start', lambda _: None))
-        changed.enter_context(patch('dxl_monitor.record.recorder.Recorder.start', lambda _: None))
+        changed.enter_context(patch(
+            'dxl_monitor.record.capture_recorder.Recorder.start', lambda _: None))
         node = dxl_node.MonitorNode()
         fed = [0] * len(case.names)
         written = []

@@ -16,12 +16,10 @@ import sys
 from types import SimpleNamespace
 from unittest.mock import patch
 
-from dxl_monitor.fake.usb_adapter import FakeAdapter
-from dxl_monitor.fake.usb_adapter import FAMILIES
 from dxl_monitor.record import live
+from dxl_monitor.tools import dxl_doctor as doctor
+from dxl_monitor.tools import dxl_dump as dump
 from dxl_monitor.tools import replay
-from dxl_monitor.tools.doctor import main as doctor
-from dxl_monitor.tools.dump import main as dump
 from dxl_monitor.tools.dump import session
 from fuzz.whole.node import Ear
 from fuzz.whole.node import MODELS
@@ -32,7 +30,9 @@ from fuzz.whole.traffic import BOOT
 from fuzz.whole.traffic import damaged
 from fuzz.whole.traffic import FAR
 from fuzz.whole.traffic import PROTOCOLS
-from msg_defs.heard import OUT
+from mecarover_fakes.usb_adapter import FakeAdapter
+from mecarover_fakes.usb_adapter import FAMILIES
+from msg_defs.event import OUT
 
 RUNS: Counter[str] = Counter()
 DUMP = (['--json'], ['--summary'], ['--changes'], ['--stats'], ['--errors'], ['--full'],

@@ -11,11 +11,11 @@ from fuzz.script import TRICKY
 from msg_defs import dxl1_packet
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
-from msg_defs.heard import Change
-from msg_defs.heard import CHANGES
-from msg_defs.heard import IN
-from msg_defs.heard import OUT
-from msg_defs.heard import UNKNOWN
+from msg_defs.event import Change
+from msg_defs.event import CHANGES
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
 from rigs.bus.broken import SCENES as BROKEN
 from rigs.bus.field import PLAYED
 from rigs.bus.healthy import SCENES as HEALTHY

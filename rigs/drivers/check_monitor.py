@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from dxl_monitor.fake.fake_bus import make_devices
-from dxl_monitor.fake.line import Line
-from dxl_monitor.fake.master import Master
-from dxl_monitor.fake.shell import FakeBus
-from dxl_monitor.fake.traffic import PATTERNS
 from dxl_monitor.model.models import Models
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_port import FakeBus
+from mecarover_fakes.line import Line
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
 from rigs.drivers.adapters import Acm
 from rigs.drivers.adapters import Adapter
 from rigs.drivers.adapters import Ftdi

@@ -12,9 +12,9 @@ import threading
 import time
 import tty
 
+from mecarover_fakes.fake_mcu import FakeMcu
+from mecarover_fakes.receiver import SetPoint
 from msg_defs.vel2d import FRAME_SIZE
-from vel2d_bridge.fake_mcu import FakeMcu
-from vel2d_bridge.receiver import SetPoint
 
 READ_SIZE = 65_536
 IDLE_S = 0.004          # a UART is silent for so long behind a frame only

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dxl_monitor.bus.conversation import DEFAULTS
+from dxl_monitor.bus.decoder import DEFAULTS
 from dxl_monitor.doctor.case import OPTIONS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor_settings import settings_of
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
-from dxl_monitor.settings import settings_of
 from dxl_monitor.tools.doctor.error_window import ErrorWindow
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.verdict import BusSummary

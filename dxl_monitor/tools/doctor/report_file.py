@@ -26,7 +26,7 @@ from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import lines
 from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
-from dxl_monitor.tools.doctor import report
+from dxl_monitor.tools.doctor import issue_report
 from dxl_monitor.tools.doctor.verdict import DeviceGroup
 from dxl_monitor.tools.doctor.verdict import Trouble
 from dxl_monitor.tools.doctor.verdict import Verdict
@@ -63,15 +63,15 @@ def load(path: str) -> SavedReport | None:
     """Return the report in a file, None where it is something else; OSError as of open."""
     with open(path, 'rb') as file:
         data = _unpacked(file.read(SIZE_LIMIT))
-    begin = data.find(report.MAGIC.encode(), 0, _HEAD_SIZE)
+    begin = data.find(issue_report.MAGIC.encode(), 0, _HEAD_SIZE)
     if begin < 0:
         return None
     parts = _parts(data[begin:].decode('utf-8', 'replace'))
-    problems = [] if report.END in parts else ['the report is cut off: its end is missing']
-    stored = _stored(parts.get(report.VERDICT, []))
+    problems = [] if issue_report.END in parts else ['the report is cut off: its end is missing']
+    stored = _stored(parts.get(issue_report.VERDICT, []))
     if stored is None:
         problems.append('its verdict cannot be read; this one is from the capture')
-    capture, lost = _capture(parts.get(report.CAPTURE, []))
+    capture, lost = _capture(parts.get(issue_report.CAPTURE, []))
     if lost:
         problems.append(f'{lost} blocks of the capture are damaged and were left out')
     reader = Reader(lines(io.BytesIO(capture)))
@@ -109,7 +109,7 @@ def _parts(text: str) -> dict[str, list[str]]:
     parts: dict[str, list[str]] = {}
     part: list[str] = []
     for line in map(str.strip, text.splitlines()):
-        if line in (report.VERDICT, report.CAPTURE, report.END):
+        if line in (issue_report.VERDICT, issue_report.CAPTURE, issue_report.END):
             part = parts.setdefault(line, [])
         else:
             part.append(line)

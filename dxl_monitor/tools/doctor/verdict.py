@@ -3,7 +3,7 @@
 """
 What dxl_doctor says of a run: what was heard, what is wrong, what is unknown. Pure.
 
-From the last report of each bus and the log of its findings; screen.py and as_json() show it.
+From the last report of each bus and the log of its findings; answer_screen.py and as_json() show it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
-from dxl_monitor.doctor import timing
+from dxl_monitor.doctor import timing_rules
 from dxl_monitor.doctor.states import LISTED_AS
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.finding_log import Logged
@@ -24,7 +24,7 @@ from msg_defs.reports import Level
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
 _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
-_NEEDS_TIMES = frozenset(rule.name for rule in timing.RULES)
+_NEEDS_TIMES = frozenset(rule.name for rule in timing_rules.RULES)
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
 
 

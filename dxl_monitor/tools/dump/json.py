@@ -8,11 +8,11 @@ from typing import Any
 
 from dxl_monitor.bus.evidence import text_of
 from dxl_monitor.model.control_table import UNKNOWN
+from dxl_monitor.tools.dump.decode import Part
+from dxl_monitor.tools.dump.decode import PingAnswer
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.listing import NO_REQUEST
-from dxl_monitor.tools.dump.meaning import Part
-from dxl_monitor.tools.dump.meaning import PingAnswer
-from dxl_monitor.tools.dump.words import error_words
+from dxl_monitor.tools.dump.text_format import error_words
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import Packet
 

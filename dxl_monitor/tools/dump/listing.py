@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Listing: a conversation that also hands on each frame, with what the tracker made of it.
+Listing: a decoder that also hands on each frame, with what the tracker made of it.
 
 For tools that show packets. An entry is handed on while the bus is locked and its devices are as
 they were at this frame: what takes it reads what it needs at once and does not call back.
@@ -12,9 +12,9 @@ from typing import Any
 from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus.conversation import Conversation
-from dxl_monitor.bus.conversation import DEFAULTS
-from dxl_monitor.bus.conversation import Settings
+from dxl_monitor.bus.decoder import BusDecoder
+from dxl_monitor.bus.decoder import DEFAULTS
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.planner import NO_PLAN
@@ -29,11 +29,11 @@ from msg_defs.dxl_packet import fast_wire
 from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import packet_of
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import UNKNOWN
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
 from msg_defs.frame import GLITCH
 from msg_defs.frame import IS_STATUS
-from msg_defs.heard import UNKNOWN
 from msg_defs.uart import BITS_PER_BYTE
 
 PACKET = 'packet'
@@ -70,9 +70,9 @@ class Entry(NamedTuple):
     side: str = UNKNOWN                    # who put it on the wire, where that is known
 
 
-class Listing(Conversation):
+class Listing(BusDecoder):
     """
-    A conversation that hands its entries to `on_entry`.
+    A decoder that hands its entries to `on_entry`.
 
     is_timed: False for bytes without a time of their own; they are taken as sent without a pause.
     """
@@ -88,9 +88,9 @@ class Listing(Conversation):
 
     def device(self, number: int) -> Device | None:
         """Return a device with the model that it said it is. Only while an entry is taken."""
-        device = self.roster.devices.get(number)
+        device = self.registry.devices.get(number)
         if device is not None:
-            self.roster.resolve(device)
+            self.registry.resolve(device)
         return device
 
     def take(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:

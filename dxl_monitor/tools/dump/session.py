@@ -24,21 +24,21 @@ from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor.case import OPTIONS
 from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor_settings import check_models
+from dxl_monitor.monitor_settings import load_models
+from dxl_monitor.monitor_settings import settings_of
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import open_new
 from dxl_monitor.record.capture import Writer
 from dxl_monitor.record.opening import open_source
-from dxl_monitor.settings import check_models
-from dxl_monitor.settings import load_models
-from dxl_monitor.settings import settings_of
+from dxl_monitor.tools.dump.changes_screen import Changes
+from dxl_monitor.tools.dump.changes_screen import Screen
+from dxl_monitor.tools.dump.decode import Interpreter
 from dxl_monitor.tools.dump.filter import Filter
 from dxl_monitor.tools.dump.json import json_line
-from dxl_monitor.tools.dump.lines import Lines
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.listing import Listing
-from dxl_monitor.tools.dump.meaning import Interpreter
-from dxl_monitor.tools.dump.screen import Changes
-from dxl_monitor.tools.dump.screen import Screen
+from dxl_monitor.tools.dump.packet_lines import Lines
 from dxl_monitor.tools.dump.stats import stats
 from dxl_monitor.tools.dump.stats import summary
 from mecarover_serial.cli import UsageError
@@ -126,7 +126,7 @@ class Session:
             listing = Listing(self._models, lambda entry: show(entry), settings,
                               self._source.is_timed)
             show = partial(self._show, shown, Interpreter(listing))
-        monitor = Monitor(shown, self._models, settings, conversation=listing,
+        monitor = Monitor(shown, self._models, settings, decoder=listing,
                           names=OPTIONS)
         self._monitors[bus] = monitor
         return monitor

@@ -1,0 +1,224 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+BusDecoder: what is said on one bus, from chunks of bytes to devices.
+
+It joins the framer, the tracker and the registry. No lock and no clock: Monitor has both.
+"""
+
+from operator import attrgetter
+from typing import NamedTuple
+
+from dxl_monitor.bus.dialect import DialectChoice
+from dxl_monitor.bus.dxl1_classifier import AnyFramer
+from dxl_monitor.bus.dxl1_classifier import Dxl1Classifier
+from dxl_monitor.bus.dxl1_classifier import Part
+from dxl_monitor.bus.dxl1_classifier import SLOW_NS
+from dxl_monitor.bus.evidence import Evidence
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.registry import DeviceRegistry
+from dxl_monitor.bus.report import PROTOCOL_2
+from dxl_monitor.bus.tracker import Tracker
+from dxl_monitor.model.models import Models
+from msg_defs import dxl1_packet
+from msg_defs.dxl1_detector import Detector
+from msg_defs.dxl_mixed import MixedFramer
+from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import REASONS
+from msg_defs.event import BAUD
+from msg_defs.event import Change
+from msg_defs.event import CLOSED
+from msg_defs.event import GONE
+from msg_defs.event import IN
+from msg_defs.event import LATENCY_TIMER
+from msg_defs.event import LOST
+from msg_defs.event import NOT_SENT
+from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
+from msg_defs.frame import Frame
+from msg_defs.uart import byte_ns
+from msg_defs.uart import idle_s
+
+PROTOCOLS = ('auto', '2', '1', 'feetech')
+ANSWER_NS = 1_000_000_000          # a broadcast Ping may take 0.8 s; nothing pending takes longer
+
+
+class Settings(NamedTuple):
+    """
+    The parameters of a bus (docs/parameters.md).
+
+    latency_timer_ms: of the adapter. protocol: what the bus speaks: 'auto', '2', '1', 'feetech'.
+    """
+
+    baud: int = 2_000_000
+    devices: tuple[Expected, ...] = ()
+    missed_limit: int = 4
+    warn_loss: float = 1.0
+    silent_after: float = 5.0
+    write_acks: str = 'auto'
+    latency_timer_ms: float = 0.0
+    protocol: str = 'auto'
+
+
+DEFAULTS = Settings()
+
+
+class BusDecoder:
+    """What is said on one bus. Stamps and now are monotonic ns."""
+
+    def __init__(self, models: Models, settings: Settings = DEFAULTS) -> None:
+        self.settings = settings
+        self.byte_ns = byte_ns(settings.baud)
+        self._heard_in = 0                     # stamp of the last bytes to the master, if known
+        self.evidence = Evidence()
+        self.registry = DeviceRegistry(models, settings.devices, settings.baud, self.evidence)
+        self.choice = DialectChoice(models, settings.protocol)
+        self.choice.expect(device.dialect for device in self.registry.devices.values())
+        self.registry.dialect = self.choice.dialect
+        self.detector = Detector() if settings.protocol == 'auto' else None
+        self.dialogue = None if settings.protocol == '2' else Dxl1Classifier(
+            self.registry, self.evidence, self.choice, self.detector, self.byte_ns)
+        self.framers = {UNKNOWN: self._new_framer(UNKNOWN)}     # by the side that they hear
+        self.tracker = Tracker(self.registry, self.evidence, self.byte_ns, settings.missed_limit,
+                               settings.write_acks)
+        self.expect_delay(settings.latency_timer_ms)
+
+    def expect_delay(self, latency_timer_ms: float) -> None:
+        """Say how long the adapter may keep bytes back: so long a pause is not silence."""
+        self.settings = self.settings._replace(latency_timer_ms=latency_timer_ms)
+        self.idle_ns = int(1e9 * idle_s(self.settings.baud, latency_timer_ms))
+        if self.dialogue is not None:
+            self.dialogue.slow_ns = SLOW_NS + int(1e6 * latency_timer_ms)
+
+    def _new_framer(self, side: str) -> AnyFramer:
+        if self.detector is not None:
+            return MixedFramer(self.detector, bool(side), side)
+        return Framer() if self.dialogue is None else dxl1_packet.Dxl1Framer()
+
+    @property
+    def framer(self) -> AnyFramer:
+        """The dialogue for bytes from an unknown side."""
+        return self.framers[UNKNOWN]
+
+    @framer.setter
+    def framer(self, framer: AnyFramer) -> None:
+        self.framers[UNKNOWN] = framer
+
+    def hear(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
+        """
+        Take a chunk. Each side has a framer of its own, so an order of chunks is one of frames.
+
+        stamp: when its last byte had come in; of the side OUT, when it was written.
+        """
+        framer = self.framers.get(side)
+        if framer is None:
+            framer = self.framers[side] = self._new_framer(side)
+        if side:
+            if side == OUT:
+                self._turn(stamp)
+                stamp += int(len(chunk) * self.byte_ns)
+            else:
+                self._heard_in = stamp
+        framer.stamp = stamp
+        frames = framer.frames(chunk)
+        if framer.has_other:
+            self._read(framer, frames, stamp, side)
+        else:
+            self.take(frames, stamp, framer.bytes, side)
+
+    def _turn(self, stamp: int) -> None:
+        """Decide an answer that stopped on its way, before what the master says next is taken."""
+        framer = self.framers.get(IN)
+        if framer is not None and stamp - self._heard_in > self.idle_ns and framer.pending:
+            self._flush(IN, framer, self._heard_in)
+
+    def _flush(self, side: str, framer: AnyFramer, stamp: int) -> None:
+        framer.stamp = stamp
+        self._read(framer, framer.flush_frames(), stamp, side)
+
+    def _read(self, framer: AnyFramer, frames: list[Frame], stamp: int, side: str) -> None:
+        """Hand on what a framer found, once it is known what it means."""
+        if self.dialogue is None:
+            self.take(frames, stamp, framer.bytes, side)
+            return
+        self._take_parts(self.dialogue.read(framer, frames, stamp, side))
+
+    def _take_parts(self, parts: list[Part | None]) -> None:
+        for part in parts:
+            if part is None:
+                self.registry.speak(self.choice.dialect)
+            else:
+                self.take(*part)
+
+    def take(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
+        """Take what a framer found in the chunk of this stamp, which ends at offset received."""
+        self.tracker.track(frames, stamp, received, side)
+
+    def pause(self, last: int, now: int) -> None:
+        """
+        Take note that nothing came from `last` to `now`.
+
+        For a while that may be the delivery: then the next chunk decides what is pending. After
+        longer than any answer takes it is the line.
+        """
+        if now - last > ANSWER_NS:
+            for side, framer in self.framers.items():
+                if framer.pending:
+                    self._flush(side, framer, last)
+            self._settle()
+            self.tracker.settle(now)
+        elif now - last > self.idle_ns:
+            self._settle()
+            for framer in self.framers.values():
+                framer.interrupt()
+
+    def _settle(self) -> None:
+        """Take what waited for the next frame: the line is idle."""
+        if self.dialogue is not None:
+            self._take_parts(self.dialogue.settle())
+
+    def change(self, change: Change, stamp: int) -> None:
+        """Take what a source reported besides bytes."""
+        what, value = change
+        if what == BAUD and value != self.settings.baud:
+            self._set_baud(value, stamp)
+        elif what == LATENCY_TIMER:
+            self.expect_delay(value)
+        elif what == NOT_SENT:
+            self.tracker.not_sent(stamp)
+        elif what in (CLOSED, GONE, LOST):
+            for side, framer in self.framers.items():
+                self._flush(side, framer, stamp)
+            self._settle()
+            self.tracker.lose_track(stamp, value if what == LOST else 0)
+
+    def _set_baud(self, baud: int, stamp: int) -> None:
+        """Begin on a new wire: what was on the other one is over, and no damage here."""
+        for side, framer in self.framers.items():
+            self._flush(side, framer, stamp)
+        self._settle()
+        self.tracker.lose_track(stamp, 0)
+        self.settings = self.settings._replace(baud=baud)
+        self.byte_ns = self.tracker.byte_ns = byte_ns(baud)
+        if self.dialogue is not None:
+            self.dialogue.byte_ns = self.byte_ns
+        self.registry.baud = baud
+        self.expect_delay(self.settings.latency_timer_ms)
+
+    def protocol(self) -> str:
+        """Return what was heard here, in words: 'Dynamixel 2.0, Feetech'; '' for nothing yet."""
+        other = self.dialogue.packets if self.dialogue is not None else 0
+        words = [PROTOCOL_2] if self.total('packets') > other else []
+        return ', '.join(words + [self.choice.dialect.name] * bool(other))
+
+    def total(self, counter: str) -> int:
+        """Return a counter of the framers, over all sides."""
+        count: int = sum(getattr(framer, counter) for framer in self.framers.values())
+        if self.dialogue is not None and counter in REASONS:
+            count += self.dialogue.damaged[REASONS[counter]]
+        return count
+
+    @property
+    def noise(self) -> bytes:
+        """The last bytes that were no packet: of the side that heard most of them."""
+        return max(self.framers.values(), key=attrgetter('noise_bytes')).noise

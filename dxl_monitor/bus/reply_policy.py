@@ -1,0 +1,78 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+ReplyPolicy: which device really had to answer, so that only a loss counts as one, and the losses.
+
+Status Return Level decides (e-Manual): 0 answers Pings, 1 reads too, 2 acknowledges writes as
+well. It is known where the register was seen; else a device that acknowledged once is taken to do
+so always, until it stops while it goes on answering reads.
+"""
+
+from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.evidence import Evidence
+from dxl_monitor.bus.plan import Due
+from dxl_monitor.bus.plan import Plan
+from dxl_monitor.bus.plan import Slot
+from dxl_monitor.bus.registry import DeviceRegistry
+
+ACKS_LEARNED = 3                   # writes without an answer, from a device that answers reads
+
+
+class ReplyPolicy:
+    """write_acks: 'auto', 'always' or 'never'; missed_limit: both as the parameters."""
+
+    __slots__ = ('_evidence', '_missed_limit', '_registry', '_write_acks')
+
+    def __init__(self, write_acks: str, missed_limit: int, registry: DeviceRegistry,
+                 evidence: Evidence) -> None:
+        self._write_acks = write_acks
+        self._missed_limit = missed_limit
+        self._registry = registry
+        self._evidence = evidence
+
+    def is_due(self, slot: Slot) -> bool:
+        """Return whether this status, which did not come, had to come."""
+        device = slot.device
+        if device.is_unresolved:
+            self._registry.resolve(device)       # its model says where its level is
+        if slot.due is Due.READ:
+            return device.return_level != 0
+        if slot.due is Due.ALWAYS or self._write_acks == 'always':
+            return True
+        if self._write_acks == 'never' or device.acks is False:
+            return False
+        device.acks_missing += 1
+        if device.acks is None:
+            return False
+        if device.acks_missing >= ACKS_LEARNED and device.missed_in_a_row < ACKS_LEARNED - 1:
+            device.acks = False                # it answers reads, so it is there
+            self._evidence.note(device.asked_stamp, ev.ACKS_STOPPED, device.number,
+                                ev.Much(device.acks_missing))
+        return bool(device.acks)
+
+    def judge(self, plan: Plan, due: list[Slot], now: int, stamp: int, spoke: set[int],
+              is_spoilt: bool) -> None:
+        """
+        Count the missed, and those not served because the master gave up before them.
+
+        due: the slots without an answer. now: when, on the wire; stamp: of the chunk. spoke: IDs
+        with a damaged answer; is_spoilt: there was damage.
+        """
+        served, behind = plan.served(due, spoke)
+        for slot in due[:served]:
+            self._miss(plan, slot, now, stamp, is_spoilt or slot.device.number in spoke)
+        for slot in due[served:]:
+            slot.device.not_served(now, behind)
+
+    def _miss(self, plan: Plan, slot: Slot, now: int, stamp: int, is_doubtful: bool) -> None:
+        """Count an answer that had to come and did not; is_doubtful: damage was in its place."""
+        device = slot.device
+        plan.missed += 1
+        device.miss(now, stamp, is_doubtful)
+        device.counts.data_missed += slot.due is Due.READ
+        if device.missed_in_a_row == 1:
+            self._evidence.note(now, ev.MISSED, device.number,
+                                ev.Unanswered(plan.request.instruction, slot.span[0]))
+        elif device.missed_in_a_row == self._missed_limit + 1:
+            self._evidence.note(now, ev.DISCONNECTED, device.number,
+                                ev.Much(device.missed_in_a_row))

@@ -1,0 +1,142 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The recorder of a running monitor: chunks of any bus to a capture that rotates by size.
+
+Writing is done by a thread of its own, so that a slow disk never holds up a port; what waits is
+bounded, and what had to be left out is said in the file. An error ends the capture, no more.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+import os
+import sys
+import threading
+import time
+
+from dxl_monitor.record.capture import check_new
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import open_new
+from dxl_monitor.record.capture import seconds
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.capture import Writer
+from mecarover_serial.parameters import ParameterError
+from msg_defs.event import Change
+from msg_defs.event import UNKNOWN
+
+FLUSH_S = 0.2
+STOP_S = 3.0                        # the end waits no longer for what takes nothing
+WAITING_LIMIT = 16_000_000          # bytes: more than a minute of a busy bus
+
+
+def moment() -> Moment:
+    """Return the time on both clocks."""
+    return Moment(time.time_ns(), time.monotonic_ns())
+
+
+class Recorder:
+    """
+    Records to `path`; a file of `size` bytes becomes `path`.1, that one `path`.2, up to `kept`.
+
+    A capture that is there already is moved on likewise. Raises ParameterError when the file
+    cannot be made. `problem` says why it stopped, '' while it records.
+    """
+
+    def __init__(self, path: str, size: int, kept: int,
+                 now: Callable[[], Moment] = moment) -> None:
+        self.path = path
+        self.problem = ''
+        self.left_out = 0           # bytes, since the disk was too slow
+        self._size = size
+        self._kept = kept
+        self._now = now
+        self._lock = threading.Lock()
+        self._waiting: list[tuple[Wire, Chunk]] = []
+        self._waiting_bytes = 0
+        self._gap: int | None = None            # stamp of the first chunk left out
+        self._is_stopping = threading.Event()
+        self._make_room()
+        self._file = open_new(path, waits=False)
+        if not os.path.isfile(path):
+            self._size = sys.maxsize            # a pipe has no older files
+        self._writer = Writer(self._file, now())
+        self._thread = threading.Thread(target=self._run, name='recorder', daemon=True)
+
+    @property
+    def words(self) -> str:
+        """What it does, or why it does not, for a person."""
+        return self.problem or f'recording to {self.path}'
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def take(self, wire: Wire, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
+        """Record a chunk; from any thread, and without waiting."""
+        self._keep(wire, Chunk(stamp, wire.name, data, side))
+
+    def change(self, wire: Wire, change: Change, stamp: int) -> None:
+        """Record what the source reported besides bytes; as take."""
+        self._keep(wire, Chunk(stamp, wire.name, change=change))
+
+    def _keep(self, wire: Wire, chunk: Chunk) -> None:
+        if self.problem:
+            return
+        with self._lock:
+            if self._waiting_bytes > WAITING_LIMIT:
+                self.left_out += len(chunk.data)
+                self._gap = self._gap or chunk.stamp
+            else:
+                self._waiting_bytes += len(chunk.data)
+                self._waiting.append((wire, chunk))
+
+    def stop(self) -> None:
+        """Write what is left and close the file; give up what is not taken, as a full pipe."""
+        self._is_stopping.set()
+        size = -1
+        while self._thread.is_alive() and size != self._writer.size:     # it still gets on
+            size = self._writer.size
+            self._thread.join(STOP_S)
+        if self._thread.is_alive():
+            self.problem = (f'capture stopped: {self.path}: no data could be written; what was '
+                            'not written yet is lost')
+
+    def _run(self) -> None:
+        try:
+            while not self._is_stopping.wait(FLUSH_S):
+                self._write()
+            self._write()
+        except (OSError, ParameterError) as error:
+            reason = error.strerror if isinstance(error, OSError) else None
+            self.problem = (f'capture stopped: {self.path}: {reason or error}; make room and '
+                            'restart the node')
+        with suppress(OSError):     # what could not be written before
+            self._file.close()
+
+    def _write(self) -> None:
+        with self._lock:
+            waiting, self._waiting = self._waiting, []
+            gap, self._gap = self._gap, None
+            self._waiting_bytes = 0
+        for wire, chunk in waiting:
+            self._writer.write(wire, chunk)
+            if self._writer.size >= self._size:
+                self._file.close()
+                self._make_room()
+                self._file = open_new(self.path, waits=False)
+                self._writer = Writer(self._file, self._now())
+        if gap is not None:
+            self._writer.remark(f'gap: the disk was too slow from {seconds(gap)} on, '
+                                f'{self.left_out} bytes left out so far')
+        self._file.flush()
+
+    def _make_room(self) -> None:
+        """Rename the file and the older ones; what is not a file (a pipe, /dev/null) stays."""
+        if not os.path.isfile(self.path) or not os.path.getsize(self.path):
+            return
+        check_new(self.path)
+        for number in range(self._kept, 0, -1):
+            newer = self.path if number == 1 else f'{self.path}.{number - 1}'
+            with suppress(FileNotFoundError):
+                os.replace(newer, f'{self.path}.{number}')

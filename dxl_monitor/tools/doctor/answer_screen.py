@@ -1,0 +1,113 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The one screen of dxl_doctor: lines of text for a width and a height. Pure.
+
+Three findings are shown in full, the others in a line each. Where it is too much, the devices that
+are well are counted rather than listed, then what is unknown is cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import textwrap
+
+from dxl_monitor.tools.doctor.verdict import Trouble
+from dxl_monitor.tools.doctor.verdict import Verdict
+from dxl_monitor.tools.dump.changes_screen import COLOURS
+from dxl_monitor.tools.dump.packet_lines import BOLD
+from dxl_monitor.tools.dump.packet_lines import fit
+from dxl_monitor.tools.dump.packet_lines import GREEN
+from dxl_monitor.tools.dump.packet_lines import paint
+from msg_defs.reports import Level
+
+WIDTH, HEIGHT = 80, 23             # the shell takes one of the 24 lines
+IN_FULL = 3                        # findings
+_HEARD_LINES = 5
+_UNKNOWN_LINES = 3
+_INDENT = '    '
+
+
+def screen(said: Verdict, colours: bool = False, width: int = WIDTH,
+           height: int = HEIGHT) -> list[str]:
+    """Return the lines, none longer than width columns."""
+    head = [_paint(_head(said, width), BOLD, colours)]
+    if said.quiet:
+        return [*head, '', 'Nothing was heard:', *_bullets(said.quiet, width)]
+    wrong = _wrong(said.wrong, colours, width)
+    unknown = _unknown(said.unknown, width)
+    room = height - len(head) - len(wrong) - 3
+    unknown = unknown[:max(0, room - 1)] if room > 3 else []
+    heard = _heard(said, width, max(1, min(_HEARD_LINES, room - len(unknown))))
+    return [*head, '', *heard, '', *wrong, *unknown]
+
+
+def _head(said: Verdict, width: int) -> str:
+    facts = ''.join(f'  {fact}' for fact in said.head)
+    return fit(fit(f'dxl_doctor  {said.source}', max(20, width - len(facts))) + facts, width)
+
+
+def _heard(said: Verdict, width: int, most: int) -> list[str]:
+    heard = f'Heard, {said.protocol}:' if said.protocol else 'Heard:'
+    if not said.heard:
+        return [f'{heard} no device']
+    lines = [fit(f'  {one.who}  {one.what}', width)
+             for one in sorted(said.heard, key=lambda one: one.level in (Level.OK, Level.STALE))]
+    if len(lines) > most:
+        cut = max(0, most - 1)
+        lines = [*lines[:cut], f'  and {len(lines) - cut} more lines: --json lists all']
+    return [fit(heard, width), *lines]
+
+
+def _wrong(entries: Sequence[Trouble], colours: bool, width: int) -> list[str]:
+    if not entries:
+        return [_paint('Wrong: nothing that listening can find', GREEN, colours)]
+    lines = ['Wrong:']
+    for number, entry in enumerate(entries[:IN_FULL], 1):
+        lines += _in_full(number, entry, colours, width)
+    rest = entries[IN_FULL:]
+    shown = rest if len(rest) <= IN_FULL else rest[:IN_FULL - 1]
+    lines += [fit(f'  {_title(number, entry)}: {entry.message}', width)
+              for number, entry in enumerate(shown, IN_FULL + 1)]
+    if len(shown) < len(rest):
+        lines.append(f'  and {len(rest) - len(shown)} more: --json lists all')
+    return lines
+
+
+def _in_full(number: int, entry: Trouble, colours: bool, width: int) -> list[str]:
+    title = fit(f'  {_title(number, entry)}', width)
+    lines = [_paint(title, COLOURS.get(entry.level), colours)]
+    lines += _wrapped(entry.message, width, 2)
+    return lines + (_wrapped(f'Evidence: {entry.evidence}', width, 1) if entry.evidence else [])
+
+
+def _title(number: int, entry: Trouble) -> str:
+    level = {Level.OK: 'advice', Level.WARN: 'warning'}.get(entry.level, entry.level.name.lower())
+    cause = f': {entry.rule.replace("_", " ")}' if entry.rule else ''
+    return f'{number} {level}, {entry.who}{cause}'
+
+
+def _unknown(unknown: Sequence[str], width: int) -> list[str]:
+    if not unknown:
+        return []
+    lines = _bullets(unknown, width)
+    if len(lines) > _UNKNOWN_LINES:
+        lines = [*lines[:_UNKNOWN_LINES - 1], '  and more: --json lists all']
+    return ['', 'Cannot tell:', *lines]
+
+
+def _bullets(texts: Sequence[str], width: int) -> list[str]:
+    return [line for text in texts
+            for line in textwrap.wrap(text, width, initial_indent='- ', subsequent_indent='  ')]
+
+
+def _wrapped(text: str, width: int, most: int) -> list[str]:
+    """Break a text into at most so many lines."""
+    lines = textwrap.wrap(text, width - len(_INDENT))
+    if len(lines) > most:
+        lines = [*lines[:most - 1], fit(' '.join(lines[most - 1:]), width - len(_INDENT))]
+    return [_INDENT + line for line in lines]
+
+
+def _paint(text: str, colour: str | None, colours: bool) -> str:
+    return paint(text, colour) if colours and colour is not None else text

@@ -1,0 +1,149 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a packet says: which registers of which devices, with their names and values.
+
+The one place that knows; text_format.py makes text of it, json.py JSON. Names and values
+come from the models, indirect data from where they point; without a model there are raw bytes.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from dxl_monitor.bus.table import Table
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Model
+from dxl_monitor.model.control_table import UNKNOWN
+from dxl_monitor.model.control_table import Value
+from dxl_monitor.tools.dump.listing import Entry
+from dxl_monitor.tools.dump.listing import Listing
+from msg_defs.dxl_instruction import Access
+from msg_defs.dxl_packet import Packet
+
+LAYOUTS_KEPT = 1024
+LONGEST = 1024                     # bytes of data: more do not fit into a packet
+_PING_DATA = 3
+_NOTHING = Table()
+
+
+class Part(NamedTuple):
+    """
+    What a packet says of one device.
+
+    data is None where data are only asked for; `fields` are then those that are asked for, and
+    `values` is empty. error: of this device, in a combined status.
+    """
+
+    id: int
+    model: Model
+    address: int
+    length: int
+    data: bytes | None
+    fields: tuple[Field, ...]
+    values: tuple[Value, ...]
+    error: int = 0
+
+
+class PingAnswer(NamedTuple):
+    """The answer to a Ping."""
+
+    model_number: int
+    model_name: str                # '' if there is no such model
+    firmware: int
+
+
+Layout = tuple[tuple[Field, tuple[int, ...]], ...]     # a field, and where its bytes are
+
+
+class Interpreter:
+    """Reads the entries of one bus; call it only while an entry is taken."""
+
+    def __init__(self, listing: Listing) -> None:
+        self._listing = listing
+        self._layouts: dict[tuple[Model, int, int, tuple[int, ...]], Layout] = {}
+
+    def parts(self, entry: Entry) -> list[Part]:
+        """Return what an instruction or a status is about, in the order on the wire."""
+        packet = entry.packet
+        if packet is None:
+            return []
+        if packet.error is None:
+            return [self._part(access, access.data) for access in entry.request.accesses]
+        if entry.blocks:
+            accesses = {access.id: access for access in entry.request.accesses}
+            return [self._part(accesses[block.id], block.data, block.error)
+                    for block in entry.blocks]
+        return list(self._answer(packet, entry.request.accesses))
+
+    def identity(self, entry: Entry) -> PingAnswer | None:
+        """Return what the answer to a Ping says, None for anything else."""
+        packet = entry.packet
+        if packet is None or packet.error is None or entry.request.accesses \
+                or entry.notes or len(packet.params) != _PING_DATA:
+            return None
+        model = UNKNOWN if entry.device is None else entry.device.model
+        return PingAnswer(packet.params[0] | packet.params[1] << 8,
+                        '' if model is UNKNOWN else model.name, packet.params[2])
+
+    def _answer(self, packet: Packet, accesses: tuple[Access, ...]) -> Iterator[Part]:
+        for access in accesses:
+            if access.id == packet.id and access.data is None \
+                    and access.length == len(packet.params):
+                yield self._part(access, packet.params)
+
+    def _part(self, access: Access, data: bytes | None, error: int = 0) -> Part:
+        device = self._listing.device(access.id)
+        model, table = (UNKNOWN, _NOTHING) if device is None else (device.model, device.table)
+        layout = self._layout(model, access, table)
+        fields = tuple(field if field.cases is None else table.in_force(field, model)
+                       for field, _ in layout)
+        values = () if data is None else tuple(
+            field.decode(bytes([data[index] for index in indices]))
+            for field, (_, indices) in zip(fields, layout, strict=True))
+        return Part(access.id, model, access.address, access.length, data, fields, values, error)
+
+    def _layout(self, model: Model, access: Access, table: Table) -> Layout:
+        """Return the fields that lie wholly in a range, and which of its bytes are theirs."""
+        _, address, length, _ = access
+        if model is UNKNOWN or length > LONGEST:
+            return ()
+        targets: tuple[int, ...] = ()
+        if any(one.data < address + length and address < one.data + one.size
+               for one in model.indirect):
+            targets = _targets(model, access, table)
+        key = model, address, length, targets
+        layout = self._layouts.get(key)
+        if layout is None:
+            if len(self._layouts) >= LAYOUTS_KEPT:
+                self._layouts.clear()
+            layout = self._layouts[key] = _lay_out(
+                model, targets or tuple(range(address, address + length)))
+        return layout
+
+
+def _targets(model: Model, access: Access, table: Table) -> tuple[int, ...]:
+    """
+    Return where each byte of a range belongs, indirect data where they point.
+
+    A write that sets the addresses and the data after them at once goes by its own addresses.
+    """
+    _, first, length, written = access
+    targets = []
+    for at in range(first, first + length):
+        target = None
+        for one in model.indirect:
+            if one.data <= at < one.data + one.size:
+                where = one.address + 2 * (at - one.data)
+                target = table.bytes(where, 2)
+                if written is not None and first <= where <= first + length - 2:
+                    target = written[where - first:where - first + 2]
+        targets.append(at if target is None else target[0] | target[1] << 8)
+    return tuple(targets)
+
+
+def _lay_out(model: Model, targets: tuple[int, ...]) -> Layout:
+    index_of = {target: index for index, target in enumerate(targets)}
+    found = [(field, tuple(index_of[at] for at in range(field.at, field.end)))
+             for field in model.fields
+             if all(at in index_of for at in range(field.at, field.end))]
+    return tuple(sorted(found, key=lambda one: one[1][0]))

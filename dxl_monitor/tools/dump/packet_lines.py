@@ -1,0 +1,168 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The lines of dxl_dump: columns that fit the terminal, and colours.
+
+Pure. Time, time since the line before, bus, side where it is known, direction, ID, model,
+instruction, meaning. On 80
+columns the bus is left out where there is only one. A long meaning loses its `Present`, then it
+is cut.
+"""
+
+from collections.abc import Sequence
+import time
+
+from dxl_monitor.bus.device import Device
+from dxl_monitor.model.control_table import UNKNOWN
+from dxl_monitor.tools.dump.decode import Part
+from dxl_monitor.tools.dump.decode import PingAnswer
+from dxl_monitor.tools.dump.listing import DAMAGED
+from dxl_monitor.tools.dump.listing import Entry
+from dxl_monitor.tools.dump.listing import MISSED
+from dxl_monitor.tools.dump.listing import NOISE
+from dxl_monitor.tools.dump.text_format import answer_words
+from dxl_monitor.tools.dump.text_format import damaged_words
+from dxl_monitor.tools.dump.text_format import missed_words
+from dxl_monitor.tools.dump.text_format import noise_words
+from dxl_monitor.tools.dump.text_format import request_words
+from msg_defs.dxl_instruction import ALERT
+from msg_defs.dxl_instruction import name_of
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import Packet
+from msg_defs.frame import OPEN
+
+WIDE = 110                         # columns, from which on there is room for bus and joint
+RED, GREEN, YELLOW, CYAN, DIM, BOLD = '31', '32', '33', '36', '2', '1'
+TIMES = ('start', 'clock', 'epoch')
+_CUT = '..'
+
+
+def paint(text: str, colour: str) -> str:
+    return f'\033[{colour}m{text}\033[m'
+
+
+def fit(text: str, width: int) -> str:
+    """Cut a text that is too long for `width` columns."""
+    return text if len(text) <= width else text[:max(0, width - len(_CUT))] + _CUT
+
+
+class Lines:
+    """
+    Makes lines from entries, in order. width None: as long as they are.
+
+    show_time: 'start' (seconds since the first line), 'clock' (local time) or 'epoch'.
+    """
+
+    def __init__(self, width: int | None, colours: bool, show_bus: bool, show_time: str) -> None:
+        self.width = width
+        self._colours = colours
+        self.show_bus = show_bus
+        self.has_sides = False             # the source knows who put what on the wire
+        self._show_time = show_time
+        self._first: int | None = None
+        self._last = 0
+        self._model_width = 10             # grows with the names that come
+
+    def line(self, bus: str, stamp: int, entry: Entry, parts: Sequence[Part],
+             identity: PingAnswer | None) -> str:
+        """Return the line of an entry; stamp in ns, as the time is to be shown."""
+        mark, colour, number, name, words = _SHOWN.get(entry.kind, _packet)(
+            entry, parts, identity)
+        is_wide = self.width is None or self.width >= WIDE
+        model = _model(entry.device, is_wide)
+        self._model_width = max(self._model_width, len(model))
+        front = [self._time(stamp), f'{self._delta(stamp):>7}']
+        if self.show_bus or is_wide:
+            front.append(fit(bus, 10).ljust(8))
+        if self.has_sides or entry.side:
+            self.has_sides = True          # a column of its own, from the first side on
+            front.append(entry.side.ljust(3))
+        size = sum(map(len, front)) + len(front)
+        middle = f'{mark} {number:3} {model:{self._model_width}} {name:{14 if is_wide else 10}} '
+        if self.width is not None:
+            room = self.width - size - len(middle)
+            words = fit(words if len(words) <= room else words.replace('Present ', ''), room)
+        if not self._colours:
+            return ' '.join((*front, middle + words)).rstrip()
+        return ' '.join((paint(' '.join(front), DIM), _coloured(middle, words, colour)))
+
+    def _time(self, stamp: int) -> str:
+        if self._first is None:
+            self._first = self._last = stamp
+        seconds, fraction = divmod(stamp // 1000, 1_000_000)
+        if self._show_time == 'epoch':
+            return f'{seconds}.{fraction:06}'
+        if self._show_time == 'clock':
+            return f'{time.strftime("%H:%M:%S", time.localtime(seconds))}.{fraction:06}'
+        return f'{(stamp - self._first) / 1e9:10.6f}'
+
+    def _delta(self, stamp: int) -> str:
+        delta_us, self._last = (stamp - self._last) / 1e3, stamp
+        return delta_text(delta_us)
+
+
+def delta_text(delta_us: float) -> str:
+    """Return a time in at most seven characters: +512us, +12.3ms, +4.56s, -1.20s."""
+    sign, delta_us = '-' if delta_us < 0 else '+', abs(delta_us)
+    for limit, unit, size in ((1e3, 'us', 1.0), (1e6, 'ms', 1e3), (1e11, 's', 1e6)):
+        if delta_us < limit * 0.9995:
+            number = delta_us / size
+            digits = 0 if unit == 'us' or number >= 99.95 else 2 if number < 9.995 else 1
+            return f'{sign}{number:.{digits}f}{unit}'
+    return 3 * sign
+
+
+Shown = tuple[str, str, str, str, str]         # mark, colour, ID, instruction, words
+
+
+def _packet(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
+    packet = entry.packet
+    if packet is None:
+        return '?', RED, '', '', ''
+    number = 'all' if packet.id == BROADCAST else f'{packet.id:03}'
+    name = name_of(packet.instruction) + ('*' if packet.repaired else '')
+    if packet.error is None:
+        colour = YELLOW if entry.request.malformed else CYAN
+        return '>', colour, number, name, request_words(entry, parts)
+    return ('<', _status_colour(entry, packet, parts), number, name,
+            answer_words(entry, parts, identity))
+
+
+def _status_colour(entry: Entry, packet: Packet, parts: Sequence[Part]) -> str:
+    if (packet.error or 0) & ~ALERT or any(part.error & ~ALERT for part in parts):
+        return RED
+    return YELLOW if packet.error or entry.notes else GREEN
+
+
+def _missed(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
+    number = '' if entry.device is None else f'{entry.device.number:03}'
+    return '!', RED, number, 'missed', missed_words(entry)
+
+
+def _damaged(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
+    number = f'{entry.data[0]:03}' if entry.data else ''
+    if entry.reason == OPEN:
+        return '?', YELLOW, number, 'undecided', damaged_words(entry)
+    return '!', RED, number, 'damaged', damaged_words(entry)
+
+
+def _noise(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
+    return '!', YELLOW, '', 'noise', noise_words(entry)
+
+
+_SHOWN = {MISSED: _missed, DAMAGED: _damaged, NOISE: _noise}
+
+
+def _model(device: Device | None, is_wide: bool) -> str:
+    """Return the column of the model; with its joint where there is room."""
+    name = '' if device is None or device.model is UNKNOWN else device.model.name
+    if not is_wide:
+        return fit(name, 10)
+    joint = '' if device is None else device.joint
+    return fit(f'{name} {joint}'.strip(), 24)
+
+
+def _coloured(middle: str, words: str, colour: str) -> str:
+    """Colour mark and ID always, the words only of what went wrong."""
+    middle = paint(middle[:5], f'{BOLD};{colour}') + middle[5:]
+    return middle + (paint(words, colour) if colour in (RED, YELLOW) else words)

@@ -1,0 +1,296 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""dxl_doctor: the one-minute answer. It listens to a bus, and says on one screen what is wrong."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import json
+import os
+import shlex
+import sys
+import time
+from typing import Any
+
+from dxl_monitor.bus.decoder import DEFAULTS
+from dxl_monitor.bus.decoder import PROTOCOLS
+from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor_settings import check_models
+from dxl_monitor.monitor_settings import load_models
+from dxl_monitor.port.source_name import DEFAULT_BAUD
+from dxl_monitor.record.capture import BAUD_LIMIT
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.opening import open_source
+from dxl_monitor.record.source import Source
+from dxl_monitor.tools.doctor import explain
+from dxl_monitor.tools.doctor import machine
+from dxl_monitor.tools.doctor import no_data
+from dxl_monitor.tools.doctor import report_file
+from dxl_monitor.tools.doctor.answer_screen import screen
+from dxl_monitor.tools.doctor.examination import ARRIVAL_NS
+from dxl_monitor.tools.doctor.examination import Examination
+from dxl_monitor.tools.doctor.examination import SILENCE_S
+from dxl_monitor.tools.doctor.examination import TRAFFIC_S
+from dxl_monitor.tools.doctor.issue_report import anonymous
+from dxl_monitor.tools.doctor.issue_report import check_report
+from dxl_monitor.tools.doctor.issue_report import Maker
+from dxl_monitor.tools.doctor.issue_report import new_names
+from dxl_monitor.tools.doctor.issue_report import NOTHING
+from dxl_monitor.tools.doctor.issue_report import report
+from dxl_monitor.tools.doctor.program import Program
+from dxl_monitor.tools.doctor.report_file import SavedReport
+from dxl_monitor.tools.doctor.verdict import as_json
+from dxl_monitor.tools.doctor.verdict import BusSummary
+from dxl_monitor.tools.doctor.verdict import Verdict
+from dxl_monitor.tools.doctor.verdict import verdict
+from dxl_monitor.tools.run import RUN
+from dxl_monitor.tools.tap import with_python
+from mecarover_serial.cli import DONE
+from mecarover_serial.cli import run_tool
+from mecarover_serial.cli import UsageError
+from mecarover_serial.plain import on_screen
+from mecarover_serial.plain import plain
+from mecarover_serial.plain import printable
+
+PROGRESS_S = 0.5
+EXAMPLES = """examples:
+  dxl_doctor run -- python my_script.py         hears a Python program that uses pyserial
+  dxl_doctor usb:/dev/ttyUSB0                   hears any program on that adapter (Linux)
+  dxl_doctor /dev/ttyUSB1 -b 1000000            a second adapter on the wire
+  dxl_doctor bus.txt                            a recording of dxl_dump -w bus.txt
+  dxl_doctor --report bus_report.txt run -- python my_script.py
+  dxl_doctor --explain "There is no status packet!"
+exit codes: 0 no problem, 1 could not run or nothing heard, 2 usage, 3 warning, 4 error"""
+
+
+def main() -> int:
+    """Run the command `dxl_doctor`."""
+    return run_tool('dxl_doctor', _run)
+
+
+def _run(arguments: list[str]) -> int:
+    options, command = _parse(arguments)
+    if options.explain is not None:
+        return _explain(options.explain)
+    _check(options, command)
+    models = load_models(options.model_dirs)
+    stored = report_file.load(options.source) if os.path.isfile(options.source) else None
+    if stored is not None:
+        return _retell(stored, models, options)
+    check_report(options.report)
+    check_models(parse_all(text.rpartition('/')[2] for text in options.devices), models)
+    examination = Examination(models, options.devices, options.protocol)
+    source = _open(options, command)
+    try:
+        seconds = _listen(source, examination, options.seconds)
+    finally:
+        source.close()
+    buses = examination.buses(source.is_timed)
+    why = [] if examination.bytes else _why_quiet(options.source, source, command)
+    name = shlex.join(command) if command else options.source
+    said = verdict(name, buses, seconds, source.is_timed, why)
+    _show(said, as_json(said, buses, seconds), options)
+    if options.report:
+        _write_report(source, examination, seconds, options, command)
+    for problem in source.problems():
+        print(f'dxl_doctor: {printable(problem)}', file=sys.stderr)
+    return said.code
+
+
+def _parse(arguments: Sequence[str]) -> tuple[argparse.Namespace, Sequence[str]]:
+    """Return the options, and the command after --."""
+    mark = arguments.index('--') if '--' in arguments else len(arguments)
+    parser = _parser()
+    options, left = parser.parse_known_args(arguments[:mark])
+    if left and options.source == RUN and mark == len(arguments):
+        at = arguments.index(RUN) + 1
+        command = with_python(arguments[at:])
+        raise UsageError(f'{RUN}: -- is missing in front of the program; write dxl_doctor '
+                         + shlex.join([*arguments[:at], '--', *command]))
+    if left:
+        parser.error(f'unrecognized arguments: {" ".join(left)}')
+    return options, arguments[mark + 1:]
+
+
+def _explain(pasted: str) -> int:
+    """Say what an error text means; return the exit code."""
+    found = explain.find(pasted)
+    if found:
+        print('\n'.join(explain.lines(found)))
+        return DONE
+    near = explain.nearest(pasted)
+    raise OSError(f'{pasted}: not a known error text; ' + (
+        f'did you mean "{near}"?' if near else 'paste the line as the program printed it'))
+
+
+def _check(options: argparse.Namespace, command: Sequence[str]) -> None:
+    if options.source is None:
+        raise UsageError('SOURCE: none given; name a port, a file, or write dxl_doctor run -- '
+                         'python my_script.py')
+    if (options.source == RUN) != bool(command):
+        raise UsageError(f'{options.source}: the program to run goes after --; write dxl_doctor '
+                         'run -- python my_script.py')
+    for name, least, most in (('baud', 1, BAUD_LIMIT), ('seconds', 0.1, 1e9)):
+        value = getattr(options, name)
+        if value is not None and not least <= value <= most:
+            raise UsageError(f'--{name} {value}: not possible; give {least} to {most:g}')
+    for text in options.devices:
+        if not text.isprintable():
+            raise UsageError(f'--devices {text!r}: control codes; give plain text')
+
+
+def _open(options: argparse.Namespace, command: Sequence[str]) -> Source | Program:
+    return Program(command) if command else open_source(
+        'dxl_doctor', options.source, options.baud, options.adapter)
+
+
+def _listen(source: Source | Program, examination: Examination, limit_s: float | None) -> float:
+    """Listen until there is enough; return for how long (s): of the file, or by the clock."""
+    began_s = time.monotonic()
+    is_over = True
+    with _Progress(source) as progress:
+        try:
+            for chunk in source.chunks():
+                if chunk is not None:
+                    examination.take(chunk, source.wire(chunk.bus))
+                elif source.is_live:
+                    examination.pass_time(time.monotonic_ns() - ARRIVAL_NS)
+                now_s = time.monotonic() - began_s
+                if _has_enough(source, examination, now_s, limit_s):
+                    is_over = False
+                    break
+                progress.show(examination, now_s)
+        except KeyboardInterrupt:
+            is_over = not source.is_live
+    is_over |= isinstance(source, Program)
+    examination.finish(examination.last if is_over else time.monotonic_ns(), is_over)
+    return time.monotonic() - began_s if source.is_live else examination.seconds
+
+
+def _has_enough(source: Source | Program, examination: Examination, now_s: float,
+                limit_s: float | None) -> bool:
+    """Tell whether to end; now_s: since the start."""
+    if not source.is_live:
+        return limit_s is not None and examination.seconds >= limit_s
+    if limit_s is not None:
+        return now_s >= limit_s
+    if isinstance(source, Program):
+        return False
+    if not examination.first:
+        return now_s >= SILENCE_S
+    now = time.monotonic_ns()
+    return now - examination.first >= TRAFFIC_S * 1e9 or now - examination.last >= SILENCE_S * 1e9
+
+
+class _Progress:
+    """What is heard meanwhile, in one line in place; only where it disturbs nothing."""
+
+    def __init__(self, source: Source | Program) -> None:
+        self._is_shown = sys.stderr.isatty() and not isinstance(source, Program)
+        self._next_s = 0.0
+
+    def show(self, examination: Examination, now_s: float) -> None:
+        if self._is_shown and now_s >= self._next_s:
+            self._next_s = now_s + PROGRESS_S
+            text = plain(f'{now_s:.0f} s: {examination.summary()}')
+            on_screen(sys.stderr, f'\r{text[:78]}\033[K')
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._is_shown:
+            on_screen(sys.stderr, '\r\033[K')
+
+
+def _why_quiet(name: str, source: Source | Program, command: Sequence[str]) -> list[str]:
+    if isinstance(source, Program):
+        return no_data.of_program(command, source.ports, source.code)
+    return no_data.reasons(name, source.is_live)
+
+
+def _show(said: Verdict, for_programs: dict[str, Any], options: argparse.Namespace) -> None:
+    if options.json:
+        print(json.dumps(for_programs))
+        return
+    colours = (sys.stdout.isatty() and not os.environ.get('NO_COLOR')
+               and os.environ.get('TERM') != 'dumb')
+    print('\n'.join(screen(said, colours)))
+
+
+def _write_report(source: Source | Program, examination: Examination, seconds: float,
+                  options: argparse.Namespace, command: Sequence[str]) -> None:
+    ports = source.ports if isinstance(source, Program) else \
+        [port for port in [machine.device(options.source)] if port]
+    buses = examination.buses(source.is_timed)
+    names = new_names(buses)
+    shown = anonymous(buses)
+    said = verdict(machine.plain_name(options.source, bool(command)), shown, seconds,
+                   source.is_timed, [] if examination.bytes else [NOTHING])
+    maker = Maker(machine.system(), machine.adapters(ports, options.with_host),
+                  machine.host(options.source, command) if options.with_host else (),
+                  options.devices, options.protocol)
+    text = report(said, shown, seconds, maker, examination.window.capture(names))
+    with open(options.report, 'w', encoding='utf-8') as file:
+        file.write(text)
+    print(f'dxl_doctor: the report is in {printable(options.report)}', file=sys.stderr)
+
+
+def _retell(stored: SavedReport, models: Models, options: argparse.Namespace) -> int:
+    """Show a report of somebody else, and what its capture says now."""
+    if options.report:
+        raise UsageError(f'--report: {options.source} is a report already; attach that')
+    protocol = stored.protocol if stored.protocol in PROTOCOLS else DEFAULTS.protocol
+    examination = Examination(models, stored.devices, protocol)
+    for chunk in stored.chunks:
+        examination.take(chunk, stored.wires.get(chunk.bus) or Wire(chunk.bus, DEFAULT_BAUD))
+    examination.finish(examination.last, is_over=True)
+    buses, seconds = examination.buses(is_timed=True), examination.seconds
+    now = verdict('the capture of a report', buses, seconds, is_timed=True,
+                  quiet=[] if examination.bytes else [NOTHING])
+    said = stored.said or now
+    _show(said, stored.as_json or as_json(now, buses, seconds), options)
+    for problem in (*stored.problems, *_difference(stored, buses)):
+        print(f'dxl_doctor: {problem}', file=sys.stderr)
+    return said.code
+
+
+def _difference(then: SavedReport, now: Sequence[BusSummary]) -> list[str]:
+    """Say what the capture of a report shows that the report does not."""
+    if then.logged is None:
+        return []
+    return [f"read by this version, its capture also shows {one.finding.rule.replace('_', ' ')} "
+            f'of {bus.who(one.finding.device)}' for bus in now for one in bus.logged
+            if (bus.report.name, one.finding.rule, str(one.finding.device)) not in then.logged]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='dxl_doctor', formatter_class=argparse.RawDescriptionHelpFormatter, epilog=EXAMPLES,
+        usage='dxl_doctor [options] SOURCE\n       dxl_doctor [options] run -- COMMAND',
+        description='Listens to a servo bus and says what is wrong with it. It never sends. '
+        'It ends after 10 s of traffic, 5 s of silence, or with COMMAND.')
+    add = parser.add_argument
+    add('source', metavar='SOURCE', nargs='?',
+        help='a port, usb:PORT, tap:NAME, a recording; or run, with a command after --')
+    add('-b', '--baud', type=int, help='baud rate of the bus, if the source does not know it')
+    add('--protocol', choices=PROTOCOLS, default=DEFAULTS.protocol,
+        help='protocol of the bus, if the traffic does not show it')
+    add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
+    add('--seconds', type=float, metavar='N', help='listen for N seconds')
+    add('--devices', action='append', metavar='ID:MODEL:JOINT', default=[],
+        help="devices on the bus, in the order along the cable, e.g. '1-6:XL430-W250'")
+    add('--model-dirs', action='append', metavar='DIR', default=[],
+        help='one more folder of model files')
+    add('--report', metavar='FILE', help='write a report to attach to an issue')
+    add('--with-host', action='store_true',
+        help='put host, user, serial number and command line into it')
+    add('--explain', metavar='TEXT', help='explain an error text and exit')
+    add('--json', action='store_true', help='print one JSON object, for programs')
+    return parser
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,169 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""dxl_dump: what happens on a Dynamixel bus, in the terminal; from a port, a capture or bytes."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import os
+from pathlib import Path
+import sys
+
+from dxl_monitor.bus.decoder import PROTOCOLS
+from dxl_monitor.model.models import check_models
+from dxl_monitor.model.models import model_files
+from dxl_monitor.record.capture import BAUD_LIMIT
+from dxl_monitor.tools.dump.packet_lines import TIMES
+from dxl_monitor.tools.dump.session import Session
+from dxl_monitor.tools.run import refuse_run
+from mecarover_serial.cli import COULD_NOT_RUN
+from mecarover_serial.cli import DONE
+from mecarover_serial.cli import run_tool
+from mecarover_serial.cli import UsageError
+from mecarover_serial.plain import printable
+from msg_defs.dxl_instruction import NAMES
+
+HIGHEST_ID = 255                   # damage may make any byte of an ID
+EXAMPLES = """examples:
+  dxl_dump /dev/ttyUSB0                         every packet at 2 MBd, registers by name
+  dxl_dump /dev/ttyUSB0 -b 1000000 --errors     only what went wrong
+  dxl_dump /dev/ttyUSB0 --changes               one line per device, in place
+  dxl_dump /dev/ttyUSB0 --stats                 load, rates, errors, latency
+  dxl_dump /dev/ttyUSB0 -w bus.txt              record; Ctrl-C ends it
+  dxl_dump bus.txt --id 7,11 --instruction write,status
+  dxl_dump bus.txt --json | jq .registers       for programs
+  ssh robot dxl_dump /dev/ttyUSB0 -w - | dxl_dump -
+  dxl_dump --check-models my_models             is a folder of model files all right?"""
+
+
+def main() -> int:
+    """Run the command `dxl_dump`."""
+    return run_tool('dxl_dump', _run)
+
+
+def _run(arguments: list[str]) -> int:
+    parser = _parser()
+    refuse_run(parser, 'source', arguments)
+    options = parser.parse_args(arguments)
+    if options.check_models is not None:
+        return _check_models(options.check_models)
+    if options.source is None:
+        raise UsageError('SOURCE: none given; name a port, a capture or a file, or - for stdin')
+    for name, least, most in (('baud', 1, BAUD_LIMIT), ('count', 1, sys.maxsize),
+                              ('seconds', 0, 1e9)):
+        value = getattr(options, name)
+        if value is not None and not least <= value <= most:
+            raise UsageError(f'--{name} {value}: not possible; give {least} or more'
+                             if value < least else f'--{name}: not possible; give less')
+    options.ids = _ids(options.id)
+    options.about = _ids(options.about)
+    options.instructions = _instructions(options.instruction)
+    options.colours = _has_colours(options.color)
+    with Session(options) as session:
+        session.run()
+    return DONE
+
+
+def _check_models(folder: str) -> int:
+    """Say every problem of a folder of model files."""
+    problems = check_models(folder)
+    for problem in problems:
+        print(f'dxl_dump: {printable(problem)}', file=sys.stderr)
+    if problems:
+        return COULD_NOT_RUN
+    print(f'{printable(folder)}: {len(model_files(Path(folder)))} model files, no problem')
+    return DONE
+
+
+def _ids(entries: Sequence[str] | None) -> frozenset[int] | None:
+    """Return the IDs of '7,11-13' given once or more; None for all."""
+    if entries is None:
+        return None
+    found: set[int] = set()
+    for text in ','.join(entries).split(','):
+        first, dash, last = text.strip().partition('-')
+        try:
+            ids = range(int(first), int(last if dash else first) + 1)
+        except ValueError:
+            ids = range(0)
+        if not ids or not 0 <= ids[0] <= ids[-1] <= HIGHEST_ID:
+            raise UsageError(f'{text!r}: not an ID; write e.g. 7 or 7,11-13, or 254 for broadcasts'
+                             )
+        found.update(ids)
+    return frozenset(found)
+
+
+def _instructions(entries: Sequence[str] | None) -> frozenset[int] | None:
+    """Return the codes of 'write,sync_read,0x83'; None for all."""
+    if entries is None:
+        return None
+    codes = {name.casefold().replace(' ', '_'): code for code, name in NAMES.items()}
+    found: set[int] = set()
+    for text in ','.join(entries).split(','):
+        name = text.strip().casefold().replace(' ', '_').replace('-', '_')
+        try:
+            code = codes[name] if name in codes else int(name, 0)
+        except ValueError:
+            code = -1
+        if not 0 <= code <= 0xFF:
+            raise UsageError(f"{text!r}: not an instruction; use one of {', '.join(codes)}, or a "
+                             'code like 0x83')
+        found.add(code)
+    return frozenset(found)
+
+
+def _has_colours(wish: str) -> bool:
+    if wish != 'auto':
+        return wish == 'always'
+    return (sys.stdout.isatty() and not os.environ.get('NO_COLOR')
+            and os.environ.get('TERM') != 'dumb')
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='dxl_dump', formatter_class=argparse.RawDescriptionHelpFormatter, epilog=EXAMPLES,
+        description='Shows the packets on a Dynamixel or Feetech bus. It never sends.')
+    add = parser.add_argument
+    add('source', metavar='SOURCE', nargs='?',
+        help='a port, a pyserial URL, usb:PORT (the traffic of another program that uses PORT), '
+             'tap:NAME (a program started with dxl_tap), a capture, a pcap file, a file of raw '
+             'bytes, or - for stdin')
+    add('-b', '--baud', type=int, help='baud rate of the bus (default: that of the source, else '
+        '2000000)')
+    add('--protocol', choices=PROTOCOLS, default='auto', help='protocol of the bus: auto, 2, 1 '
+        '(Dynamixel) or feetech (default: auto, learned from the traffic)')
+    add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
+    add('--devices', action='append', metavar='ID:MODEL:JOINT', default=[],
+        help="devices on the bus, e.g. '1-20:MX-106,30:XL-320:jaw' (default: learned from the "
+             'traffic)')
+    add('--model-dirs', action='append', metavar='DIR', default=[],
+        help='one more folder of model files')
+    show = parser.add_argument_group('what to show (default: a line for each packet)')
+    add = show.add_argument
+    add('--json', action='store_true', help='a JSON object for each packet')
+    add('--summary', action='store_true', help='the counters, as one JSON object at the end')
+    add('--changes', action='store_true', help='one line for each device, updated in place')
+    add('--stats', action='store_true', help='load, rates, errors, latency of each device')
+    add('-w', '--write', metavar='FILE', help='record to a capture file (- for stdout)')
+    only = parser.add_argument_group('which packets')
+    add = only.add_argument
+    add('--id', action='append', metavar='IDS', help='packets with these IDs, e.g. 7,11-13')
+    add('--about', action='append', metavar='IDS',
+        help='also packets that list these IDs: Sync Read, Bulk Write and so on')
+    add('--instruction', action='append', metavar='NAMES', help='e.g. write,status or 0x83')
+    add('--errors', action='store_true', help='only errors')
+    add('--count', type=int, metavar='N', help='end after N packets')
+    add('--seconds', type=float, metavar='S', help='end after this time')
+    look = parser.add_argument_group('format')
+    add = look.add_argument
+    add('-t', '--time', choices=TIMES, default='start',
+        help='time since the first line, local time, or since 1970')
+    add('--full', action='store_true', help='do not cut lines to the width of the terminal')
+    add('--color', choices=('auto', 'always', 'never'), default='auto',
+        help='default: on a terminal, unless NO_COLOR is set')
+    add('--check-models', metavar='DIR', help='check a folder of model files and exit')
+    return parser
+
+
+if __name__ == '__main__':
+    sys.exit(main())

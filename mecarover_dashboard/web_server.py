@@ -1,0 +1,321 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The web server: the files of static/ and one stream of changes (server-sent events).
+
+It only answers GET and HEAD, and only to the names of this machine: a page elsewhere that points
+a name of its own at us (DNS rebinding) learns nothing. What is served is read at the start, so
+that no path leads outside. Runs with aiohttp 3.9 and newer; all state belongs to its one thread.
+"""
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Awaitable
+from collections.abc import Callable
+from contextlib import suppress
+import hashlib
+from importlib import resources
+import ipaddress
+import json
+import logging
+import secrets
+import socket
+import threading
+import time
+from typing import Any
+
+from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
+
+from mecarover_dashboard.client import Client
+from mecarover_dashboard.client import json_text
+from mecarover_dashboard.connection_limit import ConnectionLimit
+from mecarover_dashboard.history_recorder import HistoryRecorder
+from mecarover_dashboard.history_requests import HistoryRequests
+from mecarover_dashboard.state import MOST_OF_MESSAGE
+from mecarover_dashboard.state import OVERVIEW
+from mecarover_dashboard.state import State
+from msg_defs.status_keys import FIGURES
+
+PUSH_S = 0.2                    # changes are collected for so long
+HASTE_S = 0.05                  # ... once a change of level may be among them
+BEAT_S = 1.0                    # at least one event in this time: the page can tell that we live
+SEND_S = 15.0                   # a client that takes nothing for so long is given up
+MOST_CLIENTS = 50
+KEEP_ALIVE_S = 75.0             # a connection without requests is closed: aiohttp waits an hour
+INBOX = 400                     # messages; what does not fit was overtaken anyway
+INBOX_BYTES = 64_000_000
+
+_TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript',
+          'svg': 'image/svg+xml'}
+_HEADERS = {
+    'Content-Security-Policy':
+        "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+        "object-src 'none'; require-trusted-types-for 'script'",
+    'X-Content-Type-Options': 'nosniff',
+    'X-Frame-Options': 'DENY',
+    'Referrer-Policy': 'no-referrer',
+    'Cross-Origin-Resource-Policy': 'same-origin',
+    'Cross-Origin-Opener-Policy': 'same-origin',
+    'Server': 'dxl_dashboard',
+}
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+def is_ours(host: str, names: frozenset[str], any_address: bool) -> bool:
+    """Tell whether a Host header names this machine; an address cannot be a borrowed name."""
+    name = host.rpartition(':')[0] if not host.endswith(']') and ':' in host else host
+    name = name.strip('[]').lower().rstrip('.')
+    try:
+        return ipaddress.ip_address(name).is_loopback or any_address
+    except ValueError:
+        return name in names
+
+
+class _Mistakes(logging.Filter):
+    """Keeps out of the log what clients do wrong: anybody could fill it."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        return not isinstance(error, HttpProcessingError | web.RequestPayloadError)
+
+
+class Server:
+    """Serves a State on a listening socket, in a thread of its own."""
+
+    def __init__(self, listener: socket.socket, facts: dict[str, Any], is_open: bool,
+                 recording: HistoryRecorder | None = None, name: str = '') -> None:
+        self._listener = listener
+        self._is_open = is_open
+        names = {'localhost', name.lower().rstrip('.')} - {''}
+        if is_open:
+            own = socket.gethostname().lower()
+            names |= {own, own.partition('.')[0], f'{own.partition(".")[0]}.local'}
+        self._names = frozenset(names)
+        self._boot = secrets.token_hex(4)       # versions count from the start of this process
+        self._facts = facts | {'boot': self._boot, 'open': is_open}
+        self._inbox: deque[tuple[str, bytes, float]] = deque()
+        self._inbox_bytes = 0
+        self._inbox_lock = threading.Lock()
+        self._state = State()
+        self._recording = recording
+        self._started_s = time.monotonic()
+        self._publishers: dict[str, int] = {}
+        self._texts: dict[int, str] = {}        # changes since a version, of the version now
+        self._scraped: tuple[str, float, bytes, str] | None = None  # what /metrics said last
+        self._watched: dict[int, str] = {}      # by client
+        self._thread = threading.Thread(target=self._run, name='dashboard', daemon=True)
+        self._ready = threading.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._ended: asyncio.Event
+        self._haste: asyncio.Event
+
+    # From any thread.
+
+    def start(self, namespace: str = '') -> None:
+        """Begin to serve the robots below a namespace, '' for all."""
+        self._state.namespace = namespace
+        self._thread.start()
+        self._ready.wait(10.0)
+
+    def stop(self) -> None:
+        """Stop serving; may be called again."""
+        if self._loop is not None and self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._end)
+            self._thread.join(2.0)
+        if self._recording is not None:
+            self._recording.close()
+            self._recording = None
+
+    def take(self, topic: str, message: bytes) -> None:
+        """Take a serialised DiagnosticArray; it is looked at with the next push."""
+        if len(message) > MOST_OF_MESSAGE:
+            message = b''                       # counted as malformed, and takes no one's room
+        with self._inbox_lock:
+            self._inbox.append((topic, message, time.monotonic()))
+            self._inbox_bytes += len(message)
+            while len(self._inbox) > INBOX or self._inbox_bytes > INBOX_BYTES:
+                self._inbox_bytes -= len(self._inbox.popleft()[1])
+        if topic == OVERVIEW and self._loop is not None:    # the nodes tell changes of level there
+            with suppress(RuntimeError):                    # it has just ended
+                self._loop.call_soon_threadsafe(self._haste.set)
+
+    def publishers(self, counts: dict[str, int]) -> None:
+        """Take how many publishers each topic has."""
+        self._publishers = counts
+
+    # In the thread.
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._ended, self._haste, self._pushed = (asyncio.Event() for _ in range(3))
+        self._loop = asyncio.get_running_loop()
+        logger = logging.getLogger('dxl_dashboard')
+        logger.addFilter(_Mistakes())
+        runner = web.AppRunner(self._app(), access_log=None, handle_signals=False,
+                               shutdown_timeout=0.5, logger=logger,
+                               keepalive_timeout=KEEP_ALIVE_S)
+        await runner.setup()
+        handlers = runner.server
+        assert handlers is not None
+        waiting: set[ConnectionLimit] = set()
+        listening = await self._loop.create_server(
+            lambda: ConnectionLimit(handlers, waiting), sock=self._listener)
+        self._ready.set()
+        try:
+            while not self._ended.is_set():
+                self._push()
+                await _wait(self._haste, PUSH_S)
+                if self._haste.is_set():
+                    self._haste.clear()
+                    await _wait(self._ended, HASTE_S)
+        finally:
+            listening.close()
+            self._pushed.set()
+            await asyncio.wait_for(runner.cleanup(), 1.5)
+
+    def _end(self) -> None:
+        self._ended.set()
+        self._haste.set()
+
+    def _app(self) -> web.Application:
+        files = _files()
+        page = hashlib.sha256(b''.join(files.values())).hexdigest()[:12]
+        self._facts['page'] = page              # a kiosk reloads itself after an update
+        app = web.Application(middlewares=[self._guard])
+        app.on_response_prepare.append(_add_headers)
+        app.router.add_get('/events', self._events)
+        history = HistoryRequests(None if self._recording is None else self._recording.path)
+        app.router.add_get('/metrics', self._metrics)
+        app.router.add_get('/history/values', history.values)
+        app.router.add_get('/history/events', history.events)
+        for name, data in files.items():
+            app.router.add_get(f'/{name}', _serve_file(name, data))
+            if name == 'index.html':
+                app.router.add_get('/', _serve_file(name, data))
+        return app
+
+    @web.middleware
+    async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        if request.method not in ('GET', 'HEAD'):
+            raise web.HTTPMethodNotAllowed(request.method, ['GET', 'HEAD'])
+        if not is_ours(request.headers.get('Host', ''), self._names, self._is_open):
+            return web.Response(status=421, text=(
+                'The dashboard does not know this name of its machine. Use '
+                f"http://{self._facts.get('address', 'localhost')}/, or start the dashboard with "
+                '--name and the name that you use.\n'))
+        return await handler(request)
+
+    def _push(self) -> None:
+        """Take in what has come, and let the clients' tasks send what changed."""
+        state, now_s = self._state, time.monotonic()
+        before = state.version
+        while waiting := self._taken():
+            state.take(*waiting)
+        state.expire(now_s)
+        if self._recording is not None:
+            self._recording.look(state, now_s, time.time())
+        if state.version != before:
+            self._texts.clear()
+            state.keep_tables(set(self._watched.values()))
+            self._pushed.set()
+            self._pushed = asyncio.Event()
+
+    def _taken(self) -> tuple[str, bytes, float] | None:
+        """Take the oldest message out of the inbox."""
+        with self._inbox_lock:
+            if not self._inbox:
+                return None
+            self._inbox_bytes -= len(self._inbox[0][1])
+            return self._inbox.popleft()
+
+    async def _events(self, request: web.Request) -> web.StreamResponse:
+        if len(self._watched) >= MOST_CLIENTS:
+            reason = f'{MOST_CLIENTS} pages are open already. Close one of them.'
+            return web.Response(status=503, text=f'{reason}\n', headers={'X-Reason': reason})
+        if request.method == 'HEAD':
+            return web.Response(content_type='text/event-stream')
+        client = Client(request)
+        self._watched[id(client)] = client.watch
+        try:
+            # When the page has gone, it comes back by itself.
+            with suppress(ConnectionError, asyncio.TimeoutError):
+                await self._stream(client)
+        finally:
+            del self._watched[id(client)]
+        return client.response
+
+    async def _metrics(self, request: web.Request) -> web.StreamResponse:
+        """Answer a scrape; many scrapers get the same text for a second."""
+        try:
+            from mecarover_dashboard.metrics import exposition
+        except ImportError:
+            return web.Response(status=501, text='prometheus_client is not installed; sudo apt '
+                                'install python3-prometheus-client\n')
+        accept, now_s = request.headers.get('Accept', ''), time.monotonic()
+        if self._scraped is None or self._scraped[0] != accept or now_s - self._scraped[1] > 1.0:
+            self._scraped = accept, now_s, *exposition(self._state, accept)
+        response = web.Response(body=self._scraped[2])
+        response.headers['Content-Type'] = self._scraped[3]
+        response.enable_compression()
+        return response
+
+    async def _stream(self, client: Client) -> None:
+        await client.begin()
+        since = client.since(self._boot)
+        while not self._ended.is_set():
+            pushed = self._pushed
+            text = self._text(since) + client.own_text(self._state)
+            since = self._state.version
+            await asyncio.wait_for(client.send(f'{self._boot}.{since}', text), SEND_S)
+            await _wait(pushed, BEAT_S)
+
+    def _text(self, since: int) -> str:
+        """Return the beginning of an event: what all clients at this version need to know."""
+        text = self._texts.get(since)
+        if text is None:
+            changes = self._state.changes(since)
+            if not since:
+                changes['facts'] = self._facts
+            if len(self._texts) >= MOST_CLIENTS:        # a client may claim any version
+                self._texts.clear()
+            self._texts[since] = text = json_text(changes)[1:-1]
+        now_s = time.monotonic()
+        beat = {'now': round(now_s, 2), 'wall': round(time.time(), 2),
+                'up': round(now_s - self._started_s, 1), 'topics': self._state.topics(now_s),
+                'publishers': self._publishers, 'malformed': self._state.malformed,
+                'refused': self._state.refused,
+                'history': self._recording.problem if self._recording else None}
+        return f'{json_text(beat)[:-1]}{"," if text else ""}{text}'
+
+
+async def _wait(event: asyncio.Event, timeout_s: float) -> None:
+    with suppress(asyncio.TimeoutError):
+        await asyncio.wait_for(event.wait(), timeout_s)
+
+
+async def _add_headers(request: web.Request, response: web.StreamResponse) -> None:
+    response.headers.update(_HEADERS)
+
+
+def _files() -> dict[str, bytes]:
+    folder = resources.files('mecarover_dashboard') / 'static'
+    figures = json.dumps([one._asdict() for one in FIGURES])
+    return {'figures.js': f'export const FIGURES = {figures};\n'.encode(),
+            **{file.name: file.read_bytes()
+               for file in sorted(folder.iterdir(), key=lambda file: file.name)
+               if file.name.rpartition('.')[2] in _TYPES}}
+
+
+def _serve_file(name: str, data: bytes) -> Handler:
+    content_type = _TYPES[name.rpartition('.')[2]]
+
+    async def serve(request: web.Request) -> web.StreamResponse:
+        response = web.Response(body=data, content_type=content_type, charset='utf-8')
+        response.headers['Cache-Control'] = 'no-cache'
+        response.enable_compression()
+        return response
+    return serve

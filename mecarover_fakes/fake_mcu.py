@@ -1,0 +1,263 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Fake MCU: the receiver of receiver.py on a pty, to try the bridge without a rover.
+
+A pty has no character times: what was written at once arrives in one read, and is put on the
+simulated line with a gap before it. Two frames in one read mean that this process was late, not
+that the gap was missing; they are counted (`merged`) and spread over the time since the last read.
+"""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextlib import suppress
+import json
+import os
+import sys
+import threading
+import time
+
+from mecarover_fakes.receiver import Arrival
+from mecarover_fakes.receiver import BadCable
+from mecarover_fakes.receiver import Receiver
+from mecarover_fakes.receiver import SetPoint
+from mecarover_serial.cli import run_tool
+from mecarover_serial.pty import Away
+from mecarover_serial.pty import outlive
+from mecarover_serial.pty import parse_away
+from mecarover_serial.pty import Pty
+from mecarover_serial.readable import readable
+from msg_defs.crc import crc32_mpeg2
+from msg_defs.crc import CRC_INPUTS
+from msg_defs.vel2d import FRAME_SIZE
+
+_READ_SIZE = 146 * FRAME_SIZE      # whole frames; a pty gives at most 4095 bytes
+_GAP_CHARACTERS = 2
+_PUMP_S = 0.01
+# What the firmware of the thesis says on its line when it refuses a frame.
+REFUSALS = {'crc_err': b'crc mismatch!\r\n', 'insufficient': b'insufficient bytes received\r\n'}
+
+
+class FakeMcu:
+    """A receiver on a pty. `pump` drives it; or `running()` does, in a thread, for tests."""
+
+    def __init__(self, link: str | None = None, *, baud: int = 115200,
+                 crc: Callable[[bytes], int] = crc32_mpeg2, cable: BadCable | None = None,
+                 talks: bool = False, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self.link = link
+        self.merged = 0                              # reads that held more than one frame
+        self._clock = clock
+        self._lock = threading.Lock()                # `running` pumps, the test unplugs
+        self._cable = cable or BadCable()
+        self._talks = talks                          # says why it refuses a frame, as firmware
+        self._said = {'crc_err': 0, 'insufficient': 0}
+        self._pty: Pty | None = Pty(link)
+        self._read = clock()                         # up to when the line has been read
+        self.receiver = Receiver(self._read, baud=baud, crc=crc)
+
+    @property
+    def path(self) -> str:
+        """What the host opens: the link if there is one."""
+        return self.link or (self._pty.path if self._pty else '')
+
+    def pump(self, timeout_s: float) -> list[SetPoint]:
+        """Wait for bytes, at most so long, and return the set-points taken until now."""
+        with self._lock:
+            if self._pty is None:
+                time.sleep(timeout_s)
+            elif readable([self._pty.master], timeout_s):
+                self._receive(self._pty.master)
+            self._read = self._clock()
+            taken = self.receiver.advance(self._read)
+        self._say_refusals()
+        return taken
+
+    def _say_refusals(self) -> None:
+        totals = self.receiver.totals
+        for name, text in REFUSALS.items():
+            new = getattr(totals, name) - self._said[name]
+            self._said[name] += new
+            if self._talks:
+                with suppress(OSError):              # no one reads, or the cable is out
+                    self.say(text * new)
+
+    def say(self, text: bytes) -> None:
+        """Send something to the host, as firmware does that logs to the same UART."""
+        with self._lock:
+            if self._pty is not None:
+                os.write(self._pty.master, text)
+
+    def vanish(self) -> None:
+        """Be unplugged."""
+        with self._lock:
+            if self._pty is not None:
+                self._pty.close()
+                self._pty = None
+
+    def come_back(self) -> None:
+        """Be plugged in again, under the same link."""
+        with self._lock:
+            if self._pty is None:
+                self._pty = Pty(self.link)
+
+    def close(self) -> None:
+        self.vanish()
+
+    def totals(self) -> dict[str, int]:
+        return {**self.receiver.totals.as_dict(), 'merged': self.merged,
+                'damaged': self._cable.damaged}
+
+    @contextmanager
+    def running(self) -> Iterator[FakeMcu]:
+        """Pump in a thread; leaving ends it and closes the pty."""
+        done = threading.Event()
+
+        def loop() -> None:
+            while not done.is_set():
+                self.pump(_PUMP_S)
+
+        thread = threading.Thread(target=loop, name='fake_mcu')
+        thread.start()
+        try:
+            yield self
+        finally:
+            done.set()
+            thread.join()
+            self.close()
+
+    def _receive(self, master: int) -> None:
+        try:
+            chunk = os.read(master, _READ_SIZE)
+        except BlockingIOError:
+            return
+        now = self._clock()
+        frames = [chunk[at:at + FRAME_SIZE] for at in range(0, len(chunk), FRAME_SIZE)]
+        self.merged += len(frames) > 1
+        for index, frame in enumerate(frames, start=1):
+            self._put(frame, self._read + (now - self._read) * index // len(frames))
+
+    def _put(self, frame: bytes, stamp: int) -> None:
+        receiver = self.receiver
+        gap = _GAP_CHARACTERS * receiver.character
+        receiver.feed(self._cable.carry(frame), max(stamp, receiver.line_free + gap))
+        if self._cable.overruns():
+            receiver.overrun()
+
+
+def main() -> int:
+    return run_tool('fake_mcu', _main)
+
+
+def _main(arguments: list[str]) -> int:
+    options = _parser().parse_args(arguments)
+    away = parse_away(options.vanish)
+    cable = BadCable(drop=options.drop, flip=options.flip, deaf_after=options.deaf_after,
+                     seed=options.seed)
+    mcu = FakeMcu(options.link, baud=options.baud, crc=CRC_INPUTS[options.crc_input], cable=cable,
+                  talks=not options.silent)
+    printer = _Printer(mcu, as_json=options.json, frames=options.frames)
+    printer.begin(options.baud, options.crc_input)
+    try:
+        _serve(mcu, printer, options.seconds, away)
+    except KeyboardInterrupt:
+        if options.outlive:
+            outlive(mcu.path, lambda seconds: printer.show(mcu.pump(seconds)))
+        raise
+    finally:
+        printer.end()
+        mcu.close()
+    return 0
+
+
+def _serve(mcu: FakeMcu, printer: _Printer, seconds: float | None,
+           away: Away | None) -> None:
+    """Pump until the time is over, gone in between if that was asked for."""
+    begin = time.monotonic()
+    while seconds is None or time.monotonic() - begin < seconds:
+        printer.show(mcu.pump(_PUMP_S))
+        if away is not None:
+            is_away = away.after <= time.monotonic() - begin < sum(away)
+            (mcu.vanish if is_away else mcu.come_back)()
+
+
+class _Printer:
+    """Lines for people, or JSON for programs: changes of the set-point, totals at the end."""
+
+    def __init__(self, mcu: FakeMcu, *, as_json: bool, frames: bool) -> None:
+        self._mcu = mcu
+        self._as_json = as_json
+        self._frames = frames
+        self._begin = mcu.receiver.wheels.stamp
+        self._last: tuple[float, ...] | None = None
+
+    def begin(self, baud: int, crc_input: str) -> None:
+        self._print(f'fake_mcu: {self._mcu.path}, {baud} baud, CRC over {crc_input}',
+                    {'path': self._mcu.path, 'baud': baud, 'crc_input': crc_input})
+
+    def show(self, set_points: list[SetPoint]) -> None:
+        for set_point in set_points:
+            if set_point[1:] != self._last:
+                self._last = set_point[1:]
+                self._print_set_point(set_point)
+        arrivals = self._mcu.receiver.arrivals
+        while self._frames and arrivals:
+            self._print_arrival(arrivals.popleft())
+
+    def end(self) -> None:
+        totals = self._mcu.totals()
+        text = ', '.join(f'{name} {count}' for name, count in totals.items())
+        self._print(f'totals: {text}', {'totals': totals})
+
+    def _print_set_point(self, set_point: SetPoint) -> None:
+        what = 'stop' if set_point.is_stop else 'drive'
+        _, x, y, omega = set_point
+        self._print(
+            f'{self._seconds(set_point.stamp):9.3f} s  x {x:8.1f} mm/s  y {y:8.1f} mm/s'
+            f'  omega {omega:7.3f} rad/s  {what}',
+            {'stamp': set_point.stamp / 1e9, 'x': x, 'y': y, 'omega': omega, 'what': what})
+
+    def _print_arrival(self, arrival: Arrival) -> None:
+        velocity = arrival.velocity
+        self._print(
+            f'{self._seconds(arrival.stamp):9.3f} s  {arrival.size} bytes'
+            f'  {"damaged" if velocity is None else tuple(velocity)}',
+            {'stamp': arrival.stamp / 1e9, 'bytes': arrival.size,
+             'frame': None if velocity is None else list(velocity)})
+
+    def _seconds(self, stamp: int) -> float:
+        return (stamp - self._begin) / 1e9
+
+    def _print(self, text: str, record: dict[str, object]) -> None:
+        print(json.dumps(record) if self._as_json else text, flush=True)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='fake_mcu', description='Simulates the MCU of the rover on a pty and shows the '
+        'set-points that it takes.')
+    add = parser.add_argument
+    add('--link', metavar='PATH', help='make this symlink to the pty, for the bridge to open')
+    add('--baud', type=int, default=115200, help='baud rate of the simulated line (default '
+        '%(default)s)')
+    add('--crc-input', choices=sorted(CRC_INPUTS), default='bytes',
+        help='how the CRC unit is fed (default %(default)s)')
+    add('--seconds', type=float, help='end after this time (default: run until Ctrl-C)')
+    add('--json', action='store_true', help='JSON lines; stamps are monotonic seconds')
+    add('--frames', action='store_true', help='print a line for every frame too')
+    add('--drop', type=int, default=0, metavar='N', help='drop a byte in each Nth frame')
+    add('--flip', type=int, default=0, metavar='N', help='flip a bit in each Nth frame')
+    add('--deaf-after', type=int, default=0, metavar='N', help='lose bytes (overrun) after N '
+        'frames')
+    add('--vanish', metavar='AFTER:FOR', help='unplug after so many seconds, for so long')
+    add('--silent', action='store_true', help='send no error text to the host when a frame is '
+        'refused')
+    add('--outlive', action='store_true', help='at Ctrl-C wait until the host closed the port')
+    add('--seed', type=int, default=0, help='seed of the faults (default %(default)s)')
+    return parser
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,201 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The simulated bus on ptys: bytes leave on schedule at the baud rate, whether or not anyone reads.
+
+A simulated master plays by itself; with the pattern `none` a real one at the other end drives the
+devices. When this process comes too late, the bus stops for a while; the reader is not to blame.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from collections.abc import Iterator
+import os
+import threading
+import time
+from typing import Any
+
+from mecarover_fakes.line import BITS_PER_BYTE
+from mecarover_fakes.line import Burst
+from mecarover_fakes.line import MASTER
+from mecarover_fakes.line import wire_ns
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import Ask
+from mecarover_fakes.traffic import none
+from mecarover_fakes.virtual_uart import VirtualUart
+from mecarover_fakes.virtual_usb import VirtualUsb
+from mecarover_serial.pty import Away
+from mecarover_serial.readable import readable
+from msg_defs.frame import is_good
+
+S = 1_000_000_000
+TICK_NS = 200_000                # shortest time between two writes, longest is
+PART_NS = 1_000_000              # for a part of a long packet
+IDLE_NS = 50_000_000
+DRAIN_NS = 200_000_000
+LATE_BYTES = 2048                # half of what a reader may leave
+
+
+class FakeBus:
+    """
+    The bus of `master` on a pty, and a copy of it on a second one if `tap` is given.
+
+    usb: what shows it as the events of a USB adapter, too.
+    """
+
+    def __init__(self, master: Master, *, link: str | None = None, tap: str | bool = False,
+                 away: Away | None = None, usb: VirtualUsb | None = None,
+                 clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self.master = master
+        self.outlet = VirtualUart(link)
+        self.tap = VirtualUart(tap if isinstance(tap, str) else None) if tap else None
+        self.stood_still_ns = 0
+        self._outlets = [self.outlet] if self.tap is None else [self.outlet, self.tap]
+        self._away = away
+        self._usb = usb
+        self._clock = clock
+        self._origin = 0
+        self._framer = master.line.listener()
+        self._answers: deque[Burst] = deque()
+        self._is_stopping = False
+        self._wake_read, self._wake_write = os.pipe()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def path(self) -> str:
+        """The pty to open."""
+        return self.outlet.path
+
+    def start(self, seconds: float | None = None) -> None:
+        """Run in a thread until stop(), or for some seconds."""
+        self._thread = threading.Thread(target=self._run, args=(seconds,), name='fake_bus')
+        self._thread.start()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether start() is not over yet."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def join(self, timeout_s: float | None = None) -> None:
+        """Wait until a run of limited length is over."""
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+
+    def stop(self) -> None:
+        """End after the exchange in progress and hang up."""
+        self._is_stopping = True
+        self.master.stop()
+        os.write(self._wake_write, b'x')
+        self.join()
+        for outlet in self._outlets:
+            outlet.close()
+        if self._usb is not None:
+            self._usb.close()
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+
+    def totals(self) -> dict[str, Any]:
+        """Return the counters of both ends."""
+        ends = {'bus': self.outlet} if self.tap is None else \
+            {'bus': self.outlet, 'tap': self.tap}
+        return {name: end.totals() for name, end in ends.items()} \
+            | {'stood_still_s': round(self.stood_still_ns / S, 3)}
+
+    def _run(self, seconds: float | None) -> None:
+        self._origin = self._clock()
+        until = None if seconds is None else round(seconds * S)
+        if self.master.pattern is none:
+            self._serve(until)
+        else:
+            self._play(self.master.bursts(until))
+        deadline = self._clock() + DRAIN_NS      # hanging up takes unread bytes away
+        while any(outlet.outstanding() for outlet in self._outlets) and self._clock() < deadline:
+            time.sleep(TICK_NS / S)
+
+    def _now(self) -> int:
+        return self._clock() - self._origin
+
+    def _sleep(self, wait_ns: int) -> None:
+        fds = [self._wake_read] + [self.outlet.fd] * self.outlet.is_plugged_in
+        whole_ms, rest_ns = divmod(max(wait_ns, 0), S // 1000)
+        if not readable(fds, whole_ms / 1000):
+            time.sleep(rest_ns / S)
+        if self._away is not None:
+            begin, end = self._away.after * S, sum(self._away) * S
+            for outlet in self._outlets:
+                outlet.plug(plugged_in=not begin <= self._now() < end)
+
+    # --- a simulated master ----------------------------------------------------------------
+
+    def _play(self, bursts: Iterator[Burst]) -> None:
+        baud = self.master.line.baud
+        due = bytearray()
+        for burst in bursts:
+            done = 0
+            while done < len(burst.data):
+                now = self._catch_up(burst.start + wire_ns(done, baud))
+                passed = (now - burst.start) * baud // (BITS_PER_BYTE * S)
+                end = len(burst.data) if self._is_stopping else min(passed, len(burst.data))
+                if end > done:
+                    due += burst.data[done:end]
+                    self._tell_usb(burst, done, end)
+                    done = end
+                # A machine that is always late never has to wait: it hands over all the same.
+                if done < len(burst.data) or len(due) >= LATE_BYTES:
+                    self._hand_over(due)
+                    wait = min(max(burst.end - now, TICK_NS), burst.start - now + PART_NS)
+                    self._sleep(min(max(wait, TICK_NS), IDLE_NS))
+                    self.outlet.read()           # counted, not heard: this master is simulated
+        self._hand_over(due)
+
+    def _tell_usb(self, burst: Burst, done: int, end: int) -> None:
+        """Show a part of a burst on USB: a master hands over the whole of it, at once."""
+        if self._usb is None:
+            return
+        if burst.said and not done:
+            self._usb.sent(b''.join(data for _, data in burst.said))
+        if burst.sender != MASTER or not burst.said:        # another master's is only heard
+            self._usb.received(burst.data[done:end])
+
+    def _catch_up(self, due: int) -> int:
+        """Return the time on the bus; it stops while we are too late for what is due."""
+        now = self._now()
+        too_late = now - due - wire_ns(LATE_BYTES, self.master.line.baud)
+        if too_late <= 0:
+            return now
+        self._origin += too_late
+        self.stood_still_ns += too_late
+        return now - too_late
+
+    def _hand_over(self, due: bytearray) -> None:
+        if due:
+            for outlet in self._outlets:
+                outlet.write(bytes(due))
+            due.clear()
+
+    # --- a real master ---------------------------------------------------------------------
+
+    def _serve(self, until: int | None) -> None:
+        while not self._is_stopping and (until is None or self._now() < until):
+            self._sleep(self._answers[0].end - self._now() if self._answers else IDLE_NS)
+            self._answers.extend(self._answer(self.outlet.read()))
+            self._send_due()
+
+    def _answer(self, chunk: bytes) -> Iterator[Burst]:
+        """Yield what the chunk leads to on the line, as soon as it holds a whole instruction."""
+        for frame in self._framer.frames(chunk) if chunk else ():
+            if is_good(frame):
+                ask = Ask(*self.master.line.heard(frame))
+                yield from self.master.respond(ask, self._now())
+
+    def _send_due(self) -> None:
+        now = self._now()
+        while self._answers and self._answers[0].end <= now:
+            burst = self._answers.popleft()
+            self._tell_usb(burst, 0, len(burst.data))
+            if self.tap is not None:             # first: who drives us may ask the listener next
+                self.tap.write(burst.data)
+            if burst.sender != MASTER:
+                self.outlet.write(burst.data)

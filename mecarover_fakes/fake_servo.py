@@ -1,0 +1,308 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+One simulated Dynamixel device: what it does with an instruction, and what can befall it.
+
+Knows no wire and no clock: `now` (ns) is an argument, a Reply comes back (or None for silence).
+Rules from the e-Manual, Protocol 2.0: access, ranges, Status Return Level, Reg Write and Action,
+Factory Reset, Reboot, Clear, Control Table Backup, Bus Watchdog, latched hardware errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import struct
+from typing import NamedTuple
+
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Model
+from mecarover_fakes.registers import ACCESS
+from mecarover_fakes.registers import INSTRUCTION
+from mecarover_fakes.registers import LENGTH
+from mecarover_fakes.registers import OK
+from mecarover_fakes.registers import Registers
+from mecarover_fakes.registers import RESULT_FAIL
+from mecarover_fakes.registers import WATCHDOG_TRIPPED
+from mecarover_fakes.values import BAUD_CODES
+from mecarover_fakes.values import FACTORY
+from mecarover_fakes.values import live_registers
+from mecarover_fakes.values import LiveState
+from mecarover_fakes.values import Sine
+from mecarover_fakes.values import TEMPERATURE
+from mecarover_fakes.values import VOLTAGE
+from msg_defs.dxl_instruction import Instruction
+
+ALERT = 0x80
+BOOT_NS = 200_000_000            # deaf after a start
+WATCHDOG_UNIT_NS = 20_000_000
+
+_CLEAR_KEYS = (b'\x01DXL"', b'\x01ERCL', b'\x02ERCL')     # P1 of Error Clear: sources disagree
+_BACKUP_KEYS = {b'\x01CTRL': True, b'\x02CTRL': False}    # True: store, False: restore
+_WORDS = struct.Struct('<HH')
+
+_Rows = tuple[tuple[str, int | None], ...]
+
+# Fast reads exist from this firmware on (e-Manual); no entry: not at all.
+_FAST_SINCE: _Rows = (('2X', None), ('XL-320', None), ('XL320', None), ('X', 45), ('P', 12),
+                      ('RH', 13), ('Y', 1))
+_FIRMWARE: _Rows = (('MX', 45), ('X', 48), ('2X', 48), ('P', 14), ('RH', 14), ('Y', 12))
+
+
+class Reply(NamedTuple):
+    """The content of a status: error number (without the alert bit) and parameters."""
+
+    error: int
+    params: bytes = b''
+
+
+class FakeDevice(Registers):
+    """A device on a bus that runs at `baud`; it moves by `motion` while its torque is on."""
+
+    def __init__(self, number: int, model: Model, *, baud: int = 1_000_000,
+                 motion: Sine | None = None, return_delay: int = 0,
+                 firmware: int | None = None) -> None:
+        self.firmware = firmware or _by_prefix(_FIRMWARE, model.name) or 1
+        super().__init__(model, self.firmware)
+        self.id = number
+        self.baud = baud
+        self.motion = motion
+        self.silent = False
+        self.hardware_error = 0
+        self.voltage = VOLTAGE
+        self.temperature = TEMPERATURE
+        self.rest_angle = 0.0                # its angle while it does not move by `motion`
+        self.up_at = 0
+        self.extra_delay_ns = 0
+        self._registered: tuple[int, bytes] | None = None
+        self._live = live_registers(model)
+        self._backup: bytes | None = None
+        self.set('ID', number)
+        self.set('Return Delay Time', return_delay)
+        self.set('Baud Rate', next((k for k, v in BAUD_CODES.items() if v == baud), 1))
+
+    @property
+    def return_delay_ns(self) -> int:
+        """Time between an instruction and the status."""
+        return 2000 * self.get('Return Delay Time') + self.extra_delay_ns
+
+    @property
+    def has_fast_reads(self) -> bool:
+        """Whether this model and firmware know Fast Sync Read and Fast Bulk Read."""
+        since = _by_prefix(_FAST_SINCE, self.model.name)
+        return since is not None and self.firmware >= since + ('330' in self.model.name)
+
+    @property
+    def baud_codes(self) -> dict[int, int]:
+        """What the codes of Baud Rate mean (bit/s)."""
+        return BAUD_CODES
+
+    def hears(self, baud: int, now: int) -> bool:
+        """Tell whether it takes part in the traffic of a bus at `baud`."""
+        return not self.silent and self.baud == baud and now >= self.up_at
+
+    def error_byte(self, error: int) -> int:
+        """Return the error byte of a status: the number, and the alert bit while latched."""
+        return error | ALERT if self.hardware_error else error
+
+    def acknowledges(self, instruction: int) -> bool:
+        """Tell whether Status Return Level lets it answer this instruction."""
+        if instruction == Instruction.PING:
+            return True
+        reads = instruction in _READS
+        return self.get('Status Return Level', 2) >= (1 if reads else 2)
+
+    def answer_level(self, level: int) -> None:
+        """Answer Pings (0), reads too (1), or everything (2)."""
+        self.set('Status Return Level', level)
+
+    # --- what happens to it ----------------------------------------------------------------
+
+    def latch(self, bits: int, now: int) -> None:
+        """Latch a hardware error: alert on every status, motor off, until the next start."""
+        self.rest_angle = self.angle(now)
+        self.hardware_error = bits
+        self.set('Hardware Error Status', bits)
+        self.set('Torque Enable', 0)
+
+    def restart(self, now: int, boot_ns: int = BOOT_NS) -> None:
+        """Start as after power-on: RAM at its defaults, deaf while booting."""
+        self.rest_angle = self.angle(now)
+        for at in range(2, len(self.image)):
+            if at not in self.eeprom:
+                self.image[at] = self.factory[at]
+        self.hardware_error = 0
+        self._registered = None
+        self.up_at = now + boot_ns
+
+    def become(self, number: int) -> None:
+        """Claim another model number (thesis, experiment 3)."""
+        self.image[0:2] = number.to_bytes(2, 'little')
+
+    def angle(self, now: int) -> float:
+        """Return the joint's angle (rad)."""
+        return self._state(now).angle
+
+    def watch(self, silence_ns: int) -> None:
+        """Let the Bus Watchdog know how long the bus was without an instruction."""
+        field = self.field('Bus Watchdog')
+        limit = 0 if field is None else self.image[field.at]
+        if field and 0 < limit < 128 and self.torque and silence_ns > limit * WATCHDOG_UNIT_NS:
+            self.image[field.at] = WATCHDOG_TRIPPED
+
+    # --- instructions ----------------------------------------------------------------------
+
+    def execute(self, instruction: int, params: bytes, now: int) -> Reply:
+        """Do what an instruction to this device says; the reply may be kept back by the level."""
+        handler = _HANDLERS.get(instruction)
+        return Reply(INSTRUCTION) if handler is None else handler(self, params, now)
+
+    def read(self, address: int, length: int, now: int) -> Reply:
+        """Return the registers from `address` on."""
+        end = address + length
+        if not self.is_readable(address, end):
+            return Reply(ACCESS)
+        self._refresh(address, end, now)
+        if self.redirects(address, end):
+            self._refresh(0, len(self.image), now)
+            return Reply(OK, bytes(self.image[self.resolve(at)] for at in range(address, end)))
+        return Reply(OK, bytes(self.image[address:end]))
+
+    def write(self, address: int, data: bytes, now: int) -> Reply:
+        """Write registers; all or nothing."""
+        error = self.write_error(address, data)
+        if error == OK:
+            was_torque, angle = self.torque, self.angle(now)
+            for at, byte in enumerate(data, address):
+                self.image[self.resolve(at)] = byte
+            self._after_write(address, address + len(data), was_torque, angle)
+        return Reply(error)
+
+    def _refresh(self, address: int, end: int, now: int) -> None:
+        state = None
+        for first, last, value in self._live:
+            if first < end and last > address:
+                state = state or self._state(now)
+                self.image[first:last] = value(state)
+
+    def _state(self, now: int) -> LiveState:
+        moving = self.motion if self.torque or self.field('Torque Enable') is None else None
+        now_s = now * 1e-9
+        return LiveState(now_s, self.rest_angle if moving is None else moving.angle(now_s),
+                         0.0 if moving is None else moving.velocity(now_s),
+                         self.voltage, self.temperature, (now - self.up_at) * 1e-9, self.id)
+
+    def _after_write(self, address: int, end: int, was_torque: bool, angle: float) -> None:
+        """Let the device follow what was written to its own settings."""
+        for name, effect in _EFFECTS.items():
+            field = self.field(name)
+            if field is not None and field.at < end and field.end > address:
+                effect(self, field)
+        if was_torque != self.torque:
+            self.rest_angle = angle
+
+    def _take_id(self, field: Field) -> None:
+        self.id = self.image[field.at]
+
+    def _take_baud(self, field: Field) -> None:
+        self.baud = self.baud_codes.get(self.image[field.at], self.baud)
+
+    def _take_torque(self, field: Field) -> None:
+        if self.hardware_error:      # shut down: it stays off until a start
+            self.image[field.at] = 0
+
+    def _take_goal(self, field: Field) -> None:
+        if self.motion is None and self.torque:
+            self.rest_angle = field.decode(bytes(self.image[field.at:field.end])).number or 0.0
+
+    def _on_ping(self, params: bytes, now: int) -> Reply:
+        return Reply(OK, bytes(self.image[0:2]) + bytes([self.firmware]))
+
+    def _on_read(self, params: bytes, now: int) -> Reply:
+        if len(params) != _WORDS.size:
+            return Reply(INSTRUCTION)
+        address, length = _WORDS.unpack(params)
+        return self.read(address, length, now)
+
+    def _on_write(self, params: bytes, now: int) -> Reply:
+        if len(params) < 3:
+            return Reply(LENGTH)
+        return self.write(int.from_bytes(params[:2], 'little'), params[2:], now)
+
+    def _on_reg_write(self, params: bytes, now: int) -> Reply:
+        address, data = int.from_bytes(params[:2], 'little'), params[2:]
+        error = self.write_error(address, data)
+        if error == OK:
+            self._registered = address, data
+            self.set('Registered Instruction', 1)
+        return Reply(error)
+
+    def _on_action(self, params: bytes, now: int) -> Reply:
+        if self._registered is None:
+            return Reply(RESULT_FAIL)
+        address, data = self._registered
+        self._registered = None
+        self.set('Registered Instruction', 0)
+        return self.write(address, data, now)
+
+    def _on_factory_reset(self, params: bytes, now: int) -> Reply:
+        if params[:1] not in (b'\xff', b'\x01', b'\x02'):
+            return Reply(INSTRUCTION)
+        number, code = self.id, self.get('Baud Rate')
+        self.image[:] = self.factory
+        if params[0] != 0xFF:
+            self.set('ID', number)
+        if params[0] == 0x02:
+            self.set('Baud Rate', code)
+        if self.model.fields:
+            self.id = self.get('ID', number)
+        if params[0] != 0x02:
+            self.baud = BAUD_CODES[FACTORY['Baud Rate']]
+        self.restart(now)
+        return Reply(OK)
+
+    def _on_reboot(self, params: bytes, now: int) -> Reply:
+        self.restart(now)
+        return Reply(OK)
+
+    def _on_clear(self, params: bytes, now: int) -> Reply:
+        return Reply(OK if params in _CLEAR_KEYS and not self.torque else RESULT_FAIL)
+
+    def _on_backup(self, params: bytes, now: int) -> Reply:
+        store = _BACKUP_KEYS.get(params)
+        if store is None or self.torque or not self.has_fast_reads:
+            return Reply(INSTRUCTION if store is None or not self.has_fast_reads else RESULT_FAIL)
+        if store:
+            self._backup = bytes(self.image)
+        elif self._backup is None:
+            return Reply(RESULT_FAIL)
+        else:
+            self.image[:] = self._backup
+            self.restart(now)
+        return Reply(OK)
+
+
+_READS = frozenset({
+    Instruction.READ, Instruction.SYNC_READ, Instruction.BULK_READ, Instruction.FAST_SYNC_READ,
+    Instruction.FAST_BULK_READ})
+_HANDLERS: dict[int, Callable[[FakeDevice, bytes, int], Reply]] = {
+    Instruction.PING: FakeDevice._on_ping,
+    Instruction.READ: FakeDevice._on_read,
+    Instruction.WRITE: FakeDevice._on_write,
+    Instruction.REG_WRITE: FakeDevice._on_reg_write,
+    Instruction.ACTION: FakeDevice._on_action,
+    Instruction.FACTORY_RESET: FakeDevice._on_factory_reset,
+    Instruction.REBOOT: FakeDevice._on_reboot,
+    Instruction.CLEAR: FakeDevice._on_clear,
+    Instruction.CONTROL_TABLE_BACKUP: FakeDevice._on_backup,
+}
+_EFFECTS: dict[str, Callable[[FakeDevice, Field], None]] = {
+    'Torque Enable': FakeDevice._take_torque,
+    'ID': FakeDevice._take_id,
+    'Baud Rate': FakeDevice._take_baud,
+    'Baud Rate (Bus)': FakeDevice._take_baud,
+    'Goal Position': FakeDevice._take_goal,
+}
+
+
+def _by_prefix(rows: _Rows, name: str) -> int | None:
+    return next((value for prefix, value in rows if name.startswith(prefix)), None)

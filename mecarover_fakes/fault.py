@@ -1,0 +1,120 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a fault of the simulated bus is: Fault (when, where) and Effect (what it does to the scene).
+
+The effects themselves are in fault_device.py, fault_wire.py and fault_master.py, the catalogue by
+name in faults.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from collections.abc import Iterator
+from random import Random
+from typing import ClassVar
+from typing import NamedTuple
+
+from mecarover_fakes.fake_servo import FakeDevice
+from mecarover_fakes.line import Burst
+from mecarover_fakes.line import Exchange
+from mecarover_fakes.line import Line
+from mecarover_fakes.traffic import Ask
+from mecarover_fakes.traffic import Fleet
+
+S = 1_000_000_000
+MS = 1_000_000
+
+
+class Fault(NamedTuple):
+    """A fault by name, for one ID or all, from `begin` to `end` (ns; None: for ever)."""
+
+    name: str
+    id: int | None = None
+    begin: int = 0
+    end: int | None = None
+
+
+class Pace:
+    """How the master keeps time; faults may change it (all ns)."""
+
+    __slots__ = ('gap', 'jitter', 'patience', 'pause', 'period')
+
+    def __init__(self, period: int, gap: int, patience: int) -> None:
+        self.period = period         # ns for a cycle; 0: the next at once
+        self.gap = gap               # between the end of a reply and the next instruction
+        self.patience = patience     # beyond the wire time of the answers
+        self.jitter = 0.0            # as a share of the period
+        self.pause = 0               # once, before the next instruction
+
+
+class FaultScope(NamedTuple):
+    """All that a fault can get at."""
+
+    line: Line
+    fleet: Fleet
+    pace: Pace
+    rng: Random
+
+
+class Effect:
+    """
+    What one fault does; every hook does nothing by default.
+
+    `exact` False: with it, what a listener must count is no longer certain (GroundTruth.exact).
+    """
+
+    exact: ClassVar[bool] = True
+
+    def __init__(self, fault: Fault, scene: FaultScope) -> None:
+        self.fault = fault
+        self.scene = scene
+        self.rng = scene.rng
+        self.line = scene.line
+
+    @property
+    def device(self) -> FakeDevice:
+        """The device it is about: that of the ID, the first of the chain without one."""
+        found = None if self.fault.id is None else self.line.at(self.fault.id)
+        return found or self.line.chain[0]
+
+    @property
+    def devices(self) -> list[FakeDevice]:
+        """The devices it is about: that of the ID, all without one."""
+        return list(self.line.chain) if self.fault.id is None else [self.device]
+
+    def concerns(self, number: int) -> bool:
+        """Tell whether it is about this ID."""
+        return self.fault.id is None or self.fault.id == number
+
+    def begin(self, now: int) -> None:
+        """Start."""
+
+    def end(self, now: int) -> None:
+        """Stop."""
+
+    def step(self, now: int) -> None:
+        """See time pass; called before each instruction."""
+
+    def asks(self, cycle: int) -> Iterable[Ask]:
+        """Return what the master asks besides, at the end of each cycle."""
+        return ()
+
+    def swap(self, ask: Ask) -> Ask:
+        """Return the instruction that the master really sends."""
+        return ask
+
+    def again_at(self, exchange: Exchange) -> int | None:
+        """Return when the master sends the same instruction again, None if it waits."""
+        return None
+
+    def stray(self, exchange: Exchange) -> Iterator[Burst]:
+        """Yield what else gets onto the line around an exchange."""
+        return iter(())
+
+    def rival(self, exchange: Exchange) -> Exchange | None:
+        """Return an exchange of another master that runs into this one."""
+        return None
+
+    def damage(self, burst: Burst) -> None:
+        """Change what the listener hears of a burst; clear `intact` where that spoils it."""

@@ -1,0 +1,364 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The simulated RS-485 line: an instruction goes in, bytes of master and devices come out, timed.
+
+Times are ns of an arbitrary clock that the caller owns. Which device answers when: e-Manual,
+Protocol 2.0, instruction packets; combined replies are sent piece by piece, one per device.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from mecarover_fakes.fake_servo import FakeDevice
+from mecarover_fakes.fake_servo import Reply
+from mecarover_fakes.fake_servo import WATCHDOG_UNIT_NS
+from msg_defs import dxl1_packet
+from msg_defs.crc import crc16
+from msg_defs.dxl_instruction import Answers
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import NAMES
+from msg_defs.dxl_instruction import parse
+from msg_defs.dxl_instruction import Request
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import HEADER
+from msg_defs.dxl_packet import STATUS
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.frame import Frame
+
+MASTER = -1
+STRAY = -2                       # bytes that were not sent on purpose
+AnyFramer = Framer | dxl1_packet.Dxl1Framer
+BITS_PER_BYTE = 10               # 8N1
+
+
+class Burst:
+    """
+    Bytes that one sender puts on the line without a gap.
+
+    said: what the master wrote for it, with the time of each; nothing on the wire changes that.
+    """
+
+    __slots__ = ('data', 'end', 'intact', 'said', 'sender', 'start')
+
+    def __init__(self, start: int, data: bytes, sender: int, baud: int, *,
+                 intact: bool = True) -> None:
+        self.start = start
+        self.data = data
+        self.sender = sender
+        self.end = start + wire_ns(len(data), baud)
+        self.intact = intact
+        self.said = ((start, data),) * (sender == MASTER)
+
+    def __repr__(self) -> str:
+        return f'Burst({self.start}, {self.data.hex(" ")}, {self.sender})'
+
+
+class Answer(NamedTuple):
+    """What one device sent: error byte as in 2.0 and data, and their place on the line."""
+
+    id: int
+    error: int
+    params: bytes
+    burst: Burst
+
+
+class Exchange(NamedTuple):
+    """An instruction with all that follows from it; `due` are the IDs that must answer."""
+
+    request: Request
+    params: bytes
+    bursts: list[Burst]          # the instruction first
+    due: tuple[int, ...]
+    answers: list[Answer]
+
+    @property
+    def end(self) -> int:
+        """When the line is quiet again."""
+        return max(burst.end for burst in self.bursts)
+
+    @property
+    def complete(self) -> bool:
+        """Whether everybody who must answer did."""
+        return {answer.id for answer in self.answers} >= set(self.due)
+
+
+def wire_ns(count: int, baud: int) -> int:
+    """Return the time that `count` bytes take on the line."""
+    return count * BITS_PER_BYTE * 1_000_000_000 // baud
+
+
+class Line:
+    """
+    A line at `baud` with devices in the order of the cable.
+
+    `waits_in_line`: a device in a Sync or Bulk Read answers only after the one before it did, so
+    that all after a silent one stay silent too; else they answer after its slot.
+    """
+
+    protocol = '2'                   # as model files call it
+    header = HEADER
+    repairs_headers = True           # a listener takes a packet whose first byte is damaged
+    pings_tell_model = True
+    status_size = 11                 # bytes of a status without parameters
+    addresses = 0x10000              # that an instruction can name
+
+    def __init__(self, devices: Iterable[FakeDevice], baud: int, *,
+                 waits_in_line: bool = True) -> None:
+        self.chain = list(devices)
+        self.baud = baud
+        self.waits_in_line = waits_in_line
+        self._heard_at = 0
+        self._index()
+
+    def add(self, device: FakeDevice) -> None:
+        """Connect one more device, also one with an ID that is taken."""
+        self.chain.append(device)
+        self._index()
+
+    def remove(self, device: FakeDevice) -> None:
+        """Disconnect a device."""
+        self.chain.remove(device)
+        self._index()
+
+    def renumber(self, device: FakeDevice, number: int) -> None:
+        """Give a device an ID by no instruction, also one that is taken."""
+        device.set('ID', number)
+        device.id = number
+        self._index()
+
+    def at(self, number: int) -> FakeDevice | None:
+        """Return the device with this ID."""
+        return next(iter(self._by_id.get(number, ())), None)
+
+    def exchange(self, number: int, instruction: int, params: bytes, start: int, *,
+                 stuffed: bool = True, heard: bool = True) -> Exchange:
+        """
+        Put an instruction on the line at `start` and let the devices do and answer it.
+
+        `heard` False: no device understands it (it was damaged).
+        """
+        frame = self.instruction_wire(number, instruction, params, stuffed)
+        asked = Burst(start, frame, MASTER, self.baud)
+        request = self.understood(instruction, number, params)
+        exchange = Exchange(request, params, [asked], self._due(request), [])
+        if heard:
+            self._watch(asked.end)
+            self._answer(exchange, asked.end)
+        return exchange
+
+    # --- what is of Protocol 2.0 alone ------------------------------------------------------
+
+    def instruction_wire(self, number: int, instruction: int, params: bytes,
+                         stuffed: bool) -> bytes:
+        """Return the bytes of an instruction on the wire."""
+        return encode(number, instruction, params, stuffed=stuffed)
+
+    def status_wire(self, number: int, error: int, params: bytes) -> bytes:
+        """Return the bytes of a status on the wire."""
+        return encode(number, STATUS, params, error)
+
+    def understood(self, instruction: int, number: int, params: bytes) -> Request:
+        """Return what an instruction asks for."""
+        return parse(instruction, number, params)
+
+    def knows(self, instruction: int) -> bool:
+        """Tell whether there is such an instruction."""
+        return instruction in NAMES
+
+    def common_error(self, error: int) -> int:
+        """Return the error byte of a status as 2.0 would say it."""
+        return error
+
+    def listener(self) -> AnyFramer:
+        """Return what finds the instructions of a real master in its bytes."""
+        return Framer()
+
+    def heard(self, frame: Frame) -> tuple[int, int, bytes, bool]:
+        """Return a frame's ID, instruction, parameters, and whether it was stuffed."""
+        number, code, params, flaw = frame[3:]
+        return number, code, params, flaw is None or not flaw.unstuffed
+
+    # ---------------------------------------------------------------------------------------
+
+    def _index(self) -> None:
+        self._by_id: dict[int, list[FakeDevice]] = {}
+        for device in self.chain:
+            self._by_id.setdefault(device.id, []).append(device)
+
+    def _watch(self, now: int) -> None:
+        if now - self._heard_at > WATCHDOG_UNIT_NS:
+            for device in self.chain:
+                device.watch(now - self._heard_at)
+        self._heard_at = now
+
+    def _hearing(self, number: int, now: int) -> list[FakeDevice]:
+        return [device for device in self._by_id.get(number, ()) if device.hears(self.baud, now)]
+
+    def _due(self, request: Request) -> tuple[int, ...]:
+        """Return who must answer, Status Return Level considered; a stranger must."""
+        if request.answers is Answers.EVERYBODY:
+            return ()            # nothing is known of the devices before
+        if request.answers in (Answers.LISTED, Answers.COMBINED):
+            return tuple(access.id for access in request.accesses
+                         if self._answers(access.id, request.instruction))
+        if request.id == BROADCAST or not self._answers(request.id, request.instruction):
+            return ()
+        return (request.id,)
+
+    def _answers(self, number: int, instruction: int) -> bool:
+        device = self.at(number)
+        return device is None or device.acknowledges(instruction)
+
+    # --- ways to answer --------------------------------------------------------------------
+
+    def _answer(self, exchange: Exchange, now: int) -> None:
+        request = exchange.request
+        if request.answers is Answers.EVERYBODY:
+            self._everybody(exchange, now)
+        elif request.answers is Answers.LISTED:
+            self._listed(exchange, now)
+        elif request.answers is Answers.COMBINED:
+            self._combined(exchange, now)
+        elif request.instruction in _LISTED_WRITES:
+            self._write_each(exchange, now)
+        elif request.id == BROADCAST:
+            self._all(exchange, now)
+        else:
+            self._single(exchange, now)
+
+    def _single(self, exchange: Exchange, now: int) -> None:
+        request = exchange.request
+        for device in self._hearing(request.id, now):
+            # Read the policy first: the instruction may change it, or take the device away.
+            delay = device.return_delay_ns
+            acknowledges = device.acknowledges(request.instruction)
+            alert = device.error_byte(0)
+            reply = device.execute(request.instruction, exchange.params, now)
+            if acknowledges:
+                self._send(exchange, request.id, reply.error | alert, reply.params, now + delay)
+            self._follow(device, request.id)
+
+    def _follow(self, device: FakeDevice, number: int) -> None:
+        if device.id != number:
+            self._index()
+
+    def _send(self, exchange: Exchange, number: int, error: int, params: bytes, start: int,
+              wire: bytes = b'') -> int:
+        """Put a status, or that part of a combined one, on the line; return when it ends."""
+        burst = Burst(start, wire or self.status_wire(number, error, params), number, self.baud)
+        exchange.bursts.append(burst)
+        exchange.answers.append(Answer(number, self.common_error(error), params, burst))
+        return burst.end
+
+    def _reply(self, exchange: Exchange, device: FakeDevice, reply: Reply, now: int) -> int:
+        return self._send(exchange, device.id, device.error_byte(reply.error), reply.params,
+                          now + device.return_delay_ns)
+
+    def _everybody(self, exchange: Exchange, now: int) -> None:
+        for number in sorted(self._by_id):
+            end = now
+            for device in self._hearing(number, now):
+                reply = device.execute(Instruction.PING, b'', now)
+                end = max(end, self._reply(exchange, device, reply, now))
+            now = end
+
+    def _listed(self, exchange: Exchange, now: int) -> None:
+        for access in exchange.request.accesses:
+            devices = [device for device in self._hearing(access.id, now)
+                       if device.acknowledges(exchange.request.instruction)]
+            if not devices and self.waits_in_line:
+                return
+            end = now + (0 if devices else wire_ns(access.length + self.status_size, self.baud))
+            for device in devices:
+                reply = device.read(access.address, access.length, now)
+                end = max(end, self._reply(exchange, device, reply, now))
+            now = end
+
+    def _combined(self, exchange: Exchange, now: int) -> None:
+        accesses = exchange.request.accesses
+        length = 1 + sum(access.length + 4 for access in accesses)
+        sent = HEADER + bytes([BROADCAST]) + length.to_bytes(2, 'little') + bytes([STATUS])
+        crc = crc16(sent)
+        for position, access in enumerate(accesses):
+            device = next(iter(self._hearing(access.id, now)), None)
+            if device is None or not device.has_fast_reads:
+                return
+            reply = device.read(access.address, access.length, now)
+            error, data = device.error_byte(reply.error), reply.params or bytes(access.length)
+            block = bytes([error, access.id]) + data
+            crc = crc16(block, crc)
+            tail = crc.to_bytes(2, 'little')
+            crc = crc16(tail, crc)
+            start = now if position else now + device.return_delay_ns
+            piece = (b'' if position else sent) + block + tail
+            now = self._send(exchange, access.id, error, data, start, piece)
+
+    def _write_each(self, exchange: Exchange, now: int) -> None:
+        for access in exchange.request.accesses:
+            for device in self._hearing(access.id, now):
+                device.write(access.address, access.data or b'', now)
+                self._follow(device, access.id)
+
+    def _all(self, exchange: Exchange, now: int) -> None:
+        request = exchange.request
+        if request.instruction == Instruction.FACTORY_RESET and exchange.params == b'\xff':
+            return               # ignored by firmware 42 and later
+        for device in self.chain:
+            if device.hears(self.baud, now):
+                device.execute(request.instruction, exchange.params, now)
+        self._index()
+
+
+_LISTED_WRITES = (Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
+
+
+def mix(bursts: Iterable[Burst], baud: int) -> list[Burst]:
+    """
+    Return the bursts on the line, in order of time.
+
+    Where two senders overlap neither is intact, and a bit is low as soon as one drives it low.
+    """
+    mixed: list[Burst] = []
+    half_a_byte = wire_ns(1, baud) // 2
+    for burst in sorted(bursts, key=lambda one: one.start):
+        if mixed and burst.start + half_a_byte < mixed[-1].end:
+            mixed[-1] = _clash(mixed[-1], burst, baud)
+        else:
+            mixed.append(burst)
+    return mixed
+
+
+def _clash(first: Burst, second: Burst, baud: int) -> Burst:
+    first.intact = second.intact = False
+    offset = round((second.start - first.start) / wire_ns(1, baud))
+    both = bytearray(max(len(first.data), offset + len(second.data)))
+    both[:len(first.data)] = first.data
+    for at, byte in enumerate(second.data, offset):
+        both[at] = both[at] & byte if at < len(first.data) else byte
+    clash = Burst(first.start, bytes(both), STRAY, baud, intact=False)
+    clash.said = first.said + second.said
+    return clash
+
+
+def by_sides(burst: Burst, baud: int) -> Iterator[tuple[int, str, bytes]]:
+    """
+    Yield (time, side, bytes) of a burst as the master's own port has it.
+
+    What it writes is whole also where the wire damages it, and while it sends it hears nothing.
+    """
+    yield from ((start, OUT, data) for start, data in burst.said)
+    deaf = [(start, start + wire_ns(len(data), baud)) for start, data in burst.said]
+    middles = (burst.start + wire_ns(2 * at + 1, 2 * baud) for at in range(len(burst.data)))
+    heard = bytes(byte for byte, middle in zip(burst.data, middles, strict=True)
+                  if not any(begin <= middle < end for begin, end in deaf))
+    if heard:
+        yield burst.end, IN, heard
+
+

@@ -1,0 +1,106 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The control table of a simulated device: its bytes, and which accesses the device refuses.
+
+Error numbers are those of a status (e-Manual, Protocol 2.0): access, range, length of a write.
+"""
+
+from __future__ import annotations
+
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Model
+from mecarover_fakes.values import initial_image
+from mecarover_fakes.values import pack_raw
+
+OK, RESULT_FAIL, INSTRUCTION, RANGE, LENGTH, ACCESS = 0, 1, 2, 4, 5, 7
+WATCHDOG_TRIPPED = 0xFF
+_LIMITS = {'ID': (0, 252), 'Baud Rate': (0, 7), 'Return Delay Time': (0, 254),
+           'Torque Enable': (0, 1), 'Status Return Level': (0, 2)}
+_SMALLEST_TABLE = 256            # for a model without a file
+
+
+class Registers:
+    """Bytes of one device, with the factory's as they are before anything is set."""
+
+    def __init__(self, model: Model, firmware: int) -> None:
+        self.model = model
+        self._defined = _defined_bytes(model)
+        self.factory = bytes(initial_image(model, firmware, len(self._defined)))
+        self.image = bytearray(self.factory)
+        self.eeprom = {at for field in model.fields if field.memory == 'eeprom'
+                       for at in range(field.at, field.end)}
+
+    def field(self, name: str) -> Field | None:
+        """Return the register of that name, None where the model has none."""
+        return self.model.by_name.get(name)
+
+    def get(self, name: str, default: int = 0) -> int:
+        """Return the raw number in a register, `default` where the model has none."""
+        field = self.field(name)
+        if field is None:
+            return default
+        return field.code_of(bytes(self.image[field.at:field.end]))
+
+    def set(self, name: str, raw: float) -> None:
+        """Put a raw number into a register, by no instruction; nothing where it has none."""
+        field = self.field(name)
+        if field is not None:
+            self.image[field.at:field.end] = pack_raw(field, raw)
+
+    @property
+    def torque(self) -> bool:
+        """Whether the motor is on; a board has none."""
+        return bool(self.get('Torque Enable'))
+
+    def is_readable(self, address: int, end: int) -> bool:
+        """Tell whether there is anything in this range, and nothing beyond the table."""
+        return address < end <= len(self.image) and 1 in self._defined[address:end]
+
+    def redirects(self, address: int, end: int) -> bool:
+        """Tell whether a range holds bytes that show other registers."""
+        return any(address < data + count and end > data
+                   for _, data, count in self.model.indirect)
+
+    def resolve(self, address: int) -> int:
+        """Follow an indirect data byte to the register that it shows, one level deep."""
+        for pointers, data, count in self.model.indirect:
+            if data <= address < data + count:
+                at = pointers + 2 * (address - data)
+                target = int.from_bytes(self.image[at:at + 2], 'little')
+                return target if target < len(self.image) else address
+        return address
+
+    def write_error(self, address: int, data: bytes) -> int:
+        """Return why a write is refused, OK if it is not."""
+        end = address + len(data)
+        if not data or end > len(self.image):
+            return ACCESS
+        if not self.model.fields:
+            return OK
+        fields = [field for field in self.model.fields if field.at < end and field.end > address]
+        if not fields and 1 not in self._defined[address:end]:
+            return ACCESS
+        return next((error for field in fields
+                     if (error := self._field_error(field, address, data))), OK)
+
+    def _field_error(self, field: Field, address: int, data: bytes) -> int:
+        if field.access == 'r' or (field.memory == 'eeprom' and self.torque):
+            return ACCESS
+        if field.at < address or field.end > address + len(data):
+            return LENGTH
+        raw = int.from_bytes(data[field.at - address:field.end - address], 'little')
+        low, high = _LIMITS.get(field.name, (0, raw))
+        tripped = field.name.startswith('Goal') and self.get('Bus Watchdog') == WATCHDOG_TRIPPED
+        return OK if low <= raw <= high and not tripped else RANGE
+
+
+def _defined_bytes(model: Model) -> bytearray:
+    """One byte per address of the table, 1 where a register lies."""
+    spans = [(field.at, field.end) for field in model.fields]
+    for pointers, data, count in model.indirect:
+        spans += [(pointers, pointers + 2 * count), (data, data + count)]
+    defined = bytearray(max((end for _, end in spans), default=_SMALLEST_TABLE))
+    for first, end in spans or [(0, _SMALLEST_TABLE)]:
+        defined[first:end] = b'\x01' * (end - first)
+    return defined

@@ -1,0 +1,328 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the simulated master asks: one function per traffic pattern, in PATTERNS by name.
+
+A pattern yields the instructions of one cycle; it is advanced instruction by instruction, so that
+`clock()` is the time at which the next one goes out. `read_write` and `ping` are experiments 2
+and 3 of the thesis, `moving` follows the cycle of its robot trace.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Iterator
+from typing import NamedTuple
+from typing import TypeVar
+
+from dxl_monitor.model.control_table import Field
+from mecarover_fakes.fake_servo import FakeDevice
+from mecarover_fakes.line import Line
+from mecarover_fakes.values import pack
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_packet import BROADCAST
+
+LOOK_AHEAD_S = 0.02              # a goal is where the joint shall be a little later
+SLOW = 25                        # cycles between two looks at voltage and temperature
+IDLE_CYCLES = 100
+ROOM = 1000                      # bytes of parameters: a device's buffer is 1 KiB
+BLOCK = 4                        # error, ID and CRC of each device in a combined status
+T = TypeVar('T')
+
+
+class Ask(NamedTuple):
+    """One instruction of the master."""
+
+    id: int
+    instruction: int
+    params: bytes = b''
+    stuffed: bool = True
+
+
+class CommonRange(NamedTuple):
+    """A range of registers that a list of devices has in common."""
+
+    address: int
+    length: int
+    ids: tuple[int, ...]
+
+
+Clock = Callable[[], int]
+Pattern = Callable[['Fleet', int, Clock], Iterator[Ask]]
+
+
+class Fleet:
+    """The devices of a line as the master knows them: it looks up addresses once."""
+
+    def __init__(self, line: Line) -> None:
+        self.knows = line.knows
+        self.pings_tell_model = line.pings_tell_model
+        self.devices = list(line.chain)
+        self._addresses = line.addresses
+        self.id_of = {device: device.id for device in self.devices}    # as it takes them for
+        self.ids = tuple(self.id_of.values())
+        self.servos = [device for device in self.devices if device.field('Goal Position')]
+        self.boards = [device for device in self.devices if not device.field('Goal Position')]
+        self.unwritten: set[int] = set()     # the master never writes to these
+        self._spans: dict[tuple[str, ...], list[CommonRange]] = {}
+
+    def spans(self, *names: str) -> list[CommonRange]:
+        """Return the ranges that cover these registers, devices with equal addresses together."""
+        if names not in self._spans:
+            groups: dict[tuple[int, int], list[int]] = {}
+            for device in self.devices:
+                fields = [field for name in names if (field := device.field(name)) is not None
+                          and field.at < self._addresses]
+                if fields:
+                    first, end = min(f.at for f in fields), max(f.end for f in fields)
+                    groups.setdefault((first, end - first), []).append(self.id_of[device])
+            self._spans[names] = [CommonRange(*place, tuple(ids)) for place, ids in groups.items()]
+        return self._spans[names]
+
+    def read(self, span: CommonRange) -> Iterator[Ask]:
+        """Read the same registers of several devices, one by one where there is no Sync Read."""
+        if self.knows(Instruction.SYNC_READ):
+            return sync_read(span)
+        return (read(number, span.address, span.length) for number in span.ids)
+
+    def goals(self, now: int) -> list[tuple[Field, list[tuple[int, bytes]]]]:
+        """Return each servo's Goal Position, devices with equal addresses together."""
+        groups: dict[tuple[int, int], tuple[Field, list[tuple[int, bytes]]]] = {}
+        for device in self.servos:
+            number = self.id_of[device]
+            if number in self.unwritten or device.motion is None:
+                continue
+            field = device.model.by_name['Goal Position']
+            data = pack(field, device.motion.angle(now * 1e-9 + LOOK_AHEAD_S))
+            groups.setdefault((field.at, field.size), (field, []))[1].append((number, data))
+        return list(groups.values())
+
+
+def words(*numbers: int) -> bytes:
+    """Return 16-bit words as bytes of an instruction."""
+    return b''.join(number.to_bytes(2, 'little') for number in numbers)
+
+
+def read(number: int, address: int, length: int) -> Ask:
+    """Ask one device for registers."""
+    return Ask(number, Instruction.READ, words(address, length))
+
+
+def write(number: int, address: int, data: bytes) -> Ask:
+    """Write registers of one device."""
+    return Ask(number, Instruction.WRITE, words(address) + data)
+
+
+def read_register(device: FakeDevice, name: str) -> Iterator[Ask]:
+    """Ask a device for a register, if it has it."""
+    field = device.field(name)
+    if field is not None:
+        yield read(device.id, field.at, field.size)
+
+
+def write_register(device: FakeDevice, name: str, data: bytes) -> Iterator[Ask]:
+    """Write a register of a device, if it has it."""
+    field = device.field(name)
+    if field is not None:
+        yield write(device.id, field.at, data)
+
+
+def sync_read(span: CommonRange, instruction: int = Instruction.SYNC_READ) -> Iterator[Ask]:
+    """Ask several devices for the same registers, in as few packets as the answers fit."""
+    for ids in _batches(list(span.ids), lambda number: span.length + BLOCK):
+        yield Ask(BROADCAST, instruction, words(span.address, span.length) + bytes(ids))
+
+
+def sync_write(address: int, data: list[tuple[int, bytes]]) -> Iterator[Ask]:
+    """Write the same registers of several devices, in as few packets as they fit."""
+    for batch in _batches(data, lambda entry: len(entry[1]) + 1):
+        yield Ask(BROADCAST, Instruction.SYNC_WRITE, words(address, len(batch[0][1]))
+                  + b''.join(bytes([number]) + content for number, content in batch))
+
+
+def bulk_read(spans: list[CommonRange], instruction: int = Instruction.BULK_READ) -> Iterator[Ask]:
+    """Ask several devices, each for its own registers, in as few packets as they fit."""
+    entries = [(bytes([number]) + words(span.address, span.length), span.length + BLOCK)
+               for span in spans for number in span.ids]
+    for batch in _batches(entries, lambda entry: max(entry[1], len(entry[0]))):
+        yield Ask(BROADCAST, instruction, b''.join(asked for asked, _ in batch))
+
+
+def _batches(items: list[T], size: Callable[[T], int]) -> Iterator[list[T]]:
+    """Yield the items in batches, each no larger than a packet takes."""
+    batch: list[T] = []
+    room = ROOM
+    for item in items:
+        if size(item) > room:
+            yield batch
+            batch, room = [], ROOM
+        batch.append(item)
+        room -= size(item)
+    if batch:
+        yield batch
+
+
+def bulk_write(data: list[tuple[int, int, bytes]]) -> Iterator[Ask]:
+    """Write several devices, each its own registers (id, address, data)."""
+    entries = [bytes([number]) + words(address, len(content)) + content
+               for number, address, content in data]
+    for batch in _batches(entries, len):
+        yield Ask(BROADCAST, Instruction.BULK_WRITE, b''.join(batch))
+
+
+def start_up(fleet: Fleet, clock: Clock) -> Iterator[Ask]:
+    """Do what a robot's master does first: look who is there, switch the torque on."""
+    for device, number in fleet.id_of.items():
+        yield Ask(number, Instruction.PING)
+        if not fleet.pings_tell_model:
+            yield read(number, device.model.by_name['Model Number'].at, 2)
+    for device in fleet.servos:
+        field = device.field('Torque Enable')
+        number = fleet.id_of[device]
+        if field is not None and number not in fleet.unwritten:
+            yield write(number, field.at, b'\x01')
+
+
+def moving(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+    """Walk like the robot of the trace: positions, one board after the other, goals."""
+    for span in fleet.spans('Present Position', 'Present Velocity', 'Present Current'):
+        yield from fleet.read(span)
+    if fleet.boards:
+        yield _read_board(fleet.boards[cycle % len(fleet.boards)])
+    yield from _goals(fleet, clock)
+    if cycle % SLOW == 1:
+        for span in fleet.spans('Present Input Voltage', 'Present Temperature'):
+            yield from fleet.read(span)
+    if cycle % SLOW == 2:
+        for span in fleet.spans('Hardware Error Status'):
+            yield from fleet.read(span)
+
+
+def sync(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+    """Sync Read of positions and Sync Write of goals, nothing else."""
+    for span in fleet.spans('Present Position'):
+        yield from fleet.read(span)
+    yield from _goals(fleet, clock)
+
+
+def bulk(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+    """Bulk Read of positions and boards, Bulk Write (in 1.0 Sync Write) of goals."""
+    yield from bulk_read(_everything(fleet))
+    if not fleet.knows(Instruction.BULK_WRITE):
+        yield from _goals(fleet, clock)
+        return
+    goals = [(number, field.at, content) for field, data in fleet.goals(clock())
+             for number, content in data]
+    yield from bulk_write(goals)
+
+
+def fast(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+    """Fast Sync Read of positions, every other time Fast Bulk Read, and goals."""
+    if cycle % 2:
+        yield from bulk_read(_everything(fleet), Instruction.FAST_BULK_READ)
+    else:
+        for span in fleet.spans('Present Position'):
+            yield from sync_read(span, Instruction.FAST_SYNC_READ)
+    yield from _goals(fleet, clock)
+
+
+def registered(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+    """Goals by Reg Write to each servo, then one Action for all."""
+    for field, data in fleet.goals(clock()):
+        for number, content in data:
+            yield Ask(number, Instruction.REG_WRITE, words(field.at) + content)
+    yield Ask(BROADCAST, Instruction.ACTION)
+    for span in fleet.spans('Present Position'):
+        yield from fleet.read(span)
+
+
+def read_write(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+    """
+    Experiment 2 of the thesis: each device with every kind of read and write.
+
+    What is written is what is there. A device without a register to write is only read.
+    """
+    everything = _everything(fleet)
+    for device in fleet.devices:
+        span = next(span for span in everything if device.id in span.ids)
+        own = span._replace(ids=(device.id,))
+        yield Ask(device.id, Instruction.PING)
+        yield read(device.id, span.address, span.length)
+        yield from sync_read(own)
+        yield from bulk_read([own])
+        field = _harmless(device)
+        if field is not None:
+            data = bytes(device.image[field.at:field.end])
+            yield write(device.id, field.at, data)
+            yield from sync_write(field.at, [(device.id, data)])
+            yield from bulk_write([(device.id, field.at, data)])
+
+
+def _harmless(device: FakeDevice) -> Field | None:
+    """Return a register in RAM that may be written at any time, None where there is none."""
+    return device.field('LED') or device.field('Goal Position') or next(
+        (field for field in device.model.fields
+         if field.access == 'rw' and field.memory == 'ram'), None)
+
+
+def ping(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+    """Experiment 3 of the thesis: Pings only, the model number changes after each."""
+    numbers = sorted({device.model.number or 0 for device in fleet.devices} | {311, 321})
+    for position, device in enumerate(fleet.devices):
+        device.become(numbers[(cycle + position) % len(numbers)])
+        yield Ask(device.id, Instruction.PING)
+
+
+def broadcast(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+    """Look who is there, again and again."""
+    yield Ask(BROADCAST, Instruction.PING)
+
+
+def idle(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+    """Be nearly silent: a Ping now and then."""
+    if fleet.ids and cycle % IDLE_CYCLES == 0:
+        yield Ask(fleet.ids[cycle // IDLE_CYCLES % len(fleet.ids)], Instruction.PING)
+
+
+def mixed(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+    """Do a bit of everything, one pattern per cycle."""
+    yield from _MIX[cycle % len(_MIX)](fleet, cycle // len(_MIX), clock)
+
+
+def none(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+    """Say nothing: the devices wait for a master at the other end."""
+    return iter(())
+
+
+def _goals(fleet: Fleet, clock: Clock) -> Iterator[Ask]:
+    for field, data in fleet.goals(clock()):
+        yield from sync_write(field.at, data)
+
+
+def _read_board(device: FakeDevice) -> Ask:
+    span = _sensor_span(device)
+    return read(device.id, span.address, span.length)
+
+
+def _sensor_span(device: FakeDevice) -> CommonRange:
+    """Return what there is to read from a board: all after its writable head."""
+    fields = [field for field in device.model.fields if field.access == 'r' and field.at > 6]
+    if not fields:
+        return CommonRange(0, 3, (device.id,))
+    return CommonRange(fields[0].at, fields[-1].end - fields[0].at, (device.id,))
+
+
+def _everything(fleet: Fleet) -> list[CommonRange]:
+    return fleet.spans('Present Position') + [
+        _sensor_span(device) for device in fleet.devices if not device.field('Present Position')]
+
+
+PATTERNS: dict[str, Pattern] = {
+    'moving': moving, 'sync': sync, 'bulk': bulk, 'fast': fast, 'registered': registered,
+    'read_write': read_write, 'ping': ping, 'broadcast': broadcast, 'idle': idle,
+    'mixed': mixed, 'none': none,
+}
+# What a master can ask that has no more than the instructions of the 1.0 family.
+FAMILY_1 = {'1': ('moving', 'sync', 'bulk', 'registered', 'broadcast', 'idle', 'none'),
+            'feetech': ('moving', 'sync', 'registered', 'broadcast', 'idle', 'none')}
+_MIX: tuple[Pattern, ...] = (moving, sync, bulk, registered, read_write)

@@ -1,0 +1,93 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Who else is on a terminal: processes that have it open, and those that it controls.
+
+Reads below /proc (`root` is an argument for tests). The descriptors of other users' processes are
+for root alone; their controlling terminal and control group are for everybody.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+import os
+from pathlib import Path
+import stat
+from typing import NamedTuple
+
+ROOT = Path('/')
+_LOGINS = ('getty', 'login')    # parts of the names of programs that offer one
+PTYS = range(136, 144)          # major numbers
+_TTY_NR = 4                     # field of /proc/PID/stat after the name, see proc_pid_stat(5)
+
+
+class PortUser(NamedTuple):
+    """A process that is on a terminal: 'name (pid N)', and what it does there."""
+
+    name: str
+    is_login: bool                 # it offers a login
+    is_maker: bool                 # it made this pty: a simulated bus holds both ends of its own
+
+
+def holders(path: str, root: Path = ROOT) -> list[PortUser]:
+    """Return who else is on the terminal `path`; what only a descriptor shows, for root only."""
+    return sorted(_holders(path, root))
+
+
+def _holders(path: str, root: Path) -> Iterator[PortUser]:
+    try:
+        device = os.stat(path).st_rdev
+    except OSError:
+        device = 0
+    name = os.path.basename(os.path.realpath(path))
+    for process in (root / 'proc').glob('[0-9]*'):
+        if int(process.name) == os.getpid():
+            continue
+        program = file_text(process / 'comm').strip()
+        is_login = any(part in program for part in _LOGINS)
+        if (is_login and _is_told_of(process, name)) or (device and (
+                _controlling(process) == device or _has_open(process, device))):
+            yield PortUser(f'{program or "a process"} (pid {process.name})', is_login,
+                         _has_made(process, device))
+
+
+def _is_told_of(process: Path, tty: str) -> bool:
+    """Tell whether a getty was started for `tty`, by an argument or as a unit of systemd."""
+    # systemd passes the terminal as standard input: `agetty ... -` does not name it.
+    return bool({tty, f'/dev/{tty}'} & set(file_text(process / 'cmdline').split('\0'))) \
+        or f'getty@{tty}.service' in file_text(process / 'cgroup')
+
+
+def _controlling(process: Path) -> int:
+    """Return the device number of the controlling terminal of a process, 0 for none."""
+    fields = file_text(process / 'stat').rpartition(')')[2].split()
+    number = int(fields[_TTY_NR]) if len(fields) > _TTY_NR else 0
+    # Minor numbers above 255 are in the upper 12 bits of the 32.
+    return os.makedev(number >> 8 & 0xFFF, number & 0xFF | number >> 12 & 0xFFF00)
+
+
+def _has_open(process: Path, device: int) -> bool:
+    """Tell whether a process has a descriptor of `device`; it may end while we look."""
+    with suppress(OSError):
+        for entry in (process / 'fd').iterdir():
+            with suppress(OSError):
+                status = entry.stat()
+                if stat.S_ISCHR(status.st_mode) and status.st_rdev == device:
+                    return True
+    return False
+
+
+def _has_made(process: Path, device: int) -> bool:
+    """Tell whether a process has the other end of a pty."""
+    if os.major(device) not in PTYS:
+        return False
+    index = f'tty-index:\t{os.minor(device)}'
+    return any(index in file_text(entry).splitlines() for entry in (process / 'fdinfo').glob('*'))
+
+
+def file_text(path: Path) -> str:
+    """Return what a file holds, '' when it cannot be read."""
+    try:
+        return path.read_text(errors='replace')
+    except OSError:
+        return ''

@@ -1,0 +1,397 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Start, signals and end of a node: the one place that knows how rclpy has to be handled.
+
+rclpy's own signal handlers invalidate the context at once, die on SIGHUP and SIGQUIT and freeze
+on SIGTSTP; without them the main thread sits in rcl_wait. So signals arrive on a wake-up pipe,
+a thread reads it, stops the machine first, and only then ends the spinning.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Container
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
+import gc
+import os
+import signal
+import sys
+import threading
+import time
+from typing import Any
+from typing import Protocol
+
+from rcl_interfaces.msg import FloatingPointRange
+from rcl_interfaces.msg import IntegerRange
+from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import SetParametersResult
+import rclpy
+from rclpy.clock import Clock
+from rclpy.clock import ClockType
+from rclpy.exceptions import ParameterException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.signals import SignalHandlerOptions
+
+from mecarover_serial.cli import COULD_NOT_RUN
+from mecarover_serial.cli import DONE
+from mecarover_serial.cli import ENDING
+from mecarover_serial.cli import WRONG_USAGE
+from mecarover_serial.namesakes import DISCOVERED_NS
+from mecarover_serial.namesakes import Namesakes
+from mecarover_serial.parameters import convert
+from mecarover_serial.parameters import Parameter
+from mecarover_serial.parameters import ParameterError
+from mecarover_serial.parameters import settings_files
+from mecarover_serial.parameters import typed
+from mecarover_serial.parameters import unknown
+from mecarover_serial.preflight import PortError
+from mecarover_serial.settings_file import check
+from mecarover_serial.settings_file import SettingsError
+from mecarover_serial.standard_streams import StandardStreams
+from mecarover_serial.systemd import Systemd
+
+STEP_S = 1.0                    # the system clock was set when it jumps by more
+_SHARED_MEMORY = '/dev/shm'
+_ROOM = 4_000_000               # bytes: a participant takes 0.5 MB and something for each port
+_TRANSPORTS = 'FASTDDS_BUILTIN_TRANSPORTS'
+_LARGEST = 1e9                  # means "no upper limit" in a range, which needs both ends
+
+
+class Stoppable(Protocol):
+    """What `run` starts and ends; called from any thread, `stop` more than once."""
+
+    node: Node
+
+    def stop(self) -> None:
+        """Bring the machine to a safe state and release the ports; the context is still valid."""
+
+    def suspend(self) -> None:
+        """Bring the machine to a safe state because the process is about to be suspended."""
+
+    def resume(self) -> None:
+        """Go on after a suspension, as if everything heard before it were forgotten."""
+
+
+def run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None = None) -> int:
+    """Run a node until a signal ends it; return the exit code (0 signal, 1 failed, 2 usage)."""
+    clock = _SystemClock()
+    with _Signals() as signals:
+        with StandardStreams(name):
+            code = _run(name, start, args, signals, clock)
+        if clock.went_back:
+            os._exit(code)
+        return code
+
+
+class _SystemClock:
+    """
+    Knows whether the system clock was set back since the start.
+
+    Fast DDS then crashes, every other time, when it takes down what was there before. By that
+    time everything of ours is stopped and closed: the process is left without taking it down.
+    """
+
+    def __init__(self) -> None:
+        self._ahead_s = time.time() - time.monotonic()
+
+    @property
+    def went_back(self) -> bool:
+        return time.time() - time.monotonic() < self._ahead_s - STEP_S
+
+
+def _run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None,
+         signals: _Signals, clock: _SystemClock) -> int:
+    _spare_shared_memory(name)
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:      # RCLError is private; its cause is what the user typed
+        return _complain(name, f'{first_line(error)}; {_remedy()}', WRONG_USAGE)
+    try:
+        _spin(_created(start), signals, clock)
+        return DONE
+    except ParameterError as error:
+        return _complain(name, str(error), WRONG_USAGE)
+    except ParameterException as error:         # rclpy's own parameters: use_sim_time, QoS
+        return _complain(name, f'{first_line(error)}; see ros2 param --help', WRONG_USAGE)
+    except PortError as error:
+        return _complain(name, str(error), COULD_NOT_RUN)
+    except OSError as error:
+        return _complain(name, f'{error}; correct that and restart it', COULD_NOT_RUN)
+    finally:
+        if not clock.went_back:
+            rclpy.try_shutdown()
+
+
+def _created(start: Callable[[], Stoppable]) -> Stoppable:
+    """Return what `start` makes. What rcl refuses then is what the user typed or set."""
+    try:
+        return start()
+    except RuntimeError as error:
+        if type(error).__name__ != 'RCLError':      # it is private
+            raise
+        raise ParameterError(f'{first_line(error)}; {_remedy()}') from error
+
+
+def _remedy() -> str:
+    """Return where a user reads on when rcl refuses to start."""
+    if os.environ.get('ROS_SECURITY_ENABLE', '').lower() != 'true':
+        return 'see ros2 run --help'
+    return ('ROS_SECURITY_ENABLE is true: give --enclave, set ROS_SECURITY_KEYSTORE, use ROS 2 '
+            'from apt (the wheels of PyPI have no security)')
+
+
+def _spare_shared_memory(name: str) -> None:
+    """Have Fast DDS do without shared memory where there is no room: it would die of SIGBUS."""
+    with suppress(OSError):
+        room = os.statvfs(_SHARED_MEMORY)
+        if room.f_bavail * room.f_frsize < _ROOM and _TRANSPORTS not in os.environ:
+            os.environ[_TRANSPORTS] = 'UDPv4'
+            print(f'{name}: {_SHARED_MEMORY}: is full, so messages go over the network only; make '
+                  'room there and start again', file=sys.stderr, flush=True)
+
+
+def _spin(app: Stoppable, signals: _Signals, clock: _SystemClock) -> None:
+    """Spin until a signal has come; then the machine is stopped before anything else ends."""
+    executor = SingleThreadedExecutor()
+    ended = threading.Event()
+    systemd = Systemd()
+    try:
+        signals.watch(app, partial(_end, executor, ended))
+        executor.add_node(app.node)
+        if systemd.watchdog_s is not None:
+            app.node.create_timer(systemd.watchdog_s / 3, systemd.alive,
+                                  clock=Clock(clock_type=ClockType.STEADY_TIME))
+        systemd.ready()
+        gc.freeze()             # imports and set-up stay: no garbage is to be looked for there
+        # Not spin_until_future_complete: it keeps a callback for each message that ever came.
+        while not ended.is_set() and rclpy.ok():
+            executor.spin_once()
+    finally:
+        systemd.stopping()
+        app.stop()
+        executor.shutdown(timeout_sec=1.0)
+        if not clock.went_back:
+            app.node.destroy_node()
+
+
+def _end(executor: SingleThreadedExecutor, ended: threading.Event) -> None:
+    """Have the spinning left; from any thread. A task is what spin_once returns after."""
+    ended.set()
+    executor.create_task(lambda: None)
+
+
+def overridable_publisher(node: Node, kind: type, topic: str, profile: QoSProfile) -> Any:
+    """Return a publisher; qos_overrides.TOPIC.publisher.* are parameters of its QoS."""
+    try:
+        return node.create_publisher(
+            kind, topic, profile,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+    except (RuntimeError, ValueError) as error:     # rclpy's, and its private RCLError
+        raise ParameterError(
+            f'qos_overrides.{node.resolve_topic_name(topic)}.publisher: {first_line(error)}; '
+            'set e.g. reliability to reliable, depth to 10') from error
+
+
+class Surroundings:
+    """What is wrong around a node, by the graph: another one of its name, a clock that stopped."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._began = time.monotonic_ns()
+        self._namesakes = Namesakes(node.get_fully_qualified_name(), self._began)
+
+    def clock_stands(self) -> bool:
+        """Whether the time of the node is 0 because no node publishes /clock."""
+        return bool(self._node.get_clock().now().nanoseconds == 0)
+
+    def complaints(self) -> list[str]:
+        """Return a line for each."""
+        now = time.monotonic_ns()
+        lines = self._namesakes.complaints(self._node.get_node_names_and_namespaces(), now)
+        if self.clock_stands() and now - self._began > DISCOVERED_NS:
+            lines.append('use_sim_time: it is true and no node publishes /clock, so all stamps '
+                         'are 0; start the simulation or ros2 bag play --clock, or set it false')
+        return lines
+
+
+def given(node: Node) -> dict[str, Any]:
+    """Return the raw values that the user gave, on the command line or in a file."""
+    return {name: one.value for name, one in node._parameter_overrides.items()}
+
+
+def _prefer_typed(node: Node, known: Container[str]) -> None:
+    """
+    Let the command line win over a file that gives another type.
+
+    rcl keeps one value per type, and rclpy takes the integer: with `cmd_vel_timeout: 1` in a
+    file, `-p cmd_vel_timeout:=0.25` would be lost without a word.
+    """
+    overrides = node._parameter_overrides
+    for name, value in typed(sys.argv[1:], node.get_name()).items():
+        if name in known and name in overrides and _kind(value) != _kind(overrides[name].value):
+            overrides[name] = rclpy.Parameter(name, value=value)
+
+
+def _kind(value: Any) -> str:
+    """Return the type of a value, of a list that of its elements."""
+    if isinstance(value, str) or not hasattr(value, '__iter__'):
+        return type(value).__name__
+    return 'list of ' + ', '.join(sorted({type(item).__name__ for item in value}))
+
+
+def declare(node: Node, parameters: Sequence[Parameter],
+            apply: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
+    """
+    Declare parameters and return their checked values; raise ParameterError for a bad one.
+
+    `apply(changes)` is called with converted values when run-time parameters change; it raises
+    ParameterError to refuse what only makes sense together with others.
+    """
+    known = {parameter.name: parameter for parameter in parameters}
+    values = {}
+    try:
+        check(settings_files(sys.argv[1:]), node.get_fully_qualified_name())
+    except SettingsError as error:
+        raise ParameterError(str(error)) from error
+    _prefer_typed(node, known)
+    wanted = given(node)
+    for parameter in parameters:
+        if parameter.name in wanted:    # before rclpy does: its words name no remedy
+            node._parameter_overrides[parameter.name] = _stored(
+                parameter, wanted[parameter.name])
+        declared = node.declare_parameter(
+            parameter.name, _default(parameter), _descriptor(parameter))
+        values[parameter.name] = convert(parameter, declared.value)
+    for line in unknown(parameters, list(wanted)):
+        node.get_logger().warning(line)
+
+    def before_set(changed: list[Any]) -> list[Any]:
+        """Store what on_set will take as the type it has: a client may read double_value."""
+        stored = []
+        for one in changed:
+            with suppress(KeyError, ParameterError):
+                one = _stored(known[one.name], one.value)
+            stored.append(one)
+        return stored
+
+    def on_set(changed: list[Any]) -> SetParametersResult:
+        try:
+            changes = {one.name: convert(known[one.name], one.value)
+                       for one in changed if one.name in known}
+            if changes:
+                apply(changes)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    _explain_read_only(node)
+    node.add_pre_set_parameters_callback(before_set)
+    node.add_on_set_parameters_callback(on_set)
+    return values
+
+
+def _explain_read_only(node: Node) -> None:
+    """Let rclpy, which refuses a read-only parameter before it asks us, name the remedy."""
+    refuse = node.set_parameters_atomically
+
+    def set_atomically(changed: list[Any]) -> SetParametersResult:
+        result = refuse(changed)
+        if not result.successful and 'read-only' in result.reason:
+            result.reason += (' It cannot change while the node runs; write it to the settings '
+                              'file, or give it with -p, and start the node again')
+        return result
+    node.set_parameters_atomically = set_atomically
+
+
+def _stored(parameter: Parameter, raw: Any) -> Any:
+    """Return what rclpy stores of a value: 1 as 1.0 where a double is wanted, 'x' as ['x']."""
+    value = convert(parameter, raw)
+    return rclpy.Parameter(parameter.name, value=raw if value == [] else value)
+
+
+class _Signals:
+    """
+    Ending signals stop the app, SIGTSTP suspends it, each from a thread of its own.
+
+    They are caught from entering on; what comes before `watch` waits in the pipe.
+    """
+
+    def __enter__(self) -> _Signals:
+        self._read_fd, self._write_fd = os.pipe()
+        os.set_blocking(self._write_fd, False)
+        self._thread: threading.Thread | None = None
+        signal.set_wakeup_fd(self._write_fd, warn_on_full_buffer=False)
+        for number in (*ENDING, signal.SIGTSTP):
+            signal.signal(number, lambda *_: None)      # the pipe has the news
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)      # see hold_signals
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number in (*ENDING, signal.SIGTSTP):
+            signal.signal(number, signal.SIG_IGN)       # the end is not interrupted
+        signal.set_wakeup_fd(-1)
+        os.close(self._write_fd)
+        if self._thread is not None:
+            self._thread.join()
+        os.close(self._read_fd)
+
+    def watch(self, app: Stoppable, end: Callable[[], None]) -> None:
+        """Act on signals from now on; `end` is called when the app has been stopped."""
+        self._thread = threading.Thread(target=self._act, args=(app, end), name='signals')
+        self._thread.start()
+
+    def _act(self, app: Stoppable, end: Callable[[], None]) -> None:
+        ending = False
+        while numbers := os.read(self._read_fd, 64):
+            if not ending and any(number in ENDING for number in numbers):
+                ending = True
+                app.stop()              # before the executor: it may be busy for seconds
+                end()
+            elif not ending and signal.SIGTSTP in numbers:
+                app.suspend()
+                signal.raise_signal(signal.SIGSTOP)     # this thread: it goes no step further
+                app.resume()
+
+
+def _default(parameter: Parameter) -> Any:
+    """Return a default that rclpy can type: it takes an empty list for bytes."""
+    return parameter.default if parameter.default != [] else ['']
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    limits = ', '.join(text for text in (parameter.unit, parameter.range_text) if text)
+    descriptor = ParameterDescriptor(
+        name=parameter.name, dynamic_typing=True, read_only=not parameter.run_time,
+        description=parameter.description + (f' [{limits}]' if limits else ''),
+        additional_constraints=parameter.range_text)
+    if parameter.minimum is None and parameter.maximum is None:
+        return descriptor
+    low = 0.0 if parameter.or_zero else parameter.minimum
+    ends = {'from_value': -_LARGEST if low is None else low,
+            'to_value': _LARGEST if parameter.maximum is None else parameter.maximum}
+    if isinstance(parameter.default, float):
+        descriptor.type = ParameterType.PARAMETER_DOUBLE
+        descriptor.floating_point_range = [FloatingPointRange(
+            **{end: float(value) for end, value in ends.items()})]
+    elif isinstance(parameter.default, int):
+        descriptor.type = ParameterType.PARAMETER_INTEGER
+        descriptor.integer_range = [IntegerRange(
+            **{end: int(value) for end, value in ends.items()}, step=1)]
+    return descriptor
+
+
+def first_line(error: Exception) -> str:
+    """Return what an error of rclpy says to a user: its text without the place in rcl."""
+    return str(error).partition('\n')[0].partition(', at ')[0] or type(error).__name__
+
+
+def _complain(name: str, text: str, code: int) -> int:
+    with suppress(OSError):         # stderr is full, or its reader has left
+        print(f'{name}: {text}', file=sys.stderr)
+    return code

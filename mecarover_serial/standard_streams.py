@@ -1,0 +1,167 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+StandardStreams: what is written to stdout and stderr never blocks, also where it is not read.
+
+rclpy logs while it holds the interpreter's lock. A pipe that is full, or a terminal after Ctrl-S,
+would then stop every thread, those that stop a rover too. So descriptors 1 and 2 become pipes that
+refuse what they have no room for, and a thread passes on what comes through them. Lines that find
+no room are lost, counted, and reported when there is room again.
+"""
+from __future__ import annotations
+
+from collections import deque
+from contextlib import suppress
+import faulthandler
+import fcntl
+import os
+import select
+import stat
+import sys
+import threading
+import time
+
+from mecarover_serial.readable import readable
+
+_KEPT = 256 * 1024              # bytes that wait for their reader
+_PIPE = 1024 * 1024             # and those on their way here
+_AT_ONCE = 1024                 # a terminal or pipe that is writable has room for so much
+_LAST_S = 0.3                   # at the end, for what waits
+_F_SETPIPE_SZ = 1031            # fcntl.F_SETPIPE_SZ, which Python 3.10 and later name
+_LOOK_MS = 20
+_COLOUR = 'RCUTILS_COLORIZED_OUTPUT'
+
+
+class StandardStreams:
+    """To be entered before ROS starts; leaving passes on what waits and takes 0.3 s at most."""
+
+    def __init__(self, name: str) -> None:
+        self._ways: list[_Way] = []
+        self._name = name
+        self._ending: float | None = None
+        self._wake = os.eventfd(0)
+        self._thread = threading.Thread(target=self._run, name='relay', daemon=True)
+
+    def __enter__(self) -> StandardStreams:
+        known: dict[tuple[int, int], _Way] = {}
+        for fd in (1, 2):
+            with suppress(OSError):             # a descriptor that is closed
+                status = os.fstat(fd)
+                if not _may_block(status.st_mode):
+                    continue
+                if fd == 2 and os.isatty(fd):
+                    os.environ.setdefault(_COLOUR, '1')     # rcutils sees a pipe from now on
+                file = status.st_dev, status.st_ino
+                if file not in known:           # one pipe where both are one: the order stays
+                    known[file] = _Way(fd, self._name)
+                known[file].take(fd)
+        self._ways = list(known.values())
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        self._ending = time.monotonic() + _LAST_S
+        os.eventfd_write(self._wake, 1)
+        self._thread.join(2 * _LAST_S)
+        for way in self._ways:
+            way.give_back()
+
+    def _run(self) -> None:
+        while self._ending is None or (
+                time.monotonic() < self._ending and any(way.waits() for way in self._ways)):
+            poll = select.poll()
+            if self._ending is None:
+                poll.register(self._wake, select.POLLIN)
+            for way in self._ways:
+                way.register(poll)
+            for fd, _ in poll.poll(None if self._ending is None else _LOOK_MS):
+                for way in self._ways:
+                    way.ready(fd)
+
+
+def _may_block(mode: int) -> bool:
+    """Tell whether a write to such a file may wait for a reader; what a disk takes, it takes."""
+    return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or stat.S_ISCHR(mode)
+
+
+class _Way:
+    """From a pipe to where stdout or stderr, or both, went."""
+
+    def __init__(self, fd: int, name: str) -> None:
+        self._name = name
+        self._taken: list[int] = []
+        self._target = fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, 3)
+        self._source, self._pipe = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        with suppress(OSError):                 # more than a user may have
+            fcntl.fcntl(self._pipe, _F_SETPIPE_SZ, _PIPE)
+        self._waiting: deque[bytes] = deque()
+        self._size = 0
+        self._lost = 0
+        self._is_broken = False                 # its reader has gone
+
+    def take(self, fd: int) -> None:
+        os.dup2(self._pipe, fd)
+        self._taken.append(fd)
+        if fd == 2 and faulthandler.is_enabled():
+            faulthandler.enable(self._target)   # after a crash no thread passes it on
+
+    def waits(self) -> bool:
+        """Whether something is not passed on yet."""
+        return bool(self._waiting or self._lost or readable([self._source], 0))
+
+    def register(self, poll: select.poll) -> None:
+        poll.register(self._source, select.POLLIN)
+        if self._waiting or self._lost:
+            poll.register(self._target, select.POLLOUT)
+
+    def ready(self, fd: int) -> None:
+        if fd == self._source:
+            self._receive()
+        elif fd == self._target:
+            self._pass_on()
+
+    def _receive(self) -> None:
+        with suppress(BlockingIOError):
+            chunk = os.read(self._source, _KEPT)
+            if self._is_broken:
+                return
+            if self._size + len(chunk) > _KEPT:
+                self._lost += chunk.count(b'\n')
+            else:
+                self._waiting.append(chunk)
+                self._size += len(chunk)
+
+    def _pass_on(self) -> None:
+        if not self._waiting:
+            self._keep(f'{self._name}: {self._lost} lines of this log are lost, as nothing read '
+                       'it\n')
+            self._lost = 0
+        chunk = self._waiting.popleft()
+        try:
+            written = os.write(self._target, chunk[:_AT_ONCE])
+        except BlockingIOError:
+            written = 0
+        except OSError:
+            self._is_broken = True
+            self._waiting.clear()
+            self._size = self._lost = 0
+            return
+        self._size -= written
+        if written < len(chunk):
+            self._waiting.appendleft(chunk[written:])
+
+    def _keep(self, line: str) -> None:
+        self._waiting.append(line.encode())
+        self._size += len(line)
+
+    def give_back(self) -> None:
+        """Have the descriptors be what they were; if that still takes nothing, it gets nothing."""
+        target = os.open(os.devnull, os.O_WRONLY) if self.waits() else self._target
+        for fd in self._taken:
+            os.dup2(target, fd)
+        if 2 in self._taken and faulthandler.is_enabled():
+            faulthandler.enable(sys.__stderr__ or 2)
+        os.close(self._pipe)
