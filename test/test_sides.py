@@ -254,12 +254,12 @@ def test_instructions_that_never_left_are_named():
     assert examined(*events, turns=2) == ()
     [found] = examined(*events)
     assert (found.rule, found.device) == ('not_sent', None)
-    assert found.message.startswith('15 instructions never left the adapter: switch flow control')
+    assert found.message.startswith('15 instructions never left the adapter: in the program, switch flow')
     assert found.evidence == (('instructions', '15'), ('to', '001'))
 
 
 def test_the_doctor_says_what_it_cannot_tell_where_the_source_lost_something():
     report = play(*(5 * ((OUT, READ_1), Change(LOST, 7))))
-    assert 'cannot be told from what was not said' in ' '.join(
+    assert 'lost data looks like silence' in ' '.join(
         one.message for one in report.doubts)
     assert report.findings == ()

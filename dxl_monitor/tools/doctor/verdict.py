@@ -3,7 +3,8 @@
 """
 What dxl_doctor says of a run: what was heard, what is wrong, what is unknown. Pure.
 
-From the last report of each bus and the log of its findings; answer_screen.py and as_json() show it.
+From the last report of each bus and the log of its findings; answer_screen.py and as_json() show
+it.
 """
 
 from __future__ import annotations
