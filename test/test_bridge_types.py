@@ -134,7 +134,7 @@ def test_stamps(ros, graph, mcu, running, operator):
         for late_s, reason in ((5.0, 'stamp too old'), (-5.0, 'stamp in the future')):
             with ros.Teleop(publisher, partial(ros.stamped, 0.9, late_s=late_s), rate=50):
                 graph.wait_status(COMMANDS, f'commands are refused: {reason}',
-                                  'set the clocks of both machines right', level=1)
+                                  'set the clocks of both computers', level=1)
             running.wait_for('WARN', f'refused: {reason}')
         before = int(graph.values(COMMANDS)['Zero stamps'])
         drives(ros, mcu, publisher, lambda: ros.stamped(0.3, late_s=None))

@@ -190,7 +190,7 @@ def test_more_bytes_than_the_rate_can_carry_are_a_wrong_rate():
         named = Wire('bus', int(size * 10 / share / 5.0))
         assert {entry.rule for entry in said(chunks, wire=named).wrong} & {'wrong_baud'} == rules
     [trouble] = said(chunks, wire=named).wrong
-    assert trouble.message == f'more bytes than {named.baud} Bd can carry: the bus is faster, ' \
+    assert trouble.message == f'more bytes than {named.baud} Bd can carry: the bus is faster; ' \
         'set -b to its rate'
     late = [chunk._replace(stamp=max(chunk.stamp, SECOND * 4)) for chunk in chunks]
     first = [chunks[0], *late[1:]]
@@ -241,9 +241,9 @@ def test_a_file_without_a_byte(tmp_path):
 
 @pytest.mark.parametrize(('arguments', 'code', 'words'), [
     ((), 2, 'SOURCE: none given'),
-    (('run',), 2, 'stands behind --'),
-    (('setup.py', '--report', '/no/such/folder/x'), 2, 'no file can be made'),
-    (('/dev/null', '--', 'python'), 2, 'stands behind --'),
+    (('run',), 2, 'goes after --'),
+    (('setup.py', '--report', '/no/such/folder/x'), 2, 'cannot write to'),
+    (('/dev/null', '--', 'python'), 2, 'goes after --'),
     (('setup.py',), 2, 'not a recording; write: dxl_doctor run -- python setup.py'),
     (('--devices', '1', 'run', 'python', 'my x.py'), 2,
      "-- is missing in front of the program; write dxl_doctor --devices 1 run -- python 'my x.py'"
@@ -315,7 +315,7 @@ def test_a_program_that_opens_no_port(meeting_place):
 def test_a_port_that_is_silent_has_its_reasons():
     text = '\n'.join(no_data.of_port('/dev/ttyNONE0'))
     assert 'No program sends to the servos' in text
-    assert 'not the baud rate' in text
+    assert 'baud rate is not the cause' in text
     assert 'start it with dxl_tap arm' in '\n'.join(no_data.reasons('tap:arm/ttyUSB0', True))
 
 
@@ -398,11 +398,11 @@ def test_the_capture_of_a_report_says_it_too(reported):
     again = doctor(path)
     assert again.returncode == ERROR
     assert findings(again.stdout) == [line.replace(' left_knee', '') for line in findings(shown)]
-    assert 'this is from the capture' in again.stderr
+    assert 'this one is from the capture' in again.stderr
 
 
 @pytest.mark.parametrize('left_out, said', [(False, ''), (True, (
-    'dxl_doctor: its capture, read by this version, also says no answer of 005, XL430-W250\n'))])
+    'dxl_doctor: read by this version, its capture also shows no answer of 005, XL430-W250\n'))])
 def test_only_what_the_report_lacks_is_told_of_its_capture(tmp_path, left_out, said):
     path = tmp_path / 'report.txt'
     doctor('--report', path, capture(tmp_path / 'bus.txt', 'silent:4:2', 'silent:5:2'))

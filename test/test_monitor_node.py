@@ -174,18 +174,18 @@ def test_a_report_waits_until_what_waited_is_read(ros):
     from dxl_monitor.monitor_node import MonitoredBus
     watched = MonitoredBus(Bus('bus', '', '/does/not/exist', Settings()), Models(), None, 0.0)
     listener = watched.listener
-    assert not watched.is_behind(1 * S)            # nothing is open
+    assert not watched.is_late(1 * S)            # nothing is open
     listener.state = ListenerState(True)
     listener.listened = 10 * S
-    assert [watched.is_behind(now) for now in (10 * S + S // 2, 20 * S)] == [False, True]
+    assert [watched.is_late(now) for now in (10 * S + S // 2, 20 * S)] == [False, True]
     listener.listened = 20 * S
-    assert not watched.is_behind(20 * S + S // 10)
-    assert [watched.is_behind(now * S) for now in (30, 32, 33, 60)] == [True, True, False, False]
-    assert 'who reads it says nothing' in watched.port_state().warning
+    assert not watched.is_late(20 * S + S // 10)
+    assert [watched.is_late(now * S) for now in (30, 32, 33, 60)] == [True, True, False, False]
+    assert 'its reader is not responding' in watched.port_state().warning
     watched.monitor.feed(encode(1, STATUS, error=0), 20 * S)
     assert watched.report(60 * S).devices[0].state == 'silent'
     listener.listened = 61 * S
-    assert not watched.is_behind(61 * S)
+    assert not watched.is_late(61 * S)
     assert not watched.port_state().warning
     listener.start()
     listener.stop()

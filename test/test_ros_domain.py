@@ -32,7 +32,7 @@ def test_a_domain_has_one_holder():
     assert int(other.stdout) == MINE[0]
     second = Domain(MINE, start=1)                  # the other process has ended
     assert second.number == MINE[0]
-    with pytest.raises(OSError, match='are taken by others'):
+    with pytest.raises(OSError, match='are in use by other'):
         Domain(MINE)
     first.release()
     again = Domain(MINE)

@@ -302,10 +302,10 @@ def test_thousands_of_ports_are_not_named():
     listener = TapListener('tap:robot', 0, lambda *_: None)
     listener._wanted = listener._heard_port = ''
     for at in range(5000):
-        listener._take_told(TapRecord(at, f'/dev/{at}', OPENED, b'', 0))
+        listener._take_record(TapRecord(at, f'/dev/{at}', OPENED, b'', 0))
     assert listener.problems() == [
-        'the program opened /dev/1, /dev/2, /dev/3 and others too, which was not heard; name the '
-        'port, as in tap:NAME/1']
+        'the program also opened /dev/1, /dev/2, /dev/3 and others, which was not heard; name the '
+        'port to listen to it: tap:NAME/1']
 
 
 def test_what_a_dead_reader_left_is_removed():
