@@ -67,7 +67,7 @@ def test_switched_off_it_stays_off_over_a_restart(ros, graph, mcu, cmd_vel, tmp_
         running.exit_code()
     with bridge(mcu, disabled_file=path) as running, \
             ros.Teleop(cmd_vel, lambda: ros.twist(0.3), rate=50):
-        running.wait_for(f'{path}: is there')
+        running.wait_for(f'{path}: exists because')
         running.wait_for('refused: disabled')
         assert graph.get(NODE, ['enabled']) == [False]
         assert mcu.receiver.wheels.is_stop

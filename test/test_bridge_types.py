@@ -95,7 +95,7 @@ def test_several_publishers(ros, graph, running, operator):
     with operator('planner', ros.Twist), operator('joystick', ros.Twist):
         graph.wait_status(COMMANDS, '2 publishers compete (/joystick, /planner)',
                           'use twist_mux', level=1)
-        running.wait_for('WARN', '2 publishers overrule each other')
+        running.wait_for('WARN', '2 publishers compete')
 
 
 def is_subscribed(graph, reliability):

@@ -209,7 +209,7 @@ def test_a_bus_is_heard_on_the_adapter_of_another_program(tmp_path, heard):
     with monitor([f'usb:{usb}'], bauds='[0]') as node:
         node.wait_for(f'usb:{usb}: ')
         with fake_bus(tmp_path / 'bus', '--usbmon', str(usb), '--devices', '1-3:MX-64'):
-            node.wait_for(f'usb:{usb}: hears a stream of USB events')
+            node.wait_for(f'usb:{usb}: listening to a stream of USB events')
             heard.wait_status('dxl_monitor: bus', '3 of 3 devices connected', level=0)
             assert values(heard.statuses['dxl_monitor: bus'])['Baud (bit/s)'] == '2000000'
         heard.wait_status('dxl_monitor: bus', f'usb:{usb}: ', level=2)
@@ -282,7 +282,7 @@ def test_every_ending_signal_ends_it_well(tmp_path, heard, again, number):
     ({'devices': "['1:MX-107']"}, "devices: no model is called 'MX-107'; did you mean "),
     ({'devices': "['1:XL330']"}, "devices: no model is called 'XL330'; did you mean XL330-M"),
     ({'devices': "['1:teapot']"}, "devices: no model is called 'teapot'; write it as XL430-W250"),
-    ({'devices': "['left/1']"}, "devices: 'left/1' names no bus; "),
+    ({'devices': "['left/1']"}, "devices: 'left/1' does not say which bus; "),
     ({'model_dirs': '/does/not/exist'}, 'model_dirs: /does/not/exist'),
     ({'publish_rate': '0.0'}, 'publish_rate: 0.0 is not possible; '),
     ({'write_acks': 'maybe'}, "write_acks: 'maybe' is not possible; "),

@@ -138,7 +138,7 @@ def test_a_report(tmp_path, arguments):
     code, text = run('dxl_doctor', str(made), *arguments)
     assert code == 4
     assert is_safe(text)
-    assert 'also says wrong baud of bus =evil' in text
+    assert 'also shows wrong baud of bus =evil' in text
 
 
 @pytest.mark.parametrize(('tool', 'arguments'), [
@@ -213,7 +213,7 @@ def test_the_name_of_a_port_of_a_tapped_program():
     name = EVIL.encode()
     records = b''.join(tap_sender.HEAD.pack(kind, 1, 0, len(data)) + data for kind, data in (
         (tap_sender.OPENED, name), (tap_sender.OUT, b'x')))
-    assert all(is_safe(one.port) for one in _Connection(None, '').told(records))
+    assert all(is_safe(one.port) for one in _Connection(None, '').records(records))
 
 
 def test_a_process_or_an_adapter_at_a_port():

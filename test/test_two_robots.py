@@ -98,7 +98,7 @@ def test_two_nodes_of_one_name_are_said(graph, tmp_path, module, status, port):
         began_s = time.monotonic()
         wait(lambda: time.monotonic() > began_s + DISCOVERED_NS / 1e9)
         with Program(module, *words):
-            line = f'{name}: 2 nodes have this name, their statuses and services are mixed up; '
+            line = f'{name}: 2 nodes have this name, so their statuses and services are mixed up; '
             graph.wait_status(f'twins/{status}', line)
             first.wait_for('WARN', line)
             assert len(first.said(line)) == 1
