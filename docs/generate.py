@@ -64,7 +64,7 @@ LINK = {
     'Partial writes': 'the port took part of a frame; not completed, a stop followed',
     'Freezes': 'no activity for 0.2 s or more, or the dead man acted',
     'Deadman': 'ready, off (parameter), no use (a URL that it cannot write to: WARN), starting '
-               '(for a moment), frozen or lost (its process has gone): both ERROR',
+               '(for a moment), frozen or lost (its process has ended): both ERROR',
     'Bytes from MCU': '',
     'Lines from MCU': '',
     'Garbage from MCU (B)': 'not text; text is logged',
