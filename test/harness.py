@@ -18,6 +18,7 @@ from mecarover_fakes.fake_mcu import FakeMcu
 from rigs.harness import children
 
 ROOT = Path(__file__).parents[1]
+MODULES = {'vel2d_bridge': 'vel2d_bridge.main', 'dxl_monitor': 'dxl_monitor.start'}     # nodes
 DEADLINE_S = 30.0               # for what takes a moment: generous, the machine may be busy
 # What a shared machine may add to a bound in s. The figures of docs/reliability.md are from quiet
 # runs with 0.25.

@@ -216,7 +216,7 @@ def test_unplugged_and_plugged_in_again(ros, graph, running, standing, cmd_vel):
 
 BLOCKING = """
 import sys, time
-from vel2d_bridge import main, node, subscriber
+from vel2d_bridge import bridge_node, cmd_vel_subscriber, main
 asked = set()
 
 def slow(owner, name):
@@ -236,10 +236,10 @@ def on_command(self, twist, *rest):
     twist.angular.x = 0.0
     return taken(self, twist, *rest)
 
-slow(node.Bridge, '_on_command')
-taken, node.Bridge._on_command = node.Bridge._on_command, on_command
-slow(node.Bridge, '_report')
-slow(subscriber.CmdVelSubscriber, 'look')
+slow(bridge_node.Bridge, '_on_command')
+taken, bridge_node.Bridge._on_command = bridge_node.Bridge._on_command, on_command
+slow(bridge_node.Bridge, '_report')
+slow(cmd_vel_subscriber.CmdVelSubscriber, 'look')
 sys.exit(main.main())
 """
 

@@ -31,7 +31,7 @@ OPEN = LinkState(
     enabled=True, deadman='ready', owes_stop=False)
 HEARD = Commands('/cmd_vel', Choice('twist', True), 0.5, [], None, 0, None)
 ABSENT = PortError(PORT, Reason('absent', 'is not there', 'plug it in'))
-FIGHT = '/cmd_vel: 2 publishers overrule each other; use twist_mux'
+FIGHT = '/cmd_vel: 2 publishers compete; use twist_mux'
 CONSOLE = f'{PORT}: the kernel writes its console here; remove it'
 
 

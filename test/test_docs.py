@@ -12,6 +12,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
+from harness import MODULES
 from harness import Program
 from harness import wait
 import pytest
@@ -261,7 +262,7 @@ def test_policy_allows_what_a_running_node_uses_and_little_more(
         '/vel2d/timing/callback_to_write_ms', '/vel2d/timing/command_period_ms',
         '/vel2d/timing/stamp_age_ms', '/dxl/joint_states', '/clock'}
     with Program(*fake, '--link', str(tmp_path / 'port')), \
-            Program(f'{node}.main', '--ros-args', '-p', f'{link}:={tmp_path}/port'):
+            Program(MODULES[node], '--ros-args', '-p', f'{link}:={tmp_path}/port'):
         used_publish, used_subscribe, used_reply = running(
             graph, node, lambda used: publish - optional <= used[0])
     assert used_publish <= publish

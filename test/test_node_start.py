@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """What rcl refuses when a node is made: one line and exit code 2, for each of them."""
+from harness import MODULES
 from harness import Program
 from harness import wait
 import pytest
@@ -15,7 +16,7 @@ def test_an_enclave_without_keys_is_one_line(ros, tmp_path, monkeypatch, name):
     monkeypatch.setenv('ROS_SECURITY_ENABLE', 'true')
     monkeypatch.setenv('ROS_SECURITY_STRATEGY', 'Enforce')
     monkeypatch.setenv('ROS_SECURITY_KEYSTORE', str(tmp_path))
-    with Program(f'{name}.main', '--ros-args', '--enclave', f'/{name}') as node:
+    with Program(MODULES[name], '--ros-args', '--enclave', f'/{name}') as node:
         assert node.exit_code() == 2
     assert 'Traceback' not in node.text
     assert node.lines[-1].startswith(f'{name}: error creating node: ')

@@ -328,7 +328,7 @@ def test_folder_that_others_can_write_to_is_refused():
     ('x' * 100, 'the path of the socket is too long; set XDG_RUNTIME_DIR to a shorter folder'),
     ('file', 'Not a directory; set XDG_RUNTIME_DIR to a folder of yours')])
 @pytest.mark.parametrize('command', [
-    ('dump.main', 'tap:robot'), ('doctor.main', 'tap:robot')], ids=('dump', 'doctor'))
+    ('dxl_dump', 'tap:robot'), ('dxl_doctor', 'tap:robot')], ids=('dump', 'doctor'))
 def test_a_place_for_no_socket_is_told_with_its_remedy(tmp_path, place, words, command):
     (tmp_path / 'file').touch()
     done = subprocess.run(
@@ -337,7 +337,7 @@ def test_a_place_for_no_socket_is_told_with_its_remedy(tmp_path, place, words, c
         stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (1, '')
     [line] = done.stderr.splitlines()
-    assert line.startswith(f'dxl_{command[0].partition(".")[0]}: tap:robot: {tmp_path}/')
+    assert line.startswith(f'{command[0]}: tap:robot: {tmp_path}/')
     assert words in line
 
 

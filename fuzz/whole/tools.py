@@ -155,7 +155,7 @@ def tool(module, case, path, options, chance):
         path = 'tap:x'
     out, err = (io.TextIOWrapper(io.BytesIO(), encoding='utf-8') for _ in range(2))
     out.isatty = lambda: path == 'tap:x'
-    name = 'dxl_' + module.__name__.replace('.main', '').rpartition('.')[2]
+    name = {replay: 'dxl_replay'}.get(module, module.__name__.rpartition('.')[2])
     RUNS[name] += 1
     with redirect_stdout(out), redirect_stderr(err), patch.object(
             sys, 'argv', [name, *options, *filter(None, [path])]), patch.object(
