@@ -132,6 +132,7 @@ def through_node(case, folder):
     values = {one.name: one.default for one in PARAMETERS} | {
         'ports': [f'tap:{at}' for at, _ in enumerate(case.names)], 'names': list(case.names),
         'bauds': [case.baud], 'protocols': [case.protocol], 'joint_state_rate': 20.0,
+        'publish_rate': 1.0,
         'devices': [f'{case.names[0]}/{one}' if len(case.names) > 1 else one
                     for one in case.devices],
         'capture': str(folder / 'bus.txt'), 'timing_topics': 'all',

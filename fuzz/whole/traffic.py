@@ -88,12 +88,12 @@ def case_of(seed):
             more, rate = recorded((seed // CASES_OF_THEM * SCENES_AT_ONCE
                                    + chance.randrange(SCENES_AT_ONCE)) % len(SCENES))
             baud = rate if chance.random() < 0.9 else baud
-            at, size = chance.randrange(len(more)), chance.choice((*(3, 20, 60) * 6, 700))
+            at, size = chance.randrange(len(more)), chance.choice((*(3, 20, 60) * 8, 500))
             found += more[:chance.choice((0, 0, 8, 24))] + more[at * (at % 3 > 0):][:size]
         else:
             found += exchanges(chance)
     has_sides = chance.random() < 0.5
-    rough = chance.choice((0.0, 0.0, 0.02, 0.2, 0.9)) if len(found) < 500 else 0.0
+    rough = chance.choice((0.0, 0.0, 0.02, 0.2, 0.9)) if len(found) < 400 else 0.0
     far = chance.choice((0.0, 0.0, 0.0, 0.02, 0.3))
     heard = []
     for after_ns, data, side in found:
