@@ -77,8 +77,8 @@ class Stage:
 
     def start(self, module: str, *arguments: str) -> Actor:
         """Start a module of this package with the Python that runs us."""
-        actor = Actor(module.rpartition('.')[2] if not module.endswith('.main')
-                      else module.partition('.')[0],
+        package, _, name = module.partition('.')
+        actor = Actor(name if package == 'mecarover_fakes' else package,
                       [sys.executable, '-m', module, *arguments])
         self.actors.append(actor)
         return actor

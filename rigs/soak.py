@@ -41,6 +41,7 @@ from rigs.soak_watch import Ears
 from rigs.soak_watch import FREEZE_AFTER_S
 from rigs.soak_watch import IDS
 from rigs.soak_watch import Machine
+from rigs.soak_watch import MODULES
 from rigs.soak_watch import MONITOR
 from rigs.soak_watch import NODES
 from rigs.soak_watch import S
@@ -86,10 +87,10 @@ class _Soak:
         parameters = (('port', bridge.path),), (
             ('ports', f"['{bus.path}']"), ('devices', f"['{DEVICES}']"), ('publish_rate', '4.0'))
         self._nodes = [
-            stack.enter_context(Child(f'{name}.main', '--ros-args', *(
+            stack.enter_context(Child(module, '--ros-args', *(
                 word for key, value in given for word in ('-p', f'{key}:={value}')),
                 env=env, quiet=True))
-            for name, given in zip(NODES, parameters, strict=True)]
+            for module, given in zip(MODULES, parameters, strict=True)]
         self._machine = Machine([node.pid for node in self._nodes])
         stack.callback(self._machine.stop)
         self._ears = Ears()

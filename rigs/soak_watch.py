@@ -23,6 +23,7 @@ from rigs.harness import family
 
 S = 1_000_000_000
 BRIDGE, MONITOR = NODES = ('vel2d_bridge', 'dxl_monitor')
+MODULES = ('vel2d_bridge.main', 'dxl_monitor.start')
 IDS = range(1, 9)
 TABLES = 'dxl/diagnostics'
 # What must be heard of all the time: (topic, name of a status, or of a node: any status of it).
