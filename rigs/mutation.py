@@ -38,11 +38,13 @@ FILES = {
     'msg_defs/crc.py': ('test_vel2d.py', 'test_dxl_packet.py', 'test_dxl_instruction.py'),
     'msg_defs/dxl_packet.py': ('test_dxl_packet.py', 'test_tracker.py', 'test_fuzz.py'),
     **{f'dxl_monitor/bus/{name}.py': _BUS for name in (
-        'decoder', 'device', 'dialect', 'dialogue', 'duty', 'evidence', 'expected', 'plan',
-        'planner', 'report', 'registry', 'stranger', 'table', 'tracker')},
+        'decoder', 'device', 'dialect', 'dxl1_classifier', 'evidence', 'expected',
+        'id_confirmation', 'pairing', 'plan', 'planner', 'registry', 'reply_policy', 'report',
+        'table', 'tracker')},
     **{f'dxl_monitor/doctor/{name}.py': _DOCTOR for name in (
-        '__init__', 'bits', 'case', 'collision', 'combs', 'configuration', 'damage', 'feetech',
-        'health', 'presence', 'rate', 'rhythm', 'rule', 'setting_up', 'timing')},
+        '__init__', 'bits', 'case', 'collision', 'configuration', 'damage', 'feetech', 'health',
+        'presence', 'rate', 'rhythm', 'rule', 'setting_up', 'states', 'timing_rules',
+        'two_timers')},
     'vel2d_bridge/gate.py': ('test_gate.py', 'test_bridge_safety.py'),
     'vel2d_bridge/pacer.py': ('test_pacer.py', 'test_bridge_safety.py', 'test_link.py'),
 }

@@ -92,7 +92,7 @@ def test_rclpy_takes_a_header_alike(header, ours, file, ros):
 
 @pytest.mark.parametrize('text', ['', '# nothing', 'vel2d_bridge: {max_linear_x: 1}'])
 def test_a_file_without_parameters_is_refused(text, file):
-    with pytest.raises(SettingsError, match=r'has nothing .*, it has no ros__parameters; put'):
+    with pytest.raises(SettingsError, match=r'has no param.*, it has no ros__parameters; put'):
         check([file(text)], NODES[0])
     check([], NODES[0])
 
