@@ -64,7 +64,7 @@ def run(refused, module, *arguments, meeting_place=''):
 def test_files_are_judged_and_listed(recording, refused):
     done = run(refused, 'dxl_monitor.tools.dxl_doctor', recording)
     assert done.returncode == 0
-    assert '001  model unknown (--devices names it): answers' in done.stdout
+    assert '001  model unknown: answers' in done.stdout
     done = run(refused, 'dxl_monitor.tools.dxl_dump', recording)
     assert (done.returncode, done.stdout.count('Status')) == (0, 50)
 
