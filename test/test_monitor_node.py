@@ -232,7 +232,7 @@ def test_a_bus_is_heard_inside_a_python_program(tmp_path, heard, monkeypatch, me
         node.wait_for('tap:robot: listening; start the program with dxl_tap robot -- COMMAND')
         with Program('dxl_monitor.tools.tap', 'robot', '--', sys.executable, '-c',
                      textwrap.dedent(script), str(bus)):
-            node.wait_for(f'tap:robot: hears {bus}')
+            node.wait_for(f'tap:robot: listening to {bus}')
             heard.wait_status('dxl_monitor: bus', '1 of 1 devices connected', level=0)
             assert values(heard.statuses['dxl_monitor: bus'])['Baud (bit/s)'] == '1000000'
             assert values(heard.statuses['dxl_monitor: 001'])['Missed Answers'] == '0'
