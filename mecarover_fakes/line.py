@@ -202,7 +202,7 @@ class Line:
         return [device for device in self._by_id.get(number, ()) if device.hears(self.baud, now)]
 
     def _due(self, request: Request) -> tuple[int, ...]:
-        """Return who must answer, Status Return Level considered; a stranger must."""
+        """Return who must answer, Status Return Level considered; an unknown device must."""
         if request.answers is Answers.EVERYBODY:
             return ()            # nothing is known of the devices before
         if request.answers in (Answers.LISTED, Answers.COMBINED):

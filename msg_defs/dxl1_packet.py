@@ -5,7 +5,7 @@ Packets of the Protocol 1.0 family, Dynamixel 1.0 and Feetech: bytes on the wire
 
 FF FF, ID, LEN, instruction or error byte, parameters, sum (e-Manual, Protocol 1.0; Feetech, SCS
 Communication Protocol). An instruction and a status have the same form, so a frame here is
-neither: who reads the dialogue decides. Nothing is stuffed: FF FF may stand in the data. A frame
+neither: who reads both sides decides. Nothing is stuffed: FF FF may stand in the data. A frame
 is decided by its LEN and its sum alone; only a wrong sum, or flush_frames() on an idle line,
 searches on from the header + 1. A pause in the delivery is not an idle line: interrupt() leaves
 the decision to the next chunk. Nothing on the wire raises; every byte ends as a packet byte or as

@@ -30,10 +30,10 @@ from rigs.mutation_worker import run
 from rigs.mutation_worker import Worker
 
 _BUS = ('test_bus_edges.py', 'test_tracker.py', 'test_monitor.py', 'test_table.py',
-        'test_dialogue.py', 'test_sides.py', 'test_expected.py')
+        'test_dxl1_classifier.py', 'test_sides.py', 'test_expected.py')
 _DOCTOR = ('test_doctor_evidence.py', 'test_doctor_edges.py', 'test_doctor_time.py',
            'test_doctor_standing.py', 'test_doctor.py', 'test_doctor_feetech.py', 'test_bits.py',
-           'test_combs.py')
+           'test_two_timers.py')
 FILES = {
     'msg_defs/crc.py': ('test_vel2d.py', 'test_dxl_packet.py', 'test_dxl_instruction.py'),
     'msg_defs/dxl_packet.py': ('test_dxl_packet.py', 'test_tracker.py', 'test_fuzz.py'),

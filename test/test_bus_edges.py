@@ -80,7 +80,7 @@ TEXTS = [
     (ev.REFUSED, ev.Refusal(3, 116, 7), 'Write at 116 refused: Access'),
     (ev.ALERT, ev.NOTHING, 'alert'),
     (ev.SECOND_ANSWER, ev.Code(2), 'second answer to one Read'),
-    (ev.UNASKED, ev.Stranger(2, 0), 'answer that was not asked for'),
+    (ev.UNASKED, ev.Unasked(2, 0), 'answer that was not asked for'),
     (ev.LATE, ev.Lateness(300), 'answer 300 us too late'),
     (ev.WRONG_SIZE, ev.Sizes(2, 4), 'answer of 2 bytes to a read of 4'),
     (ev.FAST_CUT, ev.Sizes(1, 3), 'fast reply ends after 1 of 3 devices'),
@@ -496,7 +496,7 @@ def test_what_a_master_did_not_stuff_is_noted(data: bytes, detail: list[ev.Code]
     assert notes(one) == [(ev.UNSTUFFED, 3, code) for code in detail]
 
 
-# --- dialects and strangers ------------------------------------------------------------------
+# --- dialects and unknown devices ---------------------------------------------------------------
 
 def said(code: int, address: int = -1, length: int = 0) -> Request:
     accesses = (Access(1, address, length, b''),) if address >= 0 else ()
@@ -530,9 +530,9 @@ def test_signs_decide_what_a_bus_speaks(requests: list[Request], dialect: Any) -
 def test_a_model_number_decides_what_a_bus_speaks(address: int, data: bytes,
                                                   dialect: Any) -> None:
     choice = DialectChoice(MODELS)
-    assert choice.told(said(2, address, len(data)), data) == (dialect is not UNDECIDED)
+    assert choice.decides(said(2, address, len(data)), data) == (dialect is not UNDECIDED)
     assert choice.dialect is dialect
-    assert not choice.told(said(3, address, len(data)), data)
+    assert not choice.decides(said(3, address, len(data)), data)
 
 
 @pytest.mark.parametrize(('places', 'name', 'told'), [
@@ -568,14 +568,14 @@ def ping_1(number: int, noise: int = 0) -> Frame:
 
 def test_a_new_id_is_believed_alone_or_at_its_third_sighting_within_a_second_each() -> None:
     assert IdConfirmation(registry()).exists(ping_1(7), S, True)
-    strangers = IdConfirmation(registry())
-    assert not strangers.exists(ping_1(7), S, False)
-    assert not strangers.exists(ping_1(7), 2 * S, False)
-    assert strangers.exists(ping_1(7), 3 * S, False)
-    strangers = IdConfirmation(registry())
+    confirmation = IdConfirmation(registry())
+    assert not confirmation.exists(ping_1(7), S, False)
+    assert not confirmation.exists(ping_1(7), 2 * S, False)
+    assert confirmation.exists(ping_1(7), 3 * S, False)
+    confirmation = IdConfirmation(registry())
     for stamp in (S, 2 * S, 3 * S + 1, 4 * S + 1):
-        assert not strangers.exists(ping_1(7, 1), stamp, True)
-    assert strangers.exists(ping_1(7, 1), 5 * S + 1, True)
+        assert not confirmation.exists(ping_1(7, 1), stamp, True)
+    assert confirmation.exists(ping_1(7, 1), 5 * S + 1, True)
     known = registry()
     known.device(7)
     assert IdConfirmation(known).exists(ping_1(7), S, False)

@@ -151,12 +151,12 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'notes': damage(10, 2)}]),
     ('duplicate_id', {'whom': 3,
       'devices': [spoken(3)], 'notes': note(ev.SECOND_ANSWER, ev.Code(2), 3, 3)
-                      + note(ev.UNASKED, ev.Stranger(2, 0), 1, 3)},
+                      + note(ev.UNASKED, ev.Unasked(2, 0), 1, 3)},
      'answered twice: two devices have this ID; unplug one and change the ID of the other',
      {'second answers': '3', 'damaged': '0', 'model changes': '0'},
      [{'notes': note(ev.SECOND_ANSWER, ev.Code(I.READ), 2, 3)},
       {'notes': note(ev.SECOND_ANSWER, ev.Code(I.READ), 5, 3)
-       + note(ev.UNASKED, ev.Stranger(2, 0), 2, 3)}]),
+       + note(ev.UNASKED, ev.Unasked(2, 0), 2, 3)}]),
     ('duplicate_id', {'devices': [spoken(window={'model_changes': 2, 'spoilt': 3})]},
      'answered twice, by two models: two devices have this ID; unplug one and change the ID of '
      'the other',
@@ -215,11 +215,11 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'notes': note(ev.REPEATED, ev.Again(2, 99), 5) + note(ev.REPEATED, ev.Again(2, 100), 5)}]),
     ('foreign_answers', {'whom': 4,
       'devices': [spoken(4)],
-                         'notes': note(ev.UNASKED, ev.Stranger(2, 0), 3, 4)},
+                         'notes': note(ev.UNASKED, ev.Unasked(2, 0), 3, 4)},
      '3 answers that this master did not ask for: another master, on a segment that is not '
      'monitored; find and stop it', {'answers': '3'},
-     [{'notes': note(ev.UNASKED, ev.Stranger(2, 0), 2, 4)},
-      {'notes': note(ev.UNASKED, ev.Stranger(2, 0), 3, 4)
+     [{'notes': note(ev.UNASKED, ev.Unasked(2, 0), 2, 4)},
+      {'notes': note(ev.UNASKED, ev.Unasked(2, 0), 3, 4)
        + note(ev.PROTOCOL_1, ev.Code(2), 1, 4)}]),
     ('not_sent', {'notes': note(ev.NOT_SENT, ev.Code(2), 2, 7) + note(ev.NOT_SENT, ev.Code(2), 1)},
      '3 instructions never left the adapter: in the program, switch flow control off and do not '

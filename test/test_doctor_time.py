@@ -278,7 +278,7 @@ def test_without_a_reason_no_doubt_is_told(rule: str, parts: dict[str, Any]) -> 
 
 
 def test_what_is_noted_of_an_id_that_is_no_device_is_not_told_of_one() -> None:
-    assert told('foreign_answers', notes=note(ev.UNASKED, ev.Stranger(2, 0), 3, 9)) == []
+    assert told('foreign_answers', notes=note(ev.UNASKED, ev.Unasked(2, 0), 3, 9)) == []
 
 
 # --- words -----------------------------------------------------------------------------------

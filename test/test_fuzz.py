@@ -50,9 +50,9 @@ from msg_defs.vel2d import encode as encode_velocity
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
 
-EXAMPLES = {'capture': 150, 'dashboard': 70, 'dialogue': 40, 'fast_reply': 120, 'framer': 150,
-            'framer_1': 100, 'instruction': 250, 'mcu': 150, 'model_file': 80, 'tracker': 50,
-            'vel2d': 200}                                       # a second at most
+EXAMPLES = {'capture': 150, 'dashboard': 70, 'dxl1_classifier': 40, 'fast_reply': 120,
+            'framer': 150, 'framer_1': 100, 'instruction': 250, 'mcu': 150, 'model_file': 80,
+            'tracker': 50, 'vel2d': 200}                        # a second at most
 STEADY = settings(derandomize=True, deadline=None, database=None)
 MACHINE = settings(STEADY, max_examples=50, stateful_step_count=40)
 MODELS = Models()

@@ -69,14 +69,14 @@ class BusDecoder:
     def __init__(self, models: Models, settings: Settings = DEFAULTS) -> None:
         self.settings = settings
         self.byte_ns = byte_ns(settings.baud)
-        self._heard_in = 0                     # stamp of the last bytes to the master, if known
+        self._last_in = 0                     # stamp of the last bytes to the master, if known
         self.evidence = Evidence()
         self.registry = DeviceRegistry(models, settings.devices, settings.baud, self.evidence)
         self.choice = DialectChoice(models, settings.protocol)
         self.choice.expect(device.dialect for device in self.registry.devices.values())
         self.registry.dialect = self.choice.dialect
         self.detector = Detector() if settings.protocol == 'auto' else None
-        self.dialogue = None if settings.protocol == '2' else Dxl1Classifier(
+        self.classifier = None if settings.protocol == '2' else Dxl1Classifier(
             self.registry, self.evidence, self.choice, self.detector, self.byte_ns)
         self.framers = {UNKNOWN: self._new_framer(UNKNOWN)}     # by the side that they hear
         self.tracker = Tracker(self.registry, self.evidence, self.byte_ns, settings.missed_limit,
@@ -87,17 +87,17 @@ class BusDecoder:
         """Say how long the adapter may keep bytes back: so long a pause is not silence."""
         self.settings = self.settings._replace(latency_timer_ms=latency_timer_ms)
         self.idle_ns = int(1e9 * idle_s(self.settings.baud, latency_timer_ms))
-        if self.dialogue is not None:
-            self.dialogue.slow_ns = SLOW_NS + int(1e6 * latency_timer_ms)
+        if self.classifier is not None:
+            self.classifier.slow_ns = SLOW_NS + int(1e6 * latency_timer_ms)
 
     def _new_framer(self, side: str) -> AnyFramer:
         if self.detector is not None:
             return MixedFramer(self.detector, bool(side), side)
-        return Framer() if self.dialogue is None else dxl1_packet.Dxl1Framer()
+        return Framer() if self.classifier is None else dxl1_packet.Dxl1Framer()
 
     @property
     def framer(self) -> AnyFramer:
-        """The dialogue for bytes from an unknown side."""
+        """The classifier for bytes from an unknown side."""
         return self.framers[UNKNOWN]
 
     @framer.setter
@@ -118,7 +118,7 @@ class BusDecoder:
                 self._turn(stamp)
                 stamp += int(len(chunk) * self.byte_ns)
             else:
-                self._heard_in = stamp
+                self._last_in = stamp
         framer.stamp = stamp
         frames = framer.frames(chunk)
         if framer.has_other:
@@ -129,8 +129,8 @@ class BusDecoder:
     def _turn(self, stamp: int) -> None:
         """Decide an answer that stopped on its way, before what the master says next is taken."""
         framer = self.framers.get(IN)
-        if framer is not None and stamp - self._heard_in > self.idle_ns and framer.pending:
-            self._flush(IN, framer, self._heard_in)
+        if framer is not None and stamp - self._last_in > self.idle_ns and framer.pending:
+            self._flush(IN, framer, self._last_in)
 
     def _flush(self, side: str, framer: AnyFramer, stamp: int) -> None:
         framer.stamp = stamp
@@ -138,10 +138,10 @@ class BusDecoder:
 
     def _read(self, framer: AnyFramer, frames: list[Frame], stamp: int, side: str) -> None:
         """Hand on what a framer found, once it is known what it means."""
-        if self.dialogue is None:
+        if self.classifier is None:
             self.take(frames, stamp, framer.bytes, side)
             return
-        self._take_parts(self.dialogue.read(framer, frames, stamp, side))
+        self._take_parts(self.classifier.read(framer, frames, stamp, side))
 
     def _take_parts(self, parts: list[Part | None]) -> None:
         for part in parts:
@@ -174,8 +174,8 @@ class BusDecoder:
 
     def _settle(self) -> None:
         """Take what waited for the next frame: the line is idle."""
-        if self.dialogue is not None:
-            self._take_parts(self.dialogue.settle())
+        if self.classifier is not None:
+            self._take_parts(self.classifier.settle())
 
     def change(self, change: Change, stamp: int) -> None:
         """Take what a source reported besides bytes."""
@@ -200,22 +200,22 @@ class BusDecoder:
         self.tracker.lose_track(stamp, 0)
         self.settings = self.settings._replace(baud=baud)
         self.byte_ns = self.tracker.byte_ns = byte_ns(baud)
-        if self.dialogue is not None:
-            self.dialogue.byte_ns = self.byte_ns
+        if self.classifier is not None:
+            self.classifier.byte_ns = self.byte_ns
         self.registry.baud = baud
         self.expect_delay(self.settings.latency_timer_ms)
 
     def protocol(self) -> str:
         """Return what was heard here, in words: 'Dynamixel 2.0, Feetech'; '' for nothing yet."""
-        other = self.dialogue.packets if self.dialogue is not None else 0
+        other = self.classifier.packets if self.classifier is not None else 0
         words = [PROTOCOL_2] if self.total('packets') > other else []
         return ', '.join(words + [self.choice.dialect.name] * bool(other))
 
     def total(self, counter: str) -> int:
         """Return a counter of the framers, over all sides."""
         count: int = sum(getattr(framer, counter) for framer in self.framers.values())
-        if self.dialogue is not None and counter in REASONS:
-            count += self.dialogue.damaged[REASONS[counter]]
+        if self.classifier is not None and counter in REASONS:
+            count += self.classifier.damaged[REASONS[counter]]
         return count
 
     @property

@@ -61,7 +61,7 @@ class DialectChoice:
             return self._vote(FEETECH, WEAK)
         return False
 
-    def told(self, request: Request, data: bytes) -> bool:
+    def decides(self, request: Request, data: bytes) -> bool:
         """Take a model number that was read as a sign; return whether that decided."""
         if self._is_fixed or request.instruction != _READ or not request.accesses:
             return False

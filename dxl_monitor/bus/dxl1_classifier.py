@@ -59,7 +59,7 @@ _IS_OPEN = Flaw(OPEN)
 _NOTHING = Request(0, 0xFF, Answers.NONE)
 _SYNC_WRITE = 0x83
 # Who answers these, and how much, their bytes alone tell; a write depends on its device as well.
-_TOLD_BY_BODY = (Answers.DATA, Answers.LISTED, Answers.PING)
+_SEEN_BY_PARAMETERS = (Answers.DATA, Answers.LISTED, Answers.PING)
 
 
 class _Waiting(NamedTuple):
@@ -89,8 +89,8 @@ class Dxl1Classifier:
         self.slow_ns = SLOW_NS             # and the adapter may keep bytes back for longer
         self.packets = 0                   # those of the 1.0 family
         self.damaged: Counter[str] = Counter()     # those under `auto`
-        self._stranger: _Waiting | None = None
-        self._strangers = IdConfirmation(registry)
+        self._unconfirmed: _Waiting | None = None
+        self._confirmation = IdConfirmation(registry)
         self._request = _NOTHING
         self._asked: Said = (-1, -1, b'')  # the last instruction
         self._asked_ns = 0.0               # when it ended
@@ -119,7 +119,7 @@ class Dxl1Classifier:
             kind, number, flaw = frame[2], frame[3], frame[6]
             if flaw is not None and flaw.noise_length > GLITCH:
                 is_noisy = True
-            if self._stranger is not None:
+            if self._unconfirmed is not None:
                 self._resolve(framer, flaw, parts, found)
             if kind < EITHER_1:
                 found.append(frame)
@@ -131,8 +131,8 @@ class Dxl1Classifier:
                     self._note_family(framer, frame, stamp)
                 if (number not in devices and side != OUT and frame is not proving
                         and number not in self._awaited
-                        and self._strangers.new_id(*frame[3:6]) is not None):
-                    self._stranger = _Waiting(framer, frame, stamp, received, side)
+                        and self._confirmation.new_id(*frame[3:6]) is not None):
+                    self._unconfirmed = _Waiting(framer, frame, stamp, received, side)
                     continue
                 found.append(self._meaning(frame, stamp, received, side))
                 if self._has_decided:
@@ -190,7 +190,7 @@ class Dxl1Classifier:
     def _resolve(self, framer: AnyFramer, flaw: Flaw | None, parts: list[Part | None],
                  found: list[Frame]) -> None:
         """Decide on the packet that waits, for another frame has come."""
-        held = self._stranger
+        held = self._unconfirmed
         if held is None:
             return
         is_same = framer is held.framer
@@ -206,16 +206,16 @@ class Dxl1Classifier:
     def settle(self) -> list[Part | None]:
         """Return the packet that waits, if the line is idle after it."""
         parts: list[Part | None] = []
-        held = self._stranger
+        held = self._unconfirmed
         if held is not None and not held.framer.pending:
             self._add(parts, self._met(held, not held.framer.noise_ahead), *held[2:])
         return parts
 
     def _met(self, held: _Waiting, is_next: bool) -> Frame:
         """Return what the packet that waits means; is_next: there is no noise after it."""
-        self._stranger = None
+        self._unconfirmed = None
         if held.frame[3] in self._awaited \
-                or self._strangers.exists(held.frame, held.stamp, is_next):
+                or self._confirmation.exists(held.frame, held.stamp, is_next):
             return self._meaning(*held[1:])
         self.packets += 1
         return _open(held.frame)
@@ -241,7 +241,7 @@ class Dxl1Classifier:
         if awaited is not None:
             del self._awaited[number]
         if params and self._request.id == number and self._choice.dialect is UNDECIDED \
-                and self._choice.told(self._request, params):
+                and self._choice.decides(self._request, params):
             self._decide()
         if code or self._errors.get(number, -1):
             code = self._error(number, code, stamp)
@@ -303,7 +303,7 @@ class Dxl1Classifier:
         if choice.asked(request):
             self._decide()
         known = *in_common(code, number, params), request, self._due(request)
-        if request.answers in _TOLD_BY_BODY:
+        if request.answers in _SEEN_BY_PARAMETERS:
             if len(self._meanings) >= MEANINGS_KEPT:
                 self._meanings.clear()
             self._meanings[said] = known

@@ -71,7 +71,7 @@ class Refusal(NamedTuple):
     error: int
 
 
-class Stranger(NamedTuple):
+class Unasked(NamedTuple):
     """An answer to nothing: the instruction that was pending, the error byte of the answer."""
 
     instruction: int
@@ -147,7 +147,7 @@ REFUSED = IncidentKind[Refusal]('refused')
 ALERT = IncidentKind[Nothing]('alert')                        # it began
 SECOND_ANSWER = IncidentKind[Code]('second answer')           # already answered by this ID
 ANSWERED_AGAIN = IncidentKind[Code]('answered again')         # after damage that hid another
-UNASKED = IncidentKind[Stranger]('unasked answer')
+UNASKED = IncidentKind[Unasked]('unasked answer')
 LATE = IncidentKind[Lateness]('late answer')
 TOO_LONG = IncidentKind[Sizes]('noise too long')              # for all answers that were due
 WRONG_SIZE = IncidentKind[Sizes]('wrong size')

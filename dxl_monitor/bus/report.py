@@ -3,8 +3,8 @@
 """
 What a bus monitor knows at one moment: plain values, safe to use without any lock.
 
-Made by Monitor.report(now); published by node.py, judged in dxl_monitor/doctor/, shown by the
-dashboard and the terminal. Keys of counters are spelt as a user reads them, unit in the key.
+Made by Monitor.report(now); judged in dxl_monitor/doctor/, published by monitor_node.py, shown by
+the dashboard and the terminal. Keys of counters are spelt as a user reads them, unit in the key.
 """
 
 from __future__ import annotations

@@ -51,8 +51,8 @@ class Tracker:
     """Follows one bus. Feed it what the Framer finds, in order."""
 
     __slots__ = (
-        '_asked', '_deferred', '_duty', '_evidence', '_given_up', '_known', '_last', '_noise',
-        '_note', '_plan', '_registry', '_slots', '_spoke', '_state', '_unresolved', 'byte_ns',
+        '_asked', '_deferred', '_evidence', '_given_up', '_known', '_last', '_noise', '_note',
+        '_plan', '_policy', '_registry', '_slots', '_spoke', '_state', '_unresolved', 'byte_ns',
         'planner')
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, byte_ns: float,
@@ -63,7 +63,7 @@ class Tracker:
         self._evidence = evidence
         self._note = evidence.note
         self.byte_ns = byte_ns
-        self._duty = ReplyPolicy(write_acks, missed_limit, registry, evidence)
+        self._policy = ReplyPolicy(write_acks, missed_limit, registry, evidence)
         self._state = pairing.DOUBTFUL
         self._noise = 0                        # bytes of it ahead of the last flawed frame
         # The pending instruction:
@@ -83,9 +83,9 @@ class Tracker:
         side: of the chunk. Each side is a stream of its own; call in the order of time.
         """
         slots = self._slots
-        for begin, end, kind, number, code, data, flaw in frames:
-            if flaw is not None and self._flawed(
-                    (begin, end, kind, number, code, data, flaw), flaw, stamp, side):
+        for frame in frames:
+            begin, end, kind, number, code, data, flaw = frame
+            if flaw is not None and self._flawed(frame, flaw, stamp, side):
                 continue
             if kind:
                 said = kind, number, code, data
@@ -295,7 +295,7 @@ class Tracker:
         elif number in plan.slots:
             self._note(stamp, ev.SECOND_ANSWER, number, ev.Code(request.instruction))
         else:
-            self._note(stamp, ev.UNASKED, number, ev.Stranger(request.instruction, error))
+            self._note(stamp, ev.UNASKED, number, ev.Unasked(request.instruction, error))
 
     def _flawed(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
@@ -358,13 +358,13 @@ class Tracker:
         """End the pending instruction; following: the next one, which began there."""
         slots = self._given_up = self._slots
         slots.pop(BROADCAST, None)
-        due = [slot for slot in slots.values() if self._duty.is_due(slot)]
+        due = [slot for slot in slots.values() if self._policy.is_due(slot)]
         if due:
             now = int(self._on_wire(began, received, stamp))
             if self._state >= pairing.SPOILT:
                 self._look_at_noise(due, now)
             is_spoilt = self._state >= pairing.SPOILT
-            self._duty.judge(self._plan, due, now, stamp, self._spoke, is_spoilt)
+            self._policy.judge(self._plan, due, now, stamp, self._spoke, is_spoilt)
             self._evidence.note_wait(
                 Wait(now, self._since_asked(now), due[0].device.number, is_spoilt))
             if following == self._last:

@@ -31,7 +31,7 @@ from dxl_monitor.doctor.bits import wrecks
 from dxl_monitor.doctor.rhythm import Rhythm
 from dxl_monitor.doctor.rhythm import rhythms
 from dxl_monitor.doctor.two_timers import PeriodicTimer
-from dxl_monitor.doctor.two_timers import two_combs
+from dxl_monitor.doctor.two_timers import two_timers
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -68,7 +68,7 @@ class TwoClocks(NamedTuple):
 
     stamp: int
     cycle: Cycle
-    combs: tuple[PeriodicTimer, PeriodicTimer]
+    timers: tuple[PeriodicTimer, PeriodicTimer]
 
 
 class Mark(NamedTuple):
@@ -311,14 +311,14 @@ class History:
         """
         Remember which instructions two loops repeat.
 
-        Where they run into each other the combs have gaps; what was seen before that counts.
+        Where they run into each other the timers have gaps; what was seen before that counts.
         """
         self._clocks = {key: one for key, one in self._clocks.items() if one.stamp >= before}
         for rhythm in self._rhythms[1]:
-            combs = None if rhythm.is_even else two_combs(rhythm.cycle.stamps,
+            timers = None if rhythm.is_even else two_timers(rhythm.cycle.stamps,
                                                           MS * _blur_ms(report))
-            if combs is not None:
-                self._clocks[key_of(rhythm.cycle)] = TwoClocks(report.stamp, rhythm.cycle, combs)
+            if timers is not None:
+                self._clocks[key_of(rhythm.cycle)] = TwoClocks(report.stamp, rhythm.cycle, timers)
 
     def _recognised(self, report: BusReport, before: int) -> list[Wreck]:
         """Return the damaged packets of the window; those of this report are looked at now."""

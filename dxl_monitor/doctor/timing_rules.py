@@ -290,7 +290,7 @@ def _two_masters(case: Case) -> Iterator[Found]:
     pair = _apart(case)
     if pair is None:
         for clocks in case.clocks:
-            fast, slow = sorted(comb.period / MS for comb in clocks.combs)
+            fast, slow = sorted(timer.period / MS for timer in clocks.timers)
             words = f'{_words(clocks.cycle, fast * MS)} and every {slow:.0f} ms'
             if is_collision(case):
                 yield _two(case, words)

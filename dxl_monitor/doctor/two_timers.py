@@ -1,10 +1,10 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Combs: two clocks in the stamps of one instruction, as when two copies of a program run. Pure.
+Two timers in the stamps of one instruction, as when two copies of a program run. Pure.
 
-A comb is what one clock makes: a stamp each period, a few left out. Two combs that together are
-all stamps, with periods that do not fit each other, are two loops.
+A timer makes a stamp each period, a few left out. Two timers that together are all stamps, with
+periods that do not fit each other, are two loops.
 """
 
 from __future__ import annotations
@@ -17,67 +17,68 @@ from typing import NamedTuple
 from dxl_monitor.doctor.rhythm import is_whole
 from dxl_monitor.doctor.rhythm import UNEVEN
 
-ENOUGH = 8                         # teeth of a comb
-FULL = 0.85                        # share of its teeth that are there
+ENOUGH = 8                         # stamps of a timer
+FULL = 0.85                        # share of its stamps that are there
 ALL = 0.9                          # share of the stamps that the two account for
-FINE = 0.05                        # share of the period: a tooth is in its place
-SLACK = 1.5                        # times the blur: the first tooth has its own
+FINE = 0.05                        # share of the period: a stamp is in its place
+SLACK = 1.5                        # times the blur: the first stamp has its own
 BLURRED = 4                        # times the tolerance: a shorter period says nothing
 TRIES = 6                          # a period is the distance to one of the next stamps
 
 
 class PeriodicTimer(NamedTuple):
-    """A clock: its period (ns), and where its teeth are among the stamps."""
+    """Its period (ns), and which of the stamps are its own."""
 
     period: float
-    teeth: tuple[int, ...]
+    places: tuple[int, ...]
 
 
-def two_combs(stamps: Sequence[int], blur_ns: float) -> tuple[PeriodicTimer, PeriodicTimer] | None:
-    """Return the two clocks that made these stamps (ns), None where it was one, or none."""
-    for one in _combs(stamps, blur_ns):
-        taken = {*one.teeth}
+def two_timers(stamps: Sequence[int], blur_ns: float
+               ) -> tuple[PeriodicTimer, PeriodicTimer] | None:
+    """Return the two timers that made these stamps (ns), None where it was one, or none."""
+    for one in _timers(stamps, blur_ns):
+        taken = {*one.places}
         rest = [stamp for at, stamp in enumerate(stamps) if at not in taken]
-        for other in _combs(rest, blur_ns, ALL * len(stamps) - len(one.teeth)):
+        for other in _timers(rest, blur_ns, ALL * len(stamps) - len(one.places)):
             if not is_whole(max(one.period, other.period) / min(one.period, other.period),
                             UNEVEN):
                 return one, other
     return None
 
 
-def _combs(stamps: Sequence[int], blur_ns: float, least: float = 0.0) -> Iterator[PeriodicTimer]:
-    """Yield the combs of at least so many teeth, from the first stamp to the last."""
+def _timers(stamps: Sequence[int], blur_ns: float, least: float = 0.0) -> Iterator[PeriodicTimer]:
+    """Yield the timers of at least so many stamps, from the first stamp to the last."""
     least = max(ENOUGH, least)
     for stamp in stamps[1:1 + TRIES]:
         period = stamp - stamps[0]
-        # Fitted to its teeth a period becomes shorter, but by less than its slack.
+        # Fitted to its stamps a period becomes shorter, but by less than its slack.
         if (stamps[-1] - stamps[0]) / (1 - 1 / BLURRED) < (least - 1) * period:
             return
-        comb = _comb(stamps, float(period), blur_ns)
-        if comb is not None and len(comb.teeth) >= least:
-            yield comb
+        timer = _timer(stamps, float(period), blur_ns)
+        if timer is not None and len(timer.places) >= least:
+            yield timer
 
 
-def _comb(stamps: Sequence[int], period: float, blur_ns: float) -> PeriodicTimer | None:
-    """Return the comb of about this period from the first stamp on, None where there is none."""
+def _timer(stamps: Sequence[int], period: float, blur_ns: float) -> PeriodicTimer | None:
+    """Return the timer of about this period from the first stamp on, None where there is none."""
     begin, end = stamps[0], stamps[-1]
-    teeth, places = [0], 0
+    places, periods = [0], 0
     due = begin + period
     while due <= end:
-        places += 1
+        periods += 1
         slack = max(SLACK * blur_ns, FINE * period)
         if period < BLURRED * slack:
             return None
-        at = _nearest(stamps, due, teeth[-1] + 1)
+        at = _nearest(stamps, due, places[-1] + 1)
         if abs(stamps[at] - due) <= slack:
-            teeth.append(at)
-            period = (stamps[at] - begin) / places
-        elif places - len(teeth) >= 2 + (1 - FULL) * places:
+            places.append(at)
+            period = (stamps[at] - begin) / periods
+        elif periods - len(places) >= 2 + (1 - FULL) * periods:
             return None
-        due = begin + (places + 1) * period
-    if len(teeth) < ENOUGH or len(teeth) < FULL * (places + 1):
+        due = begin + (periods + 1) * period
+    if len(places) < ENOUGH or len(places) < FULL * (periods + 1):
         return None
-    return PeriodicTimer(period, tuple(teeth))
+    return PeriodicTimer(period, tuple(places))
 
 
 def _nearest(stamps: Sequence[int], due: float, first: int) -> int:

@@ -30,7 +30,7 @@ _BULK_KIND = 2                     # in an endpoint's attributes
 _SMALL, _LARGE = 64, 512           # packets of a full-speed and of a high-speed device
 _SMALL_MARK, _LARGE_MARK = 1, 2    # low half of FTDI's first status byte: the size of packets
 _HEADER = b'\xff\xff'              # what every packet of a servo begins with
-_TOLD_NOTHING = UsbIdentity(0, 0)
+_UNKNOWN = UsbIdentity(0, 0)
 PENDING_LIMIT = 256
 DEVICES_LIMIT = 4096               # what a damaged file may invent
 
@@ -62,7 +62,7 @@ class _UsbDevice:
     """What is known of one device."""
 
     def __init__(self) -> None:
-        self.identity = _TOLD_NOTHING
+        self.identity = _UNKNOWN
         self.endpoints: list[_Endpoint] = []   # bulk ones, as it described them
         self.seen: dict[int, int] = {}         # bulk endpoint: bytes
         self.by_request: type[Adapter] | None = None

@@ -19,10 +19,10 @@ import subprocess
 import time
 from typing import NamedTuple
 
-from rigs.drivers.dialogue import Dxl1Classifier
-from rigs.drivers.dialogue import Refused
 from rigs.drivers.image import Image
 from rigs.drivers.image import VENV
+from rigs.drivers.json_socket import JsonSocket
+from rigs.drivers.json_socket import Refused
 
 KVM = Path('/dev/kvm')
 BOOT_S = 600.0                  # without KVM it takes minutes
@@ -99,11 +99,11 @@ class Guest:
             '-chardev', f'socket,id=uart,path={folder}/uart,server=on,wait=off',
             '-device', 'isa-serial,chardev=uart,index=1']
 
-    def _connect(self, name: str) -> Dxl1Classifier:
+    def _connect(self, name: str) -> JsonSocket:
         deadline = time.monotonic() + 30
         while True:
             with suppress(OSError):             # not there yet, or not listening yet
-                return Dxl1Classifier(self._folder / name)
+                return JsonSocket(self._folder / name)
             if self._process.poll() is not None or time.monotonic() > deadline:
                 self._process.kill()
                 raise Failed('qemu: ' + (self._folder / 'qemu.log').read_text())

@@ -188,12 +188,12 @@ def test_the_first_instruction_of_a_bus_counts_in_its_cycle() -> None:
 
 def test_what_is_remembered_of_instructions_is_bounded() -> None:
     bus = Bus('1', Expected(1))
-    dialogue = bus.monitor.decoder.dialogue
-    assert dialogue is not None
+    classifier = bus.monitor.decoder.classifier
+    assert classifier is not None
     sizes = set()
     for number in range(1, MEANINGS_KEPT + 3):
         bus.ask(encode(1, 2, bytes((number & 0xFF, 1 + (number >> 8)))))
-        sizes.add(len(dialogue._meanings))
+        sizes.add(len(classifier._meanings))
     assert sizes == set(range(1, MEANINGS_KEPT + 1))
 
 

@@ -18,7 +18,7 @@ class Refused(Exception):
     """QEMU or the agent answered with an error."""
 
 
-class Dxl1Classifier:
+class JsonSocket:
     """One socket; `ask` waits for the answer. QEMU's events are kept in `events`."""
 
     def __init__(self, path: Path) -> None:

@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from dxl_monitor.doctor.two_timers import two_combs
+from dxl_monitor.doctor.two_timers import two_timers
 
 MS = 1_000_000
 BLUR_NS = 1.0 * MS
@@ -32,8 +32,8 @@ def last(*clocks: list[int], ago: int = 0) -> list[int]:
 @pytest.mark.parametrize('seed', range(4))
 def test_two_loops_are_told_by_their_periods(one: float, other: float, seed: int) -> None:
     loops = clock(one, seed), clock(other, seed + 100, 7.0)
-    looks = [two_combs(last(*loops, ago=ago), BLUR_NS) for ago in (0, 30, 60)]
-    found = [sorted(comb.period / MS for comb in look) for look in looks if look is not None]
+    looks = [two_timers(last(*loops, ago=ago), BLUR_NS) for ago in (0, 30, 60)]
+    found = [sorted(timer.period / MS for timer in look) for look in looks if look is not None]
     assert found                       # one look in ten fails
     assert all(both == pytest.approx(sorted((one, other)), rel=0.02) for both in found)
 
@@ -41,7 +41,7 @@ def test_two_loops_are_told_by_their_periods(one: float, other: float, seed: int
 @pytest.mark.parametrize('missing', [7, 9, 11])
 def test_a_clock_that_leaves_one_out_now_and_then_is_still_one(missing: int) -> None:
     slow = [stamp for at, stamp in enumerate(clock(30.03, 1, 7.0)) if at % missing]
-    assert two_combs(last(clock(20.0, 2), slow), BLUR_NS) is not None
+    assert two_timers(last(clock(20.0, 2), slow), BLUR_NS) is not None
 
 
 @pytest.mark.parametrize(('missing', 'is_told'), [((5, 9, 13), True), ((5, 8, 11, 14), False)])
@@ -49,18 +49,18 @@ def test_a_clock_that_leaves_out_more_than_three_of_twenty_is_none(missing: tupl
                                                                    is_told: bool) -> None:
     stamps = sorted([20 * MS * n for n in range(30)]
                     + [7 * MS + 31 * MS * n for n in range(20) if n not in missing])
-    assert (two_combs(stamps, 0.5 * MS) is not None) == is_told
+    assert (two_timers(stamps, 0.5 * MS) is not None) == is_told
 
 
 @pytest.mark.parametrize('seed', range(30))
 def test_one_program_is_not_two(seed: int) -> None:
     rng = random.Random(seed)
     waits = [rng.expovariate(1 / 12) for _ in range(KEPT)]
-    assert two_combs([int(MS * at) for at in accumulate(waits)], BLUR_NS) is None
-    assert two_combs(last(clock(20.0, seed)), BLUR_NS) is None
-    assert two_combs(last(clock(20.0, seed), clock(40.0, seed + 1, 5.0)), BLUR_NS) is None
-    assert two_combs(last(clock(20.0, seed), clock(20.0, seed + 1, 5.0)), BLUR_NS) is None
+    assert two_timers([int(MS * at) for at in accumulate(waits)], BLUR_NS) is None
+    assert two_timers(last(clock(20.0, seed)), BLUR_NS) is None
+    assert two_timers(last(clock(20.0, seed), clock(40.0, seed + 1, 5.0)), BLUR_NS) is None
+    assert two_timers(last(clock(20.0, seed), clock(20.0, seed + 1, 5.0)), BLUR_NS) is None
 
 
 def test_what_is_finer_than_the_chunks_is_not_judged() -> None:
-    assert two_combs(last(clock(20.0, 1), clock(30.03, 2, 7.0)), 16.0 * MS) is None
+    assert two_timers(last(clock(20.0, 1), clock(30.03, 2, 7.0)), 16.0 * MS) is None
