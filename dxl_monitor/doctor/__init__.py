@@ -58,7 +58,7 @@ class Doctor:
 
     def __init__(self, settings: Settings = DEFAULTS, names: Names = PARAMETERS) -> None:
         self._settings, self._names = settings, names
-        self._history = History()
+        self._history = History(names)
         self._standing: dict[_Key, tuple[Claim, int]] = {}
         self._since: dict[_Key, int] = {}          # claimed without a break
         self._doubts: tuple[Finding, ...] = ()
@@ -67,7 +67,6 @@ class Doctor:
         """Return the report with states, findings, levels and messages."""
         report = judged(report, self._settings, self._names)
         case = self._history.take(report)
-        case.names = self._names
         if case.quiet_s and (report.last_byte_s or 0.0) > HUSH_S:
             findings = self._last_told(case)
             return _with(case, findings, self._doubts or _lost_from(case))

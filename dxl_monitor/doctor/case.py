@@ -254,7 +254,8 @@ def _blur_ms(report: BusReport) -> float:
 class History:
     """What is remembered from report to report."""
 
-    def __init__(self) -> None:
+    def __init__(self, names: Names = PARAMETERS) -> None:
+        self._names = names
         self.clear()
 
     def clear(self) -> None:
@@ -295,6 +296,7 @@ class History:
             self._look_for_clocks(report, before)
         case = Case(report, self._seen, self._marks, self._samples, self._repeats,
                     self._rhythms[1], self._counts, self._steady)
+        case.names = self._names
         case.clocks = list(self._clocks.values())
         case.quiet_s = self._quiet_s(report)
         case.wrecks = self._recognised(report, before)

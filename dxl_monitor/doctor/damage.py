@@ -335,7 +335,7 @@ RULES = (
     Rule('noise', Level.WARN, _elsewhere,
          ('damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')),
     Rule('damaged_answers', Level.WARN, _damaged_answers,
-         ('missed_answers', 'dropout', 'stray_bytes', 'jitter'),         onset_s=ONSET_S),
+         ('missed_answers', 'dropout', 'stray_bytes', 'jitter'), onset_s=ONSET_S),
     Rule('not_sent', Level.WARN, _not_sent),
     Rule('stray_bytes', Level.OK, _stray_bytes),
 )
