@@ -14,6 +14,7 @@ from dxl_monitor.bus.decoder import PROTOCOLS
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.bus.expected import split_bus
 from dxl_monitor.model.checked_yaml import ModelError
 from dxl_monitor.model.models import Models
 from dxl_monitor.port.source_name import bus_name
@@ -145,14 +146,14 @@ def _devices_by_bus(entries: Sequence[str], names: Sequence[str]) -> dict[str, l
     """Sort the entries by bus; 'NAME/...' says which, needed only where there are several."""
     texts: dict[str, list[str]] = {name: [] for name in names}
     for entry in entries:
-        bus, slash, rest = entry.partition('/')
-        if slash and bus in texts:
+        bus, rest = split_bus(entry)
+        if bus in texts:
             texts[bus].append(rest)
-        elif len(names) == 1 and not slash:
+        elif len(names) == 1 and not bus:
             texts[names[0]].append(entry)
         else:
             raise ParameterError(f'devices: {entry!r} does not say which bus; write '
-                                 f'{names[0]}/{rest if slash else entry} (buses: '
+                                 f'{names[0]}/{rest} (buses: '
                                  f"{', '.join(names)})")
     return {name: parse_all(some) for name, some in texts.items()}
 
@@ -170,6 +171,6 @@ def check_models(devices: Iterable[Expected], models: Models) -> None:
 
 def settings_of(bus: str, wire: Wire, devices: Sequence[str], protocol: str) -> Settings:
     """Return those of a bus that a tool hears; devices: of all buses, as given by --devices."""
-    mine = [text.rpartition('/')[2] for text in devices if text.rpartition('/')[0] in ('', bus)]
+    mine = [rest for of, rest in map(split_bus, devices) if of in ('', bus)]
     return Settings(baud=wire.baud, devices=tuple(parse_all(mine)), protocol=protocol,
                     latency_timer_ms=wire.latency_timer_ms)

@@ -16,6 +16,7 @@ import time
 
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.model.models import Models
+from dxl_monitor.monitor_settings import load_models
 from mecarover_fakes.dxl1_servo import Line1
 from mecarover_fakes.dxl1_servo import Servo1
 from mecarover_fakes.fake_port import FakeBus
@@ -91,7 +92,7 @@ def _run(arguments: list[str]) -> int:
     _check(options)
     pattern = options.pattern or ('none' if options.tap else 'moving')
     devices = make_devices(options.devices or default_devices(pattern, options.dialect),
-                           Models(options.model_dirs), options.baud, moving=pattern != 'none',
+                           load_models(options.model_dirs), options.baud, moving=pattern != 'none',
                            dialect=options.dialect)
     line = make_line(devices, options.baud, options.dialect,
                      waits_in_line=options.behind_silent == 'wait')

@@ -682,4 +682,5 @@ def test_a_question_that_is_not_answered_may_be_a_status(protocol):
 def test_an_instruction_of_1_0_with_the_code_of_a_status_of_2_0_is_unknown():
     data = dxl1_packet.encode(BROADCAST, STATUS) + dxl1_packet.encode(1, 1)
     unknown, ping = objects('-', '--protocol', '1', feed=data)
-    assert (unknown['id'], unknown['code'], ping['instruction']) == (BROADCAST, STATUS, 'Ping')
+    assert (unknown['id'], unknown['instruction'], ping['instruction']) \
+        == (BROADCAST, 'instruction 0x55', 'Ping')

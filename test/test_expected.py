@@ -7,6 +7,7 @@ import pytest
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.expected import parse
 from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.bus.expected import split_bus
 from mecarover_serial.parameters import ParameterError
 
 
@@ -42,6 +43,19 @@ def test_mistakes(text: str, words: str) -> None:
     assert str(caught.value).startswith('devices: ')
     assert '; ' in str(caught.value)
     assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize(('entry', 'bus', 'device'), [
+    ('1:MX-64', '', '1:MX-64'),
+    ('arm/1:MX-64', 'arm', '1:MX-64'),
+    ('arm/left/1-3', 'arm/left', '1-3'),
+    ('arm/1::left/knee', 'arm', '1::left/knee'),
+    ('1::left/knee', '', '1::left/knee'),
+    ('arm/1,2:MX-64', 'arm', '1,2:MX-64'),
+    ('left/knee', '', 'left/knee'),
+])
+def test_a_bus_and_a_joint_may_have_a_slash(entry: str, bus: str, device: str) -> None:
+    assert split_bus(entry) == (bus, device)
 
 
 def test_order_is_that_of_the_cable() -> None:

@@ -467,6 +467,7 @@ def test_command_plays_tells_totals_and_truth(tmp_path: Path) -> None:
     (('--fault', 'silent:1:0:1e999'), "'silent:1:0:1e999' does not have the form NAME"),
     (('--devices', '1:MX-107'), 'did you mean MX-106'),
     (('--devices', '1-999:MX-106'), 'at most 253'),
+    (('--model-dirs', '/does/not/exist'), 'model_dirs: /does/not/exist: '),
     (('--baud', '0'), 'give bits per second'),
     (('--baud', 'fast'), 'invalid'),
     (('--rate', '-1'), '--rate'),

@@ -150,6 +150,8 @@ def test_refused_write_is_not_known(bench: Bench) -> None:
     assert bench.write(1, 9, b'\x07') == ACCESS      # EEPROM with torque on
     assert bench.known(1, 9, 1) == b'\x00'
     assert bench.device(1).last_error == 'Access'
+    assert bench.read(1, 9, 1) == (b'\x00', 0)
+    assert bench.device(1).last_error == ''
 
 
 def test_registered_write_waits_for_action(bench: Bench) -> None:

@@ -50,7 +50,7 @@ class Device:
     | return_level, acks, acks_missing | set_return_level(), acknowledged(), ReplyPolicy; acks: \
     whether it acknowledges writes, None while unknown |
     | heard, alert, odd, missed_in_a_row | DeviceRegistry.heard(), Tracker, miss(); odd: the next \
-    answer needs more than storing (it was away, or had an alert) |
+    answer needs more than storing (it was away, or had an error) |
     | asked_stamp, owed, waiting_behind | miss(), not_served(), pays(); owed: answers that the \
     master gave up lately; waiting_behind: the silent device in front of it in a group read |
     | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |

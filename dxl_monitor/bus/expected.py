@@ -19,6 +19,7 @@ from mecarover_serial.parameters import refuse_twice
 MAX_ID = 252                       # in Protocol 2.0
 MAX_ID_1 = 253                     # in the 1.0 family
 _ENTRY = re.compile(r'\s*(\d+)\s*(?:-\s*(\d+)\s*)?(?::([^:]*))?(?::([^:]*))?')
+_BUS = re.compile(r'(.*?)/(\s*\d+\s*(?:[-:,].*)?)')       # both a bus and a joint may have a slash
 _EXAMPLES = "write ID:MODEL:JOINT, e.g. '11:MX-106:left_knee', '1-20:MX-64' or '30'"
 
 
@@ -28,6 +29,12 @@ class Expected(NamedTuple):
     id: int
     model: str = ''
     joint: str = ''
+
+
+def split_bus(entry: str) -> tuple[str, str]:
+    """Return the bus that an entry 'BUS/ID:MODEL:JOINT' names, '' for none, and the rest."""
+    match = _BUS.fullmatch(entry)
+    return (match[1], match[2]) if match else ('', entry)
 
 
 def parse(text: str) -> list[Expected]:

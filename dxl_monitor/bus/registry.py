@@ -116,7 +116,7 @@ class DeviceRegistry:
         device.heard = stamp
         device.waiting_behind = None
         device.moved_to = ''
-        device.odd = alert
+        device.odd = error != 0        # the next good answer clears its last error
 
     def read_special(self, device: Device, span: Span, data: bytes, stamp: int,
                      source: int) -> None:

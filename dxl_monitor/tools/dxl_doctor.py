@@ -16,6 +16,7 @@ from typing import Any
 from dxl_monitor.bus.decoder import DEFAULTS
 from dxl_monitor.bus.decoder import PROTOCOLS
 from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.bus.expected import split_bus
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor_settings import check_models
 from dxl_monitor.monitor_settings import load_models
@@ -80,7 +81,7 @@ def _run(arguments: list[str]) -> int:
     if stored is not None:
         return _retell(stored, models, options)
     check_report(options.report)
-    check_models(parse_all(text.rpartition('/')[2] for text in options.devices), models)
+    check_models(parse_all(split_bus(text)[1] for text in options.devices), models)
     examination = Examination(models, options.devices, options.protocol)
     source = _open(options, command)
     try:

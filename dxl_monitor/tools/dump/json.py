@@ -13,6 +13,7 @@ from dxl_monitor.tools.dump.decode import PingAnswer
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.listing import NO_REQUEST
 from dxl_monitor.tools.dump.text_format import error_words
+from dxl_monitor.tools.dump.text_format import packet_name
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import Packet
 
@@ -24,7 +25,7 @@ def json_line(bus: str, stamp_us: int, packet: Packet, entry: Entry, parts: Sequ
     """Return one packet; stamp_us as it is to be shown."""
     record: dict[str, Any] = {
         'stamp': stamp_us / 1e6, 'offset': packet.offset, 'bus': bus, 'id': packet.id,
-        'code': packet.instruction, 'instruction': name_of(packet.instruction),
+        'code': packet.instruction, 'instruction': packet_name(packet),
         'error': packet.error, 'params': packet.params.hex(), 'repaired': packet.repaired,
         'model': entry.device.model.name
         if entry.device is not None and entry.device.model is not UNKNOWN else None,

@@ -24,9 +24,9 @@ from dxl_monitor.tools.dump.text_format import answer_words
 from dxl_monitor.tools.dump.text_format import damaged_words
 from dxl_monitor.tools.dump.text_format import missed_words
 from dxl_monitor.tools.dump.text_format import noise_words
+from dxl_monitor.tools.dump.text_format import packet_name
 from dxl_monitor.tools.dump.text_format import request_words
 from msg_defs.dxl_instruction import ALERT
-from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import Packet
 from msg_defs.frame import OPEN
@@ -120,7 +120,7 @@ def _packet(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) ->
     if packet is None:
         return '?', RED, '', '', ''
     number = 'all' if packet.id == BROADCAST else f'{packet.id:03}'
-    name = name_of(packet.instruction) + ('*' if packet.repaired else '')
+    name = packet_name(packet) + ('*' if packet.repaired else '')
     if packet.error is None:
         colour = YELLOW if entry.request.malformed else CYAN
         return '>', colour, number, name, request_words(entry, parts)

@@ -21,6 +21,7 @@ from types import TracebackType
 from typing import BinaryIO
 
 from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.bus.expected import split_bus
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor.case import OPTIONS
 from dxl_monitor.monitor import Monitor
@@ -61,7 +62,7 @@ class Session:
             if not text.isprintable():
                 raise UsageError(f'--devices {text!r}: control codes; give plain text')
         self._models = load_models(options.model_dirs)
-        check_models(parse_all(text.rpartition('/')[2] for text in options.devices), self._models)
+        check_models(parse_all(split_bus(text)[1] for text in options.devices), self._models)
         self._source = open_source('dxl_dump', options.source, options.baud,
                                    options.adapter)
         self._file = _output(options)

@@ -19,6 +19,8 @@ from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import NAMES
+from msg_defs.dxl_packet import Packet
+from msg_defs.dxl_packet import STATUS
 from msg_defs.frame import OPEN
 
 # What a device means by its error number (e-Manual, Protocol 2.0, status packet).
@@ -49,6 +51,12 @@ def error_words(error: int) -> str:
     if error & ALERT:
         words.append('alert: see Hardware Error Status')
     return '; '.join(words)
+
+
+def packet_name(packet: Packet) -> str:
+    """Return its instruction or 'Status'; its code may be an instruction of 1.0."""
+    is_strange = packet.error is None and packet.instruction == STATUS
+    return f'instruction 0x{STATUS:02X}' if is_strange else name_of(packet.instruction)
 
 
 def request_words(entry: Entry, parts: Sequence[Part]) -> str:
