@@ -200,7 +200,7 @@ def test_a_mistake_of_pyserial_does_not_end_the_thread(mcu):
 def test_frozen_while_the_port_is_closed_it_begins_anew_too(mcu, monkeypatch):
     """What was published meanwhile waits in the sockets, and would drive the rover."""
     link = Link(mcu.path, 115200, Gate())
-    monkeypatch.setattr(link._wake, 'sleep', lambda seconds: time.sleep(seconds + 0.25))
+    monkeypatch.setattr(link._pipe, 'sleep', lambda seconds: time.sleep(seconds + 0.25))
     monkeypatch.setattr(link, '_opener', lambda *_: open_port(str(mcu.path) + '-gone', 115200))
     link.start()
     wait(lambda: link.state().problem is not None)

@@ -37,7 +37,7 @@ from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.pacer import Pacer
 from vel2d_bridge.pacer import Sent
-from vel2d_bridge.wake import Wake
+from vel2d_bridge.self_pipe import SelfPipe
 from vel2d_bridge.watch import BEAT
 from vel2d_bridge.watch import SILENCE
 
@@ -105,7 +105,7 @@ class Link:
                             on_sent=on_sent)
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name='port', daemon=True)
-        self._wake = Wake()
+        self._pipe = SelfPipe()
         self._claim = PortClaim()
         self._backoff = Backoff(last_s=_RETRY_S)
         self._port: Port | None = None
@@ -165,11 +165,11 @@ class Link:
                 return True
             self._closing = now
             self.gate.stop(now, Stop.SHUTDOWN)
-        self._wake.rouse()
+        self._pipe.rouse()
         if self._thread.is_alive():
             self._thread.join(_JOIN_S)
         if not self._thread.is_alive():              # else stuck in opening, it needs them
-            self._wake.close()
+            self._pipe.close()
         self._claim.drop()
         if self._deadman is not None:
             self._deadman.leave()
@@ -226,7 +226,7 @@ class Link:
             wake = now
         if wake < self._wake_at:
             self._wake_at = wake
-            self._wake.rouse()
+            self._pipe.rouse()
 
     def _run(self) -> None:
         """Run the thread; no exception ends it: the stops must go on."""
@@ -289,9 +289,9 @@ class Link:
             if error := _stuck(self._name, self._pacer.time_outs_in_row, _STUCK_TIME_OUTS):
                 raise error
             sleep = self._wake_at - self._clock()
-        if port.wait(max(sleep, 0) / SECOND, self._wake.fd):
+        if port.wait(max(sleep, 0) / SECOND, self._pipe.fd):
             self._receive(port)
-        self._wake.swallow()
+        self._pipe.swallow()
 
     def _receive(self, port: Port) -> None:
         chunk = port.read()
@@ -353,7 +353,7 @@ class Link:
             if self._deadman is not None:
                 self._deadman.beat(time.monotonic_ns())
             before = now
-            self._wake.sleep(min(deadline - now, BEAT / SECOND))
+            self._pipe.sleep(min(deadline - now, BEAT / SECOND))
             now = time.monotonic()
             self._overslept |= now - before >= SILENCE / SECOND
         if self._closing is not None and not self._is_over():

@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Wake: a pipe that ends another thread's sleep on descriptors."""
+"""SelfPipe: a pipe that ends another thread's sleep on descriptors."""
 from __future__ import annotations
 
 from contextlib import suppress
@@ -9,7 +9,7 @@ import os
 from mecarover_serial.readable import readable
 
 
-class Wake:
+class SelfPipe:
     """`rouse` from any thread, sleep on `fd` in one."""
 
     def __init__(self) -> None:
