@@ -80,7 +80,7 @@ EQUIVALENT = {
     ('self._combined(wire + body_crc(wire).to_bytes(2', '2 -> 3'): 'a byte behind all blocks',
     ('mark = find(_TAIL, mark + 1)', '1 -> 2'): 'FF FD 00 does not overlap itself',
     ('self._wanted = wanted - (size', 'Sub -> Add in column 33'): 'looks earlier, in vain',
-    ('self.odd = True', 'True -> False in column 19'): _LONG_WAY,
+    ('self.is_unusual = True', 'True -> False in column 19'): _LONG_WAY,
     ('if fields[1::4] != self._ids', '1 -> 2'): _LONG_WAY,
     ('if fields[1::4] != self._ids', '4 -> 5'): _LONG_WAY,
     ('return ()', 'return None'): _NO_FIELDS,

@@ -224,7 +224,7 @@ def test_an_alert_is_noted_when_it_begins_and_counted_each_time() -> None:
     for error in (0x7F, 0x80, 0x85, 0, 0x80):
         one.heard(device, error, S)
     assert notes(one) == [(ev.ALERT, 4, ev.NOTHING)] * 2
-    assert (device.counts.alerts, device.alert, device.odd) == (3, True, True)
+    assert (device.counts.alerts, device.alert, device.is_unusual) == (3, True, True)
 
 
 def test_an_id_that_no_device_can_have_gets_none() -> None:

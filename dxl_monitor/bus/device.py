@@ -49,8 +49,8 @@ class Device:
     of that was not looked up yet |
     | return_level, acks, acks_missing | set_return_level(), acknowledged(), ReplyPolicy; acks: \
     whether it acknowledges writes, None while unknown |
-    | heard, alert, odd, missed_in_a_row | DeviceRegistry.heard(), Tracker, miss(); odd: the next \
-    answer needs more than storing (it was away, or had an error) |
+    | heard, alert, is_unusual, missed_in_a_row | DeviceRegistry.heard(), Tracker, miss(); \
+    is_unusual: it was away or had an error, so its next answer needs more than storing |
     | asked_stamp, owed, waiting_behind | miss(), not_served(), pays(); owed: answers that the \
     master gave up lately; waiting_behind: the silent device in front of it in a group read |
     | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |
@@ -62,10 +62,10 @@ class Device:
     __slots__ = (
         '_eeprom_end', '_given_up', '_level_at', '_special', 'acks', 'acks_missing', 'alert',
         'asked_first', 'asked_stamp', 'counts', 'dialect', 'errors', 'expected', 'firmware',
-        'followed_end', 'heard', 'identity', 'identity_stamp', 'is_unresolved', 'joint',
-        'last_error', 'latency', 'latency_resolved', 'missed_in_a_row', 'model', 'model_number',
-        'moved_to', 'number', 'odd', 'owed', 'registered', 'return_level', 'snapshots', 'table',
-        'waiting_behind')
+        'followed_end', 'heard', 'identity', 'identity_stamp', 'is_unresolved', 'is_unusual',
+        'joint', 'last_error', 'latency', 'latency_resolved', 'missed_in_a_row', 'model',
+        'model_number', 'moved_to', 'number', 'owed', 'registered', 'return_level', 'snapshots',
+        'table', 'waiting_behind')
 
     def __init__(self, number: int, joint: str = '', expected: bool = False) -> None:
         self.number = number                       # its ID
@@ -88,7 +88,7 @@ class Device:
         self.asked_stamp = 0                       # when it last did not answer
         self.owed = 0
         self._given_up = -OWED_NS           # when an answer was last given up
-        self.odd = True
+        self.is_unusual = True
         self.forget_return_level()
         self.reset_statistics()
         self.become(UNKNOWN)
@@ -175,14 +175,14 @@ class Device:
         self._given_up = stamp
         self.asked_stamp = now
         self.waiting_behind = None
-        self.odd = True
+        self.is_unusual = True
 
     def not_served(self, now: int, blocker: int) -> None:
         """Count an answer whose turn did not come: the master gave up at the one before."""
         self.counts.not_served += 1
         self.asked_stamp = now
         self.waiting_behind = blocker
-        self.odd = True
+        self.is_unusual = True
 
     def pays(self, stamp: int) -> bool:
         """Take an answer that is not due: whether one that was given up lately is still owed."""

@@ -116,7 +116,7 @@ class DeviceRegistry:
         device.heard = stamp
         device.waiting_behind = None
         device.moved_to = ''
-        device.odd = error != 0        # the next good answer clears its last error
+        device.is_unusual = error != 0        # the next good answer clears its last error
 
     def read_special(self, device: Device, span: Span, data: bytes, stamp: int,
                      source: int) -> None:
@@ -297,7 +297,7 @@ class DeviceRegistry:
     def _moved(self, device: Device, baud: int, in_words: str) -> None:
         if baud != self.baud:
             device.moved_to = in_words
-            device.odd = True
+            device.is_unusual = True
 
     def _renumber(self, device: Device, number: int, stamp: int) -> None:
         if number > self.highest or self.devices.get(device.number) is not device:

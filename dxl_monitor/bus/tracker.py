@@ -103,7 +103,7 @@ class Tracker:
                 device.asked_first += 1
                 if side or begin >= self._asked[1]:
                     self._sample_latency(device, begin, received, stamp)
-            if len(data) != slot.size or code or device.odd or self._state:
+            if len(data) != slot.size or code or device.is_unusual or self._state:
                 self._unusual(slot, number, code, data, stamp)
             else:
                 device.counts.answers += 1
@@ -197,7 +197,7 @@ class Tracker:
             device = slot.device
             counts = device.counts
             counts.fast_answers += 1
-            if error or device.odd:
+            if error or device.is_unusual:
                 self._answer(slot, error, data, stamp)
             else:
                 counts.answers += 1
