@@ -26,7 +26,7 @@ class PortClaim:
         self._socket: socket.socket | None = None
 
     def take(self, fd: int) -> None:
-        """PortClaim an open port, before the first byte. Never raises."""
+        """Claim an open port, before the first byte. Never raises."""
         with suppress(OSError):
             status = os.fstat(fd)
             if not stat.S_ISCHR(status.st_mode) or status.st_rdev == self._device:
