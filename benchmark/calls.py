@@ -18,7 +18,6 @@ import sys
 from types import FrameType
 from typing import NamedTuple
 
-from benchmark.harness import REPOSITORY
 from benchmark.traffic import BAUD
 from benchmark.traffic import BAUD_1
 from benchmark.traffic import packets
@@ -27,6 +26,7 @@ from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from mecarover_serial.cli import run_tool
+from rigs.harness import REPOSITORY
 
 KNOWN_AFTER = 500                  # packets
 COUNTED = 200
