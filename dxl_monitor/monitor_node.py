@@ -184,7 +184,16 @@ class JointStates:
 
 
 class MonitorNode:
-    """The node dxl_monitor; made once, ended by `stop`."""
+    """
+    The node dxl_monitor; made once, ended by `stop`.
+
+    | attributes | who writes them |
+    |---|---|
+    | _waiting, _alarms, _reported, _said | _tick(), _look(): the thread of the timers |
+    | _levels, _overview_s, _port_words, _capture_words | _tell() in that thread |
+    | _is_stopped, _capture_words | stop() |
+    | all others | set once |
+    """
 
     def __init__(self) -> None:
         self.node = Node('dxl_monitor')

@@ -82,7 +82,17 @@ class _Mistakes(logging.Filter):
 
 
 class Server:
-    """Serves a State on a listening socket, in a thread of its own."""
+    """
+    Serves a State on a listening socket, in a thread of its own.
+
+    | attributes | who writes them |
+    |---|---|
+    | _inbox, _inbox_bytes | take(), from any thread; the server's takes out |
+    | _publishers, _recording | publishers(), stop(): from any thread |
+    | _loop, _ended, _haste | the server's thread, when it begins |
+    | _pushed, _texts, _watched, _scraped | the server's thread |
+    | all others | set once |
+    """
 
     def __init__(self, listener: socket.socket, facts: dict[str, Any], is_open: bool,
                  recording: HistoryRecorder | None = None, name: str = '') -> None:

@@ -72,7 +72,16 @@ HOPELESS = ('not_a_port', 'baud', 'url')        # at the first opening: waiting 
 
 
 class Bridge:
-    """The node vel2d_bridge; made once, ended by `stop`."""
+    """
+    The node vel2d_bridge; made once, ended by `stop`.
+
+    | attributes | who writes them |
+    |---|---|
+    | _values, _refused, _told, _not_kept | callbacks of parameters, commands and services |
+    | _said, _around, _levels, _reported, _known_freezes | _watch(), of the same thread |
+    | _sent, _port_log, _hopeless, _mcu | the port's thread; _watch() takes out |
+    | all others | set once |
+    """
 
     def __init__(self, deadman: Deadman) -> None:
         self.node = Node('vel2d_bridge')
