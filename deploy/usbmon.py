@@ -13,7 +13,7 @@ from pathlib import Path
 GROUP = 'mecarover_usbmon'
 FILES = {
     Path('/etc/udev/rules.d/71-mecarover_usbmon.rules'): (
-        'the group that may read usbmon',
+        f'let the group {GROUP} read usbmon',
         f'SUBSYSTEM=="usbmon", KERNEL=="usbmon[0-9]*", GROUP="{GROUP}", MODE="0640"\n'),
     Path('/etc/modules-load.d/mecarover_usbmon.conf'): (
         'load usbmon at every boot', 'usbmon\n'),

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What /diagnostics and the log say of the bridge: levels, messages, keys. No ROS here."""
 import math
+import re
 
 import pytest
 
@@ -195,6 +196,15 @@ def test_what_is_possible_and_probably_not_meant_is_doubted(name, value, begin):
     assert '; set ' in line
 
 
+@pytest.mark.parametrize('rate', range(2, 40))
+def test_the_timeout_that_is_advised_is_long_enough(rate):
+    values = {parameter.name: parameter.default for parameter in PARAMETERS}
+    values |= {'cmd_vel_timeout': 0.05, 'max_rate': float(rate)}
+    [line] = [line for line in doubts(values) if line.startswith('cmd_vel_timeout')]
+    values['cmd_vel_timeout'] = float(re.search(r'set cmd_vel_timeout to ([\d.]+) s', line)[1])
+    assert not [line for line in doubts(values) if line.startswith('cmd_vel_timeout')]
+
+
 @pytest.mark.parametrize('enabled', [True, False])
 def test_a_stop_that_is_owed_is_an_error_whatever_else_is_so(enabled):
     status = commands(OPEN._replace(is_open=False, driving=False, owes_stop=True, enabled=enabled))
@@ -206,4 +216,4 @@ def test_a_stop_that_is_owed_is_an_error_whatever_else_is_so(enabled):
 def test_a_limit_that_is_taken_away_is_said():
     before = {'max_linear_x': 0.5, 'max_linear_y': 0.0, 'max_angular_z': 1.0, 'max_stamp_age': 0.0}
     assert taken_away(before, before | {'max_linear_x': 0.0, 'max_angular_z': 0.5}) == [
-        'max_linear_x: 0 removes the limit, which was 0.5']
+        'max_linear_x: now 0, so there is no limit any more; it was 0.5']

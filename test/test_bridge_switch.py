@@ -41,7 +41,7 @@ def test_without_a_cable_it_does_not_say_that_the_rover_has_stopped(ros, graph, 
 def test_switched_off_by_the_file_it_waits_for_no_command(mcu):
     with bridge(mcu, enabled='false') as running:
         line = running.wait_for('open at 115200 baud')
-        assert line.endswith('; sending stops until commands are enabled')
+        assert line.endswith('; the bridge sends stop frames until commands are enabled')
         end(running)
 
 

@@ -257,8 +257,8 @@ class Bridge:
         for problem in self._port_log.take():
             if problem is None:         # two lines: rclpy ties a severity to a place in the code
                 until = 'a command comes' if self._link.gate.enabled else 'commands are enabled'
-                self._log.info(f'{self._port}: open at {self._values["baud"]} baud; sending '
-                               f'stops until {until}')
+                self._log.info(f'{self._port}: open at {self._values["baud"]} baud; the '
+                               f'bridge sends stop frames until {until}')
             else:
                 self._log.error(str(problem))
 

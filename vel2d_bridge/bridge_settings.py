@@ -3,6 +3,7 @@
 """The parameters of vel2d_bridge: names, defaults, limits and what a person reads about them."""
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from mecarover_serial.parameters import Parameter
@@ -66,7 +67,7 @@ def refuse_at_run_time(changes: dict[str, Any]) -> None:
 
 def taken_away(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
     """Say which limits a change at run time takes away, a line each."""
-    return [f'{name}: 0 removes the limit, which was {before[name]:g}'
+    return [f'{name}: now 0, so there is no limit any more; it was {before[name]:g}'
             for name in ('max_linear_x', 'max_linear_y', 'max_angular_z', 'max_stamp_age')
             if before[name] and not after[name]]
 
@@ -80,7 +81,8 @@ def doubts(values: dict[str, Any]) -> list[str]:
                      'dies; set 0.5')
     elif timeout * rate < 2:
         lines.append(f'cmd_vel_timeout: {timeout:g} s is less than two frames at max_rate '
-                     f'{rate:g} Hz, so commands expire before they are sent; set {2 / rate:.2g}')
+                     f'{rate:g} Hz, so commands expire before they are sent; set '
+                     f'cmd_vel_timeout to {math.ceil(200 / rate) / 100:g} s or more')
     if values['resend_rate'] == 0:
         lines.append('resend_rate: 0 sends each set-point once, so a lost frame is not sent '
                      'again; set 20')
