@@ -6,6 +6,7 @@ Script: the bytes of a fuzzer read as decisions, and as bus traffic with valid f
 A fuzzer that had to guess checksums would never get past the Framer. An exhausted script says 0.
 """
 
+from msg_defs import dxl1_packet
 from msg_defs.crc import crc16
 from msg_defs.dxl_instruction import NAMES
 from msg_defs.dxl_packet import BROADCAST
@@ -16,6 +17,8 @@ from msg_defs.dxl_packet import STATUS
 INSTRUCTIONS = sorted(NAMES)
 TRICKY = (b'\xff\xff\xfd\x00', b'\xff\xff\xfd\xfd', b'\xff\xff\xfd', b'\xff\xff', b'\xff',
           b'\x00', b'\xfd', HEADER + b'\xfe\x00\x04', HEADER + b'\x01\xff\xff\x55')
+TRICKY_1 = (b'\xff\xff', b'\xff', b'\xff\xff\xff', b'\x00', b'\xfd', b'\xff\xff\xfd\x00',
+            b'\xff\xff\x01\x02', b'\xff\xff\x01\x00', b'\xff\xff\xfe\xff', b'\x01\x02\x01\xfb')
 
 
 class Script:
@@ -44,14 +47,6 @@ class Script:
 
     def pick(self, choices):
         return choices[self.byte() % len(choices)]
-
-
-def traffic(script):
-    """Yield pieces of bus traffic until the script is over: frames, damaged ones, noise."""
-    last = b''
-    while script:
-        last = script.pick(_PIECES)(script, last)
-        yield last
 
 
 def _raw(script, last):
@@ -137,5 +132,22 @@ def _error(script):
     return error if error > 240 else 0
 
 
-_PIECES = (_raw, _tricky, _instruction, _instruction, _status, _status, _read, _read, _fast_read,
-           _flipped, _cut, _headless, _again)
+def _tricky_1(script, last):
+    return script.pick(TRICKY_1)
+
+
+def _packet_1(script, last):
+    return dxl1_packet.encode(script.byte(), script.byte(), script.take(script.byte() % 24))
+
+
+PIECES_2 = (_raw, _tricky, _instruction, _instruction, _status, _status, _read, _read, _fast_read,
+            _flipped, _cut, _headless, _again)
+PIECES_1 = (_raw, _raw, _tricky_1, _tricky_1, _packet_1, _packet_1, _flipped, _cut)
+
+
+def traffic(script, pieces=PIECES_2):
+    """Yield pieces of bus traffic until the script is over: frames, damaged ones, noise."""
+    last = b''
+    while script:
+        last = script.pick(pieces)(script, last)
+        yield last

@@ -1,16 +1,20 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-python -m fuzz.volume --bytes N: N bytes of hostile input through Framer, tracker and report.
+python -m fuzz.volume --bytes N: N bytes of hostile input through framer, tracker and report.
 
-A third each: random bytes, bytes that look like headers and lengths, and the traffic of a robot
-(or --trace FILE) with bytes lost, turned, doubled and torn apart. Exit code 1 when an exception
-comes, a byte is counted twice or not at all, memory grows, or more false packets are found than
-the 16 bits of a CRC let pass: of 65536 candidates one. A false packet is one that was not sent, a
-candidate what looks like a frame and is none of the packets that were sent.
+On a bus of Protocol 2.0 and on one with `protocols` auto: random bytes, bytes that look like
+headers and lengths, and the traffic of robots (or --trace FILE) with bytes lost, turned, doubled
+and torn apart. Exit code 1 when an exception comes, a byte is counted twice or not at all, memory
+grows, more false packets pass a checksum than chance lets pass, or the monitor of `auto` shows a
+device that is not on that bus. A candidate is what looks like a frame and was not sent; if its
+checksum is right it is a false packet. Of candidates, one of 65536 passes the CRC of 2.0, one of
+256 the sum of the 1.0 family; that is counted with a framer alone, as the monitor wants more
+evidence.
 """
 
 import argparse
+from functools import partial
 import math
 from pathlib import Path
 import random
@@ -18,37 +22,48 @@ import re
 import sys
 import time
 
+from benchmark.traffic import KINDS_1
 from benchmark.traffic import packets
+from benchmark.traffic import packets_1
 from benchmark.traffic import trace_packets
 from dxl_monitor.bus.decoder import BusDecoder
+from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from fuzz.framer import Watched
+from fuzz.framer import Watched1
 from fuzz.script import TRICKY
+from fuzz.script import TRICKY_1
 from mecarover_serial.process import resident_memory_mb
+from msg_defs import dxl1_packet
+from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import HEADER
+from msg_defs.frame import is_good
 
 BLOCK = 1 << 18
 GROWTH_MB = 30.0                    # more resident memory, from the first block on
 CANDIDATE = re.compile(rb'(?=\xff\xfd\x00(.(..)))', re.DOTALL)
+FEETECH, = (kind for kind, (dialect, _) in KINDS_1.items() if dialect == 'feetech')
+PING = b'\x01\x02\x01'              # which two pieces of TRICKY_1 make when they meet
+BYTE_NS = 10_000
 
 
-def random_bytes(chance, _):
+def random_bytes(chance):
     return chance.randbytes(BLOCK)
 
 
-def look_alikes(chance, _):
-    """Headers with small Lengths, runs of FF and FD, and what is between."""
+def look_alikes(tricky, header, longest, end, chance):
+    """Headers with small lengths, runs of what headers are made of, and what is between."""
     out = bytearray()
     while len(out) < BLOCK:
-        out += chance.choice(TRICKY)
+        out += chance.choice(tricky)
         if chance.random() < 0.5:
-            out += HEADER + bytes([chance.randrange(256), chance.randrange(40), 0])
+            out += header + bytes([chance.randrange(256), chance.randrange(longest)]) + end
         out += chance.randbytes(chance.randrange(12))
     return bytes(out)
 
 
-def mutated(chance, traffic):
+def mutated(traffic, chance):
     out = bytearray()
     while len(out) < BLOCK:
         packet = chance.choice(traffic)
@@ -64,22 +79,104 @@ def _damaged(chance, packet):
         packet[:at] + chance.randbytes(chance.randrange(8)) + packet[at:], packet + packet))
 
 
-KINDS = {'random': random_bytes, 'look-alikes': look_alikes, 'mutated traffic': mutated}
+class Bus2:
+    """A bus of Protocol 2.0: what its framer finds good."""
+
+    one_of = 65536
+
+    def __init__(self, sent):
+        self.decoder = BusDecoder(Models())
+        self.decoder.framer = self.framer = Watched()
+        self.sent = {one for piece in [*sent, b''.join(sent)] for one in good_in(piece)}
+        self.tried = self.by_chance = 0
+
+    def look_at(self, block):
+        self.tried += candidates(block, self.sent)
+
+    def take(self, chunk):
+        """Count the packets since the last chunk; return those that were not sent."""
+        false = sum(frame[2:6] not in self.sent for frame in self.framer.good)
+        self.by_chance += false
+        return len(self.framer.good), false
+
+    def counted(self):
+        return self.framer.accounted + self.framer.noise_bytes + self.framer.pending
+
+    def found(self):
+        return self.framer.packets
+
+
+class Claiming(MixedFramer):
+    """The framer of both families; it keeps what was claimed to be a packet of the 1.0 family."""
+
+    def __init__(self, family):
+        super().__init__(family)
+        self.good = []
+
+    def claim(self, frame):
+        super().claim(frame)
+        self.good.append(content(frame))
+
+
+class BusAuto:
+    """A bus with `protocols` auto: what is claimed of the 1.0 family, and what a framer alone."""
+
+    one_of = 256
+
+    def __init__(self, sent):
+        self.decoder = BusDecoder(Models(), Settings(baud=10**10 // BYTE_NS))
+        self.decoder.framer = self.framer = Claiming(self.decoder.detector)
+        alone = Watched1()
+        alone.frames(b''.join(sent))
+        alone.flush_frames()
+        self.sent = {PING, *map(content, alone.good)}
+        self.tried = self.by_chance = 0
+        self._alone = Watched1()
+
+    def look_at(self, block):
+        pass
+
+    def take(self, chunk):
+        for frame in self._alone.frames(chunk):
+            by_chance = is_good(frame) and content(frame) not in self.sent
+            self.by_chance += by_chance
+            self.tried += by_chance or (not is_good(frame) and frame[6].reason != 'length')
+        return len(self.framer.good), sum(one not in self.sent for one in self.framer.good)
+
+    def counted(self):
+        return self.framer.packet_bytes + self.framer.noise_bytes + self.framer.pending
+
+    def found(self):
+        return self.framer.claimed
 
 
 def main():
     options = _parser().parse_args()
-    traffic = trace_packets(options.trace) if options.trace else packets('moving robot')
-    sent = {one for piece in [*traffic, b''.join(traffic)] for one in good_in(piece)}
+    of_2 = trace_packets(options.trace) if options.trace else packets('moving robot')
+    of_1 = packets_1(FEETECH)
+    alike = partial(look_alikes, TRICKY, HEADER, 40, b'\0')
+    alike_1 = partial(look_alikes, TRICKY_1, dxl1_packet.HEADER, 12, b'')
+    kinds = (       # name, kind of bus, what makes the bytes, packets of it that are sent, IDs
+        ('2.0, random', Bus2, random_bytes, of_2, None),
+        ('2.0, look-alikes', Bus2, alike, of_2, None),
+        ('2.0, mutated traffic', Bus2, partial(mutated, of_2), of_2, None),
+        ('auto, random', BusAuto, random_bytes, (), set()),
+        ('auto, look-alikes', BusAuto, alike_1, (), set()),
+        ('auto, mutated 2.0', BusAuto, partial(mutated, of_2), (), {one[4] for one in of_2}),
+        (f'auto, mutated {FEETECH}', BusAuto, partial(mutated, of_1), of_1,
+         {one[2] for one in of_1}))
     failed = False
-    for kind, make in KINDS.items():
-        begin = time.process_time()
-        found = run(make, options.bytes // len(KINDS), random.Random(options.seed), traffic, sent)
-        print(f'{kind:16} {found["bytes"]:>11,} B  {found["packets"]:>9,} packets, '
-              f'{found["false"]} false ({found["expected"]:.1f} expected of {found["tried"]:,} '
-              f'candidates), memory {found["growth_mb"]:+.1f} MB, '
-              f'{time.process_time() - begin:.0f} s CPU', flush=True)
-        failed |= found['false'] > limit(found['expected']) or found['growth_mb'] > GROWTH_MB
+    for name, kind, make, sent, there in kinds:
+        begin, bus = time.process_time(), kind(sent)
+        found = run(make, options.bytes // len(kinds), random.Random(options.seed), bus)
+        expected = bus.tried / bus.one_of
+        made_up = sorted(found['devices'] - there) if there is not None else []
+        print(f'{name:22} {found["bytes"]:>11,} B  right checksums by chance {bus.by_chance} '
+              f'({expected:.1f} expected of {bus.tried:,} candidates), {found["packets"]:,} '
+              f'packets, {found["false"]} false, devices made up {made_up}, memory '
+              f'{found["growth_mb"]:+.1f} MB, {time.process_time() - begin:.0f} s CPU', flush=True)
+        failed |= bool(made_up) or found['growth_mb'] > GROWTH_MB \
+            or bus.by_chance > limit(expected)
     return int(failed)
 
 
@@ -107,6 +204,11 @@ def good_in(stream):
             for one in (stream[frame[0] + 4:frame[1] - 2], frame[2:6])]
 
 
+def content(frame):
+    """Return ID, LEN, code and parameters of a packet of the 1.0 family, as on the wire."""
+    return dxl1_packet.content(*frame[3:6])
+
+
 def chunks(chance, block):
     """Yield a block in chunks of 1 to 4096 bytes."""
     at = 0
@@ -116,36 +218,34 @@ def chunks(chance, block):
         at += size
 
 
-def run(make, size, chance, traffic, sent):
+def run(make, size, chance, bus):
     """Feed so many bytes in chunks of all sizes; check the accounts at every chunk."""
-    decoder = BusDecoder(Models())
-    decoder.framer = framer = Watched()
-    monitor = Monitor('bus', Models(), decoder=decoder)
-    now, total, false, packets_found, tried, memory = 1_000_000_000, 0, 0, 0, 0, None
+    monitor, framer = Monitor('bus', Models(), decoder=bus.decoder), bus.framer
+    total, packets_found, false, memory = 0, 0, 0, None
     while total < size:
-        block = make(chance, traffic)
-        tried += candidates(block, sent)
+        block = make(chance)
+        bus.look_at(block)
         for chunk in chunks(chance, block):
             total += len(chunk)
-            now += 5_000 * len(chunk)
-            monitor.feed(chunk, now)
-            packets_found += len(framer.good)
-            in_counters = framer.accounted + framer.noise_bytes + framer.pending
-            assert framer.bytes == total == in_counters, (total, in_counters)
-            false += sum(frame[2:6] not in sent for frame in framer.good)
+            monitor.feed(chunk, 1_000_000_000 + BYTE_NS * total)
+            assert framer.bytes == total == bus.counted(), (total, bus.counted())
+            some, wrong = bus.take(chunk)
+            packets_found += some
+            false += wrong
             framer.good.clear()
-        monitor.report(now)
+        report = monitor.report(1_000_000_000 + BYTE_NS * total)
         memory = memory or resident_memory_mb()
-    assert framer.packets == packets_found
-    return {'bytes': total, 'packets': packets_found, 'false': false, 'tried': tried,
-            'expected': tried / 65536, 'growth_mb': resident_memory_mb() - memory}
+    assert bus.found() == packets_found
+    return {'bytes': total, 'packets': packets_found, 'false': false,
+            'devices': {device.id for device in report.devices},
+            'growth_mb': resident_memory_mb() - memory}
 
 
 def _parser():
     parser = argparse.ArgumentParser(prog='python -m fuzz.volume', description=(
-        'Feed hostile bytes through Framer, tracker and report, and count what comes out.'))
+        'Feed hostile bytes through framer, tracker and report, and count what comes out.'))
     add = parser.add_argument
-    add('--bytes', type=int, default=3_000_000, help='in all (default %(default)s)')
+    add('--bytes', type=int, default=7_000_000, help='in all (default %(default)s)')
     add('--seed', type=int, default=1, help='(default %(default)s)')
     add('--trace', type=Path, metavar='FILE', help='raw bytes of a real bus, to mutate')
     return parser

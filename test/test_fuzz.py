@@ -51,8 +51,8 @@ from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
 
 EXAMPLES = {'capture': 150, 'dashboard': 70, 'dxl1_classifier': 40, 'fast_reply': 120,
-            'framer': 150, 'framer_1': 100, 'instruction': 250, 'mcu': 150, 'model_file': 80,
-            'tracker': 50, 'vel2d': 200}                        # a second at most
+            'framer': 250, 'instruction': 250, 'mcu': 150, 'model_file': 80, 'tracker': 50,
+            'vel2d': 200}                                       # a second at most
 STEADY = settings(derandomize=True, deadline=None, database=None)
 MACHINE = settings(STEADY, max_examples=50, stateful_step_count=40)
 MODELS = Models()
@@ -134,14 +134,12 @@ def test_the_fuzzer_says_where_it_kept_what_it_found(tmp_path):
     assert 'nothing is broken' in again.stdout
 
 
-@pytest.mark.parametrize(('tool', 'size', 'said'), [
-    ('volume', 1_500_000, 3 * [' false (']), ('volume_1', 1_000_000, 4 * ['devices made up []'])])
-def test_a_volume_of_hostile_bytes(tool, size, said):
+def test_a_volume_of_hostile_bytes():
     """A little of what docs/reliability.md tells of 10^8 bytes."""
-    done = subprocess.run([sys.executable, '-m', f'fuzz.{tool}', '--bytes', str(size)],
+    done = subprocess.run([sys.executable, '-m', 'fuzz.volume', '--bytes', '2500000'],
                           capture_output=True, text=True, cwd=Path(__file__).parents[1])
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count(said[0]) == len(said)
+    assert done.stdout.count('devices made up []') == 7
 
 
 @pytest.mark.ros
