@@ -60,6 +60,7 @@ setup(
                  *DOCS, *DASHBOARD],
         'docs': DOCS,
         'fuzz': ['atheris>=2.3'],           # python -m fuzz; the tests do without
+        'mutation': ['mutmut>=3.8'],        # which changes to the core no test notices
     },
     entry_points={'console_scripts': [
         f'{tool} = {module}:main' for tool, module in TOOLS.items()]},
