@@ -3,8 +3,6 @@
 """
 What damage looks like bit by bit, on lines that are simulated at bit level.
 
-    python -m benchmark.damage [SEED ...]
-
 Each run is one kind of bad line, with its figures drawn from the seed, under one program; what the
 doctor adds as "looks like" at the end is counted. `python -m benchmark.baseline` does so with the
 seeds below. The equipment (rigs/bus/uart.py) shares nothing with what it judges.
@@ -15,7 +13,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from itertools import product
-import sys
 
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
@@ -90,15 +87,3 @@ def _verdict(word: str, kind: Kind) -> str:
     if word in _right(kind):
         return 'right'
     return 'silent' if word == wrecked.NOTHING else 'wrong'
-
-
-def main() -> int:
-    """Print what is said with some seeds."""
-    seeds = [int(word) for word in sys.argv[1:]] or KNOWN
-    for number, kind in enumerate(KINDS):
-        print(' | '.join((kind.name, *cells(number, seeds))))
-    return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())
