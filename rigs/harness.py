@@ -180,7 +180,7 @@ def children(pid: int) -> list[int]:
 
 def family(pid: int) -> list[int]:
     """Return a process and its descendants, without zombies, which have a folder too."""
-    return [pid] * _is_alive(pid) + [one for child in children(pid) for one in family(child)]
+    return [pid] * is_alive(pid) + [one for child in children(pid) for one in family(child)]
 
 
 def own_mb(pids: Sequence[int]) -> float:
@@ -189,11 +189,17 @@ def own_mb(pids: Sequence[int]) -> float:
                for pid in pids for key in ('RssAnon', 'VmSwap')) / 1024
 
 
-def _is_alive(pid: int) -> bool:
+def state(pid: int) -> str:
+    """Return the state of a process as ps shows it, as T for stopped; '' if it is gone."""
     try:
-        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] not in 'ZX'
-    except OSError:
-        return False
+        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0]
+    except (OSError, IndexError):
+        return ''
+
+
+def is_alive(pid: int) -> bool:
+    """Tell whether a process runs; one that only waits for its parent to look is over."""
+    return state(pid) not in ('', 'Z', 'X')
 
 
 def _status(path: Path, key: str) -> int:

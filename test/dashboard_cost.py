@@ -26,6 +26,8 @@ import rclpy
 from synthetic_robot import MANY
 from synthetic_robot import SyntheticRobot
 
+from rigs.harness import usage
+
 PREPARED = 20                   # reports, played in a loop
 WATCH_BAR = """() => { window.redAt = new Promise((resolve) => {
     const look = () => document.querySelector('.buses .buses .bar')?.dataset.state === 'error'
@@ -72,21 +74,16 @@ class Publisher:
         rclpy.shutdown()
 
 
-def cpu_s(pid):
-    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
-
-
 def measure(page, session, pid, seconds):
     """Return the busy share of the server and of the page's main thread, in %."""
     def busy():
         metrics = session.send('Performance.getMetrics')['metrics']
         return next(one['value'] for one in metrics if one['name'] == 'TaskDuration')
     page.wait_for_timeout(2000)
-    begin, server, task = time.monotonic(), cpu_s(pid), busy()
+    begin, server, task = time.monotonic(), usage(pid).cpu_s, busy()
     page.wait_for_timeout(1000 * seconds)
     elapsed = time.monotonic() - begin
-    return 100 * (cpu_s(pid) - server) / elapsed, 100 * (busy() - task) / elapsed
+    return 100 * (usage(pid).cpu_s - server) / elapsed, 100 * (busy() - task) / elapsed
 
 
 def main(seconds=10.0):

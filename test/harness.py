@@ -16,6 +16,7 @@ import time
 
 from mecarover_fakes.fake_mcu import FakeMcu
 from rigs.harness import children
+from rigs.harness import state
 
 ROOT = Path(__file__).parents[1]
 MODULES = {'vel2d_bridge': 'vel2d_bridge.main', 'dxl_monitor': 'dxl_monitor.start'}     # nodes
@@ -97,7 +98,7 @@ class Program:
 
     def state(self):
         """Return the state of the process as ps shows it: R, S, T (stopped) ..."""
-        return Path(f'/proc/{self.pid}/stat').read_text().rpartition(')')[2].split()[0]
+        return state(self.pid)
 
     def children(self):
         return children(self.pid)

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated devices on a bus for a client from outside, and a monitor that listens at its tap."""
 
-from collections.abc import Callable
 from collections.abc import Sequence
 import time
-from typing import Any
+
+from harness import wait
 
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
@@ -36,18 +36,12 @@ class ListenedBus:
         self.listener = Listener(self.bus.tap.path, BAUD, self.monitor.feed,
                                  self.monitor.flush_if_idle)
         self.listener.start()
-        self.wait_for(lambda: self.listener.state.is_open, 'the listener')
+        wait(lambda: self.listener.state.is_open)
         self.bus.start()
 
     def close(self) -> None:
         self.listener.stop()
         self.bus.stop()
-
-    def wait_for(self, condition: Callable[[], Any], what: str) -> None:
-        deadline = time.monotonic() + DEADLINE_S
-        while not condition():
-            assert time.monotonic() < deadline, f'waited in vain for: {what}'
-            time.sleep(0.005)
 
     def report(self) -> BusReport:
         return self.monitor.report(time.monotonic_ns())

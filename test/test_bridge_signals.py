@@ -23,6 +23,7 @@ import pytest
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from rigs.harness import family
+from rigs.harness import is_alive
 
 pytestmark = pytest.mark.ros
 ENDINGS = {
@@ -46,14 +47,6 @@ def driving(ros, mcu, cmd_vel, rate=200):
         wait(lambda: mcu.velocity == Vel2d(0.3, 0.1, 0.5))
         wait(lambda: not mcu.receiver.wheels.is_stop)
         yield running, teleop
-
-
-def is_gone(pid):
-    """Tell whether a process has ended; one that is not reaped yet has."""
-    try:
-        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] == 'Z'
-    except OSError:
-        return True
 
 
 def stops_only(frames):
@@ -139,7 +132,7 @@ def test_killed(ros, mcu, cmd_vel):
         running.signal(signal.SIGKILL)
         assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
         assert running.exit_code() == -signal.SIGKILL
-        wait(lambda: is_gone(deadman))
+        wait(lambda: not is_alive(deadman))
 
 
 CLOSED = ['>&- 2>&-', '>/dev/null 2>&-', '<&- >&-']
@@ -158,7 +151,7 @@ def test_killed_with_closed_streams(ros, mcu, cmd_vel, streams):
         begin = time.monotonic_ns()
         running.signal(signal.SIGKILL)
         assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
-        wait(lambda: all(map(is_gone, pids)), OUTLIVE_S)
+        wait(lambda: not any(map(is_alive, pids)), OUTLIVE_S)
 
 
 @pytest.mark.usefixtures('again')
@@ -172,7 +165,7 @@ def test_killed_with_more_than_a_thousand_descriptors(ros, graph, mcu, cmd_vel):
         begin = time.monotonic_ns()
         running.signal(signal.SIGKILL)
         assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
-        wait(lambda: all(map(is_gone, pids)), OUTLIVE_S)
+        wait(lambda: not any(map(is_alive, pids)), OUTLIVE_S)
 
 
 @pytest.mark.usefixtures('again')
@@ -201,7 +194,7 @@ def test_every_process_that_carries_the_name_is_killed(ros, mcu, cmd_vel):
         for pid in carry:
             os.kill(pid, signal.SIGKILL)
         assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
-        wait(lambda: all(map(is_gone, pids)))
+        wait(lambda: not any(map(is_alive, pids)))
 
 
 @pytest.mark.usefixtures('again')
@@ -218,7 +211,7 @@ def test_frozen(ros, mcu, cmd_vel):
         running.signal(signal.SIGSTOP)
         running.signal(signal.SIGKILL)
         wait(lambda: mcu.receiver.wheels.is_stop)
-        wait(lambda: is_gone(deadman))
+        wait(lambda: not is_alive(deadman))
 
 
 @pytest.mark.parametrize('number', [signal.SIGSTOP, signal.SIGTSTP], ids=['SIGSTOP', 'SIGTSTP'])

@@ -6,8 +6,8 @@ import os
 import random
 import re
 import resource
-import time
 
+from harness import wait
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
@@ -171,13 +171,6 @@ def test_an_older_capture_may_be_overwritten(tmp_path) -> None:
     assert path.read_bytes() == b''
 
 
-def until(condition) -> None:
-    deadline = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 def test_the_recorder_rotates_and_loses_nothing(tmp_path) -> None:
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 2000, 3, lambda: NOW)
@@ -209,7 +202,7 @@ def test_what_was_heard_is_on_the_disk_soon(tmp_path) -> None:
     recorder = Recorder(str(path), 10**6, 2)
     recorder.start()
     recorder.take(WIRE, b'\xab\xcd', 77)
-    until(lambda: b'abcd' in path.read_bytes())
+    wait(lambda: b'abcd' in path.read_bytes())
     recorder.stop()
 
 
@@ -217,7 +210,7 @@ def test_a_full_disk_ends_the_capture_and_is_told(tmp_path) -> None:
     recorder = Recorder('/dev/full', 10**6, 2)
     recorder.start()
     recorder.take(WIRE, b'\x01' * 5000, 1)
-    until(lambda: recorder.problem)
+    wait(lambda: recorder.problem)
     assert recorder.words.startswith('capture stopped: /dev/full: No space left on device; ')
     recorder.take(WIRE, b'\x01', 2)
     recorder.stop()
@@ -230,7 +223,7 @@ def test_a_file_that_may_not_grow_ends_the_capture(tmp_path) -> None:
     try:
         recorder.start()
         recorder.take(WIRE, b'\x01' * 20_000, 1)
-        until(lambda: recorder.problem)
+        wait(lambda: recorder.problem)
         recorder.stop()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

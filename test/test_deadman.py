@@ -6,7 +6,6 @@ The dead man against real processes: killed, frozen, woken, ended properly, with
 The bridge here is link + dead man in a process of its own that drives at 100 Hz, without ROS.
 """
 from contextlib import contextmanager
-from contextlib import suppress
 from itertools import product
 import json
 import os
@@ -26,6 +25,7 @@ from mecarover_fakes.fake_mcu import FakeMcu
 from mecarover_serial.port import open_port
 from msg_defs.vel2d import STOP
 from rigs.harness import family
+from rigs.harness import is_alive
 from vel2d_bridge import watch as watching
 from vel2d_bridge.board import BEATEN
 from vel2d_bridge.board import PortRecord
@@ -61,13 +61,6 @@ def wait(mcu, condition):
     while not condition():
         assert time.monotonic() < deadline
         mcu.pump(0.005)
-
-
-def is_alive(pid):
-    """Whether a process runs; one that only waits for its parent to look is over."""
-    with suppress(OSError):
-        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] != 'Z'
-    return False
 
 
 def start(mcu):

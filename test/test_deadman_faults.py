@@ -7,7 +7,6 @@ Each with a judge of its own (bridge_family.py); --times N repeats them.
 """
 from contextlib import suppress
 import os
-from pathlib import Path
 import random
 import signal
 import sys
@@ -23,6 +22,8 @@ from bridge_family import occupy
 from harness import LATE_S
 from harness import wait
 import pytest
+
+from rigs.harness import state
 
 pytestmark = [pytest.mark.alone, pytest.mark.usefixtures('again')]
 BOUND_S = 0.3 + LATE_S
@@ -229,12 +230,6 @@ def test_a_bridge_that_ends_beside_a_frozen_dead_man_leaves_none(mcu):
         assert not mcu.drives
 
 
-def is_stopped(pid):
-    with suppress(OSError, IndexError):
-        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] == 'T'
-    return False
-
-
 def named(family, number):
     """
     Return what the bridge's end meets: '' where the rover stops, else a pair of the hazard table.
@@ -242,7 +237,7 @@ def named(family, number):
     A bridge that is killed wakes up guards that were stopped; one that is frozen does not.
     """
     guards = family.living()
-    frozen = [pid for pid in guards if is_stopped(pid)]
+    frozen = [pid for pid in guards if state(pid) == 'T']
     if not guards:
         return 'both killed'
     if number == STOP and len(frozen) == len(guards):

@@ -3,7 +3,6 @@
 """The simulated bus: traffic and faults on paper time, then on ptys, and its truth."""
 
 from collections import Counter
-from collections.abc import Callable
 from collections.abc import Iterator
 import itertools
 import json
@@ -15,6 +14,7 @@ import sys
 import time
 from typing import Any
 
+from harness import wait
 import pytest
 
 from dxl_monitor.bus.decoder import Settings
@@ -62,13 +62,6 @@ def make_master(pattern: str = 'moving', faults: tuple[str, ...] = (), *,
 
 def play(master: Master, seconds: float = 3.0) -> list[Burst]:
     return list(master.bursts(round(seconds * S)))
-
-
-def wait_for(condition: Callable[[], Any], what: str) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f'waited in vain for: {what}'
-        time.sleep(0.005)
 
 
 # --- traffic -------------------------------------------------------------------------------
@@ -309,7 +302,7 @@ class Reader:
         def enough() -> bool:
             self.take()
             return len(self.data) >= length
-        wait_for(enough, f'{length} bytes')
+        wait(enough)
 
 
 @pytest.fixture
@@ -322,15 +315,15 @@ def outlet() -> Iterator[VirtualUart]:
 def test_outlet_counts_what_nobody_took_as_unheard_then_as_overrun(outlet: VirtualUart) -> None:
     for _ in range(100):
         outlet.write(bytes(100))
-        wait_for(lambda: outlet.outstanding() >= min(outlet.taken, CAPACITY - 1), 'settled')
+        wait(lambda: outlet.outstanding() >= min(outlet.taken, CAPACITY - 1))
     assert outlet.taken == CAPACITY - 1
     assert (outlet.unheard, outlet.overrun) == (10_000 - outlet.taken, 0)
     reader = Reader(outlet.path)
     reader.take_until(CAPACITY - 1)
     for _ in range(100):
         outlet.write(bytes(100))
-        wait_for(lambda: outlet.outstanding() >= min(
-            outlet.taken - len(reader.data), CAPACITY - 1), 'settled')
+        wait(lambda: outlet.outstanding() >= min(
+            outlet.taken - len(reader.data), CAPACITY - 1))
     assert outlet.overrun == 10_000 - (CAPACITY - 1)
     assert outlet.sent == outlet.taken + outlet.overrun + outlet.unheard
     os.close(reader.fd)
@@ -382,7 +375,7 @@ def test_bus_never_waits_for_its_reader() -> None:
     reader = Reader(bus.path)
     bus.start()
     reader.take_until(1000)
-    wait_for(lambda: bus.outlet.overrun > 50_000, 'overrun')
+    wait(lambda: bus.outlet.overrun > 50_000)
     bus.stop()
     totals = bus.outlet
     assert totals.sent == totals.taken + totals.overrun + totals.unheard
@@ -398,7 +391,7 @@ def test_a_machine_that_is_always_late_plays_the_bus_more_slowly(tmp_path: Path)
     reader = Reader(bus.path)
     bus.start()
     reader.take_until(10_000)
-    wait_for(lambda: not link.is_symlink(), 'gone')
+    wait(lambda: not link.is_symlink())
     bus.stop()
     assert bus.stood_still_ns > S
     os.close(reader.fd)
@@ -408,8 +401,8 @@ def test_bus_vanishes_and_comes_back(tmp_path: Path) -> None:
     link = tmp_path / 'bus'
     bus = FakeBus(make_master(), link=str(link), away=Away(0.3, 0.3))
     bus.start()
-    wait_for(lambda: not link.is_symlink(), 'gone')
-    wait_for(link.is_symlink, 'back')
+    wait(lambda: not link.is_symlink())
+    wait(link.is_symlink)
     reader = Reader(str(link))
     reader.take_until(5000)
     bus.stop()
@@ -422,7 +415,7 @@ def test_bus_vanishes_and_comes_back(tmp_path: Path) -> None:
 def test_idle_bus_stops_at_once_and_whole() -> None:
     bus = FakeBus(make_master('idle'))
     bus.start()
-    wait_for(lambda: bus.outlet.sent > 500, 'the start')
+    wait(lambda: bus.outlet.sent > 500)
     begin = time.monotonic()
     bus.stop()
     assert time.monotonic() - begin < 5.0
@@ -434,7 +427,7 @@ def test_simulated_master_counts_what_is_sent_to_it() -> None:
     reader = Reader(bus.path)
     os.write(reader.fd, b'never from a monitor')
     bus.start()
-    wait_for(lambda: bus.outlet.received == 20, 'the bytes')
+    wait(lambda: bus.outlet.received == 20)
     bus.stop()
     os.close(reader.fd)
 

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The listening port thread on real ptys and sockets: complete, read-only, found again, quick."""
 
-from collections.abc import Callable
 from collections.abc import Iterator
 import os
 from pathlib import Path
@@ -10,8 +9,8 @@ import socket
 import termios
 import threading
 import time
-from typing import Any
 
+from harness import wait
 import pytest
 from terminal_server import TerminalServer
 
@@ -28,15 +27,8 @@ pytestmark = pytest.mark.alone
 DEADLINE_S = 20.0
 
 
-def wait_for(condition: Callable[[], Any], what: str) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f'waited in vain for: {what}'
-        time.sleep(0.005)
-
-
 def _wait_longer(found: list[int], than: int) -> None:
-    wait_for(lambda: len(found) > than, 'one more')
+    wait(lambda: len(found) > than)
 
 
 class Ear:
@@ -54,7 +46,7 @@ class Ear:
         return b''.join(chunk for chunk, _ in self.chunks)
 
     def wait_open(self) -> None:
-        wait_for(lambda: self.listener.state.is_open, f'open, but {self.listener.state.text}')
+        wait(lambda: self.listener.state.is_open)
 
 
 @pytest.fixture
@@ -78,7 +70,7 @@ def test_hands_on_every_byte_in_order_with_growing_stamps(
         data = bytes([part]) * (1 + part % 7)
         sent += data
         os.write(cable.master, data)
-    wait_for(lambda: len(ear.data) == len(sent), 'all bytes')
+    wait(lambda: len(ear.data) == len(sent))
     assert ear.data == sent
     stamps = [stamp for _, stamp in ear.chunks]
     assert stamps == sorted(stamps)
@@ -94,9 +86,9 @@ def test_tells_that_the_line_is_idle_and_how_far_it_listened(
     for _ in range(3):
         os.write(cable.master, b'x')
         _wait_longer(ear.idle, len(ear.idle) + 1)
-    wait_for(lambda: len(ear.data) == 3, 'all bytes')
-    wait_for(lambda: ear.idle[-1] > ear.chunks[-1][1], 'the end of the last one')
-    wait_for(lambda: ear.listener.listened == ear.idle[-1], 'what was told last')
+    wait(lambda: len(ear.data) == 3)
+    wait(lambda: ear.idle[-1] > ear.chunks[-1][1])
+    wait(lambda: ear.listener.listened == ear.idle[-1])
     assert ear.idle == sorted(ear.idle)
 
 
@@ -130,7 +122,7 @@ def test_descriptor_is_read_only(cable: Pty, ear: Ear) -> None:
 
 def test_sends_nothing(cable: Pty, ear: Ear) -> None:
     os.write(cable.master, b'hello')
-    wait_for(lambda: ear.data, 'bytes')
+    wait(lambda: ear.data)
     ear.listener.stop()
     with pytest.raises(BlockingIOError):
         os.read(cable.master, 1)
@@ -143,7 +135,7 @@ def test_takes_any_rate(cable: Pty, baud: int) -> None:
     try:
         ear.wait_open()
         os.write(cable.master, b'x')
-        wait_for(lambda: ear.data == b'x', 'a byte')
+        wait(lambda: ear.data == b'x')
     finally:
         ear.listener.stop()
 
@@ -152,7 +144,7 @@ def test_is_lost_and_found_ten_times(tmp_path: Path) -> None:
     link = str(tmp_path / 'bus')
     before = len(os.listdir('/proc/self/fd'))
     ear = Ear(link)
-    wait_for(lambda: ear.listener.state.kind == 'absent', 'absent')
+    wait(lambda: ear.listener.state.kind == 'absent')
     assert 'is not there' in ear.listener.state.text
     for round_ in range(10):
         _plug_in_and_out(link, ear, bytes([round_]))
@@ -175,11 +167,11 @@ def test_no_mistake_ends_the_listening(cable: Pty) -> None:
     heard: list[bytes] = []
     listener = Listener(str(cable.link), 2_000_000, feed)
     listener.start()
-    wait_for(lambda: listener.state.is_open, 'open')
+    wait(lambda: listener.state.is_open)
     os.write(cable.master, b'x')
-    wait_for(lambda: listener.counters.openings > 1 and listener.state.is_open, 'open again')
+    wait(lambda: listener.counters.openings > 1 and listener.state.is_open)
     os.write(cable.master, b'y')
-    wait_for(lambda: b'y' in b''.join(heard), 'a byte behind it')
+    wait(lambda: b'y' in b''.join(heard))
     listener.stop()
 
 
@@ -187,8 +179,8 @@ def _plug_in_and_out(link: str, ear: Ear, byte: bytes) -> None:
     with Pty(link) as cable:
         ear.wait_open()
         os.write(cable.master, byte)
-        wait_for(lambda: ear.data.endswith(byte), 'the byte of this round')
-    wait_for(lambda: not ear.listener.state.is_open, 'loss')
+        wait(lambda: ear.data.endswith(byte))
+    wait(lambda: not ear.listener.state.is_open)
 
 
 def test_stops_at_once_whatever_it_is_doing(tmp_path: Path) -> None:
@@ -219,11 +211,11 @@ def test_hears_a_socket() -> None:
         with connection:
             ear.wait_open()             # pyserial drops what came before
             connection.sendall(b'over the net')
-            wait_for(lambda: ear.data == b'over the net', 'bytes')
+            wait(lambda: ear.data == b'over the net')
             connection.setblocking(False)
             with pytest.raises(BlockingIOError):
                 connection.recv(1)
-        wait_for(lambda: not ear.listener.state.is_open, 'loss')
+        wait(lambda: not ear.listener.state.is_open)
     ear.listener.stop()
 
 
@@ -238,10 +230,10 @@ def test_hears_a_terminal_server_and_finds_it_again(cable: Pty) -> None:
     with TerminalServer(cable.path) as server:
         ear = Ear(server.url, 1_000_000)
         for opening in (1, 2):
-            wait_for(lambda: ear.listener.counters.openings == opening, 'opening')  # noqa: B023
+            wait(lambda: ear.listener.counters.openings == opening)  # noqa: B023
             ear.wait_open()
             os.write(cable.master, b'over the net')
-            wait_for(lambda: ear.data == opening * b'over the net', 'bytes')        # noqa: B023
+            wait(lambda: ear.data == opening * b'over the net')        # noqa: B023
             server.hang_up()
         with pytest.raises(BlockingIOError):
             os.read(cable.master, 1)
@@ -250,7 +242,7 @@ def test_hears_a_terminal_server_and_finds_it_again(cable: Pty) -> None:
 
 def test_names_a_mistake_in_the_url() -> None:
     ear = Ear('nonsense://somewhere')
-    wait_for(lambda: ear.listener.state.kind == 'url', 'the mistake')
+    wait(lambda: ear.listener.state.kind == 'url')
     assert 'nonsense' in ear.listener.state.text
     ear.listener.stop()
 
@@ -285,7 +277,7 @@ def test_lost_port_is_set_up_anew_at_its_rate(tmp_path: Path) -> None:
         with Pty(link) as cable:
             ear.wait_open()
             assert termios.tcgetattr(cable._slave)[4] == termios.B1000000
-        wait_for(lambda: not ear.listener.state.is_open, 'loss')
+        wait(lambda: not ear.listener.state.is_open)
     ear.listener.stop()
 
 

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 
+from harness import wait
 import pytest
 from usb_files import cut
 from usb_files import events
@@ -61,13 +62,6 @@ BAUD = 1_000_000
 DEVICES = ['1-4:MX-106', '101:BitFoot']
 DEADLINE_S = 20.0
 BEGAN = 1_795_329_340_000_000_000
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f'waited in vain for: {what}'
-        time.sleep(0.01)
 
 
 def dump(*arguments, **more):
@@ -213,13 +207,13 @@ def test_bus_is_heard_through_usb(meeting_place, family):
                   usb=VirtualUsb(path, family, BAUD))
     ear = Ear(f'usb:{path}')
     try:
-        wait_for(lambda: ear.listener.state.is_open, 'the listener')
+        wait(lambda: ear.listener.state.is_open)
         bus.start()
-        wait_for(lambda: ear.report().counters['Packets'] > 300, 'packets')
+        wait(lambda: ear.report().counters['Packets'] > 300)
         report = ear.report()
     finally:
         bus.stop()
-        wait_for(lambda: ear.listener.state.kind == 'lost', 'the loss')
+        wait(lambda: ear.listener.state.kind == 'lost')
         ear.listener.stop()
     assert report.baud == BAUD
     assert {device.id for device in report.devices} == {1, 2, 3, 4, 101}
@@ -242,8 +236,8 @@ def test_adapter_that_is_unplugged_is_looked_for(meeting_place):
             for openings in (1, 2):
                 stream, _ = server.accept()
                 stream.sendall(told)
-                wait_for(lambda n=openings: ear.listener.counters.openings == n
-                         and ear.listener.state.kind == 'lost', 'the loss')
+                wait(lambda n=openings: ear.listener.counters.openings == n
+                         and ear.listener.state.kind == 'lost')
                 assert 'the adapter was unplugged' in ear.listener.state.text
                 stream.close()
         finally:
@@ -265,11 +259,11 @@ def test_tap_hears_the_port_that_is_named(meeting_place, monkeypatch):
             name, (side, data))) for name in names]
         for listener in listeners:
             listener.start()
-        wait_for(lambda: all(one.state.is_open for one in listeners), 'listening')
+        wait(lambda: all(one.state.is_open for one in listeners))
         child = subprocess.Popen([sys.executable, '-c', script, first.path, second.path],
                                  env=environment('arm'))
         try:
-            wait_for(lambda: len(heard) == 2, 'both')
+            wait(lambda: len(heard) == 2)
             assert heard == dict(zip(names[:2], [(OUT, b'0' * 5), (OUT, b'1' * 5)], strict=True))
             assert second.path in listeners[0].problems()[0]
             assert listeners[2].state.is_open
@@ -289,8 +283,8 @@ def test_dump_of_a_tapped_program(meeting_place):
             [sys.executable, '-m', 'dxl_monitor.tools.dxl_dump', 'tap:arm', '--json', '--count',
              '1'], cwd=ROOT, env=environ, stdout=subprocess.PIPE, text=True) as child:
         try:
-            wait_for(lambda: Path(meeting_place, 'mecarover_serial').is_dir() and any(
-                Path(meeting_place, 'mecarover_serial').iterdir()), 'the listener')
+            wait(lambda: Path(meeting_place, 'mecarover_serial').is_dir() and any(
+                Path(meeting_place, 'mecarover_serial').iterdir()))
             subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.tap', 'arm', '--',
                             sys.executable, '-c', script, pty.path], env=environ, cwd=ROOT,
                            check=True, timeout=60)

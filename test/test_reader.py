@@ -13,14 +13,15 @@ import subprocess
 import sys
 import threading
 
+from harness import wait
 import pytest
 from test_listener import Ear
-from test_listener import wait_for
 
 from dxl_monitor.port import reader
 from dxl_monitor.port import reader_process
 from dxl_monitor.port.listener import Listener
 from mecarover_serial.pty import Pty
+from rigs.harness import is_alive
 
 pytestmark = pytest.mark.alone
 
@@ -36,7 +37,7 @@ def cable() -> Iterator[Pty]:
 @pytest.fixture
 def ear(cable: Pty) -> Iterator[Ear]:
     ear = Ear(cable.path)
-    wait_for(lambda: ear.listener.reader_pid, 'a reader')
+    wait(lambda: ear.listener.reader_pid)
     yield ear
     if ear.listener.state.kind != 'stopped':
         ear.listener.stop()
@@ -49,15 +50,8 @@ def send(cable: Pty, data: bytes) -> None:
         data = data[os.write(cable.master, data):]
 
 
-def is_running(pid: int) -> bool:
-    try:
-        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] != 'Z'
-    except OSError:
-        return False
-
-
 def pid_of(ear: Ear) -> int:
-    wait_for(lambda: ear.listener.reader_pid, 'a reader')
+    wait(lambda: ear.listener.reader_pid)
     assert ear.listener.reader_pid is not None
     return ear.listener.reader_pid
 
@@ -68,10 +62,10 @@ def test_equal_bytes_in_equal_order(cable: Pty, in_thread: bool) -> None:
     listener = Listener(cable.path, 2_000_000, lambda *chunk: chunks.append(chunk),
                         in_thread=in_thread)
     listener.start()
-    wait_for(lambda: listener.state.is_open, 'open')
+    wait(lambda: listener.state.is_open)
     sent = random.Random(4).randbytes(300_000)
     send(cable, sent)
-    wait_for(lambda: listener.counters.bytes == len(sent), 'all bytes')
+    wait(lambda: listener.counters.bytes == len(sent))
     listener.stop()
     assert b''.join(chunk for chunk, _ in chunks) == sent
     stamps = [stamp for _, stamp in chunks]
@@ -81,9 +75,9 @@ def test_equal_bytes_in_equal_order(cable: Pty, in_thread: bool) -> None:
 
 def test_only_the_process_reads_and_nobody_can_write(cable: Pty, ear: Ear) -> None:
     pid = pid_of(ear)
-    wait_for(lambda: 'dxl_reader' in Path(f'/proc/{pid}/comm').read_text(), 'its name')
+    wait(lambda: 'dxl_reader' in Path(f'/proc/{pid}/comm').read_text())
     name, fds = f'/proc/{pid}/comm', Path(f'/proc/{pid}/fd')    # still open while it is written
-    wait_for(lambda: name not in map(os.path.realpath, fds.iterdir()), 'the end of that')
+    wait(lambda: name not in map(os.path.realpath, fds.iterdir()))
     flags = {}
     for entry in fds.iterdir():
         info = Path(f'/proc/{pid}/fdinfo/{entry.name}').read_text()
@@ -97,7 +91,7 @@ def test_only_the_process_reads_and_nobody_can_write(cable: Pty, ear: Ear) -> No
 def test_ends_at_once_with_its_listener(cable: Pty, ear: Ear) -> None:
     pid = pid_of(ear)
     ear.listener.stop()
-    assert not is_running(pid)
+    assert not is_alive(pid)
     assert not [one for one in threading.enumerate() if one.name.startswith('listener')]
 
 
@@ -106,7 +100,7 @@ def test_ends_when_nobody_takes_what_it_says(cable: Pty) -> None:
     entered, leave = threading.Event(), threading.Event()
     listener = Listener(cable.path, 2_000_000, lambda *_: entered.set() or leave.wait(20.0))
     listener.start()
-    wait_for(lambda: listener.reader_pid, 'a reader')
+    wait(lambda: listener.reader_pid)
     pid = listener.reader_pid or 0
     send(cable, bytes(10))
     assert entered.wait(20.0)
@@ -114,17 +108,17 @@ def test_ends_when_nobody_takes_what_it_says(cable: Pty) -> None:
         os.write(cable.master, bytes(4096))
     leave.set()
     listener.stop()
-    assert not is_running(pid)
+    assert not is_alive(pid)
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_leaves_endings_to_the_node(cable: Pty, ear: Ear, number: int) -> None:
     pid = pid_of(ear)
     send(cable, b'ready')
-    wait_for(lambda: ear.data, 'bytes')
+    wait(lambda: ear.data)
     os.kill(pid, number)
     send(cable, b' still')
-    wait_for(lambda: ear.data == b'ready still', 'more bytes')
+    wait(lambda: ear.data == b'ready still')
     assert ear.listener.reader_pid == pid
 
 
@@ -142,13 +136,13 @@ def test_a_killed_one_is_replaced_and_nothing_lost(cable: Pty, ear: Ear) -> None
 
 
 def _wait_for_bytes(ear: Ear, count: int) -> None:
-    wait_for(lambda: len(ear.data) == count, f'{count} bytes')
+    wait(lambda: len(ear.data) == count)
 
 
 def _kill_reader(ear: Ear) -> None:
     pid = pid_of(ear)
     os.kill(pid, signal.SIGKILL)
-    wait_for(lambda: ear.listener.reader_pid not in (pid, None), 'another')
+    wait(lambda: ear.listener.reader_pid not in (pid, None))
 
 
 def test_none_is_left_when_the_node_is_killed(cable: Pty) -> None:
@@ -160,9 +154,9 @@ def test_none_is_left_when_the_node_is_killed(cable: Pty) -> None:
                           cwd=Path(__file__).parents[1]) as node:
         assert node.stdout is not None
         pid = int(node.stdout.readline())
-        assert is_running(pid)
+        assert is_alive(pid)
         node.kill()
-    wait_for(lambda: not is_running(pid), 'the end of the reader')
+    wait(lambda: not is_alive(pid))
 
 
 @pytest.mark.parametrize(('program', 'reason'), [
@@ -171,11 +165,11 @@ def test_without_a_process_the_thread_reads_and_says_so(
         cable: Pty, monkeypatch: pytest.MonkeyPatch, program: str, reason: str) -> None:
     monkeypatch.setattr(reader_process.sys, 'executable', program)
     ear = Ear(cable.path)
-    wait_for(lambda: 'read by the node itself' in ear.listener.state.text, 'the reason')
+    wait(lambda: 'read by the node itself' in ear.listener.state.text)
     assert reason in ear.listener.state.text
     assert ear.listener.state.is_open
     send(cable, b'heard')
-    wait_for(lambda: ear.data == b'heard', 'bytes')
+    wait(lambda: ear.data == b'heard')
     assert ear.listener.reader_pid is None
     ear.listener.stop()
 
@@ -205,7 +199,7 @@ def _state_with_descriptors(cable: Pty, spare: int) -> str:
     resource.setrlimit(resource.RLIMIT_NOFILE, (lowest + spare, hard))
     try:
         listener.start()
-        wait_for(state, f'a state with {spare} descriptors')
+        wait(state)
         return state()
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

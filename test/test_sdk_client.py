@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import time
 from typing import Any
 
+from harness import wait
 from listened_bus import BAUD
 from listened_bus import DEADLINE_S
 from listened_bus import ListenedBus
@@ -76,8 +77,7 @@ class Bench(ListenedBus):
         """Return what the monitor says once it has heard all that was on the bus."""
         tap = self.bus.tap
         assert tap is not None
-        self.wait_for(lambda: self.listener.counters.bytes == tap.taken,
-                      'the listener to have read all')
+        wait(lambda: self.listener.counters.bytes == tap.taken)
         found = super().device(number)
         assert found is not None
         return found
@@ -159,7 +159,7 @@ def test_registered_write_waits_for_action(bench: Bench) -> None:
     assert bench.retry(lambda: bench.client.regWriteTxRx(bench.port, 1, LED, 1, [1])) == (0, 0)
     assert bench.known(1, LED, 1) == b'\x00'
     assert bench.client.action(bench.port, 1) == sdk.COMM_SUCCESS
-    bench.wait_for(lambda: bench.known(1, LED, 1) == b'\x01', 'the action')
+    wait(lambda: bench.known(1, LED, 1) == b'\x01')
     assert bench.read(1, LED, 1) == (b'\x01', 0)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import time
 from typing import Any
 
+from harness import wait
 from listened_bus import BAUD
 from listened_bus import ListenedBus
 from listened_bus import PATIENCE_MS
@@ -53,8 +54,7 @@ class Bench(ListenedBus):
     def knows(self, number: int, **fields: str) -> None:
         """Wait until the monitor shows this of a servo; underscores stand for spaces."""
         want = {name.replace('_', ' '): value for name, value in fields.items()}
-        self.wait_for(lambda: want.items() <= self.shown(number).items(),
-                      f'{want} of {number}, {self.shown(number)}')
+        wait(lambda: want.items() <= self.shown(number).items())
 
 
 def sdk(module: Any, version: float, bench: Bench) -> tuple[Any, Any]:
@@ -110,7 +110,7 @@ def test_a_loop_as_lerobot_has_it(so_101: Bench) -> None:
         assert write.txPacket() == 0
     port.closePort()
     truth = so_101.bus.master.truth
-    so_101.wait_for(lambda: so_101.report().counters['Packets'] >= 800, 'all packets')
+    wait(lambda: so_101.report().counters['Packets'] >= 800)
     found = so_101.report()
     assert found.counters['Instructions'] == 200
     assert found.counters['Packets'] == 800
