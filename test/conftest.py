@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """A ROS graph of its own for each test process, and the fixtures that the ROS tests share."""
+import ast
 from collections import defaultdict
 from contextlib import contextmanager
 from functools import cache
@@ -57,6 +58,8 @@ def pytest_configure(config):
     })
     os.environ.pop('ROS_LOCALHOST_ONLY', None)
     LOG.addHandler(Raise())
+    if os.environ.get('PYTEST_XDIST_WORKER') == 'gw2':
+        os.nice(19)
     if config.pluginmanager.hasplugin('launch_testing'):
         os.environ['LAUNCH_TESTING_PLUGIN'] = 'yes'     # for test_launch.py
     # A script's background job ignores Ctrl-C, and so would every process that a test starts.
@@ -69,30 +72,44 @@ def pytest_unconfigure(config):
 
 
 @cache
-def group(path):
-    """Return 'ros' or 'alone' for a file that judges what real processes do in time, else ''."""
-    marks = re.findall(r'pytest\.mark\.(ros|alone)\b', path.read_text())
-    return max(marks, default='')
+def marks(path):
+    """Return 'ros' or 'alone' by the names of the tests of a file; '': of all in it."""
+    found = {}
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.FunctionDef):
+            said = ' '.join(map(ast.unparse, node.decorator_list))
+        else:
+            said = ast.unparse(node) if isinstance(node, ast.Assign) else ''
+        for mark in re.findall(r'pytest\.mark\.(ros|alone)\b', said):
+            found[getattr(node, 'name', '')] = mark
+    return found
 
 
-def pytest_collection_modifyitems(items):
+def group(root, nodeid):
+    """Return 'ros' or 'alone' for a test that judges what real processes do in time, else ''."""
+    file, _, test = nodeid.partition('::')
+    found = marks(root / file)
+    return max(found.get('', ''), found.get(test.partition('[')[0], ''))
+
+
+def pytest_collection_modifyitems(config, items):
     """Begin with the tests that go one by one: they take longest."""
-    items.sort(key=lambda item: group(item.path), reverse=True)
+    items.sort(key=lambda item: group(config.rootpath, item.nodeid), reverse=True)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """
-    Let one worker take all files with nodes, another all those with other processes.
+    Let one worker take all tests with nodes, another all those with other processes.
 
-    Two nodes on two cores are a robot; four are a machine that is too busy for its robot.
+    Two nodes on two cores are a robot; four are a machine that is too busy for its robot. These
+    mostly wait. A third worker takes what they leave of the processor, for all other tests.
     """
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid):
-            file = super()._split_scope(nodeid)
-            return group(config.rootpath / file) or file
+            return group(config.rootpath, nodeid) or super()._split_scope(nodeid)
 
     return Scheduling(config, log)
 
