@@ -20,6 +20,7 @@ import sys
 import threading
 import time
 
+from mecarover_fakes.guarded_receiver import GuardedReceiver
 from mecarover_fakes.receiver import Arrival
 from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import Receiver
@@ -46,17 +47,19 @@ class FakeMcu:
 
     def __init__(self, link: str | None = None, *, baud: int = 115200,
                  crc: Callable[[bytes], int] = crc32_mpeg2, cable: BadCable | None = None,
-                 talks: bool = False, clock: Callable[[], int] = time.monotonic_ns) -> None:
+                 talks: bool = False, watchdog: bool = False,
+                 clock: Callable[[], int] = time.monotonic_ns) -> None:
         self.link = link
         self.merged = 0                              # reads that held more than one frame
         self._clock = clock
         self._lock = threading.Lock()                # `running` pumps, the test unplugs
         self._cable = cable or BadCable()
-        self._talks = talks                          # says why it refuses a frame, as firmware
+        self._talks = talks                          # says what it refuses, or how it is
         self._said = {'crc_err': 0, 'insufficient': 0}
         self._pty: Pty | None = Pty(link)
         self._read = clock()                         # up to when the line has been read
-        self.receiver = Receiver(self._read, baud=baud, crc=crc)
+        self.receiver = (GuardedReceiver if watchdog else Receiver)(
+            self._read, baud=baud, crc=crc)
 
     @property
     def path(self) -> str:
@@ -72,17 +75,22 @@ class FakeMcu:
                 self._receive(self._pty.master)
             self._read = self._clock()
             taken = self.receiver.advance(self._read)
-        self._say_refusals()
+        text = self._refusals()
+        if isinstance(self.receiver, GuardedReceiver):
+            report = self.receiver.report(self._read)
+            text = f'{report.line()}\r\n'.encode() if report else b''
+        if self._talks and text:
+            with suppress(OSError):                  # no one reads, or the cable is out
+                self.say(text)
         return taken
 
-    def _say_refusals(self) -> None:
-        totals = self.receiver.totals
-        for name, text in REFUSALS.items():
-            new = getattr(totals, name) - self._said[name]
+    def _refusals(self) -> bytes:
+        text = b''
+        for name, refusal in REFUSALS.items():
+            new = getattr(self.receiver.totals, name) - self._said[name]
             self._said[name] += new
-            if self._talks:
-                with suppress(OSError):              # no one reads, or the cable is out
-                    self.say(text * new)
+            text += refusal * new
+        return text
 
     def say(self, text: bytes) -> None:
         """Send something to the host, as firmware does that logs to the same UART."""
@@ -157,7 +165,7 @@ def _main(arguments: list[str]) -> int:
     cable = BadCable(drop=options.drop, flip=options.flip, deaf_after=options.deaf_after,
                      seed=options.seed)
     mcu = FakeMcu(options.link, baud=options.baud, crc=CRC_INPUTS[options.crc_input], cable=cable,
-                  talks=not options.silent)
+                  talks=not options.silent, watchdog=options.watchdog)
     printer = _Printer(mcu, as_json=options.json, frames=options.frames)
     printer.begin(options.baud, options.crc_input)
     try:
@@ -252,8 +260,9 @@ def _parser() -> argparse.ArgumentParser:
     add('--deaf-after', type=int, default=0, metavar='N', help='lose bytes (overrun) after N '
         'frames')
     add('--vanish', metavar='AFTER:FOR', help='unplug after so many seconds, for so long')
-    add('--silent', action='store_true', help='send no error text to the host when a frame is '
-        'refused')
+    add('--watchdog', action='store_true', help='an MCU with the receiver of firmware/: it stops '
+        'after 0.3 s without a good frame, and reports once a second')
+    add('--silent', action='store_true', help='send no text to the host')
     add('--outlive', action='store_true', help='at Ctrl-C wait until the host closed the port')
     add('--seed', type=int, default=0, help='seed of the faults (default %(default)s)')
     return parser

@@ -52,7 +52,7 @@ class Totals:
     """What the receiver counted since start."""
 
     __slots__ = ('crc_err', 'frames', 'insufficient', 'overruns', 'queue_full', 'received',
-                 'taken', 'unheard')
+                 'refused', 'stops', 'taken', 'unheard')
 
     def __init__(self) -> None:
         self.received = 0          # bytes
@@ -63,6 +63,8 @@ class Totals:
         self.taken = 0             # set-points
         self.overruns = 0
         self.unheard = 0           # bytes after an overrun
+        self.refused = 0           # by a GuardedReceiver, as its stops
+        self.stops = 0
 
     def as_dict(self) -> dict[str, int]:
         return {name: getattr(self, name) for name in self.__slots__}
@@ -114,8 +116,8 @@ class Receiver:
         taken = []
         while self._next_loop <= now:
             self._enqueue(self._next_loop)
-            if self._queue:
-                x, y, omega = self._queue.popleft()
+            if (velocity := self._next(self._next_loop)) is not None:
+                x, y, omega = velocity
                 self.wheels = SetPoint(self._next_loop, x * 1000.0, y * 1000.0, omega)
                 self.totals.taken += 1
                 taken.append(self.wheels)
@@ -148,11 +150,17 @@ class Receiver:
 
     def _enqueue(self, now: int) -> None:
         while self._good and self._good[0].stamp <= now:
-            velocity = self._good.popleft().velocity
-            if len(self._queue) >= QUEUE_DEPTH or velocity is None:
-                self.totals.queue_full += 1
-            else:
-                self._queue.append(velocity)
+            self._put(self._good.popleft())
+
+    def _put(self, arrival: Arrival) -> None:
+        if len(self._queue) >= QUEUE_DEPTH or arrival.velocity is None:
+            self.totals.queue_full += 1
+        else:
+            self._queue.append(arrival.velocity)
+
+    def _next(self, now: int) -> Vel2d | None:
+        """Return the velocity that the pose loop takes now, if there is a new one."""
+        return self._queue.popleft() if self._queue else None
 
 
 class BadCable:

@@ -15,11 +15,13 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from mecarover_fakes.fake_mcu import FakeMcu
+from mecarover_fakes.guarded_receiver import GuardedReceiver
 from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import LOOP
 from mecarover_fakes.receiver import QUEUE_DEPTH
 from mecarover_fakes.receiver import Receiver
 from msg_defs.crc import crc32_mpeg2_words
+from msg_defs.mcu_report import McuReport
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
@@ -144,6 +146,21 @@ def test_at_100_frames_per_second_the_rover_acts_on_old_commands():
     assert mcu.queued >= QUEUE_DEPTH - 1
     sent_ago_ms = 10 * (199 - mcu.wheels.x)
     assert 250 < sent_ago_ms < 400
+
+
+def test_with_a_watchdog_it_stops_and_follows_the_newest():
+    mcu = GuardedReceiver()
+    for index in range(1, 15):
+        mcu.feed(numbered(index), index)
+    mcu.overrun()
+    mcu.feed(FRAME, 100 * MS)
+    taken = mcu.advance(1000 * MS)
+    assert [(one.stamp // MS, one.x) for one in taken[:3]] == [
+        (30, 12.0), (60, 14.0), (120, 500.0)]
+    assert {one[1:] for one in taken[3:]} == {(0.0, 0.0, 0.0)}
+    assert taken[3].stamp == 420 * MS
+    assert mcu.report(1000 * MS) == McuReport(state='stopped', good=15, stops=1)
+    assert mcu.report(1000 * MS) is None
 
 
 def test_after_an_overrun_it_is_deaf():

@@ -1,0 +1,80 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""GuardedReceiver: an MCU with the receiver of firmware/ and its watchdog, on simulated time."""
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+
+from mecarover_fakes.receiver import Arrival
+from mecarover_fakes.receiver import Receiver
+from msg_defs.crc import crc32_mpeg2
+from msg_defs.mcu_report import McuReport
+from msg_defs.mcu_report import RUNNING
+from msg_defs.mcu_report import STOPPED
+from msg_defs.mcu_report import WAITING
+from msg_defs.vel2d import decode
+from msg_defs.vel2d import FRAME_SIZE
+from msg_defs.vel2d import STOP
+from msg_defs.vel2d import Vel2d
+
+WATCHDOG_MS = 300
+LARGEST = 1e6
+_MS = 1_000_000
+_REPORT = 1_000_000_000
+
+
+class GuardedReceiver(Receiver):
+    """As vel2d_receiver.c: it realigns, follows the newest frame, and stops without frames."""
+
+    def __init__(self, start: int = 0, *, baud: int = 115200,
+                 crc: Callable[[bytes], int] = crc32_mpeg2) -> None:
+        super().__init__(start, baud=baud, crc=crc)
+        self.state = WAITING
+        self._is_damaged = False       # since the last good frame or idle line
+        self._good_at = start
+        self._reported = ('', -_REPORT)
+
+    def overrun(self) -> None:
+        """Drop what is in the buffer, and listen again."""
+        super().overrun()
+        self._deaf = False
+
+    def report(self, now: int) -> McuReport | None:
+        """Return what it says to the host, once a second and when its state changes."""
+        state, stamp = self._reported
+        if state == self.state and now - stamp < _REPORT:
+            return None
+        self._reported = self.state, now
+        totals = self.totals
+        return McuReport(state=self.state, good=totals.frames, bad=totals.crc_err,
+                         refused=totals.refused, stops=totals.stops)
+
+    def _call_back(self, stamp: int) -> None:
+        frame, self._buffer = self._buffer, b''
+        velocity = decode(frame, self._crc)
+        if velocity is None:
+            if len(frame) == FRAME_SIZE:
+                self._buffer = frame[1:]            # a frame may begin at any of its bytes
+            self.totals.crc_err += not self._is_damaged
+        self._is_damaged = bool(self._buffer)
+        if velocity is not None and not all(
+                math.isfinite(one) and abs(one) <= LARGEST for one in velocity):
+            self.totals.refused += 1
+        elif velocity is not None:
+            self.totals.frames += 1
+            arrival = Arrival(stamp, FRAME_SIZE, velocity)
+            self.arrivals.append(arrival)
+            self._good.append(arrival)
+
+    def _put(self, arrival: Arrival) -> None:
+        self._queue.clear()
+        super()._put(arrival)
+        self._good_at = arrival.stamp
+        self.state = RUNNING
+
+    def _next(self, now: int) -> Vel2d | None:
+        if self.state == RUNNING and now // _MS - self._good_at // _MS >= WATCHDOG_MS:
+            self.state = STOPPED
+            self.totals.stops += 1
+        return STOP if self.state == STOPPED else super()._next(now)
