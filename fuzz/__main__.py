@@ -22,7 +22,8 @@ import fuzz
 
 CORPUS = Path(__file__).parents[1] / 'test' / 'corpus'
 TARGETS = sorted(one.name for one in pkgutil.iter_modules(fuzz.__path__)
-                 if one.name not in ('__main__', 'reference', 'script', 'volume', 'whole'))
+                 if one.name not in ('__main__', 'firmware', 'reference', 'script', 'volume',
+                                     'whole'))
 OURS = ['fuzz.script', 'msg_defs', 'dxl_monitor', 'vel2d_bridge']     # what steers the search
 BROKEN = ('crash-', 'timeout-', 'oom-', 'leak-')       # how libFuzzer calls what it keeps
 SEARCH = 'import sys; from fuzz.__main__ import search; search(*sys.argv[1:])'
