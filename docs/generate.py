@@ -24,6 +24,7 @@ from dxl_monitor.monitor_status import device_status
 from dxl_monitor.monitor_status import PortState
 from mecarover_serial.parameters import Parameter
 from msg_defs.dxl_packet import encode
+from msg_defs.mcu_report import McuReport
 from msg_defs.reports import Metric
 from msg_defs.reports import unit_name
 from vel2d_bridge.bridge_settings import PARAMETERS as BRIDGE
@@ -71,6 +72,15 @@ LINK = {
     'Refused by MCU: crc mismatch': 'reported by the MCU; WARN for 10 s',
     'Refused by MCU: insufficient bytes': 'the same: a wrong length',
     'Last error': 'kept after recovery',
+    'MCU version': 'of the [receiver](firmware.md) in the MCU; WARN if it does not fit. This and '
+                   'the next keys are there if the MCU reports',
+    'MCU state': 'waiting for a first frame, running, or stopped by its watchdog: WARN, for 10 s '
+                 'at least',
+    'MCU good frames': '',
+    'MCU bad frames': 'damaged',
+    'MCU refused frames': 'not finite, or above the limits of the MCU',
+    'MCU watchdog stops': '',
+    'MCU report age (s)': '',
 }
 COMMANDS = {
     'Topic': '',
@@ -256,9 +266,10 @@ def _topics(prefix: str, metrics: Sequence[Metric]) -> dict[str, str]:
 
 def _bridge() -> tuple[list[str], list[str]]:
     """Return the keys of both statuses of the bridge."""
-    link = Link('port', 115200, Gate())
+    link, mcu = Link('port', 115200, Gate()), McuLog()
+    mcu.feed(f'{McuReport().line()}\n'.encode())
     commands = Commands('/cmd_vel', Choice('twist', True), 0.5, (), None, 0, None)
-    statuses = (link_status('vel2d_bridge', 'port', link.state(), (), McuLog(), 0),
+    statuses = (link_status('vel2d_bridge', 'port', link.state(), (), mcu, 0),
                 commands_status('vel2d_bridge', 'port', link.state(), Counters(), commands))
     keys = [[key for key, _ in status.values if not key.startswith('Complaint ')]
             for status in statuses]

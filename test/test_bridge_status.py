@@ -8,6 +8,7 @@ import pytest
 
 from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
+from msg_defs.mcu_report import McuReport
 from msg_defs.reports import Level
 from msg_defs.timing import Series
 from msg_defs.vel2d import Vel2d
@@ -177,6 +178,46 @@ def test_what_the_mcu_refuses_is_counted_and_a_complaint():
     assert (mcu.lines, set(mcu.refused.values())) == (0, {0})
     assert mcu.complaints(20 * SECOND, 'words') == []
     assert link(warnings=[crc], mcu=mcu).level is Level.WARN
+
+
+def test_what_the_mcu_reports():
+    """A report is values, not a line of the log; a stop by itself is a complaint."""
+    mcu = McuLog()
+    report = McuReport(state='running', good=70, bad=3, refused=1, stops=2)
+
+    def hear(report, now):
+        mcu.feed(f'{report.line()}\r\n'.encode(), now)
+        return mcu.complaints(now, 'words')
+
+    assert mcu.report_values(0) == []                               # silent, as most are
+    assert hear(report, 1 * SECOND) == []                           # stops before it are not news
+    assert mcu.take(1 * SECOND) == []
+    assert dict(link(mcu=mcu, now=3 * SECOND).values).items() >= {
+        'MCU version': '1', 'MCU state': 'running', 'MCU good frames': '70',
+        'MCU bad frames': '3', 'MCU refused frames': '1', 'MCU watchdog stops': '2',
+        'MCU report age (s)': '2.0'}.items()
+    stopped = report._replace(state='stopped', stops=3)
+    [line] = hear(stopped, 2 * SECOND)
+    assert 'watchdog of the MCU stopped the rover' in line
+    assert hear(stopped, 20 * SECOND) == [line]                     # it is stopped still
+    assert hear(report._replace(stops=4), 30 * SECOND) == [line]    # it was, a moment ago
+    assert mcu.complaints(39 * SECOND, 'words') == [line]
+    assert mcu.complaints(40 * SECOND, 'words') == []
+    assert hear(report._replace(stops=0), 41 * SECOND) == []        # it has restarted
+
+
+@pytest.mark.parametrize(('text', 'version'), [
+    ('vel2d receiver 2: running, 5 good', '2'), ('vel2d receiver 1: running, 5 good', None),
+    ('vel2d receiver 1: running, 5 good, 5 bad, 5 refused, 99999999999 stops', None),
+    ('vel2d receiver: hello', None), ('vel2d receiver 9999999999: running', None)])
+def test_other_reports(text, version):
+    """Of another version: a complaint, and no figures. What is no report is logged as ever."""
+    mcu = McuLog()
+    mcu.feed(f'{text}\n'.encode())
+    assert mcu.take(SECOND) == ([] if version else [text])
+    assert dict(mcu.report_values(SECOND)).get('MCU version') == version
+    assert 'MCU good frames' not in dict(mcu.report_values(SECOND))
+    assert len(mcu.complaints(SECOND, 'words')) == bool(version)
 
 
 @pytest.mark.parametrize(('name', 'value', 'begin'), [

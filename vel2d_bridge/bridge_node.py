@@ -148,7 +148,7 @@ class Bridge:
             values['port'], values['baud'], gate,
             crc=CRC_INPUTS[values['crc_input']], write_timeout_s=values['write_timeout'],
             deadman=deadman if values['deadman'] else None, on_sent=self._on_sent,
-            on_received=lambda chunk, stamp: self._mcu.feed(chunk), on_change=self._on_change)
+            on_received=self._mcu.feed, on_change=self._on_change)
 
     def _starts_enabled(self) -> bool:
         path = self._values['disabled_file']

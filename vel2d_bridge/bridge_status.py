@@ -4,7 +4,8 @@
 The two statuses of the bridge on /diagnostics: what its link does and what its commands are.
 
 Pure: snapshots in, statuses out. A message is what a person acts on; all complaints, the one in
-the message too, are values `Complaint N`. The other keys never change.
+the message too, are values `Complaint N`. The other keys never change, but those of an MCU that
+reports itself come with its first report.
 """
 from __future__ import annotations
 
@@ -111,6 +112,7 @@ def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str],
         ('Garbage from MCU (B)', str(mcu.garbage_bytes)),
         *((f'Refused by MCU: {words}', str(count)) for words, count in mcu.refused.items()),
         ('Last error', state.last_error or 'none'),
+        *mcu.report_values(now),
         *_numbered(complaints),
     ])
 

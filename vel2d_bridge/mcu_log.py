@@ -5,12 +5,18 @@ What the MCU says on the line back, as lines fit for a log.
 
 Text is cut into lines; what is not text is counted, never printed. Bounded: a babbling MCU costs
 no memory and a few lines per second. The two lines by which the firmware of the mecarover thesis
-refuses a frame are counted instead of logged. Pure; `now` is monotonic ns.
+refuses a frame are counted instead of logged, and the report of an MCU with the receiver of
+firmware/ becomes status values. Pure; `now` is monotonic ns.
 """
 from __future__ import annotations
 
 from collections import deque
 import re
+
+from msg_defs.mcu_report import McuReport
+from msg_defs.mcu_report import parse_report
+from msg_defs.mcu_report import STOPPED
+from msg_defs.mcu_report import VERSION
 
 _LONGEST = 200                  # bytes of a line
 _KEPT = 5                       # lines between two that are taken
@@ -19,6 +25,8 @@ _GARBAGE_PERIOD = 10 * _SECOND  # between complaints
 _REFUSED_FOR = 10 * _SECOND     # after its last word a refusal is a complaint for so long
 CRC_MISMATCH = 'crc mismatch'
 INSUFFICIENT = 'insufficient bytes'
+_KEYS = ('MCU state', 'MCU good frames', 'MCU bad frames', 'MCU refused frames',
+         'MCU watchdog stops')
 _COLOUR = re.compile(rb'\x1b\[[0-9;]*[A-Za-z]')
 
 
@@ -33,6 +41,10 @@ class McuLog:
         self._skipped = 0
         self._taken = -_SECOND
         self._complained = -_GARBAGE_PERIOD
+        self._report: McuReport | None = None
+        self._reported_at = 0
+        self._known_stops: int | None = None        # those before the first report are not ours
+        self._stopped_at = -_REFUSED_FOR
 
     def reset(self) -> None:
         """Start all counts at 0."""
@@ -43,7 +55,7 @@ class McuLog:
         self._known_refused = dict(self.refused)
         self._known_garbage = 0
 
-    def feed(self, chunk: bytes) -> None:
+    def feed(self, chunk: bytes, now: int = 0) -> None:
         """Take what came in."""
         self.bytes += len(chunk)
         *lines, self._partial = (self._partial + chunk).replace(b'\r', b'\n').split(b'\n')
@@ -51,14 +63,17 @@ class McuLog:
             lines.append(self._partial[:_LONGEST])
             self._partial = self._partial[_LONGEST:]
         for line in filter(None, lines):
-            self._keep(line)
+            self._keep(line, now)
 
-    def _keep(self, line: bytes) -> None:
+    def _keep(self, line: bytes, now: int) -> None:
         text = _COLOUR.sub(b'', line).replace(b'\t', b' ').decode(errors='replace')
         if '\ufffd' in text or not text.isprintable():
             self.garbage_bytes += len(line)
             return
         self.lines += 1
+        if (report := parse_report(text)) is not None:
+            self._report, self._reported_at = report, now
+            return
         for words in self.refused:
             if words in text.lower():
                 self.refused[words] += 1
@@ -97,8 +112,35 @@ class McuLog:
             INSUFFICIENT: 'check the cable, and that no console, login or other program writes '
                           'to the port',
         }
-        return [f'the MCU refuses frames with "{words}"; {remedies[words]}'
-                for words, stamp in self._refused_at.items() if now - stamp < _REFUSED_FOR]
+        return [*(f'the MCU refuses frames with "{words}"; {remedies[words]}'
+                  for words, stamp in self._refused_at.items() if now - stamp < _REFUSED_FOR),
+                *self._report_complaints(now)]
+
+    def _report_complaints(self, now: int) -> list[str]:
+        report = self._report
+        if report is None:
+            return []
+        if report.version != VERSION:
+            return [f'the receiver of the MCU has version {report.version}, this bridge reads '
+                    f'version {VERSION}; put firmware/ of this release into the MCU']
+        if self._known_stops is not None and report.stops > self._known_stops:
+            self._stopped_at = now
+        self._known_stops = report.stops
+        if report.state != STOPPED and now - self._stopped_at >= _REFUSED_FOR:
+            return []
+        return ['the watchdog of the MCU stopped the rover, because no good frame came; check '
+                'cable and ground, and that resend_rate is 10 or more']
+
+    def report_values(self, now: int) -> list[tuple[str, str]]:
+        """Return what the MCU reports, as keys and values of a status; nothing if it does not."""
+        report = self._report
+        if report is None:
+            return []
+        is_ours = report.version == VERSION
+        return [('MCU version', str(report.version)),
+                *((key, str(value)) for key, value in zip(_KEYS, report[1:], strict=True)
+                  if is_ours),
+                ('MCU report age (s)', str(round((now - self._reported_at) / _SECOND, 1)))]
 
     def garbage(self, now: int) -> str:
         """Return a complaint about new garbage, '' when there is none or it was just said."""
