@@ -133,6 +133,7 @@ DEVICE = {
 }
 BUS = {
     'Port': '',
+    'State': 'of the port: open, or closed: nothing is known of its devices then',
     'Baud (bit/s)': '',
     'Protocol': '[as heard](dialects.md)',
     'Devices': 'known or expected; then a key for each state',

@@ -84,6 +84,7 @@ class Monitor:
     | _fed, _last, _time_per_buffer, _time_between, _buffer_size | feed() |
     | _listened, _resumed | feed(), flush_if_idle(), report() where idle is not reported |
     | _line_errors | change() |
+    | _deaf | report() |
     | _ticks, _next_tick, _noise_seen | feed() or report(), once a second |
     | _started, _base, doctor | reset_statistics() |
     | all others | set once |
@@ -108,6 +109,7 @@ class Monitor:
         self._last = 0                         # stamp of the last chunk
         self._listened = 0                     # up to when all that came was fed, if known
         self._resumed = 0                      # when somebody listened again
+        self._deaf = 0                         # until then no port was open
         self._noise_seen = 0
         self._start_statistics(0)
 
@@ -203,6 +205,8 @@ class Monitor:
                 self._flush_if_idle(now - LAG_NS)
             if not (self._idle_is_told and is_listening):
                 self._listened = now
+            if not is_listening:
+                self._deaf = now
             while now >= self._next_tick:
                 self._tick(now)
             cycles = _cycles(self._tracker.planner.plans())
@@ -343,7 +347,7 @@ class Monitor:
             kinds=dict(evidence.counts), protocol=self.decoder.protocol(),
             asked=self._tracker.asked, scanned=self._scanned(),
             chain=tuple(expected.id for expected in self.settings.devices),
-            has_sides=OUT in self.decoder.framers)
+            has_sides=OUT in self.decoder.framers, deaf=self._deaf)
 
     def _scanned(self) -> tuple[int, ...]:
         """Return the IDs that were only pinged and never heard: many are a scan, no devices."""

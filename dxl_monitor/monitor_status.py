@@ -22,6 +22,8 @@ from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import number
 from msg_defs.reports import numbers
+from msg_defs.reports import PORT_CLOSED
+from msg_defs.reports import PORT_OPEN
 from msg_defs.reports import Status
 from msg_defs.reports import status_name
 from msg_defs.reports import worst
@@ -77,6 +79,7 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
         by_state[device.state] = by_state.get(device.state, 0) + 1
     values = [
         (keys.PORT, port.port),
+        (keys.STATE, PORT_CLOSED if port.problem else PORT_OPEN),
         ('Baud (bit/s)', str(report.baud or 'not known yet')),
         ('Protocol', report.protocol or 'not known yet'),
         ('Devices', str(len(report.devices))),

@@ -13,7 +13,8 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from mecarover_dashboard.status_lines import Board
+from mecarover_dashboard.state import OVERVIEW
+from mecarover_dashboard.state import State
 
 LOOK_S = 0.2
 
@@ -25,13 +26,13 @@ class StatusNode:
     `look(now_s)` is called several times a second; when it returns True, the node ends.
     """
 
-    def __init__(self, board: Board, look: Callable[[float], bool]) -> None:
+    def __init__(self, state: State, look: Callable[[float], bool]) -> None:
         self.node = Node('mecarover_status', start_parameter_services=False)
-        board.namespace = self.node.get_namespace().strip('/')
+        state.namespace = self.node.get_namespace().strip('/')
         self._look = look
         self.node.create_subscription(
-            DiagnosticArray, '/diagnostics',
-            lambda message: board.take(message, time.monotonic()), QoSProfile(depth=100),
+            DiagnosticArray, OVERVIEW,
+            lambda message: state.take(OVERVIEW, message, time.monotonic()), QoSProfile(depth=100),
             raw=True)
         self.node.create_timer(LOOK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 

@@ -21,6 +21,7 @@ from mecarover_serial.plain import printable
 
 VERSION = 1
 WINDOW_S = 10
+GAP_S = 30                      # so long without a window: nothing was recorded
 VALUES = {                      # what is kept of each kind, in this order
     'devices': ('position', 'temperature', 'voltage', 'load', 'loss', 'latency'),
     'buses': ('bus_load', 'packet_rate', 'error_rate'),
@@ -230,6 +231,19 @@ class HistoryReader:
                 for at, source, kind, level, text in self._database.execute(
                     f'SELECT * FROM events WHERE at BETWEEN ? AND ? AND source IN ({marks}) '
                     'ORDER BY at DESC LIMIT ?', (question.from_s, question.to_s, most))]
+
+    def gaps(self, from_s: float, to_s: float) -> list[tuple[float, float]]:
+        """Return the spans of time in which nothing was recorded, of any source."""
+        found, until = [], from_s
+        for (at,) in self._database.execute(
+                'WITH RECURSIVE times(t) AS (SELECT min(at) FROM windows WHERE at > ?1 - ?3 '
+                'UNION ALL SELECT (SELECT min(at) FROM windows WHERE at > t) FROM times '
+                'WHERE t IS NOT NULL) SELECT t FROM times WHERE t <= ?2',
+                (from_s, to_s, WINDOW_S)):
+            if at - until >= GAP_S:
+                found.append((until, float(at)))
+            until = at + WINDOW_S
+        return [*found, (until, to_s)] if to_s - until >= GAP_S else found
 
     def windows(self, question: Question) -> Iterator[Window]:
         """Return the windows in the order of time."""

@@ -4,9 +4,11 @@
 Records the history: what of the reports is kept for a day, and the thread that writes it.
 
 Of each value a window of 10 s keeps the lowest and the highest. An event is a change of level or
-state, a finding that came or went, an error of a bus. A disk may stop for seconds, so the server
-never waits for it. Every FLUSH_S all that is known goes to the file, windows that still run
-included: this is what kill -9 or a power failure can cost.
+state, a finding that came or went, an error of a bus. What has one cause is one event: that of
+the bus where all of its devices share it, that of a lost device in place of its findings and
+missed answers. A disk may stop for seconds, so the server never waits for it. Every FLUSH_S all
+that is known goes to the file, windows that still run included: this is what kill -9 or a power
+failure can cost.
 """
 from __future__ import annotations
 
@@ -32,17 +34,20 @@ from mecarover_dashboard.history import Subject
 from mecarover_dashboard.history import VALUES
 from mecarover_dashboard.history import Window
 from mecarover_dashboard.history import WINDOW_S
+from mecarover_dashboard.robot_parts import is_lost
+from mecarover_dashboard.robot_parts import level_of
+from mecarover_dashboard.robot_parts import RobotPart
 from mecarover_dashboard.rows import Row
 from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
 from msg_defs.reports import Level
+from msg_defs.reports import SEVERITY
 
 FLUSH_S = 5.0
 LIMIT_S = 300.0                 # between two looks at the size
 _MOST_WAITING = 24              # batches, two minutes: a disk that hangs longer costs the rest
 NAME = 'history.sqlite'
 MOST_ERRORS = 20                # for one bus in one window; noise would fill the file
-_SEVERITY = (Level.OK, Level.WARN, Level.STALE, Level.ERROR)
 
 _Batch = tuple[list[Window], list[Event]]
 
@@ -53,7 +58,8 @@ class _LastSeen:
 
     arrived: float = -1.0
     state: tuple[int, str] | None = None
-    findings: dict[str, tuple[int, str]] = field(default_factory=dict)
+    told: str = ''              # the text of its last state that was noted
+    findings: dict[str, bool] = field(default_factory=dict)     # rules; whether it was noted
     row: Row = field(default_factory=dict)
     window: Window | None = None
     is_new: bool = False        # the window is not written as it is now
@@ -73,21 +79,41 @@ class HistorySampler:
     def look(self, state: State, now_s: float, unix_s: float) -> None:
         """Take in what was reported since the last look."""
         offset_s = unix_s - now_s
+        parts = {(part.node, part.bus): part for part in state.parts()}
+        own = {report.row_name: report.row for report in state.reports('buses')}
+        for part in parts.values():
+            self._judge_part(part, own.get(part.row_name), unix_s)
+        away: dict[tuple[str, str], set[str]] = {}
+        for one in state.reports('devices'):
+            if is_lost(one.row):
+                away.setdefault((one.row['node'], one.row['bus']), set()).add(
+                    f'{one.row["id"]:03}')
         for kind in VALUES:
             for report in state.reports(kind):
-                last = self._seen.get(report.row_name)
-                if last is None:
-                    last = self._seen[report.row_name] = _LastSeen()
-                source = Subject(report.row_name, kind, report.row['robot'], report.values.unit)
-                if report.row is not last.row:
-                    last.row = report.row
-                    self._judge(last, source, report.row, unix_s)
+                row = report.row
+                last = self._last(report.row_name)
+                source = Subject(report.row_name, kind, row['robot'], report.values.unit)
+                part = parts[row['node'], row.get('bus')]
+                is_told = (kind == 'devices' and part.hides_devices) or not part.is_known
+                if row is not last.row and not is_told:
+                    last.row = row
+                    if kind == 'devices':
+                        self._judge_device(last, source, row, unix_s)
+                    elif kind == 'buses':
+                        self._judge_findings(last, source, row, unix_s)
                 if report.arrived == last.arrived:
                     continue
                 last.arrived = report.arrived
                 self._add(last, source, report, state, unix_s)
                 if kind == 'buses':
-                    self._take_errors(last, source, report.row, offset_s)
+                    self._take_errors(last, source, row, offset_s,
+                                      away.get((row['node'], row['bus']), set()))
+
+    def _last(self, name: str) -> _LastSeen:
+        last = self._seen.get(name)
+        if last is None:
+            last = self._seen[name] = _LastSeen()
+        return last
 
     def taken(self) -> tuple[list[Window], list[Event]]:
         """Return what to write: ended windows, those that still run, and events."""
@@ -111,33 +137,59 @@ class HistorySampler:
             last.window, last.errors = Window(at, source, level, values, values), 0
             return
         last.window = Window(
-            at, source, max(old.level, level, key=_SEVERITY.index),
+            at, source, max(old.level, level, key=SEVERITY.index),
             tuple(_extremes(min, old.lows, values)), tuple(_extremes(max, old.highs, values)))
 
-    def _judge(self, last: _LastSeen, source: Subject, row: Row, unix_s: float) -> None:
-        """Note changes of level, state and findings."""
-        now = _state_of(row)
-        if now[:2] != (last.state or (Level.OK, '')) and (last.state or now[0] != Level.OK):
-            self._events.append(Event(unix_s, source, 'state', now[0], now[2]))
-        last.state = now[:2]
-        found: dict[str, tuple[int, str]] = {
-            rule: (Level.ERROR if severity == 'error' else Level.WARN, text)
-                 for rule, text, severity in row.get('findings', ())}
-        for rule in found.keys() - last.findings.keys():
-            level, text = found[rule]
-            self._events.append(Event(unix_s, source, 'finding', level, f'{_words(rule)}: {text}'))
-        for rule in last.findings.keys() - found.keys():
-            self._events.append(Event(unix_s, source, 'over', Level.OK, _words(rule)))
-        last.findings = found
+    def _judge_part(self, part: RobotPart, row: Row | None, unix_s: float) -> None:
+        """Note what became of a bridge or a bus as a whole; what a finding says is noted there."""
+        last, source = self._last(part.row_name), Subject(part.row_name, 'bridge', part.robot)
+        now = part.level, part.problem
+        if part.ids or part.text in _texts(row):
+            now = Level.OK, ''
+        if now != (last.state or (Level.OK, '')):
+            text = part.text if now == (part.level, part.problem) \
+                else f'{part.live} of {part.total} devices answer'
+            if part.bus is not None:
+                source = source._replace(kind='buses')
+            self._events.append(Event(unix_s, source, 'state', now[0], text))
+        last.state = now
 
-    def _take_errors(self, last: _LastSeen, source: Subject, row: Row, offset_s: float) -> None:
-        """Note the errors that are new, the oldest first, as many as there is room for."""
+    def _judge_device(self, last: _LastSeen, source: Subject, row: Row, unix_s: float) -> None:
+        """Note a change of level or state; what a finding says is noted as that."""
+        now = level_of(row), row['state']
+        before = last.state or (Level.OK, now[1])
+        is_of_finding = row['message'] in _texts(row) and not is_lost(row)
+        if now != before and not (is_of_finding and now[1] == before[1]):
+            self._events.append(Event(unix_s, source, 'state', now[0], row['message']))
+            last.state, last.told = now, row['message']
+        last.state = last.state or before
+        if not is_lost(row):
+            self._judge_findings(last, source, row, unix_s)
+
+    def _judge_findings(self, last: _LastSeen, source: Subject, row: Row, unix_s: float) -> None:
+        found = {rule: (Level.ERROR if severity == 'error' else Level.WARN, text)
+                 for rule, text, severity in row['findings']}
+        for rule, (level, text) in found.items():
+            if rule not in last.findings:
+                last.findings[rule] = text != last.told
+                if text != last.told:
+                    self._events.append(
+                        Event(unix_s, source, 'finding', level, f'{_words(rule)}: {text}'))
+        for rule in last.findings.keys() - found.keys():
+            if last.findings.pop(rule):
+                self._events.append(Event(unix_s, source, 'over', Level.OK, _words(rule)))
+
+    def _take_errors(self, last: _LastSeen, source: Subject, row: Row, offset_s: float,
+                     away: set[str]) -> None:
+        """Note the errors that are new, the oldest first, but for those of devices away."""
         if last.error_s is None:
             last.error_s = self._until.get(source.name, 0.0) - offset_s + rows.JITTER_S
         new = [(at_s, text) for at_s, text in row['errors']
                if at_s is not None and at_s > last.error_s]
         for at_s, text in sorted(new):
             last.error_s, at = at_s, at_s + offset_s      # the two clocks tremble: one judges
+            if text.partition(': ')[0] in away:
+                continue
             last.errors += 1
             if last.errors < MOST_ERRORS:
                 self._events.append(Event(at, source, 'error', Level.ERROR, text))
@@ -147,20 +199,20 @@ class HistorySampler:
                                           'listed'))
 
 
-def _state_of(row: Row) -> tuple[int, str, str]:
-    """Return (level, state, message); what counts as a change is level or state."""
-    if 'quiet_since' in row:
-        return Level.STALE, 'no report', f'no report; last: {row["message"]}'
-    return row['level'], row.get('state', ''), row['message']
+def _texts(row: Row | None) -> set[str]:
+    """Return what the findings of a row say."""
+    return set() if row is None else {text for _, text, _ in row['findings']}
 
 
 def _values(kind: str, report: RowReport, state: State) -> Iterator[float | None]:
-    if kind == 'devices':
+    if kind == 'devices' and report.row['level'] != Level.STALE:
         for text in (*report.values[:4], report.row['loss'], report.row['latency']):
             yield rows.finite(text)
-    elif kind == 'buses':
+    elif kind == 'buses' and report.row['live']:
         node, bus = report.row['node'], report.row['bus']
         yield from (state.figure(node, bus, metric) for metric in VALUES['buses'])
+    else:
+        yield from (None for _ in VALUES[kind])
 
 
 def _extremes(choose: Callable[[list[float]], float], old: tuple[float | None, ...],

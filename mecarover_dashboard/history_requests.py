@@ -170,9 +170,10 @@ def _values_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]
 
 
 def _events_json(reader: HistoryReader, question: Question, _: int) -> dict[str, Any]:
-    return {'from': question.from_s, 'to': question.to_s, 'most': _MOST_EVENTS, 'events': [
-        [event.at, event.source.name, event.source.robot, event.kind, event.level, event.text]
-        for event in reader.events(question, _MOST_EVENTS)]}
+    gaps = reader.gaps(question.from_s, min(question.to_s, time.time()))
+    return {'from': question.from_s, 'to': question.to_s, 'most': _MOST_EVENTS, 'gaps': gaps,
+            'events': [[event.at, event.source.name, event.source.robot, event.kind, event.level,
+                        event.text] for event in reader.events(question, _MOST_EVENTS)]}
 
 
 def _events_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]]:

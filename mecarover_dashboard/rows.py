@@ -16,9 +16,11 @@ from typing import NamedTuple
 
 from mecarover_dashboard.cdr import RawStatus
 from msg_defs import status_keys as keys
+from msg_defs.reports import CONNECTED
 from msg_defs.reports import Level
 from msg_defs.reports import namespace_of
 from msg_defs.reports import number
+from msg_defs.reports import PORT_CLOSED
 
 Row = dict[str, Any]
 
@@ -71,8 +73,13 @@ class RegisterTable(NamedTuple):
 
 def split(status: RawStatus) -> tuple[str, str]:
     """Return the node and what it speaks of; ('', ...) where a name is of another kind."""
-    node, colon, rest = status.name.partition(': ')
-    return (node, rest) if colon else ('', status.name)
+    return split_name(status.name)
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """Return the node in the name of a status, and the rest."""
+    node, colon, rest = name.partition(': ')
+    return (node, rest) if colon else ('', name)
 
 
 def section(status: RawStatus) -> str:
@@ -122,7 +129,7 @@ def row(kind: str, status: RawStatus) -> Row:
 
 
 def _device(status: RawStatus, rest: str) -> Row:
-    pairs = status.pairs(HEAD)
+    pairs = _head(status)
     values = dict(reversed(pairs))      # a field of the table may be called like a fact
     id_, _, joint = _own_name(status, rest).partition(' ')
     return {
@@ -132,15 +139,32 @@ def _device(status: RawStatus, rest: str) -> Row:
         'model': values[keys.MODEL],
         'firmware': values.get(keys.FIRMWARE, ''),
         'state': values[keys.STATE],
+        'live': values[keys.STATE] == CONNECTED and status.level != Level.STALE,
         'findings': _findings(pairs),
     } | {one.name: calm(found) if one.is_rounded else found for one in keys.FIGURES
          for found in [values.get(one.key, '')]}
+
+
+def _head(status: RawStatus) -> list[tuple[str, str]]:
+    """Return the pairs in front of the table, with all findings, however many there are."""
+    most = HEAD
+    pairs = status.pairs(most)
+    while len(pairs) == most and pairs[-1][0].startswith(_LISTED):
+        most *= 2
+        pairs = status.pairs(most)
+    return pairs
+
+
+def _is_open(pairs: list[tuple[str, str]]) -> bool:
+    """Tell whether the port of a bus or bridge is open, as far as that is said."""
+    return dict(pairs).get(keys.STATE) != PORT_CLOSED
 
 
 def _bus(status: RawStatus, rest: str) -> Row:
     pairs = status.pairs()
     return {
         'bus': rest.partition(' ')[2],
+        'live': _is_open(pairs),
         'values': [pair for pair in pairs
                    if not pair[0].startswith(_LISTED) and pair[0] not in _ASIDE],
         'running': finite(dict(pairs).get(keys.RUNNING, '')),
@@ -151,7 +175,8 @@ def _bus(status: RawStatus, rest: str) -> Row:
 
 
 def _bridge(status: RawStatus, rest: str) -> Row:
-    return {'part': rest, 'values': status.pairs()}
+    pairs = status.pairs()
+    return {'part': rest, 'values': pairs, 'live': _is_open(pairs)}
 
 
 def _timing(status: RawStatus, rest: str) -> Row:

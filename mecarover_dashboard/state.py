@@ -20,6 +20,8 @@ from mecarover_dashboard import rows
 from mecarover_dashboard.cdr import CdrError
 from mecarover_dashboard.cdr import RawStatus
 from mecarover_dashboard.cdr import statuses
+from mecarover_dashboard.robot_parts import parts_of
+from mecarover_dashboard.robot_parts import RobotPart
 from mecarover_dashboard.rows import RegisterTable
 from mecarover_dashboard.rows import Row
 from msg_defs.reports import status_name
@@ -61,7 +63,7 @@ class _Row:
 
 
 class RowReport(NamedTuple):
-    """A row as it was reported last."""
+    """A row as it was reported last; `values` only of a device that answers now."""
 
     row_name: str
     row: Row
@@ -89,6 +91,8 @@ class State:
         self._heard: dict[str, float] = {}          # by node
         self._latencies: dict[str, deque[Point]] = {}       # by device
         self._tables: dict[str, tuple[RawStatus, RegisterTable]] = {}
+        self._parts: tuple[int, list[RobotPart]] = -1, []      # and their version
+        self.grown_s = 0.0                          # when the last new row came
 
     def take(self, topic: str, message: bytes, now_s: float) -> None:
         """Take a serialised DiagnosticArray; no content makes this raise."""
@@ -136,6 +140,8 @@ class State:
         entry = self._entry(section, status)
         if entry is None:
             return
+        if not entry.arrived:
+            self.grown_s = now_s
         row = rows.row(section, status)
         if entry.arrived:
             entry.period_s = max(now_s - entry.arrived, entry.period_s / 2)
@@ -204,7 +210,7 @@ class State:
                 if 'quiet_since' not in entry.row:
                     self.version += 1
                     entry.version = self.version
-                    entry.row = entry.row | {'quiet_since': round(entry.arrived, 2)}
+                    entry.row = entry.row | {'quiet_since': round(entry.arrived, 2), 'live': False}
                 if quiet_s > FORGET_S and now_s - self._heard[entry.row['node']] < QUIET_S:
                     self._remove(section, name)
 
@@ -220,6 +226,14 @@ class State:
                 if entry.version > since:
                     changed[section][name] = _with_points(entry, since)
         return {section: found for section, found in changed.items() if found}
+
+    def parts(self) -> list[RobotPart]:
+        """Return the bridges and buses, the worst first, as they are now."""
+        if self._parts[0] != self.version:
+            self._parts = self.version, parts_of(*(
+                [entry.row for entry in self._entries[section].values() if entry.row]
+                for section in ('devices', 'buses', 'bridge')))
+        return self._parts[1]
 
     def table(self, name: str) -> RegisterTable | None:
         """Return the table of a device as last reported; None if there is no such device."""
@@ -237,7 +251,7 @@ class State:
         """Return the rows of a section as they were reported last."""
         for name, entry in self._entries[section].items():
             if entry.row:
-                yield RowReport(name, entry.row, entry.values, entry.arrived)
+                yield RowReport(name, entry.row, _values_now(entry), entry.arrived)
 
     def figure(self, node: str, of: str, metric: str) -> float | None:
         """Return the newest figure of a timing metric: p50, or its value; None if unknown."""
@@ -251,8 +265,8 @@ class State:
         return found[1] if found is not None and found[0] == key else ''
 
     def values(self) -> dict[str, rows.Values]:
-        """Return the values of all devices that reported any."""
-        return {name: entry.values for name, entry in self._entries['devices'].items()
+        """Return the values of all devices that reported any, empty where they are not of now."""
+        return {name: _values_now(entry) for name, entry in self._entries['devices'].items()
                 if entry.values is not rows.NOTHING}
 
     def latency(self, name: str, after_s: float) -> list[Point]:
@@ -275,6 +289,10 @@ def _cost(section: str, status: RawStatus) -> int:
     pairs = min(status.count, rows.HEAD) if section == 'devices' else status.count
     return (_ROW + 2 * len(status.data) + _PAIR * pairs
             + (_POINTS if section == 'timing' else 0))
+
+
+def _values_now(entry: _Row) -> rows.Values:
+    return entry.values if entry.row.get('live') else rows.NOTHING
 
 
 def _with_points(entry: _Row, since: int) -> Row:

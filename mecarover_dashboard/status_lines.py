@@ -1,42 +1,27 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Statuses to the lines of mecarover_status: one per bridge, per bus and per sick device.
+What is known to the lines of mecarover_status: one per bridge, per bus and per sick device.
 
-Pure; times are monotonic seconds of arrival. What is not a status of ours is left out.
+Pure; times are monotonic seconds of arrival.
 """
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import groupby
 from typing import NamedTuple
 
 from mecarover_dashboard import rows
-from mecarover_dashboard.cdr import CdrError
-from mecarover_dashboard.cdr import RawStatus
-from mecarover_dashboard.cdr import statuses
+from mecarover_dashboard.robot_parts import level_of
+from mecarover_dashboard.state import State
 from mecarover_serial.plain import printable
 from msg_defs.reports import Level
+from msg_defs.reports import SEVERITY
 from msg_defs.reports import worst
 
-QUIET_S = 4.0                   # reports come once a second
-FORGET_S = 60.0                 # a status that stays away while its node reports is no more
-MOST_NAMES = 3000               # what is published cannot fill the memory
 HEALTHY, NOTHING, WARNING, FAILED = 0, 1, 3, 4      # exit codes; 2 is wrong usage
 _CODES = {Level.OK: HEALTHY, Level.WARN: WARNING, Level.STALE: WARNING, Level.ERROR: FAILED}
 _WORDS = {Level.OK: 'ok', Level.WARN: 'WARN', Level.ERROR: 'ERROR', Level.STALE: 'silent'}
-_ORDER = {'bridge': 0, 'buses': 1, 'devices': 2}
-
-
-class _LastStatus(NamedTuple):
-    """What a status said last; `what` is the column that names it."""
-
-    section: str
-    node: str
-    robot: str
-    what: str
-    level: Level
-    message: str
-    arrived: float
 
 
 class StatusLine(NamedTuple):
@@ -53,85 +38,43 @@ class StatusLine(NamedTuple):
         return f'{_WORDS[self.level]:6}  {robot}{self.what:{what_width}}  {self.message}'
 
 
-class Board:
-    """
-    The newest status of each name; one thread uses it.
-
-    In a `namespace` only the robots below it count. `changed` is when the last new name came.
-    """
-
-    def __init__(self, namespace: str = '', every_device: bool = False) -> None:
-        self.changed = 0.0
-        self.namespace = namespace
-        self._every_device = every_device
-        self._heard: dict[str, _LastStatus] = {}
-
-    def take(self, message: bytes, now_s: float) -> None:
-        """Take a serialised DiagnosticArray; nothing raises."""
-        try:
-            found = statuses(message)
-        except CdrError:
-            return
-        for status in found:
-            section = rows.section(status)
-            if section in _ORDER and self._is_ours(status) and (
-                    status.name in self._heard or len(self._heard) < MOST_NAMES):
-                if status.name not in self._heard:
-                    self.changed = now_s
-                self._heard[status.name] = _heard(section, status, now_s)
-
-    def _is_ours(self, status: RawStatus) -> bool:
-        return not self.namespace or status.name.startswith(f'{self.namespace}/')
-
-    def lines(self, now_s: float) -> list[StatusLine]:
-        """Return the lines, by robot, then bridge, buses and devices."""
-        self._forget(now_s)
-        shown = [one for one in _one_per_bridge(list(self._judged(now_s)))
-                 if one.section != 'devices' or self._every_device or one.level is not Level.OK]
-        shown.sort(key=lambda one: (one.robot, _ORDER[one.section], one.what))
-        return [StatusLine(one.level, printable(one.robot, 40), printable(one.what, 60),
-                           printable(one.message)) for one in shown]
-
-    def code(self, now_s: float) -> int:
-        """Return the exit code: 0 well, 1 nothing heard, 3 warning, 4 error."""
-        if not self._heard:
-            return NOTHING
-        return _CODES[worst(one.level for one in self._judged(now_s))]
-
-    def _judged(self, now_s: float) -> Iterator[_LastStatus]:
-        for one in self._heard.values():
-            quiet_s = now_s - one.arrived
-            if quiet_s <= QUIET_S:
-                yield one
-            else:
-                yield one._replace(level=Level.STALE, message=(
-                    f'no report for {quiet_s:.0f} s; last: {one.message}'))
-
-    def _forget(self, now_s: float) -> None:
-        newest: dict[str, float] = {}
-        for one in self._heard.values():
-            newest[one.node] = max(newest.get(one.node, 0.0), one.arrived)
-        self._heard = {name: one for name, one in self._heard.items()
-                       if now_s - one.arrived <= FORGET_S or now_s - newest[one.node] > QUIET_S}
+def status_lines(state: State, now_s: float, every_device: bool = False) -> list[StatusLine]:
+    """Return the lines: the worst robot first, and of each robot what is worst."""
+    state.expire(now_s)
+    found = [StatusLine(line.level, printable(line.robot, 40), printable(line.what, 60),
+                        printable(line.message))
+             for line in _lines(state, now_s, every_device)]
+    found.sort(key=lambda line: line.robot)
+    robots = [sorted(some, key=_urgency) for _, some in groupby(found, lambda line: line.robot)]
+    return [line for some in sorted(robots, key=lambda some: _urgency(some[0])) for line in some]
 
 
-def _heard(section: str, status: RawStatus, now_s: float) -> _LastStatus:
-    node, what = rows.split(status)
-    row = rows.row(section, status)
-    return _LastStatus(section, node, row['robot'], what, Level(row['level']), row['message'],
-                       now_s)
+def _lines(state: State, now_s: float, every_device: bool) -> Iterator[StatusLine]:
+    hiding = set()
+    for part in state.parts():
+        yield StatusLine(part.level, part.robot, part.name, part.said(now_s))
+        if part.hides_devices:
+            hiding.add((part.node, part.bus))
+    for report in state.reports('devices'):
+        row, level = report.row, level_of(report.row)
+        is_told = level is Level.OK or (row['node'], row['bus']) in hiding
+        if every_device or not is_told:
+            message = row['message']
+            if 'quiet_since' in row:
+                quiet_s = now_s - row['quiet_since']
+                message = f'no report for {quiet_s:.0f} s; last: {message}'
+            yield StatusLine(level, row['robot'], rows.split_name(report.row_name)[1], message)
 
 
-def _one_per_bridge(heard: list[_LastStatus]) -> list[_LastStatus]:
-    """Make one line of the link and the commands of a bridge: the one that is worse off."""
-    bridges: dict[str, _LastStatus] = {}
-    for one in sorted(heard, key=lambda one: one.what):     # when both are well: its commands
-        if one.section == 'bridge':
-            other = bridges.get(one.node, one)
-            worse = one if worst((one.level, other.level)) != other.level else other
-            bridges[one.node] = worse
-    return [*(one._replace(what='bridge') for one in bridges.values()),
-            *(one for one in heard if one.section != 'bridge')]
+def _urgency(line: StatusLine) -> int:
+    return -SEVERITY.index(line.level)
+
+
+def exit_code(state: State) -> int:
+    """Return the exit code: 0 well, 1 nothing heard, 3 warning, 4 error."""
+    levels = [*(part.level for part in state.parts()),
+              *(level_of(report.row) for report in state.reports('devices'))]
+    return _CODES[worst(levels)] if levels else NOTHING
 
 
 def screen(lines: list[StatusLine]) -> list[str]:

@@ -6,12 +6,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 import math
-import shutil
+import os
 import sys
+import textwrap
 import time
 
-from mecarover_dashboard.status_lines import Board
+from mecarover_dashboard.state import State
+from mecarover_dashboard.status_lines import exit_code
 from mecarover_dashboard.status_lines import screen
+from mecarover_dashboard.status_lines import status_lines
 from mecarover_serial.cli import no_ros
 from mecarover_serial.cli import options_of_node
 from mecarover_serial.plain import on_screen
@@ -27,11 +30,17 @@ _HOME, _CLEAR_LINE, _CLEAR_BELOW = '\033[H', '\033[K', '\033[J'
 
 
 class Display:
-    """Shows a board until it is ended, or once; `code` is what that came to."""
+    """
+    Shows a state until it is ended, or once; `code` is what that came to.
 
-    def __init__(self, board: Board, wait_s: float | None) -> None:
-        self._board = board
+    Made before ROS starts: what reads stdout is asked for now, a pipe to it comes then.
+    """
+
+    def __init__(self, state: State, wait_s: float | None, every_device: bool) -> None:
+        self._state = state
         self._wait_s = wait_s
+        self._every_device = every_device
+        self._terminal = os.dup(sys.stdout.fileno()) if sys.stdout.isatty() else None
         self._begin = time.monotonic()
         self._shown_s = -math.inf
         self._last: list[str] = []
@@ -43,35 +52,36 @@ class Display:
             return self._once(now_s, self._wait_s)
         if now_s - self._shown_s >= SHOW_S:
             self._shown_s = now_s
-            self._show(screen(self._board.lines(now_s)) or [NO_REPORT])
+            lines = screen(status_lines(self._state, now_s, self._every_device)) or [NO_REPORT]
+            if self._terminal is not None:
+                self._paint(lines, *os.get_terminal_size(self._terminal))
+            elif lines != self._last:       # a file or a pipe gets what is new
+                print('\n'.join([*lines, '']), flush=True)
+            self._last = lines
         return False
 
     def _once(self, now_s: float, wait_s: float) -> bool:
-        changed = self._board.changed
-        if now_s - self._begin < wait_s and not (changed and now_s - changed > SETTLED_S):
+        grown = self._state.grown_s
+        if now_s - self._begin < wait_s and not (grown and now_s - grown > SETTLED_S):
             return False
-        self.code = self._board.code(now_s)
-        lines = screen(self._board.lines(now_s))
-        if lines:
-            print('\n'.join(lines), flush=True)
+        found = status_lines(self._state, now_s, self._every_device)
+        self.code = exit_code(self._state)
+        if found:
+            print('\n'.join(screen(found)), flush=True)
         else:
             print(f'{NAME}: {NO_REPORT}', file=sys.stderr)
         return True
 
-    def _show(self, lines: list[str]) -> None:
-        """Write the lines over the last ones; into a file or a pipe only when they change."""
-        if not sys.stdout.isatty():
-            if lines != self._last:
-                print('\n'.join([*lines, '']), flush=True)
-        else:
-            width, height = shutil.get_terminal_size()
-            if len(lines) >= height:
-                more = len(lines) - height + 2
-                lines = [*lines[:height - 2], f'... and {more} more lines']
-            begin = _HOME if self._last else f'\033[2J{_HOME}'
-            text = '\n'.join(line[:width - 1] + _CLEAR_LINE for line in lines)
-            on_screen(sys.stdout, f'{begin}{text}\n{_CLEAR_BELOW}')
-        self._last = lines
+    def _paint(self, lines: list[str], width: int, height: int) -> None:
+        """Write the lines over the last ones, in full: long ones take several rows."""
+        rows = [row for line in lines
+                for row in textwrap.wrap(line, max(20, width - 1), subsequent_indent=' ' * 8)]
+        if len(rows) >= height:
+            more = len(rows) - height + 2
+            rows = [*rows[:height - 2], f'... and {more} more rows: a larger window shows them']
+        begin = _HOME if self._last else f'\033[2J{_HOME}'
+        text = '\n'.join(row + _CLEAR_LINE for row in rows)
+        on_screen(sys.stdout, f'{begin}{text}\n{_CLEAR_BELOW}')
 
 
 @plain_streams()
@@ -83,9 +93,9 @@ def main(args: Sequence[str] | None = None) -> int:
         from mecarover_serial.ros_node import run
     except ImportError as error:
         return no_ros(NAME, error)
-    board = Board(every_device=options.all)
-    display = Display(board, options.wait if options.once else None)
-    return run(NAME, lambda: StatusNode(board, display.look), arguments) or display.code
+    state = State()
+    display = Display(state, options.wait if options.once else None, options.all)
+    return run(NAME, lambda: StatusNode(state, display.look), arguments) or display.code
 
 
 def _parser() -> argparse.ArgumentParser:

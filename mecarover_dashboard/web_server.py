@@ -288,6 +288,8 @@ class Server:
         text = self._texts.get(since)
         if text is None:
             changes = self._state.changes(since)
+            if changes or not since:
+                changes['parts'] = [part.shown() for part in self._state.parts()]
             if not since:
                 changes['facts'] = self._facts
             if len(self._texts) >= MOST_CLIENTS:        # a client may claim any version

@@ -65,14 +65,17 @@ class Joint(NamedTuple):
     effort: float | None = None
 
 
+# Values of the key `State` that a program reads again: a device that answers, a port.
+CONNECTED, PORT_OPEN, PORT_CLOSED = 'connected', 'open', 'closed'
+
 # As diagnostic_aggregator groups: of a silent part nothing is known, which is worse than a
 # warning, but it must not hide an error. (A plain maximum, as in diagnostic_updater, would.)
-_SEVERITY = (Level.OK, Level.WARN, Level.STALE, Level.ERROR)
+SEVERITY = (Level.OK, Level.WARN, Level.STALE, Level.ERROR)
 
 
 def worst(levels: Iterable[Level]) -> Level:
     """Return the level of a group; OK for an empty one."""
-    return max(levels, key=_SEVERITY.index, default=Level.OK)
+    return max(levels, key=SEVERITY.index, default=Level.OK)
 
 
 def number(value: float) -> str:

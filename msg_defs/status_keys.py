@@ -13,7 +13,7 @@ from typing import NamedTuple
 # A device.
 MODEL = 'Model'
 FIRMWARE = 'Firmware Version'
-STATE = 'State'                    # a device's, the bridge's port's and its commands'
+STATE = 'State'                    # a device's, a port's, that of the bridge's commands
 ANSWERS = 'Answers'
 MISSED_ANSWERS = 'Missed Answers'
 LOSS = 'Loss in 10 s (%)'

@@ -47,10 +47,10 @@ def second_of(second, lost_at):
     """Return the message of one second."""
     servos = [servo(number, second, number == 3, number == 3 and second >= lost_at)
               for number in range(1, SERVOS + 1)]
-    errors = [('error 00', f'{lost_at}.000 s: 003: no answer to Read at Present Position')]
+    errors = [('error 00', f'{lost_at - 1}.000 s: 003: no answer to Read at Present Position')]
     bus = Status('dxl_monitor: bus', Level.OK, 'fine', '', [
         ('Port', '/dev/ttyUSB0'), ('Running for (s)', str(second)),
-        *errors[:second >= lost_at]])
+        *errors[:second >= lost_at - 1]])
     return serialise([bus, *servos])
 
 

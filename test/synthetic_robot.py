@@ -92,6 +92,7 @@ class SyntheticRobot:
         self._bridge = f'{self._prefix}vel2d_bridge'
         self.buses = {'': HUMANOID} if buses is None else buses
         self.lost, self.warned, self.silent, self.faulty = set(), set(), set(), set()
+        self.stumbles = set()                  # these miss an answer and go on
         self.port_problem = self.bridge_problem = ''
         self.findings = ()
         self.velocity = (0.32, 0.11, 0.6)
@@ -133,12 +134,12 @@ class SyntheticRobot:
             errors = tuple(
                 Error(int((time_s - 20 + i) * 1e9),
                       f'{one.id:03}: no answer to Read at Present Position')
-                for i, one in enumerate(lost * 3))
+                for i, one in enumerate([*lost * 3, *(
+                    one for one in reports if one.id in self.stumbles)]))
             yield bus, blank._replace(
                 stamp=int(time_s * 1e9), started=1, devices=reports, errors=errors,
-                level=Level.ERROR if lost else Level.OK, findings=self.findings,
-                message=f'{len(lost)} of {len(reports)} devices disconnected' if lost
-                else f'{len(reports)} devices',
+                level=Level.WARN if lost else Level.OK, findings=self.findings,
+                message=f'{len(reports) - len(lost)} of {len(reports)} devices connected',
                 counters=blank.counters | {
                     'Bytes': int(time_s * 84000), 'Packets': int(time_s * 3900)},
                 rates={'bytes': 84000.0, 'packets': 3900.0, 'errors': 0.4 * len(lost)})

@@ -116,7 +116,7 @@ def test_disconnected_within_six_cycles_and_back_at_once() -> None:
         'disconnected', Level.ERROR, 'disconnected: 5 answers missed')
     report = bus.report()
     assert (report.level, report.message) == (
-        Level.WARN, '0 of 1 devices connected; lost: 001')
+        Level.WARN, 'none of 1 devices answers; lost: 001')
     bus.hear(REPLY)
     assert bus.device().state == 'connected'
 

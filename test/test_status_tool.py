@@ -11,25 +11,29 @@ import pytest
 from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
-from mecarover_dashboard.status_lines import Board
+from mecarover_dashboard.state import OVERVIEW
+from mecarover_dashboard.state import State
+from mecarover_dashboard.status_lines import exit_code
 from mecarover_dashboard.status_lines import screen
+from mecarover_dashboard.status_lines import status_lines
 from msg_defs.reports import Level
 from msg_defs.reports import Status
 
 
-def told(*robots, board=None, now_s=100.0):
-    board = board or Board()
+def told(*robots, state=None, now_s=100.0):
+    state = state or State()
     for robot in robots:
-        board.take(serialise(robot.overview(now_s)), now_s)
-    return board
+        state.take(OVERVIEW, serialise(robot.overview(now_s)), now_s)
+    return state
 
 
 def test_a_healthy_robot_has_a_line_per_bridge_and_bus():
-    board = told(SyntheticRobot())
-    assert [(line.level, line.what) for line in board.lines(100.0)] == [
+    state = told(SyntheticRobot())
+    lines = status_lines(state, 100.0)
+    assert [(line.level, line.what) for line in lines] == [
         (Level.OK, 'bridge'), (Level.OK, 'bus')]
-    assert board.code(100.0) == 0
-    assert len(told(SyntheticRobot(), board=Board(every_device=True)).lines(100.0)) == 2 + 24
+    assert exit_code(state) == 0
+    assert len(status_lines(state, 100.0, every_device=True)) == 2 + 24
 
 
 @pytest.mark.parametrize(('group', 'code', 'level'), [
@@ -38,53 +42,58 @@ def test_a_healthy_robot_has_a_line_per_bridge_and_bus():
 def test_a_sick_device_has_a_line_and_an_exit_code(group, code, level):
     robot = SyntheticRobot()
     getattr(robot, group).add(7)
-    board = told(robot)
-    [line] = [line for line in board.lines(100.0) if line.what == '007 left_knee']
+    state = told(robot)
+    lines = status_lines(state, 100.0)
+    [line] = [line for line in lines if line.what == '007 left_knee']
     assert line.level is level
     assert line.message
-    assert board.code(100.0) == code
+    assert lines[-1].what == 'bridge'                   # what is worst comes first
+    assert exit_code(state) == code
 
 
 @pytest.mark.parametrize('model', ['unknown', 'unknown (4711)', 'MX-64'])
 def test_level_and_message_are_those_of_the_status(model):
-    board = Board(every_device=True)
-    board.take(serialise([Status('dxl_monitor: 001', Level.OK, 'as judged', '1', [
+    state = State()
+    state.take(OVERVIEW, serialise([Status('dxl_monitor: 001', Level.OK, 'as judged', '1', [
         ('Model', model), ('Firmware Version', 'unknown'), ('State', 'connected')])]), 1.0)
-    [line] = board.lines(1.0)
+    [line] = [line for line in status_lines(state, 1.0, every_device=True) if line.what == '001']
     assert (line.level, line.message) == (Level.OK, 'as judged')
 
 
 def test_robots_are_told_apart_and_a_namespace_has_its_own():
     robots = [SyntheticRobot(namespace=f'rover{number}') for number in (1, 2)]
     robots[1].lost = {7}
-    lines = screen(told(*robots).lines(100.0))
-    assert [line for line in lines if 'left_knee' in line] == [
+    lines = screen(status_lines(told(*robots), 100.0))
+    assert [line for line in lines if ' 007 left_knee ' in line] == [
         'ERROR   rover2  007 left_knee  disconnected: 7 answers missed']
-    alone = told(*robots, board=Board('rover1'))
-    assert {line.robot for line in alone.lines(100.0)} == {'rover1'}
-    assert alone.code(100.0) == 0
+    assert 'rover2' in lines[0]
+    alone = told(*robots, state=State('rover1'))
+    assert {line.robot for line in status_lines(alone, 100.0)} == {'rover1'}
+    assert exit_code(alone) == 0
 
 
 def test_what_is_no_longer_reported_is_silent_and_then_gone():
     robot = SyntheticRobot({'': ((1, 'MX-64', ''),)})
-    board = told(robot)
-    assert board.lines(105.0)[0].message.startswith('no report for 5 s; last: ')
-    assert board.code(105.0) == 3
-    board.take(serialise(robot.overview(170.0)[:1]), 170.0)     # its bus lives, its device not
-    assert [line.what for line in board.lines(170.0) if line.what == '001'] == []
+    state = told(robot)
+    lines = status_lines(state, 105.0)
+    assert [(line.what, line.message) for line in lines if line.what == 'bus'] == [
+        ('bus', 'No report from dxl_monitor: nothing is known of its 1 device; last report 5 s '
+                'ago')]
+    assert exit_code(state) == 3
+    state.take(OVERVIEW, serialise(robot.overview(170.0)[:1]), 170.0)   # its bus lives, it not
+    assert [line.what for line in status_lines(state, 170.0) if line.what == '001'] == []
 
 
 def test_nothing_of_others_and_no_control_codes():
-    board = Board()
-    assert board.code(1.0) == 1
-    board.take(b'\1\2\3', 1.0)
-    board.take(serialise([Status('cpu: load', Level.ERROR, 'hot', '', [])]), 1.0)
-    assert board.lines(1.0) == []
+    state = State()
+    assert exit_code(state) == 1
+    state.take(OVERVIEW, b'\1\2\3', 1.0)
+    state.take(OVERVIEW, serialise([Status('cpu: load', Level.ERROR, 'hot', '', [])]), 1.0)
+    assert status_lines(state, 1.0) == []
     evil = Status('dxl_monitor: 001 \x1b[2Jknee', Level.ERROR, 'lost\nand \x07more', '1',
                   [('Model', 'MX-64'), ('Firmware Version', '1'), ('State', 'disconnected')])
-    board.take(serialise([evil]), 1.0)
-    [text] = screen(board.lines(1.0))
-    assert text.isprintable()
+    state.take(OVERVIEW, serialise([evil]), 1.0)
+    assert all(text.isprintable() for text in screen(status_lines(state, 1.0)))
 
 
 @pytest.mark.parametrize('arguments', [['--wait', '0'], ['--wait', 'x'], ['--often']])
@@ -103,7 +112,7 @@ def test_once_for_scripts(ros, tmp_path):
         assert 'no report on /diagnostics; start the nodes' in status.text
     bus = str(tmp_path / 'bus')
     for name, fault, code, line in (
-            ('well', (), 0, r'ok +well +bus +3 of 3 devices connected'),
+            ('well', (), 0, r'ok +well +bus +All 3 devices connected'),
             ('sick', ('--fault', 'silent:2:0:9999'), 4,
              r'ERROR +sick +002 +(disconnected|expected|silent)')):
         with Program('mecarover_fakes.fake_bus', '--link', bus, '--devices', '1-3:MX-64',
@@ -113,7 +122,7 @@ def test_once_for_scripts(ros, tmp_path):
             fake.wait_for('2000000 baud')
             monitor.wait_for('open at')
             with Program('mecarover_dashboard.terminal') as live:
-                live.wait_for('002' if fault else '3 of 3')
+                live.wait_for('002' if fault else 'All 3')
             with Program('mecarover_dashboard.terminal', '--once', '--ros-args', '-r',
                          f'__ns:=/{name}') as status:
                 assert status.exit_code() == code, status.text

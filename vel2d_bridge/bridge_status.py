@@ -16,6 +16,8 @@ from msg_defs import status_keys as keys
 from msg_defs.reports import hardware_id
 from msg_defs.reports import Level
 from msg_defs.reports import number
+from msg_defs.reports import PORT_CLOSED
+from msg_defs.reports import PORT_OPEN
 from msg_defs.reports import Status
 from msg_defs.reports import status_name
 from msg_defs.timing import Summary
@@ -94,7 +96,7 @@ def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str],
     velocity = state.last.velocity if state.last else STOP
     return Status(status_name(node, 'link'), level, message, hardware_id(node, port), [
         (keys.PORT, port),
-        (keys.STATE, 'open' if state.is_open else 'closed'),
+        (keys.STATE, PORT_OPEN if state.is_open else PORT_CLOSED),
         ('In this state for (s)', number(round((now - state.since) / 1e9, 1))),
         ('Frames sent', str(state.frames)),
         ('Last x (m/s)', number(velocity.x)),

@@ -22,6 +22,7 @@ from typing import TypeVar
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.model.control_table import Model
 from dxl_monitor.port.driver import LineErrors
+from msg_defs import reports
 from msg_defs import status_keys as keys
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
@@ -30,7 +31,7 @@ from msg_defs.timing import Summary
 PROTOCOL_2 = 'Dynamixel 2.0'       # besides the names of the dialects of the 1.0 family
 
 # State words of a device.
-CONNECTED = 'connected'
+CONNECTED = reports.CONNECTED
 DISCONNECTED = 'disconnected'      # more answers missed in a row than missed_limit
 SILENT = 'silent'                  # not asked, and silent, for silent_after
 EXPECTED = 'expected'              # listed in `devices`, never heard
@@ -242,5 +243,6 @@ class BusReport(NamedTuple):
     chain: tuple[int, ...] = ()                 # the IDs of `devices`, in the order of the cable
     has_sides: bool = False                     # TX and RX of the master are known apart
     line_errors: LineErrors | None = None       # since start, where the driver counts them
+    deaf: int = 0                               # stamp of the last report without an open port
     findings: tuple[Finding, ...] = ()
     doubts: tuple[Finding, ...] = ()            # what the doctor cannot tell, and why

@@ -91,6 +91,7 @@ class Doctor:
 
     def _last_told(self, case: Case) -> tuple[Finding, ...]:
         """Return what was known when the master asked last: nothing new can be judged."""
+        self._standing.pop((configuration.STOPPED, None), None)    # the port may be closed
         for name in _AT_REST:
             for found in found_by(RULES[_RANK[name]], case):
                 if isinstance(found, Claim):

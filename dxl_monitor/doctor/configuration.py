@@ -200,8 +200,9 @@ def _refusals(case: Case, device: DeviceReport) -> Found | None:
 
 def _master_stopped(case: Case) -> Iterator[Found]:
     report = case.report
-    if case.quiet_s < STOPPED_S or (report.last_byte_s or 0.0) < STOPPED_S:
-        return
+    if case.quiet_s < STOPPED_S or (report.last_byte_s or 0.0) < STOPPED_S \
+            or report.stamp - report.deaf < STOPPED_S * S:
+        return                                 # a closed port hears no master
     since = (report.asked - report.started) / S
     if since < WORKED_S:
         return                                 # a command, and it is done

@@ -83,7 +83,8 @@ def _bus(bus: BusReport, devices: Sequence[DeviceReport], names: Names) -> tuple
         return Level.WARN, damage.NO_PACKETS.format(bauds=names.bauds)
     connected = sum(device.state == words.CONNECTED for device in devices)
     lost = [device.name for device in devices if device.state in _LOST]
-    message = f'{connected} of {len(devices)} devices connected' + _lost_words(lost)
+    message = (f'none of {len(devices)} devices answers' if lost and not connected
+               else f'{connected} of {len(devices)} devices connected') + _lost_words(lost)
     if bus.rates['errors'] > 1:
         return Level.WARN, f'{bus.rates["errors"]:.1f} damaged packets per second; {message}'
     if devices and not connected:

@@ -31,7 +31,6 @@ from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.metrics import exposition
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
-from mecarover_dashboard.status_lines import Board
 
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'      # messages look for it when they are imported
 dxl_node = import_module('dxl_monitor.monitor_node')
@@ -77,11 +76,11 @@ class Dashboard:
 
     def __init__(self, is_on, folder):
         self.is_on = is_on
-        self.state, self.board = State(), Board(every_device=True)
+        self.state = State()
         self.file = folder / 'history'
         self.recorder, self.version = HistorySampler(), 0
         self.history = HistoryWriter(self.file if is_on else ':memory:')
-        self.terminal = terminal.Display(self.board, None)
+        self.terminal = terminal.Display(self.state, None, True)
 
     def take(self, topic, message, now_s):
         if self.is_on and topic in TOPICS:
@@ -89,7 +88,6 @@ class Dashboard:
                          [(pair.key, pair.value) for pair in one.values])
                         for one in message.status])
             self.state.take(topic, data, now_s)
-            self.board.take(data, now_s)
 
     def look(self, now_s):
         if not self.is_on:

@@ -2,7 +2,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Around the buses of the overview: the bridge at a glance, what was found, load, latest errors.
 
-import {bridgeState} from './bridge.js';
 import {Command} from './command.js';
 import {h, icon, set, setIcon} from './dom.js';
 import {ErrorList, errorsOf} from './errors.js';
@@ -33,7 +32,7 @@ export class Beside {
 
   /** groups are the alerts shown in the same view: a finding with the same text is left out. */
   update(store, groups) {
-    const state = bridgeState(store);
+    const state = store.bridgePart()?.state ?? null;
     this.bridge.hidden = state === null;
     set(this.bridge.firstChild.firstChild, 'data-state', state);
     setIcon(this.symbol, state ?? 'stale');
@@ -42,10 +41,11 @@ export class Beside {
     const series = groups.map((group) => ({name: isMany ? group.label : 'load', unit: '%',
       points: store.metrics(group.node, group.bus).get('bus_load')?.points ?? []}));
     this.load.hidden = !series.some(({points}) => points.length);
+    set(this.load, 'data-old', groups.some(({part}) => !part.is_known));
     if (!this.load.hidden) this.plot.update(series, store.now(), {low: 0});
     this.errors.element.hidden = !this.errors.update(errorsOf(groups, store), isMany);
     const isSaid = (text, device) => device ? device.message === text
-      : groups.some(({headline}) => headline === text);
+      : groups.some(({part}) => part.text === text);
     this.findings.element.hidden = !this.findings.update(groups, store, isSaid);
   }
 }

@@ -7,7 +7,7 @@ import {each, h, icon, say, set, setIcon} from './dom.js';
 import {short, splitUnit} from './format.js';
 import {fillEmpty, metricsHead, metricToPlot, seriesOf, showMetrics} from './parts.js';
 import {Plot} from './plot.js';
-import {isQuiet, stateOf, worst} from './store.js';
+import {isQuiet, stateOf} from './store.js';
 
 export class BridgeView {
   constructor() {
@@ -54,13 +54,6 @@ export class BridgeView {
     this.plot.label = metric.replaceAll('_', ' ');
     this.plot.update(seriesOf(timing.get(metric)), store.now());
   }
-}
-
-/** The worst state of the bridge, null where there is none. */
-export function bridgeState(store) {
-  const {link, commands} = store.bridgeParts();
-  const rows = [link, commands].filter(Boolean);
-  return rows.length ? worst(rows.map(stateOf)) : null;
 }
 
 function card(title) {

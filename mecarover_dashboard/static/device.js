@@ -101,12 +101,13 @@ export class DeviceView {
     this.past.update(store);
     if (!device) return;
     this.plotted ??= firstPlot(table);
+    set(this.fields.element, 'data-old', !device.live);
     this.fields.update(device, table, this.plotted ?? [], store.now());
     set(this.latency, 'aria-pressed', this.plotted?.includes(LATENCY) ?? false);
     this.plot.update(this.#series(table), store.now(),
       {limits: limitsOf(table, this.plotted ?? [])});
     each(this.findings, device.findings, ([rule]) => rule, () => makeFinding('warn', null),
-      (item, finding) => showFinding(item, finding, wasTrue(device, store)));
+      (item, finding) => showFinding(item, finding, wasTrue(device, this.group.part, store)));
     this.errors.update(errorsOf([this.group], store).filter((one) => one.device === device));
     each(this.siblings, this.group.devices, (one) => one.name, makeSibling,
       (item, one) => showSibling(item, one, this.name));

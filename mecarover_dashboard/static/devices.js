@@ -155,7 +155,9 @@ function updateDevice(item, device) {
   setIcon(symbol, state);
   say(id, id3(device.id));
   say(joint, device.joint || device.model);
-  say(text, isQuiet(device) ? wordOf(device) : device.message);
-  say(figures, [device.loss && device.loss !== '0' && `loss ${short(device.loss, 2)} %`,
+  const isOld = isQuiet(device);
+  say(text, isOld ? wordOf(device) : device.message);
+  const {loss} = device;
+  say(figures, isOld ? '' : [loss && loss !== '0' && `loss ${short(loss, 2)} %`,
     device.latency && `${short(device.latency, 3)} ms`].filter(Boolean).join(' \u00b7 '));
 }

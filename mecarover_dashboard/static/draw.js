@@ -57,19 +57,27 @@ function coloursOf(canvas) {
     lines: ['--plot-0', '--plot-1', '--plot-2', '--plot-3'].map(get)};
 }
 
-/** What is known at a time, [low, high]; at the end where the time is null; null: nothing. */
-export function readAt(points, s, gap = GAP_S) {
-  let best = null;
-  for (const point of points) {
-    if (point[1] === null) {
-      if (s === null) best = null;
-    } else if (s === null || !best || Math.abs(point[0] - s) < Math.abs(best[0] - s)) {
-      best = point;
-    }
+/**
+ * What the line shows at a time: {low, high, at, isBetween}; at the end where the time is null;
+ * null: nothing. Between two points it is on the line between them: no value that was measured.
+ */
+export function readAt(points, s, near, gap = GAP_S) {
+  const after = s === null ? points.length : points.findIndex((point) => point[0] >= s);
+  const [left, right] = [points.at(after < 0 ? -1 : after - 1), points[after]];
+  const isLeft = after !== 0 && left && left[1] !== null;
+  if (s === null) return isLeft ? at(left) : null;
+  const isRight = right && right[1] !== null;
+  if (isRight && right[0] - s <= near) return at(right);
+  if (isLeft && s - left[0] <= near) return at(left);
+  if (isLeft && isRight && right[0] - left[0] < gap) {
+    const from = left[2] ?? left[1];
+    const value = from + (right[1] - from) * (s - left[0]) / (right[0] - left[0]);
+    return {low: value, high: value, at: s, isBetween: true};
   }
-  if (!best || (s !== null && Math.abs(best[0] - s) > gap)) return null;
-  return [best[1], best[2] ?? best[1]];
+  return isLeft && !right && s - left[0] <= gap ? at(left) : null;
 }
+
+const at = (point) => ({low: point[1], high: point[2] ?? point[1], at: point[0]});
 
 function rangeOf(shown, {low: wanted, limits = []}) {
   let low = Infinity;
@@ -198,7 +206,10 @@ function drawDrag(pen, area, at, [from, to], colours) {
   pen.globalAlpha = 1;
 }
 
-function drawCursor(pen, area, at, shown, {cursor, gap}, colours) {
+/** How near the cursor is to a point that it means, s. */
+export const nearOf = ({width}, from, to) => 4 * (to - from) / width;
+
+function drawCursor(pen, area, at, shown, {cursor, gap, from, to}, colours) {
   pen.strokeStyle = colours.text;
   pen.lineWidth = 1;
   pen.beginPath();
@@ -206,11 +217,11 @@ function drawCursor(pen, area, at, shown, {cursor, gap}, colours) {
   pen.lineTo(at.x(cursor), area.top + area.height);
   pen.stroke();
   shown.forEach(({points}, index) => {
-    const found = readAt(points, cursor, gap);
+    const found = readAt(points, cursor, nearOf(area, from, to), gap);
     if (!found) return;
     pen.fillStyle = colours.lines[index % 4];
     pen.beginPath();
-    pen.arc(at.x(cursor), at.y(found[1]), 3.5, 0, 7);
+    pen.arc(at.x(found.at), at.y(found.high), 3.5, 0, 7);
     pen.fill();
   });
 }

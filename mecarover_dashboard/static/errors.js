@@ -6,7 +6,7 @@ import {each, h, say, set} from './dom.js';
 import {clock} from './format.js';
 import {Pause} from './pause.js';
 import {path} from './place.js';
-import {deviceName, isQuiet} from './store.js';
+import {deviceName} from './store.js';
 
 const OF_DEVICE = /^(\d{3}): ([^]*)$/;
 const CALM_S = 1.5;            // a list that is read does not change more often
@@ -17,7 +17,7 @@ export function errorsOf(groups, store) {
     const [, id, text] = OF_DEVICE.exec(line) ?? [null, null, line];
     const device = id === null ? null : group.devices.find((one) => one.id === Number(id)) ?? null;
     return {at: store.wall(at), bus: group.label, device, text: device ? text : line,
-      isOld: isQuiet(group.row)};
+      isOld: !group.part.is_known};
   }));
   return found.sort((a, b) => (b.at ?? 0) - (a.at ?? 0));
 }

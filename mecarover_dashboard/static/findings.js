@@ -28,10 +28,10 @@ export class FindingList {
    * isSaid(text, device) leaves out what the view shows elsewhere.
    */
   update(groups, store, isSaid = () => false) {
-    const found = groups.flatMap(({row, devices}) => [
-      ...(row?.findings ?? []).map((finding) => ({finding, row, device: null})),
+    const found = groups.flatMap(({row, part, devices}) => [
+      ...(row?.findings ?? []).map((finding) => ({finding, row, part, device: null})),
       ...devices.flatMap((device) => device.findings
-        .map((finding) => ({finding, row: device, device})))])
+        .map((finding) => ({finding, row: device, part, device})))])
       .filter(({finding, device}) => !isSaid(finding[1], device))
       .sort((a, b) => RANK[a.finding[2]] - RANK[b.finding[2]]);
     this.#update = () => this.#show(found, store);
@@ -44,7 +44,7 @@ export class FindingList {
     this.pause.element.hidden = !found.length;
     each(this.list, found, ({finding, row}) => `${finding[0]}|${row.name}`,
       ({device}) => makeFinding('warn', device),
-      (item, {finding, row}) => showFinding(item, finding, wasTrue(row, store)));
+      (item, {finding, row, part}) => showFinding(item, finding, wasTrue(row, part, store)));
   }
 }
 
@@ -61,6 +61,7 @@ export function showFinding(item, [rule, message, severity], old = '') {
   say(item.children[2], old ? `${message} (${old})` : message);
 }
 
-/** 'at 14:02:11, no report since' of a row that is no longer reported; '' of others. */
-export const wasTrue = (row, store) => isQuiet(row)
-  ? `at ${clock(store.wall(row.quiet_since))}, no report since` : '';
+/** 'at 14:02:11, no report since' of a row that is no longer of now; '' of others. */
+export const wasTrue = (row, part, store) => isQuiet(row)
+  ? `at ${clock(store.wall(row.quiet_since))}, no report since`
+  : part.is_known ? '' : `before: ${part.mark}`;

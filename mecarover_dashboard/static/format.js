@@ -55,6 +55,14 @@ export function clock(unix, now = Date.now() / 1000) {
   return isToday ? time : `${at.toLocaleDateString('en-CA')} ${time}`;
 }
 
+/** The time zone of this browser: 'Europe/Berlin, UTC+02:00'. */
+export function zone() {
+  const minutes = -new Date().getTimezoneOffset();
+  const two = (value) => String(Math.floor(Math.abs(value))).padStart(2, '0');
+  return `${Intl.DateTimeFormat().resolvedOptions().timeZone}, `
+    + `UTC${minutes < 0 ? '\u2212' : '+'}${two(minutes / 60)}:${two(minutes % 60)}`;
+}
+
 /** Text from a topic inside a sentence of ours: its writing direction ends where it ends. */
 export function isolate(text) {
   return DIRECTED.test(text) ? `\u2068${text}\u2069` : text;

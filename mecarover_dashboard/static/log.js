@@ -110,7 +110,9 @@ export class LogView {
     const state = stateOf(row);
     set(this.status, 'data-state', state);
     setIcon(this.status.firstChild, state);
-    say(this.status.lastChild, row?.message ?? 'no status of the bus yet');
+    say(this.status.lastChild, group.part.is_known ? row?.message ?? 'no status of the bus yet'
+      : store.said(group.part));
+    set(this.body, 'data-known', String(group.part.is_known));
     this.findings.update([group], store);
     const doubts = row?.doubts ?? [];
     this.untold.hidden = !doubts.length;

@@ -2,18 +2,18 @@
 // SPDX-License-Identifier: Apache-2.0
 // The frame around the views: which one is shown, what the header says, the lost connection.
 
-import {BridgeView, bridgeState} from './bridge.js';
+import {BridgeView} from './bridge.js';
 import {DeviceView} from './device.js';
 import {Devices} from './devices.js';
 import {say, set, setIcon} from './dom.js';
-import {figure, plural} from './format.js';
+import {figure, plural, zone} from './format.js';
 import {HistoryView} from './history.js';
 import {listenToKeys} from './keys.js';
 import {LogView} from './log.js';
 import {Overview} from './overview.js';
 import {path, readPlace, setRobot} from './place.js';
 import {Robots} from './robots.js';
-import {bridgeHeadline, Store, worst} from './store.js';
+import {Store, worst} from './store.js';
 import {Stream} from './stream.js';
 
 const VIEWS = {'': Overview, devices: Devices, device: DeviceView, log: LogView,
@@ -78,34 +78,49 @@ function go(isFirst) {
 function showAll() {
   if (!store.facts) return;
   view.update(store);
-  const groups = store.groups();
-  const lost = groups.flatMap((group) => group.lost).length;
-  pip('overview', groups.length ? worst(groups.map((group) => group.state)) : null);
-  pip('bridge', bridgeState(store));
-  const bridge = bridgeHeadline(store.bridgeParts(), store.now());
-  showTitle(lost, bridge);
+  const parts = store.parts();
+  const of = (isBridge) => parts.filter(({bus}) => (bus === null) === isBridge)
+    .map(({state}) => state);
+  pip('overview', of(false).length ? worst(of(false)) : null);
+  pip('bridge', of(true).length ? worst(of(true)) : null);
+  const isLive = live && parts.every(({is_known: isKnown}) => isKnown);
+  if (live) showLive(isLive ? 'ok' : 'stale', isLive ? 'live' : 'not live');
+  const wrong = parts.filter(({state}) => state !== 'ok');
+  showTitle(wrong);
   showRefused();
+  showPrinted();
   at('history').hidden = !store.history;
   say(at('history'), store.history ? `History: ${store.history}` : '');
-  announce([lost ? groups.map((group) => group.headline).join('. ') : '',
-    bridge?.isLost ? `Bridge: ${bridge.text}` : ''].filter(Boolean).join('. '));
+  announce(wrong, parts.length > 0);
 }
 
+const MARKS = {error: '\u2716', stale: '?', warn: '\u25b2'};      // as the icons on the page
+const withRobot = ({robot}, text) => store.robot === null && robot ? `${robot}: ${text}` : text;
+
 /** The tab says what is wrong, too: somebody may look at another one. */
-function showTitle(lost, bridge) {
-  const wrong = [lost && `${lost} lost`, bridge?.isLost && 'bridge lost'].filter(Boolean);
+function showTitle(wrong) {
+  const marks = [...new Set(wrong.map((part) => withRobot(part, part.mark)))];
   document.title = [
-    ...!live ? ['no connection'] : wrong.length ? [`\u2716 ${wrong.join(', ')}`] : [],
+    ...!live ? ['no connection'] : wrong.length
+      ? [`${MARKS[wrong[0].state]} ${marks.join(', ')}`] : [],
     view.title, store.robot || store.facts.machine].join(' \u00b7 ');
 }
 
-/** Tell a screen reader what is lost, when that changes; ages in it are no change. */
-function announce(text) {
-  const key = text.replace(/\d+ s\b/g, '');
+/** Tell a screen reader what is wrong, when that changes; a number that changes is no change. */
+function announce(wrong, isAny) {
+  const key = wrong.map((part) => part.key).join();
   if (key !== announce.last && announce.last !== undefined) {
-    say(at('said'), text || 'All connections are back');
+    say(at('said'), wrong.map((part) => withRobot(part, `${part.name}: ${part.text}`)).join('. ')
+      || (isAny ? 'No problem now' : ''));
   }
   announce.last = key;
+}
+
+/** What is printed carries its date. */
+function showPrinted() {
+  const now = new Date(store.wall(store.now()) * 1000);
+  say(at('printed'), `${now.toLocaleDateString('en-CA')} ${now.toLocaleTimeString('en-GB')} `
+    + `(${zone()}), ${store.facts.machine}`);
 }
 
 function pip(name, state) {
@@ -134,11 +149,11 @@ function showRefused() {
 
 function showConnection(isLive, seconds, why) {
   live = isLive;
-  const [symbol, text] = at('live').children;
   const isFirst = !store.facts && !why;
-  set(at('live'), 'data-state', isLive ? 'ok' : isFirst ? 'stale' : 'error');
-  setIcon(symbol, isLive ? 'ok' : isFirst ? 'stale' : 'error');
-  say(text, isLive ? 'live' : 'lost');
+  if (!isLive) {
+    store.lose();
+    showLive(isFirst ? 'stale' : 'error', 'lost');
+  }
   set(document.documentElement, 'data-lost', !isLive);
   at('banner').hidden = isLive;
   const words = store.facts ? 'These values are old' : 'No data received yet';
@@ -147,6 +162,13 @@ function showConnection(isLive, seconds, why) {
   if (next !== lostText) at('banner').textContent = lostText = next;
   set(at('banner'), 'title', isLive ? null : `for ${Math.round(seconds)} s`);
   if (view) showAll();
+}
+
+function showLive(state, words) {
+  const [symbol, text] = at('live').children;
+  set(at('live'), 'data-state', state);
+  setIcon(symbol, state);
+  say(text, words);
 }
 
 listenToKeys({step: (by) => view.step?.(by), up: () => view.up?.(),

@@ -9,7 +9,7 @@ import {id3, isolate, list, plural, short} from './format.js';
 import {path} from './place.js';
 import {fillEmpty} from './parts.js';
 import {Pause} from './pause.js';
-import {bridgeHeadline, deviceName, isLost, isQuiet, stateOf, valueOf, WORDS, worst}
+import {countOf, deviceName, isLost, isQuiet, stateOf, valueOf, WORDS, worst}
   from './store.js';
 
 const MOST_ALERTS = 8;
@@ -31,12 +31,15 @@ export class Overview {
 
   update(store) {
     const groups = store.groups();
-    const bridge = bridgeHeadline(store.bridgeParts(), store.now());
+    const bridge = store.bridgePart();
     this.empty.hidden = groups.length > 0;
     if (!groups.length) fillEmpty(this.empty, store);
     this.bridge.hidden = !bridge;
-    if (bridge) showBridge(this.bridge, bridge);
-    const shown = groups.map((group) => ({...group, alerts: alertsOf(group)}));
+    if (bridge) showBridge(this.bridge, bridge, store.said(bridge));
+    const isFirst = store.parts()[0]?.bus === null;       // the worst comes first
+    this.buses.style.order = isFirst ? '' : -1;
+    const shown = groups.map((group) => ({...group, alerts: alertsOf(group),
+      text: store.said(group.part)}));
     each(this.buses, shown, (group) => group.key, makeBus, updateBus);
     this.beside.update(store, shown);
   }
@@ -45,10 +48,11 @@ export class Overview {
 const makeBar = (href) => h('a', {class: 'bar', href}, icon('ok'), h('span', {class: 'bar-text'}),
   h('span', {class: 'bar-sum'}), h('span', {class: 'bar-bus'}), h('b', {class: 'bar-count'}));
 
-function showBridge(element, {state, text}) {
+function showBridge(element, {state, is_known: isKnown}, text) {
   const bar = element.firstChild;
   set(element, 'data-state', state);
   set(bar, 'data-state', state);
+  set(bar, 'data-known', String(isKnown));
   set(bar, 'data-bridge', true);
   setIcon(bar.children[0], state);
   say(bar.children[1], text);
@@ -69,14 +73,17 @@ function makeBus(group) {
 function updateBus(element, group) {
   const [bar, strip, , tiles, line] = element.children;
   const total = group.devices.length;
+  const {is_known: isKnown} = group.part;
+  const count = countOf(group.devices, group.part);
   set(bar, 'data-state', group.state);
+  set(bar, 'data-known', String(isKnown));
   setIcon(bar.children[0], group.state);
-  say(bar.children[1], group.headline);
-  say(bar.children[2], sums(group));
+  say(bar.children[1], group.text);
+  say(bar.children[2], isKnown ? sums(group) : '');
   say(bar.children[3], group.bus ? `bus ${group.bus}` : '');
-  say(bar.children[4], `${group.there}/${total}`);
-  set(bar, 'aria-label', `${group.label}: ${group.there} of ${plural(total, 'device')} `
-    + `connected. ${group.headline}. Show devices`);
+  say(bar.children[4], `${count}/${total}`);
+  set(bar, 'aria-label', `${group.label}: ${isKnown ? count : 'not known how many'} of `
+    + `${plural(total, 'device')} connected. ${group.text}. Show devices`);
   set(strip, 'data-many', total > 60);
   each(strip, group.devices, (device) => device.name, makeCell, updateCell);
   element.newest = group.alerts;
@@ -84,13 +91,17 @@ function updateBus(element, group) {
   each(tiles, group.models, (model) => model.model, (model) => makeTile(group, model),
     updateTile);
   say(line, busLine(group));
+  set(tiles, 'data-old', !isKnown);
+  set(line, 'data-old', !isKnown);
 }
 
 /** '2 lost, 1 silent, 1 warning'; nothing where the headline says it all. */
 function sums({devices, lost}) {
   const count = (state) => devices.filter((device) => stateOf(device) === state).length;
+  const waiting = devices.filter(({state}) => state === 'waiting').length;
   const parts = [[lost.length, 'lost'], [count('error') - lost.length, 'error'],
-    [count('stale'), 'silent'], [count('warn'), 'warning']].filter(([number]) => number);
+    [waiting, 'waiting'], [count('stale'), 'silent'],
+    [Math.max(0, count('warn') - waiting), 'warning']].filter(([number]) => number > 0);
   return parts.length > 1
     ? parts.map(([number, word]) => `${number} ${word}`).join(' \u00b7 ') : '';
 }
@@ -157,13 +168,15 @@ function makeTile(group, model) {
 }
 
 function updateTile(tile, model) {
-  const lost = model.devices.filter(isLost).length;
-  const word = model.state === 'ok' ? 'connected' : WORDS[model.state].toLowerCase();
-  set(tile, 'data-state', model.state);
-  setIcon(tile.children[1], model.state);
-  say(tile.children[2], String(model.there));
-  say(tile.children[3], `of ${model.devices.length}`);
-  say(tile.children[4], lost ? `${lost} lost` : word);
+  const {devices, part} = model;
+  const lost = devices.filter(isLost).length;
+  const state = part.is_known ? model.state : 'stale';
+  const word = state === 'ok' ? 'connected' : WORDS[state].toLowerCase();
+  set(tile, 'data-state', state);
+  setIcon(tile.children[1], state);
+  say(tile.children[2], countOf(devices, part));
+  say(tile.children[3], `of ${devices.length}`);
+  say(tile.children[4], !part.is_known ? 'not known' : lost ? `${lost} lost` : word);
 }
 
 function busLine(group) {

@@ -3,7 +3,7 @@
 // What was: events, and the values of one device or bus, of any time span the server remembers.
 
 import {each, h, icon, say, set, setIcon} from './dom.js';
-import {clock, plural} from './format.js';
+import {clock, plural, zone} from './format.js';
 import {Pause} from './pause.js';
 import {path} from './place.js';
 import {Plot} from './plot.js';
@@ -15,6 +15,8 @@ const UNITS = {position: 'rad', temperature: '\u00b0C', voltage: 'V', loss: '%',
   bus_load: '%', packet_rate: '1/s', error_rate: '1/s'};
 const AGAIN_S = 20;            // how old the newest values may become
 const LEAST_S = 60;
+const AROUND_S = 120;          // so much before and after an event its link shows
+const GAP = 'gap';
 
 export class Past {
   #plots = new Map();
@@ -40,6 +42,7 @@ export class Past {
       (what) => h('a', {class: 'button small', download: `${what}.${format}`, 'data-what': what,
         'data-format': format}, `${what} as ${format.toUpperCase()}`)));
     this.problem = h('p', {class: 'quiet', role: 'status'});
+    this.zone = h('p', {class: 'quiet'}, `Times here: ${zone()}. Times in the files: UTC.`);
     this.levels = h('div', {class: 'levels', role: 'img', ariaLabel: 'State'});
     this.levels.hidden = true;
     this.graphs = h('div', {class: 'graphs'});
@@ -47,7 +50,7 @@ export class Past {
     this.body = h('div', {class: 'past'},
       h('div', {class: 'past-head'}, this.spans, this.begin, this.end), this.levels, this.graphs,
       h('div', {class: 'past-head'}, this.kinds, this.pause.element,
-        ...this.saves), this.events);
+        ...this.saves), this.zone, this.events);
     this.element = h('div', {class: 'past'}, this.problem, this.body);
   }
 
@@ -108,6 +111,13 @@ export class Past {
     return query;
   }
 
+  /** A device shares the events of its bus: that no device answered, that the port was closed. */
+  #bus() {
+    const device = this.store.devices.get(this.of);
+    return device ? `&of=${encodeURIComponent(`${device.node}: ${`bus ${device.bus}`.trim()}`)}`
+      : '';
+  }
+
   async #ask() {
     const number = ++this.#answer;
     const range = this.range;
@@ -119,10 +129,10 @@ export class Past {
       if (document.activeElement !== input) input.value = local(s);
     }
     try {
-      const [events, values] = await Promise.all([get(`history/events?${query}`),
+      const [events, values] = await Promise.all([get(`history/events?${query}${this.#bus()}`),
         this.of ? get(`history/values?${query}`) : null]);
       if (number !== this.#answer) return;
-      this.shown = events.events;
+      this.shown = [...events.events, ...gapsOf(events)].sort((a, b) => b[0] - a[0]);
       this.isCut = events.events.length >= events.most;
       say(this.problem, '');
       this.#showValues(values, range);
@@ -162,12 +172,12 @@ export class Past {
     for (const button of this.kinds.children) {
       set(button, 'aria-pressed', button.dataset.kind === this.kind);
     }
-    const fits = ([, , , kind]) => !this.kind || kind === this.kind
+    const fits = ([, , , kind]) => !this.kind || kind === this.kind || kind === GAP
       || (this.kind === 'finding' && kind === 'over');
     const shown = (this.shown ?? []).filter(fits).map((event, index) => ({event, index}));
     const lines = shown.length ? shown : [{event: null, index: 'none'}];
     each(this.events, lines, ({index}) => index,
-      ({event}) => event ? makeEvent() : h('li', {class: 'quiet'}, 'No events.'),
+      ({event}) => event ? makeEvent() : h('li', {class: 'quiet'}, 'No events in this time.'),
       (item, {event}) => { if (event) this.#showEvent(item, event); });
     if (this.isCut) {
       say(this.problem, `Only the newest ${plural(this.shown.length, 'event')} are shown.`);
@@ -177,16 +187,20 @@ export class Past {
   #showEvent(item, [at, name, , kind, level, text]) {
     const [symbol, time, link, words] = item.children;
     const state = LEVELS[level] ?? 'stale';
-    const isDevice = this.store.devices.has(name);
     set(item, 'data-state', state);
     setIcon(symbol, state);
     say(time, clock(at, this.now));
-    set(link, 'href', isDevice ? path('device', name) : path('history', name));
-    link.hidden = name === this.of;
+    set(link, 'href', `${path('history', name)}?from=${Math.floor(at) - AROUND_S}`
+      + `&to=${Math.floor(at) + AROUND_S}`);
+    link.hidden = kind === GAP;
     say(link, name.replace(/^.*?: /, ''));
     say(words, kind === 'over' ? `cleared: ${text}` : text);
   }
 }
+
+/** When nothing was recorded, as lines among the events. */
+const gapsOf = ({gaps}) => gaps.map(([from, to]) => [to, '', '', GAP, LEVELS.indexOf('stale'),
+  `nothing was recorded from ${clock(from)} to ${clock(to)}`]);
 
 const makeEvent = () => h('li', {}, icon('ok'), h('time'), h('a'), h('span'));
 

@@ -3,7 +3,7 @@
 // A small plot on a canvas: time to the left, one unit, up to a handful of series, a cursor, and a
 // part of the time that is chosen by dragging.
 
-import {drawPlot, readAt} from './draw.js';
+import {drawPlot, nearOf, readAt} from './draw.js';
 import {clock, figure, isInRange, span as spanText} from './format.js';
 import {each, h, say, set} from './dom.js';
 
@@ -161,8 +161,9 @@ export class Plot {
 
   #tell(shown, s) {
     const {gap, unix} = this.#options;
+    const near = nearOf(this.#area, ...this.range);
     const rows = shown.map((one, index) => ({...one, index,
-      value: readAt(one.points, s, gap)}));
+      value: readAt(one.points, s, near, gap)}));
     const when = s === null ? '' : unix ? ` at ${clock(unix(s))}`
       : ` at \u2212${spanText(this.#now - s)}`;
     each(this.legend, rows, (row) => row.name,
@@ -183,9 +184,10 @@ const nameOf = ({name, points}) => `${name} ${points.length > 0}`;
 
 function written({value, unit}) {
   if (!value) return 'no data';
-  const [low, high] = value;
+  const {low, high, isBetween} = value;
   if (!isInRange(low) || !isInRange(high)) return 'out of range';
-  const number = low === high ? figure(low) : `${figure(low)} to ${figure(high)}`;
+  const number = low !== high ? `${figure(low)} to ${figure(high)}`
+    : isBetween ? `\u2248 ${figure(low)}` : figure(low);
   return unit ? `${number} ${unit}` : number;
 }
 

@@ -5,7 +5,7 @@
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {plural} from './format.js';
 import {pathOfRobot} from './place.js';
-import {bridgeHeadline, WORDS, worst} from './store.js';
+import {countOf, WORDS, worst} from './store.js';
 
 export class Robots {
   constructor() {
@@ -25,17 +25,19 @@ export class Robots {
 const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
 const nameOf = (robot) => robot || 'no namespace';
 
-/** The text on the card of a robot: [state, text] of its bridge and each of its buses. */
-export function robotOf(store, name) {
+/** The text on the card of a robot: what its bridge and each of its buses say. */
+function robotOf(store, name) {
   store.show(name);
-  const groups = store.groups();
-  const bridge = bridgeHeadline(store.bridgeParts(), store.now());
-  const lines = [
-    ...bridge ? [['bridge', bridge.state, `Bridge: ${bridge.text}`]] : [],
-    ...groups.map((group) => [group.key, group.state, `${group.there}/${group.devices.length} `
-      + `${group.bus ? `${group.bus}: ` : ''}${group.headline}`])];
-  const total = groups.reduce((count, group) => count + group.devices.length, 0);
-  return {name, lines, total, state: worst(lines.map(([, state]) => state))};
+  const counts = new Map(store.groups().map(({key, devices, part}) =>
+    [key, `${countOf(devices, part)}/${devices.length} `]));
+  const lines = store.parts().map((part) => {
+    const count = counts.get(`${part.node}/${part.bus}`) ?? '';
+    const of = part.bus === '' ? '' : `${part.bus ?? 'Bridge'}: `;
+    return [part.row_name, part.state, `${count}${of}${store.said(part)}`, part.is_known];
+  });
+  const total = store.groups().reduce((count, group) => count + group.devices.length, 0);
+  return {name, lines, total, state: worst(lines.map(([, state]) => state)),
+    isKnown: lines.every(([, , , isKnown]) => isKnown)};
 }
 
 function makeCard({name}) {
@@ -47,6 +49,7 @@ function makeCard({name}) {
 function updateCard(item, robot) {
   const [head, lines] = item.firstChild.children;
   set(item.firstChild, 'data-state', robot.state);
+  set(item.firstChild, 'data-known', String(robot.isKnown));
   set(head, 'data-state', robot.state);
   setIcon(head.firstChild, robot.state);
   say(head.lastChild, `${WORDS[robot.state]} \u00b7 ${plural(robot.total, 'device')}`);

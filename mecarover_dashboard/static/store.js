@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the page knows: rows by section and name, and what follows from them for a bus and a robot.
 
-import {id3, isolate, list, numberOf, plural} from './format.js';
+import {id3, isolate, numberOf} from './format.js';
 
 const HISTORY_S = 320;
 const SAMPLE_S = 0.4;
@@ -19,8 +19,6 @@ export const worst = (states) =>
 export const isQuiet = (row) => row?.quiet_since !== undefined;
 export const stateOf = (row) => !row || isQuiet(row) ? 'stale' : LEVELS[row.level] ?? 'stale';
 export const isLost = (device) => stateOf(device) === 'error' && AWAY.has(device.state);
-export const isThere = (device) => !isQuiet(device)
-  && (device.state === 'connected' || device.state === 'waiting');
 export const deviceName = (device) =>
   device.joint ? `${id3(device.id)} ${isolate(device.joint)}` : id3(device.id);
 
@@ -31,6 +29,7 @@ export const saysMore = (device) => device.message !== device.state;
 export function wordOf(device) {
   if (isQuiet(device)) return 'no report';
   const state = stateOf(device);
+  if (state === 'stale' && device.state === 'connected') return 'not known';
   return state === 'ok' ? device.state : `${WORDS[state]}: ${device.state}`;
 }
 
@@ -39,6 +38,8 @@ export class Store {
   buses = new Map();
   bridge = new Map();
   timing = new Map();
+  all = [];                  // every bridge and bus, as the server says: robot_parts.py
+  isLive = true;             // the server is heard
   values = new Map();        // device: [temperature, voltage, load, unit], where asked for
   facts = null;
   topics = {};
@@ -59,6 +60,7 @@ export class Store {
   get isNew() { return !this.facts || this.up < LOOK_S; }
 
   apply(event) {
+    this.isLive = true;
     this.#offset = event.now - performance.now() / 1000;
     this.#wall = event.wall - event.now;
     this.#groups = null;
@@ -74,6 +76,7 @@ export class Store {
         this.#put(this[section], name, row);
       }
     }
+    this.all = event.parts ?? this.all;
     for (const [name, values] of Object.entries(event.values ?? {})) this.values.set(name, values);
     if (event.table) this.#take(event.table);
     this.#sample(event.now);
@@ -129,6 +132,12 @@ export class Store {
     if (points[0][0] < now - HISTORY_S) points.shift();
   }
 
+  /** Take note that the server is not heard. */
+  lose() {
+    this.isLive = false;
+    this.#groups = null;
+  }
+
   /** Show one robot, by its namespace; null: all of them. */
   show(robot) {
     this.robot = robot;
@@ -147,25 +156,38 @@ export class Store {
     return this.robot === null ? all : all.filter((row) => row.robot === this.robot);
   }
 
-  /** Buses with their devices, counts and worst state. */
+  /** The bridge and the buses of the robot shown, the worst first; none is known while the */
+  /** server is not heard. */
+  parts(robot = this.robot) {
+    const some = robot === null ? this.all : this.all.filter((part) => part.robot === robot);
+    return some.map((part) => this.isLive ? {...part, state: LEVELS[part.level]}
+      : {...part, state: 'stale', is_known: false, mark: 'no connection', key: 'no connection',
+        text: 'No connection to the dashboard: nothing is known now', since: null});
+  }
+
+  /** What a part says, with the time since its last report. */
+  said({text, since}) {
+    return isolate(text) + (since === null ? ''
+      : `; last report ${Math.round(this.now() - since)} s ago`);
+  }
+
+  /** Buses with their devices: {part, key, label, lost, models, ...}, the worst first. */
   groups() { return this.#groups ??= this.#group(); }
 
   #group() {
-    const groups = new Map();
-    const group = (row) => {
-      const key = `${row.node}/${row.bus}`;
-      if (!groups.has(key)) {
-        groups.set(key, {key, node: row.node, robot: row.robot, bus: row.bus, row: null,
-          devices: []});
-      }
-      return groups.get(key);
-    };
-    for (const bus of this.#of(this.buses)) group(bus).row = bus;
-    for (const device of this.#of(this.devices)) group(device).devices.push(device);
-    const sorted = [...groups.values()].sort((a, b) => a.key < b.key ? -1 : 1);
-    for (const one of sorted) sum(one, this.now());
-    return sorted;
+    const groups = this.parts().filter(({bus}) => bus !== null).map((part) => ({
+      part, key: `${part.node}/${part.bus}`, node: part.node, robot: part.robot, bus: part.bus,
+      state: part.state, row: null, devices: []}));
+    const found = new Map(groups.map((group) => [group.key, group]));
+    const of = (row) => found.get(`${row.node}/${row.bus}`);
+    for (const bus of this.buses.values()) if (of(bus)) of(bus).row = bus;
+    for (const device of this.devices.values()) of(device)?.devices.push(device);
+    for (const group of groups) sum(group);
+    return groups;
   }
+
+  /** The bridge of the robot shown, null where there is none. */
+  bridgePart() { return this.parts().find(({bus}) => bus === null) ?? null; }
 
   /** The rows of the bridge, {link, commands}, and its timing by metric. */
   bridgeParts() {
@@ -185,20 +207,19 @@ export class Store {
   }
 }
 
-function sum(group, now) {
-  const {devices} = group;
+function sum(group) {
+  const {devices, part} = group;
   devices.sort((a, b) => a.id - b.id || (a.name < b.name ? -1 : 1));
   group.label = group.bus || valueOf(group.row, 'Port')?.split('/').pop() || group.node;
   group.lost = devices.filter(isLost);
-  group.there = devices.filter(isThere).length;
-  const bus = group.row ? stateOf(group.row) : 'ok';
-  group.state = worst([...devices.map(stateOf), bus]);
   group.models = [...byModel(devices)]
-    .map(([model, some]) => ({model, devices: some, state: worst(some.map(stateOf)),
-      there: some.filter(isThere).length, lost: some.filter(isLost).length}))
+    .map(([model, some]) => ({model, devices: some, part, state: worst(some.map(stateOf))}))
     .sort((a, b) => b.devices.length - a.devices.length || (a.model < b.model ? -1 : 1));
-  group.headline = headline(group, now);
 }
+
+/** How many of some devices answer now: '5', or '?' where that is not known. */
+export const countOf = (devices, part) =>
+  part.is_known ? String(devices.filter(({live}) => live).length) : '?';
 
 function byModel(devices) {
   const found = new Map();
@@ -219,39 +240,3 @@ const named = ([key, value, raw, seen, source]) => ({key, value, raw, seen, sour
 
 /** The value of a key in a row, undefined if there is none. */
 export const valueOf = (row, key) => row?.values?.find(([name]) => name === key)?.[1];
-
-/** What is wrong with the bridge: {state, text}; null where there is no bridge. */
-export function bridgeHeadline({link, commands}, now) {
-  const rows = [link, commands].filter(Boolean);
-  if (!rows.length) return null;
-  const state = worst(rows.map(stateOf));
-  const row = rows.find((one) => stateOf(one) === state);
-  const text = isQuiet(row)
-    ? `No report from ${isolate(row.node)} for ${Math.round(now - row.quiet_since)} s`
-    : isolate(row.message);
-  return {state, text, isLost: stateOf(link) === 'error'};
-}
-
-/** The one sentence about a bus, worst first. */
-function headline(group, now) {
-  const {devices, row} = group;
-  const names = (some) => list(some.map(deviceName));
-  if (isQuiet(row)) {
-    return `No report from ${isolate(group.node)} for ${Math.round(now - row.quiet_since)} s`;
-  }
-  if (row?.level === 2 && !devices.some((one) => one.level === 2)) return isolate(row.message);
-  if (group.lost.length === 1) {
-    return `Lost: ${names(group.lost)}, ${isolate(group.lost[0].message)}`;
-  }
-  if (group.lost.length) return `Lost: ${names(group.lost)}`;
-  for (const [state, word] of [['error', 'Error'], ['stale', 'Silent'], ['warn', 'Warning']]) {
-    const some = devices.filter((device) => stateOf(device) === state);
-    if (some.length === 1) return `${word}: ${deviceName(some[0])}, ${isolate(some[0].message)}`;
-    if (some.length) return `${word}: ${names(some)}`;
-  }
-  const notes = devices.filter(saysMore);
-  if (notes.length === 1) return `${deviceName(notes[0])}: ${isolate(notes[0].message)}`;
-  if (row && (row.level > 0 || notes.length)) return isolate(row.message);
-  return devices.length ? `All ${plural(devices.length, 'device')} connected`
-    : 'No device found yet';
-}

@@ -25,7 +25,8 @@ const COLUMNS = [
   ['load', 'Load', (device, [, , value, unit]) => value && `${value} ${unit}`,
     (_, [, , value]) => value ? Math.abs(figureOf(value)) : null],
   ...FIGURES.map(({name, heading, digits}) => [`${name} figure`, heading,
-    (device) => short(device[name], digits), (device) => figureOf(device[name])]),
+    (device) => isQuiet(device) ? '' : short(device[name], digits),
+    (device) => figureOf(device[name])]),
 ];
 const nameOf = (column) => column[0].split(' ')[0];
 export const ORDERS = Object.fromEntries(COLUMNS.map((one) => [nameOf(one), one[3]]));
@@ -147,5 +148,5 @@ function updateRow(row, {device, bus, values}) {
       say(cell, text(device, values) || '\u2013');
     }
   });
-  set(row, 'data-old', isQuiet(device));
+  set(row, 'data-old', !device.live);
 }

@@ -8,6 +8,7 @@ Lines are made from reports, for a width; Screen puts them where the ones before
 
 from collections.abc import Sequence
 import shutil
+import textwrap
 from typing import TextIO
 
 from dxl_monitor.bus.report import BusReport
@@ -25,6 +26,7 @@ from dxl_monitor.tools.dump.packet_lines import YELLOW
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import plain
 from msg_defs.reports import Level
+from msg_defs.reports import SEVERITY
 
 NEWS_S = 3.0                       # for so long a rare change comes first
 BRIGHT_S = 1.0                     # for so long a change is bold
@@ -75,21 +77,27 @@ class Changes:
         lines = []
         for report in reports:
             lines.append(fit(f'{headline(report)}  {report.message}', width))
-            lines += [self._device(report, device, width) for device in report.devices]
+            for device in sorted(report.devices, key=lambda one: -SEVERITY.index(one.level)):
+                lines += self._device(report, device, width)
         return lines
 
-    def _device(self, report: BusReport, device: DeviceReport, width: int) -> str:
+    def _device(self, report: BusReport, device: DeviceReport, width: int) -> list[str]:
+        """Return the line of a device; what is wrong with it is in full."""
         name = f'{device.id:03} {fit(device.model_name, 11):11} {device.joint}'.rstrip()
         colour = COLOURS.get(device.level) if self._colours else None
-        words = name
+        words, below = name, []
         if device.level is not Level.OK:
-            words = f'{name}  {fit(device.message, max(MESSAGE_WIDTH, width // 3))}'
+            if len(device.message) <= max(MESSAGE_WIDTH, width // 3):
+                words = f'{name}  {device.message}'
+            else:
+                below = textwrap.wrap(device.message, max(MESSAGE_WIDTH, width - 4))
         words = fit(words, width)
         shown = words if colour is None else paint(words, colour)
+        below = ['    ' + (one if colour is None else paint(one, colour)) for one in below]
         room = width - len(words)
         if device.model is UNKNOWN:
             hint = fit(f'  model not known yet; --devices {device.id}:MODEL sets it', room)
-            return shown + (paint(hint, DIM) if self._colours else hint)
+            return [shown + (paint(hint, DIM) if self._colours else hint), *below]
         for rank, is_bright, seen in sorted(
                 (self._rank(report, device, seen) for seen in device.observed), key=_place):
             text = _short(seen)
@@ -97,7 +105,7 @@ class Changes:
                 break
             room -= len(text) + 2
             shown += '  ' + (paint(text, BOLD) if is_bright and self._colours else text)
-        return shown
+        return [shown, *below]
 
     def _rank(self, report: BusReport, device: DeviceReport,
               seen: Observed) -> tuple[int, bool, Observed]:

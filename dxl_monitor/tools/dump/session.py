@@ -32,6 +32,7 @@ from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import open_new
 from dxl_monitor.record.capture import Writer
 from dxl_monitor.record.opening import open_source
+from dxl_monitor.tools.doctor.no_data import reasons
 from dxl_monitor.tools.dump.changes_screen import Changes
 from dxl_monitor.tools.dump.changes_screen import Screen
 from dxl_monitor.tools.dump.decode import Interpreter
@@ -48,6 +49,7 @@ from mecarover_serial.plain import printable
 
 PAINT_S = {'changes': 0.2, 'stats': 1.0}
 PROGRESS_S = 0.5
+SILENT_S = 5.0                     # without a byte: time to say what may be the reason
 PAINT_SHARE = 5                    # at most one part in so many of the time goes into painting
 
 
@@ -79,6 +81,7 @@ class Session:
         self._started_s = self._next_paint_s = time.monotonic()
         self._next_progress_s = self._started_s + PROGRESS_S
         self._has_progress = False
+        self._is_silence_told = False
 
     def __enter__(self) -> Session:
         return self
@@ -99,6 +102,7 @@ class Session:
                 if self._is_over():
                     break
                 self._paint()
+                self._tell_silence()
         except KeyboardInterrupt:
             pass
         self._finish()
@@ -167,6 +171,16 @@ class Session:
         if self._source.is_live:
             return time.monotonic() - self._started_s >= limit_s
         return self._first is not None and self._last - self._first >= 1e9 * limit_s
+
+    def _tell_silence(self) -> None:
+        """Say once why nothing is shown: a port that is silent looks like a program that hangs."""
+        if self._is_silence_told or self._bytes or not self._source.is_live \
+                or time.monotonic() - self._started_s < SILENT_S:
+            return
+        self._is_silence_told = True
+        why = ''.join(f'\n  {reason}' for reason in reasons(self._options.source, is_live=True))
+        print(f'dxl_dump: {self._options.source}: no byte in {SILENT_S:g} s, still listening.'
+              f'{why}', file=sys.stderr)
 
     # --- recording -------------------------------------------------------------------------
 

@@ -1,0 +1,214 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The parts of a robot, its bridge and its buses: the problem of each, and how it is said.
+
+Pure. The nodes judge; here is chosen what of it comes first, once for the page, its tab, a screen
+reader, the history, /metrics, the alerts and mecarover_status. What is not reported is not known.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable
+import re
+from typing import Any
+from typing import NamedTuple
+
+from msg_defs import status_keys as keys
+from msg_defs.reports import Level
+from msg_defs.reports import SEVERITY
+from msg_defs.reports import status_name
+from msg_defs.reports import worst
+
+Row = dict[str, Any]
+
+# What is wrong with a part, in the words of /metrics.
+NO_REPORT, PORT_CLOSED, NONE_ANSWERS = 'no report', 'port closed', 'no device answers'
+SILENT, FAULT, LOST, WARNING = 'silent', 'error', 'lost', 'warning'
+UNKNOWN = (NO_REPORT, PORT_CLOSED)
+_OF_ALL = (*UNKNOWN, NONE_ANSWERS)      # nothing else is to be said of its devices
+_AWAY = ('disconnected', 'expected')
+_LEVEL_WORDS = {Level.ERROR: FAULT, Level.STALE: SILENT, Level.WARN: WARNING}
+_NAMED = 4                              # devices in a sentence
+
+
+class RobotPart(NamedTuple):
+    """
+    The bridge or a bus.
+
+    | field | what |
+    |---|---|
+    | row_name | the status whose history has its events |
+    | bus | None: it is the bridge |
+    | problem | one of the words above, '' if there is none |
+    | mark | for the tab: '2 lost' |
+    | text | the sentence about it |
+    | ids | the devices that the problem is about, none where it is about the part |
+    | since | monotonic s of its last report, None while it reports |
+    | live, total | devices that answer now, and all |
+    """
+
+    row_name: str
+    robot: str
+    node: str
+    bus: str | None
+    level: Level
+    problem: str
+    mark: str
+    text: str
+    ids: tuple[int, ...] = ()
+    since: float | None = None
+    live: int = 0
+    total: int = 0
+
+    @property
+    def name(self) -> str:
+        return 'bridge' if self.bus is None else f'bus {self.bus}'.strip()
+
+    @property
+    def is_known(self) -> bool:
+        """Whether what is shown of it is of now."""
+        return self.problem not in UNKNOWN
+
+    @property
+    def hides_devices(self) -> bool:
+        """Whether its problem is that of all of its devices."""
+        return self.problem in _OF_ALL or (self.problem == SILENT and not self.live)
+
+    @property
+    def key(self) -> str:
+        """What differs when somebody who listens has to hear of it: no number that changes."""
+        return f'{self.row_name} {self.ids} {re.sub(r"[0-9]+", "", self.text)}'
+
+    def said(self, now_s: float) -> str:
+        """Return the sentence, with the time since the last report."""
+        return self.text if self.since is None else \
+            f'{self.text}; last report {now_s - self.since:.0f} s ago'
+
+    def shown(self) -> Row:
+        """Return what the page gets."""
+        return self._asdict() | {'name': self.name, 'is_known': self.is_known, 'key': self.key}
+
+
+def parts_of(devices: Iterable[Row], buses: Iterable[Row],
+             bridge: Iterable[Row]) -> list[RobotPart]:
+    """Return the parts of all robots, the worst first."""
+    rows: dict[tuple[str, str], list[Row]] = {}
+    own: dict[tuple[str, str], Row] = {}
+    for row in buses:
+        own[row['node'], row['bus']] = row
+        rows[row['node'], row['bus']] = []
+    for row in devices:
+        rows.setdefault((row['node'], row['bus']), []).append(row)
+    found = [_bus(node, bus, own.get((node, bus)), sorted(some, key=lambda one: int(one['id'])))
+             for (node, bus), some in rows.items()]
+    bridges: dict[str, dict[str, Row]] = {}
+    for row in bridge:
+        bridges.setdefault(row['node'], {})[row['part']] = row
+    found += [_bridge(node, some) for node, some in bridges.items()]
+    return sorted(found, key=lambda one: (-SEVERITY.index(one.level), one.robot,
+                                          one.bus is not None, one.node, one.bus or ''))
+
+
+def level_of(row: Row) -> Level:
+    """Return the level of a row: what is not reported is silent."""
+    return Level.STALE if 'quiet_since' in row else Level(row['level'])
+
+
+def is_lost(row: Row) -> bool:
+    """Tell whether a device should answer and does not."""
+    return level_of(row) is Level.ERROR and row['state'] in _AWAY
+
+
+def device_name(row: Row) -> str:
+    """Return '007 left_knee'."""
+    return f'{row["id"]:03} {row["joint"]}'.rstrip()
+
+
+def _bus(node: str, bus: str, row: Row | None, devices: list[Row]) -> RobotPart:
+    live = sum(bool(one['live']) for one in devices)
+    lost = [one for one in devices if is_lost(one)]
+    level, problem, text, some = _judged(node, row, devices, lost, live)
+    mark = f'{len(some)} {problem}' if some else problem
+    if len(some) > 1 and problem in (FAULT, WARNING):
+        mark += 's'
+    return RobotPart(
+        status_name(node, f'bus {bus}'.strip()), (row or devices[0])['robot'], node, bus, level,
+        problem, f'{bus}: {mark}' if bus and mark else mark, text,
+        tuple(one['id'] for one in some), _since(row, devices), live, len(devices))
+
+
+def _judged(node: str, row: Row | None, devices: list[Row], lost: list[Row],
+            live: int) -> tuple[Level, str, str, list[Row]]:
+    """Return level, problem and text of a bus, and the devices that these are about."""
+    of_all = Level.OK if row is None else level_of(row)
+    message = '' if row is None else str(row['message'])
+    if _since(row, devices) is not None:
+        return Level.STALE, NO_REPORT, _not_reported(node, len(devices)), []
+    if row is not None and not row['live']:
+        return Level.ERROR, PORT_CLOSED, message, []
+    if of_all is Level.STALE:
+        return of_all, SILENT, message, []
+    if message and devices and not live and (lost or of_all is Level.ERROR):
+        return Level.ERROR, NONE_ANSWERS, message, []
+    if of_all is not Level.ERROR and lost:
+        return Level.ERROR, LOST, f'Lost: {_names(lost)}', lost
+    level = worst(map(level_of, devices))
+    some = [one for one in devices if level_of(one) is level]
+    if message and (not live or SEVERITY.index(of_all) >= SEVERITY.index(level)):
+        level, some = worst((level, of_all)), []
+    if level is Level.OK:
+        return level, '', _well(devices, message), []
+    word = _LEVEL_WORDS[level]
+    return level, word, f'{word.capitalize()}: {_names(some)}' if some else message, some
+
+
+def _well(devices: list[Row], message: str) -> str:
+    notes = [one for one in devices if one['message'] != one['state']]
+    if len(notes) == 1:
+        return f'{device_name(notes[0])}: {notes[0]["message"]}'
+    if notes:
+        return message
+    count = len(devices)
+    return f'All {count} device{"s" if count != 1 else ""} connected' if count \
+        else 'No device found yet'
+
+
+def _bridge(node: str, rows: dict[str, Row]) -> RobotPart:
+    """Return the part of a bridge; of its link and its commands the worse one is said."""
+    worse = max((rows[part] for part in ('commands', 'link') if part in rows),
+                key=lambda row: SEVERITY.index(level_of(row)))
+    level, text, since = level_of(worse), str(worse['message']), worse.get('quiet_since')
+    problem = _LEVEL_WORDS.get(level, '')
+    if since is not None:
+        problem = NO_REPORT
+        did = dict(rows.get('commands', worse)['values']).get(keys.STATE, 'unknown')
+        text = f'No report from {node}: nothing is known of the rover; its last state: {did}'
+    elif 'link' in rows and not rows['link']['live']:
+        problem = LOST if level is Level.ERROR else problem
+    return RobotPart(status_name(node, 'link'), worse['robot'], node, None, level, problem,
+                problem and f'bridge: {problem}', text, since=since)
+
+
+def _since(row: Row | None, devices: list[Row]) -> float | None:
+    """Return when a bus was reported last, None while it is."""
+    if row is not None:
+        return row.get('quiet_since')
+    quiet = [one.get('quiet_since') for one in devices]
+    return max((one for one in quiet if one is not None), default=None) \
+        if all(one is not None for one in quiet) else None
+
+
+def _not_reported(node: str, count: int) -> str:
+    devices = f'{count} device{"s" if count != 1 else ""}'
+    return f'No report from {node}: nothing is known of its {devices}'
+
+
+def _names(some: list[Row]) -> str:
+    names = ', '.join(map(device_name, some[:_NAMED]))
+    if len(some) == 1:
+        return f'{names}, {some[0]["message"]}'
+    if len(some) > _NAMED:
+        names += f' and {len(some) - _NAMED} more'
+    found = next((one for one in some if one['findings']), None)
+    return names if found is None else f'{names}; {found["id"]:03}: {found["findings"][0][1]}'
+
