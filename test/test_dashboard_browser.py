@@ -6,6 +6,7 @@ from itertools import product
 import re
 import time
 from types import SimpleNamespace
+from urllib.parse import parse_qs
 
 import dashboard_page
 from dashboard_page import Dashboard
@@ -327,6 +328,19 @@ def test_plot_of_any_number(page):
     assert drawn
 
 
+def test_the_cursor_reads_the_line(page):
+    """Between two points it is on the line; near a point it is that one; beyond a gap nothing."""
+    points = '[[0, 10], [2, 20, 30], [4, 10], [9, 50]]'
+    read = page.evaluate(f"""async () => {{
+        const {{readAt}} = await import('./draw.js');
+        return [1, 2.1, 3, 6, 9.5, -1].map((s) => readAt({points}, s, 0.2));
+    }}""")
+    assert read == [
+        {'low': 15, 'high': 15, 'at': 1, 'isBetween': True}, {'low': 20, 'high': 30, 'at': 2},
+        {'low': 20, 'high': 20, 'at': 3, 'isBetween': True}, None,
+        {'low': 50, 'high': 50, 'at': 9}, None]
+
+
 def test_error_history_and_findings(page, robot):
     robot.lost, robot.findings = {7}, FINDINGS
     show(page, 'device')
@@ -363,6 +377,14 @@ def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
         see(page, '.device-past .events li[data-state=error]', '\\d:\\d\\d.*7 answers missed')
         assert 'error from' in page.locator('.levels').get_attribute('aria-label')
         page.keyboard.press('5')
+        see(page, '.events a', '003 knee')
+        see(page, '.past', r'Times here: .*UTC[+\u2212]\d\d:\d\d. Times in the files: UTC')
+        see(page, '.events li', r'nothing was recorded from .* to ')
+        page.locator('.events a', has_text='003 knee').first.click()
+        see(page, 'h1', '003 knee')
+        asked = parse_qs(page.url.partition('?')[2])
+        assert int(asked['from'][0]) + 120 == int(asked['to'][0]) - 120 == begin + 2400
+        page.go_back()
         see(page, '.events a', '003 knee')
         page.get_by_role('button', name='Errors', exact=True).click()
         see(page, '.events li', '003: no answer to Read')
@@ -579,6 +601,7 @@ def test_on_paper_it_is_black_on_white(dashboard, robot, open_page):
         page.locator('main .panel, main .device, main .tile').first.wait_for()
         see(page, '.title, h1, .bar', '')
         page.emulate_media(media='print')
+        see(page, '#printed:visible', r'20\d\d-\d\d-\d\d \d\d:\d\d:\d\d \(.*UTC.*\), robot')
         wait(lambda: page.evaluate('document.documentElement.dataset.theme') == 'light')
         printed = page.evaluate(PRINTED)
         assert (printed['ground'], printed['text']) == ('rgb(255, 255, 255)', 'rgb(0, 0, 0)')

@@ -117,12 +117,75 @@ def test_events():
     state.expire(200.0)
     recorder.look(state, 200.0, NIGHT + 200.0)
     silent = recorder.taken()[1]
-    assert [(event.level, event.text) for event in silent] == [
+    assert {(event.level, event.text) for event in silent} == {
         (Level.STALE, 'No report from dxl_monitor: nothing is known of its 24 devices'),
         (Level.STALE, 'No report from vel2d_bridge: nothing is known of the rover; its last '
-                      'state: driving')]
-    assert [one[2:] for one in told(201.0)] == [
-        ('link', 'driving'), ('bus', 'All 24 devices connected')]
+                      'state: driving')}
+    assert {one[2:] for one in told(201.0)} == {
+        ('link', 'driving'), ('bus', 'All 24 devices connected')}
+
+
+def written(*reports):
+    """Return the events of reports (second, robot, whether it is silent from then on)."""
+    state, recorder, events = State(), HistorySampler(), []
+    for second, robot in reports:
+        for topic, message in robot.messages(second) if robot else ():
+            state.take(topic, message, second)
+        state.expire(second)
+        recorder.look(state, second, NIGHT + second)
+        events += [(event.kind, int(event.level), event.source.name.rpartition(': ')[2],
+                    event.text) for event in recorder.taken()[1]]
+    return events
+
+
+def test_one_loss_is_one_event():
+    """A servo is lost, a second later the doctor names the cause, then it is back."""
+    well, lost, named = SyntheticRobot(), SyntheticRobot(), SyntheticRobot()
+    lost.lost = named.lost = {7}
+    named.findings = [FINDINGS[1]._replace(rule='no_answer', device=7, level=Level.ERROR)]
+    assert written((100.0, well), (100.5, lost), (101.0, lost), (101.5, named), (102.0, named),
+                   (102.5, well)) == [
+        ('state', 2, '007 left_knee', 'disconnected: 7 answers missed'),
+        ('state', 0, '007 left_knee', 'connected')]
+
+
+def test_a_restart_of_the_monitor_is_two_events_whatever_it_finds():
+    robot = SyntheticRobot()
+    robot.lost, robot.bridge = {7}, lambda time_s: []
+    gone = SyntheticRobot()
+    gone.lost, gone.bridge, gone.port_problem = {7}, lambda time_s: [], '/dev/ttyUSB0: gone'
+    assert written((100.0, robot), (106.0, None), (110.0, robot), (111.0, gone),
+                   (112.0, robot)) == [
+        ('state', 2, '007 left_knee', 'disconnected: 7 answers missed'),
+        ('state', 3, 'bus', 'No report from dxl_monitor: nothing is known of its 24 devices'),
+        ('state', 0, 'bus', '23 of 24 devices answer'),
+        ('state', 2, 'bus', '/dev/ttyUSB0: gone'),
+        ('state', 0, 'bus', '23 of 24 devices answer')]
+
+
+@pytest.mark.parametrize('problem', ['lost', 'port'])
+def test_what_a_device_does_not_say_any_more_is_not_kept(problem):
+    robot = SyntheticRobot()
+    if problem == 'lost':
+        robot.lost = {7}
+    else:
+        robot.port_problem = '/dev/ttyUSB0: gone'
+    windows = {one.source.name.rpartition(': ')[2]: one
+               for one in looked_at(robot, [100.0, 101.0])[0]}
+    assert windows['007 left_knee'].lows[:4] == (None,) * 4
+    assert (windows['008 right_knee'].lows[1] is None) is (problem == 'port')
+    assert (windows['bus'].lows[0] is None) is (problem == 'port')
+
+
+def test_what_was_not_recorded_is_said(writer, path):
+    begin = NIGHT // 10 * 10
+    writer.write([window(begin + at, 1.0) for at in (100, 110, 120, 300, 310)], [])
+    with Dashboard(history=path) as dashboard:
+        gaps = [json.loads(ask(dashboard, 'events', **{
+            'from': begin + begins, 'to': begin + ends}))['gaps']
+                for begins, ends in ((0, 400), (105, 130), (300, 320), (1000, 2000))]
+    assert [[[begins - begin, ends - begin] for begins, ends in some] for some in gaps] == [
+        [[0, 100], [130, 300], [320, 400]], [], [], [[1000, 2000]]]
 
 
 def test_noise_does_not_fill_the_file():

@@ -14,6 +14,7 @@ from dashboard_page import Dashboard
 from harness import wait
 import pytest
 from synthetic_robot import FINDINGS
+from synthetic_robot import HUMANOID
 from synthetic_robot import MANY
 from synthetic_robot import SyntheticRobot
 
@@ -88,6 +89,35 @@ def test_what_is_not_reported_has_no_values():
     assert not any(name == 'mecarover_device_temperature_celsius' for name, _ in found)
 
 
+def test_what_a_servo_said_before_it_was_lost_is_no_value_of_now():
+    robot = SyntheticRobot()
+    robot.lost = {7}
+    found = samples(told(robot))
+    assert found[key('device_level', **KNEE)] == 2
+    assert found[key('device_connected', **KNEE)] == 0
+    assert found[key('device_loss_ratio', **KNEE)] == 1
+    assert found[key('problem', robot='', part='bus', problem='lost')] == 2
+    assert {dict(labels)['id'] for name, labels in found
+            if name == 'mecarover_device_temperature_celsius'} == {
+                str(number) for number, _, _ in HUMANOID if number < 100 and number != 7}
+    robot.port_problem = '/dev/ttyUSB0: there is no such device; plug it in'
+    found = samples(told(robot))
+    assert not any('celsius' in name or 'bus_load' in name or 'connected' in name
+                   or ('loss' in name and 'device' in name) or name.endswith('finding')
+                   for name, _ in found)
+    assert found[key('problem', robot='', part='bus', problem='port closed')] == 2
+
+
+def test_every_finding_of_a_device_counts_and_what_has_no_room_is_said(monkeypatch):
+    robot = SyntheticRobot()
+    robot.findings = [FINDINGS[1]._replace(rule=f'rule_{number:02}') for number in range(40)]
+    found = samples(told(robot))
+    assert len([1 for name, _ in found if name == 'mecarover_finding']) == 40
+    assert found[key('findings_left_out')] == 0
+    monkeypatch.setattr('mecarover_dashboard.metrics.MOST_FINDINGS', 25)
+    assert samples(told(robot))[key('findings_left_out')] == 15
+
+
 def test_how_many_series_a_full_bus_has():
     assert len(samples(told(SyntheticRobot({'': MANY})))) < 12 * len(MANY)
 
@@ -115,34 +145,43 @@ def test_over_http():
 def test_a_real_prometheus(tmp_path):
     """Prometheus scrapes the page with the example and evaluates the alert rules of deploy/."""
     robot = SyntheticRobot()
-    robot.faulty = {7}
     for name in ('prometheus.yml', 'alerts.yml'):
         shutil.copy(DEPLOY / name, tmp_path)
     subprocess.run(['promtool', 'check', 'config', tmp_path / 'prometheus.yml'], check=True)
     with socket.create_server(('127.0.0.1', 0)) as free:
         port = free.getsockname()[1]
-    messages = robot.messages(100.0)
     with Dashboard() as dashboard:
         config = (tmp_path / 'prometheus.yml').read_text()
-        config = config.replace('rover1.local:8420', f'127.0.0.1:{dashboard.port}')
+        here = f'127.0.0.1:{dashboard.port}'
+        config = config.replace('rover1.local:8420', here)
         config = config.replace('          - rover2.local:8420\n', '').replace('15s', '1s')
         (tmp_path / 'prometheus.yml').write_text(config)
         with subprocess.Popen(
                 ['prometheus', f'--config.file={tmp_path}/prometheus.yml',
                  f'--storage.tsdb.path={tmp_path}/data', f'--web.listen-address=127.0.0.1:{port}'],
                 stderr=subprocess.DEVNULL) as process:
+            def alerts():
+                if robot is not None:
+                    dashboard.take(robot.messages(100.0))
+                return said(f'http://127.0.0.1:{port}/api/v1/alerts')
             try:
-                ask = f'http://127.0.0.1:{port}/api/v1/alerts'
-                wait(lambda: dashboard.take(messages) or 'DeviceError' in names(ask),
-                     60)
+                robot.faulty = {7}
+                wait(lambda: f'{here}: device 7 left_knee: error' in alerts(), 60)
+                robot.port_problem = '/dev/ttyUSB0: there is no such device; plug it in'
+                wait(lambda: f'{here}: bus: port closed' in alerts(), 60)
+                robot = None                        # its nodes are killed
+                wait(lambda: {f'{here}: bus: no report', f'{here}: bridge: no report'}
+                     <= alerts(), 60)
+                wait(lambda: not any('device' in one for one in alerts()), 60)
             finally:
                 process.terminate()
 
 
-def names(address):
+def said(address):
+    """Return what the alerts say that are pending or firing."""
     try:
         with urlopen(address, timeout=5) as answer:
-            return {one['labels']['alertname']
-                    for one in json.loads(answer.read())['data']['alerts']}
+            return {one['annotations']['summary'] for one in json.loads(answer.read())['data'][
+                'alerts']}
     except OSError:
         return set()                            # it is still starting

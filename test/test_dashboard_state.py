@@ -175,6 +175,13 @@ def test_findings(robot):
         == 'return_delay'
 
 
+def test_no_finding_is_left_out():
+    robot = SyntheticRobot()
+    robot.findings = [FINDINGS[1]._replace(rule=f'rule_{number}') for number in range(40)]
+    changes = told(robot).changes(0)
+    assert len(changes['devices']['dxl_monitor: 012 right_ankle_roll']['findings']) == 40
+
+
 def test_table(robot):
     state = told(robot)
     table = state.table(KNEE)

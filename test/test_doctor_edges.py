@@ -528,7 +528,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     ('master_stopped', {'quiet_s': 1.2, 'last_byte_s': 1.2, 'asked': NOW - 57 * S},
      'the master stopped 3.0 s after listening began: check its program; device states date from '
      'then', {'stopped after (s)': '3.0'},
-     [{'quiet_s': 1.19}, {'last_byte_s': 1.19}, {'asked': NOW - 57 * S - 1}]),
+     [{'quiet_s': 1.19}, {'last_byte_s': 1.19}, {'asked': NOW - 57 * S - 1},
+      {'deaf': NOW - 1_199_000_000}]),
     ('impossible_id', {'cycles': (asks(I.PING, 253, stamps=(
         NOW - 10 * S, NOW - 10 * S + 1, NOW - 1, NOW)),)},
      'the master asks ID 253, which no device can have (0 to 252): correct the ID in its program',

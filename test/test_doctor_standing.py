@@ -79,6 +79,13 @@ def test_the_states_end_with_the_state() -> None:
         'two_masters': 1.0, 'jitter': 3.0, 'damaged_answers': 1.0, 'wrong_supply': 3.0}
 
 
+def test_a_port_that_is_closed_hears_no_master_and_says_nothing_of_it() -> None:
+    doctor = Doctor()
+    assert [[one.rule for one in doctor.examine(silent(30.0, 30.0, deaf=deaf)).findings]
+            for deaf in (0, NOW, NOW - S, NOW - 2 * S)] == [
+                ['master_stopped'], [], [], ['master_stopped']]
+
+
 # --- what is remembered of damage --------------------------------------------------------------
 
 WRONG = bytearray(encode(3, STATUS, bytes((0, 8, 0, 0)), error=0))

@@ -4,6 +4,7 @@
 from contextlib import suppress
 import fcntl
 import gzip
+from itertools import takewhile
 import json
 import os
 from pathlib import Path
@@ -22,6 +23,7 @@ from harness import Program
 from harness import wait
 from packets import packets_in
 from packets import packets_left
+from page_states import heard
 import pytest
 
 from dxl_monitor.model.models import Models
@@ -29,6 +31,7 @@ from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
+from dxl_monitor.tools.dump.changes_screen import Changes
 from dxl_monitor.tools.dump.packet_lines import delta_text
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.faults import parse
@@ -408,6 +411,16 @@ def test_stats_and_changes_of_a_file(recorded):
     assert re.search(r'^001 MX-106 .*Position -?[\d.]+ rad', text, re.M)
 
 
+def test_what_is_wrong_with_a_device_is_said_in_full_and_first():
+    report = heard('silent:3:1')
+    _, first, *others = Changes(False).lines([report], 80)
+    assert first.startswith('003 MX-64')
+    below = list(takewhile(lambda line: line.startswith('    '), others))
+    assert ' '.join(map(str.strip, below)) == next(
+        one.message for one in report.devices if one.id == 3)
+    assert len(below) > 1 and max(map(len, [first, *others])) <= 80
+
+
 # --- a live bus -----------------------------------------------------------------------------
 
 @pytest.fixture
@@ -450,6 +463,15 @@ def test_a_closed_pipe_ends_it(bus):
             capture_output=True, text=True, timeout=DEADLINE_S)
         assert done.stdout.splitlines()[-1] == '0'
         assert done.stderr == ''
+
+
+def test_a_silent_port_is_no_blank_screen(tmp_path):
+    link = tmp_path / 'live'
+    with Pty(str(link)), live(link) as tool:
+        tool.wait_for(f'dxl_dump: {link}: no byte in 5 s, still listening.')
+        tool.wait_for('No program sends to the servos now: start yours')
+        tool.signal(signal.SIGINT)
+        assert tool.exit_code() == 0
 
 
 def test_it_says_when_the_port_is_lost_and_goes_on(tmp_path):

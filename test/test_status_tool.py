@@ -1,9 +1,15 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """mecarover_status: which lines it shows, its exit codes, and two robots with real processes."""
+from contextlib import suppress
+import fcntl
+import os
+import pty
 import re
+import struct
 import subprocess
 import sys
+import termios
 
 from harness import Program
 from harness import ROOT
@@ -94,6 +100,44 @@ def test_nothing_of_others_and_no_control_codes():
                   [('Model', 'MX-64'), ('Firmware Version', '1'), ('State', 'disconnected')])
     state.take(OVERVIEW, serialise([evil]), 1.0)
     assert all(text.isprintable() for text in screen(status_lines(state, 1.0)))
+
+
+ON_A_TERMINAL = """
+import sys
+sys.path.insert(0, 'test')
+from synthetic_robot import serialise, SyntheticRobot
+from mecarover_dashboard.state import OVERVIEW, State
+from mecarover_dashboard.terminal import Display
+from mecarover_serial.standard_streams import StandardStreams
+robot, state = SyntheticRobot(), State()
+robot.lost = {number for number, _, _ in robot.buses['']} - {103}
+state.take(OVERVIEW, serialise(robot.overview(1.0)), 1.0)
+display = Display(state, None, False)
+with StandardStreams('mecarover_status'):
+    display.look(1.0)
+    display.look(3.0)
+"""
+
+
+def test_on_a_terminal_it_draws_in_place_and_cuts_no_line():
+    """Also where a pipe came in front of stdout meanwhile; the worst is above the fold."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack('4H', 12, 60, 0, 0))
+    with subprocess.Popen([sys.executable, '-c', ON_A_TERMINAL], cwd=ROOT, stdout=theirs):
+        os.close(theirs)
+        text = b''
+        with suppress(OSError):                         # EIO: it has ended
+            while chunk := os.read(ours, 4096):
+                text += chunk
+    os.close(ours)
+    first, *others = text.decode().split('\033[H')[1:]
+    assert len(others) == 1
+    rows = [row.replace('\033[K', '').rstrip() for row in first.split('\n')]
+    assert 0 < max(map(len, rows)) < 60
+    assert rows[0].startswith('ERROR')
+    assert any(row.startswith(' ' * 8) for row in rows)          # what did not fit goes on there
+    assert any(re.fullmatch(r'\.\.\. and \d+ more rows: a larger window shows them', row)
+               for row in rows)
 
 
 @pytest.mark.parametrize('arguments', [['--wait', '0'], ['--wait', 'x'], ['--often']])

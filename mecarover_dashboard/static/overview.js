@@ -176,7 +176,8 @@ function updateTile(tile, model) {
   setIcon(tile.children[1], state);
   say(tile.children[2], countOf(devices, part));
   say(tile.children[3], `of ${devices.length}`);
-  say(tile.children[4], !part.is_known ? 'not known' : lost ? `${lost} lost` : word);
+  say(tile.children[4], !part.is_known ? 'not known' : !lost ? word
+    : countOf(devices, part) === '0' ? 'none answers' : `${lost} lost`);
 }
 
 function busLine(group) {

@@ -52,7 +52,8 @@ function updateCard(item, robot) {
   set(item.firstChild, 'data-known', String(robot.isKnown));
   set(head, 'data-state', robot.state);
   setIcon(head.firstChild, robot.state);
-  say(head.lastChild, `${WORDS[robot.state]} \u00b7 ${plural(robot.total, 'device')}`);
+  const word = robot.isKnown ? WORDS[robot.state] : 'Not known';
+  say(head.lastChild, `${word} \u00b7 ${plural(robot.total, 'device')}`);
   each(lines, robot.lines, ([key]) => key, () => h('li', {}, icon('ok'), h('span')),
     (line, [, state, text]) => {
       set(line, 'data-state', state);

@@ -10,7 +10,7 @@ import os
 from mecarover_serial.preflight import ports_here
 from mecarover_serial.preflight import warnings
 
-_OURS = ('dxl_doctor', 'dxl_reader')
+_OURS = ('dxl_doctor', 'dxl_dump', 'dxl_reader')
 _NOT_BAUD = 'The baud rate is not the cause: a wrong one gives bytes that make no sense.'
 _NO_MASTER = 'No program sends to the servos now: start yours, and listen while it runs.'
 _WIRE = ('The adapter is not connected to the data line: connect D+, D- and ground (TTL: data and '
