@@ -390,7 +390,7 @@ def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
         see(page, '.events li', '003: no answer to Read')
         assert 'kind=error' in page.url
         page.get_by_role('button', name='10 min').click()
-        see(page, '.events li', 'No events')
+        see(page, '.events li', 'nothing was recorded')
         page.get_by_role('button', name='24 h').click()
         with page.expect_download() as download:
             page.get_by_role('link', name='events as CSV').click()
