@@ -48,7 +48,9 @@ class Result(NamedTuple):
     findings: tuple[Finding, ...]
 
 
-SIDED = tuple(case for case in CASES if case.told != (('wrong_baud', None),))
+# The simulated bus has the latency timer in the master's pace; at its port, answers come late.
+SIDED = tuple(case for case in CASES if case.told[:1] not in (
+    (('wrong_baud', None),), (('latency_timer', None),)))
 
 
 def reports(faults: list[str], scene: Scene, seconds: float,

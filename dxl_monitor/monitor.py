@@ -85,6 +85,7 @@ class Monitor:
     | _listened, _resumed | feed(), flush_if_idle(), report() where idle is not reported |
     | _line_errors | change() |
     | _deaf | report() |
+    | _failed | end() |
     | _ticks, _next_tick, _noise_seen | feed() or report(), once a second |
     | _started, _base, doctor | reset_statistics() |
     | all others | set once |
@@ -110,6 +111,7 @@ class Monitor:
         self._listened = 0                     # up to when all that came was fed, if known
         self._resumed = 0                      # when somebody listened again
         self._deaf = 0                         # until then no port was open
+        self._failed = ''                      # how the program that asks ended
         self._noise_seen = 0
         self._start_statistics(0)
 
@@ -158,13 +160,16 @@ class Monitor:
                 self._line_errors = before._replace(
                     **{field: getattr(before, field) + change.value})
 
-    def end(self, now: int) -> None:
+    def end(self, now: int, failed: str = '') -> None:
         """
-        Take note that nothing more will come: what is pending is not judged.
+        Take note that nothing more will come.
 
-        A recording may end between a question and its answer.
+        failed: how the program that asks ended by itself (report.py): its last question counts.
         """
         self.change(Change(CLOSED, 1), now)
+        with self._lock:
+            self._failed = failed
+            self._tracker.end(bool(failed))
 
     def alarms(self) -> int:
         """Return how often so far a device was lost, came back or had an alert."""
@@ -347,7 +352,7 @@ class Monitor:
             kinds=dict(evidence.counts), protocol=self.decoder.protocol(),
             asked=self._tracker.asked, scanned=self._scanned(),
             chain=tuple(expected.id for expected in self.settings.devices),
-            has_sides=OUT in self.decoder.framers, deaf=self._deaf)
+            has_sides=OUT in self.decoder.framers, deaf=self._deaf, failed=self._failed)
 
     def _scanned(self) -> tuple[int, ...]:
         """Return the IDs that were only pinged and never heard: many are a scan, no devices."""

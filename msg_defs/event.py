@@ -21,11 +21,12 @@ RTS = 'rts'
 PURGED = 'purged'                  # 1: what was received, 2: what was to be sent, 3: both
 OVERRUN, PARITY, FRAMING, BREAK = 'overrun', 'parity', 'framing', 'break'      # how often
 NOT_SENT = 'not_sent'              # bytes that the master wrote and the adapter did not take
+UNREAD = 'unread'                  # bytes that the master had received and not read
 LOST = 'lost'                      # events or bytes that the source itself lost
 CLOSED = 'closed'                  # the master closed its port
 GONE = 'unplugged'
-CHANGES = (BAUD, LATENCY_TIMER, DTR, RTS, PURGED, OVERRUN, PARITY, FRAMING, BREAK, NOT_SENT, LOST,
-           CLOSED, GONE)
+CHANGES = (BAUD, LATENCY_TIMER, DTR, RTS, PURGED, OVERRUN, PARITY, FRAMING, BREAK, NOT_SENT,
+           UNREAD, LOST, CLOSED, GONE)
 
 
 class Change(NamedTuple):

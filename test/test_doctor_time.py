@@ -249,8 +249,6 @@ DOUBTS: list[tuple[str, dict[str, Any], int | None, str]] = [
      '004: Max Voltage Limit never read, so it is unknown whether they fit the supply'),
     ('never_written', {'devices': [device(5, totals={'reads': 20}, window={'answers': 1})]}, 5,
      'read but never written, like all others: this master may only monitor'),
-    ('return_delay', {'devices': [device(5, window={'answers': 1}), device(6)]}, None,
-     '005: reply latency not resolved by the adapter and Return Delay Time never read'),
 ]
 
 

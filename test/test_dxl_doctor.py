@@ -304,12 +304,56 @@ def test_a_program_is_run_and_its_dead_servo_named(meeting_place):
     assert done.returncode == ERROR
 
 
+RAISES = """
+import os, tty
+import serial
+from msg_defs.dxl1_packet import encode
+far, near = os.openpty()
+tty.setraw(near)
+port = serial.Serial(os.ttyname(near), 1000000, timeout=0.06)
+print('begins')
+for servo in (1, 2):
+    port.write(encode(servo, 1, b''))
+    os.read(far, 100)
+    if servo == 1:
+        os.write(far, encode(1, 0, b''))
+    port.read(6)
+try:
+    raise {error}
+finally:
+    port.close()
+"""
+
+
 @pytest.mark.alone
-def test_a_program_that_opens_no_port(meeting_place):
-    done = doctor('run', '--', sys.executable, '-c', 'raise SystemExit(7)',
+@pytest.mark.parametrize(('error', 'code', 'rules'), [
+    ("ConnectionError('motor check failed on port x: Missing motor IDs:')", ERROR, ['no_answer']),
+    ('SystemExit(1)', ERROR, ['no_answer']),
+    ('KeyboardInterrupt', WELL, []),
+])
+def test_a_program_that_ends_on_a_question(error, code, rules, meeting_place):
+    """It is judged where the program ended by itself; its exception is shown and explained."""
+    done = doctor('--json', 'run', '--', sys.executable, '-c', RAISES.format(error=error),
+                  env={'XDG_RUNTIME_DIR': meeting_place, 'PYTHONPATH': str(ROOT)})
+    found = json.loads(done.stdout)                    # what the program prints is not there
+    assert 'begins' in done.stderr
+    assert [one['rule'] for one in found['buses'][0]['findings']] == rules
+    assert (done.returncode, found['program']['exit'] != 0) == (code, True)
+    assert found['program']['error'].startswith('ConnectionError: motor') == ('motor' in error)
+    assert bool(rules) != any('is unknown' in text for text in found['cannot_tell'])
+
+
+@pytest.mark.alone
+@pytest.mark.parametrize(('options', 'script', 'words'), [
+    ((), 'raise SystemExit(7)', 'ended with exit code 7. - Its output says why'),
+    ((), 'import no_such_package', 'lacks that package. Name the Python of your program'),
+    (('-I',), 'pass', 'did not load the tap: it is not Python, or PYTHONPATH did not reach it'),
+])
+def test_a_program_that_opens_no_port(options, script, words, meeting_place):
+    done = doctor('run', '--', sys.executable, *options, '-c', script,
                   env={'XDG_RUNTIME_DIR': meeting_place})
     assert done.returncode == NOTHING_HEARD
-    assert 'ended with exit code 7 and opened no port' in ' '.join(done.stdout.split())
+    assert words in ' '.join(done.stdout.split())
 
 
 def test_a_port_that_is_silent_has_its_reasons():

@@ -424,6 +424,7 @@ def test_command_line():
     assert silent.returncode == 7
     assert 'opened no port through pyserial' in silent.stderr
     assert 'usb:/dev/ttyUSB0' in silent.stderr
+    assert 'did not load the tap' in tap('arm', '--', 'true').stderr
     for arguments, words in ((('arm',), 'COMMAND: not given'),
                              (('a/b', '--', 'true'), "'a/b' cannot be the name of a tap")):
         wrong = tap(*arguments)

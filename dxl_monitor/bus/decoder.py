@@ -34,7 +34,9 @@ from msg_defs.event import LATENCY_TIMER
 from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
+from msg_defs.event import PURGED
 from msg_defs.event import UNKNOWN
+from msg_defs.event import UNREAD
 from msg_defs.frame import Frame
 from msg_defs.uart import byte_ns
 from msg_defs.uart import idle_s
@@ -166,7 +168,8 @@ class BusDecoder:
                 if framer.pending:
                     self._flush(side, framer, last)
             self._settle()
-            self.tracker.settle(now)
+            if not self.tracker.unread.stamp:          # else the program may not have read it
+                self.tracker.settle(now)
         elif now - last > self.idle_ns:
             self._settle()
             for framer in self.framers.values():
@@ -186,6 +189,11 @@ class BusDecoder:
             self.expect_delay(value)
         elif what == NOT_SENT:
             self.tracker.not_sent(stamp)
+        elif what == UNREAD:
+            received = self.framers[IN].bytes if IN in self.framers else 0
+            self.tracker.unread.say(value and received + value, stamp)
+        elif what == PURGED and value & 1:
+            self.tracker.unread.purge(stamp)
         elif what in (CLOSED, GONE, LOST):
             for side, framer in self.framers.items():
                 self._flush(side, framer, stamp)

@@ -170,6 +170,7 @@ ECHO = IncidentKind[Nothing]('echo')                          # counted only: th
 FOREIGN = IncidentKind[Code]('foreign instruction')           # it came to the master
 NOT_SENT = IncidentKind[Code]('not sent')
 SOURCE_LOST = IncidentKind[Much]('source lost')
+LEFT_OPEN = IncidentKind[Lateness]('last question open')      # it ended too soon to know
 
 _KEPT = 1000
 _APART_NS = 100_000_000             # between two that are kept, where each packet may be one

@@ -8,14 +8,27 @@ well. It is known where the register was seen; else a device that acknowledged o
 so always, until it stops while it goes on answering reads.
 """
 
+from typing import NamedTuple
+
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.plan import Due
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.registry import DeviceRegistry
+from dxl_monitor.bus.report import Wait
+from msg_defs.frame import GLITCH
 
 ACKS_LEARNED = 3                   # writes without an answer, from a device that answers reads
+
+
+class OpenQuestion(NamedTuple):
+    """A question that is over: its answers that did not come, and what came in their place."""
+
+    plan: Plan
+    due: list[Slot]
+    spoke: set[int]                # IDs with a damaged answer
+    is_spoilt: bool                # there was damage
 
 
 class ReplyPolicy:
@@ -50,19 +63,29 @@ class ReplyPolicy:
                                 ev.Much(device.acks_missing))
         return bool(device.acks)
 
-    def judge(self, plan: Plan, due: list[Slot], now: int, stamp: int, spoke: set[int],
-              is_spoilt: bool) -> None:
+    def judge(self, question: OpenQuestion, now: int, stamp: int, us: int = -1) -> None:
         """
         Count the missed, and those not served because the master gave up before them.
 
-        due: the slots without an answer. now: when, on the wire; stamp: of the chunk. spoke: IDs
-        with a damaged answer; is_spoilt: there was damage.
+        now: when, on the wire; stamp: of the chunk. us: for how long the master waited, if known.
         """
+        plan, due, spoke, is_spoilt = question
+        if us >= 0:
+            self._evidence.note_wait(Wait(now, us, due[0].device.number, is_spoilt))
         served, behind = plan.served(due, spoke)
         for slot in due[:served]:
             self._miss(plan, slot, now, stamp, is_spoilt or slot.device.number in spoke)
         for slot in due[served:]:
             slot.device.not_served(now, behind)
+
+    def look_at_noise(self, question: OpenQuestion, noise: int, most: int, now: int) -> None:
+        """Note who the noise may come from; most: bytes of all answers that did not come."""
+        first = question.due[0].device
+        if noise > most + GLITCH:
+            self._evidence.note_often(now, ev.TOO_LONG, first.number, ev.Sizes(noise, most))
+        elif not question.spoke:
+            question.spoke.add(first.number)
+            first.counts.garbled += 1
 
     def _miss(self, plan: Plan, slot: Slot, now: int, stamp: int, is_doubtful: bool) -> None:
         """Count an answer that had to come and did not; is_doubtful: damage was in its place."""

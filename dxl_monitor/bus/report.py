@@ -39,6 +39,10 @@ ASKED = 'asked'                    # addressed by the master, never heard, not l
 WAITING = 'waiting'                # asked, but after a silent device in the same Sync Read
 MOVED = 'moved'                    # its Baud Rate was written: not on this bus any more
 
+# How a program ended by itself, if not well.
+FAILED = 'failed'                  # with an exit code that is not 0
+RAISED = 'raised'                  # by an exception of its servo library
+
 
 class Error(NamedTuple):
     """One line of the error log; stamp in monotonic ns."""
@@ -242,6 +246,7 @@ class BusReport(NamedTuple):
     scanned: tuple[int, ...] = ()               # IDs that were pinged and never heard, if many
     chain: tuple[int, ...] = ()                 # the IDs of `devices`, in the order of the cable
     has_sides: bool = False                     # TX and RX of the master are known apart
+    failed: str = ''                            # how the program that asks ended, if by an error
     line_errors: LineErrors | None = None       # since start, where the driver counts them
     deaf: int = 0                               # stamp of the last report without an open port
     findings: tuple[Finding, ...] = ()

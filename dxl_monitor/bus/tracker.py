@@ -21,10 +21,12 @@ from dxl_monitor.bus.planner import NO_PLAN
 from dxl_monitor.bus.planner import Planner
 from dxl_monitor.bus.planner import Said
 from dxl_monitor.bus.registry import DeviceRegistry
+from dxl_monitor.bus.reply_policy import OpenQuestion
 from dxl_monitor.bus.reply_policy import ReplyPolicy
-from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
+from dxl_monitor.bus.unread import AROUND
+from dxl_monitor.bus.unread import Unread
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import blocks_in
@@ -42,7 +44,6 @@ from msg_defs.frame import INSTRUCTION_2
 from msg_defs.frame import IS_STATUS
 
 _NO_SLOTS: dict[int, Slot] = {}
-_AROUND = 11                       # bytes of a status without its data
 _PING_SIZE = 3                     # the data of the answer to a Ping; none in the 1.0 family
 _NOTHING = (-1, -1, -1, b'')
 
@@ -52,8 +53,8 @@ class Tracker:
 
     __slots__ = (
         '_asked', '_deferred', '_evidence', '_given_up', '_known', '_last', '_noise', '_note',
-        '_plan', '_policy', '_registry', '_slots', '_spoke', '_state', '_unresolved', 'byte_ns',
-        'planner')
+        '_policy', '_registry', '_slots', '_spoke', '_state', '_unresolved', 'byte_ns', 'pending',
+        'planner', 'unread')
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, byte_ns: float,
                  missed_limit: int, write_acks: str) -> None:
@@ -66,8 +67,7 @@ class Tracker:
         self._policy = ReplyPolicy(write_acks, missed_limit, registry, evidence)
         self._state = pairing.DOUBTFUL
         self._noise = 0                        # bytes of it ahead of the last flawed frame
-        # The pending instruction:
-        self._plan: Plan = NO_PLAN
+        self.pending: Plan = NO_PLAN           # the instruction that answers belong to
         self._last = _NOTHING                  # its kind, ID, code and parameters
         self._asked = (0, 0, 0)                # its end, the end of its chunk, the stamp
         self._deferred: Effect | None = None   # what it does once it is accepted
@@ -75,6 +75,7 @@ class Tracker:
         self._unresolved = False               # no status yet: the first one gives a latency
         self._spoke: set[int] = set()          # the devices that answered it with damage
         self._given_up = _NO_SLOTS             # the statuses to the one before that did not come
+        self.unread = Unread(registry, evidence, self._policy)
 
     def track(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
         """
@@ -82,6 +83,8 @@ class Tracker:
 
         side: of the chunk. Each side is a stream of its own; call in the order of time.
         """
+        if side == IN and self.unread.until:
+            frames = self.unread.take(frames, stamp, received)
         slots = self._slots
         for frame in frames:
             begin, end, kind, number, code, data, flaw = frame
@@ -120,7 +123,7 @@ class Tracker:
 
     def not_sent(self, stamp: int) -> None:
         """Take note that the pending instruction did not get to the bus, or not all of it."""
-        if self._plan is not NO_PLAN:
+        if self.pending is not NO_PLAN:
             self._note(stamp, ev.NOT_SENT, self._last[1], ev.Code(self._last[2]))
         self._forget()
 
@@ -128,11 +131,21 @@ class Tracker:
         """Judge nothing that is pending: `lost` events were not heard, or the port was closed."""
         if lost:
             self._note(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Much(lost))
+        elif self.pending is not NO_PLAN:
+            self._slots.pop(BROADCAST, None)
+            self.unread.left = self._question([*self._slots.values()])
         self._forget()
         self._state = pairing.DOUBTFUL
 
+    def end(self, failed: bool) -> None:
+        """Judge what was pending when a program ended."""
+        self.unread.end(failed, self._asked[2], self._since_asked, self.byte_ns)
+
+    def _question(self, due: list[Slot]) -> OpenQuestion:
+        return OpenQuestion(self.pending, due, self._spoke, self._state >= pairing.SPOILT)
+
     def _forget(self) -> None:
-        self._plan = NO_PLAN
+        self.pending = NO_PLAN
         self._slots = {}
         self._given_up = _NO_SLOTS
         self._deferred = None
@@ -141,17 +154,12 @@ class Tracker:
         """Give up waiting: the line is idle for longer than any answer takes."""
         if self._slots or self._deferred is not None:
             self._close(_NOTHING, 0, 0, stamp)
-        self._plan, self._slots = NO_PLAN, {}
+        self.pending, self._slots = NO_PLAN, {}
 
     @property
     def asked(self) -> int:
         """The stamp of the last instruction, 0 before the first."""
         return self._asked[2]
-
-    @property
-    def pending(self) -> Plan:
-        """The instruction that answers belong to now."""
-        return self._plan
 
     def _instruct(self, said: Said, flaw: Flaw | None, begin: int, end: int, received: int,
                   stamp: int) -> dict[int, Slot]:
@@ -160,9 +168,9 @@ class Tracker:
         else:
             self._given_up = _NO_SLOTS
         if self._spoke:
-            self._spoke.clear()
+            self._spoke = set()
         plan = self._known.get(said) or self.planner.plan_for(said, stamp)
-        self._plan = plan
+        self.pending = plan
         self._last = said
         plan.asked += 1
         plan.stamps.append(stamp)
@@ -187,7 +195,7 @@ class Tracker:
 
     def _take_whole(self, error: int, data: bytes, stamp: int) -> bool:
         """Take a fast reply of which every part holds; leave any other as it is."""
-        reply = self._plan.fast_reply
+        reply = self.pending.fast_reply
         if reply is None or len(self._slots) != len(reply.slots):
             return False
         fields = reply.read(fast_wire(error, data))
@@ -242,13 +250,13 @@ class Tracker:
         if slot.due is Due.ACK:
             self._deferred = None
             slot.device.acknowledged()
-        refusal = ev.Refusal(self._plan.request.instruction, slot.span[0], code)
+        refusal = ev.Refusal(self.pending.request.instruction, slot.span[0], code)
         slot.device.note_error(*refusal)
         self._note(stamp, ev.REFUSED, slot.device.number, refusal)
 
     def _combined(self, body: bytes, stamp: int) -> bool:
         """Take the parts of a fast reply; return whether it breaks off after a whole one."""
-        accesses = self._plan.request.accesses
+        accesses = self.pending.request.accesses
         blocks = split_combined(body, accesses)        # each part that holds proves itself
         there = max(len(blocks), blocks_in(body, accesses))
         for block in blocks:
@@ -257,7 +265,7 @@ class Tracker:
                 slot.device.counts.fast_answers += 1
                 self._answer(slot, block.error, block.data, stamp)
         if len(blocks) < there:
-            damaged, unknown = self._plan.failed(there, blocks[-1].id if blocks else -1,
+            damaged, unknown = self.pending.failed(there, blocks[-1].id if blocks else -1,
                                                  self._slots)
             for slot in damaged:
                 self._speak_damaged(slot)
@@ -274,7 +282,7 @@ class Tracker:
             return
         device = self._registry.device(number)
         self._registry.heard(device, error, stamp)
-        plan = self._plan
+        plan = self.pending
         request = plan.request
         if request.answers is Answers.EVERYBODY and len(data) == (
                 _PING_SIZE if self._last[0] == INSTRUCTION_2 else 0):
@@ -340,7 +348,7 @@ class Tracker:
         self._evidence.note_damage(stamp, frame, flaw)
         if is_status and number == BROADCAST:
             return damage
-        slot = self._plan.slots.get(number) if is_status else None
+        slot = self.pending.slots.get(number) if is_status else None
         if slot is not None:
             self._speak_damaged(slot)
         elif self._slots and (is_status or code not in NAMES):
@@ -359,29 +367,21 @@ class Tracker:
         slots = self._given_up = self._slots
         slots.pop(BROADCAST, None)
         due = [slot for slot in slots.values() if self._policy.is_due(slot)]
-        if due:
+        question = self._question(due)
+        if due and self.unread.until:          # they may be among what was not read yet
+            self.unread.left = question
+        elif due:
             now = int(self._on_wire(began, received, stamp))
-            if self._state >= pairing.SPOILT:
-                self._look_at_noise(due, now)
-            is_spoilt = self._state >= pairing.SPOILT
-            self._policy.judge(self._plan, due, now, stamp, self._spoke, is_spoilt)
-            self._evidence.note_wait(
-                Wait(now, self._since_asked(now), due[0].device.number, is_spoilt))
+            if question.is_spoilt:
+                most = sum(slot.size + AROUND for slot in slots.values())
+                self._policy.look_at_noise(question, self._noise, most, now)
+            us = self._since_asked(now)
+            self._policy.judge(question, now, stamp, us)
             if following == self._last:
-                self._note(now, ev.REPEATED, due[0].device.number,
-                           ev.Again(following[2], self._since_asked(now)))
-        if not due or self._state >= pairing.SPOILT:
+                self._note(now, ev.REPEATED, due[0].device.number, ev.Again(following[2], us))
+        if not due or question.is_spoilt:
             self._carry_out()
         self._deferred = None
-
-    def _look_at_noise(self, due: list[Slot], now: int) -> None:
-        """Note the device that the noise may come from: one with an answer of that size."""
-        most = sum(slot.size + _AROUND for slot in self._slots.values())
-        if self._noise > most + GLITCH:
-            self._evidence.note_often(
-                now, ev.TOO_LONG, due[0].device.number, ev.Sizes(self._noise, most))
-        elif not self._spoke:
-            self._speak_damaged(due[0], 0)
 
     def _since_asked(self, now: int) -> int:
         """Return the us since the end of the pending instruction."""
@@ -392,7 +392,7 @@ class Tracker:
         return stamp - (received - offset) * self.byte_ns
 
     def _sample_latency(self, device: Device, began: int, received: int, stamp: int) -> None:
-        if device is not self._plan.first or self._state == pairing.DOUBTFUL:
+        if device is not self.pending.first or self._state == pairing.DOUBTFUL:
             return                             # another device had its turn before it
         device.latency_resolved += 1
         end, asked_received, asked = self._asked       # as _on_wire(), which costs more

@@ -77,7 +77,7 @@ class Doctor:
                 if isinstance(found, Claim):
                     key = rule.name, found.device
                     since[key] = self._since.get(key, case.now)
-                    if case.now - since[key] >= rule.onset_s * S:
+                    if found.is_certain or case.now - since[key] >= rule.onset_s * S:
                         self._standing[key] = found, case.now
                 else:
                     doubts.append(Finding(rule.name, Level.OK, found.device, found.reason))

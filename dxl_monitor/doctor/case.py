@@ -220,6 +220,12 @@ class Case:
         """For how long the bus was heard."""
         return (self.now - self.report.started) / S
 
+    @property
+    def last_wait(self) -> Wait | None:
+        """The vain wait after which the master asked nothing more, None if there is none."""
+        waits = self.report.waits
+        return waits[-1] if waits and waits[-1].stamp > self.report.asked else None
+
     def waits(self, seconds: float) -> list[Wait]:
         """Return the vain waits of the master since so long ago."""
         before = self.now - int(seconds * S)

@@ -138,6 +138,11 @@ def _most_hit(case: Case) -> DeviceReport | None:
 
 def _damaged_answers(case: Case) -> Iterator[Found]:
     worst = _most_hit(case)
+    last = case.last_wait if case.report.failed and worst is None else None
+    if last is not None and last.is_spoilt:
+        yield Claim(last.device, 'its last answer came damaged, and the program ended there: a '
+                    'bad cable or a second device with its ID; unplug it and ping its ID',
+                    is_certain=True)
     if worst is None or _asked_damaged(case) >= \
             BOTH_WAYS * max(case.damage, case.spoilt):
         return

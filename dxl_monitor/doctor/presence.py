@@ -50,7 +50,9 @@ def _all_silent(case: Case) -> Iterator[Found]:
     heard = sum(device.totals.answers for device in case.report.devices) - before.answers
     missing = [device.id for device in case.report.devices
                if device.missed_in_a_row or is_waiting(device)]
-    if len(missing) > 1 and asked >= 5 and heard <= 0 and case.gone:
+    is_over = case.report.failed and all(device.last_heard_s is None for device in
+                                         case.report.devices)
+    if len(missing) > 1 and (is_over or (asked >= 5 and heard <= 0 and case.gone)):
         first = case.gone[0] if len(case.gone) == 1 else None
         alone = '' if first is None else f'; or {first:03} is dead and the others wait for it'
         yield Claim(None, f'none of {len(missing)} devices answers the master: check power and '
@@ -66,10 +68,26 @@ def _gone(case: Case, blocking: bool) -> Iterator[Found]:
             yield _claim_blocking(case, number, after) if after else _claim_gone(case, number)
 
 
+def _at_the_end(case: Case) -> Iterator[Found]:
+    """Look at the question on which a program ended by itself, with an error."""
+    for one in case.incidents(ev.LEFT_OPEN):
+        yield Doubt(one.device, f'the program ended {one.detail.us / 1000:.0f} ms after it asked: '
+                    'whether this answers is unknown')
+    last = case.last_wait if case.report.failed else None
+    lost = [last.device] if last is not None and not last.is_spoilt else []
+    absent = [device.id for device in case.report.devices
+              if device.last_heard_s is None and device.missed_in_a_row]
+    if case.report.failed == words.RAISED or {*lost} & {*absent}:
+        lost += absent                 # it asked all, then complained of those
+    yield from (_claim_gone(case, number) for number in dict.fromkeys(lost)
+                if number not in case.gone)
+
+
 def _claim_gone(case: Case, number: int) -> Claim:
     device = case.devices[number]
     since = 'never heard' if device.last_heard_s is None \
-        else f'silent for {longer_than(device.last_heard_s)}'
+        else f'silent for {longer_than(device.last_heard_s)}' if number in case.gone \
+        else 'and the program ended there'
     others = ', others answer' if any(
         case.lately(other, GONE_S).answers for other in case.report.devices) else ''
     return Claim(number, f'no answer, {since}{others}: check its power, cable and ID',
@@ -269,6 +287,7 @@ def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
 
 def _no_answer(case: Case) -> Iterator[Found]:
     yield from _gone(case, False)
+    yield from _at_the_end(case)
     for device in case.report.devices:
         if device.state == words.EXPECTED and device.last_heard_s is None \
                 and not device.window.asked:

@@ -27,6 +27,7 @@ class Claim(NamedTuple):
     figures: tuple[tuple[str, str], ...] = ()
     level: Level | None = None     # where it is not the rule's
     covers: tuple[int, ...] = ()
+    is_certain: bool = False       # it needs no onset
 
 
 class Doubt(NamedTuple):

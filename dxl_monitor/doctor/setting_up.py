@@ -44,8 +44,8 @@ _ELSEWHERE = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX and 
 
 def _factory_id(case: Case) -> Iterator[Found]:
     first = case.devices.get(FACTORY_ID)
-    absent = [device.id for device in case.report.devices
-              if device.last_heard_s is None and device.missed_in_a_row >= FEW]
+    absent = [device.id for device in case.report.devices if device is not first
+              and device.last_heard_s is None and device.missed_in_a_row >= FEW]
     if first is None or not absent or not _clashes(case, first):
         return
     yield Claim(FACTORY_ID, f'several servos answer as 001, and {listed(absent, 3)} never did: '
@@ -110,9 +110,8 @@ def _maximum(case: Case, device: DeviceReport) -> float | None:
 
 
 def _minimum(case: Case, device: DeviceReport) -> float:
-    """Return Min Voltage Limit, where it was read: below it the supply has sagged."""
-    low, is_of_model = limit_of(case, device, 'Min Voltage Limit', 'low')
-    return ALIVE_VOLTS if low is None or is_of_model else low
+    """Return Min Voltage Limit, where it is known: below it the supply has sagged."""
+    return limit_of(case, device, 'Min Voltage Limit', 'low')[0] or ALIVE_VOLTS
 
 
 def _layout(case: Case, device: DeviceReport) -> Found | None:

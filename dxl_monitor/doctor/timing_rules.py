@@ -34,7 +34,6 @@ from dxl_monitor.doctor.rhythm import WRITES
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
-from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
@@ -58,6 +57,7 @@ LATENCY_MS = (15.0, 18.5)          # a latency timer of 16 ms, and what its host
 SLOW_PER_S = 70                    # answers; with 16 ms each there cannot be more
 RESOLVED_MS = 4.0                  # between chunks; else all gaps count, not those after answers
 GRID_NS = 16 * MS                  # exactly that is made by the adapter that we hear through
+HZ_60_NS = S // 60
 LATENT = 0.6                       # share of the gaps
 WAITED_S = 3.0
 LATE_S = 10.0
@@ -217,6 +217,15 @@ def _latency_timer(case: Case) -> Iterator[Found]:
     latent = [(kinds, gap) for kinds, gap, answer in gaps if _is_latent(gap, answer)]
     if is_coarse and all(abs(gap - GRID_NS) < GRID_NS // 1000 for _, gap in latent):
         return
+    if case.report.has_sides and not any(
+            known is not None and known.p50 > LATENCY_MS[0] / 2
+            for one in case.report.devices for known in [one.latency.window]):
+        return                                 # the answers were there long before
+    if latent and sum(abs(gap - HZ_60_NS) < HZ_60_NS // 100 for _, gap in latent) \
+            >= MOSTLY * len(latent):
+        yield Doubt(None, 'instructions come every 16.7 ms: a loop at 60 Hz, or a latency timer '
+                          'of 16 ms in the adapter of the master')
+        return
     slow = [kinds for kinds, _ in latent]
     other = any(number != following for number, following in slow)
     if len(slow) >= 10 and len(slow) >= LATENT * len(gaps) and other:
@@ -230,20 +239,14 @@ def _is_latent(gap: int, answer: float) -> bool:
 
 
 def _return_delay(case: Case) -> Iterator[Found]:
-    unknown = []
     for device in case.report.devices:
         register = case.values[device.id].get('Return Delay Time')
         delay_ms = register.value.number * 1000 if register and register.value.number is not None \
             else None
         measured = _measured_ms(device)
-        if delay_ms is None and measured is None and device.window.answers:
-            unknown.append(device.id)
         if (delay_ms or 0.0) >= DELAY_MS[0] or (delay_ms is None and measured is not None
                                                 and DELAY_MS[0] <= measured <= DELAY_MS[1]):
             yield _delay_claim(case, device, delay_ms, measured)
-    if unknown:
-        yield Doubt(None, f'{listed(unknown, 3)}: reply latency not resolved by the adapter and '
-                    'Return Delay Time never read')
 
 
 def _measured_ms(device: DeviceReport) -> float | None:

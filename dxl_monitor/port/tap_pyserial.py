@@ -11,17 +11,20 @@ from __future__ import annotations
 import atexit
 from collections.abc import Callable
 from contextlib import suppress
+import json
 import os
 import sys
 from typing import Any
 
 # Kinds of records, as in tap_sender.py, which is not importable by name here.
-CLOSED, OUT, IN, PURGED, NOT_SENT = 2, 3, 4, 6, 7
+OUT, IN, PURGED, NOT_SENT, UNREAD, ENDED = 3, 4, 6, 7, 9, 10
 
 _PORT = '_mecarover_tap_port'                  # attribute of an open Serial: its number
 _PLAIN = (bytes, bytearray, memoryview, list, tuple)
 _MODULES = ('serial.serialposix', 'serial.serialwin32', 'serial.serialcli')
 _HANDLERS = 'serial.urlhandler.protocol_'
+_TEXT_LIMIT = 2000                             # characters of an error
+_LEFT = '_mecarover_tap_left'                  # and how much it had not read, last time
 _Method = Callable[..., Any]
 
 
@@ -44,6 +47,13 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
 
     def write(self: Any, data: Any, *args: Any, **kwargs: Any) -> Any:
         size = port = 0
+        try:                                   # answers to earlier questions
+            waiting = self.in_waiting
+            if waiting or getattr(self, _LEFT):
+                setattr(self, _LEFT, waiting)
+                sender.number(UNREAD, getattr(self, _PORT), waiting)
+        except Exception:
+            pass
         try:
             if not isinstance(data, _PLAIN):   # it may be one that can be gone through once
                 data = bytearray(data)
@@ -75,6 +85,9 @@ def _wrap_open(sender: Any, original: _Method) -> _Method:
         result = original(self, *args, **kwargs)
         with suppress(Exception):
             setattr(self, _PORT, sender.opened(str(self.port), int(self._baudrate)))
+            setattr(self, _LEFT, 0)
+            sender.serials.add(self)
+            _say_unread(sender, self)
         return result
     return open
 
@@ -93,16 +106,29 @@ def _wrap_after(report: Callable[[Any, Any, int], object]) -> Callable[[Any, _Me
     return wrap
 
 
-def _tell_closed(sender: Any, serial: Any, port: int) -> None:
-    delattr(serial, _PORT)
-    sender.closed(port)
+def _wrap_close(sender: Any, original: _Method) -> _Method:
+    def close(self: Any, *args: Any, **kwargs: Any) -> Any:
+        _say_unread(sender, self)
+        result = original(self, *args, **kwargs)
+        with suppress(Exception):
+            port = getattr(self, _PORT)
+            delattr(self, _PORT)
+            sender.closed(port)
+        return result
+    return close
+
+
+def _say_unread(sender: Any, serial: Any) -> None:
+    """Say how much of what a port received was never read, also where that is nothing."""
+    with suppress(Exception):
+        sender.number(UNREAD, getattr(serial, _PORT), serial.in_waiting)
 
 
 _WRAPPERS: dict[str, Callable[[Any, _Method], _Method]] = {
     'read': _wrap_read,
     'write': _wrap_write,
     'open': _wrap_open,
-    'close': _wrap_after(_tell_closed),
+    'close': _wrap_close,
     '_reconfigure_port': _wrap_after(
         lambda sender, serial, port: sender.rate(port, int(serial._baudrate))),
     'reset_input_buffer': _wrap_after(
@@ -165,15 +191,37 @@ class _Finder:
         return None
 
 
+def _end(sender: Any) -> None:
+    """Say what was left unread, and the error that ended the program; then let readers have it."""
+    for serial in list(sender.serials):
+        _say_unread(sender, serial)
+    with suppress(Exception):
+        error = getattr(sys, 'last_value', None)       # what sys.excepthook got, any of them
+        if isinstance(error, Exception):
+            sender.put(ENDED, 0, json.dumps(_described(error)).encode())
+    sender.end()
+
+
+def _described(error: Exception) -> dict[str, Any]:
+    """Return an error in words, and the packages that it came through."""
+    packages = set()
+    trace = error.__traceback__
+    while trace is not None:
+        packages.add(str(trace.tb_frame.f_globals.get('__name__')).partition('.')[0])
+        trace = trace.tb_next
+    return {'error': f'{type(error).__name__}: {error}'[:_TEXT_LIMIT],
+            'packages': sorted(packages), 'python': sys.executable}
+
+
 def install(sender: Any) -> None:
     """Report everything that this process does through pyserial."""
     sys.meta_path.insert(0, _Finder(sender))
-    atexit.register(sender.end)
+    atexit.register(_end, sender)
     leave = os._exit                           # how children of multiprocessing end
 
     def _exit(status: int) -> Any:
         with suppress(Exception):
-            sender.end()
+            _end(sender)
         leave(status)
 
     os._exit = _exit

@@ -31,6 +31,7 @@ from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
+from msg_defs.event import UNREAD
 
 HOLD_S = 0.06                              # three times what a sender lets gather
 SIZE_LIMIT = 1 << 24                       # bytes of a record: more is none of ours
@@ -40,7 +41,7 @@ _NAME_OF_PORT = 1000                       # characters
 _NAME_CHARACTERS = frozenset('abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-')
 _SIDES = {sent.OUT: OUT, sent.IN: IN}
 _CHANGES = {sent.BAUD: BAUD, sent.PURGED: PURGED, sent.NOT_SENT: NOT_SENT, sent.LOST: LOST,
-            sent.CLOSED: CLOSED}
+            sent.UNREAD: UNREAD, sent.CLOSED: CLOSED}
 _NAME_LIMIT = 40                           # the path of a Unix socket has 107 characters
 _READ_SIZE = 1 << 16
 TOO_LONG = ('the path of the socket is too long; set XDG_RUNTIME_DIR to a shorter folder, for the '
@@ -53,7 +54,7 @@ class TapRecord(NamedTuple):
     stamp: int                             # ns, monotonic: of the call in the program
     port: str
     kind: int                              # a kind of tap_sender
-    data: bytes                            # for OUT and IN
+    data: bytes                            # for OUT, IN and ENDED
     value: int                             # for the other kinds
 
     @property
@@ -92,7 +93,7 @@ class _Connection:
         at = 0
         while len(data) - at >= sent.HEAD.size:
             kind, number, stamp, size = sent.HEAD.unpack_from(data, at)
-            if kind > sent.LOST or size > SIZE_LIMIT or stamp < 0:
+            if kind > sent.ENDED or size > SIZE_LIMIT or stamp < 0:
                 raise ValueError(kind)
             begin = at + sent.HEAD.size
             if begin + size > len(data):
@@ -116,7 +117,7 @@ class _Connection:
             if len(self.ports) > PORTS_LIMIT:
                 raise ValueError('too many ports')
         port = self.ports.pop(number, '') if kind == sent.CLOSED else self.ports.get(number, '')
-        if kind in (sent.OUT, sent.IN):
+        if kind in (sent.OUT, sent.IN, sent.ENDED):
             return TapRecord(stamp, port, kind, data, 0)
         value = sent.NUMBER.unpack(data)[0] if len(data) == sent.NUMBER.size else 0
         return TapRecord(stamp, port, kind, b'', value)

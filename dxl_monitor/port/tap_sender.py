@@ -22,15 +22,18 @@ import sys
 import tempfile
 import threading
 import time
+from typing import Any
+from weakref import WeakSet
 
 TAP_NAME = 'MECAROVER_TAP'                 # environment: the name that the user gave
-TAP_MARK = 'MECAROVER_TAP_MARK'            # and a file that grows when a port is opened
+TAP_MARK = 'MECAROVER_TAP_MARK'            # and a file that says how far it got:
+LOADED, USED = b'l', b'o'                  # a tap was loaded, a port was opened
 SUFFIX = '.tap'                            # ends the name of a listener's socket
 
 # A record: its kind, the number of the port, a stamp (ns, monotonic), the size of what follows.
 HEAD = struct.Struct('<BHqI')
-HELLO, OPENED, CLOSED, OUT, IN, BAUD, PURGED, NOT_SENT, LOST = range(9)
-NUMBER = struct.Struct('<q')               # what follows BAUD, PURGED, NOT_SENT and LOST
+HELLO, OPENED, CLOSED, OUT, IN, BAUD, PURGED, NOT_SENT, LOST, UNREAD, ENDED = range(11)
+NUMBER = struct.Struct('<q')               # what follows BAUD to UNREAD
 
 QUEUE_LIMIT = 20_000                       # records that wait for the thread
 PENDING_LIMIT = 4_000_000                  # bytes that wait for a reader
@@ -121,9 +124,11 @@ class Sender:
         self.lost = 0                          # records that found the queue full
         self._ports: dict[int, tuple[str, int]] = {}       # number: name, rate
         self._announced: set[int] = set()      # ports that listeners know as open
+        self.serials: WeakSet[Any] = WeakSet() # the ports of pyserial that were opened
         self._numbers = 0
         self._lock = threading.Lock()
         self._forget()
+        self._mark(LOADED)
 
     def _forget(self) -> None:
         """Begin as after a fork: the thread and the connections are the parent's."""
@@ -159,7 +164,7 @@ class Sender:
             self._begin()
         self.put(OPENED, number, name.encode('utf-8', 'replace'))
         self.number(BAUD, number, baud)
-        self._mark()
+        self._mark(USED)
         return number
 
     def rate(self, port: int, baud: int) -> None:
@@ -178,13 +183,15 @@ class Sender:
         self._is_ending = True
         if thread is not None:
             thread.join(END_S)
+        elif self.queue:                       # Python starts no thread at its end
+            self._run()
 
-    def _mark(self) -> None:
-        """Tell dxl_tap that there was something to hear."""
+    def _mark(self, letter: bytes) -> None:
+        """Say to who started this program that the tap works."""
         path = os.environ.get(TAP_MARK)
         if path:
             with suppress(OSError), open(path, 'ab') as file:
-                file.write(b'x')
+                file.write(letter)
 
     def _begin(self) -> None:
         if self._thread is None:

@@ -55,7 +55,7 @@ from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import plain
 from mecarover_serial.plain import printable
 
-PROGRESS_S = 0.5
+PROGRESS_S, PROGRAM_S = 0.5, 2.0
 EXAMPLES = """examples:
   dxl_doctor run -- python my_script.py         hears a Python program that uses pyserial
   dxl_doctor usb:/dev/ttyUSB0                   hears any program on that adapter (Linux)
@@ -90,9 +90,15 @@ def _run(arguments: list[str]) -> int:
         source.close()
     buses = examination.buses(source.is_timed)
     why = [] if examination.bytes else _why_quiet(options.source, source, command)
-    name = shlex.join(command) if command else options.source
-    said = verdict(name, buses, seconds, source.is_timed, why)
-    _show(said, as_json(said, buses, seconds), options)
+    if isinstance(source, Program):
+        ending = source.ending
+        said = verdict(shlex.join(command), buses, seconds, source.is_timed, why, source.ports,
+                       ending.trouble(), ending.doubts())
+        more = {'program': {'exit': ending.code, 'error': ending.error}}
+    else:
+        said = verdict(options.source, buses, seconds, source.is_timed, why)
+        more = {}
+    _show(said, as_json(said, buses, seconds) | more, options)
     if options.report:
         _write_report(source, examination, seconds, options, command)
     for problem in source.problems():
@@ -143,8 +149,9 @@ def _check(options: argparse.Namespace, command: Sequence[str]) -> None:
 
 
 def _open(options: argparse.Namespace, command: Sequence[str]) -> Source | Program:
-    return Program(command) if command else open_source(
-        'dxl_doctor', options.source, options.baud, options.adapter)
+    if not command:
+        return open_source('dxl_doctor', options.source, options.baud, options.adapter)
+    return Program(command, sys.stderr.fileno() if options.json else None)
 
 
 def _listen(source: Source | Program, examination: Examination, limit_s: float | None) -> float:
@@ -165,8 +172,10 @@ def _listen(source: Source | Program, examination: Examination, limit_s: float |
                 progress.show(examination, now_s)
         except KeyboardInterrupt:
             is_over = not source.is_live
-    is_over |= isinstance(source, Program)
-    examination.finish(examination.last if is_over else time.monotonic_ns(), is_over)
+    failed = ''
+    if isinstance(source, Program):
+        is_over, failed = True, source.ending.failed
+    examination.finish(examination.last if is_over else time.monotonic_ns(), is_over, failed)
     return time.monotonic() - began_s if source.is_live else examination.seconds
 
 
@@ -186,17 +195,28 @@ def _has_enough(source: Source | Program, examination: Examination, now_s: float
 
 
 class _Progress:
-    """What is heard meanwhile, in one line in place; only where it disturbs nothing."""
+    """What is heard meanwhile, in one line in place, on a terminal; of a program less often."""
 
     def __init__(self, source: Source | Program) -> None:
-        self._is_shown = sys.stderr.isatty() and not isinstance(source, Program)
-        self._next_s = 0.0
+        self._is_shown = sys.stderr.isatty()
+        self._every_s, self._front = PROGRESS_S, ''
+        if isinstance(source, Program):        # it may print too, on a line of its own
+            self._every_s, self._front = PROGRAM_S, 'dxl_doctor: '
+        self._next_s = self._every_s
+        self._is_first = bool(self._front)     # the first finding is still to come
 
     def show(self, examination: Examination, now_s: float) -> None:
-        if self._is_shown and now_s >= self._next_s:
-            self._next_s = now_s + PROGRESS_S
-            text = plain(f'{now_s:.0f} s: {examination.summary()}')
-            on_screen(sys.stderr, f'\r{text[:78]}\033[K')
+        if not self._is_shown:
+            return
+        worst = examination.worst() if self._is_first else ''
+        if worst:
+            self._is_first = False
+            on_screen(sys.stderr, f'\r\033[K{self._front}{plain(worst)}\r\n')
+        if now_s >= self._next_s:
+            self._next_s = now_s + self._every_s
+            end = '; Ctrl-C ends it' if self._front else ''
+            text = plain(f'{self._front}{now_s:.0f} s: {examination.summary()}{end}')
+            on_screen(sys.stderr, f'\r{text[:78]}\033[K' + '\r' * bool(self._front))
 
     def __enter__(self) -> _Progress:
         return self
@@ -208,7 +228,7 @@ class _Progress:
 
 def _why_quiet(name: str, source: Source | Program, command: Sequence[str]) -> list[str]:
     if isinstance(source, Program):
-        return no_data.of_program(command, source.ports, source.code)
+        return no_data.of_program(command, source.ports, source.ending)
     return no_data.reasons(name, source.is_live)
 
 
@@ -216,6 +236,8 @@ def _show(said: Verdict, for_programs: dict[str, Any], options: argparse.Namespa
     if options.json:
         print(json.dumps(for_programs))
         return
+    if options.source == RUN:
+        print()                        # the program may have left a line without an end
     colours = (sys.stdout.isatty() and not os.environ.get('NO_COLOR')
                and os.environ.get('TERM') != 'dumb')
     print('\n'.join(screen(said, colours)))

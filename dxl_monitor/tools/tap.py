@@ -25,6 +25,7 @@ from dxl_monitor.port.site import __file__ as SITE
 from dxl_monitor.port.tap_reader import why_no_name
 from dxl_monitor.port.tap_sender import TAP_MARK
 from dxl_monitor.port.tap_sender import TAP_NAME
+from dxl_monitor.port.tap_sender import USED
 
 COULD_NOT_RUN = 1
 HANDED_ON = ('SIGTERM', 'SIGHUP', 'SIGQUIT', 'SIGUSR1', 'SIGUSR2')
@@ -46,19 +47,28 @@ def main() -> int:
     command = options.command[1:] if options.command[:1] == ['--'] else options.command
     if not command:
         parser.error('COMMAND: not given; write dxl_tap NAME -- python my_script.py')
-    mark, path = tempfile.mkstemp(prefix='dxl_tap_')
-    os.close(mark)
     try:
-        code = _follow(subprocess.Popen(command, env=environment(options.name, path)))
-        if not os.path.getsize(path):
-            print(f'dxl_tap: {command[0]} opened no port through pyserial, so nothing was heard; '
-                  'listen to a program without pyserial at usb:/dev/ttyUSB0', file=sys.stderr)
+        with tempfile.TemporaryDirectory(prefix='dxl_tap_') as folder:
+            mark = Path(folder) / 'mark'
+            code = _follow(subprocess.Popen(command, env=environment(options.name, str(mark))))
+            problem = why_unheard(command[0], mark)
+        if problem:
+            print(f'dxl_tap: {problem}', file=sys.stderr)
         return code
     except OSError as error:
         print(f'dxl_tap: {command[0]}: {error.strerror}; {remedy(command)}', file=sys.stderr)
         return COULD_NOT_RUN
-    finally:
-        os.unlink(path)
+
+
+def why_unheard(program: str, mark: Path) -> str:
+    """Return why a tap heard nothing, '' where a port was opened; mark: the file of the tap."""
+    got = mark.read_bytes() if mark.exists() else b''
+    if USED in got:
+        return ''
+    reason = 'opened no port through pyserial' if got else \
+        'did not load the tap: it is not Python, or PYTHONPATH did not reach it (python -E or ' \
+        '-I, sudo, an emptied environment)'
+    return f'{program} {reason}; to hear any program, listen to usb:/dev/ttyUSB0'
 
 
 def environment(name: str, mark: str = '') -> dict[str, str]:

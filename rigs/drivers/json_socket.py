@@ -18,11 +18,7 @@ class Refused(Exception):
     """QEMU or the agent answered with an error."""
 
 
-<<<<<<<< HEAD:rigs/drivers/json_socket.py
 class JsonSocket:
-========
-class JsonLines:
->>>>>>>> bb52abe (Drop what no script and no page runs, and name the socket of QEMU for what it is; benchmark.calls finds its harness):rigs/drivers/json_lines.py
     """One socket; `ask` waits for the answer. QEMU's events are kept in `events`."""
 
     def __init__(self, path: Path) -> None:

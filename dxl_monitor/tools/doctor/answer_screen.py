@@ -63,6 +63,8 @@ def _wrong(entries: Sequence[Trouble], colours: bool, width: int) -> list[str]:
     if not entries:
         return [_paint('Wrong: nothing that listening can find', GREEN, colours)]
     lines = ['Wrong:']
+    if entries[0].level is Level.OK:
+        lines = [_paint('Wrong: nothing that listening can find', GREEN, colours), 'Advice:']
     for number, entry in enumerate(entries[:IN_FULL], 1):
         lines += _in_full(number, entry, colours, width)
     rest = entries[IN_FULL:]
@@ -78,7 +80,11 @@ def _in_full(number: int, entry: Trouble, colours: bool, width: int) -> list[str
     title = fit(f'  {_title(number, entry)}', width)
     lines = [_paint(title, COLOURS.get(entry.level), colours)]
     lines += _wrapped(entry.message, width, 2)
-    return lines + (_wrapped(f'Evidence: {entry.evidence}', width, 1) if entry.evidence else [])
+    if entry.evidence and entry.rule:
+        lines += _wrapped(f'Evidence: {entry.evidence}', width, 1)
+    elif entry.evidence:               # the error of a program
+        lines += _wrapped(f'This means: {entry.evidence}', width, 3)
+    return lines
 
 
 def _title(number: int, entry: Trouble) -> str:

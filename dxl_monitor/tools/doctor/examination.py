@@ -86,11 +86,11 @@ class Examination:
         """How long there was traffic, from the first byte to the last (s)."""
         return (self.last - self.first) / S
 
-    def finish(self, now: int, is_over: bool) -> None:
-        """Look for the last time; is_over: nothing more will come."""
+    def finish(self, now: int, is_over: bool, failed: str = '') -> None:
+        """Look for the last time; is_over: nothing more will come; failed: as Monitor.end()."""
         if is_over:
             for monitor in self._monitors.values():
-                monitor.end(now)
+                monitor.end(now, failed)
         self._look(now)
 
     def summary(self) -> str:
@@ -104,6 +104,15 @@ class Examination:
         rules = [one.finding.rule.replace('_', ' ') for log in self._logs.values()
                  for one in log.entries() if one.stands]
         return '; '.join([f'{packets} packets, {devices} devices', *rules[:3]])
+
+    def worst(self) -> str:
+        """Return what is wrong at this moment, the worst of it; '' for nothing."""
+        found = max((one.finding for log in self._logs.values() for one in log.entries()
+                     if one.stands), key=lambda one: one.level, default=None)
+        if found is None or found.level is Level.OK:
+            return ''
+        who = 'the bus' if found.device is None else f'{found.device:03}'
+        return f'{who}: {found.rule.replace("_", " ")}: {found.message}'
 
     def buses(self, is_timed: bool) -> list[BusSummary]:
         """Return each bus as it is shown at the end."""

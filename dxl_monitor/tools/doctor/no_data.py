@@ -6,10 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import os
+import shlex
 
+from dxl_monitor.tools.doctor.program import Ending
 from mecarover_serial.preflight import ports_here
 from mecarover_serial.preflight import warnings
 
+_IMPORT_ERRORS = ('ModuleNotFoundError', 'ImportError')
 _OURS = ('dxl_doctor', 'dxl_dump', 'dxl_reader')
 _NOT_BAUD = 'The baud rate is not the cause: a wrong one gives bytes that make no sense.'
 _NO_MASTER = 'No program sends to the servos now: start yours, and listen while it runs.'
@@ -46,16 +49,24 @@ def of_tap(name: str) -> list[str]:
             'usb:/dev/ttyUSB0.']
 
 
-def of_program(command: Sequence[str], ports: Sequence[str], code: int) -> list[str]:
-    """Return why a program said nothing; ports: those that it opened; code: its exit code."""
-    ended = f'{command[0]} ended with exit code {code}' if code else f'{command[0]} ended'
+def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> list[str]:
+    """Return why a program said nothing; ports: those that it opened."""
+    ended = f'{command[0]} ended'
+    if ending.error:
+        ended += f' with {ending.error}'
+    elif ending.code:
+        ended += f' with exit code {ending.code}'
+    if ending.error.startswith(_IMPORT_ERRORS):
+        return [f'{ended}: the Python that ran it, {ending.python}, lacks that package. Name the '
+                'Python of your program: dxl_doctor run -- /path/to/its/bin/python '
+                f'{shlex.join(command[1:]) or "my_script.py"}']
     if ports:
         return [f'{ended}; it opened {", ".join(ports)} and sent nothing.']
-    found = [f'{ended} and opened no port through pyserial.']
-    if code:
-        found.append('Its output says why it ended: often the port is absent, busy, or needs '
-                     f'rights; {ports_here()}.')
-    return [*found, 'Listen to a program without pyserial (C++, Rust) with usb:/dev/ttyUSB0.']
+    found = [f'{ended}.', f'{ending.unheard or "It sent nothing"}.']
+    if ending.code:
+        found.insert(1, 'Its output says why: often the port is absent, busy, or needs rights; '
+                     f'{ports_here()}.')
+    return found
 
 
 def reasons(name: str, is_live: bool) -> list[str]:

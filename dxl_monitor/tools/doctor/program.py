@@ -11,42 +11,105 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from collections.abc import Sequence
+import json
 import ntpath
+from pathlib import Path
 import secrets
+import signal
 import subprocess
+import tempfile
 import time
+from typing import Any
+from typing import NamedTuple
 
+from dxl_monitor.bus.report import FAILED
+from dxl_monitor.bus.report import RAISED
 from dxl_monitor.port.tap_reader import TapReader
 from dxl_monitor.port.tap_reader import TapRecord
+from dxl_monitor.port.tap_sender import ENDED
 from dxl_monitor.port.tap_sender import OPENED
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
+from dxl_monitor.tools.doctor import explain
+from dxl_monitor.tools.doctor.verdict import Trouble
 from dxl_monitor.tools.tap import environment
 from dxl_monitor.tools.tap import hand_signals_on
 from dxl_monitor.tools.tap import remedy
+from dxl_monitor.tools.tap import why_unheard
+from mecarover_serial.plain import printable
+from msg_defs.reports import Level
 
 TICK_S = 0.1
 REST_S = 1.0                       # for what the program said last
+# Packages that drive servos; an exception that came through one is about the bus.
+LIBRARIES = frozenset((
+    'lerobot', 'dynamixel_sdk', 'scservo_sdk', 'pypot', 'dynio', 'rustypot', 'st3215',
+    'python_st3215', 'vassar_feetech_servo_sdk', 'vassar_feetech', 'serial'))
+
+
+class Ending(NamedTuple):
+    """How a program ended; error: the exception that nothing caught, '' if none is known."""
+
+    code: int = 0
+    error: str = ''
+    packages: frozenset[str] = frozenset()
+    python: str = ''               # that ran it
+    was_stopped: bool = False      # by Ctrl-C or another signal
+    unheard: str = ''              # why the tap heard nothing
+
+    @property
+    def failed(self) -> str:
+        """Whether it ended by itself with an error that may be of the bus (bus/report.py)."""
+        if not self.code or self.was_stopped:
+            return ''
+        if self.packages & LIBRARIES or explain.find(self.error or '-'):
+            return RAISED
+        return '' if self.error else FAILED
+
+    def trouble(self) -> Trouble | None:
+        """Return what is wrong with a program that its servo library has ended."""
+        if self.failed != RAISED:
+            return None
+        means = explain.find(self.error)
+        return Trouble(Level.WARN, 'the program', '', f'it ended with {self.error}',
+                       means[0].means if means else '')
+
+    def doubts(self) -> list[str]:
+        """Return what is unknown of a program that ended with another error."""
+        if not self.code or self.was_stopped or self.failed == RAISED:
+            return []
+        error = self.error or 'what it printed says why'
+        return [f'the program ended with exit code {self.code}: {error}']
 
 
 class Program:
-    """A running program; OSError when it cannot be started. code: its exit code at the end."""
+    """A running program; OSError when it cannot be started."""
 
     is_live = True
     is_timed = True
 
-    def __init__(self, command: Sequence[str]) -> None:
+    def __init__(self, command: Sequence[str], output: int | None = None) -> None:
         name = f'doctor-{secrets.token_hex(4)}'
-        self.code = 0
+        self._ending = Ending()
         self.ports: list[str] = []
+        self._name = command[0]
+        self._was_stopped = False
+        self._unheard = ''
         self._reader = TapReader(name)
+        self._folder = tempfile.TemporaryDirectory(prefix='dxl_doctor_')
+        self._mark = Path(self._folder.name) / 'mark'
         try:
-            self._child = subprocess.Popen(command, env=environment(name))
+            self._child = subprocess.Popen(command, env=environment(name, str(self._mark)),
+                                           stdout=output)
         except OSError as error:
             self._reader.close()
             raise OSError(error.errno, f'{error.strerror}; {remedy(command)}',
                           command[0]) from error
         hand_signals_on(self._child)
+        signal.signal(signal.SIGINT, self._note_stop)  # the terminal sends it to the child too
+
+    def _note_stop(self, *_: object) -> None:
+        self._was_stopped = True
 
     def chunks(self) -> Iterator[Chunk | None]:
         """Yield what it reads and writes, until it ends; None when nothing came for a moment."""
@@ -57,6 +120,14 @@ class Program:
             yield from self._some(self._reader.wait(TICK_S))
         yield from self._some(self._reader.rest())
 
+    @property
+    def ending(self) -> Ending:
+        """How it ended, as far as it has."""
+        code = self._child.returncode or 0
+        return self._ending._replace(
+            code=128 - code if code < 0 else code, was_stopped=self._was_stopped or code < 0,
+            unheard=self._unheard)
+
     def _some(self, records: list[TapRecord]) -> Iterator[Chunk | None]:
         for record in records:
             chunk = self._chunk(record)
@@ -66,6 +137,10 @@ class Program:
             yield None
 
     def _chunk(self, record: TapRecord) -> Chunk | None:
+        if record.kind == ENDED:
+            said: dict[str, Any] = json.loads(record.data)
+            self._ending = Ending(error=printable(' '.join(said['error'].split())),
+                                  packages=frozenset(said['packages']), python=said['python'])
         if record.kind == OPENED and record.port not in self.ports:
             self.ports.append(record.port)
         bus = ntpath.basename(record.port)           # works for both kinds of path
@@ -85,6 +160,7 @@ class Program:
 
     def close(self) -> None:
         """Wait for the program, and stop to listen."""
-        code = self._child.wait()
-        self.code = 128 - code if code < 0 else code
+        self._child.wait()
         self._reader.close()
+        self._unheard = why_unheard(self._name, self._mark)
+        self._folder.cleanup()

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import groupby
+import os
 from typing import Any
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from mecarover_serial.plain import printable
 from msg_defs.reports import Level
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
+PORTS_NAMED = 2
 _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
 _NEEDS_TIMES = frozenset(rule.name for rule in timing_rules.RULES)
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
@@ -92,14 +94,20 @@ class BusSummary(NamedTuple):
 
 
 def verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: bool,
-            quiet: Sequence[str] = ()) -> Verdict:
-    """Return what is said of a run of so many seconds; quiet: why nothing was heard, if so."""
-    unknown = [] if is_timed or quiet else [_UNTIMED]
+            quiet: Sequence[str] = (), ports: Sequence[str] = (), ended: Trouble | None = None,
+            doubts: Sequence[str] = ()) -> Verdict:
+    """
+    Return what is said of a run of so many seconds; quiet: why nothing was heard, if so.
+
+    Of a program: its ports, the error with which it ended, what is unknown of that.
+    """
+    unknown = [*doubts, *([] if is_timed or quiet else [_UNTIMED])]
     for bus in buses:
         unknown += [f'{doubt.rule.replace("_", " ")}, {bus.who(doubt.device)}: {doubt.message}'
                     for doubt in bus.report.doubts if is_timed or doubt.rule not in _NEEDS_TIMES]
-    wrong = [entry for bus in buses for entry in _wrong(bus)]
-    return Verdict(printable(source), _head(buses, seconds, is_timed),
+    wrong = [entry for bus in buses for entry in _wrong(bus)] + [one for one in [ended] if one]
+    return Verdict(printable(source), (*map(os.path.basename, ports[:PORTS_NAMED]),
+                                       *_head(buses, seconds, is_timed)),
                    tuple(one for bus in buses for one in _heard(bus)),
                    tuple(sorted(wrong, key=lambda entry: -entry.level)), tuple(unknown),
                    tuple(quiet), _protocol(buses))

@@ -1,0 +1,212 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What is said of the question on which a program ends, and of answers that it reads too late.
+
+The bytes are those of Feetech servos, as the manual has them; the program is a list of what it
+writes and reads, and of what it leaves unread.
+"""
+
+import pytest
+
+from dxl_monitor.bus.report import FAILED
+from dxl_monitor.bus.report import RAISED
+from dxl_monitor.model.models import Models
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.tools.doctor.examination import Examination
+from dxl_monitor.tools.doctor.verdict import verdict
+from msg_defs.dxl1_packet import encode
+from msg_defs.event import BAUD
+from msg_defs.event import Change
+from msg_defs.event import CLOSED
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.event import PURGED
+from msg_defs.event import UNREAD
+from msg_defs.reports import Level
+
+MS = 1_000_000
+MODELS = Models()
+WIRE = Wire('arm', 0)
+PING, READ, SYNC_READ = 1, 2, 0x82
+PLACE = b'\x38\x02'                  # 2 bytes at 56
+SIX = (1, 2, 3, 4, 5, 6)
+
+
+class Script:
+    """What a program does with its port, in ms; the tap reports it."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.chunks: list[Chunk] = []
+        self.change(BAUD, 1_000_000)
+        self.change(UNREAD, 0)
+
+    def change(self, what: str, value: int, after: float = 0.0) -> None:
+        self.now += after
+        self.chunks.append(Chunk(int(self.now * MS), 'arm', change=Change(what, value)))
+
+    def write(self, packet: bytes, after: float = 2.0) -> None:
+        self.now += after
+        self.chunks.append(Chunk(int(self.now * MS), 'arm', packet, OUT))
+
+    def read(self, packet: bytes, after: float = 1.5) -> None:
+        self.now += after
+        self.chunks.append(Chunk(int(self.now * MS), 'arm', packet, IN))
+
+    def ping(self, number: int, *, answers: bool = True) -> None:
+        self.write(encode(number, PING, b''))
+        if answers:
+            self.read(encode(number, 0, b''))
+            self.write(encode(number, READ, b'\x03\x02'))
+            self.read(encode(number, 0, b'\x09\x03'))
+        else:
+            self.now += 50
+
+    def ask(self, number: int, answer: bytes | None = b'\x00\x08', wait: float = 36.0) -> None:
+        self.write(encode(number, READ, PLACE))
+        if answer is not None:
+            self.read(encode(number, 0, answer))
+        else:
+            self.now += wait
+
+    def end(self, unread: int = 0, after: float = 0.0) -> None:
+        self.change(UNREAD, unread, after)
+        self.change(CLOSED, 1)
+
+
+def told(program: Script, failed: str = '') -> tuple[set[tuple[str, str]], list[str]]:
+    """Return what is wrong, at WARN or worse, and what is unknown."""
+    examination = Examination(MODELS)
+    for chunk in program.chunks:
+        examination.take(chunk, WIRE)
+    examination.finish(examination.last, True, failed)
+    said = verdict('x', examination.buses(True), 1.0, True)
+    return ({(one.rule, one.who[:3]) for one in said.wrong if one.level > Level.OK},
+            list(said.unknown))
+
+
+def handshake(*absent: int) -> Script:
+    """Return LeRobot at its start: it pings all, then raises if one is missing."""
+    program = Script()
+    for number in SIX:
+        program.ping(number, answers=number not in absent)
+    return program
+
+
+@pytest.mark.parametrize('absent', [(6,), (3,), (2, 3, 4, 5, 6), (1, 6)], ids=str)
+def test_who_is_missing_at_the_start_is_named(absent: tuple[int, ...]) -> None:
+    program = handshake(*absent)
+    program.end()
+    who = {f'{number:03}' for number in absent}
+    named = told(program, RAISED)[0]
+    assert {(rule, one[:3]) for rule, one in named} == (
+        {('no_answer', who.pop())} if len(absent) == 1 else {('no_answer', f'{min(absent):03}')})
+
+
+def test_nobody_at_all_is_no_single_servo() -> None:
+    program = handshake(*SIX)
+    program.end()
+    assert told(program, RAISED)[0] == {('all_silent', 'the')}
+
+
+@pytest.mark.parametrize('failed', [FAILED, RAISED])
+def test_a_servo_on_which_a_program_ends(failed: str) -> None:
+    program = handshake()
+    for _ in range(20):
+        for number in SIX:
+            program.ask(number)
+    program.ask(3, None)
+    program.end()
+    assert told(program, failed)[0] == {('no_answer', '003')}
+    assert told(program)[0] == set()
+
+
+@pytest.mark.parametrize(('wait', 'unread'), [(3.0, 0), (36.0, 8), (36.0, 2)])
+def test_a_question_that_had_no_time_accuses_none(wait: float, unread: int) -> None:
+    program = handshake()
+    program.ask(3, None, wait)
+    program.end(unread)
+    wrong, unknown = told(program, RAISED)
+    assert wrong == set()
+    assert any('whether this answers is unknown' in text for text in unknown)
+
+
+def test_an_answer_that_was_thrown_away_is_none_that_did_not_come() -> None:
+    program = handshake()
+    program.ask(3, None)
+    program.change(PURGED, 1)
+    program.end()
+    assert told(program, RAISED)[0] == set()
+
+
+def test_an_answer_that_was_damaged_at_the_end() -> None:
+    program = handshake()
+    for _ in range(20):
+        program.ask(1)
+    program.write(encode(1, READ, PLACE))
+    program.read(b'\xff\xff\x01\x04\x00\x10\x00\x00')
+    program.end(after=40.0)
+    assert told(program, RAISED)[0] == {('damaged_answers', '001')}
+
+
+def group(*answers: bytes) -> bytes:
+    return b''.join(answers)
+
+
+def test_answers_that_are_read_after_the_next_question_accuse_none() -> None:
+    """Servo 3 is damaged; the program stops reading there and does not clear its input."""
+    ask = encode(0xFE, SYNC_READ, PLACE + bytes(SIX))
+    whole = [encode(number, 0, b'\x00\x08') for number in SIX]
+    program = handshake()
+    for turn in range(150):
+        if turn and turn % 10 == 0:
+            program.change(UNREAD, 24)
+        elif turn > 1 and turn % 10 == 1:
+            program.change(UNREAD, 0)
+        program.write(ask, after=14.0)
+        late = group(*whole[3:]) if turn and turn % 10 == 0 else b''
+        if turn % 10 == 9:
+            program.read(group(*whole[:2], whole[2][:5] + b'\x55\x00\x00'))
+        else:
+            program.read(late + group(*whole))
+    program.end()
+    wrong, _ = told(program)
+    assert wrong <= {('damaged_answers', '003'), ('noise', 'the')}
+    assert {who for _, who in wrong} <= {'003', 'the'}
+
+
+def test_a_program_that_is_always_one_answer_behind_is_no_silent_bus() -> None:
+    program = handshake()
+    for turn in range(120):
+        number = SIX[turn % 6]
+        if turn:
+            program.change(UNREAD, 8)
+        program.write(encode(number, READ, PLACE), after=10.0)
+        if turn:
+            program.read(encode(SIX[(turn - 1) % 6], 0, b'\x00\x08'), after=0.3)
+    program.end(8)
+    assert told(program)[0] == set()
+
+
+def test_a_program_that_reads_long_after_it_asked_misses_nothing() -> None:
+    program = handshake()
+    for turn in range(12):
+        program.ask(SIX[turn % 6], None, 2500.0)
+        program.read(encode(SIX[turn % 6], 0, b'\x00\x08'))
+    program.end()
+    assert not {rule for rule, _ in told(program)[0]} & {'no_answer', 'missed_answers'}
+
+
+@pytest.mark.parametrize(('late', 'pause', 'rules'), [
+    (15.6, 0.5, {('latency_timer', 'the')}), (1.2, 15.467, set()), (1.2, 15.0, set())],
+    ids=['a timer of 16 ms', 'a loop at 60 Hz', 'it sleeps for 15 ms'])
+def test_a_period_that_a_program_makes_is_no_latency(
+        late: float, pause: float, rules: set[tuple[str, str]]) -> None:
+    program = handshake()
+    for turn in range(300):
+        program.write(encode(SIX[turn % 6], READ, PLACE), after=pause)
+        program.read(encode(SIX[turn % 6], 0, b'\x00\x08'), after=late)
+    program.end()
+    assert told(program)[0] == rules
