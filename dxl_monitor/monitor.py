@@ -83,9 +83,7 @@ class Monitor:
     |---|---|
     | _fed, _last, _time_per_buffer, _time_between, _buffer_size | feed() |
     | _listened, _resumed | feed(), flush_if_idle(), report() where idle is not reported |
-    | _line_errors | change() |
-    | _deaf | report() |
-    | _failed | end() |
+    | _line_errors, _deaf, _failed | change(), report(), end() |
     | _ticks, _next_tick, _noise_seen | feed() or report(), once a second |
     | _started, _base, doctor | reset_statistics() |
     | all others | set once |
@@ -345,8 +343,7 @@ class Monitor:
             name=self.name, stamp=now, started=self._started, baud=self.decoder.settings.baud,
             level=Level.OK, message='', devices=(), counters=self._counters(), rates=rates,
             errors=evidence.errors(self._registry.register_name),
-            incidents=evidence.incidents(), waits=evidence.waits(),
-            cycles=cycles, metrics=(),
+            incidents=evidence.incidents(), waits=evidence.waits(), cycles=cycles, metrics=(),
             noise=self.decoder.noise,
             last_byte_s=(now - self._last) / 1e9 if self._last else None,
             kinds=dict(evidence.counts), protocol=self.decoder.protocol(),
