@@ -96,7 +96,7 @@ class Family(NamedTuple):
     pieces: tuple[Any, ...]
     longest: int                       # that a framer keeps back
     good: bytes
-    as_said: Callable[[Any], Any]      # of a frame
+    as_said: Callable[[Any], Any]      # what a frame says
     as_sent: Callable[[Any], Any]      # of a packet of the reference
 
 
