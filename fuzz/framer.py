@@ -97,7 +97,7 @@ class Family(NamedTuple):
     longest: int                       # that a framer keeps back
     good: bytes
     as_said: Callable[[Any], Any]      # what a frame says
-    as_sent: Callable[[Any], Any]      # of a packet of the reference
+    as_sent: Callable[[Any], Any]      # what a packet of the reference says
 
 
 FAMILY_2 = Family(Watched, reference.Stream, PIECES_2, MAX_FRAME, encode(1, STATUS, b'good', 0),
