@@ -107,7 +107,8 @@ FEETECH = Dialect(
 UNDECIDED = Dialect(
     name='Dynamixel 1.0 or Feetech', protocol='1 or feetech',
     entries={**DYNAMIXEL_1.entries, **FEETECH.entries},
-    errors={0: 'voltage', 2: 'overheating', 5: 'overload'},
+    errors={0: 'voltage', 1: 'angle limit or sensor', 2: 'overheating', 3: 'range or current',
+            5: 'overload'},
     refusals={3: 4, 4: 3, 6: 2},
     error_at=256, identity_at=-1, level_at=-1, factory_baud=1_000_000)
 # A reset of Dynamixel sets the ID to 1, one of Feetech keeps it.

@@ -392,6 +392,21 @@ def test_what_the_official_packages_print_is_known():
      'status packet!', 'Failed to sync read'),
     ("Can't find DYNAMIXEL ID:  8, Joint Name: 'wrist': '[RxPacketError] Hardware error occurred.",
      "Can't find Dynamixel ID"),
+    ("Motor 'left_antenna' hardware errors: ['Overload Error']", "Motor '{}' hardware errors:"),
+    ("RuntimeError: Found one motor on baudrate=1000000 with id=1 but it has a model number '777' "
+     'different than the one expected',
+     'Found one motor on baudrate={} with id={} but it has a model number'),
+    ('ValueError: Magnitude 2114 exceeds 2047 (max for sign_bit_index=11)',
+     'Magnitude {} exceeds {} (max for sign_bit_index='),
+    ('read crc: 251, computed crc: 219 data: [255, 255, 32, 4, 0, 0, 0, 251]',
+     'read crc: {}, computed crc:'),
+    ('[ERROR] [dynamixel_hardware_interface]: Communication Fail --> SYNC_READ_FAIL',
+     'Communication Fail -->'),
+    ('Failed to read value on items[Goal_Position] from Dynamixel[ID : 3]',
+     'Failed to read value on items[{}] from Dynamixel[ID : {}]'),
+    ('serial.serialutil.SerialException: device reports readiness to read but returned no data '
+     '(device disconnected or multiple access on port?)',
+     'device reports readiness to read but returned no data'),
 ])
 def test_a_pasted_line_is_explained(pasted, first):
     assert explain.find(pasted)[0].text == first

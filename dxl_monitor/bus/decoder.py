@@ -211,6 +211,9 @@ class BusDecoder:
         if self.classifier is not None:
             self.classifier.byte_ns = self.byte_ns
         self.registry.baud = baud
+        for device in self.registry.devices.values():
+            if not device.heard:               # it may not have been meant at all
+                device.missed_in_a_row = 0
         self.expect_delay(self.settings.latency_timer_ms)
 
     def protocol(self) -> str:

@@ -53,6 +53,7 @@ class Device:
     is_unusual: it was away or had an error, so its next answer needs more than storing |
     | asked_stamp, owed, waiting_behind | miss(), not_served(), pays(); owed: answers that the \
     master gave up lately; waiting_behind: the silent device in front of it in a group read |
+    | error_bits | DeviceRegistry.told_error() |
     | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |
     | registered, moved_to | DeviceRegistry: a Reg Write before its Action; the baud rate that \
     was written, in words |
@@ -61,11 +62,11 @@ class Device:
 
     __slots__ = (
         '_eeprom_end', '_given_up', '_level_at', '_special', 'acks', 'acks_missing', 'alert',
-        'asked_first', 'asked_stamp', 'counts', 'dialect', 'errors', 'expected', 'firmware',
-        'followed_end', 'heard', 'identity', 'identity_stamp', 'is_unresolved', 'is_unusual',
-        'joint', 'last_error', 'latency', 'latency_resolved', 'missed_in_a_row', 'model',
-        'model_number', 'moved_to', 'number', 'owed', 'registered', 'return_level', 'snapshots',
-        'table', 'waiting_behind')
+        'asked_first', 'asked_stamp', 'counts', 'dialect', 'error_bits', 'errors', 'expected',
+        'firmware', 'followed_end', 'heard', 'identity', 'identity_stamp', 'is_unresolved',
+        'is_unusual', 'joint', 'last_error', 'latency', 'latency_resolved', 'missed_in_a_row',
+        'model', 'model_number', 'moved_to', 'number', 'owed', 'registered', 'return_level',
+        'snapshots', 'table', 'waiting_behind')
 
     def __init__(self, number: int, joint: str = '', expected: bool = False) -> None:
         self.number = number                       # its ID
@@ -83,6 +84,7 @@ class Device:
         self.waiting_behind: int | None = None
         self.alert = False
         self.last_error = 0
+        self.error_bits = 0                        # of its last answer, in the 1.0 family
         self.missed_in_a_row = 0
         self.heard = 0                             # stamp of the last status, 0 = never
         self.asked_stamp = 0                       # when it last did not answer

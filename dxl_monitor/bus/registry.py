@@ -194,7 +194,9 @@ class DeviceRegistry:
     def told_error(self, number: int, at: int, error: int, stamp: int) -> None:
         """Keep the error byte of a status of the 1.0 family where its table has it."""
         if number <= self.highest:
-            self.device(number).table.store(at, bytes([error]), stamp, READ)
+            device = self.device(number)
+            device.error_bits = error
+            device.table.store(at, bytes([error]), stamp, READ)
 
     def calibrate(self, device: Device, stamp: int) -> None:
         """Forget what a Calibrate of Feetech changes."""

@@ -189,7 +189,7 @@ class DeviceReport(NamedTuple):
     waiting_behind: int | None     # ID of the silent device in front of it
     last_heard_s: float | None     # age of its last answer
     alert: bool                    # the alert bit of its last answer
-    last_error: str                # in its last answer: 'Access'; '' if none
+    last_error: str                # in its last answer: 'Access', 'voltage'; '' if none
     status_return_level: int | None
     acks: bool | None              # whether it acknowledges writes, None while unknown
     acks_missing: int              # writes without an acknowledgement, in a row

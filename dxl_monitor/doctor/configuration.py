@@ -38,8 +38,10 @@ OTHERWISE_S = 2.0                  # an answer to something else, so lately: it 
 STOPPED = 'master_stopped'
 MODELS = 'models'
 STOPPED_S = 1.2
+RESTED_S = 10.0                    # a shorter pause may be meant
 WORKED_S = 3.0                     # a program that ran so long has stopped; a command is done
 NO_IDS = (0xFD, 0xFF)
+MOSTLY = 0.7                       # of the instructions
 SCANS = 15                         # broadcast Pings in 10 s: each needs 0.8 s
 PINGS_NS = 10 * S
 # Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
@@ -208,7 +210,8 @@ def _master_stopped(case: Case) -> Iterator[Found]:
         return                                 # a command, and it is done
     yield Claim(None, f'the master stopped {since:.1f} s after listening began: check its '
                       'program; device states date from then',
-                (('stopped after (s)', f'{since:.1f}'),))
+                (('stopped after (s)', f'{since:.1f}'),),
+                Level.OK if case.quiet_s < RESTED_S else None)
 
 
 def _impossible_id(case: Case) -> Iterator[Found]:
@@ -224,10 +227,12 @@ def _impossible_id(case: Case) -> Iterator[Found]:
 
 
 def _scan(case: Case) -> Iterator[Found]:
-    pings = sum(stamp > case.now - PINGS_NS for cycle in case.report.cycles
-                for stamp in cycle.stamps
-                if cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,))
-    if pings >= SCANS:
+    stamps = [stamp for cycle in case.report.cycles for stamp in cycle.stamps
+              if stamp > case.now - PINGS_NS
+              and cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,)]
+    pings, asked = len(stamps), case.mark(10).instructions
+    if pings >= SCANS or (pings >= FEW and case.damage >= FEW and pings > MOSTLY * (
+            case.report.counters['Instructions'] - asked)):
         collide = case.damage >= FEW
         yield Claim(None, 'the master sends broadcast Pings without a '
                           f"pause{', and the answers collide' if collide else ''}: let it wait "

@@ -27,6 +27,13 @@ ALIVE_VOLTS = 1.0                  # a device with less does not answer: the reg
 TRIPPED = (0xFF, -1)
 RANGE = 4
 FEW = 3
+# What to do about an error bit of the 1.0 family, by a part of its name; the first that fits.
+_REMEDIES = {
+    'voltage': 'measure the supply at its plug and compare it with its label',
+    'overheating': 'let it cool and reduce its load',
+    'angle limit': 'keep its goals within its limits; if they are, its sensor is broken',
+    'overload': 'free the joint or reduce its load, then switch its torque off and on',
+    'current': 'free the joint or reduce its load, then switch its torque off and on'}
 _ERRORS = ('Hardware Error Status', 'Error Code')
 
 
@@ -76,17 +83,20 @@ def latched(device: DeviceReport) -> Claim | None:
     if not device.alert or not device.window.alerts:
         return None
     values = {one.field.name: one for one in device.observed}
-    seen = next((values[name] for name in _ERRORS
-                 if name in values and values[name].value.raw), None)
     torque = ', torque is off' if is_off(values.get('Torque Enable')) else ''
     figures = (('answers with alert', str(device.window.alerts)),)
+    if device.protocol != words.PROTOCOL_2:    # bits that say what is, with nothing to read
+        remedy = next((remedy for bit, remedy in _REMEDIES.items() if bit in device.last_error),
+                      'switch it off and on')
+        return Claim(device.id, f'{device.last_error} error in its answers{torque}: {remedy}',
+                     figures)
+    seen = next((values[name] for name in _ERRORS
+                 if name in values and values[name].value.raw), None)
     if seen is None:
         return Claim(device.id, f'alert in its answers{torque}: an error is latched; read '
                      'Hardware Error Status, then reboot it', figures, Level.WARN)
-    # Of the 1.0 family only a few servos know the instruction Reboot.
-    remedy = 'send Reboot' if device.protocol == words.PROTOCOL_2 else 'switch it off and on'
     return Claim(device.id, f'{seen.value.text} error latched{torque}: remove the cause, then '
-                 f'{remedy}; until then it does not move', figures)
+                 'send Reboot; until then it does not move', figures)
 
 
 def is_off(torque: Observed | None) -> bool:

@@ -160,6 +160,8 @@ def _dropout(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _rebooted(case: Case, device: DeviceReport) -> Found | None:
+    if device.window.spoilt * 2 > device.window.missed:
+        return None
     for one in _absences(case, device.id):
         proof = _restart_proof(case, one)
         if proof and _talks_since(case, one):
@@ -235,6 +237,8 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
     if torque is not None and is_off(torque) and torque.age_s < FOLLOW_S:
         return Claim(device.id, 'goals are sent to it, but its torque is off: switch it on '
                      '(Torque Enable 1); after a restart, write all its settings again')
+    if torque is not None and torque.value.raw and not _absences(case, device.id):
+        return None                    # it is on, so something holds it, or it is where it can be
     if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not any(
             _follows([one for one in case.samples[other] if one.stamp > case.now - FOLLOW_S * S])
             for other in case.samples if other != device.id):

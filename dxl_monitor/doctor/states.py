@@ -24,6 +24,7 @@ from msg_defs.reports import number
 
 _CRC_ERRORS_PER_S = 1.0
 _LOST = (words.DISCONNECTED, words.EXPECTED)
+PINGS = 2                      # of an ID that is only searched for
 _NAMED = 5                     # lost devices in the message of a bus
 # What a list of devices says of some states.
 LISTED_AS = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard',
@@ -59,7 +60,9 @@ def _device(device: DeviceReport, settings: Settings) -> DeviceReport:
 def _never_heard(device: DeviceReport) -> tuple[str, Level, str]:
     if device.expected:
         return words.EXPECTED, Level.ERROR, 'expected, but never heard'
-    if device.missed_in_a_row or device.totals.not_served:
+    totals = device.totals
+    if totals.not_served or device.missed_in_a_row > (0 if totals.reads or totals.writes
+                                                      else PINGS):
         return words.ASKED, Level.WARN, 'asked, but never heard'
     return words.ASKED, Level.STALE, 'addressed, but never asked and never heard'
 

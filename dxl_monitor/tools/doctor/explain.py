@@ -3,7 +3,7 @@
 """
 What the texts mean that programs print: dxl_doctor --explain TEXT.
 
-They are in errors.yaml. Texts are found within what a person pasted.
+They are in errors.yaml, as forms: {} is what differs. They are found within what a person pasted.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from difflib import SequenceMatcher
 from functools import cache
 from importlib import resources
+import re
 import textwrap
 from typing import NamedTuple
 
@@ -59,9 +60,11 @@ def _place(one: Explanation, wanted: str) -> int | None:
     """Return where a text is found in what was pasted; None if it is not."""
     places = []
     for text in map(_plain, (one.text, *one.also)):
-        if text in wanted:
-            places.append(wanted.index(text))
-        elif len(wanted) >= _SHORTEST and wanted in text:
+        parts = text.split('{}')
+        found = re.search('.*?'.join(map(re.escape, parts)), wanted)
+        if found:
+            places.append(found.start())
+        elif len(wanted) >= _SHORTEST and any(wanted in part for part in parts):
             places.append(0)
     return min(places, default=None)
 

@@ -26,6 +26,7 @@ from msg_defs.reports import Level
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
 PORTS_NAMED = 2
+LOAD_NS = 2_000_000_000             # of a shorter time the load says nothing
 _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
 _NEEDS_TIMES = frozenset(rule.name for rule in timing_rules.RULES)
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
@@ -127,7 +128,8 @@ def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[
     packets = sum(report.counters['Packets'] for report in reports)
     parts.append(f'{packets} packets')
     loads = [metric.value or 0.0 for report in reports for metric in report.metrics
-             if metric.name == 'bus_load'] if is_timed else []
+             if metric.name == 'bus_load' and report.stamp - report.started > LOAD_NS
+             ] if is_timed else []
     return (*parts, *([f'load {max(loads):.0f} %'] if loads else []))
 
 
@@ -212,6 +214,7 @@ def as_json(said: Verdict, buses: Sequence[BusSummary], seconds: float) -> dict[
     """Return a run for programs: seconds from the first byte on, levels in words."""
     return {
         'source': said.source, 'seconds': round(seconds, 3), 'exit': said.code,
+        'wrong': [[one.level.name, one.who, one.rule, one.message] for one in said.wrong],
         'nothing_heard': list(said.quiet), 'cannot_tell': list(said.unknown),
         'buses': [{
             'name': bus.report.name, 'baud': bus.report.baud,
