@@ -37,12 +37,11 @@ from dxl_monitor.model.layers import model_key
 from dxl_monitor.model.models import Models
 from dxl_monitor.port.driver import LineErrors
 from mecarover_serial.internal_fault import survive
-from msg_defs.dxl1_instruction import error_text as bits_text
-from msg_defs.dxl_instruction import error_text
 from msg_defs.event import BREAK
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
 from msg_defs.event import FRAMING
+from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import OVERRUN
 from msg_defs.event import PARITY
@@ -350,7 +349,8 @@ class Monitor:
             kinds=dict(evidence.counts), protocol=self.decoder.protocol(),
             asked=self._tracker.asked, scanned=self._scanned(),
             chain=tuple(expected.id for expected in self.settings.devices),
-            has_sides=OUT in self.decoder.framers, deaf=self._deaf, failed=self._failed)
+            has_sides=OUT in self.decoder.framers, deaf=self._deaf, failed=self._failed,
+            is_answered=OUT not in self.decoder.framers or IN in self.decoder.framers)
 
     def _scanned(self) -> tuple[int, ...]:
         """Return the IDs that were only pinged and never heard: many are a scan, no devices."""
@@ -385,15 +385,10 @@ def _facts(device: Device, now: int, quiet_s: float) -> tuple[DeviceReport, Tabl
         window=device.window(), missed_in_a_row=device.missed_in_a_row,
         waiting_behind=device.waiting_behind,
         last_heard_s=(now - device.heard) / 1e9 if device.heard else None, alert=device.alert,
-        last_error=_error(device), status_return_level=device.return_level,
+        last_error=device.error_words, status_return_level=device.return_level,
         acks=device.acks, acks_missing=device.acks_missing, observed=(), unobserved=0,
         latency=device.latency_report(now), errors=dict(device.errors), expected=device.expected,
         moved_to=device.moved_to, quiet_s=quiet_s), device.table.copy()
-
-
-def _error(device: Device) -> str:
-    return error_text(device.last_error) if device.dialect is None \
-        else bits_text(device.error_bits, device.dialect)
 
 
 def _cycles(plans: list[Plan]) -> tuple[Cycle, ...]:

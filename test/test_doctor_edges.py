@@ -249,7 +249,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     ('no_answer', {'whom': 2,
       'devices': [device(2, **{**SILENT, 'state': words.ASKED, 'last_heard_s': None,
                                             'missed_in_a_row': 5})]},
-     'no answer, never heard: check its power, cable and ID', {'requests without an answer': '5'},
+     'no answer, never heard: check its power, cable and ID, and whether the program has their '
+     'baud rate and protocol', {'requests without an answer': '5'},
      [{'devices': [device(2, **{**SILENT, 'state': words.ASKED, 'last_heard_s': None,
                                 'missed_in_a_row': 4})]}]),
     ('sync_read_stops', {'whom': 2,
@@ -525,7 +526,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      {'refused': '3'},
      [{'notes': note(ev.REFUSED, ev.Refusal(I.READ, 0, 7), 2)}, {'devices': [device()]},
       {'notes': note(ev.REFUSED, ev.Refusal(I.READ, -1, 7), 3)}]),
-    ('master_stopped', {'quiet_s': 1.2, 'last_byte_s': 1.2, 'asked': NOW - 57 * S},
+    ('master_stopped', {'level': Level.OK, 'quiet_s': 1.2, 'last_byte_s': 1.2,
+                        'asked': NOW - 57 * S},
      'the master stopped 3.0 s after listening began: check its program; device states date from '
      'then', {'stopped after (s)': '3.0'},
      [{'quiet_s': 1.19}, {'last_byte_s': 1.19}, {'asked': NOW - 57 * S - 1},
@@ -541,7 +543,13 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
         NOW - 10 * S, *[NOW - 10 * S + 1] * 15)),), 'notes': damage(3)},
      'the master sends broadcast Pings without a pause, and the answers collide: let it wait 0.8 '
      's after each, the time that all IDs need', {'broadcast Pings in 10 s': '15'},
-     [{'cycles': (asks(I.PING, BROADCAST, stamps=(NOW - 10 * S, *[NOW - 10 * S + 1] * 14)),)}]),
+     [{'cycles': (asks(I.PING, BROADCAST, stamps=(NOW - 10 * S, *[NOW - 10 * S + 1] * 14)),),
+       'counters': {'Instructions': 20}}]),
+    ('scan', {'level': Level.WARN, 'counters': {'Instructions': 4}, 'notes': damage(3),
+              'cycles': (asks(I.PING, BROADCAST, stamps=(NOW - 2,) * 3),)},
+     'the master sends broadcast Pings without a pause, and the answers collide: let it wait 0.8 '
+     's after each, the time that all IDs need', {'broadcast Pings in 10 s': '3'},
+     [{'counters': {'Instructions': 5}}, {'notes': damage(2)}]),
     ('scan', {'scanned': (4, 5), 'devices': [device(1)]},
      'a scan: 2 IDs were pinged and do not answer, 1 devices are known',
      {'without an answer': '004, 005'}, [{'scanned': ()}]),

@@ -20,7 +20,9 @@ from dxl_monitor.model.control_table import Field
 from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.control_table import UNKNOWN
 from msg_defs.dxl1_instruction import Dialect
+from msg_defs.dxl1_instruction import error_text as bits_text
 from msg_defs.dxl1_instruction import FEETECH
+from msg_defs.dxl_instruction import error_text
 from msg_defs.timing import Series
 
 WINDOW_S = 10
@@ -129,6 +131,12 @@ class Device:
         """What it speaks, as model files call it."""
         return self.dialect.protocol if self.dialect is not None else '2'
 
+    @property
+    def error_words(self) -> str:
+        """The error in its last answer, in words."""
+        return error_text(self.last_error) if self.dialect is None \
+            else bits_text(self.error_bits, self.dialect)
+
     def is_changed_by(self, address: int, size: int) -> bool:
         """Return whether these bytes, written, may change what the device is or does."""
         return address < self._eeprom_end or address <= self._level_at < address + size
@@ -186,9 +194,9 @@ class Device:
         self.waiting_behind = blocker
         self.is_unusual = True
 
-    def pays(self, stamp: int) -> bool:
+    def pays(self, stamp: int, patience_ns: int = OWED_NS) -> bool:
         """Take an answer that is not due: whether one that was given up lately is still owed."""
-        if not self.owed or not self._is_lately(stamp):
+        if not self.owed or stamp - self._given_up >= patience_ns:
             return False
         self.owed -= 1
         return True

@@ -296,7 +296,8 @@ class Tracker:
                 self._note(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
         elif not plan.is_understood and request.id in (number, BROADCAST):
             pass                   # it may have asked for this answer
-        elif device.pays(stamp) or (number in self._given_up and number not in plan.slots):
+        elif device.pays(stamp, self.unread.patience_ns) \
+                or (number in self._given_up and number not in plan.slots):
             self._note(stamp, ev.LATE, number, ev.Lateness(self._since_asked(stamp)))
             if not data and device.dialect is None and not error & ~ALERT:
                 device.acknowledged()          # Pings and reads are answered with data
@@ -375,8 +376,7 @@ class Tracker:
             if question.is_spoilt:
                 most = sum(slot.size + AROUND for slot in slots.values())
                 self._policy.look_at_noise(question, self._noise, most, now)
-            us = self._since_asked(now)
-            self._policy.judge(question, now, stamp, us)
+            self._policy.judge(question, now, stamp, us := self._since_asked(now))
             if following == self._last:
                 self._note(now, ev.REPEATED, due[0].device.number, ev.Again(following[2], us))
         if not due or question.is_spoilt:

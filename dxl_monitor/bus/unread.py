@@ -10,6 +10,7 @@ there when it closed its port did not come at all.
 from collections.abc import Callable
 
 from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.device import OWED_NS
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.plan import Due
 from dxl_monitor.bus.planner import NO_PLAN
@@ -21,6 +22,7 @@ from msg_defs.dxl_instruction import ALERT
 from msg_defs.frame import Frame
 
 AROUND = 11                        # bytes of a status without its data
+READ_LATE_NS = 10_000_000_000
 ADAPTER_NS = 17_000_000            # a latency timer of 16 ms, and Return Delay Time
 _NOTHING = OpenQuestion(NO_PLAN, [], set(), False)
 
@@ -30,11 +32,13 @@ class Unread:
     The answers of one bus that were not read when their question was over.
 
     until: the offset of the stream to the master up to which it is old, 0: nothing; stamp: when
-    that was said, 0: never. left: the question whose answers may be there.
+    that was said, 0: never. left: the question whose answers may be there. patience_ns: for how
+    long an answer that was given up may still come.
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, duty: ReplyPolicy) -> None:
         self.until = self.stamp = self._purged = 0
+        self.patience_ns = OWED_NS
         self.left = _NOTHING
         self._registry = registry
         self._evidence = evidence
@@ -42,7 +46,7 @@ class Unread:
 
     def say(self, until: int, stamp: int) -> None:
         """Take note of what is not read yet: up to an offset, 0: all is read."""
-        self.until, self.stamp = until, stamp
+        self.until, self.stamp, self.patience_ns = until, stamp, READ_LATE_NS
         if not until:
             self.left = _NOTHING
 

@@ -27,6 +27,7 @@ from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import longer_than
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import share
+from msg_defs.dxl_instruction import Instruction
 from msg_defs.reports import Level
 
 S = 1_000_000_000
@@ -42,6 +43,7 @@ TICK_TURN_S = 32.768               # Realtime Tick begins at 0 again (e-Manual)
 TICK_SLACK_S = 0.5
 FEW = 3
 LOSS = 0.01
+_OF_THE_MASTER = ', and whether the program has their baud rate and protocol'
 
 
 def _all_silent(case: Case) -> Iterator[Found]:
@@ -50,14 +52,19 @@ def _all_silent(case: Case) -> Iterator[Found]:
     heard = sum(device.totals.answers for device in case.report.devices) - before.answers
     missing = [device.id for device in case.report.devices
                if device.missed_in_a_row or is_waiting(device)]
-    is_over = case.report.failed and all(device.last_heard_s is None for device in
-                                         case.report.devices)
-    if len(missing) > 1 and (is_over or (asked >= 5 and heard <= 0 and case.gone)):
+    figures = (('instructions', str(asked)),)
+    is_new = all(device.last_heard_s is None for device in case.report.devices)
+    if len(missing) > 1 and ((case.report.failed and is_new)
+                             or (asked >= 5 and heard <= 0 and case.gone)):
         first = case.gone[0] if len(case.gone) == 1 else None
         alone = '' if first is None else f'; or {first:03} is dead and the others wait for it'
+        hint = '' if case.report.has_sides else '; or listen to both directions'
         yield Claim(None, f'none of {len(missing)} devices answers the master: check power and '
-                          f'first cable{alone}; or listen to both directions',
-                    (('instructions', str(asked)),))
+                          f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
+    elif not case.report.is_answered and (case.report.failed or any(
+            cycle.instruction == Instruction.PING for cycle in case.report.cycles)):
+        yield Claim(None, 'not one byte comes back to the program: check power and first cable'
+                          f'{_OF_THE_MASTER}', figures)
 
 
 def _gone(case: Case, blocking: bool) -> Iterator[Found]:
@@ -90,7 +97,8 @@ def _claim_gone(case: Case, number: int) -> Claim:
         else 'and the program ended there'
     others = ', others answer' if any(
         case.lately(other, GONE_S).answers for other in case.report.devices) else ''
-    return Claim(number, f'no answer, {since}{others}: check its power, cable and ID',
+    own = '' if others or device.last_heard_s is not None else _OF_THE_MASTER
+    return Claim(number, f'no answer, {since}{others}: check its power, cable and ID{own}',
                  (('requests without an answer', str(device.missed_in_a_row)),
                   *_waiting(case, number)))
 

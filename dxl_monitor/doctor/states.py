@@ -82,7 +82,7 @@ def _degraded(device: DeviceReport, settings: Settings) -> tuple[Level, str]:
 def _bus(bus: BusReport, devices: Sequence[DeviceReport], names: Names) -> tuple[Level, str]:
     if not bus.counters['Bytes'] and bus.last_byte_s is None:
         return Level.STALE, 'nothing heard yet'
-    if not bus.counters['Packets']:
+    if not bus.counters['Packets'] and bus.is_answered:
         return Level.WARN, damage.NO_PACKETS.format(bauds=names.bauds)
     connected = sum(device.state == words.CONNECTED for device in devices)
     lost = [device.name for device in devices if device.state in _LOST]
