@@ -41,7 +41,6 @@ from msg_defs.event import BREAK
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
 from msg_defs.event import FRAMING
-from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import OVERRUN
 from msg_defs.event import PARITY
@@ -350,7 +349,7 @@ class Monitor:
             asked=self._tracker.asked, scanned=self._scanned(),
             chain=tuple(expected.id for expected in self.settings.devices),
             has_sides=OUT in self.decoder.framers, deaf=self._deaf, failed=self._failed,
-            is_answered=OUT not in self.decoder.framers or IN in self.decoder.framers)
+            tried=frozenset(self._registry.tried), is_answered=self.decoder.is_answered)
 
     def _scanned(self) -> tuple[int, ...]:
         """Return the IDs that were only pinged and never heard: many are a scan, no devices."""

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What is said of the question on which a program ends, and of answers that it reads too late.
+What is said of programs as they are: how they end, search, rest, and read too late.
 
 The bytes are those of Feetech servos, as the manual has them; the program is a list of what it
 writes and reads, and of what it leaves unread.
@@ -15,6 +15,7 @@ from dxl_monitor.model.models import Models
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.tools.doctor.examination import Examination
+from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
 from msg_defs.dxl1_packet import encode
 from msg_defs.event import BAUD
@@ -76,13 +77,17 @@ class Script:
         self.change(CLOSED, 1)
 
 
-def told(program: Script, failed: str = '') -> tuple[set[tuple[str, str]], list[str]]:
-    """Return what is wrong, at WARN or worse, and what is unknown."""
+def verdict_of(program: Script, failed: str = '') -> Verdict:
     examination = Examination(MODELS)
     for chunk in program.chunks:
         examination.take(chunk, WIRE)
     examination.finish(examination.last, True, failed)
-    said = verdict('x', examination.buses(True), 1.0, True)
+    return verdict('x', examination.buses(True), 1.0, True)
+
+
+def told(program: Script, failed: str = '') -> tuple[set[tuple[str, str]], list[str]]:
+    """Return what is wrong, at WARN or worse, and what is unknown."""
+    said = verdict_of(program, failed)
     return ({(one.rule, one.who[:3]) for one in said.wrong if one.level > Level.OK},
             list(said.unknown))
 
@@ -210,3 +215,78 @@ def test_a_period_that_a_program_makes_is_no_latency(
         program.read(encode(SIX[turn % 6], 0, b'\x00\x08'), after=late)
     program.end()
     assert told(program)[0] == rules
+
+
+# --- healthy programs that look like a fault, and the fault beside them ----------------------
+
+def test_a_search_over_some_ids_and_rates_accuses_none() -> None:
+    program = Script()
+    for rate in (1_000_000, 500_000, 250_000, 128_000, 115_200):
+        program.change(BAUD, rate)
+        for number in SIX:
+            program.ping(number, answers=number == 1 and rate == 1_000_000)
+    program.end()
+    assert told(program)[0] == set()
+
+
+@pytest.mark.parametrize('rates', [3, 6])
+def test_a_program_to_which_not_one_byte_comes_back(rates: int) -> None:
+    program = Script()
+    for rate in range(rates):
+        program.change(BAUD, 1_000_000 // (1 + rate))
+        program.write(encode(0xFE, PING, b''), after=800.0)
+    program.end(after=800.0)
+    assert told(program)[0] == {('all_silent', 'the')}
+    assert 'baud rate and protocol' in verdict_of(program).wrong[0].message
+
+
+def test_broadcast_pings_faster_than_their_answers_are_no_noise() -> None:
+    program = handshake()
+    for turn in range(8):
+        program.write(encode(0xFE, PING, b''), after=300.0)
+        program.read(encode(1, 0, b'') + b'\xff\xff\x02\x02\x10\x10' * (1 + turn % 2), after=2.0)
+    program.end()
+    assert 'noise' not in {rule for rule, _ in told(program)[0]}
+
+
+def test_a_program_that_rests_is_not_at_fault() -> None:
+    program = handshake()
+    for turn in range(400):
+        program.ask(SIX[turn % 6])
+        program.now += 2500.0 if turn in (200, 300) else 10.0
+    program.end()
+    assert told(program)[0] == set()
+
+
+def test_a_program_that_writes_all_the_time_and_reads_nothing() -> None:
+    program = handshake()
+    for turn in range(300):
+        if turn:
+            program.change(UNREAD, 6 * turn)
+        program.write(encode(SIX[turn % 6], 3, b'\x2a\x00\x08'), after=10.0)
+    program.end(1800)
+    assert told(program)[0] == set()
+
+
+def test_an_error_bit_of_feetech_is_what_is_now() -> None:
+    program = handshake()
+    for turn in range(300):
+        number = SIX[turn % 6]
+        program.write(encode(number, READ, PLACE), after=4.0)
+        program.read(encode(number, int(number == 3 and turn > 60), b'\x00\x08'))
+    program.end()
+    [entry] = [one for one in verdict_of(program).wrong if one.level > Level.OK]
+    assert (entry.rule, entry.who[:3]) == ('hardware_error', '003')
+    assert entry.message.startswith('voltage error in its answers')
+    assert 'Reboot' not in entry.message
+
+
+def test_an_answer_that_is_read_long_after_it_was_due_is_no_other_masters() -> None:
+    program = handshake()
+    for _ in range(12):
+        program.ask(4, None, 36.0)
+        program.ask(5)
+        program.now += 200.0
+        program.read(encode(4, 0, b'\x00\x08'))
+    program.end()
+    assert 'foreign_answers' not in {rule for rule, _ in told(program)[0]}

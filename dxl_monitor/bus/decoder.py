@@ -211,6 +211,7 @@ class BusDecoder:
         if self.classifier is not None:
             self.classifier.byte_ns = self.byte_ns
         self.registry.baud = baud
+        self.registry.tried.add(baud)
         for device in self.registry.devices.values():
             if not device.heard:               # it may not have been meant at all
                 device.missed_in_a_row = 0
@@ -221,6 +222,11 @@ class BusDecoder:
         other = self.classifier.packets if self.classifier is not None else 0
         words = [PROTOCOL_2] if self.total('packets') > other else []
         return ', '.join(words + [self.choice.dialect.name] * bool(other))
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether anything came to the master; True where its side is not known."""
+        return OUT not in self.framers or IN in self.framers
 
     def total(self, counter: str) -> int:
         """Return a counter of the framers, over all sides."""

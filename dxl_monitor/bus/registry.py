@@ -57,12 +57,13 @@ class DeviceRegistry:
     """
 
     __slots__ = ('_dummy', '_evidence', '_followers', '_models', '_offsets', 'baud',
-                 'changed', 'devices', 'dialect', 'highest')
+                 'changed', 'devices', 'dialect', 'highest', 'tried')
 
     def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
                  evidence: Evidence) -> None:
         self._models = models
         self.baud = baud
+        self.tried = {baud}                # rates, one after the other
         self._evidence = evidence
         self.devices: dict[int, Device] = {}
         self.dialect = UNDECIDED           # in the 1.0 family, for devices that speak it

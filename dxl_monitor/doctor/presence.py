@@ -27,6 +27,7 @@ from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import longer_than
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import share
+from dxl_monitor.doctor.states import RATES
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.reports import Level
 
@@ -288,6 +289,7 @@ def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
     lost = window.missed - window.spoilt
     if lost < FEW or lost <= LOSS * window.asked or device.id in case.gone \
             or device.missed_in_a_row > FEW or case.count(ev.MISSED, device.id) < FEW \
+            or len(case.report.tried) > RATES \
             or case.count(ev.REBOOTED, device.id):
         return None
     return Claim(device.id, f'{about(lost, window.asked)} of its answers missing, with no bytes '

@@ -25,6 +25,7 @@ from msg_defs.reports import number
 _CRC_ERRORS_PER_S = 1.0
 _LOST = (words.DISCONNECTED, words.EXPECTED)
 PINGS = 2                      # of an ID that is only searched for
+RATES = 3                      # a program that sets its own has two, with that of the port
 _NAMED = 5                     # lost devices in the message of a bus
 # What a list of devices says of some states.
 LISTED_AS = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard',
@@ -33,6 +34,8 @@ LISTED_AS = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard'
 
 def judged(report: BusReport, settings: Settings, names: Names) -> BusReport:
     """Return a report with the state, level and message of each device and of the bus."""
+    if len(report.tried) > RATES:      # a search: most answers are missed
+        settings = settings._replace(warn_loss=100.0)
     devices = tuple(_device(one, settings) for one in report.devices)
     level, message = _bus(report, devices, names)
     return report._replace(devices=devices, level=level, message=message)
