@@ -249,8 +249,8 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     ('no_answer', {'whom': 2,
       'devices': [device(2, **{**SILENT, 'state': words.ASKED, 'last_heard_s': None,
                                             'missed_in_a_row': 5})]},
-     'no answer, never heard: check its power, cable and ID, and whether the program has their '
-     'baud rate and protocol', {'requests without an answer': '5'},
+     'no answer, never heard: check its power, cable and ID, and that the program uses the '
+     "servos' baud rate and protocol", {'requests without an answer': '5'},
      [{'devices': [device(2, **{**SILENT, 'state': words.ASKED, 'last_heard_s': None,
                                 'missed_in_a_row': 4})]}]),
     ('sync_read_stops', {'whom': 2,

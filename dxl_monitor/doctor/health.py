@@ -29,7 +29,7 @@ RANGE = 4
 FEW = 3
 # What to do about an error bit of the 1.0 family, by a part of its name; the first that fits.
 _REMEDIES = {
-    'voltage': 'measure the supply at its plug and compare it with its label',
+    'voltage': 'measure the supply at its plug; compare it with the label of the servo',
     'overheating': 'let it cool and reduce its load',
     'angle limit': 'keep its goals within its limits; if they are, its sensor is broken',
     'overload': 'free the joint or reduce its load, then switch its torque off and on',

@@ -44,7 +44,7 @@ TICK_TURN_S = 32.768               # Realtime Tick begins at 0 again (e-Manual)
 TICK_SLACK_S = 0.5
 FEW = 3
 LOSS = 0.01
-_OF_THE_MASTER = ', and whether the program has their baud rate and protocol'
+_OF_THE_MASTER = ", and that the program uses the servos' baud rate and protocol"
 
 
 def _all_silent(case: Case) -> Iterator[Found]:

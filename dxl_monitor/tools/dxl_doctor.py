@@ -55,7 +55,7 @@ from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import plain
 from mecarover_serial.plain import printable
 
-PROGRESS_S, PROGRAM_S = 0.5, 2.0
+PROGRESS_S = 1.0
 EXAMPLES = """examples:
   dxl_doctor run -- python my_script.py         hears a Python program that uses pyserial
   dxl_doctor usb:/dev/ttyUSB0                   hears any program on that adapter (Linux)
@@ -158,7 +158,7 @@ def _listen(source: Source | Program, examination: Examination, limit_s: float |
     """Listen until there is enough; return for how long (s): of the file, or by the clock."""
     began_s = time.monotonic()
     is_over = True
-    with _Progress(source) as progress:
+    with _Progress() as progress:
         try:
             for chunk in source.chunks():
                 if chunk is not None:
@@ -195,28 +195,24 @@ def _has_enough(source: Source | Program, examination: Examination, now_s: float
 
 
 class _Progress:
-    """What is heard meanwhile, in one line in place, on a terminal; of a program less often."""
+    """What is heard meanwhile, in one line in place, and the first finding; on a terminal."""
 
-    def __init__(self, source: Source | Program) -> None:
+    def __init__(self) -> None:
         self._is_shown = sys.stderr.isatty()
-        self._every_s, self._front = PROGRESS_S, ''
-        if isinstance(source, Program):        # it may print too, on a line of its own
-            self._every_s, self._front = PROGRAM_S, 'dxl_doctor: '
-        self._next_s = self._every_s
-        self._is_first = bool(self._front)     # the first finding is still to come
+        self._next_s = PROGRESS_S
+        self._is_well = True
 
     def show(self, examination: Examination, now_s: float) -> None:
         if not self._is_shown:
             return
-        worst = examination.worst() if self._is_first else ''
+        worst = examination.worst() if self._is_well else ''
         if worst:
-            self._is_first = False
-            on_screen(sys.stderr, f'\r\033[K{self._front}{plain(worst)}\r\n')
+            self._is_well = False
+            on_screen(sys.stderr, f'\r\033[Kdxl_doctor: {plain(worst)}\r\n')
         if now_s >= self._next_s:
-            self._next_s = now_s + self._every_s
-            end = '; Ctrl-C ends it' if self._front else ''
-            text = plain(f'{self._front}{now_s:.0f} s: {examination.summary()}{end}')
-            on_screen(sys.stderr, f'\r{text[:78]}\033[K' + '\r' * bool(self._front))
+            self._next_s = now_s + PROGRESS_S
+            text = plain(f'dxl_doctor, {now_s:.0f} s, Ctrl-C ends: {examination.summary()}')
+            on_screen(sys.stderr, f'\r{text[:78]}\033[K\r')       # a program may print there too
 
     def __enter__(self) -> _Progress:
         return self
