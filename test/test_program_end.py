@@ -156,6 +156,18 @@ def test_an_answer_that_was_damaged_at_the_end() -> None:
     assert told(program, RAISED)[0] == {('damaged_answers', '001')}
 
 
+@pytest.mark.parametrize('which', [2, 6])
+def test_a_ping_whose_answer_was_damaged_at_the_start(which: int) -> None:
+    """LeRobot counts that servo as missing; the answer is there, and it is not whole."""
+    program = Script()
+    for number in SIX:
+        program.write(encode(number, PING, b''))
+        answer = encode(number, 0, b'')
+        program.read(answer[:-1] + b'\x00' if number == which else answer)
+    program.end()
+    assert told(program, RAISED)[0] == {('damaged_answers', f'{which:03}')}
+
+
 def group(*answers: bytes) -> bytes:
     return b''.join(answers)
 

@@ -100,7 +100,9 @@ class Unread:
             return
         us = since_asked(now)
         enough_ns = ADAPTER_NS + byte_ns * sum(slot.size + AROUND for slot in due)
-        if failed and 1000 * us >= enough_ns and not self.until and self._purged < asked:
+        is_known = self.left.is_spoilt or (    # it came, and was damaged; or it did not come
+            1000 * us >= enough_ns and not self.until and self._purged < asked)
+        if failed and is_known:
             self._duty.judge(self.left._replace(due=due), now, now, us)
         elif failed or not due[0].device.heard:
             self._evidence.note(now, ev.LEFT_OPEN, due[0].device.number, ev.Lateness(us))

@@ -138,9 +138,12 @@ def _most_hit(case: Case) -> DeviceReport | None:
 
 def _damaged_answers(case: Case) -> Iterator[Found]:
     worst = _most_hit(case)
-    last = case.last_wait if case.report.failed and worst is None else None
-    if last is not None and last.is_spoilt:
-        yield Claim(last.device, 'its last answer came damaged, and the program ended there: a '
+    last = case.last_wait
+    for device in case.report.devices if case.report.failed and worst is None else ():
+        if not device.missed_in_a_row or not device.window.spoilt or (
+                case.report.failed != words.RAISED and (last is None or device.id != last.device)):
+            continue
+        yield Claim(device.id, 'its last answer came damaged, and the program ended for that: a '
                     'bad cable or a second device with its ID; unplug it and ping its ID',
                     is_certain=True)
     if worst is None or _asked_damaged(case) >= \

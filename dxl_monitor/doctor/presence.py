@@ -84,7 +84,8 @@ def _at_the_end(case: Case) -> Iterator[Found]:
     last = case.last_wait if case.report.failed else None
     lost = [last.device] if last is not None and not last.is_spoilt else []
     absent = [device.id for device in case.report.devices
-              if device.last_heard_s is None and device.missed_in_a_row]
+              if device.last_heard_s is None and device.missed_in_a_row
+              and not device.window.spoilt]
     if case.report.failed == words.RAISED or {*lost} & {*absent}:
         lost += absent                 # it asked all, then complained of those
     yield from (_claim_gone(case, number) for number in dict.fromkeys(lost)
