@@ -53,12 +53,13 @@ SIDED = tuple(case for case in CASES if case.told[:1] not in (
     (('wrong_baud', None),), (('latency_timer', None),)))
 
 
-def reports(faults: list[str], scene: Scene, seconds: float,
-            has_sides: bool = False) -> Iterator[BusReport]:
+def reports(faults: list[str], scene: Scene, seconds: float, has_sides: bool = False,
+            silence_s: float = 0.0) -> Iterator[BusReport]:
     """
     Yield the reports of a monitor on a simulated bus, two per second of its time.
 
-    has_sides: it hears the master's own port, as usb: and tap: do.
+    has_sides: it hears the master's own port, as usb: and tap: do. silence_s: then the master has
+    stopped, for so long.
     """
     devices = make_devices(list(scene.devices), MODELS, scene.baud, dialect=scene.dialect)
     line = make_line(devices, scene.baud, scene.dialect, waits_in_line=scene.waits_in_line)
@@ -73,7 +74,7 @@ def reports(faults: list[str], scene: Scene, seconds: float,
             yield monitor.report(report_at)
             report_at += REPORT_NS
         monitor.feed(chunk, stamp, side)
-    while report_at <= end:
+    while report_at <= end + silence_s * S:
         yield monitor.report(report_at)
         report_at += REPORT_NS
 

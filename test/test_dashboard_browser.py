@@ -123,22 +123,6 @@ def test_a_device_lost_and_found(page, robot):
     assert state_of(page, BAR) == 'ok'
 
 
-@pytest.mark.parametrize(('which', 'state', 'words'), [
-    ('warned', 'warn', 'Warning: 007 left_knee, 12 of 310 answers missed'),
-    ('faulty', 'error', 'Error: 007 left_knee, hardware error: overheating'),
-    ('silent', 'stale', 'Silent: 007 left_knee, silent: not asked')])
-def test_the_bar_names_the_worst(page, robot, which, state, words):
-    setattr(robot, which, {7})
-    see(page, BAR, words)
-    assert state_of(page, BAR) == state
-
-
-def test_a_port_that_is_gone(page, robot):
-    robot.port_problem = '/dev/ttyUSB0: there is no such device; plug it in'
-    see(page, BAR, 'there is no such device; plug it in')
-    assert state_of(page, BAR) == 'error'
-
-
 def test_a_lost_mcu_has_a_bar_of_its_own(page, robot):
     robot.bridge_problem = '/dev/ttyAMA0: there is no such device; plug it in'
     see(page, '.bar[data-bridge]', 'there is no such device; plug it in')
@@ -732,14 +716,6 @@ def test_a_lost_connection_is_said_and_heals(open_page):
             see(page, '.device-head .message', '7 answers missed')
             see(page, '#live', 'live')
         page.context.close()
-
-
-def test_a_monitor_that_falls_silent(dashboard, open_page):
-    with Feed(dashboard):
-        page = open_page(dashboard.address)
-        see(page, BAR, '24/24')
-    see(page, BAR, 'No report from dxl_monitor.*last report \\d+ s ago.*\\?/24')
-    assert state_of(page, BAR) == 'stale'
 
 
 def test_several_full_buses(open_page):
