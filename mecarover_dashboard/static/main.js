@@ -101,7 +101,7 @@ const withRobot = ({robot}, text) => store.robot === null && robot ? `${robot}: 
 function showTitle(wrong) {
   const marks = [...new Set(wrong.map((part) => withRobot(part, part.mark)))];
   document.title = [
-    ...!live ? ['no connection'] : wrong.length
+    ...!live ? ['? no connection'] : wrong.length
       ? [`${MARKS[wrong[0].state]} ${marks.join(', ')}`] : [],
     view.title, store.robot || store.facts.machine].join(' \u00b7 ');
 }
