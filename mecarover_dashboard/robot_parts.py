@@ -146,13 +146,13 @@ def _judged(node: str, row: Row | None, devices: list[Row], lost: list[Row],
         return Level.STALE, NO_REPORT, _not_reported(node, len(devices)), []
     if row is not None and not row['live']:
         return Level.ERROR, PORT_CLOSED, message, []
+    level = worst(map(level_of, devices))
     if of_all is Level.STALE:
-        return of_all, SILENT, message, []
+        return worst((level, of_all)), SILENT, message, []
     if message and devices and not live and (lost or of_all is Level.ERROR):
         return Level.ERROR, NONE_ANSWERS, message, []
     if of_all is not Level.ERROR and lost:
         return Level.ERROR, LOST, f'Lost: {_names(lost)}', lost
-    level = worst(map(level_of, devices))
     some = [one for one in devices if level_of(one) is level]
     if message and (not live or SEVERITY.index(of_all) >= SEVERITY.index(level)):
         level, some = worst((level, of_all)), []

@@ -119,7 +119,7 @@ def rows():
         Row('wrong baud rate', 'no packet', 'no device answers', 'no device answers',
             Robot(buses={'': unheard(b'\x80\x13\xf0\x07' * 8)}), count='0/6'),
         Row('nothing heard yet', 'nothing heard yet', 'silent', 'silent',
-            Robot(buses={'': unheard()}), level=3, count='0/6'),
+            Robot(buses={'': unheard()}), count='0/6'),
         Row('master stopped', 'the master stopped', 'silent', 'silent',
             Robot(buses={'': heard(silence_s=10.0)}), level=3, count='0/6'),
         Row('adapter unplugged', 'no such device; plug it in', 'port closed', 'port closed',
