@@ -1,0 +1,117 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bus as a tracker hears it, and packets of Protocol 2.0 in few words."""
+
+import struct
+
+from dxl_monitor.bus.device import Device
+from dxl_monitor.bus.evidence import Evidence
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.registry import DeviceRegistry
+from dxl_monitor.bus.report import Counts
+from dxl_monitor.bus.tracker import Tracker
+from dxl_monitor.model.models import Models
+from msg_defs.crc import crc16
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import HEADER
+from msg_defs.dxl_packet import STATUS
+
+MODELS = Models()
+MX_64, MX_106 = 311, 321
+BYTE_NS = 5_000                    # at 2 MBd
+POSITION = 132
+GOAL = 116
+
+
+def words(*numbers: int) -> bytes:
+    return struct.pack(f'<{len(numbers)}H', *numbers)
+
+
+def damaged(packet: bytes) -> bytes:
+    return packet[:-1] + bytes([packet[-1] ^ 1])
+
+
+class Bus:
+    """A bus as a tracker hears it: a chunk for each packet, 1 ms after the last."""
+
+    def __init__(self, *expected: Expected, write_acks: str = 'auto',
+                 models: Models = MODELS) -> None:
+        self.evidence = Evidence()
+        self.registry = DeviceRegistry(models, expected, 2_000_000, self.evidence)
+        self.tracker = Tracker(self.registry, self.evidence, BYTE_NS, 4, write_acks)
+        self.framer = Framer()
+        self.now = 1_000_000_000
+
+    def hear(self, *packets: bytes, gap_ns: int = 1_000_000) -> None:
+        for packet in packets:
+            self.now += gap_ns
+            frames = self.framer.frames(packet)
+            self.tracker.track(frames, self.now, self.framer.bytes)
+
+    def idle(self) -> None:
+        self.tracker.track(self.framer.flush_frames(), self.now, self.framer.bytes)
+
+    def device(self, number: int) -> Device:
+        device = self.registry.devices[number]
+        self.registry.resolve(device)
+        return device
+
+    def counts(self, number: int) -> Counts:
+        return self.device(number).counts
+
+    def known(self, number: int, address: int, size: int = 4) -> bytes | None:
+        return self.registry.devices[number].table.bytes(address, size)
+
+    def kinds(self) -> list[str]:
+        return [incident.kind for incident in self.evidence.incidents()]
+
+
+def ping(number: int) -> bytes:
+    return encode(number, I.PING)
+
+
+def pong(number: int, model: int = MX_64, firmware: int = 41) -> bytes:
+    return encode(number, STATUS, words(model) + bytes([firmware]), error=0)
+
+
+def read(number: int, address: int = POSITION, length: int = 4) -> bytes:
+    return encode(number, I.READ, words(address, length))
+
+
+def reply(number: int, data: bytes = b'', error: int = 0) -> bytes:
+    return encode(number, STATUS, data, error=error)
+
+
+def write(number: int, address: int, data: bytes) -> bytes:
+    return encode(number, I.WRITE, words(address) + data)
+
+
+def sync_read(*numbers: int, address: int = POSITION, length: int = 4) -> bytes:
+    return encode(BROADCAST, I.SYNC_READ, words(address, length) + bytes(numbers))
+
+
+def fast_read(*numbers: int, length: int = 4) -> bytes:
+    return encode(BROADCAST, I.FAST_SYNC_READ, words(POSITION, length) + bytes(numbers))
+
+
+def fast_reply(blocks: dict[int, bytes], errors: dict[int, int] | None = None) -> bytes:
+    frame = HEADER + bytes([BROADCAST])
+    frame += words(1 + sum(len(data) + 4 for data in blocks.values())) + bytes([STATUS])
+    for number, data in blocks.items():
+        frame += bytes([(errors or {}).get(number, 0), number]) + data
+        frame += words(crc16(frame))
+    return frame
+
+
+SENSELESS = encode(BROADCAST, I.SYNC_WRITE, words(GOAL, 4) + b'\x01\xff\xff\xfd\xfd\x02bbbb',
+                   stuffed=False)          # as the official Python client sends it
+# Device 1, an MX-64, says its position, takes a goal, and says its ID and its Drive Mode.
+FILLED = (ping(1), pong(1), read(1), reply(1, b'pppp'), write(1, GOAL, b'gggg'), reply(1),
+          read(1, 7, 4), reply(1, b'\x01\x03\xfa\x00'))
+
+
+def notes(bus: Bus) -> list[tuple[int, str, int, tuple[int, ...]]]:
+    return [(one.stamp, one.kind, one.device, one.detail) for one in bus.evidence.incidents()]
