@@ -2,12 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packets of the 1.0 family: published vectors and both SDKs both ways, any damage, any split."""
 
-import random
 
 from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
-from hypothesis import given
-from hypothesis import settings
-from hypothesis import strategies as st
 from packets import Packet1
 from packets import packets_1_in
 import pytest
@@ -18,8 +14,6 @@ from msg_defs.dxl1_packet import Dxl1Framer
 from msg_defs.dxl1_packet import encode
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl1_packet import MAX_FRAME
-from msg_defs.dxl_packet import encode as encode_2
-from msg_defs.dxl_packet import NOISE_KEPT
 from msg_defs.frame import EITHER_1
 from msg_defs.frame import Frame
 from msg_defs.frame import is_good
@@ -42,17 +36,6 @@ PING = encode(1, 0x01)
 READ = encode(1, 0x02, b'\x38\x02')
 REPLY = encode(1, 0, b'\x18\x05')
 BAD_REPLY = REPLY[:-1] + bytes([REPLY[-1] ^ 1])
-GARBAGE = [b'', b'\x00', b'\xff', b'\xff\xff', b'\xff\xff\xff', b'\xff\xff\x01',
-           b'\xff\xff\x01\x02', b'\xff\xff\xfe\xff', bytes(range(250)), b'\xff' * 40,
-           encode_2(1, 2, b'\x84\0\4\0')]
-
-pieces = st.one_of(
-    st.binary(max_size=20),
-    st.lists(st.sampled_from([0x00, 0x01, 0x02, 0x04, 0xFD, 0xFE, 0xFF]), max_size=20).map(bytes),
-    st.sampled_from([PING, READ, REPLY, HEADER, READ[:5], REPLY[1:], PING[3:]]),
-    st.builds(encode, st.integers(0, 255), st.integers(0, 255), st.binary(max_size=30)),
-)
-streams = st.lists(pieces, max_size=12).map(b''.join)
 
 
 def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet1], Dxl1Framer]:
@@ -136,22 +119,6 @@ def test_what_the_sdks_write_and_read_is_what_we_mean(sdk: object) -> None:
         assert (bytes(packet), result) == (wire, 0)
 
 
-def test_ff_ff_inside_a_good_frame_is_data() -> None:
-    for data in (HEADER, HEADER + b'\x01\x02\x01\xfb', PING, b'\xff' * 9):
-        [packet], framer = feed(encode(3, 0, data))
-        assert packet.params == data
-        assert framer.noise_bytes == 0
-
-
-@pytest.mark.parametrize('garbage', GARBAGE, ids=[one.hex()[:12] or 'none' for one in GARBAGE])
-def test_a_packet_behind_garbage_is_found(garbage: bytes) -> None:
-    found, framer = feed(garbage + READ)
-    assert found[-1].params == b'\x38\x02'
-    assert framer.noise_bytes == len(garbage)
-    found, framer = feed(READ + garbage + REPLY + garbage)
-    assert [packet.code for packet in found] == [2, 0]
-
-
 def test_what_is_wrong_is_said_exactly() -> None:
     cases: list[tuple[bytes, str, tuple[int, int, int]]] = [
         (BAD_REPLY, 'crc', (1, 0, 0)),
@@ -171,13 +138,6 @@ def test_what_is_wrong_is_said_exactly() -> None:
         assert end == begin + 2 + len(data)
 
 
-def test_a_run_of_ff_ends_in_a_header() -> None:
-    for run in range(1, 9):
-        found, framer = feed(b'\xff' * run + PING, [1] * 12)
-        assert [packet.code for packet in found] == [1]
-        assert framer.noise_bytes == run
-
-
 def test_a_frame_is_no_instruction_and_no_status() -> None:
     assert Dxl1Framer().frames(REPLY) == [(0, len(REPLY), EITHER_1, 1, 0, b'\x18\5', None)]
 
@@ -191,45 +151,10 @@ def test_no_broadcast_and_no_length_is_too_large() -> None:
         encode(1, 3, bytes(254))
 
 
-def test_memory_of_noise_is_bounded() -> None:
-    framer = Dxl1Framer()
-    for _ in range(100):
-        framer.frames(b'\x00\x80' * 500)
-    assert len(framer.noise) <= NOISE_KEPT
-    assert framer.noise_bytes + framer.pending == 100_000
-
-
 def test_a_packet_behind_one_that_is_cut_off_comes_with_the_silence() -> None:
     framer = Dxl1Framer()
     assert packets_1_in(framer, encode(1, 3, bytes(100))[:9] + PING) == []
     assert [packet.code for packet in packets_1_in(framer, None)] == [1]
-
-
-@settings(max_examples=300, deadline=None)
-@given(streams, st.lists(st.integers(1, 40), max_size=40))
-def test_any_split_gives_the_same_packets(data: bytes, sizes: list[int]) -> None:
-    whole, counts = feed(data)
-    split, counted = feed(data, sizes)
-    assert split == whole
-    assert summary(counted) == summary(counts)
-
-
-@settings(max_examples=300, deadline=None)
-@given(streams)
-def test_the_good_packet_after_garbage_is_found(data: bytes) -> None:
-    framer = Dxl1Framer()
-    framer.frames(data)
-    framer.flush_frames()
-    assert packets_1_in(framer, REPLY)[-1].params == b'\x18\x05'
-
-
-def test_of_random_candidates_one_in_256_passes() -> None:
-    """A header is two bytes of 0xFF; what follows passes the sum as often as eight bits say."""
-    chance = random.Random(3)
-    data = b''.join(HEADER + chance.randbytes(40) for _ in range(40_000))
-    found, framer = feed(data, [4096] * 400)
-    tried = framer.packets + framer.crc_errors + framer.truncated
-    assert tried / 256 * 0.7 < len(found) < tried / 256 * 1.3
 
 
 @pytest.mark.parametrize(('first', 'second', 'codes', 'noise'), [
