@@ -23,6 +23,7 @@ from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.plan import take_nothing
 from dxl_monitor.bus.planner import Planner
 from dxl_monitor.bus.registry import DeviceRegistry
+from dxl_monitor.bus.reply_policy import OpenQuestion
 from dxl_monitor.bus.reply_policy import ReplyPolicy
 from dxl_monitor.bus.report import Counts
 from dxl_monitor.bus.report import Incident
@@ -407,7 +408,8 @@ def test_the_first_miss_and_the_one_over_the_limit_are_noted() -> None:
     plan = Plan(Request(I.READ, 3, Answers.DATA, (Access(3, 132, 4, b''),)), {})
     slot = Slot(one.device(3), Due.READ, 132, 4, take_nothing)
     for turn in range(7):
-        ReplyPolicy('auto', 4, one, one._evidence).judge(plan, [slot], turn, turn, set(), False)
+        ReplyPolicy('auto', 4, one, one._evidence).judge(
+            OpenQuestion(plan, [slot], set(), False), turn, turn)
     assert notes(one) == [(ev.MISSED, 3, ev.Unanswered(I.READ, 132)),
                           (ev.DISCONNECTED, 3, ev.Much(5))]
     assert [note.stamp for note in one._evidence.incidents()] == [0, 4]

@@ -75,10 +75,6 @@ def test_a_supply_that_is_low_for_all_is_told_of_the_bus_alone() -> None:
     assert names(heard(volts(1, 2, 3) * 4)) == [('voltage', None)]
 
 
-def test_a_supply_that_is_low_for_two_is_told_of_each() -> None:
-    assert names(heard(volts(1, 2) * 4)) == [('voltage', 1), ('voltage', 2)]
-
-
 # --- two at once -----------------------------------------------------------------------------
 
 CLASH = b'\x40\x01\x08\x02\x00\x80\x04'        # what two answers at once leave: no header
@@ -87,12 +83,6 @@ CLASH = b'\x40\x01\x08\x02\x00\x80\x04'        # what two answers at once leave:
 def test_one_that_always_answers_once_more_behind_damage_is_two() -> None:
     turn = around(read(2), says(2, bytes(4)), CLASH, says(2, bytes(4)))
     assert names(heard(turn * 30))[0] == ('duplicate_id', 2)
-
-
-def test_where_others_answer_once_more_as_well_it_is_not_two_devices() -> None:
-    turn = around() + [one for number in (2, 3) for one in (
-        read(number), says(number, bytes(4)), CLASH, says(number, bytes(4)))]
-    assert 'duplicate_id' not in dict(names(heard(turn * 30)))
 
 
 GOALS = encode(BROADCAST, I.SYNC_WRITE, struct.pack('<HH', GOAL, 4) + bytes(15))
@@ -147,12 +137,6 @@ def test_a_ping_to_all_is_a_scan_and_too_many_are_told() -> None:
     [finding] = heard([ping, *answers] * 15).findings
     assert (finding.rule, finding.level) == ('scan', Level.OK)
     assert 'collide' not in finding.message
-
-
-def test_two_of_protocol_1_prove_it_and_one_does_not() -> None:
-    other = b'\xff\xff\x09\x04\x02\x24\x02\xca'
-    assert 'protocol_1' not in dict(names(heard(around() * 10 + [other])))
-    assert 'protocol_1' in dict(names(heard((around() * 5 + [other]) * 4)))
 
 
 DYNAMIXEL_1, FEETECH, EITHER = b'\x24\x02', b'\x38\x02', b'\x50\x02'     # reads of each
@@ -219,14 +203,6 @@ def test_what_needs_the_model_is_not_said_without_it() -> None:
     assert names(heard([read(9, 611), says(9, b'', ACCESS)] * 3, devices=0)) == [('refused', 9)]
 
 
-@pytest.mark.parametrize(('writes', 'hours'), [(29, None), (30, '9.3 hours'), (40, '6.9 hours')])
-def test_how_long_eeprom_lasts(writes: int, hours: str | None) -> None:
-    report = heard([write(1, RETURN_DELAY, b'\0'), says(1)] * writes)
-    said = [one.message for one in report.findings if one.rule == 'eeprom_wear']
-    assert len(said) == (hours is not None)
-    assert all(str(hours) in message for message in said)
-
-
 # --- away and back ---------------------------------------------------------------------------
 
 def turns(count: int, *silent: int) -> list[bytes]:
@@ -245,18 +221,6 @@ def absence(before: list[bytes], after: list[bytes], *silent: int) -> list[tuple
                         *turns(90)]))
 
 
-@pytest.mark.parametrize(('before', 'after', 'rule'), [
-    (tells(2, TORQUE, 1), tells(2, TORQUE, 0), 'rebooted'),
-    (tells(2, TORQUE, 0), tells(2, TORQUE, 0), 'dropout'),          # it was off before
-    (tells(2, TORQUE, 1), tells(2, TORQUE, 1), 'dropout'),
-    (tells(2, TORQUE, 1), [], 'dropout'),
-    (tells(2, TORQUE, 1), [write(2, TORQUE, b'\0'), says(2)], 'dropout'),     # the master did it
-])
-def test_torque_that_fell_by_itself_proves_a_restart(before: list[bytes], after: list[bytes],
-                                                     rule: str) -> None:
-    assert absence(before, after, 2)[0] == (rule, 2)
-
-
 LOW, FULL = (0x46, 0), (0x78, 0)               # 7 V, 12 V
 
 
@@ -270,12 +234,6 @@ def test_a_supply_that_broke_down_shows_in_several(
         before: list[bytes], after: list[bytes], silent: tuple[int, ...],
         expected: list[tuple[str, int | None]]) -> None:
     assert absence(before, after, *silent) == expected
-
-
-def test_one_away_after_the_other_is_no_supply_that_broke_down() -> None:
-    low, full = tells(2, VOLTAGE, *LOW), tells(2, VOLTAGE, *FULL)
-    away = [*turns(20), *low, *turns(30), *turns(10, 2), *turns(10), *turns(10, 3), *full]
-    assert names(heard([*away, *turns(90)])) == [('dropout', 2), ('dropout', 3)]
 
 
 @pytest.mark.parametrize(('third', 'expected'), [(0, ('brown_out', None)), (1, ('rebooted', 2))])
@@ -329,40 +287,6 @@ def test_of_several_absences_the_longest_is_told() -> None:
 def test_an_id_that_no_device_can_have(number: int, is_told: bool) -> None:
     assert names(heard([encode(number, I.PING)] * 3)) == [('impossible_id', None)] * is_told
     assert heard([encode(number, I.PING)] * 2).findings == ()
-
-
-@pytest.mark.parametrize(('reads', 'is_told'), [(290, False), (310, True)])
-def test_after_three_seconds_it_says_which_models_it_does_not_know(reads: int,
-                                                                   is_told: bool) -> None:
-    report = heard([read(9), says(9, bytes(4))] * reads, devices=0)
-    assert ('models' in {one.rule for one in report.doubts}) == is_told
-
-
-@pytest.mark.parametrize(('before', 'expected'), [(600, [('noise', None)]), (850, [])])
-def test_damage_is_noise_where_it_is_a_thousandth_of_the_packets(
-        before: int, expected: list[tuple[str, int | None]]) -> None:
-    turn = b''.join(around())
-    torn = read(1)[:9] + bytes((read(1)[9] ^ 1,)) + read(1)[10:] + turn
-    assert names(heard([turn] * before + ([torn] + [turn] * 30) * 5, 10.0)) == expected
-
-
-def test_one_that_answers_once_more_is_judged_by_two_others() -> None:
-    turn = around(read(2), says(2, bytes(4)), CLASH, says(2, bytes(4)), devices=2)
-    assert 'duplicate_id' not in dict(names(heard(turn * 30, devices=2)))
-
-
-def headless(number: int) -> list[bytes]:
-    """Return a read whose answer has a wrong first byte."""
-    return [read(number), b'\x7f' + says(number, bytes(4))[1:]]
-
-
-@pytest.mark.parametrize(('often', 'device'), [((2,), 2), ((1, 2, 3), None)])
-def test_one_that_talks_too_early_and_a_line_that_turns_too_late(
-        often: tuple[int, ...], device: int | None) -> None:
-    rarely = [one for number in (1, 2, 3) for one in headless(number)]
-    turn = around(*(one for number in often for one in headless(number)))
-    assert ('turnaround', device) in names(heard([*rarely, *turn * 30]))
-    assert ('turnaround', 2 if device is None else None) not in names(heard([*rarely, *turn * 30]))
 
 
 @pytest.mark.parametrize(('value', 'expected'), [

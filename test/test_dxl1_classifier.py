@@ -11,8 +11,6 @@ from hypothesis import strategies as st
 import pytest
 
 from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.dialect import DYNAMIXEL_AT
-from dxl_monitor.bus.dialect import FEETECH_AT
 from dxl_monitor.bus.dxl1_classifier import MEANINGS_KEPT
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.report import BusReport
@@ -668,13 +666,6 @@ def test_a_question_from_before_the_dialect_was_known_tells_the_model_then() -> 
     bus.ask(encode(0xFE, 0x82, b'\x38\2\2'), encode(2, 0, b'\0\x08'))
     bus.ask(encode(2, 2, b'\3\2'), encode(2, 0, b'\x09\3'))
     assert bus.devices()[2].model_name == 'STS3215'
-
-
-@pytest.mark.parametrize(('signs', 'model'), [(DYNAMIXEL_AT, 'AX-12A'), (FEETECH_AT, 'STS3215')])
-def test_a_sign_is_a_read_of_whole_registers(signs: set[tuple[int, int]], model: str) -> None:
-    fields = MODELS.by_name(model).fields                    # type: ignore[union-attr]
-    assert {at for at, _ in signs} <= {field.at for field in fields}
-    assert {at + size for at, size in signs} <= {field.end for field in fields}
 
 
 def test_a_model_number_that_is_the_last_word_counts_too() -> None:
