@@ -198,7 +198,7 @@ def test_monitor_knows_the_truth_of_cut_combined_replies(fault: str, waits_in_li
 
 # --- faults --------------------------------------------------------------------------------
 
-# Those of Feetech and Protocol 1.0 are in test_doctor_dialects.py.
+# Those of Feetech and Protocol 1.0 are in test_doctor_faults.py.
 KINDS_OF_2 = [name for name, kind in KINDS.items() if '2' in kind.protocols]
 
 
