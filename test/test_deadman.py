@@ -304,6 +304,7 @@ def test_a_driver_that_counts_whole_transfers_is_not_flushed_in_mid_frame(monkey
     flushed = []
     counts = iter([64, 64, 0])
     watch = Watch(SharedBoard(), None, None)
+    watch._record = PortRecord(baud=1_000_000)         # else it waits for 300 s: 1 baud
     monkeypatch.setattr(watch, '_pending', lambda: next(counts))
     monkeypatch.setattr(watching.termios, 'tcflush', lambda *what: flushed.append(what))
     watch._settle()

@@ -77,7 +77,7 @@ HEARD: dict[str, list[Any]] = {
     'who does not answer before the next instruction is missed': [
         (read(1), read(2), reply(2, b'aaaa'), read(1), reply(1, b'aaaa')),
         {'missed 1': 1, 'missed_in_a_row 1': 0, 'missed 2': 0}],
-    'a broadcast read disconnects nobody': [
+    'a broadcast read disconnects no device': [
         (ping(1), pong(1), *[read(BROADCAST)] * 10),
         {'missed 1': 0, 'devices': [1]}],
     'a silent first device of a sync read keeps the others waiting': [
@@ -218,7 +218,7 @@ HEARD: dict[str, list[Any]] = {
     'glitches and the first to answer are counted': [
         (sync_read(1, 2), b'\x00' + reply(1, b'1234'), reply(2, b'1234')),
         {'glitches 1': 1, 'glitches 2': 0, 'asked_first 1': 1, 'asked_first 2': 0}],
-    'what nobody contradicts is carried out at the next instruction': [
+    'what no answer contradicts is carried out at the next instruction': [
         (ping(1), pong(1), write(1, GOAL, b'1234'), reply(1, b'too long')),
         {'goal 1': None},
         (ping(1),),
@@ -226,7 +226,7 @@ HEARD: dict[str, list[Any]] = {
     'before the first instruction nothing is wrong about an answer': [
         (reply(1, b'1234'),),
         {'kinds': []}],
-    'a second answer behind damage is noted as asked anew': [
+    'a second answer behind damage is noted as asked again': [
         (read(1), reply(1, b'1234'), damaged(read(1)), reply(1, b'1234')),
         {'note': (ev.ANSWERED_AGAIN, 1, (I.READ,))}],
     'who spoke damaged is forgotten at the next instruction': [
@@ -240,7 +240,7 @@ HEARD: dict[str, list[Any]] = {
         {'latency_resolved 2': 0},
         (read(2), reply(2, b'1234')),
         {'latency_resolved 2': 1}],
-    'what nobody contradicts is carried out in silence too': [
+    'what no answer contradicts is carried out in silence too': [
         (ping(1), pong(1), write(1, GOAL, b'1234'), reply(1, b'too long'), SILENCE),
         {'goal 1': b'1234'}],
     'who waited behind a silent device waits no longer once it answers': [
