@@ -149,6 +149,7 @@ def test_wrong_usage(arguments):
 
 
 @pytest.mark.ros
+@pytest.mark.alone
 def test_once_for_scripts(ros, tmp_path):
     """Exit codes, with a real monitor: 1 nothing heard, 0 well, 4 a device is lost."""
     with Program('mecarover_dashboard.terminal', '--once', '--wait', '1') as status:
