@@ -8,10 +8,16 @@ import random
 import re
 import struct
 
+import heard_bus
+from heard_bus import MODELS
+from heard_bus import MS
+from heard_bus import PING
+from heard_bus import PONG
+from heard_bus import READ
+from heard_bus import REPLY
 import pytest
 
 from dxl_monitor import doctor as doctor_module
-from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import Cycle
 from dxl_monitor.doctor import Doctor
@@ -28,7 +34,6 @@ from dxl_monitor.doctor.rhythm import spread_of
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import Rule
-from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_status import bus_status
 from dxl_monitor.monitor_status import device_status
@@ -42,32 +47,14 @@ from msg_defs.uart import heard_at
 
 DOCS = Path(__file__).parents[1] / 'docs'
 TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
-MODELS = Models()
-MS = 1_000_000
 S = 1_000_000_000
-PING = encode(1, I.PING)
-PONG = encode(1, STATUS, b'\x37\x01\x29', error=0)          # an MX-64
-READ = encode(1, I.READ, struct.pack('<HH', 132, 4))
-REPLY = encode(1, STATUS, bytes(4), error=0)
 
 
-class Bus:
-    """A monitor and its time."""
-
-    def __init__(self) -> None:
-        self.monitor = Monitor('arm', MODELS, Settings())
-        self.now = 100 * S
-
-    def hear(self, *chunks: bytes, every_ms: float = 10.0) -> None:
-        for chunk in chunks:
-            self.now += int(every_ms * MS)
-            self.monitor.feed(chunk, self.now)
+class Bus(heard_bus.Bus):
+    every_ms = 10.0
 
     def told(self, errors: LineErrors | None = None) -> dict[str, Level]:
         return {one.rule: one.level for one in self.report(errors).findings}
-
-    def report(self, errors: LineErrors | None = None) -> BusReport:
-        return self.monitor.report(self.now, errors)
 
 
 def read(address: int, data: bytes, error: int = 0) -> tuple[bytes, bytes]:

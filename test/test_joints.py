@@ -3,11 +3,13 @@
 """Joint states: what was read, when it was read, and nothing else."""
 import struct
 
+from heard_bus import Bus
+from heard_bus import MODELS
+from heard_bus import SECOND
 import pytest
 
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
-from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.faults import parse
@@ -20,8 +22,6 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.reports import Joint
 
-MODELS = Models()
-SECOND = 1_000_000_000
 BAUD = 2_000_000
 TICK = 0.0015339807879             # rad: the resolution of an encoder of 4096 steps
 RATE = 100                         # the master's cycle, Hz
@@ -30,18 +30,6 @@ READ = encode(1, I.READ, struct.pack('<HH', 126, 10))
 
 def answer(current: int, velocity: int, position: int) -> bytes:
     return encode(1, STATUS, struct.pack('<hii', current, velocity, position), error=0)
-
-
-class Bus:
-    def __init__(self, *devices: Expected) -> None:
-        self.monitor = Monitor('', MODELS, Settings(baud=BAUD, devices=devices))
-        self.now = SECOND
-
-    def hear(self, *packets: bytes) -> int:
-        for packet in packets:
-            self.now += 1_000_000
-            self.monitor.feed(packet, self.now)
-        return self.now
 
 
 def test_values_in_si_units_with_the_stamp_of_their_bytes() -> None:

@@ -6,6 +6,14 @@ from itertools import pairwise
 from pathlib import Path
 import struct
 
+from heard_bus import Bus
+from heard_bus import MODELS
+from heard_bus import MS
+from heard_bus import PING
+from heard_bus import PONG
+from heard_bus import READ
+from heard_bus import REPLY
+from heard_bus import SECOND
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
@@ -16,10 +24,8 @@ from dxl_monitor.bus.decoder import ANSWER_NS
 from dxl_monitor.bus.decoder import BusDecoder
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.tracker import Tracker
-from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.faults import parse
@@ -38,45 +44,11 @@ from msg_defs.event import UNKNOWN
 from msg_defs.reports import Level
 
 TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
-MODELS = Models()
-MS = 1_000_000
-SECOND = 1_000_000_000
-PING = encode(1, I.PING)
-PONG = encode(1, STATUS, b'\x37\x01\x29', error=0)
-READ = encode(1, I.READ, struct.pack('<HH', 132, 4))
-REPLY = encode(1, STATUS, bytes(4), error=0)
 POSITIONS = encode(BROADCAST, I.SYNC_READ, struct.pack('<HH', 132, 4) + b'\x01\x02\x03')
 
 
 def damaged(packet: bytes) -> bytes:
     return packet[:-1] + bytes([packet[-1] ^ 1])
-
-
-class Bus:
-    """A monitor and its time; what is said goes by in chunks of their own."""
-
-    def __init__(self, *expected: Expected, baud: int = 2_000_000, protocol: str = 'auto',
-                 **others: float) -> None:
-        limits = {'missed_limit': 4, 'warn_loss': 1.0, 'silent_after': 5.0, **others}
-        self.monitor = Monitor('arm', MODELS, Settings(
-            baud=baud, devices=expected, missed_limit=int(limits['missed_limit']),
-            warn_loss=limits['warn_loss'], silent_after=limits['silent_after'],
-            protocol=protocol))
-        self.now = 100 * SECOND
-
-    def hear(self, *chunks: bytes, every_ms: float = 1.0) -> None:
-        for chunk in chunks:
-            self.now += int(every_ms * MS)
-            self.monitor.feed(chunk, self.now)
-
-    def wait(self, seconds: float) -> None:
-        self.now += int(seconds * SECOND)
-
-    def report(self) -> BusReport:
-        return self.monitor.report(self.now)
-
-    def device(self, number: int = 1) -> DeviceReport:
-        return {device.id: device for device in self.report().devices}[number]
 
 
 def verdict(device: DeviceReport) -> tuple[str, Level, str]:

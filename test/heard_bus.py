@@ -1,0 +1,50 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A monitor in simulated time, and the usual packets of Protocol 2.0 with device 1, an MX-64."""
+import struct
+from typing import Any
+
+from dxl_monitor.bus.decoder import Settings
+from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.port.driver import LineErrors
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import STATUS
+
+MODELS = Models()
+MS = 1_000_000
+SECOND = 1_000_000_000
+PING = encode(1, I.PING)
+PONG = encode(1, STATUS, b'\x37\x01\x29', error=0)
+READ = encode(1, I.READ, struct.pack('<HH', 132, 4))
+REPLY = encode(1, STATUS, bytes(4), error=0)
+
+
+class Bus:
+    """A monitor and its time; what is said goes by in chunks of their own."""
+
+    every_ms = 1.0
+
+    def __init__(self, *expected: Expected, **settings: Any) -> None:
+        self.monitor = Monitor('arm', MODELS, Settings(devices=expected, **settings))
+        self.now = 100 * SECOND
+
+    def hear(self, *chunks: bytes, every_ms: float | None = None) -> int:
+        """Return when the last of them came."""
+        for chunk in chunks:
+            self.now += int((every_ms or self.every_ms) * MS)
+            self.monitor.feed(chunk, self.now)
+        return self.now
+
+    def wait(self, seconds: float) -> None:
+        self.now += int(seconds * SECOND)
+
+    def report(self, errors: LineErrors | None = None) -> BusReport:
+        return self.monitor.report(self.now, errors)
+
+    def device(self, number: int = 1) -> DeviceReport:
+        return {device.id: device for device in self.report().devices}[number]
