@@ -77,7 +77,7 @@ void vel2d_begin(vel2d_receiver *r, const vel2d_settings *settings)
 
 void vel2d_feed(vel2d_receiver *r, const uint8_t *bytes, size_t count, uint32_t now_ms)
 {
-    if (count && now_ms - r->byte_at > r->settings.gap_ms)
+    if (now_ms - r->byte_at > r->settings.gap_ms)
         vel2d_idle(r);
     while (count--) {
         r->byte_at = now_ms;

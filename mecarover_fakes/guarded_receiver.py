@@ -3,12 +3,11 @@
 """GuardedReceiver: an MCU with the receiver of firmware/ and its watchdog, on simulated time."""
 from __future__ import annotations
 
-from collections.abc import Callable
 import math
+from typing import Any
 
 from mecarover_fakes.receiver import Arrival
 from mecarover_fakes.receiver import Receiver
-from msg_defs.crc import crc32_mpeg2
 from msg_defs.mcu_report import McuReport
 from msg_defs.mcu_report import RUNNING
 from msg_defs.mcu_report import STOPPED
@@ -27,12 +26,11 @@ _REPORT = 1_000_000_000
 class GuardedReceiver(Receiver):
     """As vel2d_receiver.c: it realigns, follows the newest frame, and stops without frames."""
 
-    def __init__(self, start: int = 0, *, baud: int = 115200,
-                 crc: Callable[[bytes], int] = crc32_mpeg2) -> None:
-        super().__init__(start, baud=baud, crc=crc)
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
         self.state = WAITING
         self._is_damaged = False       # since the last good frame or idle line
-        self._good_at = start
+        self._good_at = 0
         self._reported = ('', -_REPORT)
 
     def overrun(self) -> None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 VERSION = 1                     # VEL2D_VERSION of firmware/vel2d_receiver.h
 WAITING, RUNNING, STOPPED = 'waiting', 'running', 'stopped'
 _LINE = re.compile(
-    r'vel2d receiver ([0-9]{1,9}): (waiting|running|stopped), ([0-9]{1,10}) good, '
+    rf'vel2d receiver {VERSION}: (waiting|running|stopped), ([0-9]{{1,10}}) good, '
     r'([0-9]{1,10}) bad, ([0-9]{1,10}) refused, ([0-9]{1,10}) stops')
 _OTHER = re.compile(r'vel2d receiver ([0-9]{1,9}): ')
 
@@ -33,8 +33,7 @@ class McuReport(NamedTuple):
 def parse_report(line: str) -> McuReport | None:
     """Return what a line of the MCU reports, None for any other line."""
     if found := _LINE.fullmatch(line):
-        version, state, *counts = found.groups()
-        if int(version) == VERSION:
-            return McuReport(VERSION, state, *map(int, counts))
+        state, *counts = found.groups()
+        return McuReport(VERSION, state, *map(int, counts))
     other = _OTHER.match(line)
     return McuReport(int(other[1])) if other and int(other[1]) != VERSION else None

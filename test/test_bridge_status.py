@@ -8,7 +8,6 @@ import pytest
 
 from mecarover_serial.preflight import PortError
 from mecarover_serial.preflight import Reason
-from msg_defs.mcu_report import McuReport
 from msg_defs.reports import Level
 from msg_defs.timing import Series
 from msg_defs.vel2d import Vel2d
@@ -183,41 +182,34 @@ def test_what_the_mcu_refuses_is_counted_and_a_complaint():
 def test_what_the_mcu_reports():
     """A report is values, not a line of the log; a stop by itself is a complaint."""
     mcu = McuLog()
-    report = McuReport(state='running', good=70, bad=3, refused=1, stops=2)
 
-    def hear(report, now):
-        mcu.feed(f'{report.line()}\r\n'.encode(), now)
-        return mcu.complaints(now, 'words')
+    def hear(now_s, said):
+        mcu.feed(f'vel2d receiver {said}\r\n'.encode(), now_s * SECOND)
+        return [line.split(',')[0] for line in mcu.complaints(now_s * SECOND, 'words')]
 
+    stopped = ['the watchdog of the MCU stopped the rover']
     assert mcu.report_values(0) == []                               # silent, as most are
-    assert hear(report, 1 * SECOND) == []                           # stops before it are not news
-    assert mcu.take(1 * SECOND) == []
+    assert hear(1, '1: running, 70 good, 3 bad, 1 refused, 2 stops') == []
     assert dict(link(mcu=mcu, now=3 * SECOND).values).items() >= {
         'MCU version': '1', 'MCU state': 'running', 'MCU good frames': '70',
         'MCU bad frames': '3', 'MCU refused frames': '1', 'MCU watchdog stops': '2',
         'MCU report age (s)': '2.0'}.items()
-    stopped = report._replace(state='stopped', stops=3)
-    [line] = hear(stopped, 2 * SECOND)
-    assert 'watchdog of the MCU stopped the rover' in line
-    assert hear(stopped, 20 * SECOND) == [line]                     # it is stopped still
-    assert hear(report._replace(stops=4), 30 * SECOND) == [line]    # it was, a moment ago
-    assert mcu.complaints(39 * SECOND, 'words') == [line]
-    assert mcu.complaints(40 * SECOND, 'words') == []
-    assert hear(report._replace(stops=0), 41 * SECOND) == []        # it has restarted
+    assert hear(2, '1: stopped, 70 good, 3 bad, 1 refused, 3 stops') == stopped
+    assert hear(20, '1: stopped, 70 good, 3 bad, 1 refused, 3 stops') == stopped
+    assert hear(29, '1: running, 70 good, 3 bad, 1 refused, 4 stops') == stopped
+    assert hear(40, '1: running, 70 good, 3 bad, 1 refused, 4 stops') == []
+    assert hear(41, '1: waiting, 0 good, 0 bad, 0 refused, 0 stops') == []      # it restarted
+    assert mcu.take(SECOND) == []
+    assert hear(42, '2: running on') == ['the receiver of the MCU has version 2']
+    assert len(mcu.report_values(0)) == 2                           # no figures
 
 
-@pytest.mark.parametrize(('text', 'version'), [
-    ('vel2d receiver 2: running, 5 good', '2'), ('vel2d receiver 1: running, 5 good', None),
-    ('vel2d receiver 1: running, 5 good, 5 bad, 5 refused, 99999999999 stops', None),
-    ('vel2d receiver: hello', None), ('vel2d receiver 9999999999: running', None)])
-def test_other_reports(text, version):
-    """Of another version: a complaint, and no figures. What is no report is logged as ever."""
+@pytest.mark.parametrize('text', ['1: running, 5 good', ': hello', '9999999999: running'])
+def test_what_is_no_report_is_logged_as_ever(text):
     mcu = McuLog()
-    mcu.feed(f'{text}\n'.encode())
-    assert mcu.take(SECOND) == ([] if version else [text])
-    assert dict(mcu.report_values(SECOND)).get('MCU version') == version
-    assert 'MCU good frames' not in dict(mcu.report_values(SECOND))
-    assert len(mcu.complaints(SECOND, 'words')) == bool(version)
+    mcu.feed(f'vel2d receiver {text}\n'.encode())
+    assert mcu.take(SECOND) == [f'vel2d receiver {text}']
+    assert mcu.report_values(SECOND) == mcu.complaints(SECOND, 'words') == []
 
 
 @pytest.mark.parametrize(('name', 'value', 'begin'), [

@@ -15,13 +15,11 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from mecarover_fakes.fake_mcu import FakeMcu
-from mecarover_fakes.guarded_receiver import GuardedReceiver
 from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import LOOP
 from mecarover_fakes.receiver import QUEUE_DEPTH
 from mecarover_fakes.receiver import Receiver
 from msg_defs.crc import crc32_mpeg2_words
-from msg_defs.mcu_report import McuReport
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
@@ -148,21 +146,6 @@ def test_at_100_frames_per_second_the_rover_acts_on_old_commands():
     assert 250 < sent_ago_ms < 400
 
 
-def test_with_a_watchdog_it_stops_and_follows_the_newest():
-    mcu = GuardedReceiver()
-    for index in range(1, 15):
-        mcu.feed(numbered(index), index)
-    mcu.overrun()
-    mcu.feed(FRAME, 100 * MS)
-    taken = mcu.advance(1000 * MS)
-    assert [(one.stamp // MS, one.x) for one in taken[:3]] == [
-        (30, 12.0), (60, 14.0), (120, 500.0)]
-    assert {one[1:] for one in taken[3:]} == {(0.0, 0.0, 0.0)}
-    assert taken[3].stamp == 420 * MS
-    assert mcu.report(1000 * MS) == McuReport(state='stopped', good=15, stops=1)
-    assert mcu.report(1000 * MS) is None
-
-
 def test_after_an_overrun_it_is_deaf():
     mcu = Receiver()
     mcu.feed(FRAME, 0)
@@ -209,6 +192,22 @@ def test_pty_to_set_point():
     until(mcu, lambda: mcu.receiver.wheels.x == 500.0)
     mcu.say(b'hello')
     assert os.read(host, 9) == b'hello'
+    os.close(host)
+    mcu.close()
+
+
+def test_with_a_watchdog_it_stops_and_reports():
+    stamp, heard = [0], b''
+    mcu = FakeMcu(clock=lambda: stamp[0], talks=True, watchdog=True)
+    host = os.open(mcu.path, os.O_RDWR | os.O_NOCTTY)
+    mcu.receiver.overrun()
+    os.write(host, FRAME)
+    for ms in (300, 330, 630):
+        stamp[0] = ms * MS
+        mcu.pump(10 if ms == 300 else 0)
+    while heard.count(b'\n') < 3:
+        heard += os.read(host, 300)
+    assert heard.endswith(b'vel2d receiver 1: stopped, 1 good, 0 bad, 0 refused, 1 stops\r\n')
     os.close(host)
     mcu.close()
 

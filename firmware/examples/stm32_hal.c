@@ -3,7 +3,7 @@
 /*
  * The receiver on an STM32 with HAL: DMA up to the idle line, CRC unit, independent watchdog.
  *
- * compiled: see docs/firmware.md
+ * compiled: gcc 12.2 for Cortex-M4, ST's HAL driver of 2024-08 (F405), no warnings
  * tried: on the host, with a simulated HAL. Not tried on silicon: DMA, idle line, CRC unit, IWDG.
  *
  * Call vel2d_start() once, vel2d_control() every 30 ms. Interrupts of the UART and its DMA stream

@@ -7,8 +7,11 @@
  *     G TICK VELOCITY      a good frame came (24 bytes in hex)
  *     W TICK VELOCITY      the wheels change
  *     M SIZE FEED NOW REPORT      bytes of the receiver in RAM, and of stack that each call takes
- *     V BYTES FRAMES WRONG BAD    with -DVOLUME=BYTES, instead of a line: damaged bytes from RAM
+ *     V BYTES FRAMES WRONG BAD    with -DVOLUME=BYTES, before all else: damaged bytes from RAM
  */
+#ifdef VOLUME
+#include "volume.h"
+#endif
 #include "vel2d_receiver.h"
 
 #define LOOP_MS 30
@@ -39,26 +42,6 @@ static volatile uint32_t ticks;
 static vel2d_receiver receiver;
 static struct { uint32_t tick; vel2d_velocity velocity; } good[KEPT];
 static volatile uint32_t good_in;
-
-/* The C library of a project has these; the compiler uses them for structs and loops. */
-void *memcpy(void *to, const void *from, size_t size);
-void *memmove(void *to, const void *from, size_t size);
-
-__attribute__((optimize("no-tree-loop-distribute-patterns")))
-void *memmove(void *to, const void *from, size_t size)
-{
-    uint8_t *out = to;
-    const uint8_t *in = from;
-    if (out <= in)
-        while (size--)
-            *out++ = *in++;
-    else
-        while (size--)
-            out[size] = in[size];
-    return to;
-}
-
-void *memcpy(void *to, const void *from, size_t size) { return memmove(to, from, size); }
 
 static void say(const char *text, size_t size)
 {
@@ -152,62 +135,25 @@ static void measure(void)
 }
 
 #ifdef VOLUME
-static uint32_t chance(uint32_t below)
-{
-    static uint32_t state = 2463534242u;
-    state ^= state << 13;
-    state ^= state >> 17;
-    state ^= state << 5;
-    return state % below;
-}
-
-/* Frames, half of them damaged: a byte lost, turned or too many, cut, or noise between two. */
 static void volume(void)
 {
-    static vel2d_velocity sent[4];      /* a frame that is cut may end after the next began */
-    uint32_t bytes = 0, frames = 0, wrong = 0, number = 0;
+    uint32_t bytes = 0, wrong = 0;
     vel2d_begin(&receiver, NULL);
     while (bytes < VOLUME) {
-        uint8_t frame[2 * VEL2D_FRAME];
-        unsigned size = VEL2D_FRAME, at = chance(VEL2D_FRAME), what = chance(12);
-        uint32_t crc, before = receiver.good;
-        vel2d_velocity *mine = &sent[number++ % 4];
-        mine->x = chance(2000) / 1000.0 - 1;
-        mine->y = chance(2000) / 1000.0 - 1;
-        mine->omega = number / 1000.0;
-        for (unsigned i = 0; i < VEL2D_VALUES; i++)
-            frame[i] = ((const uint8_t *)mine)[i];
-        crc = vel2d_crc_bytes(frame);
-        for (unsigned i = 0; i < 4; i++)
-            frame[VEL2D_VALUES + i] = (uint8_t)(crc >> 8 * i);
-        if (what == 0)
-            frame[at] ^= (uint8_t)(1 << chance(8));
-        else if (what == 1)
-            size = at;
-        else if (what == 2)
-            for (size--; at < size; at++)
-                frame[at] = frame[at + 1];
-        else if (what < 6)
-            for (; size < VEL2D_FRAME + 1 + at; size++)
-                frame[size] = (uint8_t)chance(256);
-        for (unsigned i = 0; i < size; i++) {
-            vel2d_feed(&receiver, frame + i, 1, 0);
-            if (receiver.good != before) {
-                const vel2d_velocity *it = &receiver.velocity;
-                int known = 0;
-                before = receiver.good;
-                frames++;
-                for (unsigned j = 0; j < 4; j++)
-                    known |= it->x == sent[j].x && it->y == sent[j].y
-                        && it->omega == sent[j].omega;
-                wrong += !known;
-            }
+        piece it;
+        next_piece(&it, vel2d_crc_bytes);
+        bytes += it.size;
+        for (unsigned at = 0; at < it.size; at++) {
+            uint32_t before = receiver.good;
+            vel2d_feed(&receiver, it.bytes + at, 1, 0);
+            wrong += receiver.good != before && !was_sent(&receiver.velocity);
         }
-        bytes += size;
+        if (it.is_idle)
+            vel2d_idle(&receiver);
     }
     say("V", 1);
     say_number(bytes);
-    say_number(frames);
+    say_number(receiver.good);
     say_number(wrong);
     say_number(receiver.bad);
     say("\n", 1);

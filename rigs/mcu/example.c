@@ -1,8 +1,8 @@
 /* Copyright 2026 The mecarover_serial authors */
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * As much of the STM32 HAL (-DHAL) and of the SDK of the Pico as the examples of firmware/ need,
- * on the host, on simulated time. The example is included as example.c.
+ * As much of the STM32 HAL (-Dstm32_hal) and of the SDK of the Pico as the examples of firmware/ need,
+ * on the host, on simulated time. The example is included as the_example.c.
  * Input: "MS HEX" is what came until the line was idle, "MS error" an overrun, "MS busy" a
  * reception that HAL could not begin again, "MS end" the end.
  * Output: "MS X Y OMEGA" for each velocity that is set, and the lines for the host.
@@ -54,7 +54,7 @@ static void pass(uint32_t until)
     now = until;
 }
 
-#ifdef HAL
+#ifdef stm32_hal
 enum { HAL_OK, HAL_BUSY, HAL_UART_STATE_READY = 0x20, HAL_UART_STATE_BUSY_RX = 0x22 };
 typedef struct { void *hdmarx; uint32_t gState, RxState; } UART_HandleTypeDef;
 typedef struct { int unused; } CRC_HandleTypeDef, IWDG_HandleTypeDef;
@@ -103,7 +103,7 @@ static uint32_t HAL_CRC_Calculate(CRC_HandleTypeDef *unit, uint32_t words[], uin
     return crc;
 }
 
-#include "example.c"
+#include "the_example.c"
 
 static void overrun(void)
 {
@@ -174,7 +174,7 @@ static void uart_write_blocking(uart_hw_t *uart, const uint8_t *text, size_t siz
 }
 
 #define main example_main
-#include "example.c"
+#include "the_example.c"
 #undef main
 
 static void receive(const uint8_t *bytes, size_t count)
