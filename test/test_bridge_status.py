@@ -197,6 +197,7 @@ def test_what_the_mcu_reports():
     assert hear(2, '1: stopped, 70 good, 3 bad, 1 refused, 3 stops') == stopped
     assert hear(20, '1: stopped, 70 good, 3 bad, 1 refused, 3 stops') == stopped
     assert hear(29, '1: running, 70 good, 3 bad, 1 refused, 4 stops') == stopped
+    assert mcu.complaints(39 * SECOND, 'words') == []               # it says nothing any more
     assert hear(40, '1: running, 70 good, 3 bad, 1 refused, 4 stops') == []
     assert hear(41, '1: waiting, 0 good, 0 bad, 0 refused, 0 stops') == []      # it restarted
     assert mcu.take(SECOND) == []

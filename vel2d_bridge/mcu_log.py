@@ -118,7 +118,7 @@ class McuLog:
 
     def _report_complaints(self, now: int) -> list[str]:
         report = self._report
-        if report is None:
+        if report is None or now - self._reported_at >= _REFUSED_FOR:
             return []
         if report.version != VERSION:
             return [f'the receiver of the MCU has version {report.version}, this bridge reads '
@@ -136,10 +136,9 @@ class McuLog:
         report = self._report
         if report is None:
             return []
-        is_ours = report.version == VERSION
+        figures = zip(_KEYS, map(str, report[1:]), strict=True)
         return [('MCU version', str(report.version)),
-                *((key, str(value)) for key, value in zip(_KEYS, report[1:], strict=True)
-                  if is_ours),
+                *(figures if report.version == VERSION else ()),
                 ('MCU report age (s)', str(round((now - self._reported_at) / _SECOND, 1)))]
 
     def garbage(self, now: int) -> str:
