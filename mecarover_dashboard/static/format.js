@@ -34,11 +34,11 @@ export function figure(value, digits = 4) {
   if (!Number.isFinite(value)) return String(value);
   if (value === 0) return '0';
   const size = Math.abs(value);
-  if (size >= 1e7 || size < 1e-4) return value.toExponential(digits - 2);
+  if (size >= 1e7 || size < 1e-4) return value.toExponential(Math.max(0, digits - 2));
   if (size >= 10 ** (digits - 1)) {
     return Math.round(value).toLocaleString('en').replaceAll(',', '\u202f');
   }
-  return String(Number(value.toPrecision(digits)));
+  return String(Number(value.toPrecision(Math.max(1, digits))));
 }
 
 const FAR = 1e12;              // beyond this a value cannot be a measurement
