@@ -26,7 +26,7 @@ class Figure(NamedTuple):
     """
     A number of a device that has a column in the page's table.
 
-    digits: significant digits shown. is_rounded: two significant digits, as it changes with each report.
+    digits: significant digits shown. is_rounded: two of them, as it changes with each report.
     """
 
     name: str
