@@ -38,7 +38,7 @@ class Rover:
     def __init__(self, board, line, ros, cmd_vel):
         self.board, self.line = board, line
         self.published = [0.0]              # when, by number of the command
-        self.ages = []                      # of the first command after each fault, s
+        self.ages = []                      # s: the first command after each fault
         self._ros = ros
         self.teleop = ros.Teleop(cmd_vel, self._command, 50)
         self.start()

@@ -222,7 +222,7 @@ def test_the_error_byte_is_kept_as_hardware_error_status() -> None:
     assert bus.shown(4)['Hardware Error Status'] == 'overheating, overload'
     assert bus.devices()[4].alert
     [finding] = [one for one in bus.report().findings if one.rule == 'hardware_error']
-    assert 'switch it off and on' in finding.message and 'Reboot' not in finding.message
+    assert 'let it cool' in finding.message and 'Reboot' not in finding.message
     bus.ask(encode(4, 2, b'\x38\2'), encode(4, 0, b'\0\x08'))
     assert bus.shown(4)['Hardware Error Status'] != 'overheating, overload'
     assert not bus.devices()[4].alert

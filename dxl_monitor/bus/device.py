@@ -86,7 +86,7 @@ class Device:
         self.waiting_behind: int | None = None
         self.alert = False
         self.last_error = 0
-        self.error_bits = 0                        # of its last answer, in the 1.0 family
+        self.error_bits = 0                        # the last answer had these, in the 1.0 family
         self.missed_in_a_row = 0
         self.heard = 0                             # stamp of the last status, 0 = never
         self.asked_stamp = 0                       # when it last did not answer

@@ -41,7 +41,7 @@ STOPPED_S = 1.2
 RESTED_S = 10.0                    # a shorter pause may be meant
 WORKED_S = 3.0                     # a program that ran so long has stopped; a command is done
 NO_IDS = (0xFD, 0xFF)
-MOSTLY = 0.7                       # of the instructions
+MOSTLY = 0.7                       # share of the instructions
 SCANS = 15                         # broadcast Pings in 10 s: each needs 0.8 s
 PINGS_NS = 10 * S
 # Model numbers, and the firmware from which they know fast reads: MX(2.0) never.

@@ -24,7 +24,7 @@ from msg_defs.reports import number
 
 _CRC_ERRORS_PER_S = 1.0
 _LOST = (words.DISCONNECTED, words.EXPECTED)
-PINGS = 2                      # of an ID that is only searched for
+PINGS = 2                      # an ID that is only searched for gets so many
 RATES = 3                      # a program that sets its own has two, with that of the port
 _NAMED = 5                     # lost devices in the message of a bus
 # What a list of devices says of some states.

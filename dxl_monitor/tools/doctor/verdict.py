@@ -26,7 +26,7 @@ from msg_defs.reports import Level
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
 PORTS_NAMED = 2
-LOAD_NS = 2_000_000_000             # of a shorter time the load says nothing
+LOAD_NS = 2_000_000_000             # the load of a shorter time says nothing
 _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
 _NEEDS_TIMES = frozenset(rule.name for rule in timing_rules.RULES)
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
