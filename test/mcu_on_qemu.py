@@ -129,7 +129,7 @@ def test_what_it_drives_through(rover, fault):
     wait(lambda: board.good[-1].stamp < time.monotonic() - 0.5)         # all have arrived
     good = len(board.good) - good
     line.fault = whole
-    assert good >= share * (frames - 1) > 0             # the last may be silenced
+    assert good >= share * frames > 0
 
 
 def test_all_processes_of_the_host_freeze(rover, recovery):
