@@ -105,8 +105,9 @@ def test_another_device_after_a_loss_gets_nothing(mcu, tmp_path):
     """A pty has no identity: here a file says what it is."""
     name = tmp_path / 'identity'
     name.write_text('the MCU')
-    patch = ('import pathlib\nfrom vel2d_bridge import lost_port\n'
-             f'lost_port.identity = lambda device: pathlib.Path("{name}").read_text()')
+    patch = ('import pathlib\nfrom vel2d_bridge import deadman, lost_port\n'
+             'deadman.identity = lost_port.identity = '
+             f'lambda device: pathlib.Path("{name}").read_text()')
     with driving(mcu, patch=patch) as family:
         lost_and_killed(mcu, family)
         name.write_text('another')

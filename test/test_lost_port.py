@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from vel2d_bridge.claim import identity
 from vel2d_bridge.claim import is_claimed
 from vel2d_bridge.claim import PortClaim
-from vel2d_bridge.lost_port import identity
 
+PATH = '/dev/robot'
 USB = {'idVendor': '0403', 'idProduct': '6001'}
 
 
@@ -68,16 +69,17 @@ def test_a_claim_lasts_until_it_is_dropped_and_one_s_own_is_none():
     ends = os.openpty()
     device = os.fstat(ends[1]).st_rdev
     claim, another = PortClaim(), PortClaim()
-    assert not is_claimed(device, '')
-    claim.take(ends[1])
-    claim.take(ends[1])
-    assert is_claimed(device, another.token)
-    assert not is_claimed(device, claim.token)
-    another.take(ends[1])
-    assert is_claimed(device, claim.token)
+    assert not is_claimed(device, PATH, '')
+    claim.take(ends[1], PATH)
+    claim.take(ends[1], PATH)
+    assert is_claimed(device, PATH, another.token)
+    assert not is_claimed(device, PATH, claim.token)
+    another.take(ends[1], PATH)
+    assert is_claimed(device, PATH, claim.token)
+    assert not is_claimed(device, '/dev/another', claim.token)    # it got the number
     claim.drop()
     another.drop()
-    assert not is_claimed(device, '')
+    assert not is_claimed(device, PATH, '')
     for fd in ends:
         os.close(fd)
 
@@ -85,5 +87,5 @@ def test_a_claim_lasts_until_it_is_dropped_and_one_s_own_is_none():
 def test_what_is_no_device_is_not_claimed():
     claim = PortClaim()
     with Path(__file__).open() as file:
-        claim.take(file.fileno())
+        claim.take(file.fileno(), __file__)
     assert claim._socket is None

@@ -29,7 +29,7 @@ class PortRecord(NamedTuple):
     stop: bytes = b''              # the frame
     baud: int = 1
     path: str = ''                 # where a lost port is looked for, '' for a URL
-    device: str = ''               # what is looked for: see lost_port.identity
+    device: str = ''               # what is looked for: see claim.identity
     settings: bytes = b''          # struct termios2, the rate among them
     claim: str = ''                # see claim.py
 

@@ -5,6 +5,8 @@ Claim: a bridge says which device it drives, for the dead men of bridges before 
 
 An abstract socket that no one talks to: /proc/net/unix lists its name for every user, and the
 kernel removes it when its process ends. A container with a network of its own has its own list.
+The name says the number of the device, and what the device is: another one gets the number of
+one that was unplugged.
 """
 from __future__ import annotations
 
@@ -13,8 +15,12 @@ import os
 from pathlib import Path
 import socket
 import stat
+from zlib import crc32
+
+from mecarover_serial.port_users import file_text
 
 _LIST = Path('/proc/net/unix')
+_SYSFS = Path('/sys/dev/char')
 
 
 class PortClaim:
@@ -22,33 +28,60 @@ class PortClaim:
 
     def __init__(self) -> None:
         self.token = os.urandom(8).hex()
-        self._device = 0
+        self._name = ''
         self._socket: socket.socket | None = None
 
-    def take(self, fd: int) -> None:
-        """Claim an open port, before the first byte. Never raises."""
+    def take(self, fd: int, path: str) -> None:
+        """Claim an open port, found at `path`, before the first byte. Never raises."""
         with suppress(OSError):
             status = os.fstat(fd)
-            if not stat.S_ISCHR(status.st_mode) or status.st_rdev == self._device:
+            if not stat.S_ISCHR(status.st_mode):
+                return
+            name = _name(status.st_rdev, path)
+            if name == self._name:
                 return
             claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-            claim.bind('\0' + _name(status.st_rdev) + self.token)
+            claim.bind('\0' + name + self.token)
             self.drop()
-            self._device, self._socket = status.st_rdev, claim
+            self._name, self._socket = name, claim
 
     def drop(self) -> None:
         if self._socket is not None:
             self._socket.close()
-        self._device, self._socket = 0, None
+        self._name, self._socket = '', None
 
 
-def is_claimed(device: int, but: str) -> bool:
+def is_claimed(device: int, path: str, but: str) -> bool:
     """Tell whether a bridge has claimed this device, other than the one with the token `but`."""
     with suppress(OSError):
-        return any('@' + _name(device) in line and not line.endswith(but)
+        return any('@' + _name(device, path) in line and not line.endswith(but)
                    for line in _LIST.read_text(errors='replace').splitlines())
     return False
 
 
-def _name(device: int) -> str:
-    return f'mecarover_serial/bridge/{os.major(device)}:{os.minor(device)}/'
+def identity(device: int, sysfs: Path = _SYSFS) -> str:
+    """
+    Return what a character device has in common before and after it was unplugged.
+
+    USB: maker, product, serial number and interface; without a serial number, the socket that it
+    is in. Else its place on the board. '' where nothing is known: a pty.
+    """
+    place = sysfs / f'{os.major(device)}:{os.minor(device)}' / 'device'
+    if not place.exists():
+        return ''
+    place = place.resolve()
+    for folder in (place, *place.parents):
+        if (folder / 'idVendor').exists():
+            maker, product, serial = (file_text(folder / name).strip()
+                                      for name in ('idVendor', 'idProduct', 'serial'))
+            interface = ''.join(place.relative_to(folder).parts[:1])     # 1-1.2:1.0
+            where = interface.partition(':')[2] if serial else interface
+            number = file_text(place / 'port_number').strip()    # one of several on a chip
+            return f'{maker}:{product} {serial} {where} {number}'
+    return str(place)
+
+
+def _name(device: int, path: str) -> str:
+    known_as = identity(device) or os.path.abspath(path)
+    return (f'mecarover_serial/bridge/{os.major(device)}:{os.minor(device)}/'
+            f'{crc32(known_as.encode()):08x}/')

@@ -18,7 +18,6 @@ import time
 
 from mecarover_serial.process import PR_SET_CHILD_SUBREAPER
 from mecarover_serial.process import prctl
-from vel2d_bridge import lost_port
 from vel2d_bridge.board import ACTED
 from vel2d_bridge.board import ALIVE
 from vel2d_bridge.board import AWAY
@@ -31,7 +30,9 @@ from vel2d_bridge.board import PortRecord
 from vel2d_bridge.board import SERVER
 from vel2d_bridge.board import SharedBoard
 from vel2d_bridge.board import WATCH
+from vel2d_bridge.claim import identity
 from vel2d_bridge.deadman_server import serve
+from vel2d_bridge.lost_port import settings
 from vel2d_bridge.watch import NUMBER
 
 READY, STARTING, FROZEN, GONE = 'ready', 'starting', 'frozen', 'lost'
@@ -78,8 +79,8 @@ class Deadman:
         with suppress(OSError):
             socket.send_fds(self._pocket, [number], [fd])
         self._write(HELD, stop=stop_frame, baud=baud, path=os.path.abspath(path) if path else '',
-                    device=lost_port.identity(os.fstat(fd).st_rdev),
-                    settings=lost_port.settings(fd), claim=claim)
+                    device=identity(os.fstat(fd).st_rdev),
+                    settings=settings(fd), claim=claim)
 
     def release(self, owes_stop: bool = False) -> None:
         """

@@ -253,10 +253,10 @@ class Link:
             self._owes_stop and self._clock() < self._closing + _SEARCH_NS)
 
     def _begin(self, port: Port) -> None:
+        path = '' if '://' in self._name else self._name
         if port.fd is not None:
-            self._claim.take(port.fd)
+            self._claim.take(port.fd, path)
         if self._deadman is not None and port.fd is not None:
-            path = '' if '://' in self._name else self._name
             self._deadman.hold(port.fd, self._stop_frame, self._baud, path, self._claim.token)
         with self._lock:
             now = self._clock()

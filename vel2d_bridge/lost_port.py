@@ -11,16 +11,14 @@ from __future__ import annotations
 from contextlib import suppress
 import fcntl
 import os
-from pathlib import Path
 import struct
 import termios
 
-from mecarover_serial.port_users import file_text
+from vel2d_bridge.claim import identity
 from vel2d_bridge.claim import is_claimed
 
 _TCGETS2, _TCSETS2 = 0x802C542A, 0x402C542B
 _TERMIOS2 = 44                     # bytes
-_SYSFS = Path('/sys/dev/char')
 
 
 class TakenOver(Exception):
@@ -35,28 +33,6 @@ def settings(fd: int) -> bytes:
     except OSError:
         return b''
     return bytes(found)
-
-
-def identity(device: int, sysfs: Path = _SYSFS) -> str:
-    """
-    Return what a character device has in common before and after it was unplugged.
-
-    USB: maker, product, serial number and interface; without a serial number, the socket that it
-    is in. Else its place on the board. '' where nothing is known: a pty.
-    """
-    place = sysfs / f'{os.major(device)}:{os.minor(device)}' / 'device'
-    if not place.exists():
-        return ''
-    place = place.resolve()
-    for folder in (place, *place.parents):
-        if (folder / 'idVendor').exists():
-            maker, product, serial = (file_text(folder / name).strip()
-                                      for name in ('idVendor', 'idProduct', 'serial'))
-            interface = ''.join(place.relative_to(folder).parts[:1])     # 1-1.2:1.0
-            where = interface.partition(':')[2] if serial else interface
-            number = file_text(place / 'port_number').strip()    # one of several on a chip
-            return f'{maker}:{product} {serial} {where} {number}'
-    return str(place)
 
 
 def find(path: str, known_as: str, settings: bytes, claim: str) -> int:
@@ -74,7 +50,7 @@ def find(path: str, known_as: str, settings: bytes, claim: str) -> int:
             fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             is_ours = os.fstat(fd).st_rdev == device
-        if is_claimed(device, claim):
+        if is_claimed(device, path, claim):
             raise TakenOver
         if is_ours:
             _prepare(fd, settings)
