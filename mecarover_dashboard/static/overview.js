@@ -180,13 +180,14 @@ function updateTile(tile, model) {
     : countOf(devices, part) === '0' ? 'none answers' : `${lost} lost`);
 }
 
-function busLine(group) {
-  const {row} = group;
+/** Port and rates; what is not heard now has no rates. */
+function busLine({row, part}) {
   if (!row) return '';
   const rate = (key, unit) => {
     const value = valueOf(row, key);
     return value ? `${short(value, 3)} ${unit}` : null;
   };
-  return [valueOf(row, 'Port'), rate('Baud (bit/s)', 'Bd'), rate('packets (1/s)', 'packets/s'),
-    rate('errors (1/s)', 'errors/s')].filter(Boolean).join('  \u00b7  ');
+  return [valueOf(row, 'Port'), rate('Baud (bit/s)', 'Bd'),
+    part.is_known && rate('packets (1/s)', 'packets/s'),
+    part.is_known && rate('errors (1/s)', 'errors/s')].filter(Boolean).join('  \u00b7  ');
 }
