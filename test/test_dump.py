@@ -706,3 +706,16 @@ def test_an_instruction_of_1_0_with_the_code_of_a_status_of_2_0_is_unknown():
     unknown, ping = objects('-', '--protocol', '1', feed=data)
     assert (unknown['id'], unknown['instruction'], ping['instruction']) \
         == (BROADCAST, 'instruction 0x55', 'Ping')
+
+
+@pytest.mark.parametrize(('code', 'front', 'dialect'), [
+    (I.WRITE, '7400', '2'), (I.REG_WRITE, '7400', '2'), (I.SYNC_WRITE, '7400020001', '2'),
+    (I.BULK_WRITE, '0174000200', '2'), (I.WRITE, '1e', '1'), (I.SYNC_WRITE, '1e0201', '1')])
+def test_each_write_shows_its_own_data(code, front, dialect):
+    """A plan is kept for all writes of the same registers."""
+    make = encode if dialect == '2' else dxl1_packet.encode
+    number = BROADCAST if code in (I.SYNC_WRITE, I.BULK_WRITE) else 1
+    data = [bytes([value, 0]) for value in (7, 8, 9)]
+    feed = b''.join(make(number, code, bytes.fromhex(front) + one) for one in data)
+    shown = objects('-', '--protocol', dialect, feed=feed)
+    assert [one['registers'][0]['data'] for one in shown] == [one.hex() for one in data]

@@ -125,6 +125,13 @@ class Planner:
             self.known[key] = plan
         return plan
 
+    def request_of(self, said: Said) -> Request:
+        """Return what an instruction says, with its own data; a plan has those of its first."""
+        kind, id, code, params = said
+        if kind == INSTRUCTION_2:
+            return parse(code, id, params)
+        return understood(kind, code, id, params, self._registry.dialect)
+
     def plans(self) -> list[Plan]:
         """Return the plans in use, with what is counted of them elsewhere brought up to date."""
         for plan in self.known.values():
@@ -160,11 +167,9 @@ class Planner:
     def _learn(self, said: Said, stamp: int) -> Plan:
         kind, id, code, params = said
         names: Container[int] = NAMES
-        if kind == INSTRUCTION_2:
-            request = parse(code, id, params)
-        else:
+        request = self.request_of(said)
+        if kind != INSTRUCTION_2:
             names = self._registry.dialect.entries
-            request = understood(kind, code, id, params, self._registry.dialect)
             self._registry.highest = MAX_ID_1
             for number in {id, *(access.id for access in request.accesses)} - {BROADCAST}:
                 self._registry.speaks(self._registry.device(number))

@@ -142,7 +142,10 @@ class Listing(BusDecoder):
         notes = tuple(one for one in incidents if one.kind in _ABOUT_A_STATUS)
         request = self.tracker.pending.request
         blocks: tuple[Block, ...] = ()
-        if packet.error is not None:
+        if packet.error is None:
+            _, _, kind, number, code, params, _ = frame
+            request = self.tracker.planner.request_of((kind, number, code, params))
+        else:
             if notes or packet.id not in self.tracker.pending.slots:
                 request = NO_REQUEST
             elif packet.id == BROADCAST:
