@@ -73,7 +73,7 @@ def trickle(file, data, size):
             file.flush()
 
 
-def dump(*arguments, feed=b'', chunk=None, code=0, env=None):
+def dump(*arguments, feed=b'', chunk=None, code=0, env=None, binary=False):
     """Run dxl_dump on what is fed to its stdin, return stdout."""
     process = subprocess.Popen(
         [sys.executable, '-m', DUMP, *map(str, arguments)], cwd=ROOT,
@@ -88,7 +88,7 @@ def dump(*arguments, feed=b'', chunk=None, code=0, env=None):
     feeder.join()
     assert process.returncode == code, err.decode()
     assert b'Traceback' not in err
-    return err.decode() if code else out.decode()
+    return out if binary else err.decode() if code else out.decode()
 
 
 def objects(*arguments, **options):

@@ -14,6 +14,7 @@ chunks: a replay leads to the same report.
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
 from datetime import datetime
@@ -275,17 +276,18 @@ def _wall(text: str) -> int:
     return since // timedelta(microseconds=1) * 1000
 
 
-def check_new(path: str | Path) -> None:
+def check_new(path: str | Path, is_ours: Callable[[str | Path], bool] | None = None) -> None:
     """
     Raise ParameterError for what must not be written to.
 
-    That is a port, above all, and any file that is not a capture.
+    That is a port, above all, and any file that is not a recording; is_ours: tells what is one.
     """
     try:
         status = os.stat(path)
         is_file = stat.S_ISREG(status.st_mode) and status.st_size > 0
-        if is_file and not is_capture(path):
-            raise _refusal(path, 'exists and is not a capture')
+        if is_file and not (is_ours or is_capture)(path):
+            raise _refusal(path, 'exists and is not such a recording' if is_ours
+                           else 'exists and is not a capture')
         if stat.S_ISDIR(status.st_mode):
             raise _refusal(path, 'is a directory')
         if stat.S_ISCHR(status.st_mode) and _is_port(path):
@@ -296,13 +298,15 @@ def check_new(path: str | Path) -> None:
         raise _refusal(path, error.strerror or str(error)) from error
 
 
-def open_new(path: str | Path, waits: bool = True) -> BinaryIO:
+def open_new(path: str | Path, waits: bool = True,
+             is_ours: Callable[[str | Path], bool] | None = None) -> BinaryIO:
     """
-    Open a file to write a capture to; an older capture of that name is lost.
+    Open a file to write a recording to; an older one of that name is lost.
 
-    waits: for somebody to read, where it is a pipe; else that is a ParameterError.
+    waits: for somebody to read, where it is a pipe; else that is a ParameterError. is_ours: as
+    in check_new.
     """
-    check_new(path)
+    check_new(path, is_ours)
     try:
         return open(path, 'wb', opener=None if waits else _without_waiting)
     except OSError as error:

@@ -18,6 +18,8 @@ import sys
 
 from dxl_monitor.port.source_name import is_live
 from dxl_monitor.record.capture import MAGIC
+from dxl_monitor.record.packet_file import holds_packets
+from dxl_monitor.record.packet_file import PacketFile
 from dxl_monitor.record.source import CaptureFile
 from dxl_monitor.record.source import File
 from dxl_monitor.record.source import RawFile
@@ -98,6 +100,8 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
     if packed is not None:
         file.close()
         raise UsageError(f'{name}: compressed with {packed}; unpack it first')
+    if holds_packets(head + file.peek()):
+        return PacketFile(name, file, head, baud)
     if is_usb(head):
         return UsbFile(name, file, head, baud, adapter)
     if adapter is not None:

@@ -15,36 +15,51 @@ from typing import Any
 from typing import NamedTuple
 from typing import Protocol
 
+from mecarover_serial.plain import printable
+
 LINK_USB_LINUX, LINK_USB_LINUX_MMAPPED, LINK_USBPCAP = 189, 220, 249
+LINK_USER0 = 147                   # ours: record/packet_file.py
 
 _PCAP_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}        # ns in a unit of the fraction
 _SECTION, _SECTION_MAGIC = 0x0A0D0D0A, 0x1A2B3C4D
 _INTERFACE, _OLD_PACKET, _SIMPLE, _ENHANCED = 1, 2, 3, 6
-_RESOLUTION, _OFFSET = 9, 14       # options of an interface
+_NAME, _ABOUT, _SPEED, _RESOLUTION, _OFFSET = 2, 3, 8, 9, 14       # options of an interface
+_COMMENT, _FLAGS = 1, 2            # options of a packet
 _NS = 1_000_000_000
 MAGIC_SIZE = 4
 BLOCK_LIMIT = 1 << 26              # bytes: no packet of USB is near that
 INTERFACES_LIMIT = 4096
 
 
+class Interface(NamedTuple):
+    """What a file says of the interface of a packet; speed: bit/s, 0 where it does not say."""
+
+    link: int
+    snap_length: int = 0
+    units_per_second: int = 1_000_000
+    offset_s: int = 0
+    name: str = ''
+    about: str = ''
+    speed: int = 0
+
+
 class CapturedPacket(NamedTuple):
     """One packet; stamp: ns since 1970 (0 where the file has none). order: '<' or '>'."""
 
-    link: int
+    interface: Interface
     stamp: int
     order: str
     data: bytes
+    flags: int = 0
+    comments: tuple[str, ...] = ()
+
+    @property
+    def link(self) -> int:
+        return self.interface.link
 
 
 class _Reads(Protocol):
     def read(self, size: int, /) -> bytes: ...
-
-
-class _Interface(NamedTuple):
-    link: int
-    snap_length: int
-    units_per_second: int
-    offset_s: int
 
 
 class _Damaged(Exception):
@@ -66,7 +81,7 @@ class PcapReader:
         self.position = 0          # bytes read
         self._file = file
         self._order = '<'
-        self._interfaces: list[_Interface] = []
+        self._interfaces: list[Interface] = []
 
     def __iter__(self) -> Iterator[CapturedPacket]:
         try:
@@ -94,7 +109,7 @@ class PcapReader:
                 raise _Damaged(f'a packet of {kept} bytes: damaged')
             data = self._exactly(kept, 'a packet')
             stamp = seconds * _NS + fraction * unit
-            yield CapturedPacket(link, stamp, self._order, data)
+            yield CapturedPacket(Interface(link), stamp, self._order, data)
 
     # --- pcapng --------------------------------------------------------------------------------
 
@@ -138,14 +153,20 @@ class PcapReader:
         if len(body) < 8 or len(self._interfaces) >= INTERFACES_LIMIT:
             raise _Damaged('a description of an interface that makes no sense: damaged')
         link, _, snap_length = self._unpack('HHI', body)
-        units, offset_s = 1_000_000, 0
+        one = Interface(link, snap_length)
         for code, value in self._options(body[8:]):
             if code == _RESOLUTION and value:
                 base, power = (2, value[0] & 0x7F) if value[0] & 0x80 else (10, value[0])
-                units = base ** min(power, 64)
+                one = one._replace(units_per_second=base ** min(power, 64))
             elif code == _OFFSET and len(value) == 8:
-                offset_s = self._unpack('q', value)[0]
-        self._interfaces.append(_Interface(link, snap_length, units, offset_s))
+                one = one._replace(offset_s=self._unpack('q', value)[0])
+            elif code == _SPEED and len(value) == 8:
+                one = one._replace(speed=self._unpack('Q', value)[0])
+            elif code == _NAME:
+                one = one._replace(name=_text(value))
+            elif code == _ABOUT:
+                one = one._replace(about=_text(value))
+        self._interfaces.append(one)
 
     def _options(self, body: bytes) -> Iterator[tuple[int, bytes]]:
         at = 0
@@ -169,7 +190,13 @@ class PcapReader:
             raise _Damaged('a packet of no interface, or cut: damaged')
         one = self._interfaces[number]
         stamp = (high << 32 | low) * _NS // one.units_per_second + one.offset_s * _NS
-        return CapturedPacket(one.link, stamp, self._order, body[20:20 + kept])
+        flags, comments = 0, []
+        for code, value in self._options(body[20 + kept + -kept % 4:]):
+            if code == _FLAGS and len(value) == 4:
+                flags = self._unpack('I', value)[0]
+            elif code == _COMMENT:
+                comments.append(_text(value))
+        return CapturedPacket(one, stamp, self._order, body[20:20 + kept], flags, tuple(comments))
 
     def _simple(self, body: bytes) -> CapturedPacket | None:
         if not self._interfaces or len(body) < 4:
@@ -177,7 +204,7 @@ class PcapReader:
         one = self._interfaces[0]
         size = self._unpack('I', body)[0]
         kept = min(size, one.snap_length or size, len(body) - 4)
-        return CapturedPacket(one.link, 0, self._order, body[4:4 + kept])
+        return CapturedPacket(one, 0, self._order, body[4:4 + kept])
 
     # --- bytes ---------------------------------------------------------------------------------
 
@@ -200,3 +227,7 @@ class PcapReader:
         if len(data) < size:
             raise _Damaged(f'it ends before {what}: cut off, or still being written')
         return data
+
+
+def _text(value: bytes) -> str:
+    return printable(value.rstrip(b'\0').decode(errors='replace'))

@@ -14,6 +14,9 @@ from dxl_monitor.model.models import check_models
 from dxl_monitor.model.models import model_files
 from dxl_monitor.record.capture import BAUD_LIMIT
 from dxl_monitor.tools.dump.packet_lines import TIMES
+from dxl_monitor.tools.dump.session import CAPTURE
+from dxl_monitor.tools.dump.session import FORMATS
+from dxl_monitor.tools.dump.session import PCAPNG
 from dxl_monitor.tools.dump.session import Session
 from dxl_monitor.tools.run import refuse_run
 from mecarover_serial.cli import COULD_NOT_RUN
@@ -30,6 +33,7 @@ EXAMPLES = """examples:
   dxl_dump /dev/ttyUSB0 --changes               one line per device, in place
   dxl_dump /dev/ttyUSB0 --stats                 load, rates, errors, latency
   dxl_dump /dev/ttyUSB0 -w bus.txt              record; Ctrl-C ends it
+  dxl_dump /dev/ttyUSB0 -w - --format pcapng | wireshark -k -i -
   dxl_dump bus.txt --id 7,11 --instruction write,status
   dxl_dump bus.txt --json | jq .registers       for programs
   ssh robot dxl_dump /dev/ttyUSB0 -w - | dxl_dump -
@@ -59,6 +63,7 @@ def _run(arguments: list[str]) -> int:
     options.about = _ids(options.about)
     options.instructions = _instructions(options.instruction)
     options.colours = _has_colours(options.color)
+    options.format = options.format or _format(options.write)
     with Session(options) as session:
         session.run()
     return DONE
@@ -112,6 +117,15 @@ def _instructions(entries: Sequence[str] | None) -> frozenset[int] | None:
     return frozenset(found)
 
 
+def _format(name: str | None) -> str:
+    """Return the format of a recording of this name."""
+    ending = os.path.splitext(name or '')[1].lower()
+    if ending in ('.pcap', '.mcap'):
+        raise UsageError(f'-w {name}: cannot write {ending}; give a name that ends in .pcapng, or '
+                         '--format capture')
+    return PCAPNG if ending == '.pcapng' else CAPTURE
+
+
 def _has_colours(wish: str) -> bool:
     if wish != 'auto':
         return wish == 'always'
@@ -144,7 +158,9 @@ def _parser() -> argparse.ArgumentParser:
     add('--summary', action='store_true', help='the counters, as one JSON object at the end')
     add('--changes', action='store_true', help='one line for each device, updated in place')
     add('--stats', action='store_true', help='load, rates, errors, latency of each device')
-    add('-w', '--write', metavar='FILE', help='record to a capture file (- for stdout)')
+    add('-w', '--write', metavar='FILE', help='record to a file (- for stdout): a capture, or '
+        'packets for Wireshark if its name ends in .pcapng')
+    add('--format', choices=FORMATS, help='of the recording (default: by its name)')
     only = parser.add_argument_group('which packets')
     add = only.add_argument
     add('--id', action='append', metavar='IDS', help='packets with these IDs, e.g. 7,11-13')

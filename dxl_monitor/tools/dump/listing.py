@@ -7,7 +7,9 @@ For tools that show packets. An entry is handed on while the bus is locked and i
 they were at this frame: what takes it reads what it needs at once and does not call back.
 """
 
+from collections import defaultdict
 from collections.abc import Callable
+from collections.abc import Iterator
 from typing import Any
 from typing import NamedTuple
 
@@ -45,6 +47,7 @@ NO_REQUEST = NO_PLAN.request
 
 _ABOUT_A_STATUS = (ev.UNASKED, ev.LATE, ev.SECOND_ANSWER, ev.WRONG_SIZE, ev.BAD_ID)
 _CRC_SIZE = 2
+_ALL = 1 << 62                     # a stream offset after every other
 
 
 class Entry(NamedTuple):
@@ -68,6 +71,27 @@ class Entry(NamedTuple):
     length: int = 0                        # bytes of noise
     is_sure: bool = True                   # nothing was damaged between instruction and status
     side: str = UNKNOWN                    # who put it on the wire, where that is known
+    wire: bytes = b''                      # its bytes on the wire
+    before: bytes = b''                    # bytes in front of it that are no packet
+
+
+class _Tape:
+    """The newest bytes of a side, until it is known what they are."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._begin = 0                        # stream offset of the first one
+
+    def add(self, chunk: bytes) -> None:
+        self._data += chunk
+
+    def cut(self, begin: int, end: int) -> tuple[bytes, bytes]:
+        """Return what is before a frame, and the frame (stream offsets); both are over then."""
+        first, last = (max(0, at - self._begin) for at in (begin, end))
+        before, wire = bytes(self._data[:first]), bytes(self._data[first:last])
+        del self._data[:last]
+        self._begin += len(before) + len(wire)
+        return before, wire
 
 
 class Listing(BusDecoder):
@@ -85,6 +109,7 @@ class Listing(BusDecoder):
         self._newest = 0                       # stamp of the last entry
         self._noise_told = 0
         self._is_told = False                  # what was damaged since the last good packet is
+        self._tapes: defaultdict[str, _Tape] = defaultdict(_Tape)    # by side
 
     def device(self, number: int) -> Device | None:
         """Return a device with the model that it said it is. Only while an entry is taken."""
@@ -92,6 +117,15 @@ class Listing(BusDecoder):
         if device is not None:
             self.registry.resolve(device)
         return device
+
+    def hear(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
+        self._tapes[side].add(chunk)
+        super().hear(chunk, stamp, side)
+
+    def rest(self) -> Iterator[tuple[str, bytes]]:
+        """Yield what is left of each side at the end: no packet."""
+        for side, tape in self._tapes.items():
+            yield side, tape.cut(_ALL, _ALL)[0]
 
     def take(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
         for frame in frames:
@@ -118,9 +152,10 @@ class Listing(BusDecoder):
         super().take([frame], stamp, received, side)
         self._is_told = True
         _, _, kind, number, code, data, _ = frame
+        before, wire = self._tapes[side].cut(frame[0], frame[1])
         self._on_entry(Entry(DAMAGED, self._newest, device=self.device(number), data=data,
                              code=STATUS if kind == IS_STATUS else code, reason=flaw.reason,
-                             side=side))
+                             side=side, wire=wire, before=before))
 
     def _good(self, frame: Frame, stamp: int, received: int, side: str) -> None:
         flaw = frame[6]
@@ -153,8 +188,10 @@ class Listing(BusDecoder):
                 wire += body_crc(wire).to_bytes(_CRC_SIZE, 'little')
                 blocks = tuple(split_combined(wire, request.accesses))
         is_sure = packet.error is None or not self.tracker.is_doubtful
+        before, wire = self._tapes[side].cut(frame[0], frame[1])
         self._on_entry(Entry(PACKET, self._newest, packet, request, self.device(packet.id),
-                             blocks, notes, is_sure=is_sure, side=side))
+                             blocks, notes, is_sure=is_sure, side=side, wire=wire,
+                             before=before))
 
     def _tell_much_noise(self, has_frames: bool, stamp: int, side: str) -> None:
         """Report noise without any packet after it, as at a wrong baud rate."""
@@ -162,8 +199,10 @@ class Listing(BusDecoder):
         if has_frames:
             self._noise_told = noise
         elif noise - self._noise_told > NOISE_TOLD:
+            end = self.framers[side].bytes - NOISE_TOLD // 2       # the rest may become a packet
             self._on_entry(Entry(NOISE, stamp, data=self.framers[side].noise[-16:],
-                                 length=noise - self._noise_told, side=side))
+                                 length=noise - self._noise_told, side=side,
+                                 before=self._tapes[side].cut(end, end)[0]))
             self._noise_told = noise
             self._is_told = True
 

@@ -32,6 +32,7 @@ from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import open_new
 from dxl_monitor.record.capture import Writer
 from dxl_monitor.record.opening import open_source
+from dxl_monitor.record.packet_file import is_packet_file
 from dxl_monitor.tools.doctor.no_data import reasons
 from dxl_monitor.tools.dump.changes_screen import Changes
 from dxl_monitor.tools.dump.changes_screen import Screen
@@ -41,15 +42,18 @@ from dxl_monitor.tools.dump.json import json_line
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.listing import Listing
 from dxl_monitor.tools.dump.packet_lines import Lines
+from dxl_monitor.tools.dump.packet_recording import PacketRecording
 from dxl_monitor.tools.dump.stats import stats
 from dxl_monitor.tools.dump.stats import summary
 from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import printable
 
+CAPTURE, PCAPNG = FORMATS = ('capture', 'pcapng')      # of a recording
 PAINT_S = {'changes': 0.2, 'stats': 1.0}
 PROGRESS_S = 0.5
 SILENT_S = 5.0                     # without a byte: time to say what may be the reason
+LOOK_NS = 1_000_000_000             # between two looks for findings, of a recording
 PAINT_SHARE = 5                    # at most one part in so many of the time goes into painting
 
 
@@ -69,7 +73,13 @@ class Session:
                                    options.adapter)
         self._file = _output(options)
         self._writer: Writer | None = None
+        self._packets: PacketRecording | None = None
+        if self._file is not None and options.format == PCAPNG:
+            self._packets = PacketRecording(self._file, self._source.wire,
+                                            lambda: self._source.began)
+        self._next_look = 0                    # stamp
         self._monitors: dict[str, Monitor] = {}
+        self._listings: dict[str, Listing] = {}
         self._filter = Filter(options)
         self._screen = Screen(sys.stdout, options.colours)
         self._changes = Changes(options.colours)
@@ -112,13 +122,18 @@ class Session:
             self._first = chunk.stamp
         self._last = chunk.stamp
         self._bytes += len(chunk.data)
-        if self._file is not None:
+        if self._file is not None and self._packets is None:
             self._record(self._file, chunk)
         monitor = self._monitors.get(chunk.bus) or self._new_monitor(chunk.bus)
         if chunk.change is None:
             monitor.feed(chunk.data, chunk.stamp, chunk.side)
         else:
             monitor.change(chunk.change, chunk.stamp)
+            if self._packets is not None:
+                self._packets.change(chunk.bus, chunk.change, chunk.stamp,
+                                     self._listings[chunk.bus])
+        if self._packets is not None:
+            self._record_packets(self._packets, chunk.stamp)
         if self._source.is_live and self._lists:
             sys.stdout.flush()
 
@@ -127,14 +142,22 @@ class Session:
                                self._options.protocol)
         shown = printable(bus)
         listing = None
-        if self._lists:
+        if self._lists or self._packets is not None:
             listing = Listing(self._models, lambda entry: show(entry), settings,
                               self._source.is_timed)
-            show = partial(self._show, shown, Interpreter(listing))
+            show = partial(self._entry, bus, Interpreter(listing))
+            self._listings[bus] = listing
         monitor = Monitor(shown, self._models, settings, decoder=listing,
                           names=OPTIONS)
         self._monitors[bus] = monitor
         return monitor
+
+    def _entry(self, bus: str, interpreter: Interpreter, entry: Entry) -> None:
+        if self._packets is not None:
+            with self._naming_the_file():
+                self._packets.take(bus, entry)
+        if self._lists:
+            self._show(printable(bus), interpreter, entry)
 
     def _show(self, bus: str, interpreter: Interpreter, entry: Entry) -> None:
         """Show an entry, if it is wanted."""
@@ -193,6 +216,16 @@ class Session:
             if self._source.is_live:
                 file.flush()
 
+    def _record_packets(self, packets: PacketRecording, stamp: int) -> None:
+        """Write what is known now; once a second, ask for findings."""
+        if stamp >= self._next_look:
+            self._next_look = stamp + LOOK_NS
+            for bus, monitor in self._monitors.items():
+                packets.look(bus, monitor.report(stamp))
+        if self._source.is_live and self._file is not None:
+            with self._naming_the_file():
+                self._file.flush()
+
     @contextmanager
     def _naming_the_file(self) -> Iterator[None]:
         """Give an error of writing the name of the file; a pipe that is closed has none."""
@@ -249,11 +282,14 @@ class Session:
             for monitor in self._monitors.values():
                 monitor.end(now)
         reports = self._reports(now)
+        if self._packets is not None:
+            with self._naming_the_file():
+                self._packets.finish(self._listings, now)
         self._paint_screen(reports, is_last=True)
         if self._options.summary:
             print(json.dumps(summary(reports)))
         sys.stdout.flush()
-        if self._writer is not None and sys.stderr.isatty():
+        if self._file is not None and self._bytes and sys.stderr.isatty():
             print(f'dxl_dump: recorded {self._bytes} bytes of the bus to {self._options.write}',
                   file=sys.stderr)
         for problem in [*self._doubts(reports), *self._source.problems(),
@@ -279,7 +315,8 @@ def _output(options: argparse.Namespace) -> BinaryIO | None:
                 and os.path.samefile(options.write, options.source):
             raise UsageError(f'{options.write}: is also the source, and writing would destroy it; '
                              'give another file name')
-        return open_new(options.write) if options.write else None
+        is_ours = is_packet_file if options.format == PCAPNG else None
+        return open_new(options.write, is_ours=is_ours) if options.write else None
     if options.json or options.summary or options.changes or options.stats:
         raise UsageError('-w -: the capture goes to stdout, so nothing else can be shown; give a '
                          'file name')

@@ -29,7 +29,7 @@ _REASONS = {
     3: 'the instruction came damaged', 4: 'value out of range', 5: 'too few bytes',
     6: 'beyond its limit', 7: 'no such register, read-only, or locked by Torque Enable',
 }
-_FLAWS = {'crc': 'wrong CRC', 'cut': 'ends too early', 'length': 'impossible Length'}
+FLAWS = {'crc': 'wrong CRC', 'cut': 'ends too early', 'length': 'impossible Length'}
 
 
 def ids_text(ids: Iterable[int]) -> str:
@@ -107,7 +107,7 @@ def damaged_words(entry: Entry) -> str:
     name = name_of(entry.code) if entry.code else 'packet'
     if entry.reason == OPEN:
         return f'{name}, or a status; {entry.data.hex(" ")}'
-    return f'{name}: {_FLAWS[entry.reason]}; {entry.data.hex(" ")}'
+    return f'{name}: {FLAWS[entry.reason]}; {entry.data.hex(" ")}'
 
 
 def noise_words(entry: Entry) -> str:

@@ -1,0 +1,153 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Packets of a servo bus in a pcapng file, for Wireshark: one block per packet, and back.
+
+Linktype USER0, the bytes as they were on the wire. What was no packet is a block of its own; what
+happened besides bytes (another rate, a cable lost) is a block without bytes. Both say so in a
+comment, as does a packet at which a finding begins. Source: IETF draft opsawg-pcapng.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from collections.abc import Sequence
+from io import BufferedReader
+from io import BytesIO
+from pathlib import Path
+import struct
+from typing import BinaryIO
+
+from dxl_monitor.port.source_name import DEFAULT_BAUD
+from dxl_monitor.record.capture import BAUD_LIMIT
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import DIGITS_LIMIT
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.pcap import CapturedPacket
+from dxl_monitor.record.pcap import is_pcap
+from dxl_monitor.record.pcap import LINK_USER0
+from dxl_monitor.record.pcap import PcapReader
+from dxl_monitor.record.source import File
+from msg_defs.event import Change
+from msg_defs.event import CHANGES
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
+from msg_defs.uart import byte_ns
+
+_SECTION, _MAGIC, _INTERFACE, _PACKET = 0x0A0D0D0A, 0x1A2B3C4D, 1, 6
+_COMMENT, _FLAGS = 1, 2            # options of a packet
+_NAME, _ABOUT, _SPEED, _RESOLUTION = 2, 3, 8, 9        # options of an interface
+_FLAG = {UNKNOWN: 0, IN: 1, OUT: 2}
+_SIDE = {flag: side for side, flag in _FLAG.items()}
+_NS_RESOLUTION = b'\x09'
+_BEGIN = 8192                      # bytes that show what a file is
+_EVENT = 'event: '                 # begins the comment of a block without bytes
+
+
+class PacketWriter:
+    """Writes to a file that somebody else opened, and flushes and closes."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._interfaces: dict[str, int] = {}
+        self._block(_SECTION, struct.pack('<IHHq', _MAGIC, 1, 0, -1))
+
+    def write(self, wire: Wire, stamp: int, data: bytes, side: str = UNKNOWN,
+              comments: Sequence[str] = ()) -> None:
+        """Write one packet; stamp: when its first byte was on the wire, ns since 1970."""
+        number = self._interfaces.get(wire.name)
+        if number is None:
+            number = self._interfaces[wire.name] = len(self._interfaces)
+            self._block(_INTERFACE, struct.pack('<HHI', LINK_USER0, 0, 0) + _options(
+                (_NAME, wire.name.encode()), (_ABOUT, wire.port.encode()),
+                (_SPEED, wire.baud.to_bytes(8, 'little')), (_RESOLUTION, _NS_RESOLUTION)))
+        size = len(data)
+        self._block(_PACKET, struct.pack(
+            '<IIIII', number, stamp >> 32, stamp & 0xFFFFFFFF, size, size) + _padded(data)
+            + _options(*((_COMMENT, text.encode()) for text in comments),
+                       (_FLAGS, _FLAG[side].to_bytes(4, 'little'))))
+
+    @staticmethod
+    def comment(change: Change) -> str:
+        """Return the comment of a change; it may be on a packet without bytes."""
+        return f'{_EVENT}{change.what} {change.value}'
+
+    def _block(self, kind: int, body: bytes) -> None:
+        size = struct.pack('<I', len(body) + 12)
+        self._file.write(struct.pack('<I', kind) + size + body + size)
+
+
+def _options(*options: tuple[int, bytes]) -> bytes:
+    return b''.join(struct.pack('<HH', code, len(value)) + _padded(value)
+                    for code, value in options if value) + bytes(4)
+
+
+def _padded(data: bytes) -> bytes:
+    return data + bytes(-len(data) % 4)
+
+
+def holds_packets(begin: bytes) -> bool:
+    """Tell whether a file that begins so is one of these."""
+    first = next(iter(PcapReader(BytesIO(begin))), None) if is_pcap(begin) else None
+    return first is not None and first.link == LINK_USER0
+
+
+def is_packet_file(path: str | Path) -> bool:
+    with open(path, 'rb') as file:
+        return holds_packets(file.read(_BEGIN))
+
+
+class PacketFile(File):
+    """Such a file as a source; baud overrides what it says."""
+
+    def __init__(self, name: str, file: BufferedReader, head: bytes, baud: int | None) -> None:
+        super().__init__(name, file, head)
+        self._baud = baud
+        self._packets = PcapReader(_Joined(head, file))
+
+    def chunks(self) -> Iterator[Chunk | None]:
+        """Yield each packet as a chunk; its stamp is of the last byte, or for OUT of the first."""
+        for packet in self._packets:
+            if packet.link == LINK_USER0:
+                yield from self._chunks(packet)
+
+    def _chunks(self, packet: CapturedPacket) -> Iterator[Chunk]:
+        stamp, bus = packet.stamp, packet.interface.name
+        if not self.began.stamp:
+            self.began = Moment(stamp, stamp)
+        wire = self.wires.get(bus)
+        if wire is None:
+            wire = self.wires[bus] = Wire(
+                bus, self._baud or min(packet.interface.speed, BAUD_LIMIT) or DEFAULT_BAUD,
+                port=packet.interface.about)
+        for comment in packet.comments:
+            if change := _change(comment):
+                yield Chunk(stamp, bus, change=change)
+        if packet.data:
+            side = _SIDE.get(packet.flags & 3, UNKNOWN)
+            length_ns = 0 if side == OUT else int(len(packet.data) * byte_ns(wire.baud))
+            yield Chunk(stamp + length_ns, bus, packet.data, side)
+
+    def problems(self) -> list[str]:
+        problem = self._packets.problem
+        return [f'{self._name}: {problem}'] if problem else []
+
+
+def _change(comment: str) -> Change | None:
+    what, _, value = comment.removeprefix(_EVENT).partition(' ')
+    is_one = comment.startswith(_EVENT) and what in CHANGES and value.isdecimal() \
+        and len(value) <= DIGITS_LIMIT
+    return Change(what, int(value)) if is_one else None
+
+
+class _Joined:
+    """A file of which the first bytes were read already."""
+
+    def __init__(self, head: bytes, file: BufferedReader) -> None:
+        self._head = head
+        self._file = file
+
+    def read(self, size: int, /) -> bytes:
+        head, self._head = self._head[:size], self._head[size:]
+        return head or self._file.read(size)
