@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Packets in a pcapng file: every byte once, sides, events and findings; read back, and by tshark."""
+"""Packets in a pcapng file: each byte once, sides, events, findings; read back, and by tshark."""
 from collections import defaultdict
 import json
 import shutil

@@ -49,7 +49,7 @@ from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import printable
 
-CAPTURE, PCAPNG = FORMATS = ('capture', 'pcapng')      # of a recording
+CAPTURE, PCAPNG = FORMATS = ('capture', 'pcapng')
 PAINT_S = {'changes': 0.2, 'stats': 1.0}
 PROGRESS_S = 0.5
 SILENT_S = 5.0                     # without a byte: time to say what may be the reason
