@@ -158,21 +158,22 @@ end
 --- What is asked for: {id, address, size, data}, and whether each of them has to answer.
 local function accesses_of(packet)
     local found, p, code = {}, packet.params, packet.code
-    local function add(id, address, size, data)
-        found[#found + 1] = {id = id, address = address, size = size, data = data}
+    local function add(id, address, size, at)      -- at: where its data begin, if it writes
+        found[#found + 1] = {id = id, address = address, size = size, at = at,
+                             data = at and slice(p, at, size)}
     end
     local count = p:len()
     if packet.protocol ~= '2' then
         if code == READ and count == 2 then
             add(packet.id, p:get_index(0), p:get_index(1))
         elseif (code == WRITE or code == REG_WRITE) and count > 1 then
-            add(packet.id, p:get_index(0), count - 1, slice(p, 1, count - 1))
+            add(packet.id, p:get_index(0), count - 1, 1)
         elseif code == SYNC_READ and count > 2 then
             listed(p, 2, 1, function(at) add(p:get_index(at), p:get_index(0), p:get_index(1)) end)
         elseif code == SYNC_WRITE and count > 2 then
             local size = p:get_index(1)
             listed(p, 2, size + 1, function(at)
-                add(p:get_index(at), p:get_index(0), size, slice(p, at + 1, size))
+                add(p:get_index(at), p:get_index(0), size, at + 1)
             end)
         elseif code == BULK_READ and count > 3 then
             listed(p, 1, 3, function(at)
@@ -182,13 +183,13 @@ local function accesses_of(packet)
     elseif code == READ and count == 4 then
         add(packet.id, u16(p, 0), u16(p, 2))
     elseif (code == WRITE or code == REG_WRITE) and count > 2 then
-        add(packet.id, u16(p, 0), count - 2, slice(p, 2, count - 2))
+        add(packet.id, u16(p, 0), count - 2, 2)
     elseif (code == SYNC_READ or code == FAST_SYNC_READ) and count > 4 then
         listed(p, 4, 1, function(at) add(p:get_index(at), u16(p, 0), u16(p, 2)) end)
     elseif code == SYNC_WRITE and count > 4 then
         local size = u16(p, 2)
         listed(p, 4, size + 1, function(at)
-            add(p:get_index(at), u16(p, 0), size, slice(p, at + 1, size))
+            add(p:get_index(at), u16(p, 0), size, at + 1)
         end)
     elseif code == BULK_READ or code == FAST_BULK_READ then
         listed(p, 0, 5, function(at) add(p:get_index(at), u16(p, at + 1), u16(p, at + 3)) end)
@@ -196,7 +197,7 @@ local function accesses_of(packet)
         local at = 0
         while at + 5 < count and at + 5 + u16(p, at + 3) <= count do
             local size = u16(p, at + 3)
-            add(p:get_index(at), u16(p, at + 1), size, slice(p, at + 5, size))
+            add(p:get_index(at), u16(p, at + 1), size, at + 5)
             at = at + 5 + size
         end
     end
@@ -252,18 +253,12 @@ local function layout_of(bus, id)
     return model.registers, model[1]
 end
 
-local function number_of(kind, bytes)
-    local tvb = bytes:tvb('register')()
-    local is_little = kind:sub(1, 1) == '<'
-    local code, size = kind:sub(2, 2), bytes:len()
-    if code == 'f' then return is_little and tvb:le_float() or tvb:float() end
-    if size > 4 then
-        local long = code == 'i' and (is_little and tvb:le_int64() or tvb:int64())
-            or (is_little and tvb:le_uint64() or tvb:uint64())
-        return long:tonumber()
-    end
-    if code == 'i' then return is_little and tvb:le_int() or tvb:int() end
-    return is_little and tvb:le_uint() or tvb:uint()
+local LAYOUTS = {u8 = 'B', i8 = 'b', u16 = 'H', i16 = 'h', u32 = 'I4', i32 = 'i4', u64 = 'E',
+                 i64 = 'e', f32 = 'f', f64 = 'd'}
+
+local function number_of(kind, bytes)                                  -- kind: '<i32'
+    local number = Struct.unpack(kind:sub(1, 1) .. LAYOUTS[kind:sub(2)], bytes:raw())
+    return type(number) == 'number' and number or number:tonumber()     -- of 64 bits
 end
 
 --- The name and the value of a register, a number where it is one.
@@ -289,25 +284,31 @@ end
 
 -- --- the tree -------------------------------------------------------------------------------
 
-local function show_registers(tree, bus, access, data, error_byte)
+--- `range`: the bytes of `data` in the packet. Returns the registers in words, and their names.
+local function show_registers(tree, bus, access, data, range, error_byte)
     local registers, model = layout_of(bus, access.id)
+    local texts, names = {}, {}
     local branch = tree:add(fields.device, access.id):append_text(model and ' ' .. model or '')
     branch:add(fields.address, access.address)
     branch:add(fields.size, access.size)
     if error_byte then branch:add(fields.error, error_byte) end
-    if data and data:len() > 0 then branch:add(fields.data, data:tvb('data')()) end
+    if data and data:len() > 0 then branch:add(fields.data, range or data:tvb('data')()) end
     for _, register in ipairs(registers or {}) do
         local at = register[1] - access.address
         if at >= 0 and at + register[2] <= access.size then
+            names[#names + 1] = register[3]
             if data == nil then
                 branch:add(fields.register, register[3])
+                texts[#texts + 1] = register[3]
             elseif at + register[2] <= data:len() then
                 local name, text, number = meaning(register, slice(data, at, register[2]))
                 local line = branch:add(fields.register, name .. ': ' .. text)
                 if number then line:add(fields.value, number) end
+                texts[#texts + 1] = name .. ' ' .. text
             end
         end
     end
+    return texts, names
 end
 
 --- The parts of a combined status: {access, error, data}; each but the last ends with a CRC.
@@ -321,7 +322,7 @@ local function blocks_of(packet, waiting)
             at = at + 1
         end
         if at + 1 + access.size > params:len() or params:get_index(at) ~= access.id then break end
-        found[#found + 1] = {access = access, error = error_byte,
+        found[#found + 1] = {access = access, error = error_byte, at = at + 1,
                              data = slice(params, at + 1, access.size)}
         at = at + 1 + access.size + 2
     end
@@ -406,7 +407,13 @@ end
 local function show(packet, bus, tvb, pinfo, tree)
     local family = family_of(packet)
     local name, words = name_of(packet, family), packet.is_status and error_words(packet, family)
-    local info = ('%s %03d'):format(name, packet.id)
+    local info = packet.id == BROADCAST and name or ('%s %03d'):format(name, packet.id)
+    local texts = {}
+    --- Where parameters are in the packet; nowhere if they are stuffed.
+    local function range(from, size)
+        local is_stuffed = packet.params:len() ~= packet.size
+        return not is_stuffed and size > 0 and tvb(packet.from - packet.shift + from, size) or nil
+    end
     local branch = tree:add(servobus, tvb())
     branch:add(fields.protocol, ({['2'] = '2.0', ['1'] = '1.0', feetech = 'Feetech'})[family])
     local at = (packet.protocol == '2' and 4 or 2) - packet.shift
@@ -423,7 +430,9 @@ local function show(packet, bus, tvb, pinfo, tree)
             info = info .. ', ' .. words
         end
     end
-    if packet.size > 0 then branch:add(fields.params, packet.params:tvb('Parameters')()) end
+    if packet.size > 0 then
+        branch:add(fields.params, range(0, packet.size) or packet.params:tvb('Parameters')())
+    end
     if packet.is_pong and packet.params:len() == 3 then
         local number = u16(packet.params, 0)
         local model = tables.models[number]
@@ -433,12 +442,18 @@ local function show(packet, bus, tvb, pinfo, tree)
         info = info .. (model and ', ' .. model[1] or ', model ' .. number)
     end
     for _, access in ipairs(packet.accesses or {}) do
-        show_registers(branch, bus, access, access.data)
+        local found, names = show_registers(branch, bus, access, access.data,
+            access.at and range(access.at, access.size))
+        texts = #packet.accesses > 1 and names or found
     end
     for _, block in ipairs(packet.blocks or {}) do
-        show_registers(branch, bus, block.access, block.data, block.error)
+        _, texts = show_registers(branch, bus, block.access, block.data,
+            range(block.at, block.access.size), block.error)
     end
-    if packet.access then show_registers(branch, bus, packet.access, packet.params) end
+    if packet.access then
+        texts = show_registers(branch, bus, packet.access, packet.params, range(0, packet.size))
+    end
+    if #texts > 0 then info = info .. ': ' .. table.concat(texts, ', ') end
     branch:add(fields.checksum, packet.checksum)
     if packet.request then
         branch:add(fields.request, packet.request):set_generated()
@@ -450,7 +465,9 @@ local function show(packet, bus, tvb, pinfo, tree)
     end
     for _, id in ipairs(missing[pinfo.number] or {}) do
         branch:add(fields.missing, id):set_generated()
-        branch:add_proto_expert_info(experts.missing, ('no answer from %03d'):format(id))
+        local text = ('no answer from %03d'):format(id)
+        branch:add_proto_expert_info(experts.missing, text)
+        info = info .. ', ' .. text
     end
     pinfo.cols.protocol = 'servobus'
     pinfo.cols.info = info

@@ -286,7 +286,7 @@ def check_new(path: str | Path, is_ours: Callable[[str | Path], bool] | None = N
         status = os.stat(path)
         is_file = stat.S_ISREG(status.st_mode) and status.st_size > 0
         if is_file and not (is_ours or is_capture)(path):
-            raise _refusal(path, 'exists and is not such a recording' if is_ours
+            raise _refusal(path, 'exists and is not a recording of dxl_dump' if is_ours
                            else 'exists and is not a capture')
         if stat.S_ISDIR(status.st_mode):
             raise _refusal(path, 'is a directory')

@@ -128,11 +128,12 @@ class Listing(BusDecoder):
             yield side, tape.cut(_ALL, _ALL)[0]
 
     def take(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
-        for frame in frames:
+        for number, frame in enumerate(frames):
             begin, flaw = frame[0], frame[6]
             self._newest = max(self._newest, self._began(begin, stamp, received))
             if flaw is not None and flaw.reason:
-                self._damaged(frame, flaw, stamp, received, side)
+                following = frames[number + 1][0] if number + 1 < len(frames) else received
+                self._damaged(frame, flaw, stamp, received, side, following)
             else:
                 self._good(frame, stamp, received, side)
         self._tell_much_noise(bool(frames), stamp, side)
@@ -148,11 +149,13 @@ class Listing(BusDecoder):
         super().pause(last, now)
         self._tell_missed(plan, counts, now)
 
-    def _damaged(self, frame: Frame, flaw: Flaw, stamp: int, received: int, side: str) -> None:
+    def _damaged(self, frame: Frame, flaw: Flaw, stamp: int, received: int, side: str,
+                 following: int) -> None:
+        """Take a damaged frame; its Length may be wrong, and the next frame begin in it."""
         super().take([frame], stamp, received, side)
         self._is_told = True
         _, _, kind, number, code, data, _ = frame
-        before, wire = self._tapes[side].cut(frame[0], frame[1])
+        before, wire = self._tapes[side].cut(frame[0], min(frame[1], following))
         self._on_entry(Entry(DAMAGED, self._newest, device=self.device(number), data=data,
                              code=STATUS if kind == IS_STATUS else code, reason=flaw.reason,
                              side=side, wire=wire, before=before))

@@ -1,20 +1,16 @@
-#!/usr/bin/env python3
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writes wireshark/servobus_tables.lua: names, errors and control tables, from those of the code."""
+"""Write wireshark/servobus_tables.lua: names, errors, control tables, from those of the code."""
 from pathlib import Path
-import sys
+
+from dxl_monitor.model.models import Models
+from msg_defs import dxl1_instruction
+from msg_defs import dxl_instruction
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from dxl_monitor.model.models import Models  # noqa: E402
-from msg_defs import dxl1_instruction  # noqa: E402
-from msg_defs import dxl_instruction  # noqa: E402
-
 HEAD = """-- Copyright 2026 The mecarover_serial authors
 -- SPDX-License-Identifier: Apache-2.0
--- Written by scripts/wireshark_tables; do not edit.
+-- Written by `python -m docs.wireshark_tables`; do not edit.
 """
 
 
@@ -79,13 +75,5 @@ def tables():
     return HEAD + 'return {\n' + '\n'.join(lines) + '\n}\n'
 
 
-def main():
-    path = ROOT / 'wireshark' / 'servobus_tables.lua'
-    text = tables()
-    if sys.argv[1:] == ['--check']:
-        sys.exit(None if path.read_text() == text else f'{path}: old; run scripts/wireshark_tables')
-    path.write_text(text)
-
-
 if __name__ == '__main__':
-    main()
+    (ROOT / 'wireshark' / 'servobus_tables.lua').write_text(tables())
