@@ -220,7 +220,7 @@ def diagnostics() -> str:
         '# Topics and status keys\n', NOTE,
         _table(('topic', 'type', 'content'), TOPICS),
         'Services: `/vel2d_bridge/enable` (SetBool), `/vel2d_bridge/reset_statistics`, '
-        '`/dxl_monitor/reset_statistics` (Trigger).\n',
+        '`/dxl_monitor/reset_statistics`, `/dxl_monitor/save_recording` (Trigger).\n',
         'Levels come from the last 10 s; counters count since start or reset. Keys contain the '
         'unit, values are bare numbers. In a namespace, names and hardware IDs begin with it: '
         '`rover1/dxl_monitor: 011`, `rover1/11`. A report of more than 30 statuses or 60 kB is '

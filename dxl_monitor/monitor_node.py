@@ -27,7 +27,7 @@ from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_settings import Bus
 from dxl_monitor.monitor_settings import buses
 from dxl_monitor.monitor_settings import load_models
-from dxl_monitor.monitor_settings import make_recorder
+from dxl_monitor.monitor_settings import make_recorders
 from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.monitor_status import bus_status
 from dxl_monitor.monitor_status import device_metrics
@@ -40,7 +40,7 @@ from dxl_monitor.port.listeners import listener_on
 from dxl_monitor.port.reader import NAME as READER_NAME
 from dxl_monitor.port.source_name import is_live
 from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture_recorder import Recorder
+from dxl_monitor.record.recorders import Recorders
 from dxl_monitor.timers import Timers
 from mecarover_serial.inspection import Inspection
 from mecarover_serial.process import resident_memory_mb
@@ -73,21 +73,21 @@ PATIENCE_NS = 2_500_000_000     # longer is not a freeze: its reader hangs; a da
 
 
 class MonitoredBus:
-    """One bus: its listener and its monitor, and the recorder of all buses."""
+    """One bus: its listener and its monitor, and the recorders of all buses."""
 
-    def __init__(self, bus: Bus, models: Models, recorder: Recorder | None,
+    def __init__(self, bus: Bus, models: Models, recorders: Recorders,
                  joint_state_rate: float) -> None:
         self.bus = bus
         self.monitor = Monitor(bus.label, models, bus.settings, idle_is_told=True)
         self._behind_since = 0
         self._known_adapter: tuple[int, list[tuple[str, str]]] = (0, [])
-        self._recorder = recorder
+        self._recorders = recorders
         self._inspection = None if is_live(bus.port) else Inspection(bus.port, [READER_NAME])
         self.listener = listener_on(
             bus.port, bus.settings.baud,
-            self.monitor.feed if recorder is None else self._record_and_feed,
+            self._record_and_feed if recorders else self.monitor.feed,
             self.monitor.flush_if_idle, on_change=self._change,
-            on_pieces=self.monitor.feed_pieces if recorder is None else None,
+            on_pieces=None if recorders else self.monitor.feed_pieces,
             take_every_s=min(TAKE_EVERY_S, 0.5 / (joint_state_rate or 1.0)))
 
     @cached_property
@@ -97,13 +97,11 @@ class MonitoredBus:
                     self.bus.port)
 
     def _record_and_feed(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        if self._recorder is not None:
-            self._recorder.take(self._wire, chunk, stamp, side)
+        self._recorders.take(self._wire, chunk, stamp, side)
         self.monitor.feed(chunk, stamp, side)
 
     def _change(self, change: Change, stamp: int) -> None:
-        if self._recorder is not None:
-            self._recorder.change(self._wire, change, stamp)
+        self._recorders.change(self._wire, change, stamp)
         self.monitor.change(change, stamp)
 
     def is_late(self, now: int) -> bool:
@@ -136,13 +134,12 @@ class MonitoredBus:
             values += self._adapter(counters.openings)
         if self.listener.latency_timer_ms is not None:
             values.append(('Latency timer (ms)', str(self.listener.latency_timer_ms)))
-        if self._recorder is not None:
-            values.append(('Capture', self._recorder.words))
+        values += self._recorders.values()
         if counters.line_errors is not None:
             values += [(f'Driver: {name}', str(count))
                        for name, count in counters.line_errors._asdict().items()]
-        warning = '' if self._recorder is None else self._recorder.problem
-        warning = warning or '; '.join([*self.listener.problems(), *self._complaints()])
+        warning = self._recorders.problem or '; '.join(
+            [*self.listener.problems(), *self._complaints()])
         if state.is_open and self._behind_since:
             warning = (f'{self.bus.port}: its reader is not responding, so the data is stale; '
                        'plug the adapter in again, or restart the node')
@@ -190,8 +187,8 @@ class MonitorNode:
     | attributes | who writes them |
     |---|---|
     | _waiting, _alarms, _reported, _said | _tick(), _look(): the thread of the timers |
-    | _levels, _overview_s, _port_words, _capture_words | _tell() in that thread |
-    | _is_stopped, _capture_words | stop() |
+    | _levels, _overview_s, _port_words | _tell() in that thread |
+    | _is_stopped | stop() |
     | all others | set once |
     """
 
@@ -203,9 +200,8 @@ class MonitorNode:
             self._log.warning(SLOW_CRC_WARNING)
         models = load_models(values['model_dirs'])
         found = buses(values, models)
-        self._recorder = make_recorder(values)
-        self._capture_words = ''
-        self._buses = [MonitoredBus(bus, models, self._recorder, values['joint_state_rate'])
+        self._recorders = make_recorders(values)
+        self._buses = [MonitoredBus(bus, models, self._recorders, values['joint_state_rate'])
                            for bus in found]
         self._surroundings = Surroundings(self.node)
         self._said: set[str] = set()
@@ -224,6 +220,7 @@ class MonitorNode:
             self.node, 'dxl', values['timing_topics'],
             [one.bus.label for one in self._buses])
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
+        self.node.create_service(Trigger, '~/save_recording', self._save_recording)
         self._timers = Timers()
         self._timer = self._timers.add(1e-9 * AGAIN_NS, self._tick)
         self._joint_states = self._start_joint_states(values['joint_state_rate'])
@@ -231,8 +228,7 @@ class MonitorNode:
         self.node.create_timer(CHECK_S, self._timers.check,
                                clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._is_stopped = False
-        if self._recorder is not None:
-            self._recorder.start()
+        self._recorders.start()
         for one in self._buses:
             one.listener.start()
         self._started = time.monotonic_ns()
@@ -245,9 +241,8 @@ class MonitorNode:
             self._timers.stop()
             for one in self._buses:
                 one.listener.stop()
-            if self._recorder is not None:
-                self._recorder.stop()
-                self._tell_capture()
+            self._recorders.stop()
+            self._tell_recorders()
 
     def suspend(self) -> None:
         """Nothing moves here."""
@@ -289,7 +284,7 @@ class MonitorNode:
             self._tables.publish(self._table_arrays.array(self._waiting.popleft(), self._stamp()))
         if heard:
             self._tell(heard)
-            self._tell_capture()
+            self._tell_recorders()
 
     def _is_early(self, now: int) -> bool:
         """
@@ -321,7 +316,12 @@ class MonitorNode:
         for line in set(around) - self._said:
             self._log.warning(line)
         self._said = set(around)
-        return [(one, one.report(now), one.port_state(around)) for one in self._buses]
+        reports = [(one, one.report(now)) for one in self._buses]
+        if self._recorders.flight is not None:
+            for one, report in reports:
+                self._recorders.flight.look(one.bus.name, report)
+            self._tell_recorders()
+        return [(one, report, one.port_state(around)) for one, report in reports]
 
     def _tell(self, heard: list[Heard]) -> None:
         """
@@ -377,14 +377,17 @@ class MonitorNode:
             else:
                 self._log.info(words)
 
-    def _tell_capture(self) -> None:
-        """Log what becomes of the capture, once per change."""
-        if self._recorder is not None and self._recorder.words != self._capture_words:
-            self._capture_words = self._recorder.words
-            if self._recorder.problem:
-                self._log.error(self._capture_words)
+    def _tell_recorders(self) -> None:
+        """Log what becomes of the recordings, once per change."""
+        for words, is_problem in self._recorders.news():
+            if is_problem:              # two lines, as above
+                self._log.error(words)
             else:
-                self._log.info(self._capture_words)
+                self._log.info(words)
+
+    def _save_recording(self, request: Any, response: Any) -> Any:
+        response.success, response.message = self._recorders.save()
+        return response
 
     def _reset_statistics(self, request: Any, response: Any) -> Any:
         for one in self._buses:

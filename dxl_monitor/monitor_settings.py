@@ -21,6 +21,8 @@ from dxl_monitor.port.source_name import bus_name
 from dxl_monitor.port.source_name import has_sides
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture_recorder import Recorder
+from dxl_monitor.record.flight_recorder import FlightRecorder
+from dxl_monitor.record.recorders import Recorders
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import refuse_twice
@@ -52,6 +54,10 @@ PARAMETERS = (
     Parameter('capture_size', 100.0, 'largest size of the capture file; then FILE is renamed to '
               'FILE.1, FILE.1 to FILE.2 and so on', 'MB', 0.001, 1e6),
     Parameter('capture_files', 9, 'how many older capture files to keep', '', 0, 1000),
+    Parameter('flight_recorder', '', 'folder for recordings of faults: 60 s before each new '
+              'finding and 30 s after it'),
+    Parameter('flight_recorder_size', 1000.0, 'size of that folder; the oldest recordings go',
+              'MB', 1.0, 1e6),
     Parameter('protocols', ['auto'], 'protocol of each bus, or one for all: 2 (Dynamixel Protocol '
               '2.0), 1 (Protocol 1.0), feetech, or auto, which learns it from the traffic',
               element=str),
@@ -78,11 +84,16 @@ def load_models(folders: Sequence[str]) -> Models:
         raise ParameterError(f'model_dirs: {error}') from error
 
 
-def make_recorder(values: dict[str, Any]) -> Recorder | None:
-    """Return the recorder that the parameters ask for, None for none; ParameterError as buses."""
-    if not values['capture']:
-        return None
-    return Recorder(values['capture'], int(1e6 * values['capture_size']), values['capture_files'])
+def make_recorders(values: dict[str, Any]) -> Recorders:
+    """Return the recorders that the parameters ask for; ParameterError as buses."""
+    capture = flight = None
+    if values['capture']:
+        capture = Recorder(values['capture'], int(1e6 * values['capture_size']),
+                           values['capture_files'])
+    if values['flight_recorder']:
+        flight = FlightRecorder(values['flight_recorder'],
+                                int(1e6 * values['flight_recorder_size']), len(values['ports']))
+    return Recorders(capture, flight)
 
 
 def buses(values: dict[str, Any], models: Models) -> list[Bus]:

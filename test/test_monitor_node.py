@@ -315,3 +315,16 @@ def test_statistics_begin_anew(tmp_path, heard, ros):
         response = heard.call(ros.Trigger, '/dxl_monitor/reset_statistics')
         assert response.success
         wait(lambda: int(values(heard.statuses['dxl_monitor: bus'])['Packets']) < 2000)
+
+
+def test_a_fault_is_in_a_file_and_so_is_what_is_asked_for(tmp_path, heard, ros):
+    folder = tmp_path / 'faults'
+    with fake_bus(tmp_path / 'bus', '--devices', '1-3:MX-64', '--fault', 'silent:2:2'), \
+            monitor([tmp_path / 'bus'], flight_recorder=folder):
+        wait(lambda: list(folder.glob('flight_*_002.txt')))
+        response = heard.call(ros.Trigger, '/dxl_monitor/save_recording')
+    assert response.success and Path(response.message).parent == folder
+    [path] = folder.glob('flight_*_002.txt')
+    result = subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', path],
+                            capture_output=True, text=True, check=False)
+    assert re.search('002 before it does not answer|002, no answer', result.stdout)

@@ -45,13 +45,16 @@ class Recorder:
     """
 
     def __init__(self, path: str, size: int, kept: int,
-                 now: Callable[[], Moment] = moment) -> None:
+                 now: Callable[[], Moment] = moment,
+                 waiting_limit: int = WAITING_LIMIT) -> None:
         self.path = path
         self.problem = ''
         self.left_out = 0           # bytes, since the disk was too slow
         self._size = size
         self._kept = kept
         self._now = now
+        self._waiting_limit = waiting_limit
+        self._remarks: list[str] = []
         self._lock = threading.Lock()
         self._waiting: list[tuple[Wire, Chunk]] = []
         self._waiting_bytes = 0
@@ -74,17 +77,23 @@ class Recorder:
 
     def take(self, wire: Wire, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
         """Record a chunk; from any thread, and without waiting."""
-        self._keep(wire, Chunk(stamp, wire.name, data, side))
+        self.keep(wire, Chunk(stamp, wire.name, data, side))
 
     def change(self, wire: Wire, change: Change, stamp: int) -> None:
         """Record what the source reported besides bytes; as take."""
-        self._keep(wire, Chunk(stamp, wire.name, change=change))
+        self.keep(wire, Chunk(stamp, wire.name, change=change))
 
-    def _keep(self, wire: Wire, chunk: Chunk) -> None:
+    def remark(self, text: str) -> None:
+        """Record a line for people."""
+        with self._lock:
+            self._remarks.append(text)
+
+    def keep(self, wire: Wire, chunk: Chunk) -> None:
+        """Record a chunk, its bytes or its change; as take."""
         if self.problem:
             return
         with self._lock:
-            if self._waiting_bytes > WAITING_LIMIT:
+            if self._waiting_bytes > self._waiting_limit:
                 self.left_out += len(chunk.data)
                 self._gap = self._gap or chunk.stamp
             else:
@@ -117,6 +126,7 @@ class Recorder:
     def _write(self) -> None:
         with self._lock:
             waiting, self._waiting = self._waiting, []
+            remarks, self._remarks = self._remarks, []
             gap, self._gap = self._gap, None
             self._waiting_bytes = 0
         for wire, chunk in waiting:
@@ -126,6 +136,8 @@ class Recorder:
                 self._make_room()
                 self._file = open_new(self.path, waits=False)
                 self._writer = Writer(self._file, self._now())
+        for text in remarks:
+            self._writer.remark(text)
         if gap is not None:
             self._writer.remark(f'gap: the disk was too slow from {seconds(gap)} on, '
                                 f'{self.left_out} bytes left out so far')

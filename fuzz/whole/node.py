@@ -133,6 +133,7 @@ def through_node(case, folder):
         'publish_rate': 1.0,
         'devices': [f'{case.names[0]}/{one}' if len(case.names) > 1 else one
                     for one in case.devices],
+        'flight_recorder': str(folder / 'faults') if len(case.heard) % 4 == 0 else '',
         'capture': str(folder / 'bus.txt'), 'timing_topics': 'all',
         'capture_size': 0.002 if len(case.heard) % 5 == 0 else 100.0}
     log = SimpleNamespace(info=print_nothing, warning=print_nothing, error=print_nothing)
@@ -180,9 +181,10 @@ def through_node(case, folder):
         node._timers.turn(clock.now / 1e9 + 1)
         page.look(clock.now / 1e9)
         page.look(clock.now / 1e9 + 70)
-        node._recorder._is_stopping.set()
-        node._recorder._run()
-        assert not node._recorder.problem, node._recorder.problem
+        capture = node._recorders._all['Capture']
+        capture._is_stopping.set()
+        capture._run()
+        assert not node._recorders.problem, node._recorders.problem
         node.stop()
     page.remember()
     data = (folder / 'bus.txt').read_bytes()

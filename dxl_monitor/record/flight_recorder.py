@@ -1,0 +1,190 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Flight recorder: the last minute of all buses in memory, and in a file when something goes wrong.
+
+A file is a capture: what came before the fault, what came for half a minute after it, and as
+remarks what the doctor said. One of a finding and device in ten minutes; the oldest files go.
+"""
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from datetime import datetime
+from datetime import timezone
+import os
+from pathlib import Path
+import re
+import sys
+import threading
+
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import DISCONNECTED
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import seconds
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.capture_recorder import moment
+from dxl_monitor.record.capture_recorder import Recorder
+from mecarover_serial.parameters import ParameterError
+from mecarover_serial.plain import printable
+from msg_defs.event import Change
+from msg_defs.event import UNKNOWN
+from msg_defs.reports import Level
+
+S = 1_000_000_000
+BEFORE_NS, AFTER_NS = 60 * S, 30 * S
+AGAIN_NS = 600 * S                 # the same finding of the same device makes no file for so long
+SIZE_LIMIT = 32_000_000            # bytes in memory, for each bus
+_CHUNK_SIZE = 250                  # bytes of memory that a chunk takes besides its data
+_WAITING_LIMIT = 1 << 30
+_NAME, _NAME_SIZE = 'flight_', 80      # and the characters that follow the time
+_NOT_IN_NAMES = re.compile(r'[^\w.-]')
+
+Cause = tuple[str, str, int | None]        # bus, finding, device
+
+
+class FlightRecorder:
+    """
+    Keeps what all buses said; `look` with each report begins a file, and ends it when it is time.
+
+    Raises ParameterError if the folder cannot be written to. `size`: of the folder, in bytes.
+    All methods may be called from any thread.
+    """
+
+    def __init__(self, folder: str, size: int, buses: int,
+                 now: Callable[[], Moment] = moment) -> None:
+        self.problem = ''
+        self.path = ''                     # where the newest file is
+        self._folder = Path(folder)
+        self._size = size
+        self._limit = buses * SIZE_LIMIT
+        self._now = now
+        self._lock = threading.Lock()               # for what is kept
+        self._deciding = threading.RLock()          # whether a file begins or ends
+        self._chunks: deque[tuple[Wire, Chunk]] = deque()
+        self._kept = 0
+        self._file: Recorder | None = None
+        self._until = 0
+        self._causes: dict[Cause, int] = {}         # when each began last
+        self._standing: set[Cause] = set()
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ParameterError(f'flight_recorder: {folder}: {error.strerror}; give another '
+                                 'folder') from error
+        if not os.access(self._folder, os.W_OK | os.X_OK):
+            raise ParameterError(f'flight_recorder: {folder}: may not be written to; give another '
+                                 'folder, or change its rights')
+
+    @property
+    def words(self) -> str:
+        """What it does, for a person."""
+        if self.problem:
+            return self.problem
+        return f'flight recorder: {"wrote" if self._file is None else "writing"} {self.path}' \
+            if self.path else f'flight recorder: ready, {self._folder}'
+
+    def start(self) -> None:
+        """Nothing to do: it writes when something happens."""
+
+    def take(self, wire: Wire, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
+        """Keep a chunk; without waiting."""
+        self._keep(wire, Chunk(stamp, wire.name, data, side))
+
+    def change(self, wire: Wire, change: Change, stamp: int) -> None:
+        """Keep what the source reported besides bytes."""
+        self._keep(wire, Chunk(stamp, wire.name, change=change))
+
+    def _keep(self, wire: Wire, chunk: Chunk) -> None:
+        with self._lock:
+            self._chunks.append((wire, chunk))
+            self._kept += len(chunk.data) + _CHUNK_SIZE
+            oldest = chunk.stamp - BEFORE_NS
+            while self._kept > self._limit or self._chunks[0][1].stamp < oldest:
+                self._kept -= len(self._chunks.popleft()[1].data) + _CHUNK_SIZE
+            if self._file is not None:
+                self._file.keep(wire, chunk)
+
+    def look(self, bus: str, report: BusReport) -> None:
+        """Take a report of a bus: what is new and WARN or worse, or a lost device, is recorded."""
+        with self._deciding:
+            self._look(bus, report)
+
+    def _look(self, bus: str, report: BusReport) -> None:
+        found: dict[Cause, str] = {
+            (bus, one.rule, one.device): f'{one.level.name} {one.message}'
+            for one in report.findings if one.level > Level.OK}
+        for one in report.devices:
+            if one.state == DISCONNECTED:
+                found[bus, 'lost', one.id] = f'{one.level.name} {one.message}'
+        now = self._now()
+        for cause, text in found.items():
+            if cause not in self._standing:
+                self._began(cause, text, now)
+        self._standing = {one for one in self._standing if one[0] != bus} | set(found)
+        if self._file is not None:
+            self.problem = self._file.problem
+            if now.stamp > self._until:
+                self._end()
+
+    def _began(self, cause: Cause, text: str, now: Moment) -> None:
+        bus, rule, device = cause
+        words = f'{bus} {"bus" if device is None else f"{device:03}"} {rule}: {text}'
+        is_new = now.stamp - self._causes.get(cause, -AGAIN_NS) >= AGAIN_NS
+        if self._file is None and is_new:
+            self._causes[cause] = now.stamp
+            self.save(f'{bus}_{rule}' + ('' if device is None else f'_{device:03}'), now)
+        if self._file is not None:
+            self._causes.setdefault(cause, now.stamp)
+            self._file.remark(f'finding at {seconds(now.stamp)}: {printable(words.strip())}')
+
+    def save(self, why: str, now: Moment | None = None) -> str:
+        """Begin a file, if none is being written; return its path, '' if it cannot be made."""
+        with self._deciding:
+            return self._save(why, now or self._now())
+
+    def _save(self, why: str, now: Moment) -> str:
+        if self._file is not None:
+            return self.path
+        self.problem = ''
+        self._make_room()
+        time = datetime.fromtimestamp(now.wall / 1e9, timezone.utc).strftime('%Y%m%dT%H%M%SZ')
+        name = _NOT_IN_NAMES.sub('_', why)[:_NAME_SIZE].strip('_')
+        self.path = str(self._folder / f'{_NAME}{time}_{name}.txt')
+        try:
+            file = Recorder(self.path, sys.maxsize, 0, self._now, _WAITING_LIMIT)
+        except ParameterError as error:
+            self.problem = f'flight recorder: {error}'
+            return ''
+        with self._lock:
+            for wire, chunk in self._chunks:
+                file.keep(wire, chunk)
+            first = self._chunks[0][1].stamp if self._chunks else now.stamp
+            self._file = file
+        file.remark(f'flight recorder: {why}; reaches back {(now.stamp - first) / S:.1f} s')
+        self._until = now.stamp + AFTER_NS
+        file.start()
+        return self.path
+
+    def _make_room(self) -> None:
+        """Delete the oldest files until the others, and as much again, fit in the folder."""
+        files = sorted(self._folder.glob(f'{_NAME}*.txt'), key=lambda one: one.stat().st_mtime)
+        total = sum(one.stat().st_size for one in files)
+        for one in files:
+            if total <= self._size:
+                return
+            total -= one.stat().st_size
+            one.unlink(missing_ok=True)
+
+    def _end(self) -> None:
+        with self._lock:
+            file, self._file = self._file, None
+        if file is not None:
+            file.stop()
+            self.problem = file.problem
+
+    def stop(self) -> None:
+        """End the file that is being written."""
+        with self._deciding:
+            self._end()

@@ -1,0 +1,65 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a node records: a capture of all the time, a flight recorder, both, or nothing."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.capture_recorder import Recorder
+from dxl_monitor.record.flight_recorder import FlightRecorder
+from msg_defs.event import Change
+from msg_defs.event import UNKNOWN
+
+
+class Recorders:
+    """Those that are not None. take and change may be called from any thread."""
+
+    def __init__(self, capture: Recorder | None, flight: FlightRecorder | None) -> None:
+        self.flight = flight
+        self._all: dict[str, Recorder | FlightRecorder] = {}
+        if capture is not None:
+            self._all['Capture'] = capture
+        if flight is not None:
+            self._all['Flight recorder'] = flight
+        self._said: dict[str, str] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._all)
+
+    @property
+    def problem(self) -> str:
+        return '; '.join(one.problem for one in self._all.values() if one.problem)
+
+    def values(self) -> list[tuple[str, str]]:
+        """Return what each does, for a status."""
+        return [(name, one.words) for name, one in self._all.items()]
+
+    def take(self, wire: Wire, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
+        for one in self._all.values():
+            one.take(wire, data, stamp, side)
+
+    def change(self, wire: Wire, change: Change, stamp: int) -> None:
+        for one in self._all.values():
+            one.change(wire, change, stamp)
+
+    def save(self) -> tuple[bool, str]:
+        """Have the flight recorder write; return whether it does, and its file or why not."""
+        if self.flight is None:
+            return False, 'the flight recorder is off; set flight_recorder to a folder'
+        return bool(path := self.flight.save('asked')), path or self.flight.problem
+
+    def start(self) -> None:
+        for one in self._all.values():
+            one.start()
+
+    def stop(self) -> None:
+        for one in self._all.values():
+            one.stop()
+
+    def news(self) -> Iterator[tuple[str, bool]]:
+        """Yield what is new since the last call, and whether it is a problem."""
+        for name, one in self._all.items():
+            if one.words != self._said.get(name):
+                self._said[name] = one.words
+                yield one.words, bool(one.problem)
