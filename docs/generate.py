@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 import sys
 
+from docs.wireshark_tables import wireshark_tables
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
@@ -296,19 +297,20 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
                    for line in lines)
 
 
-PAGES = {'parameters.md': parameters, 'diagnostics.md': diagnostics}
+PAGES = {'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics,
+         'wireshark/servobus_tables.lua': wireshark_tables}
 
 
 def main(check: bool) -> int:
     """Write the pages, or say which are not current."""
     stale = []
     for name, make in PAGES.items():
-        path = ROOT / 'docs' / name
+        path = ROOT / name
         if not path.exists() or path.read_text() != make():
             stale.append(name)
             if not check:
                 path.write_text(make())
-    print(f'docs: {"not current" if check else "written"}: {", ".join(stale) or "none"}')
+    print(f'{"not current" if check else "written"}: {", ".join(stale) or "none"}')
     return int(check and bool(stale))
 
 

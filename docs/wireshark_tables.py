@@ -1,16 +1,13 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write wireshark/servobus_tables.lua: names, errors, control tables, from those of the code."""
-from pathlib import Path
-
+"""wireshark/servobus_tables.lua: names, errors and control tables, from those of the code."""
 from dxl_monitor.model.models import Models
 from msg_defs import dxl1_instruction
 from msg_defs import dxl_instruction
 
-ROOT = Path(__file__).resolve().parents[1]
 HEAD = """-- Copyright 2026 The mecarover_serial authors
 -- SPDX-License-Identifier: Apache-2.0
--- Written by `python -m docs.wireshark_tables`; do not edit.
+-- Written by `python -m docs.generate`; do not edit.
 """
 
 
@@ -54,7 +51,7 @@ def runs(numbers):
     return found
 
 
-def tables():
+def wireshark_tables():
     models = Models()
     registers, layouts, models_found = {}, {}, {}
     for number, name in models.names().items():
@@ -73,7 +70,3 @@ def tables():
     for name, texts in (('registers', registers), ('layouts', layouts)):
         lines += [f'{name} = {{', *(f'{text},' for text in texts), '},']
     return HEAD + 'return {\n' + '\n'.join(lines) + '\n}\n'
-
-
-if __name__ == '__main__':
-    (ROOT / 'wireshark' / 'servobus_tables.lua').write_text(tables())

@@ -155,8 +155,8 @@ def test_the_readme_takes_five_minutes():
 
 def test_generated_pages_are_current():
     for name, make in PAGES.items():
-        assert (ROOT / 'docs' / name).read_text() == make(), \
-            f'docs/{name} is not current; python -m docs.generate'
+        is_current = (ROOT / name).read_text() == make()
+        assert is_current, f'{name} is not current; python -m docs.generate'
 
 
 @pytest.mark.parametrize('name', SETTINGS)

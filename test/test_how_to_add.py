@@ -13,7 +13,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ('msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor', 'mecarover_dashboard',
-            'mecarover_fakes', 'docs', 'config', 'resource', 'benchmark', 'fuzz', 'rigs', 'test')
+            'mecarover_fakes', 'docs', 'config', 'resource', 'benchmark', 'fuzz', 'rigs', 'test',
+            'wireshark')
 MOST_LINES = 15
 GRIPPER = """model_numbers: {4660: Gripper}
 source: firmware/registers.h

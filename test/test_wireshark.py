@@ -17,7 +17,6 @@ from test_dump import SECOND
 from test_dump import TRACE
 from test_packet_file import with_sides
 
-from docs.wireshark_tables import tables
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.fake_bus import PROTOCOLS
@@ -32,10 +31,6 @@ FIELDS = ('frame.number', 'id', 'instruction', 'error', 'params', 'address', 'si
           'register', 'value', 'missing', 'request_in', 'response_in')
 needs_tshark = pytest.mark.skipif(not shutil.which('tshark'),
                                   reason='skipped: tshark is not installed (apt has it)')
-
-
-def test_its_tables_are_those_of_the_code():
-    assert (WIRESHARK / 'servobus_tables.lua').read_text() == tables()
 
 
 def dissected(path, *options):

@@ -1,6 +1,6 @@
 -- Copyright 2026 The mecarover_serial authors
 -- SPDX-License-Identifier: Apache-2.0
--- Written by `python -m docs.wireshark_tables`; do not edit.
+-- Written by `python -m docs.generate`; do not edit.
 return {
 instructions = {["2"]={[1]="Ping",[2]="Read",[3]="Write",[4]="Reg Write",[5]="Action",[6]="Factory Reset",[8]="Reboot",[16]="Clear",[32]="Control Table Backup",[85]="Status",[130]="Sync Read",[131]="Sync Write",[138]="Fast Sync Read",[146]="Bulk Read",[147]="Bulk Write",[154]="Fast Bulk Read"},["1"]={[1]="Ping",[2]="Read",[3]="Write",[4]="Reg Write",[5]="Action",[6]="Factory Reset",[131]="Sync Write",[8]="Reboot",[146]="Bulk Read"},feetech={[1]="Ping",[2]="Read",[3]="Write",[4]="Reg Write",[5]="Action",[6]="Factory Reset",[131]="Sync Write",[8]="Reboot",[9]="Parameter Backup",[10]="Reset",[11]="Calibrate",[130]="Sync Read"}},
 errors = {["2"]={[1]="Result Fail",[2]="Instruction",[3]="CRC",[4]="Data Range",[5]="Data Length",[6]="Data Limit",[7]="Access"},["1"]={[0]="input voltage",[1]="angle limit",[2]="overheating",[3]="range",[4]="checksum",[5]="overload",[6]="instruction"},feetech={[0]="voltage",[1]="angle sensor",[2]="overheating",[3]="current",[5]="overload"}},
