@@ -21,6 +21,7 @@ TOOLS = {
     'mecarover_status': 'mecarover_dashboard.terminal',
 }
 DASHBOARD = ['aiohttp>=3.9', 'prometheus-client>=0.16']
+MCAP = ['rosbags>=0.10.5']
 DOCS = ['sphinx>=7']
 
 setup(
@@ -53,11 +54,12 @@ setup(
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6'],
         'dashboard': DASHBOARD,
+        'mcap': MCAP,                       # dxl_dump -w FILE.mcap
         'test': ['pytest>=7.4', 'pytest-xdist>=3.7', 'hypothesis', 'dynamixel-sdk==4.1.0',
                  'feetech-servo-sdk==1.0.0', 'ruff', 'mypy', 'types-PyYAML', 'playwright',
                  # wheels only where they are sure to be: else it wants a Rust compiler
                  'rustypot==1.13.1; platform_machine == "x86_64"', 'axe-playwright-python',
-                 *DOCS, *DASHBOARD],
+                 *DOCS, *DASHBOARD, *MCAP, 'mcap>=1.2'],
         'docs': DOCS,
         'fuzz': ['atheris>=2.3'],           # python -m fuzz; the tests do without
         'mutation': ['mutmut>=3.8'],        # which changes to the core no test notices

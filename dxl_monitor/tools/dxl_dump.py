@@ -16,6 +16,7 @@ from dxl_monitor.record.capture import BAUD_LIMIT
 from dxl_monitor.tools.dump.packet_lines import TIMES
 from dxl_monitor.tools.dump.session import CAPTURE
 from dxl_monitor.tools.dump.session import FORMATS
+from dxl_monitor.tools.dump.session import MCAP
 from dxl_monitor.tools.dump.session import PCAPNG
 from dxl_monitor.tools.dump.session import Session
 from dxl_monitor.tools.run import refuse_run
@@ -120,10 +121,10 @@ def _instructions(entries: Sequence[str] | None) -> frozenset[int] | None:
 def _format(name: str | None) -> str:
     """Return the format of a recording of this name."""
     ending = os.path.splitext(name or '')[1].lower()
-    if ending in ('.pcap', '.mcap'):
+    if ending == '.pcap':
         raise UsageError(f'-w {name}: cannot write {ending}; give a name that ends in .pcapng, or '
                          '--format capture')
-    return PCAPNG if ending == '.pcapng' else CAPTURE
+    return {'.pcapng': PCAPNG, '.mcap': MCAP}.get(ending, CAPTURE)
 
 
 def _has_colours(wish: str) -> bool:
@@ -158,8 +159,8 @@ def _parser() -> argparse.ArgumentParser:
     add('--summary', action='store_true', help='the counters, as one JSON object at the end')
     add('--changes', action='store_true', help='one line for each device, updated in place')
     add('--stats', action='store_true', help='load, rates, errors, latency of each device')
-    add('-w', '--write', metavar='FILE', help='record to a file (- for stdout): a capture, or '
-        'packets for Wireshark if its name ends in .pcapng')
+    add('-w', '--write', metavar='FILE', help='record to a file (- for stdout): a capture; '
+        'packets for Wireshark if its name ends in .pcapng; messages for Foxglove: .mcap')
     add('--format', choices=FORMATS, help='of the recording (default: by its name)')
     only = parser.add_argument_group('which packets')
     add = only.add_argument

@@ -28,6 +28,7 @@ from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_settings import check_models
 from dxl_monitor.monitor_settings import load_models
 from dxl_monitor.monitor_settings import settings_of
+from dxl_monitor.record.capture import check_new
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import open_new
 from dxl_monitor.record.capture import Writer
@@ -41,6 +42,8 @@ from dxl_monitor.tools.dump.filter import Filter
 from dxl_monitor.tools.dump.json import json_line
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.listing import Listing
+from dxl_monitor.tools.dump.mcap_recording import is_mcap
+from dxl_monitor.tools.dump.mcap_recording import McapRecording
 from dxl_monitor.tools.dump.packet_lines import Lines
 from dxl_monitor.tools.dump.packet_recording import PacketRecording
 from dxl_monitor.tools.dump.stats import stats
@@ -49,7 +52,7 @@ from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import printable
 
-CAPTURE, PCAPNG = FORMATS = ('capture', 'pcapng')
+CAPTURE, PCAPNG, MCAP = FORMATS = ('capture', 'pcapng', 'mcap')
 PAINT_S = {'changes': 0.2, 'stats': 1.0}
 PROGRESS_S = 0.5
 SILENT_S = 5.0                     # without a byte: time to say what may be the reason
@@ -77,6 +80,9 @@ class Session:
         if self._file is not None and options.format == PCAPNG:
             self._packets = PacketRecording(self._file, self._source.wire,
                                             lambda: self._source.began)
+        self._mcap: McapRecording | None = None
+        if options.write and options.format == MCAP:
+            self._mcap = McapRecording(options.write)
         self._next_look = 0                    # stamp
         self._monitors: dict[str, Monitor] = {}
         self._listings: dict[str, Listing] = {}
@@ -99,6 +105,9 @@ class Session:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
         self._source.close()
+        if self._mcap is not None:
+            with suppress(OSError) if error is not None else self._naming_the_file():
+                self._mcap.close()
         if self._file is not None:
             with suppress(OSError) if error is not None else self._naming_the_file():
                 self._file.close()
@@ -134,6 +143,10 @@ class Session:
                                      self._listings[chunk.bus])
         if self._packets is not None:
             self._record_packets(self._packets, chunk.stamp)
+        if self._mcap is not None:
+            with self._naming_the_file():
+                self._mcap.pass_time(chunk.stamp, self._source.began, self._monitors,
+                                     self._source.wire)
         if self._source.is_live and self._lists:
             sys.stdout.flush()
 
@@ -315,8 +328,13 @@ def _output(options: argparse.Namespace) -> BinaryIO | None:
                 and os.path.samefile(options.write, options.source):
             raise UsageError(f'{options.write}: is also the source, and writing would destroy it; '
                              'give another file name')
+        if options.write and options.format == MCAP:
+            check_new(options.write, is_mcap)
+            return None
         is_ours = is_packet_file if options.format == PCAPNG else None
         return open_new(options.write, is_ours=is_ours) if options.write else None
+    if options.format == MCAP:
+        raise UsageError('-w - --format mcap: needs a file name')
     if options.json or options.summary or options.changes or options.stats:
         raise UsageError('-w -: the capture goes to stdout, so nothing else can be shown; give a '
                          'file name')

@@ -1,0 +1,141 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A recording of messages: what the node publishes of the same bytes, as an MCAP file.
+
+For Foxglove and PlotJuggler. Format and messages are those of the library rosbags, which only this
+needs; it writes a folder with the file in it, so the file is there at the end.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Mapping
+from collections.abc import Sequence
+import importlib.util
+from math import nan
+import os
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor_status import bus_status
+from dxl_monitor.monitor_status import device_metrics
+from dxl_monitor.monitor_status import device_status
+from dxl_monitor.monitor_status import PortState
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import Wire
+from mecarover_serial.cli import UsageError
+from msg_defs.reports import Joint
+from msg_defs.reports import metric_status
+from msg_defs.reports import Status
+from msg_defs.reports import topic_names
+
+NODE = 'dxl_monitor'
+REPORT_NS, TIMING_NS = 500_000_000, 1_000_000_000      # as the node does
+JOINTS_NS = 20_000_000
+_NS = 1_000_000_000
+_MAGIC = b'\x89MCAP0\r\n'
+
+
+class McapRecording:
+    """Writes to `path` when it is closed."""
+
+    def __init__(self, path: str) -> None:
+        if importlib.util.find_spec('rosbags') is None:
+            raise UsageError(f'-w {path}: an MCAP file needs rosbags; pip install rosbags')
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer
+        from rosbags.typesys import get_typestore
+        from rosbags.typesys import Stores
+        self._path = Path(path).absolute()
+        self._store = get_typestore(Stores.ROS2_JAZZY)
+        self._folder = TemporaryDirectory(dir=self._path.parent)
+        self._writer = Writer(Path(self._folder.name) / 'bag', version=9,
+                              storage_plugin=StoragePlugin.MCAP)
+        self._writer.open()
+        self._topics: dict[str, Any] = {}
+        self._next_report = self._next_timing = self._next_joints = 0
+        self._since: dict[str, int] = {}           # up to when joints were written, by bus
+
+    def pass_time(self, now: int, began: Moment, monitors: Mapping[str, Monitor],
+                  wire: Callable[[str], Wire]) -> None:
+        """Write what is due until now, a monotonic stamp."""
+        later = began.wall - began.stamp
+        if now >= self._next_report:
+            self._next_report = now + REPORT_NS
+            self._write_reports(
+                now, now + later, [(bus if len(monitors) > 1 else '', wire(bus).port,
+                                    monitor.report(now)) for bus, monitor in monitors.items()])
+        if now >= self._next_joints:
+            self._next_joints = now + JOINTS_NS
+            self._write_joints(monitors, later)
+
+    def _write_reports(self, now: int, wall: int,
+                       reports: Sequence[tuple[str, str, BusReport]]) -> None:
+        statuses: list[Status] = []
+        for label, port, report in reports:
+            statuses.append(bus_status(NODE, label, report, PortState(port, '', ()), True))
+            statuses += [device_status(NODE, label, one, report.findings, True)
+                         for one in report.devices]
+        self._put_statuses('/dxl/diagnostics', statuses, wall)
+        if now >= self._next_timing:
+            self._next_timing = now + TIMING_NS
+            self._put_statuses('/dxl/timing', [
+                metric_status(NODE, one) for _, _, report in reports
+                for one in (*report.metrics, *device_metrics(report))], wall)
+
+    def _write_joints(self, monitors: Mapping[str, Monitor], later: int) -> None:
+        parts = topic_names(list(monitors)) if len(monitors) > 1 else {}
+        for bus, monitor in monitors.items():
+            joints, stamp = monitor.joints(self._since.get(bus, 0))
+            if joints:
+                self._since[bus] = stamp
+                topic = '/'.join(filter(None, ('/dxl/joint_states', parts.get(bus))))
+                self._put_joints(topic, joints, stamp + later)
+
+    def _put_statuses(self, topic: str, statuses: Sequence[Status], wall: int) -> None:
+        make = self._make
+        self._put(topic, 'diagnostic_msgs/msg/DiagnosticArray', wall, status=[
+            make('diagnostic_msgs/msg/DiagnosticStatus', level=int(one.level), name=one.name,
+                 message=one.message, hardware_id=one.hardware_id,
+                 values=[make('diagnostic_msgs/msg/KeyValue', key=key, value=value)
+                         for key, value in one.values]) for one in statuses])
+
+    def _put_joints(self, topic: str, joints: Sequence[Joint], wall: int) -> None:
+        columns = {name: self._column([getattr(one, name) for one in joints])
+                   for name in ('position', 'velocity', 'effort')}
+        self._put(topic, 'sensor_msgs/msg/JointState', wall,
+                  name=[one.name for one in joints], **columns)
+
+    @staticmethod
+    def _column(values: Sequence[float | None]) -> Any:
+        """Return NaN where one joint has no value, and nothing where none has."""
+        import numpy
+        is_empty = all(value is None for value in values)
+        return numpy.array([] if is_empty else [
+            nan if value is None else value for value in values], dtype=numpy.float64)
+
+    def _put(self, topic: str, kind: str, wall: int, **fields: Any) -> None:
+        wall = max(0, wall)
+        stamp = self._make('builtin_interfaces/msg/Time', sec=wall // _NS, nanosec=wall % _NS)
+        message = self._make(
+            kind, header=self._make('std_msgs/msg/Header', stamp=stamp, frame_id=''), **fields)
+        if topic not in self._topics:
+            self._topics[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
+        self._writer.write(self._topics[topic], wall, self._store.serialize_cdr(message, kind))
+
+    def _make(self, kind: str, **fields: Any) -> Any:
+        return self._store.types[kind](**fields)
+
+    def close(self) -> None:
+        self._writer.close()
+        [file] = (Path(self._folder.name) / 'bag').glob('*.mcap')
+        os.replace(file, self._path)
+        self._folder.cleanup()
+
+
+def is_mcap(path: str | Path) -> bool:
+    with open(path, 'rb') as file:
+        return file.read(len(_MAGIC)) == _MAGIC
