@@ -63,10 +63,12 @@ class PacketWriter:
                 (_NAME, wire.name.encode()), (_ABOUT, wire.port.encode()),
                 (_SPEED, wire.baud.to_bytes(8, 'little')), (_RESOLUTION, _NS_RESOLUTION)))
         size = len(data)
-        self._block(_PACKET, struct.pack(
-            '<IIIII', number, stamp >> 32, stamp & 0xFFFFFFFF, size, size) + _padded(data)
-            + _options(*((_COMMENT, text.encode()) for text in comments),
-                       (_FLAGS, _FLAG[side].to_bytes(4, 'little'))))
+        body = struct.pack('<IIIII', number, stamp >> 32, stamp & 0xFFFFFFFF, size, size)
+        body += _padded(data)
+        if comments or side:
+            body += _options(*((_COMMENT, text.encode()) for text in comments),
+                             (_FLAGS, _FLAG[side].to_bytes(4, 'little')))
+        self._block(_PACKET, body)
 
     @staticmethod
     def comment(change: Change) -> str:

@@ -167,8 +167,10 @@ class Session:
 
     def _entry(self, bus: str, interpreter: Interpreter, entry: Entry) -> None:
         if self._packets is not None:
-            with self._naming_the_file():
+            try:                       # no context manager: this is for each packet
                 self._packets.take(bus, entry)
+            except OSError as error:
+                raise self._named(error) from error
         if self._lists:
             self._show(printable(bus), interpreter, entry)
 
@@ -241,14 +243,15 @@ class Session:
 
     @contextmanager
     def _naming_the_file(self) -> Iterator[None]:
-        """Give an error of writing the name of the file; a pipe that is closed has none."""
         try:
             yield
-        except BrokenPipeError:
-            raise
         except OSError as error:
-            raise OSError(error.errno, f'{error.strerror}; make room, or give another file',
-                          self._options.write) from error
+            raise self._named(error) from error
+
+    def _named(self, error: OSError) -> OSError:
+        """Give an error of writing the name of the file; a pipe that is closed has none."""
+        return error if isinstance(error, BrokenPipeError) else OSError(
+            error.errno, f'{error.strerror}; make room, or give another file', self._options.write)
 
     # --- what is painted on the way, and at the end ----------------------------------------
 
