@@ -17,7 +17,7 @@ import tempfile
 from unittest.mock import patch
 
 from benchmark.tap_master import PACKET
-from dxl_monitor.tools.tap import environment
+from dxl_monitor.tools.start_program import environment
 from mecarover_serial.pty import Pty
 from rigs.harness import Child
 from rigs.harness import Figure

@@ -46,7 +46,7 @@ def _holders(path: str, root: Path) -> Iterator[PortUser]:
         program = file_text(process / 'comm').strip()
         is_login = any(part in program for part in _LOGINS)
         if (is_login and _is_told_of(process, name)) or (device and (
-                _controlling(process) == device or _has_open(process, device))):
+                controlling(process) == device or _has_open(process, device))):
             yield PortUser(f'{program or "a process"} (pid {process.name})', is_login,
                          _has_made(process, device))
 
@@ -58,7 +58,7 @@ def _is_told_of(process: Path, tty: str) -> bool:
         or f'getty@{tty}.service' in file_text(process / 'cgroup')
 
 
-def _controlling(process: Path) -> int:
+def controlling(process: Path) -> int:
     """Return the device number of the controlling terminal of a process, 0 for none."""
     fields = file_text(process / 'stat').rpartition(')')[2].split()
     number = int(fields[_TTY_NR]) if len(fields) > _TTY_NR else 0

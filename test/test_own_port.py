@@ -36,7 +36,7 @@ from dxl_monitor.port.usb_ring import HEADER_SIZE
 from dxl_monitor.port.usb_ring import kept_of
 from dxl_monitor.port.usb_survey import Survey
 from dxl_monitor.record.opening import open_source
-from dxl_monitor.tools.tap import environment
+from dxl_monitor.tools.start_program import environment
 from mecarover_fakes.fake_bus import default_devices
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line

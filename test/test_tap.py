@@ -36,7 +36,7 @@ from dxl_monitor.port.tap_sender import OPENED
 from dxl_monitor.port.tap_sender import OUT
 from dxl_monitor.port.tap_sender import PURGED
 from dxl_monitor.port.tap_sender import record
-from dxl_monitor.tools.tap import environment
+from dxl_monitor.tools.start_program import environment
 from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
@@ -418,13 +418,14 @@ def test_command_line():
     with peers(lambda data: data) as (far,), TapReader('arm') as reader:
         script = textwrap.dedent(PLAIN.format(path=far.pty.path, times=3))
         done = tap('arm', '--', sys.executable, '-c', script)
-        assert (done.returncode, done.stdout, done.stderr) == (0, 'done\n', '')
+        assert (done.returncode, done.stdout, done.stderr) == (
+            0, 'done\n', f'dxl_tap: {sys.executable} is heard through pyserial\n')
         assert heard(listen(reader, closed(1)), OUT, far.pty.path) == far.got
     silent = tap('arm', '--', sys.executable, '-c', 'raise SystemExit(7)')
     assert silent.returncode == 7
     assert 'opened no port through pyserial' in silent.stderr
-    assert 'usb:/dev/ttyUSB0' in silent.stderr
-    assert 'did not load the tap' in tap('arm', '--', 'true').stderr
+    assert 'write --by strace' in silent.stderr
+    assert 'did not load the tap' in tap('arm', '--by', 'pyserial', '--', 'true').stderr
     for arguments, words in ((('arm',), 'COMMAND: not given'),
                              (('a/b', '--', 'true'), "'a/b' cannot be the name of a tap")):
         wrong = tap(*arguments)

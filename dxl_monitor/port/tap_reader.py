@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The listening end of the in-process tap: what tapped programs of one name read and write.
+The listening end of a tap: what the programs of one name read and write.
 
 Any number of readers and of programs, started in any order. What processes say is put in the
 order of its stamps, so it comes HOLD_S late. tap_sender.py says what is sent.
@@ -26,11 +26,13 @@ from mecarover_serial.readable import readable
 from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
+from msg_defs.event import DTR
 from msg_defs.event import IN
 from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
+from msg_defs.event import RTS
 from msg_defs.event import UNREAD
 
 HOLD_S = 0.06                              # three times what a sender lets gather
@@ -41,7 +43,7 @@ _NAME_OF_PORT = 1000                       # characters
 _NAME_CHARACTERS = frozenset('abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-')
 _SIDES = {sent.OUT: OUT, sent.IN: IN}
 _CHANGES = {sent.BAUD: BAUD, sent.PURGED: PURGED, sent.NOT_SENT: NOT_SENT, sent.LOST: LOST,
-            sent.UNREAD: UNREAD, sent.CLOSED: CLOSED}
+            sent.UNREAD: UNREAD, sent.CLOSED: CLOSED, sent.DTR: DTR, sent.RTS: RTS}
 _NAME_LIMIT = 40                           # the path of a Unix socket has 107 characters
 _READ_SIZE = 1 << 16
 TOO_LONG = ('the path of the socket is too long; set XDG_RUNTIME_DIR to a shorter folder, for the '
@@ -93,7 +95,7 @@ class _Connection:
         at = 0
         while len(data) - at >= sent.HEAD.size:
             kind, number, stamp, size = sent.HEAD.unpack_from(data, at)
-            if kind > sent.ENDED or size > SIZE_LIMIT or stamp < 0:
+            if kind > sent.RTS or size > SIZE_LIMIT or stamp < 0:
                 raise ValueError(kind)
             begin = at + sent.HEAD.size
             if begin + size > len(data):

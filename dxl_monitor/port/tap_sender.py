@@ -27,13 +27,14 @@ from weakref import WeakSet
 
 TAP_NAME = 'MECAROVER_TAP'                 # environment: the name that the user gave
 TAP_MARK = 'MECAROVER_TAP_MARK'            # and a file that says how far it got:
-LOADED, USED = b'l', b'o'                  # a tap was loaded, a port was opened
+LOADED, USED = b'tap\n', b'port '          # a tap was loaded; the port that was opened, a line
 SUFFIX = '.tap'                            # ends the name of a listener's socket
 
 # A record: its kind, the number of the port, a stamp (ns, monotonic), the size of what follows.
 HEAD = struct.Struct('<BHqI')
-HELLO, OPENED, CLOSED, OUT, IN, BAUD, PURGED, NOT_SENT, LOST, UNREAD, ENDED = range(11)
-NUMBER = struct.Struct('<q')               # what follows BAUD to UNREAD
+(HELLO, OPENED, CLOSED, OUT, IN, BAUD, PURGED, NOT_SENT, LOST, UNREAD, ENDED, DTR,
+ RTS) = range(13)
+NUMBER = struct.Struct('<q')               # what follows the others
 
 QUEUE_LIMIT = 20_000                       # records that wait for the thread
 PENDING_LIMIT = 4_000_000                  # bytes that wait for a reader
@@ -146,36 +147,37 @@ class Sender:
         if self._ports:
             self._begin()
 
-    def put(self, kind: int, port: int, data: bytes) -> None:
-        """Take a record, at once; called within the program's reads and writes."""
+    def put(self, kind: int, port: int, data: bytes, stamp: int = 0) -> None:
+        """Take a record, at once, of now or `stamp`; called in the program's reads and writes."""
         if len(self.queue) < QUEUE_LIMIT:
-            self.queue.append((kind, port, time.monotonic_ns(), data))
+            self.queue.append((kind, port, stamp or time.monotonic_ns(), data))
         else:
             self.lost += 1
 
-    def number(self, kind: int, port: int, value: int) -> None:
-        self.put(kind, port, NUMBER.pack(value))
+    def number(self, kind: int, port: int, value: int, stamp: int = 0) -> None:
+        self.put(kind, port, NUMBER.pack(value), stamp)
 
-    def opened(self, name: str, baud: int) -> int:
-        """Take note of an open port; return its number."""
+    def opened(self, name: str, baud: int, stamp: int = 0) -> int:
+        """Take note of an open port; return its number. baud: 0 where it is unknown."""
         with self._lock:
             self._numbers = number = self._numbers % 0xFFFF + 1
             self._ports[number] = (name, baud)
             self._begin()
-        self.put(OPENED, number, name.encode('utf-8', 'replace'))
-        self.number(BAUD, number, baud)
-        self._mark(USED)
+        self.put(OPENED, number, name.encode('utf-8', 'replace'), stamp)
+        if baud:
+            self.number(BAUD, number, baud, stamp)
+        self._mark(USED + name.encode('utf-8', 'replace') + b'\n')
         return number
 
-    def rate(self, port: int, baud: int) -> None:
+    def rate(self, port: int, baud: int, stamp: int = 0) -> None:
         name, before = self._ports.get(port, ('', 0))
         if baud != before:
             self._ports[port] = (name, baud)
-            self.number(BAUD, port, baud)
+            self.number(BAUD, port, baud, stamp)
 
-    def closed(self, port: int) -> None:
+    def closed(self, port: int, stamp: int = 0) -> None:
         self._ports.pop(port, None)
-        self.put(CLOSED, port, b'')
+        self.put(CLOSED, port, b'', stamp)
 
     def end(self) -> None:
         """Let readers have what they did not get yet, but not for long."""
@@ -186,12 +188,12 @@ class Sender:
         elif self.queue:                       # Python starts no thread at its end
             self._run()
 
-    def _mark(self, letter: bytes) -> None:
+    def _mark(self, line: bytes) -> None:
         """Say to who started this program that the tap works."""
         path = os.environ.get(TAP_MARK)
         if path:
             with suppress(OSError), open(path, 'ab') as file:
-                file.write(letter)
+                file.write(line)
 
     def _begin(self) -> None:
         if self._thread is None:
@@ -238,7 +240,7 @@ class Sender:
         return [part for number, (name, baud) in list(self._ports.items())
                 if number in self._announced
                 for part in (record(OPENED, number, now, name.encode('utf-8', 'replace')),
-                             record(BAUD, number, now, NUMBER.pack(baud)))]
+                             record(BAUD, number, now, NUMBER.pack(baud)))[:2 if baud else 1]]
 
     def _send(self) -> None:
         records: list[bytes] = []

@@ -47,7 +47,9 @@ from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
 from dxl_monitor.tools.run import RUN
-from dxl_monitor.tools.tap import with_python
+from dxl_monitor.tools.start_program import BY
+from dxl_monitor.tools.start_program import WAYS
+from dxl_monitor.tools.start_program import with_python
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
@@ -57,8 +59,8 @@ from mecarover_serial.plain import printable
 
 PROGRESS_S = 1.0
 EXAMPLES = """examples:
-  dxl_doctor run -- python my_script.py         hears a Python program that uses pyserial
-  dxl_doctor usb:/dev/ttyUSB0                   hears any program on that adapter (Linux)
+  dxl_doctor run -- python my_script.py         a Python program, or any other (Linux: strace)
+  dxl_doctor usb:/dev/ttyUSB0                   a program that runs already (Linux, root)
   dxl_doctor /dev/ttyUSB1 -b 1000000            a second adapter on the wire
   dxl_doctor bus.txt                            a recording of dxl_dump -w bus.txt
   dxl_doctor --report bus_report.txt run -- python my_script.py
@@ -136,6 +138,8 @@ def _check(options: argparse.Namespace, command: Sequence[str]) -> None:
     if options.source is None:
         raise UsageError('SOURCE: none given; name a port, a file, or write dxl_doctor run -- '
                          'python my_script.py')
+    if options.by and not command:
+        raise UsageError(f'--by {options.by}: only for run -- COMMAND; leave it out')
     if (options.source == RUN) != bool(command):
         raise UsageError(f'{options.source}: the program to run goes after --; write dxl_doctor '
                          'run -- python my_script.py')
@@ -151,7 +155,7 @@ def _check(options: argparse.Namespace, command: Sequence[str]) -> None:
 def _open(options: argparse.Namespace, command: Sequence[str]) -> Source | Program:
     if not command:
         return open_source('dxl_doctor', options.source, options.baud, options.adapter)
-    return Program(command, sys.stderr.fileno() if options.json else None)
+    return Program(command, options.by, sys.stderr.fileno() if options.json else None)
 
 
 def _listen(source: Source | Program, examination: Examination, limit_s: float | None) -> float:
@@ -298,6 +302,7 @@ def _parser() -> argparse.ArgumentParser:
     add('--protocol', choices=PROTOCOLS, default=DEFAULTS.protocol,
         help='protocol of the bus, if the traffic does not show it')
     add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
+    add('--by', choices=WAYS, default='', help=BY)
     add('--seconds', type=float, metavar='N', help='listen for N seconds')
     add('--devices', action='append', metavar='ID:MODEL:JOINT', default=[],
         help="devices on the bus, in the order along the cable, e.g. '1-6:XL430-W250'")

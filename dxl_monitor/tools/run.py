@@ -10,7 +10,7 @@ import os
 import shlex
 
 from dxl_monitor.record.opening import how_to_hear
-from dxl_monitor.tools.tap import with_python
+from dxl_monitor.tools.start_program import with_python
 from mecarover_serial.cli import UsageError
 
 RUN = 'run'

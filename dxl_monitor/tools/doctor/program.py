@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A program and what its pyserial ports say, as a source: dxl_doctor run -- COMMAND.
+A program and what its serial ports say, as a source: dxl_doctor run -- COMMAND.
 
 It goes on as without us: its input and output are ours, signals are handed on. It runs where
 there is no fcntl, termios or pty, too.
@@ -13,11 +13,8 @@ from collections.abc import Iterator
 from collections.abc import Sequence
 import json
 import ntpath
-from pathlib import Path
 import secrets
 import signal
-import subprocess
-import tempfile
 import time
 from typing import Any
 from typing import NamedTuple
@@ -32,10 +29,7 @@ from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor.verdict import Trouble
-from dxl_monitor.tools.tap import environment
-from dxl_monitor.tools.tap import hand_signals_on
-from dxl_monitor.tools.tap import remedy
-from dxl_monitor.tools.tap import why_unheard
+from dxl_monitor.tools.start_program import StartedProgram
 from mecarover_serial.plain import printable
 from msg_defs.reports import Level
 
@@ -88,24 +82,19 @@ class Program:
     is_live = True
     is_timed = True
 
-    def __init__(self, command: Sequence[str], output: int | None = None) -> None:
+    def __init__(self, command: Sequence[str], by: str = '', output: int | None = None) -> None:
         name = f'doctor-{secrets.token_hex(4)}'
         self._ending = Ending()
         self.ports: list[str] = []
-        self._name = command[0]
         self._was_stopped = False
         self._unheard = ''
         self._reader = TapReader(name)
-        self._folder = tempfile.TemporaryDirectory(prefix='dxl_doctor_')
-        self._mark = Path(self._folder.name) / 'mark'
         try:
-            self._child = subprocess.Popen(command, env=environment(name, str(self._mark)),
-                                           stdout=output)
-        except OSError as error:
+            self._started = StartedProgram('dxl_doctor', name, command, by, output)
+        except OSError:
             self._reader.close()
-            raise OSError(error.errno, f'{error.strerror}; {remedy(command)}',
-                          command[0]) from error
-        hand_signals_on(self._child)
+            raise
+        self._child = self._started.child
         signal.signal(signal.SIGINT, self._note_stop)  # the terminal sends it to the child too
 
     def _note_stop(self, *_: object) -> None:
@@ -116,7 +105,8 @@ class Program:
         while self._child.poll() is None:
             yield from self._some(self._reader.wait(TICK_S))
         until_s = time.monotonic() + REST_S
-        while self._reader.programs and time.monotonic() < until_s:
+        while (self._reader.programs or not self._started.is_heard_out) \
+                and time.monotonic() < until_s:
             yield from self._some(self._reader.wait(TICK_S))
         yield from self._some(self._reader.rest())
 
@@ -160,7 +150,5 @@ class Program:
 
     def close(self) -> None:
         """Wait for the program, and stop to listen."""
-        self._child.wait()
+        self._unheard = self._started.end()
         self._reader.close()
-        self._unheard = why_unheard(self._name, self._mark)
-        self._folder.cleanup()

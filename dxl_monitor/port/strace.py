@@ -1,0 +1,123 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs a program under strace, on Linux: which ports it hears, what forbids it, the processes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+import fcntl
+import os
+from pathlib import Path
+import shutil
+import stat
+import subprocess
+import sys
+import time
+
+from dxl_monitor.port.reader_process import PIPE_SIZE
+from dxl_monitor.port.strace_parser import OPTIONS
+from dxl_monitor.port.strace_parser import PORT
+from dxl_monitor.port.strace_parser import RING
+from dxl_monitor.port.strace_parser import USB
+from mecarover_serial.port_users import controlling
+from mecarover_serial.port_users import file_text
+
+START_S = 5.0                      # within which strace opens the pipe
+_ABSENT = [f'/dev/tty{kind}{number}' for kind in ('USB', 'ACM') for number in range(16)]
+_ROOT = Path(__file__).parents[2]
+_RELAY = ('import sys; sys.path.insert(0, {!r}); '
+          'from dxl_monitor.port.strace_relay import main; main()')
+
+
+def ports() -> set[str]:
+    """Return the serial ports, also some that may be plugged in; not the terminal in use."""
+    own = {controlling(Path('/proc/self'))}
+    for standard in range(3):
+        with suppress(OSError):
+            own.add(os.fstat(standard).st_rdev)
+    return {*_ABSENT} | {str(path) for folder in ('/dev', '/dev/pts') for path in
+                         Path(folder).iterdir() if PORT.fullmatch(str(path))
+                         and not path.is_symlink() and path.stat().st_rdev not in own}
+
+
+def why_not() -> str:
+    """Return why strace cannot hear a program here, with the remedy, '' where it can."""
+    if shutil.which('strace') is None:
+        return 'strace is not installed; sudo apt install strace'
+    tried = subprocess.run(['strace', *OPTIONS[1:], '-o', os.devnull, 'true'], text=True,
+                           stdin=subprocess.DEVNULL, capture_output=True)
+    if not tried.returncode:
+        return ''
+    other = tracer('self')
+    if other:
+        return f'process {other} traces this one already; start it without that'
+    said = (tried.stderr.strip() or 'strace fails').splitlines()[-1]
+    return (f'{said}; a container needs --cap-add SYS_PTRACE, and kernel.yama.ptrace_scope must '
+            'be below 2; or listen to usb:/dev/ttyUSB0')
+
+
+def loses_rights(program: str) -> bool:
+    """Tell whether a program has rights of its own, which it does not get under strace."""
+    if os.geteuid() == 0:
+        return False
+    with suppress(OSError):
+        if os.stat(program).st_mode & (stat.S_ISUID | stat.S_ISGID):
+            return True
+        return 'security.capability' in os.listxattr(program)
+    return False
+
+
+def start(command: Sequence[str], env: dict[str, str], names: tuple[str, str], folder: str,
+          stdout: int | None) -> tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]:
+    """
+    Start a program as our child; return it and the relay, which sends to listeners of a tap.
+
+    names: of the tool that speaks, and of the tap. folder: an empty one, for this alone. The relay
+    ends with the last process of the program, or with strace; strace ends with the relay, and
+    leaves the program alone.
+    """
+    fifo = os.path.join(folder, 'strace')      # strace opens it: not for the program
+    os.mkfifo(fifo, 0o600)
+    theirs = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
+    ours = os.open(fifo, os.O_WRONLY)          # without it the relay would be at the end at once
+    try:
+        os.set_blocking(theirs, True)
+        with suppress(OSError):                # as reader_process.py
+            fcntl.fcntl(ours, fcntl.F_SETPIPE_SZ, PIPE_SIZE)
+        relay = subprocess.Popen(
+            [sys.executable, '-I', '-S', '-c', _RELAY.format(str(_ROOT)), *names], env=env,
+            stdin=theirs, stdout=subprocess.DEVNULL, start_new_session=True)
+        devices = [*sorted(ports()), RING, *map(str, Path(USB).glob('*/*'))]
+        paths = [part for path in devices for part in ('-P', path)]
+        child = subprocess.Popen(['strace', *OPTIONS, *paths, '-o', fifo, '--', *command],
+                                 env=env, stdout=stdout)
+        until_s = time.monotonic() + START_S
+        while not tracer(child.pid) and child.poll() is None and time.monotonic() < until_s:
+            time.sleep(0.002)
+    finally:
+        os.close(theirs)
+        os.close(ours)
+        os.unlink(fifo)
+    return child, relay
+
+
+def tracer(process: int | str) -> int:
+    """Return the process that traces this one, 0 for none."""
+    said = file_text(Path(f'/proc/{process}/status')).partition('TracerPid:\t')[2]
+    return int(said.partition('\n')[0] or 0)
+
+
+def held(process: int) -> set[str]:
+    """Return the serial ports that a process and its children have open, not as a terminal."""
+    left, found = [process], set()
+    while left:
+        folder = Path(f'/proc/{left.pop()}')
+        with suppress(OSError):                # it may end meanwhile
+            for children in folder.glob('task/*/children'):
+                left += map(int, children.read_text().split())
+            for file in (folder / 'fd').iterdir():
+                path = os.readlink(file)
+                if int(file.name) > 2 and PORT.fullmatch(path):
+                    found.add(path)
+    return found & ports() if found else found

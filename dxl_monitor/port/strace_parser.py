@@ -1,0 +1,236 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What strace prints of a program, as events of its serial ports: bytes in, events out.
+
+strace is run with OPTIONS. Its lines have a wall clock, which anchors the first of them, and the
+monotonic time since the line before, so a step of the wall clock changes nothing. A write has the
+time of its begin, a read that of its end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import suppress
+import re
+import termios
+from typing import NamedTuple
+
+from msg_defs.event import BAUD
+from msg_defs.event import CLOSED
+from msg_defs.event import DTR
+from msg_defs.event import IN
+from msg_defs.event import LOST
+from msg_defs.event import OUT
+from msg_defs.event import PURGED
+from msg_defs.event import RTS
+
+OPENED, IO_URING, LIBUSB = 'opened', 'io_uring', 'libusb'
+PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
+RING = 'anon_inode:[io_uring]'
+USB = '/dev/bus/usb/'
+LATE_NS = 20_000_000               # a write that takes longer has the time before its end
+DATA_LIMIT = 65_536                # bytes that strace prints of a call
+_WRITES = frozenset(('write', 'pwrite64', 'writev', 'pwritev', 'pwritev2'))
+_READS = frozenset(('read', 'pread64', 'readv', 'preadv', 'preadv2'))
+_UNSEEN = frozenset(('splice', 'sendfile', 'copy_file_range'))      # strace prints no bytes
+_OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3', 'fcntl', 'ioctl',
+           'io_uring_enter')
+# -DDD: the program stays the child of who starts it; strace is out of the terminal's reach.
+# -I1: strace ends, and leaves the program alone, when its output has no reader.
+OPTIONS = ('-DDD', '-f', '-I1', '-q', '-y', '-v', '-xx', '-X', 'raw', '-s', str(DATA_LIMIT),
+           '--absolute-timestamps=format:unix,precision:ns', '--relative-timestamps=ns',
+           '--syscall-times=ns', '-e', 'signal=none', '-e', 'trace=' + ','.join(
+               f'?{name}' for name in (*sorted(_WRITES | _READS | _UNSEEN), *_OTHERS)))
+
+_LINE = re.compile(rb' *(\d+) +(\d+)\.(\d{9}) \(\+ +(\d+)\.(\d{9})\) (.*)')
+_CALL = re.compile(rb'(\w+)\((.*)\)\s+= (-?\d+)(?:<([^>]*)>(?:\(deleted\))?)?(?: \D.*?)?'
+                   rb'(?: <(\d+)\.(\d{9})>)?')
+_FD = re.compile(rb'(\d+)<((?:\\x[0-9a-f]{2})+)>')
+_STRING = re.compile(rb'"((?:\\x[0-9a-f]{2})*)"')
+_FOR_WRITING = re.compile(rb', 0x[0-9a-f]*2\b')        # flags of an open with O_RDWR
+_UNFINISHED = b' <unfinished ...>'
+_CFLAG = re.compile(rb'c_cflags?=([x0-9a-f|]+)')
+_OSPEED = re.compile(rb'c_ospeed=(\d+)')
+_RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios)
+          if re.fullmatch(r'B[1-9]\d*', name)}
+_CBAUD, _BOTHER = 0o10017, 0o10000
+# Requests of ioctl, as on x86, ARM and RISC-V.
+_TCFLSH, _TIOCSSERIAL = 0x540B, 0x541F
+_ASKED = frozenset((0x5401, 0x802C542A))               # TCGETS, TCGETS2
+_SETTINGS = _ASKED | {0x5402, 0x5403, 0x5404, 0x402C542B, 0x402C542C, 0x402C542D}
+_SET_AND_FLUSH = frozenset((0x5404, 0x402C542D))
+_MODEM = {0x5416: (1, None), 0x5417: (0, None), 0x5418: (1, 0)}     # listed lines, the others
+_LINES = {2: DTR, 4: RTS}
+
+
+class PortEvent(NamedTuple):
+    """What a thread did with a port; what: a side, a name of msg_defs.event, or one of above."""
+
+    stamp: int                             # ns, monotonic
+    port: str
+    what: str
+    data: bytes = b''
+    value: int = 0
+    thread: int = 0
+
+
+class StraceParser:
+    """Takes the output of one strace; `process_of` returns the process of a thread."""
+
+    def __init__(self, process_of: Callable[[int], int]) -> None:
+        self._process_of = process_of
+        self._processes: dict[int, int] = {}                   # by thread
+        self._holders: dict[str, set[tuple[int, int]]] = {}    # by port: process, descriptor
+        self._rates: dict[str, int] = {}                       # by port, not said yet
+        self._odd_rates: set[str] = set()                      # ports with a divisor of their own
+        self._unfinished: dict[int, bytes] = {}                # a call by thread
+        self._rest = b''
+        self._now = 0
+
+    def feed(self, data: bytes, ahead: int) -> Iterator[PortEvent]:
+        """Take output; ahead: the monotonic clock less the wall clock (ns), used at first."""
+        *lines, self._rest = (self._rest + data).split(b'\n')
+        for line in lines:
+            found = _LINE.fullmatch(line)
+            if found is None:
+                continue
+            thread, second, part, seconds, nanoseconds = map(int, found.groups()[:5])
+            self._now = self._now + seconds * 10**9 + nanoseconds if self._now \
+                else max(1, second * 10**9 + part + ahead)
+            yield from self._take(thread, found[6])
+
+    def _take(self, thread: int, text: bytes) -> Iterator[PortEvent]:
+        is_resumed = text.startswith(b'<... ')
+        if is_resumed:
+            begin = self._unfinished.pop(thread, b'')
+            text = begin + text.partition(b' resumed>')[2]
+        elif text.endswith(_UNFINISHED):
+            self._unfinished[thread] = text[:-len(_UNFINISHED)]
+            return
+        elif text.startswith(b'+++'):
+            yield from self._end(thread)
+            return
+        found = _CALL.fullmatch(text)
+        if found is None:
+            return
+        took = int(found[5]) * 10**9 + int(found[6]) if found[5] else 0
+        end = self._now + (0 if is_resumed else took)
+        yield from self._call(found, thread, end - took, end)
+
+    def _call(self, found: re.Match[bytes], thread: int, begin: int, end: int) -> Iterator[PortEvent]:
+        name, arguments, result = found[1].decode(), found[2], int(found[3])
+        made = _text(found[4] or b'')
+        if made.startswith(USB) and _FOR_WRITING.search(arguments):
+            yield PortEvent(begin, made, LIBUSB, thread=thread)
+        yield from self._hold(made, thread, result, end)
+        first = _FD.match(arguments)
+        port = '' if first is None else _text(first[2])
+        if port == RING:
+            yield PortEvent(begin, '', IO_URING, thread=thread)
+        if first is None or not PORT.fullmatch(port):
+            return
+        if name == 'close':
+            yield from self._release(port, {(self._process(thread), int(first[1]))}, begin)
+            return
+        yield from self._hold(port, thread, int(first[1]), begin)
+        if result < 0:
+            return
+        if name == 'ioctl':
+            with suppress(ValueError):         # numbers that are none
+                yield from self._ioctl(port, thread, arguments, end)
+        elif name in _UNSEEN and result:
+            yield PortEvent(end, port, LOST, value=1, thread=thread)
+        elif name in _WRITES or name in _READS:
+            data = b''.join(map(_bytes, _STRING.findall(arguments)))[:result]
+            is_out = name in _WRITES
+            stamp = max(begin, end - LATE_NS) if is_out else end
+            if data:
+                yield from self._rate(port, stamp)
+                yield PortEvent(stamp, port, OUT if is_out else IN, data, thread=thread)
+            if len(data) < result:
+                yield PortEvent(stamp, port, LOST, value=result - len(data), thread=thread)
+
+    def _ioctl(self, port: str, thread: int, arguments: bytes, stamp: int) -> Iterator[PortEvent]:
+        _, text, argument = arguments.split(b', ', 2)
+        request = int(text, 0)
+        if request in _SETTINGS:
+            rate = _rate(argument)
+            if rate and not (rate == 38_400 and port in self._odd_rates):
+                self._rates[port] = rate
+            if request not in _ASKED:          # else the program may be about to change it
+                yield from self._rate(port, stamp)
+        if request in _SET_AND_FLUSH:
+            yield PortEvent(stamp, port, PURGED, value=1)
+        elif request == _TCFLSH:
+            yield PortEvent(stamp, port, PURGED, value=int(argument, 0) + 1)
+        elif request == _TIOCSSERIAL:          # 38400 may mean any rate from now on
+            self._odd_rates.add(port)
+        elif request in _MODEM:
+            listed = _flags(argument.strip(b'[]'))
+            for bit, what in _LINES.items():
+                value = _MODEM[request][0 if listed & bit else 1]
+                if value is not None:
+                    yield PortEvent(stamp, port, what, value=value)
+
+    def _rate(self, port: str, stamp: int) -> Iterator[PortEvent]:
+        """Say the rate that a port has by now."""
+        if port in self._rates:
+            yield PortEvent(stamp, port, BAUD, value=self._rates.pop(port))
+
+    def _hold(self, port: str, thread: int, descriptor: int, stamp: int) -> Iterator[PortEvent]:
+        """Take note that a thread's process has a port open."""
+        if not PORT.fullmatch(port):
+            return
+        holders = self._holders.setdefault(port, set())
+        if not holders:
+            yield PortEvent(stamp, port, OPENED, thread=thread)
+        holders.add((self._process(thread), descriptor))
+
+    def _release(self, port: str, gone: set[tuple[int, int]], stamp: int) -> Iterator[PortEvent]:
+        holders = self._holders.get(port, set())
+        if holders and not holders - gone:
+            yield PortEvent(stamp, port, CLOSED)
+        holders -= gone
+
+    def _end(self, thread: int) -> Iterator[PortEvent]:
+        """Take note of the end of a thread; with the first of a process its ports are closed."""
+        self._unfinished.pop(thread, None)
+        if self._processes.pop(thread, thread) == thread:
+            for port, holders in self._holders.items():
+                yield from self._release(
+                    port, {one for one in holders if one[0] == thread}, self._now)
+
+    def _process(self, thread: int) -> int:
+        if thread not in self._processes:
+            self._processes[thread] = self._process_of(thread)
+        return self._processes[thread]
+
+
+def _bytes(text: bytes) -> bytes:
+    return bytes.fromhex(text.replace(b'\\x', b'').decode())
+
+
+def _text(escaped: bytes) -> str:
+    """Return a path as strace -xx prints it."""
+    with suppress(ValueError):
+        return _bytes(escaped).decode(errors='replace')
+    return ''
+
+
+def _flags(text: bytes) -> int:
+    value = 0
+    for part in text.split(b'|'):
+        value |= int(part or b'0', 0)
+    return value
+
+
+def _rate(settings: bytes) -> int:
+    """Return the rate in a struct termios or termios2, 0 where it is unknown."""
+    flags = _CFLAG.search(settings)
+    speed = _flags(flags[1]) & _CBAUD if flags else 0
+    free = _OSPEED.search(settings)
+    if speed == _BOTHER:
+        return int(free[1]) if free else 0
+    return _RATES.get(speed, 0)

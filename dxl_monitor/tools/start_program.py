@@ -1,0 +1,225 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Starts a program so that listeners of tap:NAME hear it: dxl_tap and dxl_doctor run.
+
+A program in Python is heard inside, through pyserial; that costs least and works on every system.
+Any other is heard through strace (Linux). The program is our child and goes on without us. It is
+found as outside of the environment that holds this tool alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from importlib import metadata
+import os
+from pathlib import Path
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from types import FrameType
+
+from dxl_monitor.port.site import __file__ as SITE
+from dxl_monitor.port.tap_sender import TAP_MARK
+from dxl_monitor.port.tap_sender import TAP_NAME
+from dxl_monitor.port.tap_sender import USED
+
+PYSERIAL, STRACE = 'pyserial', 'strace'
+WAYS = (PYSERIAL, STRACE)
+BY = ('how to hear it: inside a Python program that uses pyserial, or any program on Linux '
+      'through strace; without this, what fits')
+HANDED_ON = ('SIGTERM', 'SIGHUP', 'SIGQUIT', 'SIGUSR1', 'SIGUSR2')
+LOOK_S = 0.5                       # between two looks at what the program does
+REST_S = 1.0                       # for what the relay heard last
+_PYTHON = re.compile(r'(python|pypy)[\d.]*w?(\.exe)?')
+_SCRIPT = re.compile(rb"#!.*(python|pypy)|#!/bin/sh\n'''exec'")
+_PACKAGE = 'mecarover_serial'
+_TOOLS = {_PACKAGE, 'pip', 'setuptools', 'wheel'}
+
+
+class StartedProgram:
+    """A program that was started and is heard; OSError where that cannot be."""
+
+    def __init__(self, tool: str, name: str, command: Sequence[str], by: str = '',
+                 stdout: int | None = None) -> None:
+        """Start it; tool: who speaks on stderr; by: one of WAYS, '' for the one that fits."""
+        self._tool = tool
+        self._command = command[0]
+        self._relay: subprocess.Popen[bytes] | None = None
+        outside = own_environment()
+        program = _find(command, outside)
+        self.way = by or (PYSERIAL if sys.platform != 'linux' or is_python(program) else STRACE)
+        self._folder = tempfile.TemporaryDirectory(prefix=f'{tool}_')
+        self._mark = Path(self._folder.name) / 'mark'
+        outside[TAP_MARK] = str(self._mark)
+        try:
+            if self.way == STRACE:
+                self._start_traced(program, command, outside, name, stdout)
+            else:
+                self._say(f'{program} is heard through pyserial')
+                self.child = subprocess.Popen([program, *command[1:]], stdout=stdout,
+                                              env=environment(name, outside))
+        except OSError:
+            self._folder.cleanup()
+            raise
+        hand_signals_on(self.child)
+        if sys.platform == 'linux':
+            threading.Thread(target=self._watch, daemon=True).start()
+
+    def _start_traced(self, program: str, command: Sequence[str], env: dict[str, str], name: str,
+                      stdout: int | None) -> None:
+        if sys.platform != 'linux':
+            raise OSError(0, 'strace is for Linux; leave out --by', self._command)
+        from dxl_monitor.port import strace  # needs fcntl and termios
+
+        problem = strace.why_not()
+        if problem:
+            raise OSError(0, f'{problem}; or --by {PYSERIAL}, if it starts Python', self._command)
+        if strace.loses_rights(program):
+            self._say(f'{program} runs without the rights that its file gives it: strace takes '
+                      f'them away; write sudo {self._tool} ...')
+        self._say(f'{program} is heard through strace, and each of its calls takes 0.1 ms longer')
+        self.child, self._relay = strace.start(
+            [program, *command[1:]], env, (self._tool, name), self._folder.name, stdout)
+
+    @property
+    def is_heard_out(self) -> bool:
+        """Whether nothing more comes from strace."""
+        return self._relay is None or self._relay.poll() is not None
+
+    def _say(self, text: str) -> None:
+        print(f'{self._tool}: {text}', file=sys.stderr, flush=True)
+
+    def _watch(self) -> None:
+        """Say once that something is not heard."""
+        look = self._is_left if self.way == STRACE else self._is_missed
+        before = ''
+        while True:
+            time.sleep(LOOK_S)
+            found = look()
+            if found and found == before and self.child.returncode is None:
+                self._say(found)
+                return
+            before = found
+
+    def _is_left(self) -> str:
+        from dxl_monitor.port import strace
+
+        return '' if strace.tracer(self.child.pid) else \
+            'strace was ended; the program goes on and is no longer heard'
+
+    def _is_missed(self) -> str:
+        from dxl_monitor.port import strace
+
+        held = strace.held(self.child.pid) - {os.path.realpath(port) for port in self._used()}
+        return f'{min(held)} is open, but not through pyserial, and is not heard; write ' \
+            f'--by {STRACE} in front of --' if held else ''
+
+    def _used(self) -> list[str]:
+        """Return the ports that were heard to be opened."""
+        lines = self._mark.read_bytes().splitlines() if self._mark.exists() else []
+        return [line.removeprefix(USED).decode() for line in lines if line.startswith(USED)]
+
+    def end(self) -> str:
+        """Wait for the program; return why nothing was heard, '' where a port was opened."""
+        self.child.wait()
+        if self._relay is not None and not self._used():
+            with suppress(subprocess.TimeoutExpired):
+                self._relay.wait(REST_S)
+        used, is_loaded = self._used(), self._mark.exists()
+        self._folder.cleanup()
+        if used:
+            return ''
+        if self.way == STRACE:
+            return f'{self._command} opened no serial port'
+        reason = 'opened no port through pyserial' if is_loaded else \
+            'did not load the tap: it is not Python, or PYTHONPATH did not reach it (python -E ' \
+            'or -I, sudo, an emptied environment)'
+        return f'{self._command} {reason}; to hear any program, write --by {STRACE} in front of --'
+
+
+def environment(name: str, env: dict[str, str] | None = None) -> dict[str, str]:
+    """Return the environment in which a Python program is tapped."""
+    env = {**os.environ} if env is None else env
+    paths = [str(Path(SITE).parent), *filter(None, [env.get('PYTHONPATH')])]
+    return {**env, TAP_NAME: name, 'PYTHONPATH': os.pathsep.join(paths)}
+
+
+def own_environment() -> dict[str, str]:
+    """Return the environment variables, without the venv that holds this tool and nothing else."""
+    env = {**os.environ}
+    if sys.prefix == sys.base_prefix or not _is_tools_own():
+        return env
+    own = os.path.realpath(sys.prefix)
+    env['PATH'] = os.pathsep.join(folder for folder in os.get_exec_path()
+                                  if os.path.dirname(os.path.realpath(folder)) != own)
+    if os.path.realpath(env.get('VIRTUAL_ENV', '')) == own:
+        del env['VIRTUAL_ENV']
+    return env
+
+
+def _is_tools_own() -> bool:
+    """Tell whether all packages of this venv are here because of this one."""
+    here = {_plain(one.metadata['Name']): one for one in metadata.distributions(
+        path=[path for path in sys.path if path.startswith(sys.prefix)])}
+    needed, left = set(_TOOLS), [_PACKAGE]
+    while left:
+        one = here.get(left.pop())
+        for text in (one.requires or ()) if one else ():
+            name = _plain(re.split(r'[^\w.-]', text, maxsplit=1)[0])
+            if name not in needed:
+                needed.add(name)
+                left.append(name)
+    return here.keys() <= needed
+
+
+def _plain(name: str) -> str:
+    return re.sub(r'[-_.]+', '_', name).lower()
+
+
+def _find(command: Sequence[str], env: dict[str, str]) -> str:
+    """Return the path of a program, as a shell finds it."""
+    found = shutil.which(command[0], path=env.get('PATH')) or shutil.which(command[0])
+    if found is not None:
+        return found
+    kind = PermissionError if os.path.isfile(command[0]) else FileNotFoundError
+    meant = with_python(command)[:2]
+    todo = f'write {shlex.join(meant)}' if meant[0] != command[0] \
+        else 'check the name of the program'
+    number = 13 if kind is PermissionError else 2
+    raise kind(number, f'{os.strerror(number)}; {todo}', command[0])
+
+
+def is_python(program: str) -> bool:
+    """Tell whether a file is an interpreter of Python, or a script for one."""
+    if _PYTHON.fullmatch(os.path.basename(program)):
+        return True
+    try:
+        with open(program, 'rb') as file:
+            return _SCRIPT.match(file.read(200)) is not None
+    except OSError:
+        return False
+
+
+def with_python(command: Sequence[str]) -> list[str]:
+    """Return a command as it was meant: a script of Python needs it in front."""
+    return ['python', *command] if command[0].endswith('.py') else list(command)
+
+
+def hand_signals_on(child: subprocess.Popen[bytes]) -> None:
+    """Let the child have the signals that this process gets."""
+    def hand_on(number: int, frame: FrameType | None) -> None:
+        with suppress(OSError):
+            child.send_signal(number)
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)       # the terminal sends it to both
+    for name in HANDED_ON:
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), hand_on)
