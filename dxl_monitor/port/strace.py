@@ -18,13 +18,22 @@ import time
 from dxl_monitor.port.reader_process import PIPE_SIZE
 from dxl_monitor.port.strace_parser import OPTIONS
 from dxl_monitor.port.strace_parser import PORT
-from dxl_monitor.port.strace_parser import RING
-from dxl_monitor.port.strace_parser import USB
 from mecarover_serial.port_users import controlling
 from mecarover_serial.port_users import file_text
 
 START_S = 5.0                      # within which strace opens the pipe
 _ABSENT = [f'/dev/tty{kind}{number}' for kind in ('USB', 'ACM') for number in range(16)]
+_RING, _USB = 'anon_inode:[io_uring]', '/dev/bus/usb/'
+_NOT_HEARD = {
+    _RING: 'the program uses io_uring: what it reads and writes that way is not heard; if that is '
+           'the bus, listen to usb:/dev/ttyUSB0',
+    _USB: 'the program drives a USB device itself (libusb), which is not heard; if that is the '
+          'adapter, listen to usb:BUS.DEVICE, with the numbers that lsusb shows',
+}
+_PRIORITY = ('the program has threads with real-time priority: while it uses {} they wait for '
+             'strace, which has none; do not rely on its timing')
+_MISSED = ('{} is open, but not through pyserial, and is not heard; write --by strace in front of '
+           '--')
 _ROOT = Path(__file__).parents[2]
 _RELAY = ('import sys; sys.path.insert(0, {!r}); '
           'from dxl_monitor.port.strace_relay import main; main()')
@@ -68,14 +77,14 @@ def loses_rights(program: str) -> bool:
     return False
 
 
-def start(command: Sequence[str], env: dict[str, str], names: tuple[str, str], folder: str,
+def start(command: Sequence[str], env: dict[str, str], name: str, folder: str,
           stdout: int | None) -> tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]:
     """
     Start a program as our child; return it and the relay, which sends to listeners of a tap.
 
-    names: of the tool that speaks, and of the tap. folder: an empty one, for this alone. The relay
-    ends with the last process of the program, or with strace; strace ends with the relay, and
-    leaves the program alone.
+    name: of the tap. folder: an empty one, for this alone. The relay ends with
+    the last process of the program, or with strace; strace ends with the relay, and leaves the
+    program alone.
     """
     fifo = os.path.join(folder, 'strace')      # strace opens it: not for the program
     os.mkfifo(fifo, 0o600)
@@ -86,10 +95,9 @@ def start(command: Sequence[str], env: dict[str, str], names: tuple[str, str], f
         with suppress(OSError):                # as reader_process.py
             fcntl.fcntl(ours, fcntl.F_SETPIPE_SZ, PIPE_SIZE)
         relay = subprocess.Popen(
-            [sys.executable, '-I', '-S', '-c', _RELAY.format(str(_ROOT)), *names], env=env,
+            [sys.executable, '-I', '-S', '-c', _RELAY.format(str(_ROOT)), name], env=env,
             stdin=theirs, stdout=subprocess.DEVNULL, start_new_session=True)
-        devices = [*sorted(ports()), RING, *map(str, Path(USB).glob('*/*'))]
-        paths = [part for path in devices for part in ('-P', path)]
+        paths = [part for path in sorted(ports()) for part in ('-P', path)]
         child = subprocess.Popen(['strace', *OPTIONS, *paths, '-o', fifo, '--', *command],
                                  env=env, stdout=stdout)
         until_s = time.monotonic() + START_S
@@ -108,8 +116,12 @@ def tracer(process: int | str) -> int:
     return int(said.partition('\n')[0] or 0)
 
 
-def held(process: int) -> set[str]:
-    """Return the serial ports that a process and its children have open, not as a terminal."""
+def doubts(process: int, used: set[str] | None = None) -> set[str]:
+    """
+    Return what of a program and its children is not heard, or not as it should be.
+
+    used: the ports that are heard inside of it; None where strace hears it.
+    """
     left, found = [process], set()
     while left:
         folder = Path(f'/proc/{left.pop()}')
@@ -118,6 +130,17 @@ def held(process: int) -> set[str]:
                 left += map(int, children.read_text().split())
             for file in (folder / 'fd').iterdir():
                 path = os.readlink(file)
-                if int(file.name) > 2 and PORT.fullmatch(path):
-                    found.add(path)
-    return found & ports() if found else found
+                if PORT.fullmatch(path):
+                    found |= _doubts_of_port(folder, int(file.name), path, used)
+                elif used is None:
+                    found |= {text for begin, text in _NOT_HEARD.items() if path.startswith(begin)}
+    return found
+
+
+def _doubts_of_port(folder: Path, number: int, path: str, used: set[str] | None) -> set[str]:
+    if number < 3 or path not in ports():      # a terminal
+        return set()
+    if used is not None:
+        return set() if path in used else {_MISSED.format(path)}
+    return {_PRIORITY.format(path) for thread in (folder / 'task').iterdir()
+            if os.sched_getscheduler(int(thread.name)) in (os.SCHED_FIFO, os.SCHED_RR)}

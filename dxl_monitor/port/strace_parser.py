@@ -26,17 +26,14 @@ from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import RTS
 
-OPENED, IO_URING, LIBUSB = 'opened', 'io_uring', 'libusb'
+OPENED = 'opened'
 PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
-RING = 'anon_inode:[io_uring]'
-USB = '/dev/bus/usb/'
 LATE_NS = 20_000_000               # a write that takes longer has the time before its end
 DATA_LIMIT = 65_536                # bytes that strace prints of a call
 _WRITES = frozenset(('write', 'pwrite64', 'writev', 'pwritev', 'pwritev2'))
 _READS = frozenset(('read', 'pread64', 'readv', 'preadv', 'preadv2'))
 _UNSEEN = frozenset(('splice', 'sendfile', 'copy_file_range'))      # strace prints no bytes
-_OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3', 'fcntl', 'ioctl',
-           'io_uring_enter')
+_OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3', 'fcntl', 'ioctl')
 # -DDD: the program stays the child of who starts it; strace is out of the terminal's reach.
 # -I1: strace ends, and leaves the program alone, when its output has no reader.
 OPTIONS = ('-DDD', '-f', '-I1', '-q', '-y', '-v', '-xx', '-X', 'raw', '-s', str(DATA_LIMIT),
@@ -45,11 +42,10 @@ OPTIONS = ('-DDD', '-f', '-I1', '-q', '-y', '-v', '-xx', '-X', 'raw', '-s', str(
                f'?{name}' for name in (*sorted(_WRITES | _READS | _UNSEEN), *_OTHERS)))
 
 _LINE = re.compile(rb' *(\d+) +(\d+)\.(\d{9}) \(\+ +(\d+)\.(\d{9})\) (.*)')
-_CALL = re.compile(rb'(\w+)\((.*)\)\s+= (-?\d+)(?:<([^>]*)>(?:\(deleted\))?)?(?: \D.*?)?'
+_CALL = re.compile(rb'(\w+)\((.*)\)\s+= (-?\d+)(?:<([^>]*)>(?:\(deleted\))?)?(?: [^<].*?)?'
                    rb'(?: <(\d+)\.(\d{9})>)?')
 _FD = re.compile(rb'(\d+)<((?:\\x[0-9a-f]{2})+)>')
 _STRING = re.compile(rb'"((?:\\x[0-9a-f]{2})*)"')
-_FOR_WRITING = re.compile(rb', 0x[0-9a-f]*2\b')        # flags of an open with O_RDWR
 _UNFINISHED = b' <unfinished ...>'
 _CFLAG = re.compile(rb'c_cflags?=([x0-9a-f|]+)')
 _OSPEED = re.compile(rb'c_ospeed=(\d+)')
@@ -66,14 +62,13 @@ _LINES = {2: DTR, 4: RTS}
 
 
 class PortEvent(NamedTuple):
-    """What a thread did with a port; what: a side, a name of msg_defs.event, or one of above."""
+    """What a program did with a port; what: a side, a name of msg_defs.event, or OPENED."""
 
     stamp: int                             # ns, monotonic
     port: str
     what: str
     data: bytes = b''
     value: int = 0
-    thread: int = 0
 
 
 class StraceParser:
@@ -119,16 +114,12 @@ class StraceParser:
         end = self._now + (0 if is_resumed else took)
         yield from self._call(found, thread, end - took, end)
 
-    def _call(self, found: re.Match[bytes], thread: int, begin: int, end: int) -> Iterator[PortEvent]:
+    def _call(self, found: re.Match[bytes], thread: int, begin: int,
+              end: int) -> Iterator[PortEvent]:
         name, arguments, result = found[1].decode(), found[2], int(found[3])
-        made = _text(found[4] or b'')
-        if made.startswith(USB) and _FOR_WRITING.search(arguments):
-            yield PortEvent(begin, made, LIBUSB, thread=thread)
-        yield from self._hold(made, thread, result, end)
+        yield from self._hold(_text(found[4] or b''), thread, result, end)
         first = _FD.match(arguments)
         port = '' if first is None else _text(first[2])
-        if port == RING:
-            yield PortEvent(begin, '', IO_URING, thread=thread)
         if first is None or not PORT.fullmatch(port):
             return
         if name == 'close':
@@ -139,20 +130,20 @@ class StraceParser:
             return
         if name == 'ioctl':
             with suppress(ValueError):         # numbers that are none
-                yield from self._ioctl(port, thread, arguments, end)
+                yield from self._ioctl(port, arguments, end)
         elif name in _UNSEEN and result:
-            yield PortEvent(end, port, LOST, value=1, thread=thread)
+            yield PortEvent(end, port, LOST, value=1)
         elif name in _WRITES or name in _READS:
             data = b''.join(map(_bytes, _STRING.findall(arguments)))[:result]
             is_out = name in _WRITES
             stamp = max(begin, end - LATE_NS) if is_out else end
             if data:
                 yield from self._rate(port, stamp)
-                yield PortEvent(stamp, port, OUT if is_out else IN, data, thread=thread)
+                yield PortEvent(stamp, port, OUT if is_out else IN, data)
             if len(data) < result:
-                yield PortEvent(stamp, port, LOST, value=result - len(data), thread=thread)
+                yield PortEvent(stamp, port, LOST, value=result - len(data))
 
-    def _ioctl(self, port: str, thread: int, arguments: bytes, stamp: int) -> Iterator[PortEvent]:
+    def _ioctl(self, port: str, arguments: bytes, stamp: int) -> Iterator[PortEvent]:
         _, text, argument = arguments.split(b', ', 2)
         request = int(text, 0)
         if request in _SETTINGS:
@@ -185,7 +176,7 @@ class StraceParser:
             return
         holders = self._holders.setdefault(port, set())
         if not holders:
-            yield PortEvent(stamp, port, OPENED, thread=thread)
+            yield PortEvent(stamp, port, OPENED)
         holders.add((self._process(thread), descriptor))
 
     def _release(self, port: str, gone: set[tuple[int, int]], stamp: int) -> Iterator[PortEvent]:

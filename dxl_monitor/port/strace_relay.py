@@ -16,35 +16,21 @@ import sys
 import time
 
 from dxl_monitor.port import tap_sender as sent
-from dxl_monitor.port.strace_parser import PortEvent
-from dxl_monitor.port.strace_parser import IO_URING
-from dxl_monitor.port.strace_parser import LIBUSB
 from dxl_monitor.port.strace_parser import OPENED
+from dxl_monitor.port.strace_parser import PortEvent
 from dxl_monitor.port.strace_parser import StraceParser
-from dxl_monitor.port.strace_parser import USB
 from msg_defs import event
 
 _READ_SIZE = 1 << 16
 _KINDS = {event.OUT: sent.OUT, event.IN: sent.IN, event.PURGED: sent.PURGED,
           event.LOST: sent.LOST, event.DTR: sent.DTR, event.RTS: sent.RTS}
-_SAY = {
-    IO_URING: 'the program uses io_uring: what it reads and writes that way is not heard; listen '
-              'to usb:/dev/ttyUSB0',
-    LIBUSB: 'the program drives a USB device itself (libusb): if that is the servo adapter, '
-            'listen to usb:{}',
-}
-_PRIORITY = ('a thread with real-time priority uses {}: each of its calls now waits for strace, '
-             'which has none; do not trust its times')
 
 
 class _Relay:
-    def __init__(self, tool: str, name: str) -> None:
-        self._tool = tool
+    def __init__(self, name: str) -> None:
         self._sender = sent.Sender(name)
         self._numbers: dict[str, int] = {}
         self._rates: dict[str, int] = {}       # by port, also while it is closed
-        self._said: set[str] = set()
-        self._threads: set[int] = set()        # that were looked at
 
     def run(self, output: int) -> None:
         parser = StraceParser(process_of)
@@ -54,15 +40,8 @@ class _Relay:
         self._sender.end()
 
     def _take(self, one: PortEvent) -> None:
-        stamp, port, what, data, value, thread = one
-        if thread and thread not in self._threads:
-            self._threads.add(thread)
-            if _is_real_time(thread):
-                self._say(_PRIORITY.format(port))
-        if what in _SAY:
-            device = '.'.join(str(int(part)) for part in port.removeprefix(USB).split('/') if part)
-            self._say(_SAY[what].format(device))
-        elif what == OPENED:
+        stamp, port, what, data, value = one
+        if what == OPENED:
             self._numbers[port] = self._sender.opened(port, self._rates.get(port, 0), stamp)
         elif what == event.CLOSED:
             self._sender.closed(self._numbers.pop(port, 0), stamp)
@@ -74,11 +53,6 @@ class _Relay:
         else:
             self._sender.number(_KINDS[what], self._numbers[port], value, stamp)
 
-    def _say(self, text: str) -> None:
-        if text not in self._said:
-            self._said.add(text)
-            print(f'{self._tool}: {text}', file=sys.stderr, flush=True)
-
 
 def process_of(thread: int) -> int:
     """Return the process of a thread; where that is over, the thread itself."""
@@ -88,12 +62,6 @@ def process_of(thread: int) -> int:
     return thread
 
 
-def _is_real_time(thread: int) -> bool:
-    with suppress(OSError):
-        return os.sched_getscheduler(thread) in (os.SCHED_FIFO, os.SCHED_RR)
-    return False
-
-
 def main() -> None:
-    """Run with the names of the tool that speaks and of the tap; stdin is what strace prints."""
-    _Relay(*sys.argv[1:]).run(sys.stdin.fileno())
+    """Run with the name of the tap; stdin is what strace prints."""
+    _Relay(sys.argv[1]).run(sys.stdin.fileno())

@@ -35,6 +35,7 @@ PYSERIAL, STRACE = 'pyserial', 'strace'
 WAYS = (PYSERIAL, STRACE)
 BY = ('how to hear it: inside a Python program that uses pyserial, or any program on Linux '
       'through strace; without this, what fits')
+STOPPED = 'strace was ended; the program goes on and is no longer heard'
 HANDED_ON = ('SIGTERM', 'SIGHUP', 'SIGQUIT', 'SIGUSR1', 'SIGUSR2')
 LOOK_S = 0.5                       # between two looks at what the program does
 REST_S = 1.0                       # for what the relay heard last
@@ -87,7 +88,7 @@ class StartedProgram:
                       f'them away; write sudo {self._tool} ...')
         self._say(f'{program} is heard through strace, and each of its calls takes 0.1 ms longer')
         self.child, self._relay = strace.start(
-            [program, *command[1:]], env, (self._tool, name), self._folder.name, stdout)
+            [program, *command[1:]], env, name, self._folder.name, stdout)
 
     @property
     def is_heard_out(self) -> bool:
@@ -98,29 +99,23 @@ class StartedProgram:
         print(f'{self._tool}: {text}', file=sys.stderr, flush=True)
 
     def _watch(self) -> None:
-        """Say once that something is not heard."""
-        look = self._is_left if self.way == STRACE else self._is_missed
-        before = ''
-        while True:
+        """Say once what is not heard."""
+        from dxl_monitor.port import strace
+
+        before, said = set[str](), set[str]()
+        while not said & {STOPPED}:
             time.sleep(LOOK_S)
-            found = look()
-            if found and found == before and self.child.returncode is None:
-                self._say(found)
+            if self.way == PYSERIAL:
+                found = strace.doubts(self.child.pid, set(map(os.path.realpath, self._used())))
+            else:
+                found = strace.doubts(self.child.pid) if strace.tracer(self.child.pid) \
+                    else {STOPPED}
+            if self.child.returncode is not None:
                 return
+            for text in sorted(found & before - said):
+                self._say(text)
+            said |= found & before
             before = found
-
-    def _is_left(self) -> str:
-        from dxl_monitor.port import strace
-
-        return '' if strace.tracer(self.child.pid) else \
-            'strace was ended; the program goes on and is no longer heard'
-
-    def _is_missed(self) -> str:
-        from dxl_monitor.port import strace
-
-        held = strace.held(self.child.pid) - {os.path.realpath(port) for port in self._used()}
-        return f'{min(held)} is open, but not through pyserial, and is not heard; write ' \
-            f'--by {STRACE} in front of --' if held else ''
 
     def _used(self) -> list[str]:
         """Return the ports that were heard to be opened."""

@@ -1,0 +1,292 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Programs heard through strace: what it prints, read; real programs, heard to the byte.
+
+strace_6.1.txt was recorded from a program that reads, writes, sets rates (57600, then a free one),
+flushes, blocks in a thread, forks and copies its descriptor.
+"""
+
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+from hypothesis import given
+from hypothesis import settings
+from hypothesis import strategies as st
+import pytest
+from test_tap import closed
+from test_tap import DEADLINE_S
+from test_tap import heard
+from test_tap import listen
+from test_tap import peers
+from test_tap import PLAIN
+from test_tap import ROOT
+from test_tap import tap
+
+from dxl_monitor.port import strace
+from dxl_monitor.port import tap_sender as sent
+from dxl_monitor.port.strace_parser import OPENED
+from dxl_monitor.port.strace_parser import StraceParser
+from dxl_monitor.port.tap_reader import TapReader
+from msg_defs.event import BAUD
+from msg_defs.event import CLOSED
+from msg_defs.event import DTR
+from msg_defs.event import IN
+from msg_defs.event import LOST
+from msg_defs.event import OUT
+from msg_defs.event import PURGED
+from msg_defs.event import RTS
+
+RECORDED = Path(__file__).with_name('strace_6.1.txt').read_bytes()
+FIRST = 1795438179_000000000              # the second in which it was recorded
+MAIN, BLOCKED = (int(RECORDED.splitlines()[at].split()[0]) for at in (0, 23))   # threads
+needs_strace = pytest.mark.skipif(shutil.which('strace') is None or bool(strace.why_not()),
+                                  reason='skipped: no strace here that may trace')
+needs_cc = pytest.mark.skipif(shutil.which('cc') is None, reason='skipped: no C compiler')
+
+
+@pytest.fixture(autouse=True)
+def _environment(monkeypatch, meeting_place):
+    monkeypatch.delenv('PYTHONPATH', raising=False)
+    monkeypatch.setenv('XDG_RUNTIME_DIR', meeting_place)
+
+
+def process_of(thread):
+    return MAIN if thread == BLOCKED else thread
+
+
+def events(*pieces, ahead=0, of=process_of):
+    parser = StraceParser(of)
+    return [one for piece in pieces for one in parser.feed(piece, ahead)]
+
+
+def hexed(text):
+    return ''.join(f'\\x{one:02x}' for one in text.encode('latin-1'))
+
+
+PORT = hexed('/dev/ttyUSB0')
+
+
+def said(*calls, every='0.001000000'):
+    """Return what is said of calls; 'P' is the port, `text` is written in hex."""
+    lines = []
+    for call in calls:
+        thread, _, text = call.partition(' ')
+        parts = text.replace('<P>', f'<{PORT}>').split('`')
+        parts[1::2] = [f'"{hexed(part)}"' for part in parts[1::2]]
+        lines.append(f'{thread} 100.000000000 (+     {every}) {"".join(parts)}\n')
+    return [(one.what, one.data or one.value) for one in events(
+        ''.join(lines).encode(), of=lambda thread: thread // 10 * 10)]
+
+
+def test_a_recorded_program():
+    found = events(RECORDED, ahead=-FIRST)
+    assert {one.port for one in found} == {'/dev/pts/0'}
+    assert [(one.what, one.data or one.value) for one in found] == [
+        (OPENED, 0), (BAUD, 38400), (PURGED, 1), (BAUD, 57600), (BAUD, 1500000), (OUT, b'hello'),
+        (IN, b'hello'), (OUT, b'ab\xff\xfe'), (IN, b'ab\xff\xfe'), (PURGED, 1), (OUT, b'more'),
+        (IN, b'more'), (OUT, b'child'), (IN, b'child'), (OUT, b'x'), (CLOSED, 0)]
+    stamps = [one.stamp for one in found]
+    assert stamps == sorted(stamps)
+    assert 0 < stamps[0] < stamps[-1] < 1e9
+    out, back = (one.stamp for one in found if one.data == b'more')
+    assert 0 < back - out < 1e6                # not when the reading began, 20 ms before
+
+
+def test_any_pieces_and_a_stepped_clock_change_nothing():
+    whole = events(RECORDED, ahead=-FIRST)
+    assert events(*(RECORDED[at:at + 1] for at in range(len(RECORDED))), ahead=-FIRST) == whole
+    parser = StraceParser(process_of)
+    again = [one for line in RECORDED.splitlines(True) for one in parser.feed(
+        line.replace(b' 17954381', b' 99' if parser._now else b' 17954381'), -FIRST)]
+    assert again == whole
+
+
+@settings(derandomize=True, deadline=None, database=None, max_examples=100)
+@given(st.lists(st.tuples(st.integers(0, len(RECORDED) - 1), st.binary(max_size=5),
+                          st.integers(0, 30)), max_size=30))
+def test_nothing_that_strace_may_print_raises(changes):
+    text = RECORDED
+    for at, new, size in changes:
+        text = text[:at] + new + text[at + size:]
+    for one in events(text):
+        assert one.what in (OUT, IN) or not one.data
+
+
+@pytest.mark.parametrize(('calls', 'expected'), [
+    (['10 write(3<P>, `abc`, 3) = 2 <0.000000001>'], [(OUT, b'ab')]),
+    (['10 write(3<P>, `abc`, 3) = -1 EAGAIN (Resource temporarily unavailable)'], []),
+    (['10 write(3<P>, `ab`..., 9) = 9'], [(OUT, b'ab'), (LOST, 7)]),
+    (['10 splice(3<P>, NULL, 4<\\x2f>, NULL, 99, 0) = 7'], [(LOST, 1)]),
+    (['10 ioctl(3<P>, 0x5416, [0x2|0x4]) = 0'], [(DTR, 1), (RTS, 1)]),
+    (['10 ioctl(3<P>, 0x5417, [0x2]) = 0', '10 ioctl(3<P>, 0x5418, [0x2]) = 0'],
+     [(DTR, 0), (DTR, 1), (RTS, 0)]),
+    (['10 ioctl(3<P>, 0x540b, 0x1) = 0'], [(PURGED, 2)]),
+    (['10 ioctl(3<P>, 0x5402, {c_cflag=0x1008|0x30}) = 0',
+      '10 ioctl(3<P>, 0x541f, 0x7f) = 0', '10 ioctl(3<P>, 0x5402, {c_cflags=0xf}) = 0'],
+     [(BAUD, 1000000)]),
+    (['10 ioctl(3<P>, 0x5401, {c_cflag=0xd}) = 0', '10 read(3<P>, `a`, 1) = 1'],
+     [(BAUD, 9600), (IN, b'a')]),
+    (['11 read(3<P>,  <unfinished ...>', '20 write(3<P>, `b`, 1) = 1',
+      '11 <... read resumed>`a`, 1) = 1', '12 read(3<P>,  <unfinished ...>',
+      '12 +++ exited with 0 +++', '11 <... read resumed>`a`, 1) = 1'], [(OUT, b'b'), (IN, b'a')]),
+    (['12 close(3<P>(deleted)) = 0', '10 write(4<P>, `b`, 1) = 1'],
+     [(CLOSED, 0), (OPENED, 0), (OUT, b'b')]),
+    (['20 write(3<P>, `b`, 1) = 1', '11 close(3<P>) = 0', '20 +++ killed by SIGKILL +++'],
+     [(OUT, b'b'), (CLOSED, 0)]),
+    (['10 fcntl(3<P>, 0x406, 0) = 4<P>', '11 close(3<P>) = 0', '11 +++ exited with 0 +++',
+      '12 close(4<P>) = 0'], [(CLOSED, 0)]),
+    (['10 write(1<\\x2f\\x64\\x65\\x76\\x2f\\x74\\x74\\x79\\x31>, `a`, 1) = 1'], []),
+])
+def test_single_calls(calls, expected):
+    assert said('10 openat(-100<\\x2f>, `/dev/ttyUSB0`, 0x2) = 3<P>', *calls) == [
+        (OPENED, 0), *expected]
+
+
+def test_a_long_write_has_a_time_near_its_end():
+    [_, one] = events(f'10 5.0 (+ 0.0) write(3<{PORT}>, "", 0) = 0 <1.0>\n'.replace(
+        '.0', '.000000000').encode(), f'10 5.000000000 (+ 1.000000000) write(3<{PORT}>, "\\x61", '
+        '1) = 1 <1.000000000>\n'.encode())
+    assert one.stamp == int(6.98e9)
+
+
+@pytest.fixture(scope='session')
+def program_in_c(tmp_path_factory):
+    program = tmp_path_factory.mktemp('c') / 'serial_program'
+    subprocess.run(['cc', '-o', program, Path(__file__).with_name('serial_program.c'), '-pthread'],
+                   check=True)
+    return program
+
+
+SHELL = """
+    stty -F "$0" 57600 raw -echo
+    exec 3<>"$0"
+    for at in 1 2 3; do printf '\\377%s' $at >&3; head -c 2 <&3 >/dev/null; done
+    exit 7"""
+
+
+@needs_strace
+@needs_cc
+@pytest.mark.alone
+@pytest.mark.parametrize('kind', ['C', 'shell', 'Python'])
+def test_every_byte_of_a_program(kind, request):
+    with peers(lambda data: data) as (far,), TapReader('robot') as reader:
+        path = far.pty.path
+        code, options, command = 7, (), ()
+        if kind == 'C':
+            command = request.getfixturevalue('program_in_c'), path, '30'
+        elif kind == 'shell':
+            command = 'sh', '-c', textwrap.dedent(SHELL), path
+        else:
+            code, options = 0, ('--by', 'strace')
+            command = sys.executable, '-c', textwrap.dedent(PLAIN.format(path=path, times=20))
+        done = tap('robot', *options, '--', *map(str, command))
+        assert done.returncode == code
+        assert done.stderr.count('\n') == 1
+        assert 'is heard through strace' in done.stderr
+        told = listen(reader, lambda told: reader.programs == 0 and closed(1)(told))
+        told += reader.rest()
+        assert heard(told, sent.OUT, path) == far.got != b''
+        assert heard(told, sent.IN, path) == far.sent
+        rates = [one.value for one in told if one.kind == sent.BAUD]
+        assert list(dict.fromkeys(rates)) == {'C': [1000000, 57600], 'shell': [57600],
+                                       'Python': [1000000]}[kind]
+
+
+LASTING = """
+    import os, select, sys
+    port = os.open({path!r}, os.O_RDWR | os.O_NOCTTY)
+    print(sorted(map(int, os.listdir('/proc/self/fd'))), flush=True)
+    while not select.select([0], [], [], 0.001)[0]:
+        os.write(port, b'x')
+    sys.exit(5)"""
+READING = """
+from dxl_monitor.port.tap_reader import TapReader
+reader = TapReader('robot')
+print('ready', flush=True)
+while not reader.wait(1.0): pass
+print('heard', flush=True)
+while True: reader.wait(1.0)"""
+
+
+@needs_strace
+@pytest.mark.alone
+@pytest.mark.parametrize('victim', ['strace', 'relay', 'reader', 'stopped reader'])
+def test_the_program_goes_on_when_others_are_killed(victim, again):
+    with peers(lambda data: b'') as (far,), subprocess.Popen(
+            [sys.executable, '-c', READING], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as reader, subprocess.Popen(
+            [sys.executable, '-m', 'dxl_monitor.tools.tap', 'robot', '--by', 'strace', '--',
+             sys.executable, '-c', textwrap.dedent(LASTING.format(path=far.pty.path))], cwd=ROOT,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True) as tool:
+        try:
+            assert tool.stdout.readline() == '[0, 1, 2, 3, 4]\n'       # it has no more than else
+            assert [reader.stdout.readline(), reader.stdout.readline()] == ['ready\n', 'heard\n']
+            children = Path(f'/proc/{tool.pid}/task/{tool.pid}/children').read_text().split()
+            [child] = [int(one) for one in children if strace.tracer(one)]
+            [relay] = [int(one) for one in children if int(one) != child]
+            os.kill({'strace': strace.tracer(child), 'relay': relay}.get(victim, reader.pid),
+                    signal.SIGSTOP if victim == 'stopped reader' else signal.SIGKILL)
+            for _ in range(5):
+                before, until = len(far.got), time.monotonic() + DEADLINE_S
+                while len(far.got) < before + 20:
+                    assert time.monotonic() < until
+                    time.sleep(0.01)
+            assert tool.stderr.readline().endswith('each of its calls takes 0.1 ms longer\n')
+            if victim in ('strace', 'relay'):
+                assert 'strace was ended; the program goes on' in tool.stderr.readline()
+            tool.communicate('\n', timeout=DEADLINE_S)
+            assert tool.returncode == 5
+        finally:
+            reader.kill()
+            tool.kill()
+
+
+@needs_strace
+@pytest.mark.alone
+def test_a_port_that_pyserial_did_not_open_is_named():
+    code = textwrap.dedent(LASTING)
+    with peers(lambda data: data) as (far,), subprocess.Popen(
+            [sys.executable, '-m', 'dxl_monitor.tools.tap', 'robot', '--', sys.executable, '-c',
+             code.format(path=far.pty.path)], cwd=ROOT, stdin=subprocess.PIPE, text=True,
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as tool:
+        assert 'through pyserial' in tool.stderr.readline()
+        assert f'{far.pty.path} is open, but not through pyserial, and is not heard; write --by ' \
+            'strace' in tool.stderr.readline()
+        tool.communicate('\n', timeout=DEADLINE_S)
+
+
+@pytest.mark.parametrize(('script', 'words'), [
+    (None, 'strace is not installed; sudo apt install strace'),
+    ('echo "strace: PTRACE_TRACEME: Operation not permitted" >&2; exit 1',
+     'PTRACE_TRACEME: Operation not permitted; a container needs --cap-add SYS_PTRACE')])
+def test_what_keeps_strace_away_is_said_before_the_start(tmp_path, script, words):
+    if script:
+        (tmp_path / 'strace').write_text(f'#!/bin/sh\n{script}\n')
+        (tmp_path / 'strace').chmod(0o755)
+    done = tap('robot', '--', '/bin/echo', 'started', PATH=str(tmp_path))
+    assert (done.returncode, done.stdout, done.stderr.count('\n')) == (1, '', 1)
+    assert words in done.stderr
+
+
+@pytest.mark.alone
+def test_python_is_that_of_the_user_and_not_that_of_the_tool(tmp_path):
+    for name in ('tool', 'user'):
+        subprocess.run([sys.executable, '-m', 'venv', '--without-pip', tmp_path / name],
+                       check=True)
+    [place] = (tmp_path / 'user/lib').glob('*/site-packages')
+    (place / 'only_here.py').touch()
+    path = os.pathsep.join((str(tmp_path / 'tool/bin'), str(tmp_path / 'user/bin')))
+    done = subprocess.run(
+        [tmp_path / 'tool/bin/python', '-m', 'dxl_monitor.tools.tap', 'robot', '--', 'python',
+         '-c', 'import only_here; print("found")'], cwd=ROOT, capture_output=True, text=True,
+        env={**os.environ, 'PATH': path, 'VIRTUAL_ENV': str(tmp_path / 'tool')})
+    assert done.stdout == 'found\n', done.stderr
+    assert f'{tmp_path}/user/bin/python is heard' in done.stderr
