@@ -239,7 +239,7 @@ def test_the_program_goes_on_when_others_are_killed(victim, again):
                 while len(far.got) < before + 20:
                     assert time.monotonic() < until
                     time.sleep(0.01)
-            assert tool.stderr.readline().endswith('each of its calls takes 0.1 ms longer\n')
+            assert 'is heard through strace' in tool.stderr.readline()
             if victim in ('strace', 'relay'):
                 assert 'strace was ended; the program goes on' in tool.stderr.readline()
             tool.communicate('\n', timeout=DEADLINE_S)
