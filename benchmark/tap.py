@@ -1,9 +1,9 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a tap adds to a call of pyserial: the same master without it, with it, and with a reader.
+What a tap adds to a call of pyserial: without it, with it, with a reader, and through strace.
 
-The three are processes that live all the time and take turns, a few ms each, in a new order each
+These are processes that live all the time and take turns, a few ms each, in a new order each
 round. What they read is there before, so that no other end is measured.
 """
 
@@ -13,6 +13,8 @@ from contextlib import ExitStack
 from contextlib import suppress
 from functools import partial
 import os
+import shutil
+import sys
 import tempfile
 from unittest.mock import patch
 
@@ -26,7 +28,8 @@ from rigs.harness import Options
 
 CALLS = 200                        # in a turn, each kind: less than a pty has room for
 ROUNDS = 50
-PLAIN, ALONE, HEARD = 'without a tap', 'tapped, no listener', 'tapped and heard'
+PLAIN, ALONE, HEARD, TRACED = (
+    'without a tap', 'tapped, no listener', 'tapped and heard', 'through strace')
 WANTED = 'wanted: at most 10 at the median'
 
 
@@ -39,6 +42,10 @@ def run(options: Options) -> list[Figure]:
         listener.hear()
         cases = {name: partial(_turn, *_master(stack, env)) for name, env in (
             (PLAIN, None), (ALONE, environment('alone')), (HEARD, environment('heard')))}
+        if shutil.which('strace'):
+            cases[TRACED] = partial(_turn, *_master(
+                stack, None, 'dxl_monitor.tools.tap', 'traced', '--by', 'strace', '--',
+                sys.executable, '-m'))
         for turn in cases.values():            # the first calls are slower
             turn()
         turns = interleaved(cases, rounds)
@@ -49,9 +56,9 @@ def run(options: Options) -> list[Figure]:
     return [figure for call in ('write', 'read') for figure in _figures(call, turns)]
 
 
-def _master(stack: ExitStack, env: dict[str, str] | None) -> tuple[Child, Pty]:
+def _master(stack: ExitStack, env: dict[str, str] | None, *under: str) -> tuple[Child, Pty]:
     pty = stack.enter_context(Pty())
-    master = stack.enter_context(Child('benchmark.tap_master', pty.path, env=env))
+    master = stack.enter_context(Child(*under, 'benchmark.tap_master', pty.path, env=env))
     master.hear()
     return master, pty
 
@@ -73,4 +80,4 @@ def _figures(call: str, turns: dict[str, list[dict[str, float]]]) -> list[Figure
     return [Figure(section, name, 'us', values) for name, values in times.items()] + [
         Figure(section, f'{name}: added', 'us',
                [tapped - plain for tapped, plain in zip(times[name], times[PLAIN], strict=True)],
-               WANTED) for name in (ALONE, HEARD)]
+               '' if name == TRACED else WANTED) for name in times if name != PLAIN]

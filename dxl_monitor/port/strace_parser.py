@@ -47,7 +47,7 @@ _CALL = re.compile(rb'(\w+)\((.*)\)\s+= (-?\d+)(?:<([^>]*)>(?:\(deleted\))?)?(?:
 _FD = re.compile(rb'(\d+)<((?:\\x[0-9a-f]{2})+)>')
 _STRING = re.compile(rb'"((?:\\x[0-9a-f]{2})*)"')
 _UNFINISHED = b' <unfinished ...>'
-_CFLAG = re.compile(rb'c_cflags?=([x0-9a-f|]+)')
+_CFLAG = re.compile(rb'c_cflags?=(0x[0-9a-f]+)')        # the rate, or all flags
 _OSPEED = re.compile(rb'c_ospeed=(\d+)')
 _RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios)
           if re.fullmatch(r'B[1-9]\d*', name)}
@@ -220,7 +220,7 @@ def _flags(text: bytes) -> int:
 def _rate(settings: bytes) -> int:
     """Return the rate in a struct termios or termios2, 0 where it is unknown."""
     flags = _CFLAG.search(settings)
-    speed = _flags(flags[1]) & _CBAUD if flags else 0
+    speed = int(flags[1], 16) & _CBAUD if flags else 0
     free = _OSPEED.search(settings)
     if speed == _BOTHER:
         return int(free[1]) if free else 0

@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The listener on `tap:NAME` or `tap:NAME/PORT`: a Python master that dxl_tap started."""
+"""The listener on `tap:NAME` or `tap:NAME/PORT`: a program that dxl_tap started."""
 
 from __future__ import annotations
 

@@ -45,8 +45,7 @@ def of_tap(name: str) -> list[str]:
     """Return why tap:NAME heard no byte."""
     program = name.partition(':')[2].partition('/')[0]
     return [f'No program sent anything: start it with dxl_tap {program} -- COMMAND, and listen '
-            'while it runs.', 'A tap works with programs that use pyserial; listen to others with '
-            'usb:/dev/ttyUSB0.']
+            'while it runs.']
 
 
 def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> list[str]:
