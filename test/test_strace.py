@@ -7,6 +7,7 @@ strace_6.1.txt was recorded from a program that reads, writes, sets rates (57600
 flushes, blocks in a thread, forks and copies its descriptor.
 """
 
+import json
 import os
 from pathlib import Path
 import shutil
@@ -197,6 +198,19 @@ def test_every_byte_of_a_program(kind, request):
         rates = [one.value for one in told if one.kind == sent.BAUD]
         assert list(dict.fromkeys(rates)) == {'C': [1000000, 57600], 'shell': [57600],
                                        'Python': [1000000]}[kind]
+
+
+@needs_strace
+@pytest.mark.alone
+def test_the_doctor_hears_a_program_to_its_end():
+    with peers(lambda data: data) as (far,):
+        done = subprocess.run(
+            [sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', '--json', 'run', '--by',
+             'strace', '--', sys.executable, '-c',
+             textwrap.dedent(PLAIN.format(path=far.pty.path, times=20))],
+            cwd=ROOT, capture_output=True, text=True, timeout=60)
+        [bus] = json.loads(done.stdout)['buses']
+        assert (bus['baud'], bus['counters']['Bytes']) == (1000000, 2 * len(far.got))
 
 
 LASTING = """

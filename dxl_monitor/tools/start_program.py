@@ -152,11 +152,12 @@ def environment(name: str, env: dict[str, str] | None = None) -> dict[str, str]:
 def own_environment() -> dict[str, str]:
     """Return the environment variables, without the venv that holds this tool and nothing else."""
     env = {**os.environ}
-    if sys.prefix == sys.base_prefix or not _is_tools_own():
-        return env
     own = os.path.realpath(sys.prefix)
-    env['PATH'] = os.pathsep.join(folder for folder in os.get_exec_path()
-                                  if os.path.dirname(os.path.realpath(folder)) != own)
+    folders = [folder for folder in os.get_exec_path()
+               if os.path.dirname(os.path.realpath(folder)) != own]
+    if sys.prefix == sys.base_prefix or folders == os.get_exec_path() or not _is_tools_own():
+        return env
+    env['PATH'] = os.pathsep.join(folders)
     if os.path.realpath(env.get('VIRTUAL_ENV', '')) == own:
         del env['VIRTUAL_ENV']
     return env
