@@ -98,14 +98,16 @@ def test_usbmon_shows_every_packet_of_a_master_and_follows_its_adapter(
     record_property('figure', f'{both_sides(log, 2)} packets, both sides')
 
 
+@pytest.mark.parametrize('by', ['pyserial', 'strace'])
 @pytest.mark.parametrize('kind', KINDS, ids=lambda kind: kind.driver)
 def test_a_tap_shows_every_packet_of_a_master_and_follows_it_to_its_next_start(
-        guest: Guest, bus: FakeBus, kind: type[Adapter], record_property: Any) -> None:
+        guest: Guest, bus: FakeBus, kind: type[Adapter], by: str, record_property: Any) -> None:
+    guest.run('sysctl -q kernel.yama.ptrace_scope=1')          # as Ubuntu has it
     dump = guest.start('dump', f'dxl_dump tap:{TAP} --json --full', 'robot')
     guest.wait(f'ls /tmp/mecarover_serial-*/{TAP}.*', timeout_s=200)
     with kind(guest, bus.path, gather=False) as adapter:
         for wanted in (6, 12):
-            guest.run(f'dxl_tap {TAP} -- python - {adapter.path}', 'robot', stdin=MASTER,
+            guest.run(f'dxl_tap {TAP} --by {by} -- python - {adapter.path}', 'robot', stdin=MASTER,
                       timeout_s=300)
             guest.wait(f'[ $(journalctl -q -u {dump.name} -o cat | grep -c Status) -ge {wanted} ]')
             adapter.unplug()

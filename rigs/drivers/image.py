@@ -25,7 +25,7 @@ from rigs.debian import wheels_for
 
 PACKAGES = ('systemd-sysv', 'udev', 'dbus', 'linux-image-amd64', 'initramfs-tools', 'python3',
             'python3-venv', 'sudo', 'procps', 'kmod', 'psmisc', 'login', 'qemu-guest-agent',
-            'usbutils')
+            'usbutils', 'strace')
 EXTRAS = ('ros', 'dashboard')       # extras of setup.py
 ALSO = ('setuptools', 'wheel', 'dynamixel-sdk')
 SOURCES_ONLY = ('empy<4',)          # ROS 2 wants it, and it has no wheel
