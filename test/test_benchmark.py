@@ -4,6 +4,7 @@
 
 import json
 import os
+from shutil import which
 from tempfile import TemporaryDirectory
 import xml.dom.minidom
 
@@ -58,7 +59,7 @@ def test_beside_a_camera_only_the_events_of_the_adapter_are_copied():
 
 def test_the_masters_beside_each_other_are_tapped_heard_and_neither():
     figures = tap.run(Options(asked_rounds=2))         # it raises where nothing was heard
-    assert len(figures) == 10
+    assert len(figures) == (14 if which('strace') else 10)
     assert all(value > 0 for figure in figures if not figure.beside for value in figure.values)
 
 
