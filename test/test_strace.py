@@ -291,16 +291,19 @@ def test_what_keeps_strace_away_is_said_before_the_start(tmp_path, script, words
 
 
 @pytest.mark.alone
-def test_python_is_that_of_the_user_and_not_that_of_the_tool(tmp_path):
+@pytest.mark.parametrize('chosen', ['user', 'tool'])
+def test_python_is_that_of_the_user_unless_the_tool_shares_it(tmp_path, chosen):
     for name in ('tool', 'user'):
         subprocess.run([sys.executable, '-m', 'venv', '--without-pip', tmp_path / name],
                        check=True)
-    [place] = (tmp_path / 'user/lib').glob('*/site-packages')
+    [place] = (tmp_path / chosen / 'lib').glob('*/site-packages')
     (place / 'only_here.py').touch()
+    (place / 'only_here.dist-info').mkdir()
+    (place / 'only_here.dist-info/METADATA').write_text('Name: only_here')
     path = os.pathsep.join((str(tmp_path / 'tool/bin'), str(tmp_path / 'user/bin')))
     done = subprocess.run(
         [tmp_path / 'tool/bin/python', '-m', 'dxl_monitor.tools.tap', 'robot', '--', 'python',
          '-c', 'import only_here; print("found")'], cwd=ROOT, capture_output=True, text=True,
         env={**os.environ, 'PATH': path, 'VIRTUAL_ENV': str(tmp_path / 'tool')})
     assert done.stdout == 'found\n', done.stderr
-    assert f'{tmp_path}/user/bin/python is heard' in done.stderr
+    assert f'{tmp_path}/{chosen}/bin/python is heard' in done.stderr

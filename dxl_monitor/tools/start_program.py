@@ -43,6 +43,7 @@ REST_S = 1.0                       # for what the relay heard last
 _PYTHON = re.compile(r'(python|pypy)[\d.]*w?(\.exe)?')
 _SCRIPT = re.compile(rb"#!.*(python|pypy)|#!/bin/sh\n'''exec'")
 _PACKAGE = 'mecarover_serial'
+_DEVELOPER = re.compile(r'extra == .(test|docs|fuzz|mutation)\b')
 _TOOLS = {_PACKAGE, 'pip', 'setuptools', 'wheel'}
 
 
@@ -172,7 +173,7 @@ def _is_tools_own() -> bool:
         one = here.get(left.pop())
         for text in (one.requires or ()) if one else ():
             name = _plain(re.split(r'[^\w.-]', text, maxsplit=1)[0])
-            if name not in needed:
+            if name not in needed and not _DEVELOPER.search(text):
                 needed.add(name)
                 left.append(name)
     return here.keys() <= needed
