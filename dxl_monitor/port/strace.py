@@ -20,6 +20,7 @@ from dxl_monitor.port.strace_parser import OPTIONS
 from dxl_monitor.port.strace_parser import PORT
 from mecarover_serial.port_users import controlling
 from mecarover_serial.port_users import file_text
+from mecarover_serial.port_users import PTYS
 
 START_S = 5.0                      # within which strace opens the pipe
 _ABSENT = [f'/dev/tty{kind}{number}' for kind in ('USB', 'ACM') for number in range(16)]
@@ -44,10 +45,14 @@ def ports() -> set[str]:
     own = {controlling(Path('/proc/self'))}
     for standard in range(3):
         with suppress(OSError):
-            own.add(os.fstat(standard).st_rdev)
-    return {*_ABSENT} | {str(path) for folder in ('/dev', '/dev/pts') for path in
-                         Path(folder).iterdir() if PORT.fullmatch(str(path))
-                         and not path.is_symlink() and path.stat().st_rdev not in own}
+            device = os.fstat(standard).st_rdev
+            own |= {device} if os.major(device) in PTYS else set()
+    found = {*_ABSENT}
+    for path in (*Path('/dev').glob('*'), *Path('/dev/pts').glob('*')):
+        with suppress(OSError):
+            if PORT.fullmatch(str(path)) and path.lstat().st_rdev not in own:
+                found.add(str(path))
+    return found
 
 
 def why_not() -> str:

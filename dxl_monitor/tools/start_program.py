@@ -122,8 +122,10 @@ class StartedProgram:
 
     def _used(self) -> list[str]:
         """Return the ports that were heard to be opened."""
-        lines = self._mark.read_bytes().splitlines() if self._mark.exists() else []
-        return [line.removeprefix(USED).decode() for line in lines if line.startswith(USED)]
+        with suppress(OSError):
+            return [line.removeprefix(USED).decode() for line in
+                    self._mark.read_bytes().splitlines() if line.startswith(USED)]
+        return []
 
     def end(self) -> str:
         """Wait for the program; return why nothing was heard, '' where a port was opened."""
@@ -166,7 +168,7 @@ def own_environment() -> dict[str, str]:
 
 def _is_tools_own() -> bool:
     """Tell whether all packages of this venv are here because of this one."""
-    here = {_plain(one.metadata['Name']): one for one in metadata.distributions(
+    here = {_plain(one.metadata['Name'] or ''): one for one in metadata.distributions(
         path=[path for path in sys.path if path.startswith(sys.prefix)])}
     needed, left = set(_TOOLS), [_PACKAGE]
     while left:
