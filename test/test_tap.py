@@ -425,7 +425,7 @@ def test_command_line():
     assert silent.returncode == 7
     assert 'opened no port through pyserial' in silent.stderr
     assert 'write --by strace' in silent.stderr
-    assert 'did not load the tap' in tap('arm', '--by', 'pyserial', '--', 'true').stderr
+    assert 'did not load the tap' in tap('arm', '--by', 'tap', '--', 'true').stderr
     for arguments, words in ((('arm',), 'COMMAND: not given'),
                              (('a/b', '--', 'true'), "'a/b' cannot be the name of a tap")):
         wrong = tap(*arguments)

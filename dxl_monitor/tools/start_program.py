@@ -32,10 +32,10 @@ from dxl_monitor.port.tap_sender import TAP_MARK
 from dxl_monitor.port.tap_sender import TAP_NAME
 from dxl_monitor.port.tap_sender import USED
 
-PYSERIAL, STRACE = 'pyserial', 'strace'
-WAYS = (PYSERIAL, STRACE)
-BY = ('how to hear it: inside a Python program that uses pyserial, or any program on Linux '
-      'through strace; without this, what fits')
+TAP, STRACE = 'tap', 'strace'
+WAYS = (TAP, STRACE)
+BY = ('how to hear it: tap, inside a Python program that uses pyserial, or strace, any program on '
+      'Linux (default: what fits)')
 STOPPED = 'strace was ended; the program goes on and is no longer heard'
 HANDED_ON = ('SIGTERM', 'SIGHUP', 'SIGQUIT', 'SIGUSR1', 'SIGUSR2')
 LOOK_S = 0.5                       # between two looks at what the program does
@@ -58,7 +58,7 @@ class StartedProgram:
         self._relay: subprocess.Popen[bytes] | None = None
         outside = own_environment()
         program = _find(command, outside)
-        self.way = by or (PYSERIAL if sys.platform != 'linux' or is_python(program) else STRACE)
+        self.way = by or (TAP if sys.platform != 'linux' or is_python(program) else STRACE)
         self._folder = tempfile.TemporaryDirectory(prefix=f'{tool}_')
         self._mark = Path(self._folder.name) / 'mark'
         outside[TAP_MARK] = str(self._mark)
@@ -86,7 +86,7 @@ class StartedProgram:
 
         problem = strace.why_not()
         if problem:
-            raise OSError(0, f'{problem}; or --by {PYSERIAL}, if it starts Python', self._command)
+            raise OSError(0, f'{problem}; or --by {TAP}, if it starts Python', self._command)
         if strace.loses_rights(program):
             self._say(f'{program} runs without the rights that its file gives it: strace takes '
                       f'them away; write sudo {self._tool} ...')
@@ -108,7 +108,7 @@ class StartedProgram:
         before, said = set[str](), set[str]()
         while not said & {STOPPED}:
             time.sleep(LOOK_S)
-            if self.way == PYSERIAL:
+            if self.way == TAP:
                 found = strace.doubts(self.child.pid, set(map(os.path.realpath, self._used())))
             else:
                 found = strace.doubts(self.child.pid) if strace.tracer(self.child.pid) \

@@ -98,7 +98,7 @@ def test_usbmon_shows_every_packet_of_a_master_and_follows_its_adapter(
     record_property('figure', f'{both_sides(log, 2)} packets, both sides')
 
 
-@pytest.mark.parametrize('by', ['pyserial', 'strace'])
+@pytest.mark.parametrize('by', ['tap', 'strace'])
 @pytest.mark.parametrize('kind', KINDS, ids=lambda kind: kind.driver)
 def test_a_tap_shows_every_packet_of_a_master_and_follows_it_to_its_next_start(
         guest: Guest, bus: FakeBus, kind: type[Adapter], by: str, record_property: Any) -> None:
