@@ -53,6 +53,7 @@ def test_mistakes(text: str, words: str) -> None:
     ('1::left/knee', '', '1::left/knee'),
     ('arm/1,2:MX-64', 'arm', '1,2:MX-64'),
     ('left/knee', '', 'left/knee'),
+    ('\n/1:XL-320:jaw', '\n', '1:XL-320:jaw'),
 ])
 def test_a_bus_and_a_joint_may_have_a_slash(entry: str, bus: str, device: str) -> None:
     assert split_bus(entry) == (bus, device)

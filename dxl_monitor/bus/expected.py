@@ -19,7 +19,7 @@ from mecarover_serial.parameters import refuse_twice
 MAX_ID = 252                       # in Protocol 2.0
 MAX_ID_1 = 253                     # in the 1.0 family
 _ENTRY = re.compile(r'\s*(\d+)\s*(?:-\s*(\d+)\s*)?(?::([^:]*))?(?::([^:]*))?')
-_BUS = re.compile(r'(.*?)/(\s*\d+\s*(?:[-:,].*)?)')       # both a bus and a joint may have a slash
+_BUS = re.compile(r'(.*?)/(\s*\d+\s*(?:[-:,].*)?)', re.DOTALL)    # a joint may have a slash too
 _EXAMPLES = "write ID:MODEL:JOINT, e.g. '11:MX-106:left_knee', '1-20:MX-64' or '30'"
 
 

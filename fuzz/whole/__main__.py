@@ -86,7 +86,7 @@ def main():
     found, count, seed = set(), 0, options.seed * 1_000_000
     if options.case is not None:
         where, error = fault_of(case_of(options.case), options.case)
-        traceback.print_exception(error)
+        print(''.join(traceback.format_exception(error)) if error else f'{where or "no fault"}')
         return int(bool(where))
     with suppress(KeyboardInterrupt):
         while time.process_time() < options.seconds and count < options.cases:

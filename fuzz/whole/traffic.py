@@ -7,6 +7,7 @@ import random
 import re
 from typing import NamedTuple
 
+from dxl_monitor.model.models import Models
 from fuzz.script import TRICKY
 from msg_defs import dxl1_packet
 from msg_defs.dxl_packet import BROADCAST
@@ -39,6 +40,8 @@ CODES_1 = (1, 2, 2, 2, 3, 4, 5, 6, 8, 9, 10, 11, 0x55, 0x55, 0x55, 0x82, 0x83, 0
 SIZES = (0, 1, 2, 3, 4, 8, 15, 56, 128, 247, 250, 251, 252, 253, 255, 256, 300, 1018, 1023)
 ADDRESSES = (0, 3, 5, 7, 24, 30, 36, 40, 41, 42, 55, 56, 63, 64, 70, 116, 122, 132, 144, 168, 224,
              600, 0x3FFF, 0xFFFF)
+REGISTERS = sorted({(field.at, field.size) for name in ('XL430-W250', 'AX-12A', 'STS3215')
+                    for field in Models().by_name(name).fields if 'Indirect' not in field.name})
 
 
 class Heard(NamedTuple):
@@ -140,9 +143,9 @@ def exchanges(chance):
 def _exchange_2(chance, ids):
     code = chance.choice(CODES_2) if chance.random() < 0.9 else chance.randrange(256)
     number = _id(chance, ids, 256)
-    address, size = chance.choice(ADDRESSES), chance.choice(SIZES)
+    address, size = _where(chance)
     where = address.to_bytes(2, 'little') + size.to_bytes(2, 'little')
-    data = chance.randbytes(min(size, 300))
+    data = _data(chance, min(size, 300))
     params = {
         1: b'', 2: where, 3: where[:2] + data, 4: where[:2] + data, 0x82: where + bytes(ids),
         0x8A: where + bytes(ids), 0x83: where + b''.join(bytes([one]) + data for one in ids),
@@ -161,8 +164,8 @@ def _exchange_2(chance, ids):
 def _exchange_1(chance, ids):
     code = chance.choice(CODES_1) if chance.random() < 0.9 else chance.randrange(256)
     number = _id(chance, ids, 255)
-    address, size = chance.choice(ADDRESSES) & 0xFF, chance.choice(SIZES) & 0xFF
-    data = chance.randbytes(min(size, 80))
+    address, size = (one & 0xFF for one in _where(chance))
+    data = _data(chance, min(size, 80))
     params = {
         1: b'', 2: bytes((address, size)), 3: bytes([address]) + data, 4: bytes([address]) + data,
         0x82: bytes((address, size, *ids)),
@@ -177,6 +180,20 @@ def _exchange_1(chance, ids):
     return [(dxl1_packet.encode(number, code, params), OUT), *answers]
 
 
+def _where(chance):
+    """Return address and size: of a register that servos have, or any."""
+    if chance.random() < 0.5:
+        return chance.choice(REGISTERS)
+    return chance.choice(ADDRESSES), chance.choice(SIZES)
+
+
+def _data(chance, size):
+    """Return bytes: a small number, as registers of settings hold, or any."""
+    if chance.random() < 0.5:
+        return chance.choice((0, 1, 1, 2, 7)).to_bytes(size, 'little') if size else b''
+    return chance.randbytes(size)
+
+
 def _id(chance, ids, end):
     return chance.choice((*ids, ids[0], BROADCAST, chance.randrange(end)))
 
@@ -184,7 +201,7 @@ def _id(chance, ids, end):
 def _answer(chance, code, size):
     if chance.random() < 0.1:
         return chance.randbytes(chance.randrange(12))
-    return chance.randbytes(min(size, 1000)) if code in (2, 0x82, 0x92) else b''
+    return _data(chance, min(size, 1000)) if code in (2, 0x82, 0x92) else b''
 
 
 def _error(chance):
