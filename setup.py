@@ -61,7 +61,6 @@ setup(
                  'rustypot==1.13.1; platform_machine == "x86_64"', 'axe-playwright-python',
                  *DOCS, *DASHBOARD, *MCAP, 'mcap>=1.2'],
         'docs': DOCS,
-        'fuzz': ['atheris>=2.3'],           # python -m fuzz; the tests do without
         'mutation': ['mutmut>=3.8'],        # which changes to the core no test notices
     },
     entry_points={'console_scripts': [
