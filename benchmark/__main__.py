@@ -20,10 +20,10 @@ from rigs.harness import table
 
 # Each is a module with run(options) -> list of figures.
 PLAIN = ('parsing', 'parsing_1', 'doctor', 'usb', 'tap', 'node_cost', 'bridge', 'start_up',
-         'messages', 'dashboard')
+         'dashboard')
 RIGS = {'soak': 'rigs'}     # in another folder than this one
 ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
-NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'messages', 'dashboard', *ALONE)
+NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'dashboard', *ALONE)
 
 
 class Failed(OSError):
@@ -84,7 +84,7 @@ def _run(section: str, settings: Options) -> list[Figure]:
     print(f'{section} ...', file=sys.stderr)
     module = import_module(f'{RIGS.get(section, "benchmark")}.{section}')
     figures: list[Figure] = module.run(settings)
-    print(getattr(module, 'layout', table)(figures), flush=True)
+    print(table(figures), flush=True)
     if found := getattr(module, 'problems', lambda figures: [])(figures):
         raise Failed(f'{section}: ' + '\n'.join(found))
     return figures

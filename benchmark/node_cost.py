@@ -69,14 +69,5 @@ def _figures(name: str, wanted: str, runs: dict[str, list[Run]]) -> list[Figure]
         figure('bytes on the bus', 'B/s', lambda one: one.sent / one.seconds),
         figure('overrun', 'B', lambda one: one.overrun),
         figure('longest gap between reads', 'ms', lambda one: one.longest_gap_ms),
-        Figure(SECTION, f'{name}: longest gap, thread / process', '', gaps, 'wanted: at least 2',
-               {f'between reads, {name}': _points(runs['node']),
-                f'{name}, thread': _points(runs['thread'])}),
+        Figure(SECTION, f'{name}: longest gap, thread / process', '', gaps, 'wanted: at least 2'),
     ]
-
-
-def _points(runs: list[Run]) -> dict[str, float]:
-    """Return the times between reads in ms: medians of what each run says."""
-    keys = {'min': 'min', 'median': 'p50', 'p99': 'p99', 'max': 'max'}
-    return {name: median(run.metrics['time_between_buffers'][f'since start {key} (ms)']
-                         for run in runs) for name, key in keys.items()}

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The six experiments of the thesis, through a pty into the real node, in the layout of its table.
+The six experiments of the thesis, through a pty into the real node.
 
 *time per buffer*: from a read to the end of its processing. *time between buffers*: from one read
 to the next. Effective rate: bits received per duration; processing rate: bits received per sum of
@@ -9,7 +9,6 @@ all times per buffer. The thesis' buffers hold 4096 bytes; what a pty hands over
 so the time per buffer stands there as measured and scaled to 4096 bytes.
 """
 
-from collections.abc import Sequence
 import sys
 from typing import NamedTuple
 
@@ -93,45 +92,10 @@ def _figures(name: str, row: Row, thesis: Row, node: Run, reader: Run) -> list[F
         figure('effective rate', row.effective, 'bit/s', f'thesis {thesis.effective}'),
         figure('processing rate', row.processing, 'bit/s', f'thesis {thesis.processing}'),
         Figure(SECTION, f'{name}: processing rate / thesis', '',
-               [row.processing / thesis.processing], 'wanted: at least 8',
-               {f'{name}, per buffer': _points(row.per_buffer),
-                f'{name}, per buffer, thesis': _points(thesis.per_buffer),
-                f'{name}, between': _points(row.between),
-                f'{name}, between, thesis': _points(thesis.between)}),
+               [row.processing / thesis.processing], 'wanted: at least 8'),
         figure('overrun', node.overrun, 'B', f'bare reader {reader.overrun}'),
         figure('longest gap between reads', node.longest_gap_ms, 'ms',
                f'bare reader {reader.longest_gap_ms:.3g}'),
         figure('gap made by the writer p50', node.gap_us[0], 'us', f'p99 {node.gap_us[1]:.4g}'),
         figure('CPU', 100 * node.cpu, '% of a core', f'bare reader {100 * reader.cpu:.1f}'),
     ]
-
-
-def _points(values: tuple[float, ...]) -> dict[str, float]:
-    return dict(zip(SHARES, values, strict=True))
-
-
-def layout(figures: Sequence[Figure]) -> str:
-    """Lay the experiments out as the thesis does, its own figures below each line."""
-    found = {figure.name: figure.median for figure in figures}
-    lines = [f'\n{SECTION}', (
-        f'  {"experiment":22}{"per buffer max/med/mean/min (ms)":42}'
-        f'{"between buffers max/med/mean/min (ms)":40}{"effective":>12}{"processing":>12} bit/s')]
-    for kind, gap_us in THESIS:
-        name = _name(kind, gap_us)
-        if f'{name}: CPU' in found:
-            here = Row(tuple(found[f'{name}: per buffer {share}'] for share in SHARES),
-                       tuple(found[f'{name}: between buffers {share}'] for share in SHARES),
-                       found[f'{name}: effective rate'], found[f'{name}: processing rate'])
-            lines += [_line(name, here), _line('  thesis', THESIS[kind, gap_us])]
-    for figure in figures:
-        what = figure.name.partition(': ')[2]
-        if what.startswith(('per 4096', 'processing rate /', 'overrun', 'longest', 'gap', 'CPU')):
-            lines.append(f'  {figure.name:48}{figure.median:10.4g} {figure.unit:12}'
-                         f'{figure.beside}'.rstrip())
-    return '\n'.join(lines)
-
-
-def _line(name: str, row: Row) -> str:
-    per_buffer, between = (
-        ' / '.join(f'{value:.3g}' for value in values) for values in (row.per_buffer, row.between))
-    return f'  {name:22}{per_buffer:42}{between:40}{row.effective:12.0f}{row.processing:12.0f}'

@@ -5,8 +5,7 @@ The same bus at 4.5 MBd through a tty and through `usb:`: what is lost, what it 
 
 A recorded stream (a robot that walks, without a pause on the wire) is played at its own pace: to a
 pty, and as the events of an FTDI adapter with a latency timer of 1 ms. The listener and its reader
-are a process each, as in the node; the monitor takes what comes, nothing is published. Then a
-camera on the same USB bus (isochronous.py).
+are a process each, as in the node; the monitor takes what comes, nothing is published.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ import tempfile
 import time
 from typing import NamedTuple
 
-from benchmark.isochronous import beside_a_camera
 from benchmark.traffic import ROBOT
 from dxl_monitor.model.models import Models
 from mecarover_fakes.fake_bus import make_devices
@@ -72,16 +70,11 @@ def run(options: Options) -> list[Figure]:
                    [100 * one.cpu for one in runs]),
             Figure(section, f'bytes lost of {runs[0].sent}', 'B', [one.lost for one in runs])]
     pairs = list(zip(results['usb:'], results['tty'], strict=True))
-    figures += [Figure('usb: beside the tty', 'CPU', 'times',
-                       [usb.cpu / tty.cpu for usb, tty in pairs]),
-                Figure('usb: beside the tty', 'CPU per byte that was heard', 'times',
-                       [usb.cpu_per_byte / tty.cpu_per_byte for usb, tty in pairs])]
-    cameras = [beside_a_camera(seconds) for _ in range(options.rounds)]
-    section = 'usb: beside a camera of 24 MB/s'
     return [*figures,
-            Figure(section, 'CPU of the reader', '%', [100 * one.cpu for one in cameras]),
-            Figure(section, 'events without room', '%',
-                   [100 * one.dropped / one.events for one in cameras])]
+            Figure('usb: compared with the tty', 'CPU', 'times',
+                   [usb.cpu / tty.cpu for usb, tty in pairs]),
+            Figure('usb: compared with the tty', 'CPU per byte that was heard', 'times',
+                   [usb.cpu_per_byte / tty.cpu_per_byte for usb, tty in pairs])]
 
 
 def _master() -> Master:

@@ -20,7 +20,6 @@ import random
 from statistics import median
 import subprocess
 import sys
-import time
 from types import TracebackType
 from typing import Any
 from typing import NamedTuple
@@ -50,18 +49,13 @@ class Options(NamedTuple):
 
 
 class Figure(NamedTuple):
-    """
-    One result: a value per round; `beside` is what it is to be compared with, in words.
-
-    `distributions` in ms, by name, as points: min, median, max, perhaps p99 (see plot.py).
-    """
+    """One result: a value per round; `beside` is what it is to be compared with, in words."""
 
     section: str
     name: str
     unit: str
     values: Sequence[float]
     beside: str = ''
-    distributions: Mapping[str, Mapping[str, float]] = {}
 
     @property
     def median(self) -> float:
@@ -84,14 +78,6 @@ def interleaved(cases: Mapping[str, Callable[[], Result]], rounds: int,
 def quantile(values: Sequence[float], share: float) -> float:
     """Return the value of nearest rank."""
     return sorted(values)[max(1, ceil(share * len(values))) - 1]
-
-
-def cpu_us_per_call(call: Callable[[], object], repeats: int) -> float:
-    """Return the CPU time of this process, all threads, that one call takes, in us."""
-    start = time.process_time_ns()
-    for _ in range(repeats):
-        call()
-    return (time.process_time_ns() - start) / repeats / 1000
 
 
 def table(figures: Sequence[Figure]) -> str:
@@ -121,8 +107,7 @@ def as_json(figures: Sequence[Figure], command: str) -> str:
             'section': figure.section, 'name': figure.name, 'unit': figure.unit,
             'median': figure.median, 'minimum': min(figure.values),
             'maximum': max(figure.values), 'values': list(figure.values),
-            'beside': figure.beside,
-            'distributions': figure.distributions} for figure in figures],
+            'beside': figure.beside} for figure in figures],
     }, indent=1)
 
 

@@ -6,23 +6,16 @@ import json
 import os
 from shutil import which
 from tempfile import TemporaryDirectory
-import xml.dom.minidom
 
 import pytest
 
-from benchmark import plot
 from benchmark import tap
 from benchmark.against import bound
-from benchmark.isochronous import beside_a_camera
-from benchmark.isochronous import Kernel
-from benchmark.isochronous import MS
-from benchmark.isochronous import OURS
 from benchmark.traffic import KINDS
 from benchmark.traffic import packets
 from benchmark.traffic import ROBOT
 from benchmark.traffic import trace_packets
 from mecarover_fakes.line import wire_ns
-from mecarover_fakes.usb_adapter import FakeAdapter
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import Framer
@@ -38,23 +31,10 @@ from rigs.harness import usage
 
 pytestmark = pytest.mark.alone
 
-POINTS = {'min': 0.4, 'median': 0.5, 'p99': 0.9, 'max': 7.0}
 FIGURES = [
     Figure('one', 'mean', 'us', [3.0, 1.0, 2.0], 'wanted: less'),
-    Figure('two', 'p50 <a>', 'ms', [0.5], distributions={'a & b': POINTS}),
+    Figure('two', 'p50', 'ms', [0.5]),
 ]
-
-
-def test_beside_a_camera_only_the_events_of_the_adapter_are_copied():
-    transfer = len(FakeAdapter('ftdi').received(bytes(OURS), 0))
-    run = beside_a_camera(0.3)
-    assert run.heard % transfer == 0
-    assert 0 < run.heard <= run.events // 3 * transfer
-    assert run.heard >= (run.events // 3 - run.dropped - 1) * transfer
-    kernel = Kernel()
-    kernel._begin -= 200 * MS               # the reader was held up for longer than the ring lasts
-    kernel._fill()
-    assert kernel._dropped > 0
 
 
 def test_the_masters_beside_each_other_are_tapped_heard_and_neither():
@@ -101,14 +81,6 @@ def test_results_name_no_folder_and_nobody():
     assert os.getcwd() not in text
     assert os.uname().nodename not in json.loads(text)['machine'].values()
     assert json.loads(text)['figures'][0]['values'] == [3.0, 1.0, 2.0]
-
-
-def test_plot_is_drawn_from_a_results_file():
-    rows = plot.rows_of(json.loads(as_json(FIGURES, 'scripts/bench')))
-    assert rows == [plot.Row('a & b', POINTS)]
-    drawing = xml.dom.minidom.parseString(plot.svg(rows))
-    texts = [node.firstChild.data for node in drawing.getElementsByTagName('text')]
-    assert texts == ['0.1 ms', '1 ms', '10 ms', 'a & b']
 
 
 @pytest.mark.parametrize('kind', KINDS)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Listening to the port that the master itself uses: usb:, tap: and files of USB events."""
 
+import ctypes
 from functools import cache
 from itertools import groupby
 import json
@@ -27,6 +28,7 @@ from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor import Settings
 from dxl_monitor.port import usb_listener
+from dxl_monitor.port import usb_ring
 from dxl_monitor.port.listeners import listener_on
 from dxl_monitor.port.source_name import bus_name
 from dxl_monitor.port.usb_find import find
@@ -174,6 +176,39 @@ def test_other_devices_are_never_copied():
     assert kept_of(event, 0, 6, frozenset((0x81, 2)), 2) == -1
     assert kept_of(event, 0, 7, frozenset((0x83, 4)), 2) == -1
     assert kept_of(adapter.idle(BEGAN), 0, 7, frozenset((0x81, 2)), 2) == -1
+
+
+def test_what_was_seen_is_let_go_and_what_found_no_room_is_counted(monkeypatch):
+    adapter = FakeAdapter('ftdi')
+    ours, memory = adapter.received(b'answer', BEGAN), bytearray(100)
+    other = bytearray(ours)
+    other[11] += 1                                     # its device
+    places = [len(memory), len(memory) + len(ours)]
+    memory += ours + other
+    gone, dropped = [], [3, 0]
+
+    def ioctl(fd, request, argument=0):
+        if request == usb_ring._FETCH:
+            gone.append(argument.flush)
+            argument.count, found = min(argument.count, len(places)), places[:argument.count]
+            if not found:
+                raise BlockingIOError
+            (ctypes.c_uint32 * len(found)).from_address(argument.offsets)[:] = found
+            del places[:argument.count]
+        elif request == usb_ring._FLUSH:
+            gone.append(argument)
+        elif request == usb_ring._STATISTICS:
+            argument[4:] = dropped.pop(0).to_bytes(4, 'little')
+
+    monkeypatch.setattr(usb_ring.fcntl, 'ioctl', ioctl)
+    monkeypatch.setattr(usb_ring.mmap, 'mmap', lambda *_: memory)
+    ring = usb_ring.Ring(-1, 7, frozenset((0x81, 2)), 2)
+    assert (ring.read(), ring.dropped, sum(gone)) == (ours, 3, 2)
+    assert (ring.read(), ring.dropped, sum(gone)) == (b'', 3, 2)
+    monkeypatch.setattr(usb_ring, 'FETCHED', 1)         # more than one look takes at a time
+    places += [100, 100 + len(ours), 100]
+    dropped += [0]
+    assert (ring.read(), sum(gone)) == (2 * ours, 5)
 
 
 # --- live --------------------------------------------------------------------------------------
