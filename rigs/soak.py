@@ -1,26 +1,29 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Both nodes for minutes, with faults: nothing grows, nothing is lost in quiet, all ends well.
+Both nodes for minutes, with faults: nothing ends, nothing grows, and after each fault all is well.
 
 Bridge and monitor run as processes, each on a cable (cable.py) to its fake; commands come in
-spells. A seeded fault strikes every few seconds; between faults it is quiet, and what the nodes
-say is held against what cable, bus and MCU know. soak_figures.py says what a soak must come to
-(else exit code 1); what went wrong is told in a line when it does.
+spells. A seeded fault strikes every few seconds. Without a fault the rover obeys, all devices
+answer, and each byte is in one counter. LIMITS and LEAST say what a soak must come to (else exit
+code 1); what went wrong is said in a line when it does.
 """
 
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
+import math
 import os
 from pathlib import Path
 import random
 import signal
+import statistics
 import sys
 from tempfile import TemporaryDirectory
 import threading
 import time
+from typing import NamedTuple
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
@@ -34,30 +37,37 @@ from rigs.harness import Options
 from rigs.harness import own_mb
 from rigs.harness import ros_environment
 from rigs.soak_drive import Driver
-from rigs.soak_figures import figures
-from rigs.soak_figures import problems
-from rigs.soak_figures import Sample
-from rigs.soak_watch import Ears
-from rigs.soak_watch import FREEZE_AFTER_S
 from rigs.soak_watch import IDS
 from rigs.soak_watch import Machine
-from rigs.soak_watch import MODULES
-from rigs.soak_watch import MONITOR
 from rigs.soak_watch import NODES
-from rigs.soak_watch import S
-from rigs.soak_watch import TABLES
+from rigs.soak_watch import Watch
 
-__all__ = ['problems', 'run']      # what benchmark/__main__.py calls
+SECTION = 'both nodes with faults'
 SEED = 1
 START_S = 60.0
 FAULT_S = 2.5                   # after a fault: the back-off, and what it leads to
-QUIET_S = 2.0                   # undisturbed, beside what is asked of the monitor then
-ANSWER_S = 10.0                 # until something must be heard again
-VERDICT_S = 3.0                 # until the monitor has to say what is so
-STEADY_S = 0.75                 # its count of bytes stands still: all that came is in it
+ANSWER_S = 10.0                 # until all must be heard again
 END_S = 30.0                    # until all must be well again: the window of the levels is 10 s
+MODULES = ('vel2d_bridge.main', 'dxl_monitor.start')
 PROCESSES = 3, 2                # bridge, dead man and its server; monitor and reader
 DEVICES = f'{IDS[0]}-{IDS[-1]}:MX-106'
+LIMITS = {
+    'growth of memory, bridge': 5.0, 'growth of memory, monitor': 8.0,
+    'more descriptors, bridge': 0, 'more descriptors, monitor': 0,
+    'more threads, bridge': 0, 'more threads, monitor': 0,
+    'nodes ended': 0, 'processes missing': 0, 'silences': 0, 'bytes not accounted for': 0,
+    'velocities made up': 0, 'drives without motion': 0, 'stops too late': 0,
+    'statuses not well at the end': 0,
+}
+LEAST = {'quiet times': 1, 'bytes to the monitor': 1, 'drives': 1, 'stops': 1}
+
+
+class Sample(NamedTuple):
+    """A node at one moment, with its other processes."""
+
+    memory_mb: float
+    descriptors: int
+    threads: int
 
 
 def run(options: Options) -> list[Figure]:
@@ -71,6 +81,18 @@ def run(options: Options) -> list[Figure]:
         rclpy.try_shutdown()
 
 
+def problems(figures: list[Figure]) -> list[str]:
+    """Return what exceeds LIMITS or does not come to LEAST."""
+    found = []
+    for one in figures:
+        value = f'{one.name}: {one.median:g} {one.unit}'.rstrip()
+        if one.name in LIMITS and not one.median <= LIMITS[one.name]:
+            found.append(f'{value}, at most {LIMITS[one.name]:g} is right')
+        if one.name in LEAST and not one.median >= LEAST[one.name]:
+            found.append(f'{value}, less than {LEAST[one.name]:g} proves nothing')
+    return found
+
+
 class _Soak:
     """The processes, the fakes, and what happens to them."""
 
@@ -78,8 +100,8 @@ class _Soak:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         self._chance = random.Random(SEED)
         self._mcu = stack.enter_context(FakeMcu(str(folder / 'mcu')).running())
-        self._bus = stack.enter_context(Child('rigs.soak_bus', str(folder / 'bus'), DEVICES))
-        self._answers()                 # it is there
+        stack.enter_context(Child('mecarover_fakes.fake_bus', '--link', str(folder / 'bus'),
+                                  '--devices', DEVICES, '--pattern', 'moving', env=env)).line()
         self._cables = [
             stack.enter_context(Cable(str(folder / device), folder / f'{device}_cable', seed))
             for seed, device in enumerate(('mcu', 'bus'))]
@@ -93,34 +115,35 @@ class _Soak:
             for module, given in zip(MODULES, parameters, strict=True)]
         self._machine = Machine([node.pid for node in self._nodes])
         stack.callback(self._machine.stop)
-        self._ears = Ears()
-        stack.callback(self._ears.stop)
-        self._driver = Driver(self._ears.node, self._mcu, self._machine, self._complain)
+        self._watch = Watch()
+        stack.callback(self._watch.stop)
+        self._driver = Driver(self._watch.node, self._mcu, self._machine, self._complain)
         stack.callback(self._driver.stop)
         self._wrong: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._faults = self._quiets = 0
-        self._samples: list[tuple[Sample, ...]] = []
+        self._samples: list[list[Sample]] = []
 
     def run(self, seconds: float) -> list[Figure]:
-        if not self._waited(lambda: not self._ears.not_well(0), START_S):
+        if not self._waited(lambda: not self._watch.not_well(0), START_S):
             raise TimeoutError('soak: the nodes are not well from the start; run them alone: '
-                               + '; '.join(self._ends() or self._ears.not_well(0)))
+                               + '; '.join(self._ends() or self._watch.not_well(0)))
         self._waited(self._driver.is_heard, START_S)
         print('soak: all is well, faults from now on', file=sys.stderr, flush=True)
-        held_s, begin_s = self._machine.held_s(), time.monotonic()
+        begin_s = time.monotonic()
         self._driver.start()
         while time.monotonic() < begin_s + seconds and not self._ends():
             self._quiet()
             self._strike()
         self._driver.stop()
-        self._see_end()
+        end = time.time_ns()
+        if not self._waited(lambda: not self._watch.not_well(end), END_S):
+            for line in self._watch.not_well(end):
+                self._complain('statuses not well at the end', line)
         self._quiet()
         for line in self._ends():
             self._complain('nodes ended', line)
-        for line in self._driver.late(self._ears):
-            self._complain('drives too late', line)
-        return self._figures(time.monotonic() - begin_s, self._machine.held_s() - held_s)
+        return self._figures(time.monotonic() - begin_s)
 
     def _complain(self, kind: str, line: str) -> None:
         with self._lock:                # the driver complains, too
@@ -136,16 +159,6 @@ class _Soak:
         """Wait for a condition, but not for a node that has ended."""
         return self._machine.waited(lambda: bool(self._ends()) or condition(), seconds) \
             and condition()
-
-    def _see_end(self) -> None:
-        """Give the nodes time to be well again."""
-        begin, begin_s = time.time_ns(), time.monotonic()
-        if not self._waited(lambda: not self._ears.not_well(begin), END_S):
-            for line in self._ears.not_well(begin):
-                self._complain('statuses not well at the end', line)
-        time.sleep(max(0.0, 0.0 if self._ends() else begin_s + FREEZE_AFTER_S - time.monotonic()))
-
-    # --- faults ------------------------------------------------------------------------------
 
     def _strike(self) -> None:
         """Let one fault happen for up to a second, and wait until its traces are gone."""
@@ -170,110 +183,25 @@ class _Soak:
         time.sleep(FAULT_S)
         self._driver.is_hindered = False
 
-    # --- quiet -------------------------------------------------------------------------------
-
     def _quiet(self) -> None:
-        """Let it run undisturbed; what the nodes say must be what is so."""
-        begin = time.time_ns()
-        is_heard = self._waited(lambda: not self._ears.silent(begin), ANSWER_S)
+        """Let it run undisturbed until all is heard and all devices answer."""
+        begin, watch = time.time_ns(), self._watch
+        is_heard = self._waited(lambda: not watch.silent(begin), ANSWER_S)
         if self._ends():
             return
-        if not is_heard:
-            self._complain_of('silences', self._ears.silent(begin))
-            return
-        self._hear_verdict(begin, set())
-        self._count_processes()
-        self._compare_bytes()
-        self._sample()
-        self._quiets += 1
-
-    def _count_processes(self) -> None:
+        for line in () if is_heard else watch.silent(begin):
+            self._complain('silences', line)
         self._waited(lambda: all(len(family(node.pid)) == right for node, right
                                  in zip(self._nodes, PROCESSES, strict=True)), ANSWER_S)
         for name, node, right in zip(NODES, self._nodes, PROCESSES, strict=True):
             if not node.end and len(family(node.pid)) != right:
                 self._complain('processes missing', f'{name}: {len(family(node.pid))} processes, '
                                f'{right} are right')
-
-    def _complain_of(self, kind: str, lines: list[str]) -> None:
-        for line in lines:
-            self._complain(kind, line)
-
-    def _compare_bytes(self) -> None:
-        """Count what cable and monitor count while it is quiet, between two pauses of the bus."""
-        cable = self._cables[1]
-        begin_s, held_s = time.monotonic(), self._machine.held_s()
-        lost, damaged = [one.lost for one in self._cables], self._damaged_frames()
-        cable.stall()
-        carried, its_count = cable.carried - cable.lost, self._steady_count()
-        cable.calm()
-        self._strike_dumb()
-        cable.stall()
-        carried = cable.carried - cable.lost - carried
-        if not self._waited(lambda: self._ears.counted.count - its_count == carried, ANSWER_S):
-            counted = self._ears.counted.count - its_count
-            self._wrong['bytes counted wrong'] += abs(counted - carried) - 1
-            self._complain('bytes counted wrong', f'{MONITOR}: counted {counted} B of '
-                           f'{carried} B that the cable brought in quiet')
-        cable.calm()
-        if damaged != self._damaged_frames():
-            self._complain('frames damaged in quiet', f'{NODES[0]}: {self._mcu.totals()}')
-        lost_now = sum(one.lost for one in self._cables) - sum(lost)
-        rate = carried / (time.monotonic() - begin_s)
-        excess = lost_now - rate * max(0.0, self._machine.held_s() - held_s)
-        if excess > 0:                  # more than what could not be taken
-            self._wrong['bytes lost in quiet'] += lost_now - 1
-            self._complain('bytes lost in quiet', f'{lost_now} B were not taken in quiet')
-
-    def _steady_count(self) -> int:
-        """Return what the monitor has counted when nothing comes any more."""
-        begin, held_s = time.time_ns(), self._machine.held_s()
-
-        def is_steady() -> bool:
-            count = self._ears.counted
-            steady_s = (count.until - max(count.since, begin)) / S
-            return steady_s >= self._machine.patience_s(STEADY_S, held_s)
-
-        if not self._waited(is_steady, ANSWER_S):
-            self._complain_of('silences', self._ears.silent(begin, TABLES))
-            self._complain('bytes counted wrong', f'{MONITOR}: tells no steady count while the '
-                           'cable brings nothing')
-        return self._ears.counted.count
-
-    def _strike_dumb(self) -> None:
-        """Have a device say nothing for a moment: the monitor must notice both, and only that."""
-        self._hear_verdict(time.time_ns(), set())       # what a pause has led to is over
-        begin, dumb, before = time.time_ns(), self._chance.choice(IDS), self._answers()
-        self._answers(dumb)
-        self._hear_verdict(time.time_ns(), {dumb})
-        self._answers()
-        self._hear_verdict(time.time_ns(), set())
-        time.sleep(QUIET_S)
-        after = self._answers()
-        for number, state in sorted({(number, state) for stamp, number, state
-                                     in list(self._ears.denied) if stamp > begin}):
-            if number != dumb and after[number] > before[number]:
-                self._complain('false verdicts', f'{MONITOR}: called {number:03} {state}, which '
-                               'answered')
-
-    def _hear_verdict(self, since: int, dumb: set[int]) -> None:
-        ears = self._ears
-        if not self._waited(lambda: not ears.silent(since, TABLES) and not ears.wrong(since, dumb),
-                            VERDICT_S):
-            self._complain_of('silences', ears.silent(since, TABLES))
-            self._complain_of('false verdicts', ears.wrong(since, dumb))
-
-    def _answers(self, *dumb: int) -> dict[int, int]:
-        """Have these devices say nothing; return how often each has answered."""
-        self._bus.tell(dumb)
-        return {int(number): count for number, count in self._bus.hear().items()}
-
-    def _damaged_frames(self) -> int:
-        totals = self._mcu.totals()
-        return totals['insufficient'] + totals['crc_err']
+        self._sample()
+        self._quiets += 1
 
     def _sample(self) -> None:
-        """Measure the nodes, each with the processes beside it."""
+        """Measure the nodes, each with its other processes."""
         sample = []
         for node in self._nodes:
             pids = family(node.pid)
@@ -283,17 +211,39 @@ class _Soak:
                     for what in ('fd', 'task'))))
             except OSError:             # one has just ended: `nodes ended`, `processes missing`
                 return
-        self._samples.append(tuple(sample))
+        self._samples.append(sample)
 
-    # --- what came of it ---------------------------------------------------------------------
-
-    def _figures(self, seconds: float, held_s: float) -> list[Figure]:
+    def _figures(self, seconds: float) -> list[Figure]:
+        """Return what was measured, what grew, and how often what went wrong."""
         driver = self._driver
-        return figures({
+        rows: dict[str, tuple[float, str]] = {
             'faults': (self._faults, f'in {seconds:.0f} s'), 'quiet times': (self._quiets, ''),
-            'held by the machine': (held_s, 's'),
             'bytes to the monitor': (self._cables[1].carried, 'B'),
-            'drives': (driver.drives, ''), 'longest until a drive': (driver.slowest_s, 's'),
-            'stops': (driver.stops, ''), 'longest until a stop': (driver.longest_s, 's'),
-            'bytes not accounted for': (self._ears.unaccounted, 'B'),
-            'velocities made up': (driver.made_up, '')}, self._samples, self._wrong)
+            'drives': (driver.drives, ''), 'stops': (driver.stops, ''),
+            'longest until a stop': (driver.longest_s, 's'),
+            'bytes not accounted for': (self._watch.unaccounted, 'B'),
+            'velocities made up': (driver.made_up, '')}
+        for at, node in enumerate(('bridge', 'monitor')):
+            for what, name, unit in (('growth of memory', 'memory_mb', 'MB'),
+                                     ('more descriptors', 'descriptors', ''),
+                                     ('more threads', 'threads', '')):
+                rows[f'{what}, {node}'] = growth(
+                    [getattr(one[at], name) for one in self._samples]), unit
+        for name in LIMITS:
+            rows.setdefault(name, (self._wrong[name], ''))
+        return [Figure(SECTION, name, unit, [float(value)], _bound(name))
+                for name, (value, unit) in rows.items()]
+
+
+def growth(values: list[float]) -> float:
+    """Return how much more the last third has than the first; NaN, a problem, for nothing."""
+    if not values:
+        return math.nan
+    third = max(1, len(values) // 3)
+    return statistics.median(values[-third:]) - statistics.median(values[:third])
+
+
+def _bound(name: str) -> str:
+    if name in LIMITS:
+        return f'at most {LIMITS[name]:g}'
+    return f'at least {LEAST[name]:g}' if name in LEAST else ''

@@ -8,13 +8,11 @@ was last looked at. What takes too long is judged by the time in which the machi
 """
 
 from collections.abc import Callable
-from collections.abc import Container
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 import threading
 import time
-from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 import rclpy
@@ -23,7 +21,6 @@ from rigs.harness import family
 
 S = 1_000_000_000
 BRIDGE, MONITOR = NODES = ('vel2d_bridge', 'dxl_monitor')
-MODULES = ('vel2d_bridge.main', 'dxl_monitor.start')
 IDS = range(1, 9)
 TABLES = 'dxl/diagnostics'
 # What must be heard of all the time: (topic, name of a status, or of a node: any status of it).
@@ -34,8 +31,6 @@ WANTED = [
       for what in ('bus', *(f'{number:03}' for number in IDS)))]
 TICK_S, LATE_TICK_S = 0.02, 0.02
 PATIENCE = 3                    # times as long, at most, for a machine that stands still
-FREEZE_BEFORE_S = 3.0           # a freeze is followed by new subscriptions,
-FREEZE_AFTER_S = 3.0            # and told with the next status
 
 
 class Machine:
@@ -57,14 +52,10 @@ class Machine:
         """Return the sum since the start: differences count."""
         return self._late_s + self._overdue_s() + sum(map(_waited_s, self._pids))
 
-    def patience_s(self, seconds: float, held_s: float) -> float:
-        """Return what `seconds` come to if held_s() was `held_s` when they began."""
-        return seconds + min(max(0.0, self.held_s() - held_s), (PATIENCE - 1) * seconds)
-
     def is_over(self, begin_s: float, seconds: float, held_s: float) -> bool:
         """Return whether `seconds` since begin_s are over, as the machine ran us."""
         passed_s = time.monotonic() - begin_s       # first: what follows reads a hundred files
-        return passed_s > seconds and passed_s > self.patience_s(seconds, held_s)
+        return passed_s > seconds and passed_s > self._patience_s(seconds, held_s)
 
     def waited(self, condition: Callable[[], bool], seconds: float) -> bool:
         """Wait for a condition; return whether it came true in time."""
@@ -74,6 +65,10 @@ class Machine:
                 return False
             time.sleep(0.05)
         return True
+
+    def _patience_s(self, seconds: float, held_s: float) -> float:
+        """Return what `seconds` come to if held_s() was `held_s` when they began."""
+        return seconds + min(max(0.0, self.held_s() - held_s), (PATIENCE - 1) * seconds)
 
     def _run(self) -> None:
         while not self._done.wait(TICK_S):
@@ -95,114 +90,48 @@ def _waited_s(pid: int) -> float:
     return waited / S
 
 
-class Heard(NamedTuple):
-    """The newest of a status."""
-
-    stamp: int
-    complaint: str = ''                             # '' while it is OK
-    state: str = ''
-
-
-class Still(NamedTuple):
-    """A count, and the stamps of the first and the newest status that told it."""
-
-    count: int = -1
-    since: int = 0
-    until: int = 0
-
-
-class Hearing:
-    """What the statuses say, and since when they say it."""
-
-    def __init__(self) -> None:
-        self.unaccounted = 0                        # bytes, most of all reports
-        self.counted = Still()                      # 'Bytes' of the monitor
-        # Stamp, ID and state of devices that are called other than connected. Those behind a cut
-        # in an exchange are `waiting` until the next one, and rightly so.
-        self.denied: list[tuple[int, int, str]] = []
-        self._heard: dict[tuple[str, str], Heard] = {}
-        self._freezes = '0'
-        self._hindered: list[int] = []              # stamps: bridge was frozen, or without a port
-
-    def take(self, topic: str, array: DiagnosticArray) -> None:
-        stamp = array.header.stamp.sec * S + array.header.stamp.nanosec
-        for status in array.status:
-            values = {pair.key: pair.value for pair in status.values}
-            complaint = status.message if status.level[0] else ''
-            heard = Heard(stamp, complaint, values.get('State', ''))
-            self._heard[topic, status.name] = heard
-            self._heard[topic, status.name.partition(':')[0]] = Heard(stamp)
-            if 'Freezes' in values:
-                self._take_link(stamp, values)
-            elif 'Noise Bytes' in values and topic == TABLES:
-                self._take_bus(stamp, values)
-            elif topic == TABLES and heard.state not in ('', 'connected', 'waiting'):
-                self.denied.append((stamp, int(status.name[-3:]), heard.state))
-
-    def silent(self, since: int, *topics: str) -> list[str]:
-        """Return a line for all that was not said again since a moment; topics: only these."""
-        wanted = [key for key in WANTED if not topics or key[0] in topics]
-        old = [key for key in wanted if self._stamp(*key) < since]
-        for topic, node in sorted({(topic, name.partition(':')[0]) for topic, name in old}):
-            its = [key for key in wanted if key[0] == topic and key[1].startswith(node)]
-            if len(its) > 1 and all(key in old for key in its):
-                old = [(topic, node), *(key for key in old if key not in its)]
-        seconds = (time.time_ns() - since) / S
-        return [f'{name}: says nothing any more on {topic}, for {seconds:.0f} s at least'
-                for topic, name in old]
-
-    def not_well(self, since: int) -> list[str]:
-        """Return what is silent and what is not OK."""
-        return self.silent(since) + [f'{name}: {one.complaint}' for (_, name), one
-                                     in dict(self._heard).items() if one.complaint]
-
-    def wrong(self, since: int, dumb: Container[int] = ()) -> list[str]:
-        """Return what is said since a moment and is wrong: all devices answer but `dumb`."""
-        lines = []
-        for number in IDS:
-            one = self._heard.get((TABLES, f'{MONITOR}: {number:03}'), Heard(0))
-            if one.stamp >= since and (one.state == 'connected') == (number in dumb):
-                lines.append(f'{MONITOR}: calls {number:03} {one.state}, which '
-                             + ('does not answer' if number in dumb else 'answers'))
-        return lines
-
-    def explained(self, begin: int, end: int) -> bool:
-        """Return whether a freeze or a lost port explains that the rover drove late."""
-        return any(begin - FREEZE_BEFORE_S * S < stamp < end + FREEZE_AFTER_S * S
-                   for stamp in self._hindered)
-
-    def _stamp(self, topic: str, name: str) -> int:
-        return self._heard.get((topic, name), Heard(0)).stamp
-
-    def _take_link(self, stamp: int, values: dict[str, str]) -> None:
-        if values['Freezes'] != self._freezes or values['State'] != 'open':
-            self._freezes = values['Freezes']
-            self._hindered.append(stamp)
-
-    def _take_bus(self, stamp: int, values: dict[str, str]) -> None:
-        count = int(values['Bytes'])
-        parts = sum(int(values[f'{kind} Bytes']) for kind in ('Packet', 'Noise', 'Pending'))
-        self.unaccounted = max(self.unaccounted, abs(count - parts))
-        since = self.counted.since if count == self.counted.count else stamp
-        self.counted = Still(count, since, stamp)
-
-
-class Ears(Hearing):
+class Watch:
     """Hears the statuses of both nodes, in a thread of its own."""
 
     def __init__(self) -> None:
-        super().__init__()
+        self.unaccounted = 0                        # bytes, most of all reports
+        self._stamps: dict[tuple[str, str], int] = {}
+        self._complaints: dict[tuple[str, str], str] = {}       # '' while it is OK
         self.node = rclpy.create_node('bench_soak')
         for topic in sorted({topic for topic, _ in WANTED}):
             self.node.create_subscription(
                 DiagnosticArray, topic, lambda array, topic=topic: self.take(topic, array), 100)
         self._is_stopping = False
-        self._thread = threading.Thread(target=self._spin, name='ears')
+        self._thread = threading.Thread(target=self._spin, name='watch')
         self._thread.start()
 
     def stop(self) -> None:
         self._is_stopping = True
         self._thread.join()
+
+    def take(self, topic: str, array: DiagnosticArray) -> None:
+        stamp = array.header.stamp.sec * S + array.header.stamp.nanosec
+        for status in array.status:
+            values = {pair.key: pair.value for pair in status.values}
+            self._complaints[topic, status.name] = status.message if status.level[0] else ''
+            if values.get('State') not in ('disconnected', 'silent'):
+                self._stamps[topic, status.name] = stamp
+            self._stamps[topic, status.name.partition(':')[0]] = stamp
+            if topic == TABLES and 'Noise Bytes' in values:
+                parts = sum(int(values[f'{kind} Bytes'])
+                            for kind in ('Packet', 'Noise', 'Pending'))
+                self.unaccounted = max(self.unaccounted, abs(int(values['Bytes']) - parts))
+
+    def silent(self, since: int) -> list[str]:
+        """Return a line for each status that is older, the last of a lost device too."""
+        seconds = (time.time_ns() - since) / S
+        return [f'{name}: not heard on {topic}, or disconnected, for {seconds:.0f} s at least'
+                for topic, name in WANTED if self._stamps.get((topic, name), 0) < since]
+
+    def not_well(self, since: int) -> list[str]:
+        """Return what is silent and what is not OK."""
+        return self.silent(since) + [f'{name}: {complaint}' for (_, name), complaint
+                                     in list(self._complaints.items()) if complaint]
 
     def _spin(self) -> None:
         while not self._is_stopping:
