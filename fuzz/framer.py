@@ -19,6 +19,7 @@ from msg_defs.dxl_packet import packet_of
 from msg_defs.dxl_packet import STATUS
 from msg_defs.frame import is_good
 from msg_defs.frame import IS_STATUS
+from rigs.bus import frames
 
 NOISE_KEPT = 256
 
@@ -73,10 +74,10 @@ def as_sent(one):
     number, code, is_status = one.body[0], one.body[3], one.body[3] == 0x55
     params = data = one.body[5:] if is_status else one.body[4:]
     if not is_status or number != 0xFE:
-        data = reference.unstuff(params)
+        data = frames.unstuffed(params)
     return (one.end - len(one.body) - 6, one.end, is_status, number,
             one.body[4] if is_status else code, data, one.repaired, one.noise,
-            not is_status and reference.stuff(data) != params)
+            not is_status and frames.stuffed(data) != params)
 
 
 def as_said_1(frame):

@@ -17,6 +17,7 @@ from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import packet_of
 from msg_defs.dxl_packet import stuff
 from msg_defs.dxl_packet import unstuff
+from rigs.bus import frames
 
 # By the e-Manual: what has parameters of one form only; all else takes any.
 KEYS = {b'DXL"': 'multi-turn', b'ERCL': 'error'}
@@ -64,8 +65,8 @@ def check(data):
         assert spell(request.accesses) == (params if instruction in _SPELL else b'')
         assert instruction not in _OWN or {one.id for one in request.accesses} == {number}
     assert bulk_write_entries(params) == _bulk_entries(params)
-    assert stuff(params) == reference.stuff(params)
-    assert unstuff(params) == reference.unstuff(params)
+    assert stuff(params) == frames.stuffed(params)
+    assert unstuff(params) == frames.unstuffed(params)
     assert unstuff(stuff(params)) == params
     # A run of FF FF FD that begins in the instruction byte is of no instruction there is.
     if instruction not in (I.STATUS, 0xFF) and len(params) < 700:
@@ -87,7 +88,7 @@ def answers(instruction, number):
 
 def comes_back(number, instruction, params):
     wire = encode(number, instruction, params)
-    content = bytes([instruction]) + reference.stuff(params)
+    content = bytes([instruction]) + frames.stuffed(params)
     head = b'\xff\xff\xfd\x00' + bytes([number]) + _u16(len(content) + 2) + content
     assert wire == head + _u16(reference.crc16(head))
     packet, = (packet_of(one, 1) for one in Framer().frames(wire))

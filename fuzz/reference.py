@@ -3,61 +3,35 @@
 """
 Reference: the rules of both wires a second time, as plainly as they can be put.
 
-The targets compare with it, so it takes nothing from the package: not a constant, not a CRC.
+The targets compare with it, so it takes nothing from the package: not a constant, not a CRC; the
+CRC of 2.0 and its stuffing are those of the simulated bus of rigs/.
 It sees a stream as a whole and is slow. Sources: e-Manual, Protocol 2.0 and 1.0; docs/frame.md.
 """
 
 from typing import NamedTuple
 
+from rigs.bus import frames
+
 TAIL = b'\xff\xfd\x00'                 # a header, but for its first byte, which may have got lost
 LONGEST = 1024                         # Length of a packet
 
 
-def _crc_table(width: int, polynomial: int) -> list[int]:
-    table = []
-    for byte in range(256):
-        value = byte << width - 8
-        for _ in range(8):
-            value = value << 1 ^ (polynomial if value >> width - 1 else 0)
-            value &= (1 << width) - 1
-        table.append(value)
-    return table
-
-
-_CRC16 = _crc_table(16, 0x8005)
-_CRC32 = _crc_table(32, 0x04C11DB7)
-
-
 def crc16(data: bytes) -> int:
-    value = 0
-    for byte in data:
-        value = value << 8 & 0xFFFF ^ _CRC16[value >> 8 ^ byte]
-    return value
+    return int.from_bytes(frames.crc(data), 'little')
 
 
 def crc32(data: bytes) -> int:
+    """Divide bit by bit: CRC-32/MPEG-2, which zlib does not have."""
     value = 0xFFFFFFFF
     for byte in data:
-        value = value << 8 & 0xFFFFFFFF ^ _CRC32[value >> 24 ^ byte]
+        value ^= byte << 24
+        for _ in range(8):
+            value = (value << 1 ^ (0x04C11DB7 if value >> 31 else 0)) & 0xFFFFFFFF
     return value
 
 
 def crc32_words(data: bytes) -> int:
     return crc32(b''.join(data[at:at + 4][::-1] for at in range(0, len(data), 4)))
-
-
-def stuff(data: bytes) -> bytes:
-    out = bytearray()
-    for at, byte in enumerate(data):
-        out.append(byte)
-        if data[max(0, at - 2):at + 1] == b'\xff\xff\xfd':
-            out.append(0xFD)
-    return bytes(out)
-
-
-def unstuff(data: bytes) -> bytes:
-    return bytes(byte for at, byte in enumerate(data)
-                 if byte != 0xFD or data[max(0, at - 3):at] != b'\xff\xff\xfd')
 
 
 class Found(NamedTuple):

@@ -24,6 +24,8 @@ import tty
 from harness import ROOT
 from harness import wait
 
+from fuzz.reference import crc32
+
 SPEED = 0.5
 OUTLIVE_S = 70.0                # for all processes of a bridge, however it ended
 # A program that starts another one with descriptors of which it knows nothing.
@@ -162,7 +164,7 @@ class BareMcu:
             waiting += chunk
             while len(waiting) >= 28:
                 *values, crc = struct.unpack('<dddI', waiting[:28])
-                good = crc == crc32_mpeg2(waiting[:24])
+                good = crc == crc32(waiting[:24])
                 if good:
                     self.frames.append((stamp, *values))
                 waiting = waiting[28 if good else 1:]
@@ -185,16 +187,6 @@ class BareMcu:
 
     def __exit__(self, *_):
         self.unplug()
-
-
-def crc32_mpeg2(data):
-    """Divide bit by bit: CRC-32/MPEG-2, which zlib does not have."""
-    crc = 0xFFFFFFFF
-    for byte in data:
-        crc ^= byte << 24
-        for _ in range(8):
-            crc = (crc << 1 ^ (0x04C11DB7 if crc & 0x80000000 else 0)) & 0xFFFFFFFF
-    return crc
 
 
 @contextmanager

@@ -7,7 +7,6 @@ The statuses are made by the same functions as those of the nodes; `serialise` t
 what a subscription gets, so that the dashboard can be tested without ROS.
 """
 import math
-import struct
 
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.decoder import Settings
@@ -23,6 +22,7 @@ from dxl_monitor.monitor_status import bus_status
 from dxl_monitor.monitor_status import device_metrics
 from dxl_monitor.monitor_status import device_status
 from dxl_monitor.monitor_status import PortState
+from fuzz.dashboard import cdr
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
@@ -53,29 +53,8 @@ MANY = tuple((i, ('MX-106', 'MX-64', 'XL430-W250')[i % 3], '') for i in range(25
 
 def serialise(statuses, order='<'):
     """Return the CDR of a DiagnosticArray with these statuses."""
-    data = bytearray(b'\0\1\0\0' if order == '<' else b'\0\0\0\0')
-
-    def put_number(value):
-        data.extend(bytes(-len(data) % 4) + struct.pack(order + 'I', value))
-
-    def put_text(text):
-        encoded = text if isinstance(text, bytes) else text.encode()
-        put_number(len(encoded) + 1)
-        data.extend(encoded + b'\0')
-
-    put_number(0)
-    put_number(0)
-    put_text('')
-    put_number(len(statuses))
-    for status in statuses:
-        data.append(status.level)
-        for text in (status.name, status.message, status.hardware_id):
-            put_text(text)
-        put_number(len(status.values))
-        for pair in status.values:
-            put_text(pair[0])
-            put_text(pair[1])
-    return bytes(data)
+    return cdr([(one.level, one.name, one.message, one.hardware_id,
+                 [pair[:2] for pair in one.values]) for one in statuses], order)
 
 
 def summary(mean, spread):

@@ -11,12 +11,11 @@ from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.report import Counts
 from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.model.models import Models
-from msg_defs.crc import crc16
+from fuzz.script import fast_reply as combined
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
-from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
 
 MODELS = Models()
@@ -98,12 +97,8 @@ def fast_read(*numbers: int, length: int = 4) -> bytes:
 
 
 def fast_reply(blocks: dict[int, bytes], errors: dict[int, int] | None = None) -> bytes:
-    frame = HEADER + bytes([BROADCAST])
-    frame += words(1 + sum(len(data) + 4 for data in blocks.values())) + bytes([STATUS])
-    for number, data in blocks.items():
-        frame += bytes([(errors or {}).get(number, 0), number]) + data
-        frame += words(crc16(frame))
-    return frame
+    return combined([((errors or {}).get(number, 0), number, data)
+                     for number, data in blocks.items()])
 
 
 SENSELESS = encode(BROADCAST, I.SYNC_WRITE, words(GOAL, 4) + b'\x01\xff\xff\xfd\xfd\x02bbbb',

@@ -98,7 +98,7 @@ def stuffed(content: bytes) -> bytes:
     return bytes(out)
 
 
-def _unstuffed(content: bytes) -> bytes:
+def unstuffed(content: bytes) -> bytes:
     out = bytearray()
     at = 0
     while at < len(content):
@@ -166,7 +166,7 @@ def parse(data: bytes, *, fast: bool = False) -> tuple[Packet, ...]:
         if end - at >= 10 and end <= len(data) and crc(data[at:end - 2]) == data[end - 2:end]:
             content = data[at + 7:end - 2]
             if not (fast and data[at + 4] == EVERYBODY):
-                content = _unstuffed(content)
+                content = unstuffed(content)
             is_status = content[0] == STATUS
             found.append(Packet(data[at + 4], content[0], content[1] if is_status else 0,
                                 content[2 if is_status else 1:]))
