@@ -27,9 +27,12 @@ from dxl_monitor.monitor import Monitor
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import parse
-from mecarover_fakes.line import by_sides
+from mecarover_fakes.line import Burst
+from mecarover_fakes.line import wire_ns
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
+from msg_defs.event import IN
+from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 
 S = 1_000_000_000
@@ -84,6 +87,21 @@ def own_port(master: Master, end: int) -> list[tuple[bytes, int, str]]:
     told = [(stamp, side, data) for burst in master.bursts(end)
             for stamp, side, data in by_sides(burst, master.line.baud)]
     return [(data, stamp, side) for stamp, side, data in sorted(told, key=itemgetter(0))]
+
+
+def by_sides(burst: Burst, baud: int) -> Iterator[tuple[int, str, bytes]]:
+    """
+    Yield (time, side, bytes) of a burst as the master's own port has it.
+
+    What it writes is whole also where the wire damages it, and while it sends it hears nothing.
+    """
+    yield from ((start, OUT, data) for start, data in burst.said)
+    deaf = [(start, start + wire_ns(len(data), baud)) for start, data in burst.said]
+    middles = (burst.start + wire_ns(2 * at + 1, 2 * baud) for at in range(len(burst.data)))
+    heard = bytes(byte for byte, middle in zip(burst.data, middles, strict=True)
+                  if not any(begin <= middle < end for begin, end in deaf))
+    if heard:
+        yield burst.end, IN, heard
 
 
 def chunks(master: Master, end: int, gather: int) -> Iterator[tuple[bytes, int, str]]:

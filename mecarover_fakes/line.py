@@ -10,7 +10,6 @@ Protocol 2.0, instruction packets; combined replies are sent piece by piece, one
 from __future__ import annotations
 
 from collections.abc import Iterable
-from collections.abc import Iterator
 from typing import NamedTuple
 
 from mecarover_fakes.fake_servo import FakeDevice
@@ -28,8 +27,6 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
-from msg_defs.event import IN
-from msg_defs.event import OUT
 from msg_defs.frame import Frame
 
 MASTER = -1
@@ -345,20 +342,3 @@ def _clash(first: Burst, second: Burst, baud: int) -> Burst:
     clash = Burst(first.start, bytes(both), STRAY, baud, intact=False)
     clash.said = first.said + second.said
     return clash
-
-
-def by_sides(burst: Burst, baud: int) -> Iterator[tuple[int, str, bytes]]:
-    """
-    Yield (time, side, bytes) of a burst as the master's own port has it.
-
-    What it writes is whole also where the wire damages it, and while it sends it hears nothing.
-    """
-    yield from ((start, OUT, data) for start, data in burst.said)
-    deaf = [(start, start + wire_ns(len(data), baud)) for start, data in burst.said]
-    middles = (burst.start + wire_ns(2 * at + 1, 2 * baud) for at in range(len(burst.data)))
-    heard = bytes(byte for byte, middle in zip(burst.data, middles, strict=True)
-                  if not any(begin <= middle < end for begin, end in deaf))
-    if heard:
-        yield burst.end, IN, heard
-
-

@@ -10,7 +10,6 @@ What happens with each packet is a counter of the device, not an incident.
 from collections import Counter
 from collections import deque
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 from typing import NamedTuple
 
@@ -177,30 +176,28 @@ _APART_NS = 100_000_000             # between two that are kept, where each pack
 _ERRORS_KEPT = 50
 _WAITS_KEPT = 256
 
-# The lines of the error log; what is not listed here is not an error. at(address) is the
-# name of a register, or its address.
-_TEXTS: dict[str, Callable[[Any, Callable[[int], str]], str]] = {
-    DAMAGED_STATUS: lambda d, at: 'status with a wrong CRC',
-    DAMAGED_INSTRUCTION: lambda d, at: f'{name_of(d.instruction)} with a wrong CRC',
-    BAD_LENGTH: lambda d, at: f'packet with Length {d.length}',
-    CUT: lambda d, at: f'{name_of(d.instruction)} that ends before its Length of {d.length}',
-    MISSED: lambda d, at: f'no answer to {name_of(d.instruction)}' + (
-        f' at {at(d.address)}' if d.address >= 0 else ''),
-    DISCONNECTED: lambda d, at: f'disconnected: {d.number} answers missed',
-    REFUSED: lambda d, at:
-        f'{name_of(d.instruction)} at {at(d.address)} refused: {error_text(d.error)}',
-    ALERT: lambda d, at: 'alert',
-    SECOND_ANSWER: lambda d, at: f'second answer to one {name_of(d.instruction)}',
-    UNASKED: lambda d, at: 'answer that was not asked for',
-    LATE: lambda d, at: f'answer {d.us} us too late',
-    WRONG_SIZE: lambda d, at: f'answer of {d.got} bytes to a read of {d.wanted}',
-    FAST_CUT: lambda d, at: f'fast reply ends after {d.got} of {d.wanted} devices',
-    UNKNOWN_INSTRUCTION: lambda d, at: f'unknown {name_of(d.instruction)}',
-    MALFORMED: lambda d, at: f'{name_of(d.instruction)} that makes no sense ({d.length} bytes)',
-    BAD_ID: lambda d, at: f'packet with ID {d.value}',
-    FOREIGN: lambda d, at: f'{name_of(d.instruction)} of another master',
-    NOT_SENT: lambda d, at: f'{name_of(d.instruction)} that did not leave the adapter',
-    SOURCE_LOST: lambda d, at: f'{d.number} events or bytes that were not heard',
+# The lines of the error log; what is not listed here is not an error. {place}: at which
+# register, nothing where the instruction names none.
+_TEXTS: dict[str, str] = {
+    DAMAGED_STATUS: 'status with a wrong CRC',
+    DAMAGED_INSTRUCTION: '{instruction} with a wrong CRC',
+    BAD_LENGTH: 'packet with Length {length}',
+    CUT: '{instruction} that ends before its Length of {length}',
+    MISSED: 'no answer to {instruction}{place}',
+    DISCONNECTED: 'disconnected: {number} answers missed',
+    REFUSED: '{instruction}{place} refused: {error}',
+    ALERT: 'alert',
+    SECOND_ANSWER: 'second answer to one {instruction}',
+    UNASKED: 'answer that was not asked for',
+    LATE: 'answer {us} us too late',
+    WRONG_SIZE: 'answer of {got} bytes to a read of {wanted}',
+    FAST_CUT: 'fast reply ends after {got} of {wanted} devices',
+    UNKNOWN_INSTRUCTION: 'unknown {instruction}',
+    MALFORMED: '{instruction} that makes no sense ({length} bytes)',
+    BAD_ID: 'packet with ID {value}',
+    FOREIGN: '{instruction} of another master',
+    NOT_SENT: '{instruction} that did not leave the adapter',
+    SOURCE_LOST: '{number} events or bytes that were not heard',
 }
 
 
@@ -277,8 +274,14 @@ class Evidence:
 def text_of(incident: Incident[Any],
             register: Register = lambda device, address: str(address)) -> str:
     """Return what happened in words, without the device; '' for what is not an error."""
-    text = _TEXTS.get(incident.kind)
-    return text(incident.detail, partial(register, incident.device)) if text is not None else ''
+    words = incident.detail._asdict()
+    if 'instruction' in words:
+        words['instruction'] = name_of(words['instruction'])
+    if 'error' in words:
+        words['error'] = error_text(words['error'])
+    address = words.get('address', -1)
+    place = f' at {register(incident.device, address)}' if address >= 0 else ''
+    return _TEXTS.get(incident.kind, '').format(**words, place=place)
 
 
 def _line(incident: Incident[Any], register: Register) -> str:
