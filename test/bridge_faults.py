@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from itertools import count
 from itertools import pairwise
 import re
-import threading
 import time
 
+from harness import Background
 from harness import LATE_S
 from harness import wait
 
@@ -32,13 +32,12 @@ COUNTERS = re.compile(r'Frames sent|Openings|Reopenings|Losses|Write time-outs|P
                       r'Stops: ')
 
 
-class Lateness:
+class Lateness(Background):
     """How late (s) a thread of this process wakes up at most: what the machine adds to a bound."""
 
     def __init__(self):
+        super().__init__()
         self.longest_s = 0.0
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='lateness')
 
     def _run(self):
         before = time.monotonic()
@@ -46,14 +45,6 @@ class Lateness:
             now = time.monotonic()
             self.longest_s = max(self.longest_s, now - before - 0.01)
             before = now
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._done.set()
-        self._thread.join()
 
 
 class Rover:

@@ -5,9 +5,9 @@ from contextlib import contextmanager
 from importlib import util
 from pathlib import Path
 import shutil
-import threading
 import time
 
+from harness import Background
 from synthetic_robot import SyntheticRobot
 
 SIZES = {'desktop': (1440, 900), 'phone': (390, 844), 'panel': (800, 480), 'touch': (480, 272)}
@@ -89,15 +89,14 @@ class Dashboard:
         self.stop()
 
 
-class Feed:
+class Feed(Background):
     """Publishes a robot to a dashboard, twice a second, as long as it is entered."""
 
     def __init__(self, dashboard, robot=None, start_s=100.0):
         self.robot = robot or SyntheticRobot()
         self._dashboard = dashboard
         self._start_s = start_s
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._run)
+        super().__init__()
 
     def _run(self):
         begun_s = time.monotonic()
@@ -105,11 +104,3 @@ class Feed:
             time_s = self._start_s + time.monotonic() - begun_s
             self._dashboard.take(self.robot.messages(time_s))
             self._done.wait(0.5)
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._done.set()
-        self._thread.join()

@@ -50,6 +50,25 @@ def wait(condition, deadline_s=DEADLINE_S):
     return met
 
 
+class Background:
+    """Does what `_run` does, in a thread, as long as it is entered; then `_done` is set."""
+
+    def __init__(self):
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=type(self).__name__)
+
+    def stop(self):
+        self._done.set()
+        self._thread.join()
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.stop()
+
+
 class Program:
     """
     A Python program in a process of its own; its output is kept in `lines`.

@@ -9,6 +9,7 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist
 from geometry_msgs.msg import TwistStamped
+from harness import Background
 from harness import DEADLINE_S
 from harness import wait
 from rcl_interfaces.srv import DescribeParameters
@@ -196,15 +197,14 @@ def overrides(full_name, *ros_arguments):
     return found
 
 
-class Teleop:
+class Teleop(Background):
     """Publishes what `message()` returns at a rate, from a thread, while it is entered."""
 
     def __init__(self, publisher, message, rate=200.0):
         self._publisher = publisher
         self._message = message
         self._period_s = 1.0 / rate
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='teleop')
+        super().__init__()
         self.last = 0           # when it published last, monotonic ns
         self.sent = 0
 
@@ -216,14 +216,3 @@ class Teleop:
             self.sent += 1
             next_s = max(next_s + self._period_s, time.monotonic() - 0.1)
             self._done.wait(next_s - time.monotonic())
-
-    def stop(self):
-        self._done.set()
-        self._thread.join()
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self.stop()
