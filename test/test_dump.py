@@ -48,7 +48,6 @@ from msg_defs.dxl_packet import STATUS
 
 DUMP, FAKE_BUS = 'dxl_monitor.tools.dxl_dump', 'mecarover_fakes.fake_bus'
 ROOT = Path(__file__).parents[1]
-TRACE = ROOT.parent / 'shared' / 'data' / 'bus_trace_head.bin'
 MODELS = Models()
 BAUD = 2_000_000
 SECOND = 1_000_000_000
@@ -152,18 +151,6 @@ def test_json_lists_the_same_packets_whatever_the_chunks(raw, seed):
     assert [one['stamp'] for one in found] == sorted(one['stamp'] for one in found)
 
 
-@pytest.mark.skipif(not TRACE.exists(), reason='skipped: no recorded trace here')
-def test_the_trace_of_a_real_robot():
-    data = TRACE.read_bytes()
-    found = objects(TRACE)
-    framer, expected = packets(data)
-    assert listed(found) == expected
-    assert listed(objects('-', feed=data, chunk=1000)) == expected
-    counts = json.loads(dump(TRACE, '--summary'))
-    assert counts['packets'] == len(expected) == framer.packets
-    assert counts['bytes'] == len(data)
-
-
 def test_a_capture_and_its_bytes_list_the_same_packets(recorded, raw):
     timed, bare = objects(recorded), objects(raw)
     assert listed(timed) == listed(bare)
@@ -194,17 +181,6 @@ def test_what_is_decoded():
         == (0x80, 'alert: see Hardware Error Status')
     assert refusal['error_text'].startswith('Access error: ')
     assert (foreign['code'], foreign['instruction']) == (0x8B, 'instruction 0x8B')
-
-
-def test_indirect_data_have_the_names_of_what_they_stand_for():
-    where = struct.pack('<4H', 132, 133, 134, 135)
-    data = b''.join([
-        encode(1, I.WRITE, struct.pack('<H', 168) + where), encode(1, STATUS, error=0),
-        encode(1, I.READ, struct.pack('<HH', 224, 4)),
-        encode(1, STATUS, struct.pack('<i', 2048), error=0)])
-    *_, answer = objects('-', '--devices', '1:XM430-W350', feed=data)
-    assert answer['registers'][0]['values'] == {
-        'Present Position (rad)': pytest.approx(0, abs=1e-8)}
 
 
 def mapped(number, *targets):

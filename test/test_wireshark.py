@@ -14,8 +14,8 @@ from test_dump import dump
 from test_dump import MODELS
 from test_dump import objects
 from test_dump import SECOND
-from test_dump import TRACE
 from test_packet_file import with_sides
+from test_tracker import TRACE
 
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
