@@ -192,15 +192,6 @@ def test_an_answer_is_owed_for_a_tenth_of_a_second(after_ns: int, is_late: bool)
     assert (device.missed_in_a_row, device.counts.missed, device.counts.spoilt) == (3, 3, 1)
 
 
-def test_64_different_errors_of_a_device_are_kept() -> None:
-    device = Device(1)
-    for address in [*range(65), 0]:
-        device.note_error(3, address, 7)
-    assert len(device.errors) == 64
-    assert device.errors[3, 0, 7] == 2
-    assert device.counts.refused == 66
-
-
 @pytest.mark.parametrize(('away_ms', 'is_noted'), [(49.9, False), (50, True)])
 def test_an_absence_is_noted_from_50_ms_on(away_ms: float, is_noted: bool) -> None:
     one = registry(Expected(4, 'XL430-W250'))
@@ -552,15 +543,6 @@ def test_the_places_that_tell_a_dialect_are_registers_of_it(
     assert {(model.by_address[at].name, size) for at, size in places} \
         == {(register, size) for register, sizes in told.items() for size in sizes}
     assert {at + size for at, size in places} <= {field.end for field in model.fields}
-
-
-def test_listed_devices_decide_what_a_bus_speaks() -> None:
-    choice = DialectChoice(MODELS)
-    choice.expect([None, FEETECH, FEETECH])
-    assert choice.dialect is FEETECH
-    both = DialectChoice(MODELS)
-    both.expect([DYNAMIXEL_1, FEETECH])
-    assert both.dialect is DYNAMIXEL_1 or both.dialect is UNDECIDED
 
 
 def ping_1(number: int, noise: int = 0) -> Frame:

@@ -3,7 +3,6 @@
 """Captures: exact to the ns and the chunk, tolerant of damage; the recorder and its disk."""
 import io
 import os
-import random
 import re
 import resource
 
@@ -76,24 +75,6 @@ def test_sides_and_changes_come_back_and_old_files_stay_readable() -> None:
     bad = Reader(io.BytesIO(text.replace(b'capture 2', b'capture 3') + b'(1.0) bus up ff\n'
                             b'(1.0) bus baud x\n(1.0) bus baud 1 2\n(1.0) bus\n'))
     assert (len(list(bad)), bad.bad_lines) == (4, 5)
-
-
-@given(st.binary(max_size=300), st.randoms())
-def test_damage_never_raises_and_costs_only_its_lines(noise: bytes, rng: random.Random) -> None:
-    chunks = [Chunk(number * 1000, 'bus', bytes([number])) for number in range(1, 20)]
-    lines = written(*chunks).splitlines(keepends=True)
-    at = rng.randrange(1, len(lines) + 1)
-    lines[at:at] = [line for line in noise.splitlines(keepends=True)
-                    if not line.startswith((b'(', b'#'))] + [b'\n']
-    found = list(Reader(lines))
-    assert [chunk for chunk in found if chunk in chunks] == chunks
-
-
-def test_bad_lines_are_counted() -> None:
-    text = written(Chunk(5, 'bus', b'\xff')) + b'(1.5 bus\nhello\n(1.0) bus zz\n\n(7.5) bus 0'
-    reader = Reader(io.BytesIO(text))
-    assert [chunk.data for chunk in reader] == [b'\xff']
-    assert (reader.bad_lines, reader.first_bad_line) == (4, 4)
 
 
 FAR = 400 * b'9'

@@ -4,13 +4,11 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-import random
 import re
 import struct
 
 import heard_bus
 from heard_bus import MODELS
-from heard_bus import MS
 from heard_bus import PING
 from heard_bus import PONG
 from heard_bus import READ
@@ -19,18 +17,12 @@ import pytest
 
 from dxl_monitor import doctor as doctor_module
 from dxl_monitor.bus.report import BusReport
-from dxl_monitor.bus.report import Cycle
 from dxl_monitor.doctor import Doctor
 from dxl_monitor.doctor import RULES
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.case import OPTIONS
 from dxl_monitor.doctor.case import PARAMETERS
-from dxl_monitor.doctor.rate import likely_rate
-from dxl_monitor.doctor.rhythm import is_independent
-from dxl_monitor.doctor.rhythm import is_multiple
-from dxl_monitor.doctor.rhythm import rhythms
-from dxl_monitor.doctor.rhythm import spread_of
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import Rule
@@ -43,7 +35,6 @@ from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.reports import Level
-from msg_defs.uart import heard_at
 
 DOCS = Path(__file__).parents[1] / 'docs'
 TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
@@ -153,58 +144,6 @@ def test_nothing_is_left_after_a_reset() -> None:
 
 # --- rules that no fault of the simulated bus makes true ---------------------------------------
 
-def test_overrun_accounts_for_damage() -> None:
-    bus = Bus()
-    bus.hear(PING, PONG)
-    bus.told(LineErrors())
-    for _ in range(30):
-        bus.hear(READ, REPLY[:7] + REPLY[8:])
-    assert bus.told(LineErrors(overrun=4)) == {'overrun': Level.WARN}
-
-
-def test_answers_missing_now_and_then() -> None:
-    bus = Bus()
-    bus.hear(PING, PONG)
-    for _ in range(10):
-        bus.hear(*[READ, REPLY] * 10, READ)
-    assert bus.told() == {'missed_answers': Level.WARN}
-
-
-def test_who_was_never_heard_may_be_waiting_too() -> None:
-    bus = Bus()
-    bus.hear(PING, PONG)
-    ask = encode(254, I.SYNC_READ, struct.pack('<HH', 132, 4) + b'\x01\x02\x03')
-    bus.hear(*[ask, REPLY] * 200, every_ms=20.0)
-    assert names(bus.report()) == [('sync_read_stops', 2)]
-
-
-def test_an_alert_of_unknown_reason() -> None:
-    bus = Bus()
-    bus.hear(PING, PONG, READ, encode(1, STATUS, bytes(4), error=0x80))
-    assert bus.told() == {'hardware_error': Level.WARN}
-    bus.hear(*read(70, b'\x20', 0x80))
-    assert bus.told() == {'hardware_error': Level.ERROR}
-    bus.hear(READ, REPLY)
-    assert bus.told() == {}
-
-
-@pytest.mark.parametrize(('address', 'limit', 'value_at', 'value', 'expected'), [
-    (31, b'\x50', 146, b'\x4a', {}),
-    (31, b'\x50', 146, b'\x4b', {'too_hot': Level.WARN}),
-    (31, b'\x50', 146, b'\x50', {'too_hot': Level.ERROR}),
-    (31, b'\x3c', 146, b'\x3c', {'too_hot': Level.ERROR}),         # its own, not that of its model
-    (34, b'\x5f\x00', 144, b'\x62\x00', {}),
-    (34, b'\x5f\x00', 144, b'\x61\x00', {'voltage': Level.WARN}),
-    (34, b'\x5f\x00', 144, b'\x5e\x00', {'voltage': Level.ERROR}),
-    (32, b'\xa0\x00', 144, b'\x9e\x00', {'voltage': Level.WARN}),
-    (32, b'\xa0\x00', 144, b'\xa1\x00', {'voltage': Level.ERROR}),
-])
-def test_near_a_limit_and_beyond(address: int, limit: bytes, value_at: int, value: bytes,
-                                 expected: dict[str, Level]) -> None:
-    bus = Bus()
-    bus.hear(PING, PONG, *read(address, limit), *read(value_at, value))
-    assert bus.told() == expected
-
 
 def test_without_the_limit_it_cannot_tell() -> None:
     bus = Bus()
@@ -235,22 +174,6 @@ def test_a_device_whose_registers_have_no_names_says_so(identity: bytes, names: 
                               f'set {names.devices}')
 
 
-def test_an_error_register_without_an_alert_is_over() -> None:
-    bus = Bus()
-    bus.hear(PING, PONG, *read(70, b'\x20', 0x80))
-    assert bus.report().devices[0].level is Level.ERROR
-    bus.hear(*[READ, REPLY] * 3)       # it was switched off and on; the register is not read again
-    assert (bus.report().devices[0].level, bus.told()) == (Level.OK, {})
-
-
-def test_without_its_own_limit_that_of_its_model_counts() -> None:
-    bus = Bus()
-    bus.hear(PING, PONG, *read(146, b'\x60'))
-    [finding] = bus.report().findings
-    assert (finding.rule, finding.level) == ('too_hot', Level.ERROR)
-    assert 'its shutdown limit of 80 °C from the factory' in finding.message
-
-
 def test_a_reboot_that_was_ordered_is_no_finding() -> None:
     bus = Bus()
     bus.hear(PING, PONG, *[READ, REPLY] * 20, encode(1, I.REBOOT), encode(1, STATUS, error=0))
@@ -259,89 +182,6 @@ def test_a_reboot_that_was_ordered_is_no_finding() -> None:
         bus.hear(*[READ, REPLY] * 25)
         bus.told()
     assert bus.told() == {}
-
-
-@pytest.mark.parametrize('rate', [57_600, 115_200, 1_000_000, 3_000_000, 4_000_000])
-def test_the_real_rate_from_garbled_headers(rate: int) -> None:
-    baud = 2_000_000
-    noise = b''.join(heard_at(one, baud / rate) for one in [PING, READ, PONG, REPLY] * 12)
-    assert likely_rate(noise[-256:], baud) in (rate, None)
-
-
-def test_the_real_rate_where_it_is_certain() -> None:
-    noise = b''.join(heard_at(one, 2.0) for one in [PING, READ, PONG, REPLY] * 4)
-    assert likely_rate(noise[-256:], 2_000_000) == 1_000_000
-    assert likely_rate(bytes(256), 2_000_000) is None
-
-
-def test_one_program_with_two_rhythms_is_not_two() -> None:
-    def blurred(period: int, phase: int, seed: int) -> Cycle:
-        rng = random.Random(seed)
-        return Cycle(I.READ, (seed,), 132, 4, 32, 0, tuple(
-            n * period * MS + phase + rng.randrange(2 * MS) for n in range(32)))
-    same = rhythms((blurred(10, 0, 1), blurred(10, 4 * MS, 2)), 320 * MS, 2_000_000)
-    assert is_multiple(*same)
-    other = rhythms((blurred(20, 0, 1), blurred(37, 0, 2)), 1000 * MS, 2_000_000)
-    assert is_independent(*other) and not is_multiple(*reversed(other))
-
-
-@pytest.mark.parametrize(('count', 'places', 'is_told'), [
-    (8, 5, True), (7, 5, False), (8, 3, False), (32, 7, False), (32, 8, True)])
-def test_another_rhythm_is_found_in_many_places_of_the_cycle(count: int, places: int,
-                                                             is_told: bool) -> None:
-    def cycle(*stamps: float) -> Cycle:
-        return Cycle(I.READ, (1,), 132, 4, 32, 0, tuple(int(one * MS) for one in stamps))
-    one, other = rhythms((
-        cycle(*(10 * n for n in range(150))),
-        cycle(*(40 * n + (n % places + 0.5) * 10 / 16 for n in range(count)),
-              *(1500 + n for n in range(13)))), 1500 * MS, 2_000_000)
-    assert is_independent(one, other) == is_told
-
-
-@pytest.mark.parametrize(('periods', 'spread'), [
-    ([7], 0.0), ([2, 1], 0.5), ([*range(1, 11)], 7 / 6), ([*range(20, 0, -1)], 15 / 11),
-    ([0, 0, 5], 0.0)])
-def test_the_spread_is_that_without_the_tenth_at_each_end(periods: list[int],
-                                                          spread: float) -> None:
-    assert spread_of(periods) == spread
-
-
-def test_a_little_spread_is_told_as_it_is() -> None:
-    stamps = [n * 20 * MS + (n % 3) * MS for n in range(24)]
-    cycle = Cycle(I.READ, (1,), 132, 4, 32, 0, tuple(stamps))
-    (rhythm,) = rhythms((cycle,), stamps[-1], 1_000_000)
-    assert rhythm.jitter == rhythm.spread == 3 / 21
-
-
-def test_a_change_of_pace_is_no_jitter() -> None:
-    stamps = [n * 20 * MS for n in range(16)]
-    stamps += [stamps[-1] + n * 50 * MS for n in range(1, 17)]
-    cycle = Cycle(I.READ, (1,), 132, 4, 32, 0, tuple(stamps))
-    (rhythm,) = rhythms((cycle,), stamps[-1], 2_000_000)
-    assert rhythm.jitter < 0.1 < rhythm.spread
-
-
-def test_a_master_that_asks_two_things_in_turn_does_not_repeat_itself() -> None:
-    stamps = [n * 20 * MS + part for n in range(16) for part in (0, 2 * MS)]
-    cycle = Cycle(I.READ, (1,), 132, 4, 32, 0, tuple(stamps))
-    assert [one.repeats for one in rhythms((cycle,), stamps[-1], 2_000_000)] == [[]]
-
-
-@pytest.mark.parametrize(('instruction', 'behind_ms', 'every', 'found'), [
-    (I.READ, 1.0, 16, 1),
-    (I.READ, 1.5, 16, 1),
-    (I.READ, 1.7, 16, 0),          # the answer was over before
-    (I.READ, 1.0, 2, 0),           # so often it is part of the cycle
-    (I.WRITE, 1.0, 16, 0),         # to another device, or with other data
-])
-def test_a_question_that_is_asked_again_at_once(instruction: int, behind_ms: float, every: int,
-                                                found: int) -> None:
-    stamps = [int((20 * n + late) * MS) for n in range(24)
-              for late in ((0, behind_ms) if n % every == every // 2 else (0,))]
-    cycle = Cycle(instruction, (1,), 132, 4, 32, 0, tuple(stamps))
-    (rhythm,) = rhythms((cycle,), stamps[-1], 2_000_000)
-    assert len(rhythm.repeats) == found
-    assert all(int(behind_ms * MS) == again - before for before, again in rhythm.repeats)
 
 
 # --- what a user sees --------------------------------------------------------------------------
@@ -378,15 +218,3 @@ def test_rules_explain_rules() -> None:
     assert len(known) == len(RULES)
     for one in RULES:
         assert set(one.explains) <= known, one.name
-
-
-def test_no_bytes_make_it_raise() -> None:
-    rng = random.Random(7)
-    good = [PING, PONG, READ, REPLY, encode(254, I.SYNC_READ, b'\x84\x00\x04\x00\x01\x02\x03')]
-    bus = Bus()
-    for _ in range(300):
-        chunk = bytearray(b''.join(rng.choices(good, k=6)))
-        for _ in range(rng.randrange(6)):
-            chunk[rng.randrange(len(chunk))] = rng.randrange(256)
-        bus.hear(bytes(chunk) if rng.random() < 0.8 else rng.randbytes(40), every_ms=30.0)
-        assert all(len(one.message) < 200 for one in bus.report().findings)

@@ -21,8 +21,8 @@ from msg_defs.reports import Level
 MODELS = Models()
 MS = 1_000_000
 S = 1_000_000_000
-SUM, RANGE, LENGTH, ACCESS = 3, 4, 5, 7
-RETURN_DELAY, TORQUE, VOLTAGE = 9, 64, 144
+ACCESS = 7
+TORQUE, VOLTAGE = 64, 144
 GOAL, POSITION, MODEL = 116, 132, b'\x24\x04\x2e'          # an XL430-W250
 
 
@@ -85,25 +85,6 @@ def test_one_that_always_answers_once_more_behind_damage_is_two() -> None:
     assert names(heard(turn * 30))[0] == ('duplicate_id', 2)
 
 
-GOALS = encode(BROADCAST, I.SYNC_WRITE, struct.pack('<HH', GOAL, 4) + bytes(15))
-
-
-@pytest.mark.parametrize(('turn', 'said', 'code'), [
-    (around(read(1), says(1, bytes(4))), read(1), 0),
-    (around(GOALS), GOALS, I.SYNC_READ),
-])
-def test_bits_that_two_talkers_lose_are_no_noise(turn: list[bytes], said: bytes,
-                                                 code: int) -> None:
-    report = heard([said[:7] + bytes((code,)) + said[8:], *turn] * 40)
-    assert 'noise' not in dict(names(report))
-    assert [one.message[:26] for one in report.doubts if one.rule == 'noise'] \
-        == ['packets overlap: two progr']
-
-
-def test_bits_that_turn_over_are_noise() -> None:
-    torn = read(1)[:9] + bytes((read(1)[9] ^ 1,)) + read(1)[10:]
-    report = heard(around(torn, read(1), says(1, bytes(4))) * 40)
-    assert names(report) == [('noise', None)]
 
 
 def test_a_master_that_does_not_wait_is_no_dead_device() -> None:
@@ -139,9 +120,7 @@ def test_a_ping_to_all_is_a_scan_and_too_many_are_told() -> None:
     assert 'collide' not in finding.message
 
 
-DYNAMIXEL_1, FEETECH, EITHER = b'\x24\x02', b'\x38\x02', b'\x50\x02'     # reads of each
-MOVE = 'set these devices to Protocol {} if they have it, or give them another bus'
-PART = 'give these devices a bus of their own'
+DYNAMIXEL_1, FEETECH = b'\x24\x02', b'\x38\x02'          # reads of each
 
 
 def mixed(of_2: Iterable[int], of_1: Iterable[int], what: bytes, turns: int = 100) -> list[bytes]:
@@ -149,26 +128,6 @@ def mixed(of_2: Iterable[int], of_1: Iterable[int], what: bytes, turns: int = 10
     return [*[one for number in of_2 for one in (read(number), says(number, bytes(4)))],
             *[one for number in of_1
               for one in (encode_1(number, I.READ, what), encode_1(number, 0, b'\0\2'))]] * turns
-
-
-@pytest.mark.parametrize(('of_2', 'of_1', 'what', 'message'), [
-    ((1, 2, 3), (7,), DYNAMIXEL_1,
-     'Dynamixel 1.0, ID 007, on a bus of Dynamixel 2.0: ' + MOVE.format('2.0')),
-    ((1, 2, 3), (7,), EITHER,
-     'Dynamixel 1.0 or Feetech, ID 007, on a bus of Dynamixel 2.0: ' + MOVE.format('2.0')),
-    ((1,), (7,), DYNAMIXEL_1,
-     'Dynamixel 1.0, ID 007, on a bus of Dynamixel 2.0: ' + MOVE.format('2.0')),
-    ((1, 2, 3), (7,), FEETECH, f'Feetech, ID 007, on a bus of Dynamixel 2.0: {PART}'),
-    ((9,), (1, 2, 3), DYNAMIXEL_1,
-     'Dynamixel 2.0, ID 009, on a bus of Dynamixel 1.0: ' + MOVE.format('1.0')),
-    ((9,), (1, 2), EITHER,
-     'Dynamixel 2.0, ID 009, on a bus of Dynamixel 1.0 or Feetech: ' + MOVE.format('1.0')),
-    ((9,), (1, 2, 3), FEETECH, f'Dynamixel 2.0, ID 009, on a bus of Feetech: {PART}'),
-])
-def test_of_two_protocols_the_fewer_devices_are_told_to_go(
-        of_2: tuple[int, ...], of_1: tuple[int, ...], what: bytes, message: str) -> None:
-    report = heard(mixed(of_2, of_1, what), devices=0)
-    assert [(one.rule, one.message) for one in report.findings] == [('protocol_1', message)]
 
 
 def test_questions_of_2_0_that_none_answers_do_not_make_a_bus_of_two_protocols() -> None:
@@ -184,19 +143,6 @@ def test_two_protocols_are_told_no_longer_than_both_answer() -> None:
 
 
 # --- what is refused -------------------------------------------------------------------------
-
-@pytest.mark.parametrize(('refused', 'error', 'expected'), [
-    (read(1, 611), ACCESS, [('wrong_address', 1)]),
-    (read(1, 611), LENGTH, [('wrong_address', 1)]),
-    (write(1, GOAL, bytes(4)), RANGE, [('wrong_address', 1)]),
-    (write(1, RETURN_DELAY, b'\0'), RANGE, [('wrong_address', 1)]),
-    (write(1, RETURN_DELAY, b'\0'), ACCESS, [('eeprom_locked', 1)]),
-    (write(1, GOAL, bytes(4)), SUM, []),           # the address is not what it refuses
-])
-def test_what_is_refused_tells_why(refused: bytes, error: int,
-                                   expected: list[tuple[str, int]]) -> None:
-    assert names(heard([refused, says(1, b'', error)] * 3)) == expected
-    assert names(heard([refused, says(1, b'', error)] * 2)) == []
 
 
 def test_what_needs_the_model_is_not_said_without_it() -> None:
@@ -282,11 +228,6 @@ def test_of_several_absences_the_longest_is_told() -> None:
 
 
 # --- how much it takes -----------------------------------------------------------------------
-
-@pytest.mark.parametrize(('number', 'is_told'), [(252, False), (253, True), (255, True)])
-def test_an_id_that_no_device_can_have(number: int, is_told: bool) -> None:
-    assert names(heard([encode(number, I.PING)] * 3)) == [('impossible_id', None)] * is_told
-    assert heard([encode(number, I.PING)] * 2).findings == ()
 
 
 @pytest.mark.parametrize(('value', 'expected'), [

@@ -54,14 +54,6 @@ def test_nothing_is_said_of_a_well_arm() -> None:
     assert not {'baud_code', 'lock', 'calibrated_twice', 'mixed_firmware'} & bus.findings().keys()
 
 
-def test_a_baud_code_that_lerobot_reads_differently() -> None:
-    bus = Bus()
-    bus.ask(2, 3, b'\x06\5')
-    device, message = bus.findings()['baud_code']
-    assert device == 2
-    assert '76800 for Feetech and 57600 in LeRobot' in message
-
-
 def test_writes_to_a_locked_eeprom() -> None:
     bus = Bus()
     bus.ask(1, 2, b'\x37\1', b'\1')
@@ -75,15 +67,6 @@ def test_writes_to_a_locked_eeprom() -> None:
     assert 'write 0 to Lock before it' in message
 
 
-def test_an_offset_measured_on_top_of_another() -> None:
-    bus = Bus()
-    for value in (b'\x78\0', b'\x78\0', b'\0\0', b'\x40\0'):      # settings, then a calibration
-        bus.ask(2, 3, b'\x1f' + value)
-    assert 'calibrated_twice' not in bus.findings()
-    bus.ask(2, 3, b'\x1f\x30\0')
-    assert bus.findings()['calibrated_twice'][0] == 2
-
-
 def test_a_middle_that_is_set_twice() -> None:
     bus = Bus()
     bus.ask(3, 3, b'\x28\x80')
@@ -93,20 +76,6 @@ def test_a_middle_that_is_set_twice() -> None:
     assert bus.findings()['calibrated_twice'][0] == 3
 
 
-def test_a_servo_for_another_voltage() -> None:
-    bus = Bus()
-    for number, limit in ((1, 80), (2, 140)):
-        bus.ask(number, 2, b'\x0e\2', bytes((limit, 40)))
-    for tenths in (121, 121, 121, 121):
-        for number in (1, 2, 3):
-            bus.ask(number, 2, b'\x3e\1', bytes([tenths]))
-        bus.poll(1.2)
-    found = bus.findings()
-    assert found['wrong_supply'][0] == 1               # the limit of 3 is not known
-    assert 'limit of 8.0 V' in found['wrong_supply'][1]
-    assert 'wrong_supply' in {one.rule for one in bus.monitor.report(bus.now).doubts}
-
-
 def test_a_dip_of_the_supply_is_not_another_voltage() -> None:
     bus = Bus()
     bus.ask(1, 2, b'\x0e\2', bytes((140, 40)))
@@ -114,20 +83,6 @@ def test_a_dip_of_the_supply_is_not_another_voltage() -> None:
         bus.ask(1, 2, b'\x3e\1', bytes([tenths]))
         bus.poll(1)
         assert 'wrong_supply' not in bus.findings()
-
-
-def test_registers_of_another_series() -> None:
-    bus = Bus()
-    for _ in range(3):
-        bus.ask(1, 2, b'\0\x60', bytes(96))            # looks at all there is
-        bus.ask(1, 2, b'\x38\x0f', bytes(15))          # some of it, in whole registers
-        bus.ask(1, 3, b'\x37\1')                      # Lock of an STS
-    assert 'layout' not in bus.findings()
-    for _ in range(3):
-        bus.ask(2, 3, b'\x30\1')                      # Lock of an SCS
-    device, message = bus.findings()['layout']
-    assert device == 2
-    assert 'cuts Torque Limit (48, 2 bytes) (Lock of SCS)' in message
 
 
 def test_a_servo_with_the_other_byte_order() -> None:
@@ -145,16 +100,6 @@ def test_an_id_of_253_is_a_servo() -> None:
     report = bus.monitor.report(bus.now)
     assert {one.id: one.totals.answers for one in report.devices}[253] == 5
     assert 'impossible_id' not in bus.findings()
-
-
-def test_a_dead_servo_is_no_servo_with_the_id_of_the_factory() -> None:
-    bus = Bus()
-    for _ in range(40):
-        bus.ask(1, 2, b'\x38\2', b'\0\x08')
-        bus.now += MS
-        bus.monitor.feed(encode(3, 2, b'\x38\2'), bus.now)
-        bus.now += 40 * MS
-    assert 'factory_id' not in bus.findings()
 
 
 def test_an_answer_that_lost_its_first_byte_is_counted_and_not_believed() -> None:

@@ -63,11 +63,6 @@ def test_what_only_one_of_them_has() -> None:
     assert all(fits(code, BROADCAST, params) for code, params in ((0x92, bulk), (0x82, sync)))
 
 
-def test_only_one_of_them_answers_a_reboot() -> None:
-    assert [parse(0x08, 1, b'', dialect).answers for dialect in DIALECTS] == [
-        Answers.ACK, Answers.NONE, Answers.NONE]
-
-
 @pytest.mark.parametrize(('code', 'number', 'params'), [
     (0x01, 1, b'\0'), (0x02, 1, b''), (0x02, 1, b'\x38\0'), (0x02, 1, b'\0\0\1'), (0x03, 1, b'\1'),
     (0x83, BROADCAST, b'\x1e\2'), (0x83, BROADCAST, b'\x1e\2\1\0'), (0x83, 1, b'\x1e\1\1\0'),

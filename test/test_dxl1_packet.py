@@ -138,10 +138,6 @@ def test_what_is_wrong_is_said_exactly() -> None:
         assert end == begin + 2 + len(data)
 
 
-def test_a_frame_is_no_instruction_and_no_status() -> None:
-    assert Dxl1Framer().frames(REPLY) == [(0, len(REPLY), EITHER_1, 1, 0, b'\x18\5', None)]
-
-
 def test_no_broadcast_and_no_length_is_too_large() -> None:
     wire = encode(BROADCAST, 0x83, b'\x1e\x04' + bytes(range(251)))
     assert len(wire) == MAX_FRAME

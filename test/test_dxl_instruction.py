@@ -6,9 +6,6 @@ import json
 from pathlib import Path
 import struct
 
-from hypothesis import given
-from hypothesis import settings
-from hypothesis import strategies as st
 from packets import packets_in
 import pytest
 
@@ -20,7 +17,6 @@ from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import parse
-from msg_defs.dxl_instruction import split_combined
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import HEADER
@@ -43,9 +39,6 @@ def combined(blocks: list[Block]) -> bytes:
     return frame
 
 
-BLOCKS = [Block(3, 0, b'\xa6\x00\x00\x00'), Block(7, 0x80, HEADER),
-          Block(4, 0, b'\x1f\x08\x00\x00')]
-ACCESSES = tuple(Access(block.id, 132, 4, None) for block in BLOCKS)
 
 
 @pytest.mark.parametrize(('instruction', 'number', 'params', 'answers', 'accesses'), [
@@ -91,70 +84,11 @@ def test_parameters_that_do_not_fit_are_malformed(instruction: int, params: byte
     assert request.accesses == ()
 
 
-@pytest.mark.parametrize(('instruction', 'params', 'option'), [
-    (0x06, b'\xff', 'all'), (0x06, b'\x01', 'all except ID'),
-    (0x06, b'\x02', 'all except ID and Baud Rate'), (0x06, b'\x09', ''), (0x06, b'', ''),
-    (0x10, b'\x01DXL"', 'multi-turn'), (0x10, b'\x01ERCL', 'error'), (0x10, b'\x02ERCL', 'error'),
-    (0x10, b'', ''), (0x20, b'\x01CTRL', 'store'), (0x20, b'\x02CTRL', 'restore'), (0x20, b'', ''),
-])
-def test_options(instruction: int, params: bytes, option: str) -> None:
-    assert parse(instruction, 1, params).option == option
-
-
-@pytest.mark.parametrize('instruction', [0x82, 0x83, 0x8A, 0x92, 0x93, 0x9A])
-def test_what_lists_devices_is_for_everybody_alone(instruction: int) -> None:
-    params = b'\x01' + words(3, 1) + b'\x01' + (b'\x02' if instruction != 0x92 else b'')
-    assert parse(instruction, 1, params).malformed
-
-
 def test_names_and_errors_in_words() -> None:
     assert name_of(Instruction.FAST_SYNC_READ) == 'Fast Sync Read'
     assert name_of(0x8B) == 'instruction 0x8B'
     assert [error_text(error) for error in (0, 0x80, 7, 0x87, 9)] == [
         '', 'alert', 'Access', 'Access, alert', 'error 9']
-
-
-def test_a_bulk_write_says_what_makes_sense_of_it() -> None:
-    whole = b'\x01' + words(32, 2) + b'\xa0\x00'
-    found = (Access(1, 32, 2, b'\xa0\x00'),)
-    for rest in (b'\x02', b'\x02' + words(32, 0), b'\x02' + words(32, 9) + b'\x01'):
-        request = parse(0x93, BROADCAST, whole + rest)
-        assert (request.accesses, request.malformed) == (found, True)
-
-
-def test_a_combined_reply_is_one_frame_and_splits() -> None:
-    wire = combined(BLOCKS)
-    packets = packets_in(Framer(), wire, 0)
-    assert len(packets) == 1
-    assert split_combined(wire[4:], ACCESSES) == BLOCKS
-
-
-def test_a_combined_reply_cut_at_every_byte_keeps_its_whole_blocks() -> None:
-    wire = combined(BLOCKS)
-    ends = [8 + 8 * (n + 1) for n in range(len(BLOCKS))]
-    for size in range(len(wire) + 1):
-        whole = sum(end <= size for end in ends)
-        assert split_combined(wire[4:size], ACCESSES) == BLOCKS[:whole]
-        assert split_combined(wire[4:size] + b'\x00\x55\xff', ACCESSES)[:whole] == BLOCKS[:whole]
-
-
-def test_a_combined_reply_with_one_flipped_bit_keeps_the_blocks_before() -> None:
-    wire = combined(BLOCKS)
-    for bit in range(8 * 8, 8 * len(wire)):
-        damaged = bytearray(wire)
-        damaged[bit // 8] ^= 1 << bit % 8
-        assert split_combined(bytes(damaged[4:]), ACCESSES) == BLOCKS[:(bit // 8 - 8) // 8]
-
-
-def test_a_block_from_another_device_ends_the_reply() -> None:
-    wire = combined([BLOCKS[0], BLOCKS[2], BLOCKS[1]])
-    assert split_combined(wire[4:], ACCESSES) == BLOCKS[:1]
-
-
-@pytest.mark.parametrize('count', range(len(BLOCKS) + 1))
-def test_a_good_reply_of_fewer_devices_gives_what_there_is(count: int) -> None:
-    wire = combined(BLOCKS[:count])
-    assert split_combined(wire[4:], ACCESSES) == BLOCKS[:count]
 
 
 def test_published_instructions_are_understood() -> None:
@@ -172,14 +106,3 @@ def test_published_instructions_are_understood() -> None:
             assert request.accesses[0].address == decoded['address']
         if 'length' in decoded:
             assert request.accesses[0].length == decoded['length']
-
-
-@settings(max_examples=500, deadline=None)
-@given(st.sampled_from([*Instruction, 0x00, 0x8B, 0xFF]), st.integers(0, 255),
-       st.binary(max_size=60))
-def test_nothing_raises(instruction: int, number: int, params: bytes) -> None:
-    request = parse(instruction, number, params)
-    for access in request.accesses:
-        assert access.data is None or len(access.data) == access.length
-    split_combined(params, request.accesses)
-    split_combined(params, ACCESSES)

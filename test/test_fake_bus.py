@@ -264,13 +264,6 @@ def test_silent_device_is_known_as_such_and_comes_back() -> None:
     assert master.truth.known[5].state == 'connected'
 
 
-def test_latched_error_shows_in_every_status_of_the_device() -> None:
-    master = make_master(faults=('latched:3',))
-    statuses = [burst for burst in play(master) if burst.sender == 3]
-    assert all(burst.data[8] & 0x80 for burst in statuses)
-    assert not any(burst.data[8] for burst in play(make_master()) if burst.sender == 3)
-
-
 def test_late_bytes_at_another_rate_are_garbage() -> None:
     data = bytes(range(256))
     assert heard_at(data, 1.0) == data
@@ -327,11 +320,6 @@ def test_outlet_counts_what_nobody_took_as_unheard_then_as_overrun(outlet: Virtu
     assert outlet.overrun == 10_000 - (CAPACITY - 1)
     assert outlet.sent == outlet.taken + outlet.overrun + outlet.unheard
     os.close(reader.fd)
-
-
-def test_outlet_hands_over_what_fits(outlet: VirtualUart) -> None:
-    outlet.write(bytes(3 * CAPACITY))
-    assert outlet.taken == CAPACITY - 1
 
 
 def test_bus_in_real_time_is_the_bus_on_paper() -> None:

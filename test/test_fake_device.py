@@ -192,20 +192,6 @@ def test_return_delay_and_wire_time() -> None:
     assert (answer.start, answer.end) == (asked.end + 500_000, asked.end + 500_000 + 14 * 10_000)
 
 
-@pytest.mark.parametrize(('level', 'answered'), [
-    (0, [Instruction.PING]), (1, [Instruction.PING, Instruction.READ]),
-    (2, [Instruction.PING, Instruction.READ, Instruction.WRITE])])
-def test_status_return_level(level: int, answered: list[Instruction]) -> None:
-    device = make()
-    device.set('Status Return Level', level)
-    line = Line([device], BAUD)
-    asks = {Instruction.PING: b'', Instruction.READ: words(LED, 1),
-            Instruction.WRITE: words(LED) + b'\x00'}
-    exchanges = {code: line.exchange(1, code, params, 0) for code, params in asks.items()}
-    assert [code for code, exchange in exchanges.items() if exchange.answers] == answered
-    assert [code for code, exchange in exchanges.items() if exchange.due] == answered
-
-
 def test_broadcasts_reach_all_and_only_ping_is_answered_in_order_of_ids() -> None:
     line = Line([make(7), make(3), make(5)], BAUD)
     assert not line.exchange(BROADCAST, Instruction.WRITE, words(LED) + b'\x01', 0).answers

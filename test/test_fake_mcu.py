@@ -2,22 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fake MCU: receiver and cable on simulated time, then the pty and the console tool."""
 from contextlib import suppress
-from itertools import pairwise
 import json
 import os
-import random
 import subprocess
 import sys
 import time
 
-from hypothesis import given
-from hypothesis import settings
-from hypothesis import strategies as st
-
 from mecarover_fakes.fake_mcu import FakeMcu
 from mecarover_fakes.receiver import BadCable
-from mecarover_fakes.receiver import LOOP
-from mecarover_fakes.receiver import QUEUE_DEPTH
 from mecarover_fakes.receiver import Receiver
 from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.vel2d import encode
@@ -42,67 +34,12 @@ def until(mcu, condition):
         mcu.pump(0.01)
 
 
-def test_a_frame_becomes_a_set_point_in_mm_per_s():
-    mcu = Receiver()
-    mcu.feed(FRAME, MS)
-    assert mcu.advance(LOOP - 1) == []
-    (taken,) = mcu.advance(LOOP)
-    assert taken == (LOOP, 500.0, -250.0, 1.0)
-    assert not taken.is_stop
-
-
-def test_the_last_set_point_is_held_for_ever():
-    mcu = Receiver()
-    mcu.feed(FRAME, 0)
-    mcu.advance(3600 * 1000 * MS)
-    assert mcu.wheels[1:] == (500.0, -250.0, 1.0)
-    assert mcu.totals.taken == 1
-
-
 def test_a_crc_over_words_is_another_crc():
     mcu = Receiver(crc=crc32_mpeg2_words)
     mcu.feed(FRAME, 0)
     mcu.feed(encode(DRIVE, crc32_mpeg2_words), 10 * MS)
     mcu.advance(100 * MS)
     assert (mcu.totals.crc_err, mcu.totals.frames) == (1, 1)
-
-
-def test_one_idle_character_ends_a_frame():
-    mcu = Receiver()
-    mcu.feed(FRAME[:27], 0)
-    end = mcu.line_free
-    mcu.advance(end + mcu.character - 1)
-    assert mcu.totals.insufficient == 0
-    mcu.advance(end + mcu.character)
-    assert mcu.totals.insufficient == 1
-
-
-def test_nothing_received_does_not_prolong_a_pause():
-    mcu = Receiver()
-    mcu.feed(FRAME[:27], 0)
-    end = mcu.line_free + mcu.character
-    mcu.feed(b'', end - 1)
-    mcu.advance(end)
-    assert [arrival.stamp for arrival in mcu.arrivals] == [end]
-
-
-def test_a_pause_inside_a_frame_spoils_it():
-    mcu = Receiver()
-    mcu.feed(FRAME[:14], 0)
-    mcu.feed(FRAME[14:], mcu.line_free + mcu.character)
-    mcu.advance(100 * MS)
-    assert [arrival.size for arrival in mcu.arrivals] == [14, 14]
-    assert mcu.totals.insufficient == 2
-
-
-def test_without_gaps_a_lost_byte_spoils_everything_until_the_line_is_idle():
-    mcu = Receiver()
-    mcu.feed(FRAME[1:], 0)
-    for _ in range(20):
-        mcu.feed(FRAME, 0)                           # behind the one before, without a gap
-    assert mcu.totals.frames == 0
-    mcu.feed(FRAME, mcu.line_free + 2 * mcu.character)
-    assert (mcu.totals.crc_err, mcu.totals.insufficient, mcu.totals.frames) == (20, 1, 1)
 
 
 def test_with_gaps_only_damaged_frames_are_lost():
@@ -115,74 +52,6 @@ def test_with_gaps_only_damaged_frames_are_lost():
     assert (mcu.totals.frames, mcu.totals.insufficient, mcu.totals.crc_err) == (980, 20, 0)
     good = [arrival.velocity.x for arrival in mcu.arrivals if arrival.velocity]
     assert good == [index / 1000 for index in range(1000) if index % 50 != 49]
-
-
-def test_a_flipped_bit_is_a_crc_error():
-    mcu, cable = Receiver(), BadCable(flip=10)
-    for index in range(100):
-        mcu.feed(cable.carry(numbered(index)), index * 10 * MS)
-    mcu.advance(1000 * MS)
-    assert (mcu.totals.frames, mcu.totals.crc_err, mcu.totals.insufficient) == (90, 10, 0)
-    assert cable.damaged == 10
-
-
-def test_a_full_queue_drops_the_newest():
-    mcu = Receiver()
-    for index in range(1, 15):
-        mcu.feed(numbered(index), index)             # 2.43 ms each: number 13 ends after 30 ms
-    taken = mcu.advance(2000 * MS)
-    assert [round(set_point.x) for set_point in taken] == [*range(1, 11), 13]
-    assert mcu.totals.queue_full == 3
-    assert all(after.stamp - before.stamp == LOOP for before, after in pairwise(taken))
-
-
-def test_at_100_frames_per_second_the_rover_acts_on_old_commands():
-    mcu = Receiver()
-    for index in range(200):
-        mcu.feed(numbered(index), index * 10 * MS)
-        mcu.advance(index * 10 * MS)
-    assert mcu.queued >= QUEUE_DEPTH - 1
-    sent_ago_ms = 10 * (199 - mcu.wheels.x)
-    assert 250 < sent_ago_ms < 400
-
-
-def test_after_an_overrun_it_is_deaf():
-    mcu = Receiver()
-    mcu.feed(FRAME, 0)
-    mcu.overrun()
-    mcu.feed(encode(STOP), 100 * MS)
-    mcu.advance(1000 * MS)
-    assert mcu.wheels.x == 500.0
-    assert (mcu.totals.overruns, mcu.totals.unheard) == (1, FRAME_SIZE)
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.lists(st.tuples(st.binary(max_size=100), st.integers(0, 50 * MS))))
-def test_any_bytes_are_accounted_for(chunks):
-    mcu = Receiver()
-    now = 0
-    for chunk, pause in chunks:
-        mcu.feed(chunk, now)
-        now += pause
-        mcu.advance(now)
-    mcu.advance(max(now, mcu.line_free) + LOOP)
-    totals = mcu.totals
-    assert sum(arrival.size for arrival in mcu.arrivals) == totals.received
-    assert len(mcu.arrivals) == totals.frames + totals.crc_err + totals.insufficient
-    assert totals.frames == totals.taken + totals.queue_full + mcu.queued
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.lists(st.integers(1, 3 * FRAME_SIZE), max_size=30), st.integers(0, 2**32))
-def test_how_a_stream_is_cut_makes_no_difference(sizes, seed):
-    stream = random.Random(seed).randbytes(10 * FRAME_SIZE) + FRAME
-    whole, cut = Receiver(), Receiver()
-    whole.feed(stream, 0)
-    at = 0
-    for size in [*sizes, len(stream)]:
-        cut.feed(stream[at:at + size], at * cut.character)
-        at = min(len(stream), at + size)
-    assert list(cut.arrivals) == list(whole.arrivals)
 
 
 def test_pty_to_set_point():

@@ -267,38 +267,6 @@ def test_a_mistake_is_named_with_file_field_and_reason(tmp_path: Path, old: str,
     assert str(caught.value) == problems[0]
 
 
-FULL = """model_numbers: {4660: Gripper}
-include: [_x]
-without: [LED]
-words: {modes: {0: a}}
-aliases: {Old: Mode}
-torque_constants: {4660: 1.0}
-blocks: [{at: 900, size: 9, name: Block}]
-indirect: [{address: 700, data: 800, count: 2}]
-firmware: [{up_to: 5, fields: []}]
-each: {4660: {fields: []}}
-fields:
-  - {at: 1000, name: Mode, type: u8, enum: modes, access: r, memory: ram}
-  - {at: 1001, name: Flags, type: u8, flags: {0: a, '1-2': [b, c]}}
-  - {at: 1002, name: 'A {n}', type: u16, unit: V, scale: 0.1, offset: 1, sign_bit: 9, repeat: 2}
-  - {at: 1010, name: Speed, type: u16, by: Mode, mask: 1, cases: {0: {unit: s}}}
-  - {repeat: 2, step: 9, prefix: 'B {n}', shift: 1, fields: [{at: 1020, name: C, type: f32}]}
-"""
-
-
-def test_whatever_stands_in_a_file_is_a_mistake_or_a_model(tmp_path: Path) -> None:
-    value = re.compile(r'(?:: |\[|, )([^ ,:\[\]{}\n]+|\[[^\n]*?\]|\{[^\n]*?\})')
-    places = [match.span(1) for match in value.finditer(FULL)]
-    assert len(places) > 60
-    for start, end in places:
-        for junk in ('', '~', '-1', '3', '1.5', 'x', "''", 'true', '[]', '{}', '[1]', '{1: 2}',
-                     '[[x]]', '{x: {y: z}}', '99999999999', "'{n}'"):
-            write(tmp_path, FULL[:start] + junk + FULL[end:])
-            for problem in check_models(tmp_path):
-                assert 'device.yaml: ' in problem
-                assert '\n' not in problem
-    write(tmp_path, FULL)
-    assert check_models(tmp_path) == []
 
 
 def levels(opening: str, innermost: str, closing: str, count: int) -> str:
@@ -355,12 +323,6 @@ def test_no_file_takes_the_process_or_its_time(tmp_path: Path, text: str, words:
         Models([tmp_path])
 
 
-def test_aliases_may_be_used(tmp_path: Path) -> None:
-    write(tmp_path, GOOD.replace('{0: off, 1: on}', '&words {0: off, 1: on}')
-          + '  - {at: 20, name: Other, type: u8, enum: *words}\n')
-    assert check_models(tmp_path) == []
-
-
 def test_what_is_no_file_is_told_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / 'pipe.yaml')
     (tmp_path / 'folder.yaml').mkdir()
@@ -380,18 +342,6 @@ def test_files_that_include_each_other_are_told(tmp_path: Path) -> None:
         write(tmp_path, GOOD.replace('4660', str(ord(one))) + f'  - {{include: {other}}}\n',
               f'{one}.yaml')
     assert 'includes itself; break the circle' in check_models(tmp_path)[0]
-
-
-def test_all_mistakes_of_a_folder_are_told(tmp_path: Path) -> None:
-    write(tmp_path, GOOD.replace('u16', 'u17').replace('u8', 'u9'), 'a.yaml')
-    write(tmp_path, GOOD, 'b.yaml')
-    write(tmp_path, '- just a list\n', 'c.yaml')
-    (tmp_path / 'd.yaml').write_bytes(b'\xff\xfe\xfd')
-    problems = '\n'.join(check_models(tmp_path))
-    for words in ("a.yaml: Model Number: type is 'u17'", "a.yaml: Mode: type is 'u9'",
-                  'b.yaml: model_numbers: 4660 is in a.yaml too', 'c.yaml: expected a mapping',
-                  'd.yaml: '):
-        assert words in problems
 
 
 def test_a_folder_that_is_none_is_told(tmp_path: Path) -> None:

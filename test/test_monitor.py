@@ -14,24 +14,15 @@ from heard_bus import PONG
 from heard_bus import READ
 from heard_bus import REPLY
 from heard_bus import SECOND
-from hypothesis import given
-from hypothesis import settings as hypothesis_settings
-from hypothesis import strategies as st
 import pytest
 
 from dxl_monitor import doctor
-from dxl_monitor.bus.decoder import ANSWER_NS
 from dxl_monitor.bus.decoder import BusDecoder
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.monitor import Monitor
-from mecarover_fakes.fake_bus import make_devices
-from mecarover_fakes.faults import parse
-from mecarover_fakes.line import Line
-from mecarover_fakes.master import Master
-from mecarover_fakes.traffic import PATTERNS
 from mecarover_serial import internal_fault
 from msg_defs import dxl1_packet
 from msg_defs.dxl_instruction import Instruction as I
@@ -68,45 +59,6 @@ def test_connected() -> None:
     assert verdict(device) == ('connected', Level.OK, 'connected')
     assert (device.name, device.model_name, device.firmware) == ('001', 'MX-64', 41)
     assert bus.report().message == '1 of 1 devices connected'
-
-
-def test_what_was_observed_and_what_was_not() -> None:
-    bus = Bus()
-    bus.hear(PING, PONG, READ, REPLY, encode(1, I.WRITE, b'\x74\x00' + bytes(4)), PING)
-    device = bus.device()
-    seen = {one.field.name: one.source for one in device.observed}
-    assert seen == {'Model Number': 'r', 'Firmware Version': 'r', 'Present Position': 'r',
-                    'Goal Position': 'w'}
-    assert device.unobserved == len(device.model.fields) - 4
-
-
-def test_disconnected_within_six_cycles_and_back_at_once() -> None:
-    bus = Bus()
-    bus.hear(PING, PONG)
-    bus.hear(*[READ] * 6, every_ms=10)
-    assert verdict(bus.device()) == (
-        'disconnected', Level.ERROR, 'disconnected: 5 answers missed')
-    report = bus.report()
-    assert (report.level, report.message) == (
-        Level.WARN, 'none of 1 devices answers; lost: 001')
-    bus.hear(REPLY)
-    assert bus.device().state == 'connected'
-
-
-def test_the_last_miss_is_counted_on_an_idle_line_too() -> None:
-    bus = Bus()
-    bus.hear(PING, PONG, *[READ] * 5)
-    assert bus.device().missed_in_a_row == 4
-    bus.wait(2)
-    assert bus.device().state == 'disconnected'
-
-
-def test_expected_and_never_heard() -> None:
-    bus = Bus(Expected(7, 'MX-106', 'left_knee'))
-    bus.hear(READ, REPLY)
-    device = bus.device(7)
-    assert verdict(device) == ('expected', Level.ERROR, 'expected, but never heard')
-    assert (device.name, device.model_name) == ('007 left_knee', 'MX-106')
 
 
 def test_asked_and_never_heard() -> None:
@@ -160,25 +112,6 @@ def test_loss_is_that_of_the_last_ten_seconds() -> None:
     assert bus.device().totals.missed == 1
 
 
-def test_an_alert_and_the_error_behind_it() -> None:
-    bus = Bus()
-    bus.hear(PING, PONG, READ, encode(1, STATUS, bytes(4), error=0x80))
-    assert bus.device().level is Level.WARN
-    assert 'read Hardware Error Status' in bus.device().message
-    bus.hear(encode(1, I.READ, b'\x46\x00\x01\x00'), encode(1, STATUS, b'\x20', error=0x80))
-    assert bus.device().level is Level.ERROR
-    assert bus.device().message.startswith('overload error latched')
-    bus.hear(encode(1, I.READ, b'\x46\x00\x01\x00'), encode(1, STATUS, b'\x00', error=0))
-    assert bus.device().level is Level.OK
-
-
-def test_moved_to_another_baud_rate() -> None:
-    bus = Bus()
-    bus.hear(PING, PONG, encode(1, I.WRITE, b'\x08\x00\x01'), encode(1, STATUS, error=0))
-    assert verdict(bus.device())[:2] == ('moved', Level.WARN)
-    assert bus.device().message.startswith('set to 57600 Bd by a write')
-
-
 def test_moved_to_a_rate_that_its_model_does_not_name() -> None:
     bus = Bus()
     bus.hear(PING, PONG, encode(1, I.WRITE, b'\x08\0\x63'), encode(1, STATUS, error=0), PING)
@@ -223,30 +156,6 @@ def test_errors_name_the_register_once_the_model_is_known() -> None:
         '001: Write at Goal Position refused: Access']
 
 
-def test_the_last_fifty_errors_are_kept_in_order() -> None:
-    bus = Bus()
-    for n in range(80):
-        bus.hear(encode(n, 0x8B))
-    errors = bus.report().errors
-    assert len(errors) == 50
-    assert errors[0].text == '030: unknown instruction 0x8B'
-    assert [error.stamp for error in errors] == sorted(error.stamp for error in errors)
-
-
-def test_bytes_without_packets_ask_for_the_baud_rate() -> None:
-    bus = Bus()
-    bus.hear(bytes(500))
-    assert bus.report().message.startswith('bytes, but no packet: set `bauds` to the rate')
-
-
-def test_packets_of_protocol_1_are_noticed() -> None:
-    bus = Bus(protocol='2')
-    packet = b'\xff\xff\x01\x04\x02\x24\x02\xd2'
-    bus.hear(*[packet] * 200, every_ms=20)
-    assert any(incident.kind == 'protocol 1.0' and incident.device == 1
-               for incident in bus.report().incidents)
-
-
 def test_one_packet_of_protocol_1_is_counted_once() -> None:
     bus = Bus()
     packet = b'\xff\xff\x01\x04\x02\x24\x02\xd2'
@@ -268,45 +177,6 @@ def test_a_pause_in_delivery_costs_no_answer(cut: int) -> None:
     assert (counters['Packets'], counters['Noise Bytes'], counters['Truncated Packets']) == (
         6, 0, 0)
     assert (bus.device().totals.answers, bus.device().totals.missed) == (3, 0)
-
-
-def test_a_long_idle_line_decides_what_is_pending() -> None:
-    bus = Bus()
-    bus.hear(READ[:9])
-    assert bus.report().counters['Pending Bytes'] == 9
-    bus.now += bus.monitor.decoder.idle_ns + 1
-    bus.monitor.flush_if_idle(bus.now)
-    assert bus.report().counters['Pending Bytes'] == 9
-    bus.now += ANSWER_NS
-    bus.monitor.flush_if_idle(bus.now)
-    counters = bus.report().counters
-    assert (counters['Pending Bytes'], counters['Noise Bytes']) == (0, 9)
-    assert counters['Truncated Packets'] == 1
-
-
-def test_behind_a_pause_the_next_packet_tells_that_one_was_cut_off() -> None:
-    bus = Bus()
-    bus.hear(READ[:9])
-    bus.now += bus.monitor.decoder.idle_ns + 1
-    bus.monitor.flush_if_idle(bus.now)
-    bus.hear(READ + REPLY)
-    counters = bus.report().counters
-    assert (counters['Truncated Packets'], counters['CRC Errors']) == (1, 0)
-
-
-def test_a_pause_between_two_chunks_does_the_same_without_being_asked() -> None:
-    bus = Bus()
-    bus.hear(READ[:9])
-    bus.hear(READ, REPLY, every_ms=100)
-    assert bus.report().counters['Packets'] == 2
-
-
-def test_a_long_chunk_is_no_pause() -> None:
-    bus = Bus(baud=57_600)
-    wire = encode(1, I.WRITE, b'\x74\x00' + bytes(600))
-    bus.hear(wire[:300])
-    bus.hear(wire[300:], every_ms=(len(wire) - 300) * 10 / 57.6)
-    assert bus.report().counters['Packets'] == 1
 
 
 class Tapped(Bus):
@@ -366,15 +236,6 @@ def test_while_nobody_listens_and_nobody_was_stopped_devices_are_silent() -> Non
     bus.hear(PING, PONG)
     bus.wait(6)
     assert bus.monitor.report(bus.now, is_listening=False).devices[0].state == 'silent'
-
-
-def test_a_told_pause_decides_and_settles() -> None:
-    bus = Tapped()
-    bus.hear(PING, PONG, READ, READ[:9])
-    bus.listen(2)
-    counters = bus.report().counters
-    assert (counters['Pending Bytes'], counters['Truncated Packets']) == (0, 1)
-    assert bus.device().missed_in_a_row == 1
 
 
 def test_the_idle_time_is_that_of_the_design() -> None:
@@ -451,12 +312,6 @@ def test_after_a_reset_the_doctor_does_not_count_back() -> None:
     assert [mark.packets for mark in marks] == [10]
 
 
-def test_two_buses_know_nothing_of_each_other() -> None:
-    first, second = Bus(), Bus()
-    first.hear(PING, PONG)
-    assert second.report().devices == ()
-
-
 def test_a_report_is_not_touched_by_what_comes_later() -> None:
     bus = Bus()
     bus.hear(PING, PONG, READ, REPLY)
@@ -464,73 +319,6 @@ def test_a_report_is_not_touched_by_what_comes_later() -> None:
     before = repr(report)
     bus.hear(READ, encode(1, STATUS, b'\x01\x02\x03\x04', error=0), READ, READ)
     assert repr(report) == before
-
-
-@pytest.mark.parametrize(('pattern', 'fault'), [
-    *((pattern, '') for pattern in ('moving', 'sync', 'bulk', 'fast', 'registered', 'read_write',
-                                    'broadcast', 'mixed')),
-    *(('moving', fault) for fault in ('silent:3:1:1', 'cable:3:1:1', 'header:3:1:1',
-                                      'glitch:3:1:1', 'flip:3:1:1', 'drop:3:1:1', 'reboot:3:1:1',
-                                      'brownout:3:1:1', 'wrong_map:3:1:1', 'eeprom:3:1:1')),
-])
-def test_what_a_perfect_listener_would_know(pattern: str, fault: str) -> None:
-    devices = make_devices(['1-3:MX-64', '4-5:MX-106', '6:XL430-W250'], MODELS, 1_000_000)
-    master = Master(Line(devices, 1_000_000), PATTERNS[pattern], rate=50,
-                    faults=[parse(fault)] if fault else [])
-    monitor = Monitor('', MODELS, Settings(baud=1_000_000))
-    now = 0
-    for burst in master.bursts(3 * SECOND):
-        now = SECOND + burst.end
-        monitor.feed(burst.data, now)
-    report = monitor.report(now + 2 * SECOND)
-    truth = master.truth
-    assert truth.exact
-    assert report.counters['Instructions'] == truth.instructions
-    assert {device.id for device in report.devices} == set(truth.known)
-    for device in report.devices:
-        known = truth.known[device.id]
-        assert (device.totals.answers, device.totals.missed, device.totals.not_served) == (
-            known.answered, known.missed, known.waiting)
-        assert (device.model_number, device.firmware) == (known.model_number, known.firmware)
-        for seen in device.observed:
-            field = seen.field
-            if all(at in known.table for at in range(field.at, field.end)):
-                raw = bytes(known.table[at] for at in range(field.at, field.end))
-                assert seen.value == field.decode(raw), (device.id, field)
-
-
-@hypothesis_settings(max_examples=100, deadline=None)
-@given(st.lists(st.tuples(st.binary(max_size=50), st.integers(0, 3 * SECOND), st.booleans()),
-                max_size=20))
-def test_whatever_comes_whenever(chunks: list[tuple[bytes, int, bool]]) -> None:
-    bus = Bus(Expected(1, 'MX-64'))
-    total = 0
-    for chunk, gap, ask in chunks:
-        bus.now += gap
-        bus.monitor.feed(chunk, bus.now)
-        total += len(chunk)
-        if ask:
-            counters = bus.report().counters
-            assert counters['Bytes'] == total == (
-                counters['Packet Bytes'] + counters['Noise Bytes'] + counters['Pending Bytes'])
-
-
-def test_the_robot_trace() -> None:
-    if not TRACE.is_file():
-        pytest.skip('skipped: the robot trace is not here')
-    data = TRACE.read_bytes()
-    bus = Bus(*(Expected(n, 'MX-64' if n == 7 else 'MX-106') for n in (7, 10, 12)))
-    bus.hear(*(data[at:at + 4096] for at in range(0, len(data), 4096)), every_ms=20.48)
-    bus.wait(1)
-    report = bus.report()
-    assert [device.id for device in report.devices] == [*range(1, 21), 101]
-    assert all(device.model_name != 'unknown' for device in report.devices[:-1])
-    assert sum(device.state == 'connected' for device in report.devices) == 20
-    assert report.devices[-1].state == 'disconnected'
-    assert {name: report.counters[name] for name in (
-        'Packets', 'Repaired Packets', 'CRC Errors', 'Truncated Packets', 'Bad Lengths')} == {
-        'Packets': 8969, 'Repaired Packets': 57, 'CRC Errors': 311, 'Truncated Packets': 26,
-        'Bad Lengths': 45}
 
 
 def test_a_bus_names_its_lost_devices() -> None:

@@ -113,14 +113,6 @@ def test_status_of_a_value_of_a_device_with_notes():
     assert status.values == [('value (ms)', '0.25'), ('resolved (%)', '40')]
 
 
-@pytest.mark.parametrize('value', [None, nan, inf])
-def test_status_without_data_keeps_its_name(value):
-    status = metric_status('vel2d_bridge', Metric('stamp_age', 'ms', value=value))
-    assert status.name == 'vel2d_bridge: timing/stamp_age'
-    assert status.message == 'no data'
-    assert status.values == []
-
-
 def test_headline_is_the_value_or_the_p95_of_the_window():
     assert headline(Metric('frame_rate', 'Hz', value=20.0)) == 20.0
     assert headline(Metric('write', 'ms', series_of([2.0]).summary(0))) == 2.0

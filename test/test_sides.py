@@ -61,18 +61,6 @@ def heard(pattern, seconds, has_sides):
     return bus.report(end + S)
 
 
-def comparable(report):
-    """Return a report without how it was delivered."""
-    devices = tuple(device._replace(last_heard_s=None) for device in report.devices)
-    return report._replace(metrics=(), started=0, rates={}, last_byte_s=None, has_sides=False,
-                           devices=devices)
-
-
-@pytest.mark.parametrize('pattern', [name for name in PATTERNS if name != 'none'])
-def test_same_report_as_without_sides(pattern):
-    assert comparable(heard(pattern, 4.0, True)) == comparable(heard(pattern, 4.0, False))
-
-
 @given(chunks=st.lists(st.tuples(st.sampled_from((OUT, IN, UNKNOWN)), st.one_of(
     st.binary(min_size=1, max_size=40), st.sampled_from((PING_1, PONG_1, READ_1, ANSWER_1))))),
     gap_ms=st.integers(0, 30))
@@ -87,21 +75,6 @@ def test_every_byte_is_in_one_counter_of_its_side(chunks, gap_ms):
         assert framer.bytes == sum(len(data) for one, data in chunks if one == side)
         assert framer.packet_bytes + framer.noise_bytes + framer.pending == framer.bytes
     bus.report(stamp + S)
-
-
-@given(chunks=st.lists(st.tuples(st.sampled_from((PING_1, PONG_1, READ_1, ANSWER_1)),
-                                 st.integers(0, 30), st.sampled_from((OUT, IN, UNKNOWN)))),
-       pieces=st.integers(1, 5))
-@STEADY
-def test_pieces_of_one_read_say_what_each_of_them_would(chunks, pieces):
-    single, joined = monitor(), monitor()
-    stamped = [(data, S + MS * sum(gap for _, gap, _ in chunks[:n]), side)
-               for n, (data, _, side) in enumerate(chunks)]
-    for piece in stamped:
-        single.feed(*piece)
-    for at in range(0, len(stamped), pieces):
-        joined.feed_pieces(stamped[at:at + pieces])
-    assert comparable(single.report(9 * S)) == comparable(joined.report(9 * S))
 
 
 def play(*events, gap=MS):

@@ -75,14 +75,6 @@ def test_percentiles_of_a_long_run_stay_within_five_percent():
     assert series.summary(now).mean == pytest.approx(statistics.fmean(recent))
 
 
-def test_small_deviation_on_a_large_mean_keeps_its_digits():
-    rng = random.Random(6)
-    values = [1e8 + rng.gauss(0.0, 0.01) for _ in range(20_000)]
-    series = Series()
-    fill(series, values)
-    assert series.total().deviation == pytest.approx(statistics.pstdev(values), rel=1e-3)
-
-
 def test_window_forgets_and_total_does_not():
     series = Series(window_s=10.0)
     series.add(1.0, 0)
@@ -97,29 +89,6 @@ def test_window_forgets_and_total_does_not():
     assert series.total().minimum == 1.0
 
 
-def test_window_length_is_a_choice():
-    series = Series(window_s=1.0)
-    now = fill(series, [1.0] * 3000)
-    assert 900 <= series.summary(now).count <= 1000
-    assert series.summary(now + S) is None
-
-
-def test_nothing_yet():
-    assert Series().summary(0) is None
-    assert Series().total() is None
-
-
-def test_reset_starts_anew():
-    series = Series()
-    now = fill(series, [5.0] * 100)
-    series.reset()
-    assert series.summary(now) is None
-    assert series.total() is None
-    series.add(2.0, now)
-    assert series.total() == series.summary(now)
-    assert series.total().maximum == 2.0
-
-
 @pytest.mark.parametrize('value', [nan, inf, -inf, LIMIT, -LIMIT, 1e300])
 def test_what_is_no_sample_is_refused_and_counted(value):
     series = Series()
@@ -128,21 +97,6 @@ def test_what_is_no_sample_is_refused_and_counted(value):
     assert series.total() is None
     series.add(1.0, 1)
     assert series.total().count == 1
-
-
-def test_samples_beyond_the_buckets_keep_their_extremes():
-    series = Series()
-    fill(series, [1e-9, 1e11, -1e11])
-    total = series.total()
-    assert (total.minimum, total.maximum) == (-1e11, 1e11)
-    assert total.minimum <= total.p50 <= total.p95 <= total.p99 <= total.maximum
-
-
-def test_a_clock_that_stands_still_or_steps_back_loses_nothing():
-    series = Series()
-    for now in (50 * S, 50 * S, 49 * S, 20 * S, 50 * S):
-        series.add(1.0, now)
-    assert series.summary(50 * S).count == 5
 
 
 def footprint(thing):
@@ -160,14 +114,6 @@ def test_memory_does_not_grow_with_samples_or_time():
     fill(series, [rng.lognormvariate(0.0, 2.0) for _ in range(40_000)], start=now)
     assert len(series._state[1]) <= SLICES
     assert footprint(series) <= 1.5 * early
-
-
-def test_counts_may_be_huge():
-    series = Series()
-    series.add(2.5, 0)
-    series._slice.buckets[next(iter(series._slice.buckets))] = 10**15
-    assert series.total().count == 10**15
-    assert series.total().p99 == 2.5
 
 
 def test_readers_and_resets_do_not_disturb_the_writer():
@@ -197,20 +143,6 @@ def test_rate_over_a_full_window():
     for i in range(20_000):
         rate.add(20, i * MS)
     assert rate.per_second(20 * S) == pytest.approx(20_000, rel=0.01)
-
-
-def test_rate_soon_after_the_start_counts_only_the_time_there_was():
-    rate = Rate(window_s=10.0)
-    rate.add(0, 100 * S)
-    for i in range(2000):
-        rate.add(1, 100 * S + i * MS)
-    assert rate.per_second(102 * S) == pytest.approx(1000, rel=0.01)
-
-
-def test_rate_of_the_very_first_amount_does_not_explode():
-    rate = Rate(window_s=10.0)
-    rate.add(1, 5 * S)
-    assert rate.per_second(5 * S) == 1.0
 
 
 def test_rate_falls_to_zero_in_silence_and_recovers():

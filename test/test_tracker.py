@@ -3,7 +3,6 @@
 """Each rule of pairing on its own: what an answer means, who is missed, what a table takes in."""
 
 from collections.abc import Callable
-import gc
 from pathlib import Path
 
 import pytest
@@ -22,16 +21,12 @@ from tracked_bus import POSITION
 from tracked_bus import read
 from tracked_bus import reply
 from tracked_bus import SENSELESS
-from tracked_bus import sync_read
 from tracked_bus import words
 from tracked_bus import write
 
 from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.expected import Expected
-from dxl_monitor.bus.planner import SLOTS_KEPT
 from dxl_monitor.model.models import Models
-from msg_defs.crc import crc16
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
@@ -50,16 +45,6 @@ def test_an_answer_of_another_size_is_life_only(data: bytes) -> None:
     assert bus.known(1, POSITION) is None
     assert bus.counts(1).answers == 1
     assert bus.counts(1).missed == 0
-
-
-def test_an_answer_that_nobody_asked_for_is_life_only() -> None:
-    bus = Bus()
-    bus.hear(read(1), reply(2, b'aaaa'), reply(1, b'bbbb'), reply(1, b'cccc'))
-    assert bus.device(2).heard
-    assert bus.counts(2).answers == 0
-    assert bus.registry.devices[2].table.known() == []
-    assert bus.known(1, POSITION) == b'bbbb'
-    assert bus.kinds() == [ev.UNASKED, ev.SECOND_ANSWER]
 
 
 @pytest.mark.parametrize(('asked', 'unasked'), [
@@ -114,14 +99,6 @@ def test_noise_that_is_longer_than_the_answer_is_not_that(
     assert (bus.kinds(), bus.counts(1).garbled, bus.counts(1).spoilt) == (kinds, garbled, 1)
 
 
-@pytest.mark.parametrize('number', [253, 254, 255])
-def test_a_status_of_no_device_is_nobody(number: int) -> None:
-    bus = Bus()
-    bus.hear(read(1), reply(number, b'aaaa'), reply(1, b'bbbb'))
-    assert list(bus.registry.devices) == [1]
-    assert bus.known(1, POSITION) == b'bbbb'
-
-
 # --- after damage ---
 
 
@@ -145,59 +122,7 @@ def test_after_damage_a_refusal_still_leaves_a_write_undone(error: int,
     assert bus.known(1, POSITION) == known
 
 
-@pytest.mark.parametrize('glitch', [b'\x00', b'\xff', b'\x00\xff', b'\xfe\x00'])
-def test_a_glitch_cannot_hide_an_instruction(glitch: bytes) -> None:
-    bus = Bus()
-    bus.hear(read(1), glitch + reply(1, b'aaaa'))
-    assert bus.known(1, POSITION) == b'aaaa'
-
-
-def test_a_status_before_any_instruction_is_life_only() -> None:
-    bus = Bus()
-    bus.hear(reply(1, b'aaaa'))
-    assert bus.device(1).heard
-    assert bus.registry.devices[1].table.known() == []
-
-
-# --- missed and not served ---
-
-
-def test_an_idle_line_ends_the_waiting_too() -> None:
-    bus = Bus()
-    bus.hear(read(1))
-    bus.tracker.settle(bus.now + 10**9)
-    bus.tracker.settle(bus.now + 2 * 10**9)
-    assert bus.counts(1).missed == 1
-
-
-def test_a_bulk_read_waits_behind_as_well() -> None:
-    bus = Bus()
-    entries = b''.join(bytes([n]) + words(POSITION, n) for n in (1, 2, 3))
-    bus.hear(encode(BROADCAST, I.BULK_READ, entries), reply(1, b'a'), ping(9))
-    assert bus.known(1, POSITION, 1) == b'a'
-    assert (bus.counts(2).missed, bus.counts(3).not_served) == (1, 1)
-
-
-def test_disconnected_after_more_than_the_limit_and_back_at_once() -> None:
-    bus = Bus()
-    bus.hear(ping(1), pong(1))
-    for _ in range(6):
-        bus.hear(read(1), gap_ns=100_000_000)
-    assert bus.device(1).missed_in_a_row == 5
-    assert [one[2:] for one in notes(bus) if one[1] == ev.DISCONNECTED] == [(1, (5,))]
-    bus.hear(reply(1, b'aaaa'))
-    assert bus.device(1).missed_in_a_row == 0
-    assert ev.RETURNED in bus.kinds()
-
-
 # --- write acknowledgements ---
-
-
-@pytest.mark.parametrize(('write_acks', 'missed'), [('always', 1), ('never', 0)])
-def test_write_acks_as_the_user_says(write_acks: str, missed: int) -> None:
-    bus = Bus(write_acks=write_acks)
-    bus.hear(write(1, GOAL, b'aaaa'), ping(2))
-    assert bus.counts(1).missed == missed
 
 
 @pytest.fixture
@@ -289,16 +214,6 @@ def test_a_write_that_makes_no_sense_hides_none_behind_it(senseless: bytes) -> N
     assert bus.evidence.counts[ev.MALFORMED] == 2
 
 
-def test_a_bulk_write_counts_as_far_as_it_makes_sense() -> None:
-    bus = Bus()
-    entries = [bytes([n]) + words(GOAL, 4) + data for n, data in ((1, b'aaaa'), (2, b'bbbb'))]
-    bus.hear(encode(BROADCAST, I.BULK_WRITE, entries[0] + b'\x09' + words(GOAL, 0) + entries[1]))
-    assert (bus.known(1, GOAL), bus.known(2, GOAL)) == (b'aaaa', b'bbbb')
-    bus.hear(encode(BROADCAST, I.BULK_WRITE, b'\x01' + words(GOAL, 4) + b'cccc' + entries[1][:-1]))
-    assert (bus.known(1, GOAL), bus.known(2, GOAL)) == (b'cccc', b'bbbb')
-    assert bus.evidence.counts[ev.MALFORMED] == 2
-
-
 def test_a_bulk_write_that_makes_no_sense_behind_one_that_does_is_noted() -> None:
     bus = Bus()
     whole = b'\x01' + words(GOAL, 4) + b'aaaa'
@@ -306,13 +221,6 @@ def test_a_bulk_write_that_makes_no_sense_behind_one_that_does_is_noted() -> Non
         bus.hear(encode(BROADCAST, I.BULK_WRITE, whole + last))
     assert notes(bus) == [(bus.now, ev.MALFORMED, BROADCAST, (I.BULK_WRITE, len(whole + last)))]
     assert (bus.known(1, GOAL), bus.known(2, GOAL)) == (b'aaaa', b'bbbb')
-
-
-def test_a_sync_write_to_one_device_is_no_write() -> None:
-    """It has no data where a Write has them."""
-    bus = Bus()
-    bus.hear(encode(1, I.SYNC_WRITE, words(GOAL, 4) + b'\x01aaaa'), ping(1), pong(1))
-    assert bus.registry.devices[1].table.bytes(GOAL, 2) is None
 
 
 @pytest.mark.parametrize('how', [
@@ -340,12 +248,6 @@ def test_an_id_written_to_everybody_leaves_everybody_who_he_is(how: int) -> None
         (1, 'left_knee', 'MX-64'), (2, 'right_knee', 'MX-106'), (3, '', 'MX-64')]
 
 
-def test_nobody_takes_the_place_of_a_device_that_was_heard() -> None:
-    bus = Bus(Expected(2, 'MX-106', 'right_knee'))
-    bus.hear(ping(2), pong(2, MX_106), ping(1), pong(1), write(1, 7, b'\x02'), reply(1))
-    assert {n: bus.device(n).joint for n in bus.registry.devices} == {1: '', 2: 'right_knee'}
-
-
 def test_who_gets_the_id_of_one_that_is_listed_is_that_one() -> None:
     bus = Bus(Expected(2, 'MX-106', 'right_knee'))
     bus.hear(ping(1), pong(1, MX_106), write(1, 7, b'\x02'), reply(1))
@@ -367,111 +269,6 @@ def test_a_read_of_the_model_number_names_the_model(length: int, data: bytes) ->
     assert bus.known(1, POSITION) == b'pppp'
 
 
-def test_another_model_is_another_device() -> None:
-    bus = Bus()
-    bus.hear(*FILLED)
-    bus.hear(ping(1), pong(1, MX_106))
-    assert bus.device(1).model.name == 'MX-106'
-    assert bus.known(1, POSITION) is None
-    assert bus.known(1, 0, 2) == words(MX_106)
-    assert bus.counts(1).model_changes == 1
-    assert ev.MODEL in bus.kinds()
-
-
-# --- fast reads ---
-
-
-def test_a_fast_read_is_a_read_of_each_device_once() -> None:
-    bus = Bus()
-    for _ in range(3):
-        bus.hear(fast_read(1, 2), fast_reply({1: b'aaaa', 2: b'bbbb'}))
-    bus.tracker.planner.plans()
-    assert [bus.counts(n).reads for n in (1, 2)] == [3, 3]
-
-
-def test_a_cut_fast_reply_keeps_the_whole_blocks_and_names_the_first_missing() -> None:
-    wire = fast_reply({1: b'aaaa', 2: b'bbbb', 3: b'cccc'})
-    for size in range(8, len(wire)):
-        bus = Bus()
-        bus.hear(fast_read(1, 2, 3), wire[:size])
-        bus.idle()
-        bus.hear(ping(9))
-        whole = (size - 8) // 8
-        assert [bus.known(n, POSITION) is not None for n in (1, 2, 3)] == [
-            n <= whole for n in (1, 2, 3)]
-        assert [bus.counts(n).fast_answers for n in (1, 2, 3)] == [n <= whole for n in (1, 2, 3)]
-        assert [bus.counts(n).missed for n in (1, 2, 3)] == [n == whole + 1 for n in (1, 2, 3)]
-        assert [bus.counts(n).not_served for n in (1, 2, 3)] == [n > whole + 1 for n in (1, 2, 3)]
-
-
-@pytest.mark.parametrize('numbers', [(1,), (1, 2), (1, 2, 3, 4)])
-def test_a_fast_reply_of_more_or_fewer_devices_than_were_asked_is_split(
-        numbers: tuple[int, ...]) -> None:
-    bus = Bus()
-    bus.hear(fast_read(1, 2, 3), fast_reply(dict.fromkeys(numbers, b'aaaa')), ping(9))
-    there = [number in numbers for number in (1, 2, 3)]
-    assert [bus.known(n, POSITION) is not None for n in (1, 2, 3)] == there
-    assert [bus.counts(n).fast_answers for n in (1, 2, 3)] == there
-    assert 4 not in bus.registry.devices
-
-
-def test_a_fast_reply_cut_by_the_next_instruction_is_kept_too() -> None:
-    bus = Bus()
-    wire = fast_reply({1: b'aaaa', 2: b'bbbb', 3: b'cccc'})
-    bus.hear(fast_read(1, 2, 3), wire[:18] + read(2) + reply(2, b'dddd'))
-    assert bus.known(1, POSITION) == b'aaaa'
-    assert bus.known(2, POSITION) == b'dddd'
-    assert bus.counts(2).missed == 1
-
-
-@pytest.mark.parametrize('lost', [
-    damaged(encode(BROADCAST, I.FAST_SYNC_READ, words(GOAL, 4) + b'\x01\x02\x03')),
-    b'\x01' * 9,
-    encode(BROADCAST, I.FAST_SYNC_READ, words(GOAL, 4) + b'\x01\x02\x03')[4:],
-], ids=['damaged', 'noise', 'no header'])
-@pytest.mark.parametrize('size', [18, 24, 31, 32])
-def test_behind_damage_a_fast_reply_is_life_only_cut_or_not(lost: bytes, size: int) -> None:
-    """What was lost may have asked for other registers."""
-    bus = Bus()
-    bus.hear(fast_read(1, 2, 3), lost + fast_reply({1: b'aaaa', 2: b'bbbb', 3: b'cccc'})[:size])
-    bus.idle()
-    bus.hear(ping(9))
-    assert [bus.known(n, POSITION) for n in (1, 2, 3)] == [None] * 3
-    assert bus.device(1).heard
-    assert bus.counts(1).missed == 0
-
-
-@pytest.mark.parametrize('size', [1, 3])
-def test_a_glitch_does_not_spoil_a_cut_fast_reply(size: int) -> None:
-    bus = Bus()
-    bus.hear(fast_read(1, 2), bytes(size) + fast_reply({1: b'aaaa', 2: b'bbbb'})[:-1])
-    bus.idle()
-    assert bus.known(1, POSITION) == b'aaaa'
-
-
-@pytest.mark.parametrize('at', range(8, 30))
-def test_damage_that_the_last_device_heard_too_is_seen_in_the_part_it_is_in(at: int) -> None:
-    """A device takes its CRC from what it heard: the frame is good, one part of it is not."""
-    blocks = {number: bytes([number] * 4) for number in (1, 2, 3)}
-    wire = bytearray(fast_reply(blocks)[:-2])
-    wire[at] ^= 0x10
-    bus = Bus()
-    bus.hear(fast_read(1, 2, 3), bytes(wire) + words(crc16(bytes(wire))))
-    whole = (at - 8) // 8              # parts in front of the one with the damage
-    if whole < 2:                      # the CRC of the last part is that of the frame
-        assert [bus.known(number, POSITION) for number in blocks] == [
-            blocks[number] if number <= whole else None for number in blocks]
-
-
-def test_a_good_frame_whose_last_part_names_another_device() -> None:
-    wire = fast_reply({1: b'aaaa', 2: b'bbbb', 5: b'cccc'})
-    bus = Bus()
-    bus.hear(fast_read(1, 2, 3), wire, ping(9))
-    assert [bus.known(number, POSITION) for number in (1, 2, 3)] == [b'aaaa', b'bbbb', None]
-    assert [bus.counts(number).fast_answers for number in (1, 2, 3)] == [1, 1, 0]
-    assert 5 not in bus.registry.devices
-
-
 # --- latency ---
 
 
@@ -483,21 +280,6 @@ def test_latency_is_that_of_the_wire() -> None:
     assert total is not None
     assert total.mean == pytest.approx(0.5)
     assert (bus.device(1).asked_first, bus.device(1).latency_resolved) == (1, 1)
-
-
-def test_within_one_chunk_there_is_no_latency() -> None:
-    bus = Bus()
-    bus.hear(read(1) + reply(1, b'aaaa'))
-    assert bus.device(1).latency.total() is None
-    assert (bus.device(1).asked_first, bus.device(1).latency_resolved) == (1, 0)
-
-
-def test_a_status_that_began_in_the_chunk_of_the_instruction_tells_no_latency() -> None:
-    bus = Bus()
-    answer = reply(1, b'aaaa')
-    bus.hear(read(1) + answer[:5], answer[5:])
-    assert bus.known(1, POSITION) == b'aaaa'
-    assert bus.device(1).latency.total() is None
 
 
 @pytest.mark.parametrize(('together', 'is_told'), [(4, True), (5, False)])
@@ -526,27 +308,6 @@ def test_odd_instructions_are_counted_and_nothing_else(packet: bytes) -> None:
     bus.hear(packet, reply(1, b'zzzz'), read(1), reply(1, b'qqqq'))
     assert bus.known(1, POSITION) == b'qqqq'
     assert set(bus.registry.devices) == {1}
-
-
-def test_memory_is_bounded_whatever_is_written() -> None:
-    """Each of these packets was worth 1 MB of devices and accesses once."""
-    bus = Bus()
-    before = _devices_alive()
-    for n in range(150):
-        ids = bytes(253 + (n + at) % 3 for at in range(500))
-        bus.hear(encode(BROADCAST, I.SYNC_WRITE, words(n, 1) + b''.join(
-            bytes((number, 0)) for number in ids[n:])))
-        bus.hear(encode(BROADCAST, I.BULK_WRITE, bytes([n % 253]) + words(0, 900) + bytes(900)))
-        bus.hear(encode(BROADCAST, I.BULK_WRITE, b'\xfd' + words(n, 1) + b'a'))
-    assert _devices_alive() - before <= 150
-    assert set(bus.registry.devices) == set(range(150))
-    assert sum(len(plan.request.accesses) for plan in bus.tracker.planner.plans()) <= SLOTS_KEPT
-    assert bus.tracker.planner.instructions() == 450
-
-
-def _devices_alive() -> int:
-    gc.collect()
-    return sum(isinstance(one, Device) for one in gc.get_objects())
 
 
 def test_the_robot_trace_in_any_chunks() -> None:
@@ -582,14 +343,6 @@ def test_a_miss_is_stamped_with_the_next_instruction_on_the_wire() -> None:
     assert bus.evidence.waits()[-1] == (began, (began - (bus.now - 1_000_000)) // 1000, 1, False)
 
 
-def test_a_miss_in_silence_is_stamped_with_its_end() -> None:
-    bus = Bus()
-    bus.hear(ping(1), pong(1), read(1))
-    bus.tracker.settle(bus.now + 1_234_567)
-    assert notes(bus)[-1][:3] == (bus.now + 1_234_567, ev.MISSED, 1)
-    assert bus.evidence.waits()[-1] == (bus.now + 1_234_567, 1234, 1, False)
-
-
 def test_a_repetition_is_noted_with_its_distance() -> None:
     bus = Bus()
     bus.hear(ping(1), pong(1), read(1), read(1))
@@ -609,22 +362,6 @@ def test_what_an_answer_is_worth_is_noted_exactly() -> None:
     assert [kind for _, kind, _, _ in notes(bus)][-2:] == [ev.MISSED, ev.LATE]
 
 
-def test_the_pending_instruction_can_be_asked_for() -> None:
-    bus = Bus()
-    bus.hear(read(9))
-    assert bus.tracker.pending.request.accesses[0].id == 9
-    bus.tracker.settle(bus.now)
-    assert bus.tracker.pending.request.accesses == ()
-
-
-@pytest.mark.parametrize('lost', [read(2), reply(2, b'1234'), sync_read(2, 3)])
-def test_behind_a_damaged_packet_an_answer_is_not_taken(lost: bytes) -> None:
-    bus = Bus()
-    bus.hear(read(1), damaged(lost) + reply(1, b'1234'))
-    assert bus.known(1, POSITION) is None
-    assert bus.counts(1).answers == 1
-
-
 def test_a_cut_fast_reply_and_a_glitch_are_noted_exactly() -> None:
     bus = Bus()
     bus.hear(fast_read(1, 2, 3), fast_reply({1: b'1234', 2: b'5678', 3: b'9abc'})[:20])
@@ -632,22 +369,6 @@ def test_a_cut_fast_reply_and_a_glitch_are_noted_exactly() -> None:
     assert (ev.FAST_CUT, 2, (1, 3)) in [one[1:] for one in notes(bus)]
     bus.hear(read(1), b'\x00' + reply(1, b'1234'))
     assert bus.evidence.counts[ev.GLITCH] == 1
-
-
-@pytest.mark.parametrize(('size', 'taken'), [(3, b'1234'), (4, None)])
-def test_three_bytes_of_noise_hide_nothing_four_might(size: int, taken: bytes | None) -> None:
-    bus = Bus()
-    bus.hear(read(1), bytes(size) + reply(1, b'1234'))
-    assert bus.known(1, POSITION) == taken
-
-
-def test_misses_of_an_instruction_are_counted() -> None:
-    bus = Bus()
-    bus.hear(ping(1), pong(1))
-    bus.device(1)                      # its model is looked up: plans begin again
-    bus.hear(read(1), read(1), reply(1, b'1234'), read(1), ping(1))
-    [plan] = [plan for plan in bus.tracker.planner.plans() if plan.request.instruction == I.READ]
-    assert (plan.asked, plan.missed) == (3, 2)
 
 
 @pytest.mark.parametrize(('asked', 'answer', 'spoilt'), [
@@ -662,14 +383,3 @@ def test_damage_and_then_silence_is_an_answer_spoilt_not_a_device_silent(
     bus.idle()
     bus.tracker.settle(bus.now + 10**9)
     assert (bus.counts(1).missed, bus.counts(1).spoilt) == (1, spoilt)
-
-
-def test_when_an_instruction_was_sent_is_kept() -> None:
-    bus = Bus()
-    sent = []
-    for _ in range(3):
-        bus.hear(read(1))
-        sent.append(bus.now)
-        bus.hear(reply(1, b'1234'))
-    [plan] = bus.tracker.planner.plans()
-    assert list(plan.stamps) == sent
