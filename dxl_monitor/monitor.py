@@ -21,12 +21,11 @@ from dxl_monitor.bus.decoder import BusDecoder
 from dxl_monitor.bus.decoder import DEFAULTS
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.device import Device
+from dxl_monitor.bus.device import facts
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
-from dxl_monitor.bus.report import PROTOCOL_2
-from dxl_monitor.bus.table import Table
 from dxl_monitor.doctor import Doctor
 from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.case import PARAMETERS
@@ -34,6 +33,9 @@ from dxl_monitor.joints import fresh
 from dxl_monitor.joints import Joints
 from dxl_monitor.model import control_table
 from dxl_monitor.model.layers import model_key
+from dxl_monitor.model.layout import is_contradicted
+from dxl_monitor.model.layout import Layouts
+from dxl_monitor.model.layout import NOWHERE
 from dxl_monitor.model.models import Models
 from dxl_monitor.port.driver import LineErrors
 from mecarover_serial.internal_fault import survive
@@ -95,6 +97,7 @@ class Monitor:
         self.settings = settings
         self._clock = clock
         self._models = models
+        self._layouts = Layouts(models)
         self._lock = Lock()
         self._names = names
         self.doctor = Doctor(settings, names)
@@ -224,8 +227,14 @@ class Monitor:
         with self._lock:
             self._registry.resolve(device)
             quiet_ns = self._listened - max(device.heard, device.asked_stamp, self._resumed)
-            report, table = _facts(device, now, quiet_ns / 1e9)
+            report, table = facts(device, now, quiet_ns / 1e9)
         observed = tuple(table.observed(report.model, now))
+        if report.model.number is None and is_contradicted(
+                report.model, ((one.field, one.value) for one in observed), report.errors):
+            with self._lock:
+                device.used.add(NOWHERE)
+                self._registry.lay_out(device, control_table.UNKNOWN)
+            return self._device_report(device, now)
         return report._replace(observed=observed,
                                unobserved=len(report.model.fields) - len(observed))
 
@@ -246,10 +255,19 @@ class Monitor:
     def _load_models(self) -> None:
         """Read the files of newly seen models: not under the lock, as that takes a while."""
         with self._lock:
+            devices = list(self._registry.devices.values())
             said = {model_key(device.identity[0] | device.identity[1] << 8, device.protocol)
-                    for device in self._registry.devices.values() if device.is_unresolved}
+                    for device in devices if device.is_unresolved}
+            nameless = [(device, device.protocol, frozenset(device.used)) for device in devices
+                        if device.used and device.heard and device.model_number is None
+                        and device.looked_at != (device.protocol, len(device.used))]
         for key in said:
             self._models.get(key)
+        layouts = [(device, self._layouts.of(protocol, used))
+                   for device, protocol, used in nameless]
+        with self._lock:
+            for device, layout in layouts:
+                self._registry.lay_out(device, layout)
 
     def _start_statistics(self, now: int) -> None:
         self._started = now
@@ -369,25 +387,6 @@ class Monitor:
         return (*(Metric(name, unit, one.summary(now), one.total(), bus=self.name)
                   for name, unit, one in series),
                 *(Metric(name, unit, value=value, bus=self.name) for name, unit, value in values))
-
-
-def _facts(device: Device, now: int, quiet_s: float) -> tuple[DeviceReport, Table]:
-    """Return what is known of a device, and a copy of its table: that is decoded later."""
-    model = device.model
-    name = f'unknown ({device.model_number})' \
-        if model is control_table.UNKNOWN and device.model_number is not None else model.name
-    return DeviceReport(
-        id=device.number, name=f'{device.number:03} {device.joint}'.rstrip(), joint=device.joint,
-        protocol=device.dialect.name if device.dialect is not None else PROTOCOL_2,
-        model=model, model_number=device.model_number, model_name=name, firmware=device.firmware,
-        state='', level=Level.OK, message='', totals=device.counts.copy(),
-        window=device.window(), missed_in_a_row=device.missed_in_a_row,
-        waiting_behind=device.waiting_behind,
-        last_heard_s=(now - device.heard) / 1e9 if device.heard else None, alert=device.alert,
-        last_error=device.error_words, status_return_level=device.return_level,
-        acks=device.acks, acks_missing=device.acks_missing, observed=(), unobserved=0,
-        latency=device.latency_report(now), errors=dict(device.errors), expected=device.expected,
-        moved_to=device.moved_to, quiet_s=quiet_s), device.table.copy()
 
 
 def _cycles(plans: list[Plan]) -> tuple[Cycle, ...]:

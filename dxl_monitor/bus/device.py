@@ -12,6 +12,8 @@ from collections import deque
 from functools import lru_cache
 
 from dxl_monitor.bus.report import Counts
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import PROTOCOL_2
 from dxl_monitor.bus.report import ReplyLatency
 from dxl_monitor.bus.table import size_of
 from dxl_monitor.bus.table import Span
@@ -19,10 +21,13 @@ from dxl_monitor.bus.table import Table
 from dxl_monitor.model.control_table import Field
 from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.control_table import UNKNOWN
+from dxl_monitor.model.layout import LONGEST
+from dxl_monitor.model.layout import Use
 from msg_defs.dxl1_instruction import Dialect
 from msg_defs.dxl1_instruction import error_text as bits_text
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl_instruction import error_text
+from msg_defs.reports import Level
 from msg_defs.timing import Series
 
 WINDOW_S = 10
@@ -34,6 +39,7 @@ OFFSET = 'Homing Offset'
 TORQUE = 'Torque Enable'
 _SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
 _OF_FEETECH = (OFFSET, TORQUE)     # how it is calibrated
+_USES_KEPT = 64
 _NUMBER_SIZE = 2                   # bytes: Model Number
 
 
@@ -59,6 +65,8 @@ class Device:
     | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |
     | registered, moved_to | DeviceRegistry: a Reg Write before its Action; the baud rate that \
     was written, in words |
+    | used, looked_at | uses(), DeviceRegistry.lay_out(): what a program reads and writes of it \
+    while its model is unknown; the protocol and how much of that the layout is from |
     | table, counts, errors, snapshots | all who store or count |
     """
 
@@ -66,9 +74,9 @@ class Device:
         '_eeprom_end', '_given_up', '_level_at', '_special', 'acks', 'acks_missing', 'alert',
         'asked_first', 'asked_stamp', 'counts', 'dialect', 'error_bits', 'errors', 'expected',
         'firmware', 'followed_end', 'heard', 'identity', 'identity_stamp', 'is_unresolved',
-        'is_unusual', 'joint', 'last_error', 'latency', 'latency_resolved', 'missed_in_a_row',
-        'model', 'model_number', 'moved_to', 'number', 'owed', 'registered', 'return_level',
-        'snapshots', 'table', 'waiting_behind')
+        'is_unusual', 'joint', 'last_error', 'latency', 'latency_resolved', 'looked_at',
+        'missed_in_a_row', 'model', 'model_number', 'moved_to', 'number', 'owed', 'registered',
+        'return_level', 'snapshots', 'table', 'used', 'waiting_behind')
 
     def __init__(self, number: int, joint: str = '', expected: bool = False) -> None:
         self.number = number                       # its ID
@@ -83,6 +91,8 @@ class Device:
         self.firmware: int | None = None
         self.registered: tuple[int, bytes, bool] | None = None  # for DeviceRegistry.write()
         self.moved_to = ''
+        self.used: set[Use] = set()
+        self.looked_at = ('', 0)
         self.waiting_behind: int | None = None
         self.alert = False
         self.last_error = 0
@@ -115,6 +125,11 @@ class Device:
         level = self.table.bytes(self._level_at, 1) if self._level_at >= 0 else None
         for _, value in self.special_values(self._level_at, level or b''):
             self.set_return_level(value)
+
+    def uses(self, address: int, size: int) -> None:
+        """Note what a program reads or writes of it, where that may say what it is."""
+        if self.model_number is None and size <= LONGEST and len(self.used) < _USES_KEPT:
+            self.used.add((address, size))
 
     def is_told_by(self, address: int, size: int) -> bool:
         """Return whether these bytes, read, may tell what the device is or does."""
@@ -224,6 +239,27 @@ class Device:
         if resolved < RESOLVED_NEEDED:
             return ReplyLatency(None, None, resolved)
         return ReplyLatency(self.latency.summary(now), self.latency.total(), resolved)
+
+
+def facts(device: Device, now: int, quiet_s: float) -> tuple[DeviceReport, Table]:
+    """Return what is known of a device, and a copy of its table: that is decoded later."""
+    model = device.model
+    name = model.name
+    if model.number is None:           # a layout by use has a name
+        name = 'unknown' if model is UNKNOWN else f'unknown (as {name})'
+        name = name if device.model_number is None else f'unknown ({device.model_number})'
+    return DeviceReport(
+        id=device.number, name=f'{device.number:03} {device.joint}'.rstrip(), joint=device.joint,
+        protocol=device.dialect.name if device.dialect is not None else PROTOCOL_2,
+        model=model, model_number=device.model_number, model_name=name, firmware=device.firmware,
+        state='', level=Level.OK, message='', totals=device.counts.copy(),
+        window=device.window(), missed_in_a_row=device.missed_in_a_row,
+        waiting_behind=device.waiting_behind,
+        last_heard_s=(now - device.heard) / 1e9 if device.heard else None, alert=device.alert,
+        last_error=device.error_words, status_return_level=device.return_level,
+        acks=device.acks, acks_missing=device.acks_missing, observed=(), unobserved=0,
+        latency=device.latency_report(now), errors=dict(device.errors), expected=device.expected,
+        moved_to=device.moved_to, quiet_s=quiet_s), device.table.copy()
 
 
 @lru_cache(maxsize=256)

@@ -173,6 +173,9 @@ class Planner:
             self._registry.highest = MAX_ID_1
             for number in {id, *(access.id for access in request.accesses)} - {BROADCAST}:
                 self._registry.speaks(self._registry.device(number))
+        if code != Instruction.SYNC_WRITE:     # see _find_targets()
+            for access in request.accesses:
+                self._registry.device(access.id).uses(access.address, access.length)
         oddities: list[tuple[IncidentKind[Any], int, Any]] = []
         if code not in names:
             oddities.append((ev.UNKNOWN_INSTRUCTION, id, ev.Code(code)))
@@ -268,6 +271,8 @@ class Planner:
         if len(self._targets) >= TARGETS_KEPT:
             self._targets.clear()
         devices = [self._registry.device(number) for number in ids]
+        for device in devices:
+            device.uses(address, size)
         found = self._targets[key] = [
             Target(one, one.table.keep, one.is_changed_by(address, size))
             for one in devices], Struct(f'x{size}s' * len(ids))

@@ -23,6 +23,7 @@ from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
 from dxl_monitor.bus.table import Span
 from dxl_monitor.bus.table import WRITTEN
+from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.model.layers import model_key
 from dxl_monitor.model.models import Models
@@ -153,6 +154,15 @@ class DeviceRegistry:
         field = device.model.by_name.get('Firmware Version')
         if firmware is not None and field is not None and field.size == 1:
             device.table.store(field.at, device.identity[2:], stamp, READ)
+
+    def lay_out(self, device: Device, layout: Model) -> None:
+        """Give a device of an unknown model the registers that what is used of it speaks for."""
+        device.looked_at = device.protocol, len(device.used)
+        if device.model_number is None and device.model is not layout:
+            if layout is UNKNOWN:
+                device.forget_return_level()
+            device.become(layout)
+            self.changed()
 
     def _read_identity(self, device: Device, address: int, data: bytes, stamp: int) -> None:
         at = device.identity_at - address

@@ -33,7 +33,6 @@ from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.states import judged
-from dxl_monitor.model.control_table import UNKNOWN
 from mecarover_serial.internal_fault import survive
 from msg_defs.reports import Level
 from msg_defs.reports import worst
@@ -128,7 +127,7 @@ def _whom(rule: Rule, case: Case) -> Iterator[DeviceReport]:
     for device in case.report.devices:
         if (device.id in numbers or not rule.noted) \
                 and (device.model.protocol in rule.protocols or not rule.protocols) \
-                and not (rule.needs_model and device.model is UNKNOWN):
+                and not (rule.needs_model and device.model.number is None):
             yield device
 
 

@@ -41,6 +41,7 @@ STOPPED_S = 1.2
 RESTED_S = 10.0                    # a shorter pause may be meant
 WORKED_S = 3.0                     # a program that ran so long has stopped; a command is done
 NO_IDS = (0xFD, 0xFF)
+_NO_NAMES = 'so registers have no names and some causes cannot be found'
 MOSTLY = 0.7                       # share of the instructions
 SCANS = 15                         # broadcast Pings in 10 s: each needs 0.8 s
 PINGS_NS = 10 * S
@@ -190,7 +191,7 @@ def _never_written(case: Case, device: DeviceReport) -> Found | None:
 
 def _refusals(case: Case, device: DeviceReport) -> Found | None:
     """Say what is refused where the model is not known, which would tell more."""
-    if device.model is not UNKNOWN:
+    if device.model.number is not None:
         return None
     for (instruction, address, error), count in _refused(case, device).most_common(1):
         if count >= FEW and address >= 0:
@@ -246,12 +247,18 @@ def _scan(case: Case) -> Iterator[Found]:
 
 
 def _models(case: Case) -> Iterator[Found]:
-    unknown = [device.id for device in case.report.devices
-               if device.model is UNKNOWN and device.last_heard_s is not None]
-    if unknown and case.heard_s >= POLLED_S:
-        yield Doubt(None, f'{listed(unknown, 3)}: model not known, so registers have no names and '
-                          f'some causes cannot be found; set {case.names.devices}, or let the '
-                          'master Ping')
+    found: dict[str, list[int]] = {}
+    for device in case.report.devices:
+        if device.model.number is None and device.last_heard_s is not None:
+            found.setdefault(_registers(device, _NO_NAMES), []).append(device.id)
+    for registers, ids in found.items() if case.heard_s >= POLLED_S else ():
+        yield Doubt(None, f'{listed(ids, 3)}: model not known, {registers}; set '
+                          f'{case.names.devices}, or let the master Ping')
+
+
+def _registers(device: DeviceReport, none: str) -> str:
+    return none if device.model is UNKNOWN \
+        else f'registers as in {device.model.name}, by what the program uses'
 
 
 def with_models_named(report: BusReport, names: Names) -> BusReport:
@@ -259,20 +266,21 @@ def with_models_named(report: BusReport, names: Names) -> BusReport:
     return report._replace(
         message=f'{report.message}; not all models known: set {names.devices}',
         devices=tuple(one._replace(message=f'{one.message}; {_remedy(one, names)}')
-                      if one.model is UNKNOWN and one.state == CONNECTED
+                      if one.model.number is None and one.state == CONNECTED
                       and one.level is Level.OK else one for one in report.devices))
 
 
 def _remedy(device: DeviceReport, names: Names) -> str:
     if device.model_number is not None:
         return f'no model file, so its registers have no names: add one to {names.folders}'
-    return (f"model unknown, so its registers have no names: add '{device.id}:MODEL' to "
-            f'{names.devices}, or let the master read Model Number')
+    registers = _registers(device, 'so its registers have no names')
+    return (f"model unknown, {registers}: add '{device.id}:MODEL' to {names.devices}, or let the "
+            'master read Model Number')
 
 
 RULES = (
-    Rule('eeprom_locked', Level.WARN, _eeprom_locked, each=True, noted=(ev.REFUSED,),
-         needs_model=True),
+    Rule('eeprom_locked', Level.WARN, _eeprom_locked, ('refused',), each=True,
+         noted=(ev.REFUSED,)),
     Rule('wrong_address', Level.WARN, _wrong_address, each=True, noted=(ev.REFUSED,),
          needs_model=True),
     Rule('refused', Level.WARN, _refusals, each=True, noted=(ev.REFUSED,)),

@@ -322,7 +322,7 @@ RULES = (
     Rule('no_answer', Level.ERROR, _no_answer, ('missed_answers', 'jitter'), holds=False),
     Rule('rebooted', Level.ERROR, _rebooted,
          ('dropout', 'missed_answers', 'jitter', 'torque_off'), each=True, noted=(ev.RETURNED,)),
-    Rule('torque_off', Level.WARN, _torque_off, needs_model=True, each=True),
+    Rule('torque_off', Level.WARN, _torque_off, each=True),
     Rule('ping_only', Level.WARN, _ping_only,
          ('dropout', 'rebooted', 'no_answer', 'sync_read_stops', 'missed_answers', 'no_acks',
           'jitter'), each=True),

@@ -60,7 +60,7 @@ class Rule(NamedTuple):
     holds: bool = True             # lasts some seconds longer than its evidence; a state does not
     each: bool = False
     # What it is asked of: all, or where there are such incidents, models of these protocols, a
-    # model that is known.
+    # model that was named: the registers alone may be known by what the program uses.
     noted: tuple[IncidentKind[Any], ...] = ()
     protocols: tuple[str, ...] = ()
     needs_model: bool = False

@@ -1,0 +1,159 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Layout: the registers of a device of unknown model, by what the program uses.
+
+A program shows what it believes: it writes 1 byte at 64 and 4 at 116, it reads 4 at 132. What all
+tables of servos agree on that have these registers has a meaning. A use that no table has, or
+a value that cannot be, and nothing has a meaning any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from collections.abc import Iterable
+from collections.abc import Mapping
+from dataclasses import replace
+from math import pi
+import re
+
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Model
+from dxl_monitor.model.control_table import UNKNOWN
+from dxl_monitor.model.control_table import Value
+from dxl_monitor.model.models import Models
+
+Use = tuple[int, int]              # address and size of what a program reads or writes
+
+ENOUGH = 3                         # different registers, Torque Enable or a goal among them
+LONGEST = 16                       # bytes: a longer read takes all there is, gaps too
+NOWHERE = (-1, 1)                  # a use that no table has
+_KEPT = 256
+_X_SERIES = re.compile(r'2?X[A-Z]\d|2X|MX-\d+$')       # MX(2.0) has the same table
+# Where several series are left, only these have a meaning: what else is at one address in all
+# series that are known may well be something different in one that is not.
+_COMMON = ('Torque Enable', 'Goal Position', 'Goal Velocity', 'Present Position',
+           'Present Velocity', 'Present Load', 'Present Input Voltage', 'Present Temperature',
+           'Hardware Error Status', 'Lock')
+# STS and SCS of Feetech differ in the order of bytes: one of these says which.
+_TELLS_ORDER = ('Lock', 'Acceleration')
+POSITIONS = ('Goal Position', 'Present Position')      # signed in some tables
+# What a register can hold, in its unit. Of positions: by size, in rad and in steps.
+_RANGES = {'Torque Enable': 1, 'Present Temperature': 120, 'Present Input Voltage': 400}
+_FARTHEST = {2: (2 * pi, 4095), 4: (512 * pi, 1 << 22)}
+_REFUSALS = 3
+_WRONG_TABLE = (5, 7)              # error numbers: data length, access
+
+
+class Layouts:
+    """The layouts of all servos that are known; their files are read when first asked."""
+
+    def __init__(self, models: Models) -> None:
+        self._models = models
+        self._servos: list[Model] = []
+        self._known: dict[tuple[str, frozenset[Use]], Model] = {}
+
+    def of(self, protocol: str, used: frozenset[Use]) -> Model:
+        """Return the registers of a device with which a program does that; or UNKNOWN."""
+        found = self._known.get((protocol, used))
+        if found is None:
+            if len(self._known) >= _KEPT:
+                self._known.clear()
+            found = self._known[protocol, used] = agreed(
+                (one for one in self.servos() if one.protocol == protocol), used)
+        return found
+
+    def servos(self) -> list[Model]:
+        """Return all models that are servos: boards have no torque."""
+        self._servos = self._servos or [
+            model for key in self._models.names() if (model := self._models.get(key)) is not None
+            and {'Torque Enable', 'Goal Position'} <= model.by_name.keys()]
+        return self._servos
+
+
+def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
+    """Return the registers on which all tables agree that have what is used; or UNKNOWN."""
+    fits = {table: registers for table in tables if (registers := _registers(table, used))}
+    if not fits or not all(len(registers) >= ENOUGH and any(
+            name == 'Torque Enable' or name.startswith('Goal') for name in registers)
+            for registers in fits.values()):
+        return UNKNOWN
+    first, *others = fits
+    names = {table.name for table in fits}
+    series = {_series(name) for name in names}
+    knows_units = len({table.file for table in fits}) > 1
+    knows_order = first.protocol != 'feetech' or all(
+        not registers.isdisjoint(_TELLS_ORDER) for registers in fits.values())
+    found = [_agreed([field, *(table.by_address.get(field.at) for table in others)], knows_units)
+             for field in first.fields if (len(series) == 1 or field.name in _COMMON)
+             and (field.size == 1 or knows_order)]
+    name = f'the {series.pop()} series' if len(series) == 1 < len(names) else \
+        names.pop() if len(names) == 1 else 'several series'
+    return Model(None, name, tuple(field for field in found if field), protocol=first.protocol)
+
+
+def _registers(table: Model, used: Iterable[Use]) -> set[str]:
+    """Return the registers that are used; nothing where the table has not all of them."""
+    names = set()
+    for at, size in used:
+        end = at + size
+        while at < end:
+            field = table.by_address.get(at)
+            if field is None or field.end > end:
+                return set()
+            names.add(field.name)
+            at = field.end
+    return names
+
+
+def _agreed(fields: list[Field | None], knows_units: bool) -> Field | None:
+    """Return what all say of a register, None if they do not even agree on what it is."""
+    first = fields[0]
+    assert first is not None
+    same = [field for field in fields if field is not None and _kind(field) == _kind(first)]
+    if len(same) < len(fields):
+        return None
+    found = replace(first, cases=None)
+    if any(one.type != first.type for one in same):    # a negative position speaks against it
+        found = replace(found, type=f'u{8 * first.size}')
+    if not knows_units or any(_unit(one) != _unit(first) for one in same) or first.cases:
+        found = replace(found, unit='', scale=None, offset=0.0)
+    if any((one.enum, one.spans, one.flags) != (first.enum, first.spans, first.flags)
+           for one in same):
+        found = replace(found, enum=None, spans=(), flags=())
+    if any((one.access, one.memory) != (first.access, first.memory) for one in same):
+        found = replace(found, access='', memory='')
+    return found
+
+
+def _kind(field: Field) -> tuple[object, ...]:
+    return (field.name, field.size if field.name in POSITIONS else field.type, field.sign_bit,
+            field.size == 1 or field.byte_order)
+
+
+def _unit(field: Field) -> tuple[object, ...]:
+    return field.unit, field.scale, field.offset
+
+
+def _series(name: str) -> str:
+    return 'X' if _X_SERIES.match(name) else (re.match('[A-Z]+', name) or (name,))[0]
+
+
+def is_contradicted(layout: Model, values: Iterable[tuple[Field, Value]],
+                    refused: Mapping[tuple[int, int, int], int]) -> bool:
+    """Return whether values or refusals (instruction, address, error) speak against a layout."""
+    if any(_cannot_be(field, value) for field, value in values):
+        return True
+    return any(count >= _REFUSALS and error in _WRONG_TABLE and field is not None
+               and not (field.memory == 'eeprom' and 'w' in field.access)
+               for (_, address, error), count in refused.items()
+               for field in [layout.by_address.get(address)])
+
+
+def _cannot_be(field: Field, value: Value) -> bool:
+    if field.in_words:                 # flags may be new ones
+        return value.text.startswith('unknown (')
+    number = abs(value.number or 0)
+    if field.name in POSITIONS:
+        return number > _FARTHEST.get(field.size, (0, 0))[not field.unit]
+    return number > _RANGES.get(field.name, number)

@@ -1,0 +1,171 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The registers of a device of unknown model: over all models, and on a bus."""
+
+from collections import Counter
+from collections.abc import Callable
+
+from heard_bus import Bus
+from heard_bus import PONG
+import pytest
+
+from dxl_monitor.model import layout
+from dxl_monitor.model.control_table import Field
+from dxl_monitor.model.control_table import Model
+from dxl_monitor.model.control_table import UNKNOWN
+from dxl_monitor.model.models import Models
+from msg_defs.dxl_instruction import Instruction as I
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import STATUS
+
+ALL = layout.Layouts(Models())
+SERVOS = ALL.servos()
+SETS_UP = ('ID', 'Baud Rate', 'Return Delay Time', 'Operating Mode', 'Torque Enable', 'Lock',
+           'Max Position Limit', 'Min Position Limit', 'Goal Position')
+LOOKS = ('Torque Enable', 'Present Position', 'Present Velocity', 'Present Load',
+         'Present Input Voltage', 'Present Temperature', 'Goal Position')
+PROGRAMS = {'moves': ('Torque Enable', 'Goal Position', 'Present Position'),
+            'looks': LOOKS, 'sets up': SETS_UP, 'both': (*SETS_UP, *LOOKS)}
+
+LEFT_OUT: dict[str, Callable[[Model, Model], bool]] = {
+    'nothing': lambda one, model: False,
+    'model': lambda one, model: one is model,
+    'table': lambda one, model: one.file == model.file,
+}
+
+
+def uses(model: Model, program: str) -> list[layout.Use]:
+    return [(field.at, field.size) for name in PROGRAMS[program]
+            if (field := model.by_name.get(name))]
+
+
+def kind(field: Field) -> tuple[object, ...]:
+    return (field.name, field.size if field.name in layout.POSITIONS else field.type,
+            field.size == 1 or field.byte_order)
+
+
+def named(model: Model, program: str, left_out: str) -> Counter[str]:
+    """Return how many registers got a name; which are named wrongly, in a table of the others."""
+    tables = [one for one in SERVOS if one.protocol == model.protocol
+              and not LEFT_OUT[left_out](one, model)]
+    used = uses(model, program)
+    found = layout.agreed(tables, used)
+    result: Counter[str] = Counter()
+    for at, _ in used:
+        truth, said = model.by_address[at], found.by_address.get(at)
+        if said is None:
+            result['no name'] += 1
+        elif kind(said) != kind(truth):
+            result[f'{said} for {truth} of {model.name}'] += 1
+        elif said.unit and said.scale and (said.unit, said.scale, said.offset) != (
+                truth.unit, truth.scale, truth.offset):
+            result[f'{said.unit} of {said} of {model.name}'] += 1
+        else:
+            result['right'] += 1
+    return result
+
+
+@pytest.mark.parametrize(('left_out', 'least'), [('nothing', 0.5), ('model', 0.5), ('table', 0.2)])
+def test_no_register_is_named_wrongly(left_out, least):
+    total: Counter[str] = Counter()
+    for model in SERVOS:
+        for program in PROGRAMS:
+            total += named(model, program, left_out)
+    assert set(total) == {'right', 'no name'}
+    assert total['right'] > least * total.total()
+
+
+TWO, ONE, FEETECH = 'auto', '1', 'feetech'
+X = [(64, 1), (116, 4), (132, 4)]
+
+
+@pytest.mark.parametrize(('protocol', 'used', 'name', 'position'), [
+    (TWO, X[:2], 'unknown', ''),
+    (TWO, X[1:], 'unknown', ''),
+    (TWO, X, 'unknown (as the X series)', 'Present Position (rad)'),
+    (TWO, [(64, 1), (116, 4), (126, 10)], 'unknown (as the X series)', 'Present Position (rad)'),
+    (TWO, [(116, 4), (126, 10)], 'unknown (as the X series)', 'Present Position (rad)'),
+    (TWO, [(126, 10), (144, 3)], 'unknown', ''),                  # neither torque nor goal
+    (TWO, [*X, (133, 2)], 'unknown', ''),                         # half of a register
+    (TWO, [*X, (0, 147)], 'unknown (as the X series)', 'Present Position (rad)'),
+    (TWO, [(562, 1), (596, 4), (611, 4)], 'unknown', ''),         # a PRO: only a board fits
+    (TWO, [(24, 1), (30, 2), (37, 2)], 'unknown (as XL-320)', 'Present Position'),
+    (ONE, [(24, 1), (30, 2), (36, 2)], 'unknown (as several series)',
+     'Present Position'),                                         # AX and MX differ in scale
+    (FEETECH, [(40, 1), (42, 2), (56, 2)], 'unknown (as several series)', ''),   # both orders
+    (FEETECH, [(40, 1), (42, 2), (56, 2), (55, 1)], 'unknown (as several series)',
+     'Present Position (rad)'),
+    (FEETECH, [(40, 1), (42, 2), (56, 2), (48, 1)], 'unknown (as the SCS series)',
+     'Present Position'),
+])
+def test_a_use_says_which_registers_those_are(protocol, used, name, position):
+    found = ALL.of('2' if protocol == TWO else protocol, frozenset(
+        one for one in used if one[1] <= layout.LONGEST))
+    said = found.by_name.get('Present Position')
+    assert ('unknown' if found is UNKNOWN else f'unknown (as {found.name})',
+            '' if said is None else said.key) == (name, position)
+
+
+def asked(*used: tuple[int, bytes | int]) -> list[bytes]:
+    """Return what is said where these are written, or so many bytes of zeros are read."""
+    said = []
+    for at, what in used:
+        where = at.to_bytes(2, 'little')
+        said += [encode(1, I.READ, where + what.to_bytes(2, 'little')),
+                 encode(1, STATUS, bytes(what), error=0)] if isinstance(what, int) else [
+                encode(1, I.WRITE, where + what), encode(1, STATUS, b'', error=0)]
+    return said
+
+
+MOVES = asked((64, b'\1'), (116, bytes(4)), (132, 4))
+
+
+def names(bus: Bus) -> tuple[str, list[str]]:
+    device = bus.device()
+    return device.model_name, [one.field.key for one in device.observed]
+
+
+def test_a_program_is_understood_after_three_instructions_and_taken_at_its_word():
+    bus = Bus()
+    for said, registers in ((MOVES[:2], []), (MOVES[2:4], []), (MOVES[4:], [
+            'Torque Enable', 'Goal Position (rad)', 'Present Position (rad)'])):
+        bus.hear(*said)
+        assert names(bus)[1] == registers
+    bus.wait(4)
+    bus.hear(*MOVES)
+    report = bus.report()
+    assert [one.message for one in report.doubts if one.rule == 'models'] == [
+        '001: model not known, registers as in the X series, by what the program uses; set '
+        '`devices`, or let the master Ping']
+    bus.hear(encode(1, I.PING), PONG)
+    assert names(bus)[0] == 'MX-64'
+
+
+REFUSED = [encode(1, I.READ, b'\x84\0\4\0'), encode(1, STATUS, b'', error=7)]
+
+
+@pytest.mark.parametrize('against', [
+    asked((64, b'\7')), asked((116, b'\0\0\0\x70')), asked((117, 2)), asked((562, b'\1')),
+    3 * REFUSED,
+    [encode(1, I.READ, b'\x92\0\1\0'), encode(1, STATUS, b'\xc8', error=0)],
+], ids=['torque 7', 'a goal of 286 000 turns', 'half a register', 'a register of another series',
+        'refused', '200 degrees'])
+def test_what_speaks_against_a_layout_ends_it(against):
+    bus = Bus()
+    bus.hear(*MOVES)
+    assert names(bus)[0] == 'unknown (as the X series)'
+    bus.hear(*against)
+    assert names(bus) == ('unknown', [])
+    bus.hear(*MOVES)
+    assert names(bus) == ('unknown', [])
+
+
+def test_what_is_refused_for_another_reason_speaks_against_nothing():
+    bus = Bus()
+    bus.hear(*MOVES)
+    for at, error in ((20, 7), (116, 6), (98, 4)):
+        bus.hear(*3 * [encode(1, I.WRITE, bytes((at, 0, 1, 0, 0, 0)[:6 if at != 98 else 3])),
+                       encode(1, STATUS, b'', error=error)])
+    assert names(bus)[0] == 'unknown (as the X series)'
+    found = {one.rule for one in bus.report().findings}
+    assert 'eeprom_locked' in found and 'refused' not in found
