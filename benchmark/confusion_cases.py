@@ -114,7 +114,7 @@ FEETECH_CASES = (
     Case('protocol2::{at}', (('protocol_1', None),), FEETECH),
     Case('high_supply:3:{at}', (('wrong_supply', 3),), FEETECH),
     Case('high_supply::{at}', (('wrong_supply', 1),), FEETECH, 'all devices'),
-    Case('low_supply:3:{at}', (('wrong_supply', 3),), FEETECH),
+    Case('low_supply:3:0', (('wrong_supply', 3),), FEETECH),
 )
 
 DXL1 = Scene(devices=OLD_ROBOT, dialect='dxl1', baud=1_000_000)
@@ -136,5 +136,5 @@ DXL1_CASES = (
     Case('ping_only:3:{at}', (('ping_only', 3),), DXL1),
     Case('protocol2::{at}', (('protocol_1', None),), DXL1),
     Case('high_supply:3:{at}', (('wrong_supply', 3),), DXL1),
-    Case('low_supply:3:{at}', (('wrong_supply', 3),), DXL1),
+    Case('low_supply:3:0', (('wrong_supply', 3),), DXL1),
 )

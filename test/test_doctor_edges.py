@@ -80,6 +80,14 @@ def volts(before: float, after: float) -> list[Sample]:
 STANDING = [sample(2.4, 1, 1), sample(2.2, 100, 200), sample(1, 120, 200)]
 
 
+def places(*positions: float) -> list[Sample]:
+    return [sample(3 - at / 2, 0, place) for at, place in enumerate(positions)]
+
+
+def to_and_fro(goal: float, position: float = 0) -> list[Sample]:
+    return [sample(3, 0, 0), sample(2, 0, 0), sample(1.5, goal, position), sample(0.5, 0, 0)]
+
+
 def moves(seconds: float, goal: float, position: float) -> list[Sample]:
     """Return a goal and a position that move so far in so long; the first sample is not used."""
     return [sample(seconds + 0.05, 1000, 1000), sample(seconds, 100, 200),
@@ -133,6 +141,9 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
     ('baud_moved', {'devices': [device(state=words.MOVED, moved_to='57600 Bd')]},
      'set to 57600 Bd by a write, but the bus is at 1000000 Bd: set it back at its new rate, or '
      'set the others and the master to it too', {}, [{'devices': [device()]}]),
+    ('id_moved', {'devices': [device(state=words.MOVED, moved_to='ID 005')]},
+     'set to ID 005 by a write, and still asked as 001: use the new ID in the program', {},
+     [{'devices': [device()]}, {'devices': [device(state=words.MOVED, moved_to='57600 Bd')]}]),
     ('noise', {'devices': TWO_HIT, 'notes': damage(5, 1, 1000 / 3), 'counters': {'Packets': 5000}},
      'less than 0.2 % of the packets damaged, in both directions, of several devices: check '
      'termination, ground, shielding and motor cables',
@@ -331,6 +342,14 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'samples': {1: moves(2.45, 50, 0)}}, {'devices': [device(
           registers={'Torque Enable': 0}, written={'Present Position': 5}), device(2)]},
       {'devices': [device(registers={'Present Position': 5}, age_s=1.1), device(2)]}]),
+    ('torque_off', {'devices': [device(registers={'Present Position': 5})],
+                    'samples': {1: to_and_fro(66)}},
+     'its goal goes to and fro and the joint does not move: its torque is off, or its motor has '
+     'no supply; write 1 to Torque Enable', {},
+     [{'samples': {1: to_and_fro(65)}}, {'samples': {1: to_and_fro(66)[:-1]}},
+      {'samples': {1: to_and_fro(66, 7)}},
+      {'devices': [device(registers={'Present Position': 5}, alert=True)]},
+      {'devices': [device(registers={'Present Position': 5}, written={'Torque Enable': 1})]}]),
     ('missed_answers', {'devices': [spoken(window={'answers': 296, 'missed': 3})],
                         'notes': MISSED},
      'about 1 % of its answers missing, with no bytes in their place: check its plugs; a device '
@@ -422,6 +441,14 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'cycles': (asks(I.READ, 2, at=256, size=1),)},
       {'cycles': (asks(I.READ, 3, at=57, size=1),)},
       {'devices': [device(2)]}]),
+    ('range_wraps', {'devices': [device(model='STS3215', written={'Goal Position': 5})],
+                     'samples': {1: places(0, 4095, 1023, 3072)}},
+     'its joint moves across the end of the turn, from 4095 to 0, where goals make it turn the '
+     'long way round: calibrate it again, with the joint in the middle of its range', {},
+     [{'samples': {1: places(0, 4095, 1024, 3072)}}, {'samples': {1: places(0, 4095, 1023)}},
+      {'samples': {1: places(0, 4096, 1023, 3072)}},
+      {'devices': [device(model='STS3215', registers={'Goal Position': 5})]},
+      {'devices': [device(written={'Goal Position': 5})]}]),
     *(('layout', {'devices': [device(model='STS3215')],
                   'cycles': (asks(I.WRITE, 1, at=at, size=size),)},
        f'Write of {size} at {at}, {why}: use the table of STS3215',
@@ -441,6 +468,25 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 7), 3)},
       {'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 0, 7), 3)},
       {'devices': [device(registers={'Torque Enable': 0})]}]),
+    ('goal_limits', {'devices': [device()],
+                     'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 6), 3)},
+     '3 values for Goal Position refused, beyond its limits: keep goals within these, or set '
+     'wider ones (as Max Position Limit)', {'refused': '3'},
+     [{'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 6), 2)},
+      {'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 4), 3)}]),
+    *(('sync_read_unsupported', {
+        'protocol': protocol, 'devices': [device(totals={'answers': 3})], 'waits': waits,
+        'cycles': (asks(I.SYNC_READ, *ids, stamps=(NOW,) * 4),)},
+       'no device answers a Sync Read, other instructions are answered: Dynamixel 1.0 has none, '
+       'old firmware neither; read one after the other', {'Sync Reads': '30'},
+       [{'devices': [device(totals={'answers': 2})]},
+        {'cycles': (asks(I.SYNC_READ, *ids, stamps=(NOW,) * 3),)}, *fewer])
+      for protocol, ids, waits, fewer in (
+          ('Dynamixel 1.0', (254,), (), [{'protocol': 'Feetech'}]),
+          ('Feetech', (1, 2), (Wait(NOW, 9000, 1, False),) * 3, [
+              {'waits': (Wait(NOW, 9000, 1, False),) * 2},
+              {'waits': (Wait(NOW, 9000, 1, True),) * 3},
+              {'waits': (Wait(NOW, 9000, 2, False),) * 3}]))),
     ('wrong_address', {'devices': [device()],
                        'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 4), 3)},
      'address 116 refused 3 times (Data Range): the value is out of the range of Goal '
@@ -538,6 +584,11 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      {'asked in 10 s': '3'},
      [{'cycles': (asks(I.PING, 253, stamps=(NOW - 10 * S, NOW - 1, NOW)),)},
       {'cycles': (asks(I.PING, 252, stamps=(NOW,) * 3),)}, {'devices': [device(253)]}]),
+    ('impossible_id', {'cycles': (asks(I.READ, BROADCAST, stamps=(NOW,) * 3),)},
+     'the master reads from ID 254, all devices at once, which none answers: use Sync Read',
+     {'asked in 10 s': '3'},
+     [{'cycles': (asks(I.READ, BROADCAST, stamps=(NOW,) * 2),)},
+      {'cycles': (asks(I.PING, BROADCAST, stamps=(NOW,) * 3),)}]),
     ('scan', {'level': Level.WARN,
       'cycles': (asks(I.PING, BROADCAST, stamps=(
         NOW - 10 * S, *[NOW - 10 * S + 1] * 15)),), 'notes': damage(3)},

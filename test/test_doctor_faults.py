@@ -161,7 +161,7 @@ PAIRS: tuple[tuple[Scene, str, str, tuple[Key, ...]], ...] = (
     (ANSWERS_BEHIND, 'echo', 'hot:3', (('echo', None), ('too_hot', 3))),
     (ANSWERS_BEHIND, 'late:3', 'latched:6', (('late_answers', 3), ('hardware_error', 6))),
     (ANSWERS_BEHIND, 'foreign:3', 'hot:5', (('foreign_answers', 3), ('too_hot', 5))),
-    (FEETECH_BEHIND, 'silent:3', 'low_supply:5', (('no_answer', 3), ('wrong_supply', 5))),
+    (FEETECH_BEHIND, 'silent:3', 'high_supply:5', (('no_answer', 3), ('wrong_supply', 5))),
     (FEETECH, 'layout:3', 'hot:5', (('layout', 3), ('too_hot', 5))),
     (FEETECH, 'latched:3', 'high_supply:5', (('hardware_error', 3), ('wrong_supply', 5))),
     (FEETECH, 'glitch', 'offset:5', (('stray_bytes', None), ('calibrated_twice', 5))),

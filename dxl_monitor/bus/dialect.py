@@ -48,15 +48,14 @@ class DialectChoice:
         if self._is_fixed:
             return False
         code = request.instruction
-        if code in FEETECH.entries and code not in DYNAMIXEL_1.entries:
-            return self._vote(FEETECH, STRONG)
+        where = (request.accesses[0].address, request.accesses[0].length) if request.accesses \
+            else None
         if code in DYNAMIXEL_1.entries and code not in FEETECH.entries:
             return self._vote(DYNAMIXEL_1, STRONG)
-        if not request.accesses:
-            return False
-        where = request.accesses[0].address, request.accesses[0].length
-        if where in DYNAMIXEL_AT:
+        if where in DYNAMIXEL_AT:          # a Sync Read too, which it has not
             return self._vote(DYNAMIXEL_1, WEAK)
+        if code in FEETECH.entries and code not in DYNAMIXEL_1.entries:
+            return self._vote(FEETECH, STRONG)
         if where in FEETECH_AT:
             return self._vote(FEETECH, WEAK)
         return False

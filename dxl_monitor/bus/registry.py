@@ -18,6 +18,7 @@ from dxl_monitor.bus.device import TORQUE
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.expected import MAX_ID
+from dxl_monitor.bus.plan import Effect
 from dxl_monitor.bus.table import IDENTITY
 from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
@@ -57,8 +58,8 @@ class DeviceRegistry:
     changed: called when a device has another ID or model, so that plans made before do not hold.
     """
 
-    __slots__ = ('_dummy', '_evidence', '_followers', '_models', '_offsets', 'baud',
-                 'changed', 'devices', 'dialect', 'highest', 'tried')
+    __slots__ = ('_dummy', '_evidence', '_followers', '_models', '_offsets', '_renamed',
+                 'baud', 'changed', 'devices', 'dialect', 'highest', 'tried')
 
     def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
                  evidence: Evidence) -> None:
@@ -70,6 +71,7 @@ class DeviceRegistry:
         self.dialect = UNDECIDED           # in the 1.0 family, for devices that speak it
         self.highest = MAX_ID              # the largest ID that a device can have here
         self._offsets: dict[Device, int] = {}
+        self._renamed: dict[int, int] = {}     # IDs that were changed: the new ones
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.changed: Callable[[], None] = lambda: None
         self._followers = {'ID': self._follow_id, 'Baud Rate': self._follow_baud,
@@ -91,6 +93,8 @@ class DeviceRegistry:
             if number > self.highest:
                 return self._dummy
             device = self.devices[number] = Device(number)
+            if number in self._renamed:
+                device.moved_to = f'ID {self._renamed[number]:03}'
         return device
 
     def register_name(self, number: int, address: int) -> str:
@@ -161,8 +165,7 @@ class DeviceRegistry:
         if device.model_number is None and device.model is not layout:
             if layout is UNKNOWN:
                 device.forget_return_level()
-            device.become(layout)
-            self.changed()
+            device.become(layout)          # plans hold: what they counted is worth more
 
     def _read_identity(self, device: Device, address: int, data: bytes, stamp: int) -> None:
         at = device.identity_at - address
@@ -230,6 +233,11 @@ class DeviceRegistry:
         device.table.keep((address, len(data)), data, stamp, WRITTEN)
         if address < device.followed_end and device.is_changed_by(address, len(data)):
             self.follow(device, address, data, stamp, alone)
+
+    def renames(self, effect: Effect, number: int) -> bool:
+        """Return whether a write gives a device this ID: some acknowledge it with the new one."""
+        action, (device, *written, _) = effect
+        return action == self.write and ('ID', number) in device.special_values(*written)
 
     def register(self, device: Device, address: int, data: bytes, stamp: int,
                  alone: bool = True) -> None:
@@ -322,6 +330,7 @@ class DeviceRegistry:
         if other is not None and other.expected:
             device.joint, device.expected = other.joint, True
         del self.devices[device.number]
+        self._renamed[device.number] = number
         device.number = number
         self.devices[number] = device
         self.changed()

@@ -59,10 +59,9 @@ class Tracker:
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, byte_ns: float,
                  missed_limit: int, write_acks: str) -> None:
         self._registry = registry
-        self.planner = Planner(registry, evidence, self._acknowledged)
-        self._known = self.planner.known
-        self._evidence = evidence
-        self._note = evidence.note
+        self.planner = planner = Planner(registry, evidence, self._acknowledged)
+        self._known = planner.known
+        self._evidence, self._note = evidence, evidence.note
         self.byte_ns = byte_ns
         self._policy = ReplyPolicy(write_acks, missed_limit, registry, evidence)
         self._state = pairing.DOUBTFUL
@@ -167,8 +166,7 @@ class Tracker:
             self._close(said, begin, received, stamp)
         else:
             self._given_up = _NO_SLOTS
-        if self._spoke:
-            self._spoke = set()
+        self._spoke = self._spoke and set()
         plan = self._known.get(said) or self.planner.plan_for(said, stamp)
         self.pending = plan
         self._last = said
@@ -279,6 +277,9 @@ class Tracker:
         """Take a status that was not due: a sign of life, no more."""
         if number > self._registry.highest:
             self._note(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
+            return
+        if self._deferred is not None and self._registry.renames(self._deferred, number):
+            self._answer(self._slots.popitem()[1], error, data, stamp)
             return
         device = self._registry.device(number)
         self._registry.heard(device, error, stamp)

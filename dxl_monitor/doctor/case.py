@@ -109,6 +109,7 @@ class Case:
         self.wrecks: list[Wreck] = []  # damaged packets that are recognised
         self.steady = steady           # instructions that kept time, once
         self.clocks: list[TwoClocks] = []      # instructions that two loops repeat
+        self.highest: dict[int, float] = {}    # V that each device measured, since the start
         self._counts = counts
         self.marks = marks
         self.samples = samples
@@ -274,6 +275,7 @@ class History:
         self._rhythms: tuple[int, list[Rhythm]] = (0, [])
         self._counts: deque[Counted] = deque(maxlen=KEPT)
         self._steady: set[Key] = set()
+        self._highest: dict[int, float] = {}
         self._clocks: dict[Key, TwoClocks] = {}
         self._asked = self._pause = 0  # stamp of the last instruction, and how old it was
         self._pauses: deque[tuple[int, int]] = deque(maxlen=KEPT)
@@ -304,6 +306,7 @@ class History:
                     self._rhythms[1], self._counts, self._steady)
         case.names = self._names
         case.clocks = list(self._clocks.values())
+        case.highest = self._highest
         case.quiet_s = self._quiet_s(report)
         case.wrecks = self._recognised(report, before)
         self._sample(case, before)
@@ -376,6 +379,8 @@ class History:
             samples.append(Sample(case.now, goal and goal.value.raw,
                                   position and position.value.raw,
                                   tick and tick.value.number, voltage and voltage.value.number))
+            self._highest[device.id] = max(self._highest.get(device.id, 0.0),
+                                           samples[-1].voltage or 0.0)
             while samples[0].stamp < before:
                 samples.popleft()
 

@@ -20,6 +20,7 @@ from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.model.control_table import UNKNOWN
+from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
@@ -28,7 +29,7 @@ from msg_defs.reports import Level
 
 S = 1_000_000_000
 FEW = 3
-RANGE, LENGTH, ACCESS, UNKNOWN_TO_IT = 4, 5, 7, 2
+RANGE, LENGTH, LIMIT, ACCESS, UNKNOWN_TO_IT = 4, 5, 6, 7, 2
 WORN = 30                          # EEPROM writes in 10 s: no start-up writes as many
 POLLED = 20                        # reads of a device that was never written
 POLLED_S = 3.0
@@ -78,6 +79,20 @@ def _eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
     return None
 
 
+def _goal_limits(case: Case, device: DeviceReport) -> Found | None:
+    """Look for Data Limit errors, in Dynamixel 1.0 angle limit errors."""
+    found = Counter(one.detail.address for one in case.incidents(ev.REFUSED, device.id)
+                    if one.detail.error == LIMIT)
+    for address, count in found.most_common(1):
+        field = device.model.by_address.get(address)
+        if count >= FEW:
+            name = field.name if field else f'address {address}'
+            return Claim(device.id, f'{count} values for {name} refused, beyond its limits: keep '
+                         'goals within these, or set wider ones (as Max Position Limit)',
+                         (('refused', str(count)),))
+    return None
+
+
 def _wrong_address(case: Case, device: DeviceReport) -> Found | None:
     found: Counter[tuple[int, int]] = Counter()
     for (_, address, error), count in _refused(case, device).items():
@@ -116,8 +131,8 @@ def _no_acks(case: Case, device: DeviceReport) -> Found | None:
     if not case.lately(device, OTHERWISE_S).answers or device.missed_in_a_row > ACKS_LEARNED:
         return None                            # it answers nothing at present
     unanswered = case.count(ev.ACKS_STOPPED, device.id) or device.acks_missing >= ACKS_LEARNED
-    if device.acks and not unanswered:
-        return None
+    if device.acks and device.acks_missing < ACKS_LEARNED:
+        return None                            # it does again: some were lost
     if not unanswered and device.status_return_level not in (0, 1):
         return None
     level = device.status_return_level
@@ -154,6 +169,23 @@ def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
     return Claim(device.id, f'answers, but never a fast read ({device.model_name}{firmware}), so '
                  'devices after it are never read: update it or use plain Sync Read',
                  (('fast reads', str(cycle.asked)),), covers=tuple(after))
+
+
+def _sync_reads(case: Case) -> Iterator[Found]:
+    """Look for Sync Reads that nothing ever answered, where other instructions are."""
+    answering = {device.id for device in case.report.devices
+                 if case.lately(device, OTHERWISE_S).answers >= FEW}
+    vain = Counter(one.device for one in case.waits(OTHERWISE_S) if not one.is_spoilt)
+    for cycle in case.report.cycles:
+        asked = sum(stamp > case.now - OTHERWISE_S * S for stamp in cycle.stamps)
+        first = cycle.ids[0]
+        if cycle.instruction == Instruction.SYNC_READ and asked > FEW and answering and (
+                (first in answering and vain[first] >= asked - 1)
+                or case.report.protocol == DYNAMIXEL_1.name):
+            yield Claim(None, 'no device answers a Sync Read, other instructions are answered: '
+                        'Dynamixel 1.0 has none, old firmware neither; read one after the other',
+                        (('Sync Reads', str(cycle.asked)),))
+            return
 
 
 def _lacks_fast_reads(device: DeviceReport) -> bool:
@@ -218,11 +250,14 @@ def _master_stopped(case: Case) -> Iterator[Found]:
 def _impossible_id(case: Case) -> Iterator[Found]:
     for cycle in case.report.cycles:
         number = next(iter(cycle.ids), None)
-        if number not in NO_IDS or number in case.devices:
+        reads_all = number == BROADCAST and cycle.instruction == Instruction.READ
+        if not reads_all and (number not in NO_IDS or number in case.devices):
             continue
         asked = sum(stamp > case.now - PINGS_NS for stamp in cycle.stamps)
         if asked >= FEW:
-            yield Claim(None, f'the master asks ID {number}, which no device can have (0 to 252): '
+            yield Claim(None, f'the master reads from ID {number}, all devices at once, which '
+                        'none answers: use Sync Read' if reads_all else
+                        f'the master asks ID {number}, which no device can have (0 to 252): '
                         'correct the ID in its program', (('asked in 10 s', str(asked)),))
             return
 
@@ -251,9 +286,10 @@ def _models(case: Case) -> Iterator[Found]:
     for device in case.report.devices:
         if device.model.number is None and device.last_heard_s is not None:
             found.setdefault(_registers(device, _NO_NAMES), []).append(device.id)
-    for registers, ids in found.items() if case.heard_s >= POLLED_S else ():
-        yield Doubt(None, f'{listed(ids, 3)}: model not known, {registers}; set '
-                          f'{case.names.devices}, or let the master Ping')
+    if found and case.heard_s >= POLLED_S:
+        known = '; '.join(f'{listed(ids, 3)}: model not known, {registers}'
+                          for registers, ids in found.items())
+        yield Doubt(None, f'{known}; set {case.names.devices}, or let the master Ping')
 
 
 def _registers(device: DeviceReport, none: str) -> str:
@@ -283,6 +319,8 @@ RULES = (
          noted=(ev.REFUSED,)),
     Rule('wrong_address', Level.WARN, _wrong_address, each=True, noted=(ev.REFUSED,),
          needs_model=True),
+    Rule('goal_limits', Level.WARN, _goal_limits, ('refused', 'torque_off'), each=True,
+         noted=(ev.REFUSED,)),
     Rule('refused', Level.WARN, _refusals, each=True, noted=(ev.REFUSED,)),
     Rule('impossible_id', Level.WARN, _impossible_id),
     Rule(STOPPED, Level.WARN, _master_stopped, holds=False),
@@ -293,6 +331,8 @@ RULES = (
     Rule('fast_read_unsupported', Level.WARN, _fast_reads,
          ('no_answer', 'sync_read_stops', 'all_silent', 'broken_cable', 'noise',
           'damaged_answers', 'missed_answers', 'jitter', 'wrong_address')),
+    Rule('sync_read_unsupported', Level.WARN, _sync_reads,
+         ('no_answer', 'sync_read_stops', 'all_silent', 'missed_answers', 'ping_only', 'jitter')),
     Rule('unstuffed', Level.WARN, _unstuffed),
     Rule('no_acks', Level.OK, _no_acks, ('missed_answers',), each=True),
     Rule('never_written', Level.OK, _never_written, each=True),

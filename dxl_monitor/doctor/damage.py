@@ -33,6 +33,7 @@ NOISY = 0.001                      # damaged of all packets
 GLITCHY = 0.001                    # packets after a stray byte
 HEADERS = 0.01                     # answers with a damaged first byte
 BY_CHANCE = 1 / 8                  # share of damage that hits a first byte by chance
+ID = 'ID '                         # in front of what a device was set to, but for a rate
 MOSTLY = 0.7
 BOTH_WAYS = 0.2                    # share of damage in instructions: both directions suffer
 GARBLED = 0.005                    # by chance, this share of the bytes is packets at most
@@ -86,11 +87,18 @@ def _load(case: Case) -> float:
 
 
 def _baud_moved(case: Case, device: DeviceReport) -> Found | None:
-    if device.state != words.MOVED:
+    if device.state != words.MOVED or device.moved_to.startswith(ID):
         return None
     return Claim(device.id, f'set to {device.moved_to} by a write, but the bus is at '
                  f'{case.report.baud} Bd: set it back at its new rate, or set the others and the '
                  'master to it too')
+
+
+def _id_moved(case: Case, device: DeviceReport) -> Found | None:
+    if device.state != words.MOVED or not device.moved_to.startswith(ID):
+        return None
+    return Claim(device.id, f'set to {device.moved_to} by a write, and still asked as '
+                 f'{device.id:03}: use the new ID in the program')
 
 
 def _overrun(case: Case) -> Iterator[Found]:
@@ -327,6 +335,9 @@ RULES = (
     Rule('baud_moved', Level.WARN, _baud_moved,
          ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter'),
          holds=False, each=True),
+    Rule('id_moved', Level.WARN, _id_moved,
+         ('no_answer', 'sync_read_stops', 'broken_cable', 'all_silent', 'missed_answers',
+          'jitter'), holds=False, each=True),
     Rule('protocol_1', Level.WARN, _protocol_1,
          ('stray_bytes', 'wrong_baud')),
     Rule('echo', Level.WARN, _echo,

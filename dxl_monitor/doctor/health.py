@@ -121,9 +121,9 @@ def _too_hot(case: Case) -> Iterator[Found]:
         if temperature is None:
             continue
         limit, source = limit_of(case, device, 'Temperature Limit', 'degrees')
-        if limit is None:
+        if limit is None and device.model.number is not None:
             unknown.append(device.id)
-        elif temperature >= limit - NEAR_DEGREES:
+        elif limit is not None and temperature >= limit - NEAR_DEGREES:
             yield _hot_claim(device, temperature, limit, source)
     if unknown:
         yield Doubt(None, f'{listed(unknown, 3)}: Temperature Limit never read')
@@ -147,7 +147,7 @@ def _voltage(case: Case) -> Iterator[Found]:
             continue
         low, source = limit_of(case, device, 'Min Voltage Limit', 'low')
         high, _ = limit_of(case, device, 'Max Voltage Limit', 'high')
-        if low is None and high is None:
+        if low is None and high is None and device.model.number is not None:
             unknown.append(device.id)
         if low is not None and volts < low + NEAR_VOLTS:
             found.append(_low_claim(device, volts, low, source))

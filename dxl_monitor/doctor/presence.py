@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import accumulate
 from statistics import median
 
 from dxl_monitor.bus import evidence as ev
@@ -55,6 +56,8 @@ def _all_silent(case: Case) -> Iterator[Found]:
                if device.missed_in_a_row or is_waiting(device)]
     figures = (('instructions', str(asked)),)
     is_new = all(device.last_heard_s is None for device in case.report.devices)
+    if _waits_for_one(case, missing):
+        return
     if len(missing) > 1 and ((case.report.failed and is_new)
                              or (asked >= 5 and heard <= 0 and case.gone)):
         first = case.gone[0] if len(case.gone) == 1 else None
@@ -66,6 +69,14 @@ def _all_silent(case: Case) -> Iterator[Found]:
             cycle.instruction == Instruction.PING for cycle in case.report.cycles)):
         yield Claim(None, 'not one byte comes back to the program: check power and first cable'
                           f'{_OF_THE_MASTER}', figures)
+
+
+def _waits_for_one(case: Case, missing: list[int]) -> bool:
+    """Tell whether all others were heard and wait for one that never was."""
+    return len(case.gone) == 1 and all(
+        device.last_heard_s is None if device.id in case.gone
+        else device.last_heard_s is not None and device.waiting_behind == case.gone[0]
+        for device in map(case.devices.__getitem__, missing))
 
 
 def _gone(case: Case, blocking: bool) -> Iterator[Found]:
@@ -249,12 +260,26 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
                      '(Torque Enable 1); after a restart, write all its settings again')
     if torque is not None and torque.value.raw and not _absences(case, device.id):
         return None                    # it is on, so something holds it, or it is where it can be
+    if torque is None and not device.alert and _goes_to_and_fro(
+            [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
+        return Claim(device.id, 'its goal goes to and fro and the joint does not move: its torque '
+                     'is off, or its motor has no supply; write 1 to Torque Enable')
     if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not any(
             _follows([one for one in case.samples[other] if one.stamp > case.now - FOLLOW_S * S])
             for other in case.samples if other != device.id):
         return None
     return Claim(device.id, 'its goal changes but the joint does not move, others follow: its '
                  'torque is off or it is blocked; read Torque Enable, switch it on')
+
+
+def _goes_to_and_fro(samples: list[Sample], least: float) -> bool:
+    """Tell whether the goal went both ways, which no joint that is blocked ignores."""
+    if not _stands(samples):
+        return False
+    goals = [one.goal for one in samples[1:] if one.goal is not None]
+    rise = max(goal - low for goal, low in zip(goals, accumulate(goals, min), strict=True))
+    fall = max(high - goal for goal, high in zip(goals, accumulate(goals, max), strict=True))
+    return min(rise, fall) >= least
 
 
 def _follows(samples: list[Sample]) -> bool:

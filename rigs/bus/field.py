@@ -142,8 +142,9 @@ _OF_1: tuple[Scene, ...] = (
           why='its EEPROM stays open; the acknowledgement with the new ID is no foreign answer'),
     Scene('T07 ID lost in a dip', m1.hexapod, _of('no_answer', ids=(4,))
           + _of('duplicate_id', 'damaged_answers', ids=(1,)),
-          (silent(4), f.twin(1, 8.0, model=AX_12)), _of(*WEAK, ids=(1, 4)), family=AX_12,
-          why='either half is half of the cause'),
+          (silent(4), f.twin(1, 8.0, model=AX_12)), _of(*WEAK, ids=(1, 4))
+          + _of('torque_off', ids=SIX), family=AX_12,
+          why='either half is half of the cause; the program never enables the torque'),
     Scene('T08 loose plug, the arm moves', GOES_ON, _of('missed_answers', ids=(4,)),
           (f.loose(4, 0.05),), _of(*WEAK, ids=(4,)), family=STS3215),
     Scene('T11 adapter with a bad contact, one servo', m1.read_write,

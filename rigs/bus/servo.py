@@ -262,7 +262,7 @@ class Servo(AnyServo):
         elif code == frames.REBOOT:
             self._answer(0, level=2)
             self.clock.at(self.clock.now + 5_000_000, self._restart)
-        else:
+        elif packet.id != frames.EVERYBODY:    # of which a Read has no answer (e-Manual)
             self._answer(frames.BAD_INSTRUCTION, level=2)
 
     def _restart(self) -> None:

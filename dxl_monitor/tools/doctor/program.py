@@ -31,6 +31,7 @@ from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor.verdict import Trouble
 from dxl_monitor.tools.start_program import StartedProgram
 from mecarover_serial.plain import printable
+from mecarover_serial.port_users import holders
 from msg_defs.reports import Level
 
 TICK_S = 0.1
@@ -49,6 +50,7 @@ class Ending(NamedTuple):
     packages: frozenset[str] = frozenset()
     python: str = ''               # that ran it
     was_stopped: bool = False      # by Ctrl-C or another signal
+    users: tuple[str, ...] = ()    # who else has one of its ports open
     unheard: str = ''              # why the tap heard nothing
 
     @property
@@ -65,11 +67,14 @@ class Ending(NamedTuple):
         if self.failed != RAISED:
             return None
         means = explain.find(self.error)
-        return Trouble(Level.WARN, 'the program', '', f'it ended with {self.error}',
+        also = f'; {", ".join(self.users)} uses its port too: end one' if self.users else ''
+        return Trouble(Level.WARN, 'the program', '', f'it ended with {self.error}{also}',
                        means[0].means if means else '')
 
     def doubts(self) -> list[str]:
         """Return what is unknown of a program that ended with another error."""
+        if self.users and self.failed != RAISED:
+            return [f'{", ".join(self.users)} uses its port too: what that asks is not heard here']
         if not self.code or self.was_stopped or self.failed == RAISED:
             return []
         error = self.error or 'what it printed says why'
@@ -88,6 +93,7 @@ class Program:
         self.ports: list[str] = []
         self._was_stopped = False
         self._unheard = ''
+        self._users: tuple[str, ...] = ()
         self._reader = TapReader(name)
         try:
             self._started = StartedProgram('dxl_doctor', name, command, by, output)
@@ -104,6 +110,8 @@ class Program:
         """Yield what it reads and writes, until it ends; None when nothing came for a moment."""
         while self._child.poll() is None:
             yield from self._some(self._reader.wait(TICK_S))
+        self._users = tuple(one.name for port in self.ports for one in holders(port)
+                            if not one.is_maker)
         until_s = time.monotonic() + REST_S
         while (self._reader.programs or not self._started.is_heard_out) \
                 and time.monotonic() < until_s:
@@ -116,7 +124,7 @@ class Program:
         code = self._child.returncode or 0
         return self._ending._replace(
             code=128 - code if code < 0 else code, was_stopped=self._was_stopped or code < 0,
-            unheard=self._unheard)
+            unheard=self._unheard, users=self._users)
 
     def _some(self, records: list[TapRecord]) -> Iterator[Chunk | None]:
         for record in records:

@@ -19,6 +19,7 @@ from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor import timing_rules
 from dxl_monitor.doctor.states import LISTED_AS
+from dxl_monitor.doctor.states import RATES
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.finding_log import Logged
 from mecarover_serial.plain import printable
@@ -123,6 +124,8 @@ def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[
     reports = [bus.report for bus in buses]
     rates = sorted({report.baud for report in reports})
     parts = [f'{" and ".join(map(str, rates))} baud'] if any(rates) else []
+    if any(len(report.tried) > RATES for report in reports):
+        parts = ['several baud rates']
     if is_timed:
         parts.append(f'{seconds:.1f} s')
     packets = sum(report.counters['Packets'] for report in reports)
