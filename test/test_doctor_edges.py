@@ -473,20 +473,16 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
      '3 values for Goal Position refused, beyond its limits: keep goals within these, or set '
      'wider ones (as Max Position Limit)', {'refused': '3'},
      [{'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 6), 2)},
+      {'notes': note(ev.REFUSED, ev.Refusal(I.READ, 116, 6), 3)},
       {'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 4), 3)}]),
-    *(('sync_read_unsupported', {
-        'protocol': protocol, 'devices': [device(totals={'answers': 3})], 'waits': waits,
-        'cycles': (asks(I.SYNC_READ, *ids, stamps=(NOW,) * 4),)},
-       'no device answers a Sync Read, other instructions are answered: Dynamixel 1.0 has none, '
-       'old firmware neither; read one after the other', {'Sync Reads': '30'},
-       [{'devices': [device(totals={'answers': 2})]},
-        {'cycles': (asks(I.SYNC_READ, *ids, stamps=(NOW,) * 3),)}, *fewer])
-      for protocol, ids, waits, fewer in (
-          ('Dynamixel 1.0', (254,), (), [{'protocol': 'Feetech'}]),
-          ('Feetech', (1, 2), (Wait(NOW, 9000, 1, False),) * 3, [
-              {'waits': (Wait(NOW, 9000, 1, False),) * 2},
-              {'waits': (Wait(NOW, 9000, 1, True),) * 3},
-              {'waits': (Wait(NOW, 9000, 2, False),) * 3}]))),
+    ('sync_read_unsupported', {
+        'protocol': 'Dynamixel 1.0', 'devices': [device(totals={'answers': 3})],
+        'cycles': (asks(I.SYNC_READ, 254, stamps=(NOW,) * 3),)},
+     'the master sends Sync Reads, which Dynamixel has in Protocol 2.0 only: none is answered, '
+     'other instructions are; read one after the other', {'Sync Reads': '30'},
+     [{'devices': [device(totals={'answers': 2})]}, {'protocol': 'Feetech'},
+      {'cycles': (asks(I.SYNC_READ, 254, stamps=(NOW,) * 2),)},
+      {'notes': note(ev.UNASKED, ev.Unasked(I.SYNC_READ, 0), 1)}]),
     ('wrong_address', {'devices': [device()],
                        'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, 116, 4), 3)},
      'address 116 refused 3 times (Data Range): the value is out of the range of Goal '

@@ -73,8 +73,8 @@ RULES = [one for family in (configuration, damage, feetech, health, presence, se
 
 def test_the_states_end_with_the_state() -> None:
     assert {one.name for one in RULES if not one.holds} == {
-        'baud_moved', 'hardware_error', 'all_silent', 'broken_cable', 'sync_read_stops',
-        'no_answer', 'master_stopped', 'scan'}
+        'baud_moved', 'id_moved', 'hardware_error', 'all_silent', 'broken_cable',
+        'sync_read_stops', 'no_answer', 'master_stopped', 'scan'}
     assert {one.name: one.onset_s for one in RULES if one.onset_s} == {
         'two_masters': 1.0, 'jitter': 3.0, 'damaged_answers': 1.0, 'wrong_supply': 3.0}
 

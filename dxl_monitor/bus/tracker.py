@@ -177,8 +177,7 @@ class Tracker:
                 self._note(stamp, ev.UNSTUFFED, said[1], ev.Code(said[2]))
             self._deferred = plan.begin(said[3], stamp)
         self._asked = end, received, stamp
-        self._unresolved = True
-        self._state = pairing.SURE
+        self._unresolved, self._state = True, pairing.SURE
         self._slots = slots = plan.slots.copy()
         return slots
 

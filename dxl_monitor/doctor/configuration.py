@@ -34,6 +34,7 @@ WORN = 30                          # EEPROM writes in 10 s: no start-up writes a
 POLLED = 20                        # reads of a device that was never written
 POLLED_S = 3.0
 ACKS_LEARNED = 3
+WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
 FAST = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
 OTHERWISE_S = 2.0                  # an answer to something else, so lately: it is there
 STOPPED = 'master_stopped'
@@ -69,8 +70,7 @@ def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
 def _eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
     torque = case.values[device.id].get('Torque Enable')
     for (instruction, address, error), count in _refused(case, device).items():
-        writes = instruction in (Instruction.WRITE, Instruction.REG_WRITE)
-        if count >= FEW and writes and _is_locked(device, address, error) \
+        if count >= FEW and instruction in WRITES and _is_locked(device, address, error) \
                 and (torque is None or torque.value.raw):
             name = device.model.by_address[address].name
             return Claim(device.id, f'write to {name} ({address}) refused {count} times: EEPROM '
@@ -82,7 +82,7 @@ def _eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
 def _goal_limits(case: Case, device: DeviceReport) -> Found | None:
     """Look for Data Limit errors, in Dynamixel 1.0 angle limit errors."""
     found = Counter(one.detail.address for one in case.incidents(ev.REFUSED, device.id)
-                    if one.detail.error == LIMIT)
+                    if one.detail.error == LIMIT and one.detail.instruction in WRITES)
     for address, count in found.most_common(1):
         field = device.model.by_address.get(address)
         if count >= FEW:
@@ -172,20 +172,16 @@ def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
 
 
 def _sync_reads(case: Case) -> Iterator[Found]:
-    """Look for Sync Reads that nothing ever answered, where other instructions are."""
-    answering = {device.id for device in case.report.devices
-                 if case.lately(device, OTHERWISE_S).answers >= FEW}
-    vain = Counter(one.device for one in case.waits(OTHERWISE_S) if not one.is_spoilt)
+    """Look for Sync Reads in Protocol 1.0 of Dynamixel, where other instructions are answered."""
+    if case.report.protocol != DYNAMIXEL_1.name or case.count(ev.UNASKED):
+        return
+    answered = sum(case.lately(device, OTHERWISE_S).answers for device in case.report.devices)
     for cycle in case.report.cycles:
         asked = sum(stamp > case.now - OTHERWISE_S * S for stamp in cycle.stamps)
-        first = cycle.ids[0]
-        if cycle.instruction == Instruction.SYNC_READ and asked > FEW and answering and (
-                (first in answering and vain[first] >= asked - 1)
-                or case.report.protocol == DYNAMIXEL_1.name):
-            yield Claim(None, 'no device answers a Sync Read, other instructions are answered: '
-                        'Dynamixel 1.0 has none, old firmware neither; read one after the other',
+        if cycle.instruction == Instruction.SYNC_READ and asked >= FEW and answered >= FEW:
+            yield Claim(None, 'the master sends Sync Reads, which Dynamixel has in Protocol 2.0 '
+                        'only: none is answered, other instructions are; read one after the other',
                         (('Sync Reads', str(cycle.asked)),))
-            return
 
 
 def _lacks_fast_reads(device: DeviceReport) -> bool:
@@ -331,8 +327,7 @@ RULES = (
     Rule('fast_read_unsupported', Level.WARN, _fast_reads,
          ('no_answer', 'sync_read_stops', 'all_silent', 'broken_cable', 'noise',
           'damaged_answers', 'missed_answers', 'jitter', 'wrong_address')),
-    Rule('sync_read_unsupported', Level.WARN, _sync_reads,
-         ('no_answer', 'sync_read_stops', 'all_silent', 'missed_answers', 'ping_only', 'jitter')),
+    Rule('sync_read_unsupported', Level.WARN, _sync_reads, ('jitter',)),
     Rule('unstuffed', Level.WARN, _unstuffed),
     Rule('no_acks', Level.OK, _no_acks, ('missed_answers',), each=True),
     Rule('never_written', Level.OK, _never_written, each=True),

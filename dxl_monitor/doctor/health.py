@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from operator import ne
 from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
@@ -26,6 +27,9 @@ NEAR_VOLTS = 0.3
 ALIVE_VOLTS = 1.0                  # a device with less does not answer: the register is not it
 TRIPPED = (0xFF, -1)
 RANGE = 4
+TURN, EDGE = 4096, 1024            # steps of a turn; so near its ends
+GOAL_SIZE = 2                      # bytes: with four a position does not end there
+FRESH_S = 3.0
 FEW = 3
 # What to do about an error bit of the 1.0 family, by a part of its name; the first that fits.
 _REMEDIES = {
@@ -195,6 +199,19 @@ def _is_goal(device: DeviceReport, address: int) -> bool:
     return field is not None and field.name.startswith('Goal')
 
 
+def _range_wraps(case: Case, device: DeviceReport) -> Found | None:
+    goal = case.values[device.id].get('Goal Position')
+    if goal is None or goal.source != 'w' or goal.age_s > FRESH_S or goal.field.size != GOAL_SIZE:
+        return None
+    places = [one.position for one in case.samples.get(device.id, ()) if one.position is not None]
+    beyond = [place < EDGE for place in places if place < EDGE or TURN - EDGE <= place < TURN]
+    if len(beyond) < len(places) or sum(map(ne, beyond, beyond[1:])) < FEW:
+        return None                            # it goes the long way, as it can
+    return Claim(device.id, f'its joint moves across the end of the turn, from {TURN - 1} to 0, '
+                 'where goals make it turn the long way round: calibrate it again, with the joint '
+                 'in the middle of its range')
+
+
 RULES = (
     Rule('hardware_error', Level.ERROR, lambda _, device: latched(device), ('torque_off',),
          holds=False, each=True),
@@ -202,4 +219,5 @@ RULES = (
          each=True),
     Rule('too_hot', Level.ERROR, _too_hot),
     Rule('voltage', Level.ERROR, _voltage, ('voltage',)),
+    Rule('range_wraps', Level.WARN, _range_wraps, each=True),
 )

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from operator import ne
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import DeviceReport
@@ -34,8 +33,6 @@ FOR_12_V = 12.0                    # a limit from here on: the servo is made for
 WEAK = 8.6                         # V: two cells; an empty battery of three has more
 ONSET_S = 3.0                      # a supply that sags for a moment is none
 ALL = 3                            # as many: it is the supply, not one servo
-TURN, EDGE = 4096, 1024            # steps of a turn; so near its ends
-GOAL_SIZE = 2                      # bytes: with four a position does not end there
 TABLE_END = 256                    # no address above it exists there
 RECENT_NS = 10 * S
 DUMP = 4                           # bytes: who reads more at once, looks at all there is
@@ -120,19 +117,6 @@ def _minimum(case: Case, device: DeviceReport) -> float:
     return limit_of(case, device, 'Min Voltage Limit', 'low')[0] or ALIVE_VOLTS
 
 
-def _range_wraps(case: Case, device: DeviceReport) -> Found | None:
-    goal = case.values[device.id].get('Goal Position')
-    if goal is None or goal.source != 'w' or goal.age_s > ONSET_S or goal.field.size != GOAL_SIZE:
-        return None
-    places = [one.position for one in case.samples.get(device.id, ()) if one.position is not None]
-    beyond = [place < EDGE for place in places if place < EDGE or TURN - EDGE <= place < TURN]
-    if len(beyond) < len(places) or sum(map(ne, beyond, beyond[1:])) < FEW:
-        return None                            # it goes the long way, as it can
-    return Claim(device.id, f'its joint moves across the end of the turn, from {TURN - 1} to 0, '
-                 'where goals make it turn the long way round: calibrate it again, with the joint '
-                 'in the middle of its range')
-
-
 def _layout(case: Case, device: DeviceReport) -> Found | None:
     order = case.values[device.id].get('Byte Order')
     place = device.model.by_name.get('Present Position')
@@ -177,7 +161,6 @@ RULES = (
           'foreign_answers', 'wrong_length', 'late_answers', 'jitter')),
     Rule('wrong_supply', Level.ERROR, _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
          onset_s=ONSET_S, protocols=FAMILY_1),
-    Rule('range_wraps', Level.WARN, _range_wraps, each=True),
     Rule('layout', Level.WARN, _layout, ('wrong_address',), each=True, protocols=FAMILY_1,
          needs_model=True),
 )

@@ -9,22 +9,35 @@ from functools import partial
 from rigs.bus import ear
 from rigs.bus import faults as f
 from rigs.bus import frames
+from rigs.bus import frames1
 from rigs.bus import masters as m
+from rigs.bus import masters1 as m1
 from rigs.bus import servo as reg
 from rigs.bus.healthy import CHAIN
 from rigs.bus.scene import Key
 from rigs.bus.scene import Scene
+from rigs.bus.servo1 import AX_12
+from rigs.bus.servo1 import STS3215
+from rigs.bus.wire import S
 
 SDK, DHI, ROBOT, ARM = m.sdk_loop, m.hardware_interface, m.bitbots, m.lerobot
 MID = partial(m.hardware_interface, pings=False, volts=False)
 ROUND = partial(m.poller, torque=True)
 MOVE = m.setup_then(m.asks(frames.write(3, reg.TORQUE, b'\0'), 3),
                     m.asks(frames.write(3, reg.BAUD, b'\1'), 3))
+RENAME = m.setup_then(m.asks(frames.write(3, reg.TORQUE, b'\0'), 3),
+                      m.asks(frames.write(3, reg.ID, b'\x09'), 3))
+LATER = ('missed_answers', 'dropout', 'no_answer', 'sync_read_stops', 'rebooted', 'torque_off',
+         'damaged_answers')
 FINE, BUSY, HUB, COARSE = ear.FINE, ear.BUSY, ear.HUB, ear.COARSE
 
 
 def _of(number: int | None, *rules: str) -> tuple[Key, ...]:
     return tuple((rule, number) for rule in rules)
+
+
+def _all(*rules: str) -> tuple[Key, ...]:
+    return tuple((rule, number) for rule in rules for number in range(1, 7))
 
 
 def _weak(number: int) -> tuple[Key, ...]:
@@ -132,11 +145,12 @@ BYTES: tuple[Scene, ...] = (
     Scene('echo', SDK, _of(None, 'echo'), (f.echo(),)),
     Scene('echo, item by item', ROUND, _of(None, 'echo'), (f.echo(),)),
     Scene('same ID, other delay', ROUND, _of(3, 'duplicate_id'), (f.twin(3, own_us=900),),
-          (('damaged_answers', 3),)),
+          (('damaged_answers', 3), ('torque_off', 5)), why='5 never gets its Torque Enable'),
     Scene('same ID, same delay', ROUND, _of(3, 'duplicate_id', 'damaged_answers'), (f.twin(3),),
           why='their answers always collide: a bad cable looks the same'),
     Scene('same ID, other model', partial(m.poller, ping=True), _of(3, 'duplicate_id'),
-          (f.twin(3, model='XM430-W350', own_us=700),), (('damaged_answers', 3),)),
+          (f.twin(3, model='XM430-W350', own_us=700),),
+          (('damaged_answers', 3), *_all('torque_off'))),
     Scene('same ID, sdk', SDK, _of(3, 'duplicate_id', 'damaged_answers'),
           (f.twin(3, own_us=55),)),
     Scene('monitor at the wrong rate', SDK, _of(None, 'wrong_baud'),
@@ -170,7 +184,7 @@ TIME: tuple[Scene, ...] = (
     Scene('impatient', partial(SDK, retries=2), _of(None, 'impatient_master'),
           (f.wait_less(0.2),), latency_ms=0.6),
     Scene('impatient, item by item', partial(m.poller, ping=True), _of(None, 'impatient_master'),
-          (f.wait_less(0.01),), delay=100, latency_ms=0.1),
+          (f.wait_less(0.01),), _all('torque_off'), delay=100, latency_ms=0.1),
     Scene('too much for 57600', partial(SDK, rate=50.0), _of(None, 'bus_too_slow'),
           (f.since(0.0),), baud=57_600),
     Scene('too much for 115200, fast reads', DHI, _of(None, 'bus_too_slow'),
@@ -233,4 +247,36 @@ STATE: tuple[Scene, ...] = (
           _of(3, 'never_written'), (f.since(0.0),)),
 )
 
-SCENES: tuple[Scene, ...] = (*THERE, *BYTES, *TIME, *STATE)
+PROGRAM: tuple[Scene, ...] = (
+    Scene('torque never enabled', partial(SDK, torque=False), _all('torque_off'), (f.since(0.0),),
+          devices=CHAIN),
+    Scene('torque never enabled, AX, model unknown', m1.rounds, _all('torque_off'),
+          (f.since(0.0),), family=AX_12),
+    Scene('goals beyond its limits', ROUND, _of(3, 'goal_limits'), (f.register(3, 48, 4, 1000),)),
+    Scene('goals beyond its limits, AX', m1.read_write, _of(1, 'goal_limits'),
+          (f.attribute(1, 8.0, errors=2), f.since(8.0)), ids=(1, 2), family=AX_12),
+    Scene('a joint across the end of its turn', m1.crossing, _of(1, 'range_wraps'),
+          (f.attribute(1, mounted=2048), f.since(0.0)), ids=(1,), family=STS3215,
+          devices=('1:STS3215',)),
+    Scene('a Read of all', m.beside(ROUND, m.asks(frames.read(254, reg.PLACE, 4), 254, 4)),
+          _of(None, 'impossible_id'), (f.since(8.0),)),
+    Scene('Sync Reads to AX', m.beside(m1.read_write, m.asks(
+        frames1.sync_read((1, 2), 36, 2), 1, 2)), _of(None, 'sync_read_unsupported'),
+          (f.since(8.0),), ids=(1, 2), family=AX_12),
+    Scene('ID written, and the old one asked', m.beside(ROUND, RENAME, every_s=30.0),
+          _of(3, 'id_moved'), (f.since(8.0),), _weak(3), devices=CHAIN),
+    Scene('lost acknowledgements', ROUND, _of(3, 'missed_answers'),
+          (f.spoil(lambda rig, data: data if len(data) > 11 else b'', 0.2, 'servo 3 '),)),
+    Scene('first one dead from the start', SDK, _of(1, 'sync_read_stops'), (f.dead(1, at=0.0),),
+          _weak(1)),
+    Scene('brown-out with damage', ROUND, _of(None, 'brown_out'),
+          (f.away(1, 2, 3, 4, 5, 6), f.spoiled(
+              lambda rig, now, data: f.flip(rig, data) if now < 13 * S else data, 'servo', 11.9)),
+          _all(*LATER) + _of(None, 'all_silent', 'noise'), devices=CHAIN),
+    Scene('echo, and an error', ROUND, _of(None, 'echo') + _of(3, 'hardware_error'),
+          (f.echo(), f.latched(3)), _of(3, 'torque_off')),
+    Scene('AX that sag', m1.rounds, _of(None, 'voltage'), (f.sagging((1, 2, 3), 5.6),),
+          _all('voltage', 'torque_off'), ids=(1, 2, 3), family=AX_12, devices=('1-3:AX-12A',)),
+)
+
+SCENES: tuple[Scene, ...] = (*PROGRAM, *THERE, *BYTES, *TIME, *STATE)

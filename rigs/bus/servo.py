@@ -63,6 +63,7 @@ class AnyServo:
         self.is_on = True              # supplied
         self.loses: Callable[[], bool] = lambda: False       # an answer, now and then
         self.changed: Callable[[], None] = lambda: None
+        self.volts: Callable[[], float] = lambda: 12.0
         self.tremor = float(number)    # where in its small movements it is
         self.asked = self.answered = 0
         self.table = bytearray(size)
@@ -115,7 +116,6 @@ class Servo(AnyServo):
         self.is_deaf = False           # hears nothing, as behind a broken wire
         self.wrong_size = 0            # bytes that its answers have too many
         self.answers_only_pings = False
-        self.volts: Callable[[], float] = lambda: 12.0
         self.heat: Callable[[], float] = lambda: 35.0
         self._registered = (0, b'')
         self._turn: _Turn | None = None
@@ -184,6 +184,8 @@ class Servo(AnyServo):
             return frames.DATA_LENGTH
         if at == BAUD and data[0] >= len(BAUD_CODES):
             return frames.DATA_RANGE
+        if at == GOAL and not self.get(52, 4) <= int.from_bytes(data, 'little') <= self.get(48, 4):
+            return frames.DATA_LIMIT
         self.table[at:at + len(data)] = data
         if at >= REDIRECTS:
             self._redirect()
@@ -262,7 +264,7 @@ class Servo(AnyServo):
         elif code == frames.REBOOT:
             self._answer(0, level=2)
             self.clock.at(self.clock.now + 5_000_000, self._restart)
-        elif packet.id != frames.EVERYBODY:    # of which a Read has no answer (e-Manual)
+        elif packet.id != frames.EVERYBODY:    # none answers a Read of all (e-Manual)
             self._answer(frames.BAD_INSTRUCTION, level=2)
 
     def _restart(self) -> None:

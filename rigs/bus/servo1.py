@@ -17,6 +17,7 @@ from rigs.bus.servo import AnyServo
 from rigs.bus.wire import Heard
 from rigs.bus.wire import Wire
 
+TURN = 4096
 SIZE = 128                         # bytes that a control table has
 
 
@@ -48,6 +49,7 @@ class Servo1(AnyServo):
         super().__init__(wire, number, own_us, SIZE)
         self.kind = kind
         self.errors = 0
+        self.mounted = 0               # steps from the middle of its joint to that of its turn
         self._waits_for: tuple[int, int, int] | None = None     # an ID; address, size of its turn
         self.put(kind.model_at, 2, kind.number)
         self.put(kind.id_at, 1, number)
@@ -67,10 +69,10 @@ class Servo1(AnyServo):
 
     def _refresh(self) -> None:
         kind = self.kind
-        wobble = self.move(self.get(kind.goal_at, 2),
+        wobble = self.move((self.get(kind.goal_at, 2) - self.mounted) % TURN,
                            bool(self.table[kind.torque_at]) and not self.errors & 0x20)
-        self.put(kind.place_at, 2, max(0, round(self._at + wobble)))
-        self.put(kind.volts_at, 1, 120)
+        self.put(kind.place_at, 2, round(self._at + wobble + self.mounted) % TURN)
+        self.put(kind.volts_at, 1, round(10 * self.volts()))
         self.put(kind.volts_at + 1, 1, 35)         # the temperature, in both families
 
     # --- hearing: a status looks like an instruction, so who talks tells ------------------------
