@@ -22,6 +22,7 @@ import pytest
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import Counts
+from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import Wait
@@ -78,6 +79,14 @@ def volts(before: float, after: float) -> list[Sample]:
 
 
 STANDING = [sample(2.4, 1, 1), sample(2.2, 100, 200), sample(1, 120, 200)]
+
+
+def watched(at: int, every: int = S // 4) -> Cycle:
+    return asks(I.READ, 1, at=at, size=4, stamps=range(NOW - 3 * every, NOW + 1, every))
+
+
+def wrapped(model: str, written: dict[str, int]) -> DeviceReport:
+    return device(model=model, registers={'Present Position': 9}, written=written)
 
 
 def places(*positions: float) -> list[Sample]:
@@ -343,11 +352,12 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
           registers={'Torque Enable': 0}, written={'Present Position': 5}), device(2)]},
       {'devices': [device(registers={'Present Position': 5}, age_s=1.1), device(2)]}]),
     ('torque_off', {'devices': [device(registers={'Present Position': 5})],
-                    'samples': {1: to_and_fro(66)}},
+                    'samples': {1: to_and_fro(66)}, 'cycles': (watched(132),)},
      'its goal goes to and fro and the joint does not move: its torque is off, or its motor has '
      'no supply; write 1 to Torque Enable', {},
      [{'samples': {1: to_and_fro(65)}}, {'samples': {1: to_and_fro(66)[:-1]}},
-      {'samples': {1: to_and_fro(66, 7)}},
+      {'samples': {1: to_and_fro(66, 7)}}, {'cycles': (watched(132, S // 2),)},
+      {'cycles': (watched(128),)},
       {'devices': [device(registers={'Present Position': 5}, alert=True)]},
       {'devices': [device(registers={'Present Position': 5}, written={'Torque Enable': 1})]}]),
     ('missed_answers', {'devices': [spoken(window={'answers': 296, 'missed': 3})],
@@ -441,14 +451,15 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'cycles': (asks(I.READ, 2, at=256, size=1),)},
       {'cycles': (asks(I.READ, 3, at=57, size=1),)},
       {'devices': [device(2)]}]),
-    ('range_wraps', {'devices': [device(model='STS3215', written={'Goal Position': 5})],
-                     'samples': {1: places(0, 4095, 1023, 3072)}},
+    ('range_wraps', {'devices': [wrapped('STS3215', {'Goal Position': 5})],
+                     'samples': {1: places(0, 4095, 1023, 3072)}, 'cycles': (watched(56),)},
      'its joint moves across the end of the turn, from 4095 to 0, where goals make it turn the '
      'long way round: calibrate it again, with the joint in the middle of its range', {},
-     [{'samples': {1: places(0, 4095, 1024, 3072)}}, {'samples': {1: places(0, 4095, 1023)}},
+     [{'cycles': (watched(56, S // 2),)}, {'samples': {1: places(0, 4095, 1024, 3072)}},
+      {'samples': {1: places(0, 4095, 1023)}},
       {'samples': {1: places(0, 4096, 1023, 3072)}},
-      {'devices': [device(model='STS3215', registers={'Goal Position': 5})]},
-      {'devices': [device(written={'Goal Position': 5})]}]),
+      {'devices': [wrapped('STS3215', {})]}, {'devices': [wrapped('XL430-W250',
+                                                                  {'Goal Position': 5})]}]),
     *(('layout', {'devices': [device(model='STS3215')],
                   'cycles': (asks(I.WRITE, 1, at=at, size=size),)},
        f'Write of {size} at {at}, {why}: use the table of STS3215',

@@ -235,3 +235,17 @@ def test_of_several_absences_the_longest_is_told() -> None:
 def test_a_watchdog_that_tripped_reads_minus_1(value: bytes,
                                                expected: list[tuple[str, int]]) -> None:
     assert names(heard([read(2, 98, 1), says(2, value)])) == expected
+
+
+RENAMES = [write(2, TORQUE, b'\0'), says(2), write(2, 7, b'\x05')]
+
+
+@pytest.mark.parametrize(('acknowledges', 'asked', 'expected'), [
+    (2, read(2), [('id_moved', 2)]), (5, read(2), [('id_moved', 2)]),
+    (2, encode(2, I.PING), []),                    # a search
+    (2, read(5) + says(5, bytes(4)), []),          # the new ID is used
+])
+def test_an_id_that_was_written_and_is_still_asked(
+        acknowledges: int, asked: bytes, expected: list[tuple[str, int]]) -> None:
+    said = [*RENAMES, says(acknowledges), *around(asked, devices=1) * 4]
+    assert names(heard(said, 40.0)) == expected

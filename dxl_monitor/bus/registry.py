@@ -19,6 +19,7 @@ from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.expected import MAX_ID
 from dxl_monitor.bus.plan import Effect
+from dxl_monitor.bus.report import NEW_ID
 from dxl_monitor.bus.table import IDENTITY
 from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
@@ -94,7 +95,7 @@ class DeviceRegistry:
                 return self._dummy
             device = self.devices[number] = Device(number)
             if number in self._renamed:
-                device.moved_to = f'ID {self._renamed[number]:03}'
+                device.moved_to = f'{NEW_ID}{self._renamed[number]:03}'
         return device
 
     def register_name(self, number: int, address: int) -> str:

@@ -37,7 +37,8 @@ SILENT = 'silent'                  # not asked, and silent, for silent_after
 EXPECTED = 'expected'              # listed in `devices`, never heard
 ASKED = 'asked'                    # addressed by the master, never heard, not listed
 WAITING = 'waiting'                # asked, but after a silent device in the same Sync Read
-MOVED = 'moved'                    # its Baud Rate was written: not on this bus any more
+MOVED = 'moved'                    # its Baud Rate or ID was written: not here any more
+NEW_ID = 'ID '                     # in front of the ID in `moved_to`
 
 # How a program ended by itself, if not well.
 FAILED = 'failed'                  # with an exit code that is not 0
@@ -198,7 +199,7 @@ class DeviceReport(NamedTuple):
     latency: ReplyLatency
     errors: dict[tuple[int, int, int], int]     # (instruction, address, error number): how often
     expected: bool = False         # listed in `devices`
-    moved_to: str = ''             # the baud rate that was written to it, in words
+    moved_to: str = ''             # the baud rate or ID that was written to it, in words
     quiet_s: float = 0.0           # neither heard nor asked for so long, while the port was open
 
 

@@ -33,7 +33,6 @@ NOISY = 0.001                      # damaged of all packets
 GLITCHY = 0.001                    # packets after a stray byte
 HEADERS = 0.01                     # answers with a damaged first byte
 BY_CHANCE = 1 / 8                  # share of damage that hits a first byte by chance
-ID = 'ID '                         # in front of what a device was set to, but for a rate
 MOSTLY = 0.7
 BOTH_WAYS = 0.2                    # share of damage in instructions: both directions suffer
 GARBLED = 0.005                    # by chance, this share of the bytes is packets at most
@@ -87,7 +86,7 @@ def _load(case: Case) -> float:
 
 
 def _baud_moved(case: Case, device: DeviceReport) -> Found | None:
-    if device.state != words.MOVED or device.moved_to.startswith(ID):
+    if device.state != words.MOVED or device.moved_to.startswith(words.NEW_ID):
         return None
     return Claim(device.id, f'set to {device.moved_to} by a write, but the bus is at '
                  f'{case.report.baud} Bd: set it back at its new rate, or set the others and the '
@@ -95,7 +94,7 @@ def _baud_moved(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _id_moved(case: Case, device: DeviceReport) -> Found | None:
-    if device.state != words.MOVED or not device.moved_to.startswith(ID):
+    if device.state != words.MOVED or not device.moved_to.startswith(words.NEW_ID):
         return None
     return Claim(device.id, f'set to {device.moved_to} by a write, and still asked as '
                  f'{device.id:03}: use the new ID in the program')

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from operator import ne
+from operator import sub
 from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
@@ -30,6 +31,7 @@ RANGE = 4
 TURN, EDGE = 4096, 1024            # steps of a turn; so near its ends
 GOAL_SIZE = 2                      # bytes: with four a position does not end there
 FRESH_S = 3.0
+WATCHED_NS = 500_000_000
 FEW = 3
 # What to do about an error bit of the 1.0 family, by a part of its name; the first that fits.
 _REMEDIES = {
@@ -74,6 +76,14 @@ def fresh(case: Case, device: DeviceReport, name: str) -> float | None:
     seen = case.values[device.id].get(name)
     return None if seen is None or seen.age_s > RECENT_S or seen.source != 'r' \
         else seen.value.number
+
+
+def is_watched(case: Case, device: DeviceReport, place: Observed) -> bool:
+    """Tell whether a register is read all the time, rather than where a motion ends."""
+    return any(device.id in one.ids and one.address is not None and len(one.stamps) > FEW
+               and one.address <= place.field.at < one.address + one.length
+               and max(map(sub, one.stamps[1:], one.stamps)) < WATCHED_NS
+               for one in case.report.cycles)
 
 
 def _known(case: Case, device: DeviceReport, name: str) -> float | None:
@@ -200,8 +210,10 @@ def _is_goal(device: DeviceReport, address: int) -> bool:
 
 
 def _range_wraps(case: Case, device: DeviceReport) -> Found | None:
-    goal = case.values[device.id].get('Goal Position')
-    if goal is None or goal.source != 'w' or goal.age_s > FRESH_S or goal.field.size != GOAL_SIZE:
+    goal, place = map(case.values[device.id].get, ('Goal Position', 'Present Position'))
+    if goal is None or goal.source != 'w' or goal.age_s > FRESH_S \
+            or goal.field.size != GOAL_SIZE \
+            or place is None or not is_watched(case, device, place):
         return None
     places = [one.position for one in case.samples.get(device.id, ()) if one.position is not None]
     beyond = [place < EDGE for place in places if place < EDGE or TURN - EDGE <= place < TURN]

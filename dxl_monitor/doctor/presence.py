@@ -19,6 +19,7 @@ from dxl_monitor.doctor.case import GONE_S
 from dxl_monitor.doctor.case import is_waiting
 from dxl_monitor.doctor.case import Sample
 from dxl_monitor.doctor.health import is_off
+from dxl_monitor.doctor.health import is_watched
 from dxl_monitor.doctor.rule import about
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
@@ -260,7 +261,8 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
                      '(Torque Enable 1); after a restart, write all its settings again')
     if torque is not None and torque.value.raw and not _absences(case, device.id):
         return None                    # it is on, so something holds it, or it is where it can be
-    if torque is None and not device.alert and _goes_to_and_fro(
+    if torque is None and not device.alert and is_watched(case, device, place) \
+            and _goes_to_and_fro(
             [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
         return Claim(device.id, 'its goal goes to and fro and the joint does not move: its torque '
                      'is off, or its motor has no supply; write 1 to Torque Enable')

@@ -42,7 +42,9 @@ def judged(report: BusReport, settings: Settings, names: Names) -> BusReport:
 
 
 def _device(device: DeviceReport, settings: Settings) -> DeviceReport:
-    if device.moved_to:
+    totals = device.totals
+    is_wanted = device.missed_in_a_row > PINGS and (totals.reads or totals.writes)
+    if device.moved_to and (is_wanted or not device.moved_to.startswith(words.NEW_ID)):
         found = words.MOVED, Level.WARN, f'set to {device.moved_to} by a write'
     elif device.missed_in_a_row > settings.missed_limit:
         found = (words.DISCONNECTED, Level.ERROR,

@@ -163,7 +163,7 @@ def beginner(port: Port, ids: Ids, *, print_ms: float = 4.0, address: int = reg.
 def poller(port: Port, ids: Ids, *, rate: float = 20.0, torque: bool = False,
            ping: bool = False, writes: Ids | None = None) -> Program:
     """Item by item and device by device, as dynamixel_workbench: read, now and then write."""
-    for number in ids if torque else ():
+    for number in ids if writes is None else writes:
         yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number)
     due = port.now
     while True:
