@@ -93,8 +93,9 @@ def places(*positions: float) -> list[Sample]:
     return [sample(3 - at / 2, 0, place) for at, place in enumerate(positions)]
 
 
-def to_and_fro(goal: float, position: float = 0) -> list[Sample]:
-    return [sample(3, 0, 0), sample(2, 0, 0), sample(1.5, goal, position), sample(0.5, 0, 0)]
+def both_sides(goal: float, position: float = 0) -> list[Sample]:
+    return [sample(3, 0, 0), *(sample(2.5 - at / 2, way, place) for at, (way, place) in enumerate(
+        ((goal, 0), (-goal, position), (goal, 0), (-goal, 0))))]
 
 
 def moves(seconds: float, goal: float, position: float) -> list[Sample]:
@@ -351,15 +352,16 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'samples': {1: moves(2.45, 50, 0)}}, {'devices': [device(
           registers={'Torque Enable': 0}, written={'Present Position': 5}), device(2)]},
       {'devices': [device(registers={'Present Position': 5}, age_s=1.1), device(2)]}]),
-    ('torque_off', {'devices': [device(registers={'Present Position': 5})],
-                    'samples': {1: to_and_fro(66)}, 'cycles': (watched(132),)},
-     'its goal goes to and fro and the joint does not move: its torque is off, or its motor has '
-     'no supply; write 1 to Torque Enable', {},
-     [{'samples': {1: to_and_fro(65)}}, {'samples': {1: to_and_fro(66)[:-1]}},
-      {'samples': {1: to_and_fro(66, 7)}}, {'cycles': (watched(132, S // 2),)},
-      {'cycles': (watched(128),)},
-      {'devices': [device(registers={'Present Position': 5}, alert=True)]},
-      {'devices': [device(registers={'Present Position': 5}, written={'Torque Enable': 1})]}]),
+    *(('torque_off', {'devices': [device(registers={'Present Position': 5}, written=torque)],
+                      'samples': {1: both_sides(66)}, 'cycles': (watched(132),)},
+       'its goal goes to both sides of the joint, which does not move: its torque is off, or its '
+       'motor has no supply; write 1 to Torque Enable', {},
+       [{'samples': {1: both_sides(65)}}, {'samples': {1: both_sides(66)[:-1]}},
+        {'samples': {1: both_sides(66, 7)}}, {'cycles': (watched(132, S // 2),)},
+        {'cycles': (watched(128),)},
+        {'devices': [device(registers={'Present Position': 5}, alert=True)]},
+        {'devices': [device(registers={'Present Position': 5, 'Torque Enable': 1})]}])
+      for torque in ({}, {'Torque Enable': 1})),
     ('missed_answers', {'devices': [spoken(window={'answers': 296, 'missed': 3})],
                         'notes': MISSED},
      'about 1 % of its answers missing, with no bytes in their place: check its plugs; a device '

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import accumulate
 from statistics import median
 
 from dxl_monitor.bus import evidence as ev
@@ -259,13 +258,13 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
     if torque is not None and is_off(torque) and torque.age_s < FOLLOW_S:
         return Claim(device.id, 'goals are sent to it, but its torque is off: switch it on '
                      '(Torque Enable 1); after a restart, write all its settings again')
+    if (torque is None or torque.source == 'w') and not device.alert \
+            and is_watched(case, device, place) and _is_ignored(
+                [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
+        return Claim(device.id, 'its goal goes to both sides of the joint, which does not move: '
+                     'its torque is off, or its motor has no supply; write 1 to Torque Enable')
     if torque is not None and torque.value.raw and not _absences(case, device.id):
         return None                    # it is on, so something holds it, or it is where it can be
-    if torque is None and not device.alert and is_watched(case, device, place) \
-            and _goes_to_and_fro(
-            [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
-        return Claim(device.id, 'its goal goes to and fro and the joint does not move: its torque '
-                     'is off, or its motor has no supply; write 1 to Torque Enable')
     if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not any(
             _follows([one for one in case.samples[other] if one.stamp > case.now - FOLLOW_S * S])
             for other in case.samples if other != device.id):
@@ -274,14 +273,12 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
                  'torque is off or it is blocked; read Torque Enable, switch it on')
 
 
-def _goes_to_and_fro(samples: list[Sample], least: float) -> bool:
-    """Tell whether the goal went both ways, which no joint that is blocked ignores."""
-    if not _stands(samples):
-        return False
-    goals = [one.goal for one in samples[1:] if one.goal is not None]
-    rise = max(goal - low for goal, low in zip(goals, accumulate(goals, min), strict=True))
-    fall = max(high - goal for goal, high in zip(goals, accumulate(goals, max), strict=True))
-    return min(rise, fall) >= least
+def _is_ignored(samples: list[Sample], least: float) -> bool:
+    """Tell whether the goal was on both sides of a joint: one that is blocked ignores one side."""
+    ways = [one.goal - one.position for one in samples[1:]
+            if one.goal is not None and one.position is not None]
+    return _stands(samples) and min(sum(way > least for way in ways),
+                                    sum(way < -least for way in ways)) > 1
 
 
 def _follows(samples: list[Sample]) -> bool:

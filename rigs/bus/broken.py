@@ -247,8 +247,8 @@ STATE: tuple[Scene, ...] = (
 PROGRAM: tuple[Scene, ...] = (
     Scene('torque never enabled', partial(SDK, torque=False), _all('torque_off'), (f.since(0.0),),
           devices=CHAIN),
-    Scene('torque never enabled, AX, model unknown', m1.rounds, _all('torque_off'),
-          (f.since(0.0),), family=AX_12),
+    Scene('torque never enabled, AX, model unknown', partial(m1.rounds, torque=False),
+          _all('torque_off'), (f.since(0.0),), family=AX_12),
     Scene('goals beyond its limits', ROUND, _of(3, 'goal_limits'), (f.register(3, 48, 4, 1000),)),
     Scene('goals beyond its limits, AX', m1.read_write, _of(1, 'goal_limits'),
           (f.attribute(1, 8.0, errors=2), f.since(8.0)), ids=(1, 2), family=AX_12),
@@ -273,7 +273,7 @@ PROGRAM: tuple[Scene, ...] = (
     Scene('echo, and an error', ROUND, _of(None, 'echo') + _of(3, 'hardware_error'),
           (f.echo(), f.latched(3)), _of(3, 'torque_off')),
     Scene('AX that sag', m1.rounds, _of(None, 'voltage'), (f.sagging((1, 2, 3), 5.6),),
-          _all('voltage', 'torque_off'), ids=(1, 2, 3), family=AX_12, devices=('1-3:AX-12A',)),
+          _all('voltage'), ids=(1, 2, 3), family=AX_12, devices=('1-3:AX-12A',)),
 )
 
 SCENES: tuple[Scene, ...] = (*PROGRAM, *THERE, *BYTES, *TIME, *STATE)

@@ -97,7 +97,7 @@ _OF_2: tuple[Scene, ...] = (
     Scene('T43 forgotten second program', partial(SDK, rate=50.0), _of('two_masters'),
           (f.second_master(partial(SDK, rate=33.3, torque=False), list(SIX)),)),
     Scene('T44 write of a second thread', partial(SDK, rate=50.0), _of('two_masters', 'noise'),
-          (f.second_master(partial(m.poller, rate=13.0), [2]),), _of('noise'),
+          (f.second_master(partial(m.poller, rate=13.0, enables=False), [2]),), _of('noise'),
           why='two threads or two programs: partly'),
     Scene('T52 25 servos in one chain, the far ones fail', partial(SDK, rate=50.0),
           _of('missed_answers', 'sync_read_stops', ids=tuple(range(20, 26))),
@@ -142,9 +142,8 @@ _OF_1: tuple[Scene, ...] = (
           why='its EEPROM stays open; the acknowledgement with the new ID is no foreign answer'),
     Scene('T07 ID lost in a dip', m1.hexapod, _of('no_answer', ids=(4,))
           + _of('duplicate_id', 'damaged_answers', ids=(1,)),
-          (silent(4), f.twin(1, 8.0, model=AX_12)), _of(*WEAK, ids=(1, 4))
-          + _of('torque_off', ids=SIX), family=AX_12,
-          why='either half is half of the cause; the program never enables the torque'),
+          (silent(4), f.twin(1, 8.0, model=AX_12)), _of(*WEAK, ids=(1, 4)), family=AX_12,
+          why='either half is half of the cause'),
     Scene('T08 loose plug, the arm moves', GOES_ON, _of('missed_answers', ids=(4,)),
           (f.loose(4, 0.05),), _of(*WEAK, ids=(4,)), family=STS3215),
     Scene('T11 adapter with a bad contact, one servo', m1.read_write,

@@ -161,9 +161,9 @@ def beginner(port: Port, ids: Ids, *, print_ms: float = 4.0, address: int = reg.
 
 
 def poller(port: Port, ids: Ids, *, rate: float = 20.0, torque: bool = False,
-           ping: bool = False, writes: Ids | None = None) -> Program:
+           ping: bool = False, writes: Ids | None = None, enables: bool = True) -> Program:
     """Item by item and device by device, as dynamixel_workbench: read, now and then write."""
-    for number in ids if writes is None else writes:
+    for number in () if not enables else ids if writes is None else writes:
         yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number)
     due = port.now
     while True:

@@ -93,8 +93,11 @@ def sweep(port: Port, ids: Ids, *, rate: float = 30.0, turns: int = 20) -> Progr
             yield sleep
 
 
-def rounds(port: Port, ids: Ids, *, rate: float = 16.0, size: int = 8) -> Program:
+def rounds(port: Port, ids: Ids, *, rate: float = 16.0, size: int = 8,
+           torque: bool = True) -> Program:
     """Read state from one servo after the other, as dynamixel_motor and pypot do."""
+    for number in ids if torque else ():
+        yield from port.ask(frames.write(number, 24, b'\1'), number)
     due = port.now
     while True:
         for number in ids:
@@ -106,6 +109,7 @@ def rounds(port: Port, ids: Ids, *, rate: float = 16.0, size: int = 8) -> Progra
 
 def hexapod(port: Port, ids: Ids, *, rate: float = 40.0) -> Program:
     """Write all goals at once, and read a position now and then."""
+    yield Say(frames.sync_write(24, 1, [(one, b'\1') for one in ids]))
     due, turn = port.now, 0
     while True:
         yield Say(frames.sync_write(30, 4, [(one, place + b'\0\1') for one, place in
