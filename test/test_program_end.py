@@ -302,3 +302,11 @@ def test_an_answer_that_is_read_long_after_it_was_due_is_no_other_masters() -> N
         program.read(encode(4, 0, b'\x00\x08'))
     program.end()
     assert 'foreign_answers' not in {rule for rule, _ in told(program)[0]}
+
+
+def test_a_program_that_tries_many_rates_has_none() -> None:
+    program = handshake()
+    for rate in (57_600, 115_200, 500_000, 250_000):
+        program.change(BAUD, rate, 50)
+        program.ping(1, answers=False)
+    assert 'several baud rates' in verdict_of(program).head
