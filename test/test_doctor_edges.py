@@ -85,8 +85,8 @@ def watched(at: int, every: int = S // 4) -> Cycle:
     return asks(I.READ, 1, at=at, size=4, stamps=range(NOW - 3 * every, NOW + 1, every))
 
 
-def wrapped(model: str, written: dict[str, int]) -> DeviceReport:
-    return device(model=model, registers={'Present Position': 9}, written=written)
+def at_5(**parts: Any) -> DeviceReport:
+    return device(registers={'Present Position': 5}, **parts)
 
 
 def places(*positions: float) -> list[Sample]:
@@ -94,8 +94,7 @@ def places(*positions: float) -> list[Sample]:
 
 
 def both_sides(goal: float, position: float = 0) -> list[Sample]:
-    return [sample(3, 0, 0), *(sample(2.5 - at / 2, way, place) for at, (way, place) in enumerate(
-        ((goal, 0), (-goal, position), (goal, 0), (-goal, 0))))]
+    return [sample(3 - at / 2, goal * (-1) ** at, position * (at > 3)) for at in range(5)]
 
 
 def moves(seconds: float, goal: float, position: float) -> list[Sample]:
@@ -352,16 +351,14 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'samples': {1: moves(2.45, 50, 0)}}, {'devices': [device(
           registers={'Torque Enable': 0}, written={'Present Position': 5}), device(2)]},
       {'devices': [device(registers={'Present Position': 5}, age_s=1.1), device(2)]}]),
-    *(('torque_off', {'devices': [device(registers={'Present Position': 5}, written=torque)],
-                      'samples': {1: both_sides(66)}, 'cycles': (watched(132),)},
-       'its goal goes to both sides of the joint, which does not move: its torque is off, or its '
-       'motor has no supply; write 1 to Torque Enable', {},
-       [{'samples': {1: both_sides(65)}}, {'samples': {1: both_sides(66)[:-1]}},
-        {'samples': {1: both_sides(66, 7)}}, {'cycles': (watched(132, S // 2),)},
-        {'cycles': (watched(128),)},
-        {'devices': [device(registers={'Present Position': 5}, alert=True)]},
-        {'devices': [device(registers={'Present Position': 5, 'Torque Enable': 1})]}])
-      for torque in ({}, {'Torque Enable': 1})),
+    ('torque_off', {'devices': [at_5(written={'Torque Enable': 1})],
+                    'samples': {1: both_sides(66)}, 'cycles': (watched(132),)},
+     'its goal goes to both sides of the joint, which does not move: its torque is off, or its '
+     'motor has no supply; write 1 to Torque Enable', {},
+     [{'samples': {1: both_sides(65)}}, {'samples': {1: both_sides(66, 7)}},
+      {'cycles': (watched(132, S // 2),)}, {'cycles': (watched(128),)},
+      {'devices': [at_5(alert=True)]}, {'devices': [device(
+          registers={'Present Position': 5, 'Torque Enable': 1})]}]),
     ('missed_answers', {'devices': [spoken(window={'answers': 296, 'missed': 3})],
                         'notes': MISSED},
      'about 1 % of its answers missing, with no bytes in their place: check its plugs; a device '
@@ -453,15 +450,12 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
       {'cycles': (asks(I.READ, 2, at=256, size=1),)},
       {'cycles': (asks(I.READ, 3, at=57, size=1),)},
       {'devices': [device(2)]}]),
-    ('range_wraps', {'devices': [wrapped('STS3215', {'Goal Position': 5})],
+    ('range_wraps', {'devices': [at_5(model='STS3215', written={'Goal Position': 5})],
                      'samples': {1: places(0, 4095, 1023, 3072)}, 'cycles': (watched(56),)},
      'its joint moves across the end of the turn, from 4095 to 0, where goals make it turn the '
      'long way round: calibrate it again, with the joint in the middle of its range', {},
      [{'cycles': (watched(56, S // 2),)}, {'samples': {1: places(0, 4095, 1024, 3072)}},
-      {'samples': {1: places(0, 4095, 1023)}},
-      {'samples': {1: places(0, 4096, 1023, 3072)}},
-      {'devices': [wrapped('STS3215', {})]}, {'devices': [wrapped('XL430-W250',
-                                                                  {'Goal Position': 5})]}]),
+      {'samples': {1: places(0, 4095, 1023)}}, {'devices': [at_5(model='STS3215')]}]),
     *(('layout', {'devices': [device(model='STS3215')],
                   'cycles': (asks(I.WRITE, 1, at=at, size=size),)},
        f'Write of {size} at {at}, {why}: use the table of STS3215',

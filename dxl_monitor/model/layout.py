@@ -121,14 +121,12 @@ def _agreed(fields: list[Field | None], knows_units: bool) -> Field | None:
     if any((one.enum, one.spans, one.flags) != (first.enum, first.spans, first.flags)
            for one in same):
         found = replace(found, enum=None, spans=(), flags=())
-    if any((one.access, one.memory) != (first.access, first.memory) for one in same):
-        found = replace(found, access='', memory='')
     return found
 
 
 def _kind(field: Field) -> tuple[object, ...]:
     return (field.name, field.size if field.name in POSITIONS else field.type, field.sign_bit,
-            field.size == 1 or field.byte_order)
+            field.size == 1 or field.byte_order, field.access, field.memory)
 
 
 def _unit(field: Field) -> tuple[object, ...]:

@@ -18,7 +18,6 @@ from rigs.bus.scene import Key
 from rigs.bus.scene import Scene
 from rigs.bus.servo1 import AX_12
 from rigs.bus.servo1 import STS3215
-from rigs.bus.wire import S
 
 SDK, DHI, ROBOT, ARM = m.sdk_loop, m.hardware_interface, m.bitbots, m.lerobot
 MID = partial(m.hardware_interface, pings=False, volts=False)
@@ -27,8 +26,6 @@ MOVE = m.setup_then(m.asks(frames.write(3, reg.TORQUE, b'\0'), 3),
                     m.asks(frames.write(3, reg.BAUD, b'\1'), 3))
 RENAME = m.setup_then(m.asks(frames.write(3, reg.TORQUE, b'\0'), 3),
                       m.asks(frames.write(3, reg.ID, b'\x09'), 3))
-LATER = ('missed_answers', 'dropout', 'no_answer', 'sync_read_stops', 'rebooted', 'torque_off',
-         'damaged_answers')
 FINE, BUSY, HUB, COARSE = ear.FINE, ear.BUSY, ear.HUB, ear.COARSE
 
 
@@ -266,12 +263,6 @@ PROGRAM: tuple[Scene, ...] = (
           (f.spoil(lambda rig, data: data if len(data) > 11 else b'', 0.2, 'servo 3 '),)),
     Scene('first one dead from the start', SDK, _of(1, 'sync_read_stops'), (f.dead(1, at=0.0),),
           _weak(1)),
-    Scene('brown-out with damage', ROUND, _of(None, 'brown_out'),
-          (f.away(1, 2, 3, 4, 5, 6), f.spoiled(
-              lambda rig, now, data: f.flip(rig, data) if now < 13 * S else data, 'servo', 11.9)),
-          _all(*LATER) + _of(None, 'all_silent', 'noise'), devices=CHAIN),
-    Scene('echo, and an error', ROUND, _of(None, 'echo') + _of(3, 'hardware_error'),
-          (f.echo(), f.latched(3)), _of(3, 'torque_off')),
     Scene('AX that sag', m1.rounds, _of(None, 'voltage'), (f.sagging((1, 2, 3), 5.6),),
           _all('voltage'), ids=(1, 2, 3), family=AX_12, devices=('1-3:AX-12A',)),
 )

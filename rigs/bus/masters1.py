@@ -15,6 +15,7 @@ from functools import partial
 
 from rigs.bus import frames1 as frames
 from rigs.bus.frames import PING
+from rigs.bus.frames import two
 from rigs.bus.master import MS
 from rigs.bus.master import Port
 from rigs.bus.master import Program
@@ -122,22 +123,13 @@ def hexapod(port: Port, ids: Ids, *, rate: float = 40.0) -> Program:
         yield sleep
 
 
-def crossing(port: Port, ids: Ids) -> Program:
-    """Move a joint to both sides of the end of its turn; the horn is mounted like that."""
+def crossing(port: Port, ids: Ids, *, ends: tuple[int, ...] = ()) -> Program:
+    """Move a joint to both sides of the end of its turn, or from one end to the other."""
     yield from port.ask(frames.write(ids[0], 40, b'\1'), ids[0])
     while True:
-        yield from port.ask(frames.read(ids[0], 56, 2), ids[0], 2)
-        place = (int.from_bytes(goal(port, ids[0]), 'little') + 2048) % 4096
-        yield from port.ask(frames.write(ids[0], 42, place.to_bytes(2, 'little')), ids[0])
-        yield Sleep(port.now + 30 * MS)
-
-
-def to_the_ends(port: Port, ids: Ids) -> Program:
-    """Send a joint from one end of its turn to the other, as its range allows."""
-    yield from port.ask(frames.write(ids[0], 40, b'\1'), ids[0])
-    while True:
-        place = b'\x0a\x00' if port.seconds() // 2 % 2 else b'\xf5\x0f'
-        yield from port.ask(frames.write(ids[0], 42, place), ids[0])
+        place = int.from_bytes(goal(port, ids[0])[:2], 'little') + 2048
+        place = ends[int(port.seconds()) // 2 % 2] if ends else place
+        yield from port.ask(frames.write(ids[0], 42, two(place % 4096)), ids[0])
         yield from port.ask(frames.read(ids[0], 56, 2), ids[0], 2)
         yield Sleep(port.now + 30 * MS)
 
