@@ -259,8 +259,7 @@ class Monitor:
             said = {model_key(device.identity[0] | device.identity[1] << 8, device.protocol)
                     for device in devices if device.is_unresolved}
             nameless = [(device, device.protocol, frozenset(device.used)) for device in devices
-                        if device.used and device.heard and device.model_number is None
-                        and device.looked_at != (device.protocol, len(device.used))]
+                        if device.used and device.heard and device.model_number is None]
         for key in said:
             self._models.get(key)
         layouts = [(device, self._layouts.of(protocol, used))

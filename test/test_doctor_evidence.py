@@ -241,7 +241,7 @@ RENAMES = [write(2, TORQUE, b'\0'), says(2), write(2, 7, b'\x05')]
 
 
 @pytest.mark.parametrize(('acknowledges', 'asked', 'expected'), [
-    (2, read(2), [('id_moved', 2)]), (5, read(2), [('id_moved', 2)]),
+    (5, read(2), [('id_moved', 2)]),
     (2, encode(2, I.PING), []),                    # a search
     (2, read(5) + says(5, bytes(4)), []),          # the new ID is used
 ])

@@ -343,19 +343,15 @@ def test_a_program_that_ends_on_a_question(error, code, rules, meeting_place):
     assert bool(rules) != any('is unknown' in text for text in found['cannot_tell'])
 
 
-SHARES = """
-import serial
-port = serial.Serial({path!r}, 1000000, timeout=0.02)
-port.write(bytes((255, 255, 1, 2, 1, 251)))
-raise serial.SerialException('returned no data (disconnected or multiple access on port?)')
-"""
+SHARES = """import serial; serial.Serial({!r}).write(bytes((255, 255, 1, 2, 1, 251)))
+raise serial.SerialException('returned no data (disconnected or multiple access on port?)')"""
 
 
 @pytest.mark.alone
 def test_another_program_on_its_port_is_named(meeting_place, tmp_path):
     with Pty(str(tmp_path / 'bus')) as pty, open(pty.path) as near, \
             subprocess.Popen(('sleep', '60'), stdin=near) as other:
-        done = doctor('run', '--', sys.executable, '-c', SHARES.format(path=pty.path),
+        done = doctor('run', '--', sys.executable, '-c', SHARES.format(pty.path),
                       env={'XDG_RUNTIME_DIR': meeting_place, 'PYTHONPATH': str(ROOT)})
         other.kill()
     assert f'sleep (pid {other.pid}) uses its port too' in ' '.join(done.stdout.split())

@@ -65,8 +65,7 @@ class Device:
     | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |
     | registered, moved_to | DeviceRegistry: a Reg Write before its Action; the baud rate that \
     was written, in words |
-    | used, looked_at | uses(), DeviceRegistry.lay_out(): what a program reads and writes of it \
-    while its model is unknown; the protocol and how much of that the layout is from |
+    | used | uses(): what a program reads and writes of it while its model is unknown |
     | table, counts, errors, snapshots | all who store or count |
     """
 
@@ -74,7 +73,7 @@ class Device:
         '_eeprom_end', '_given_up', '_level_at', '_special', 'acks', 'acks_missing', 'alert',
         'asked_first', 'asked_stamp', 'counts', 'dialect', 'error_bits', 'errors', 'expected',
         'firmware', 'followed_end', 'heard', 'identity', 'identity_stamp', 'is_unresolved',
-        'is_unusual', 'joint', 'last_error', 'latency', 'latency_resolved', 'looked_at',
+        'is_unusual', 'joint', 'last_error', 'latency', 'latency_resolved',
         'missed_in_a_row', 'model', 'model_number', 'moved_to', 'number', 'owed', 'registered',
         'return_level', 'snapshots', 'table', 'used', 'waiting_behind')
 
@@ -92,7 +91,6 @@ class Device:
         self.registered: tuple[int, bytes, bool] | None = None  # for DeviceRegistry.write()
         self.moved_to = ''
         self.used: set[Use] = set()
-        self.looked_at = ('', 0)
         self.waiting_behind: int | None = None
         self.alert = False
         self.last_error = 0

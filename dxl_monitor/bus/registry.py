@@ -162,7 +162,6 @@ class DeviceRegistry:
 
     def lay_out(self, device: Device, layout: Model) -> None:
         """Give a device of an unknown model the registers that what is used of it speaks for."""
-        device.looked_at = device.protocol, len(device.used)
         if device.model_number is None and device.model is not layout:
             if layout is UNKNOWN:
                 device.forget_return_level()

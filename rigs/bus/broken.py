@@ -249,7 +249,8 @@ PROGRAM: tuple[Scene, ...] = (
     Scene('goals beyond its limits', ROUND, _of(3, 'goal_limits'), (f.register(3, 48, 4, 1000),)),
     Scene('goals beyond its limits, AX', m1.read_write, _of(1, 'goal_limits'),
           (f.attribute(1, 8.0, errors=2), f.since(8.0)), ids=(1, 2), family=AX_12),
-    Scene('a joint across the end of its turn', m1.crossing, _of(1, 'range_wraps'),
+    Scene('a joint across the end of its turn', partial(
+        m.beginner, address=42, wanted=56, torque=40, size=2), _of(1, 'range_wraps'),
           (f.attribute(1, mounted=2048), f.since(0.0)), ids=(1,), family=STS3215,
           devices=('1:STS3215',)),
     Scene('a Read of all', m.beside(ROUND, m.asks(frames.read(254, reg.PLACE, 4), 254, 4)),

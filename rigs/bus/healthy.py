@@ -8,10 +8,8 @@ from functools import partial
 
 from rigs.bus import ear
 from rigs.bus import masters as m
-from rigs.bus import masters1 as m1
 from rigs.bus.faults import busy_host
 from rigs.bus.scene import Scene
-from rigs.bus.servo1 import STS3215
 
 CHAIN = ('1-6:XL430-W250',)
 MANY = tuple(range(1, 26))
@@ -46,8 +44,6 @@ SCENES: tuple[Scene, ...] = (
     Scene('print loop, lumps', m.beginner, ids=(1, 2), baud=57_600, ear=ear.LUMPS),
     Scene('item by item', partial(m.poller, torque=True, ping=True)),
     Scene('item by item, USB hub', partial(m.poller, torque=True), ear=ear.HUB, devices=CHAIN),
-    Scene('from one end of the turn to the other', partial(m1.crossing, ends=(10, 4085)),
-          ids=(1,), family=STS3215, devices=('1:STS3215',)),
     Scene('25 servos at 3 MBd', partial(m.sdk_loop, rate=50.0), ids=MANY, baud=3_000_000,
           ear=ear.HUB),
     Scene('loaded computer of the master', m.hardware_interface, (), (busy_host(0.8),),

@@ -15,7 +15,6 @@ from functools import partial
 
 from rigs.bus import frames1 as frames
 from rigs.bus.frames import PING
-from rigs.bus.frames import two
 from rigs.bus.master import MS
 from rigs.bus.master import Port
 from rigs.bus.master import Program
@@ -121,17 +120,6 @@ def hexapod(port: Port, ids: Ids, *, rate: float = 40.0) -> Program:
         turn += 1
         sleep, due = port.pace(due, 1000 / rate)
         yield sleep
-
-
-def crossing(port: Port, ids: Ids, *, ends: tuple[int, ...] = ()) -> Program:
-    """Move a joint to both sides of the end of its turn, or from one end to the other."""
-    yield from port.ask(frames.write(ids[0], 40, b'\1'), ids[0])
-    while True:
-        place = int.from_bytes(goal(port, ids[0])[:2], 'little') + 2048
-        place = ends[int(port.seconds()) // 2 % 2] if ends else place
-        yield from port.ask(frames.write(ids[0], 42, two(place % 4096)), ids[0])
-        yield from port.ask(frames.read(ids[0], 56, 2), ids[0], 2)
-        yield Sleep(port.now + 30 * MS)
 
 
 def duck(port: Port, ids: Ids, *, rate: float = 50.0) -> Program:

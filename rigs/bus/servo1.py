@@ -49,7 +49,7 @@ class Servo1(AnyServo):
         super().__init__(wire, number, own_us, SIZE)
         self.kind = kind
         self.errors = 0
-        self.mounted = 0               # steps from the middle of its joint to that of its turn
+        self.mounted = 0               # so many steps more than it is at, it reports
         self._waits_for: tuple[int, int, int] | None = None     # an ID; address, size of its turn
         self.put(kind.model_at, 2, kind.number)
         self.put(kind.id_at, 1, number)
@@ -69,7 +69,7 @@ class Servo1(AnyServo):
 
     def _refresh(self) -> None:
         kind = self.kind
-        wobble = self.move((self.get(kind.goal_at, 2) - self.mounted) % TURN,
+        wobble = self.move(self.get(kind.goal_at, 2),
                            bool(self.table[kind.torque_at]) and not self.errors & 0x20)
         self.put(kind.place_at, 2, round(self._at + wobble + self.mounted) % TURN)
         self.put(kind.volts_at, 1, round(10 * self.volts()))
