@@ -110,13 +110,13 @@ class Program:
         """Yield what it reads and writes, until it ends; None when nothing came for a moment."""
         while self._child.poll() is None:
             yield from self._some(self._reader.wait(TICK_S))
-        self._users = tuple(one.name for port in self.ports for one in holders(port)
-                            if not one.is_maker)
         until_s = time.monotonic() + REST_S
         while (self._reader.programs or not self._started.is_heard_out) \
                 and time.monotonic() < until_s:
             yield from self._some(self._reader.wait(TICK_S))
         yield from self._some(self._reader.rest())
+        self._users = tuple(one.name for port in self.ports for one in holders(port)
+                            if not one.is_maker)
 
     @property
     def ending(self) -> Ending:
