@@ -21,6 +21,7 @@ from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor_settings import Bus
 from dxl_monitor.port.listener import ListenerState
+from dxl_monitor.record.recorders import Recorders
 from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
@@ -172,7 +173,8 @@ def test_no_system_call_writes_to_the_port(tmp_path, heard):
 def test_a_report_waits_until_what_waited_is_read(ros):
     """After a freeze; but not for ever, if it is the reader that hangs."""
     from dxl_monitor.monitor_node import MonitoredBus
-    watched = MonitoredBus(Bus('bus', '', '/does/not/exist', Settings()), Models(), None, 0.0)
+    bus = Bus('bus', '', '/does/not/exist', Settings())
+    watched = MonitoredBus(bus, Models(), Recorders(None, None), 0.0)
     listener = watched.listener
     assert not watched.is_late(1 * S)            # nothing is open
     listener.state = ListenerState(True)

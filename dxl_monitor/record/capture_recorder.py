@@ -46,14 +46,14 @@ class Recorder:
 
     def __init__(self, path: str, size: int, kept: int,
                  now: Callable[[], Moment] = moment,
-                 waiting_limit: int = WAITING_LIMIT) -> None:
+                 waiting_limit: int = 0) -> None:
         self.path = path
         self.problem = ''
         self.left_out = 0           # bytes, since the disk was too slow
         self._size = size
         self._kept = kept
         self._now = now
-        self._waiting_limit = waiting_limit
+        self._waiting_limit = waiting_limit or WAITING_LIMIT
         self._remarks: list[str] = []
         self._lock = threading.Lock()
         self._waiting: list[tuple[Wire, Chunk]] = []
