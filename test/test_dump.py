@@ -417,8 +417,8 @@ def test_a_live_bus_is_recorded_and_read_again(bus, tmp_path):
         assert tool.exit_code() == 0
     chunks = list(Reader(path.open('rb')))
     counts = json.loads(dump(path, '--summary'))
-    assert counts['bytes'] == sum(len(chunk.data) for chunk in chunks) > 5000
-    assert counts['packets'] > 200
+    assert counts['bytes'] == sum(len(chunk.data) for chunk in chunks) > 500
+    assert counts['packets'] > 20
     assert abs(objects(path, '--count', '1')[0]['stamp'] - time.time()) < 60
 
 
