@@ -160,6 +160,9 @@ HEARD: dict[str, list[Any]] = {
     'a refused id is not followed': [
         (*FILLED, write(1, 7, b'\x09'), reply(1, error=7), ping(1), pong(1)),
         {'devices': [1]}],
+    'an id whose acknowledgement makes no sense is not followed': [
+        (*FILLED, write(1, 7, b'\x09'), reply(1, b'x'), reply(9)),
+        {'devices': [1, 9], 'kinds': ['wrong size', 'unasked answer']}],
     'an id written to everybody is that of the only one': [
         (Expected(2, 'MX-106', 'right_knee'),),
         (ping(1), pong(1), write(BROADCAST, 7, b'\x09'), ping(9), pong(9)),

@@ -277,7 +277,7 @@ class Tracker:
         if number > self._registry.highest:
             self._note(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
             return
-        if self._deferred is not None and self._registry.renames(self._deferred, number):
+        if self._slots and self._deferred and self._registry.renames(self._deferred, number):
             self._answer(self._slots.popitem()[1], error, data, stamp)
             return
         device = self._registry.device(number)

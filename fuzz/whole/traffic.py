@@ -3,6 +3,7 @@
 """What is heard in one case: traffic of all families, mutated; frames of any form; any stamps."""
 
 from functools import lru_cache
+from functools import partial
 import random
 import re
 from typing import NamedTuple
@@ -40,8 +41,14 @@ CODES_1 = (1, 2, 2, 2, 3, 4, 5, 6, 8, 9, 10, 11, 0x55, 0x55, 0x55, 0x82, 0x83, 0
 SIZES = (0, 1, 2, 3, 4, 8, 15, 56, 128, 247, 250, 251, 252, 253, 255, 256, 300, 1018, 1023)
 ADDRESSES = (0, 3, 5, 7, 24, 30, 36, 40, 41, 42, 55, 56, 63, 64, 70, 116, 122, 132, 144, 168, 224,
              600, 0x3FFF, 0xFFFF)
-REGISTERS = sorted({(field.at, field.size) for name in ('XL430-W250', 'AX-12A', 'STS3215')
-                    for field in Models().by_name(name).fields if 'Indirect' not in field.name})
+KNOWN = tuple(map(Models().by_name, ('XL430-W250', 'AX-12A', 'STS3215')))
+REGISTERS = sorted({(field.at, field.size) for model in KNOWN for field in model.fields
+                    if 'Indirect' not in field.name})
+# Most findings need one of these from a servo whose model is known.
+JUDGED = ('Acceleration', 'Baud Rate', 'Bus Watchdog', 'Goal Position', 'Hardware Error Status',
+          'Homing Offset', 'ID', 'Lock', 'Max Voltage Limit', 'Present Input Voltage',
+          'Present Position', 'Present Temperature', 'Return Delay Time', 'Status Return Level',
+          'Torque Enable')
 
 
 class Heard(NamedTuple):
@@ -128,16 +135,42 @@ def _gathered(chance, heard):
 
 def exchanges(chance):
     """Return questions and answers of any form, some again and again, with noise among them."""
+    model = chance.choice((None, *KNOWN))
     make = chance.choice((_exchange_2, _exchange_1))
     ids = chance.choice(((1,), (1, 2, 3), (1, 2, 3), chance.sample(range(253), 3)))
     found = []
-    for _ in range(chance.randrange(1, 6)):
+    if model:
+        make = partial(_setting, model)
+        number = model.number.to_bytes(2, 'little')
+        found = [(1000, data, side) for one in ids for data, side in _read_write(
+            model, one, model.by_name['Model Number'], number, is_read=True)]
+    for _ in range(chance.randrange(1, 12 if model else 6)):
         said = make(chance, ids)[:chance.choice((1, 9, 9, 9))]
         for _ in range(chance.choice((1, 1, 1, 2, 20))):
             found += [(chance.choice(PAUSES_NS[:5]), data, side) for data, side in said]
             if chance.random() < 0.2:
                 found.append((1000, chance.choice((*TRICKY, chance.randbytes(9))), IN))
     return found
+
+
+def _setting(model, chance, ids):
+    """Return a read or a write of a register that says how a servo of this model is."""
+    field = chance.choice([field for field in model.fields
+                           if field.name in JUDGED and field.at < 256])    # one that is sent
+    number, small = chance.choice((ids[0], *ids)), chance.choice((0, 1, 1, 1, 2, 10))
+    data = chance.choice((small.to_bytes(field.size, 'little'), _data(chance, field.size)))
+    return _read_write(model, number, field, data, chance.random() < 0.5)
+
+
+def _read_write(model, number, field, data, is_read):
+    """Return a read or a write of a register, and its answer, which tells of no error."""
+    if model.protocol == '2':
+        pack, width, answer = encode, 2, encode(number, 0x55, data * is_read, 0)
+    else:
+        pack, width, answer = dxl1_packet.encode, 1, dxl1_packet.encode(number, 0, data * is_read)
+    rest = field.size.to_bytes(width, 'little') if is_read else data
+    return [(pack(number, 2 if is_read else 3, field.at.to_bytes(width, 'little') + rest), OUT),
+            (answer, IN)]
 
 
 def _exchange_2(chance, ids):
