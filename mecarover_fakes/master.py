@@ -46,10 +46,11 @@ class Master:
 
     def __init__(self, line: Line, pattern: Pattern, *, rate: float = 100.0,
                  faults: Iterable[Fault] = (), seed: int = 1, started: bool = False,
-                 gap: int = GAP_NS, patience: int = PATIENCE_NS) -> None:
+                 gap: int = GAP_NS, patience: int = PATIENCE_NS,
+                 truth: GroundTruth | None = None) -> None:
         self.line = line
         self.now = 0
-        self.truth = GroundTruth(line)
+        self.truth = truth or GroundTruth()
         self.pattern = pattern
         self._started = started
         self._fleet = Fleet(line)

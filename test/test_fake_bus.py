@@ -16,6 +16,9 @@ from typing import Any
 
 from harness import wait
 import pytest
+from whole_truth import KnownTable
+from whole_truth import LEARNING
+from whole_truth import WholeTruth
 
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.report import BusReport
@@ -28,7 +31,6 @@ from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fault import Fault
 from mecarover_fakes.faults import KINDS
 from mecarover_fakes.faults import parse as parse_fault
-from mecarover_fakes.ground_truth import _LEARNING
 from mecarover_fakes.ground_truth import GroundTruth
 from mecarover_fakes.line import Burst
 from mecarover_fakes.line import Line
@@ -57,7 +59,12 @@ def make_master(pattern: str = 'moving', faults: tuple[str, ...] = (), *,
                 waits_in_line: bool = True, **options: Any) -> Master:
     line = Line(make_devices(list(devices), MODELS, baud), baud, waits_in_line=waits_in_line)
     return Master(line, PATTERNS[pattern], faults=[parse_fault(text) for text in faults],
-                  **options)
+                  truth=WholeTruth(line), **options)
+
+
+def tables(truth: GroundTruth) -> dict[int, KnownTable]:
+    assert isinstance(truth, WholeTruth)
+    return truth.tables
 
 
 def play(master: Master, seconds: float = 3.0) -> list[Burst]:
@@ -82,7 +89,7 @@ def test_pattern_is_good_traffic_in_order_of_time(pattern: str) -> None:
 
 
 def test_the_truth_has_every_instruction() -> None:
-    assert set(_LEARNING) == set(INSTRUCTIONS)
+    assert set(LEARNING) == set(INSTRUCTIONS)
 
 
 def test_same_seed_same_bytes() -> None:
@@ -124,7 +131,7 @@ def test_master_that_was_there_before_sends_no_ping() -> None:
 def test_joints_swing_and_goals_lead() -> None:
     master = make_master('sync', devices=('1:MX-106',))
     play(master, 2.0)
-    known = master.truth.known[1]
+    known = tables(master.truth)[1]
     motion = master.line.chain[0].motion
     assert motion is not None
     model = MODELS.by_name('MX-106')
@@ -166,11 +173,12 @@ def assert_agrees(report: BusReport, truth: GroundTruth) -> None:
         totals = device.totals
         assert (totals.answers, totals.missed, totals.not_served) == \
             (known.answered, known.missed, known.waiting), number
-        assert (device.model_number, device.firmware) == (known.model_number, known.firmware)
+        learned = tables(truth)[number]
+        assert (device.model_number, device.firmware) == (learned.model_number, learned.firmware)
         seen = {value.field.name: value for value in device.observed}
         for field in device.model.fields:
-            raw = bytes(known.table.get(at, 0) for at in range(field.at, field.end))
-            if all(at in known.table for at in range(field.at, field.end)):
+            raw = bytes(learned.table.get(at, 0) for at in range(field.at, field.end))
+            if all(at in learned.table for at in range(field.at, field.end)):
                 assert seen[field.name].value.raw == STRUCTS[field.type].unpack(raw)[0], field
 
 

@@ -114,8 +114,8 @@ def test_an_instruction(copy: Callable[[str], Copy]) -> None:
 
 """),
                 ('    Instruction.REBOOT: ', '    Instruction.HOME: FakeDevice._on_home,\n'))
-    code.change('mecarover_fakes/ground_truth.py', (
-        '    Instruction.REBOOT: ', '    Instruction.HOME: GroundTruth._learn_restart,\n'))
+    code.change('test/whole_truth.py', (
+        '    Instruction.REBOOT: ', '    Instruction.HOME: WholeTruth._learn_restart,\n'))
     code.change('fuzz/instruction.py', ('OPTIONS = {', 'ACKNOWLEDGED += (0x21,)\n'))
     code.change('msg_defs/dxl1_instruction.py', (
         "             0x92: DialectInstruction('Bulk Read'",

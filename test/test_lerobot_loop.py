@@ -65,7 +65,7 @@ def test_an_so_101_on_the_move(protocol: str, has_sides: bool) -> None:
     assert report.counters['Packets'] == 8 * CYCLES - 100
     assert 'undecided packet' not in report.kinds
     for device in report.devices:
-        mine = truth.of(device.id)
+        mine = truth.known[device.id]
         assert (device.totals.answers, device.totals.missed) == (
             mine.answered, mine.missed), device.id
         assert device.totals.writes == CYCLES

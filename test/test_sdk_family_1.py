@@ -116,7 +116,7 @@ def test_a_loop_as_lerobot_has_it(so_101: Bench) -> None:
     assert found.counters['Packets'] == 800
     assert found.counters['Bytes'] == found.counters['Packet Bytes'] == 100 * (14 + 48 + 26)
     for device in found.devices:
-        mine = truth.of(device.id)
+        mine = truth.known[device.id]
         assert (device.totals.answers, device.totals.missed) == (mine.answered, mine.missed)
         assert (device.totals.answers, device.totals.writes) == (100, 100)
 
