@@ -87,7 +87,7 @@ def _run(arguments: list[str]) -> int:
     options = _parser().parse_args(arguments)
     if options.list_faults:
         for name, kind in KINDS.items():
-            print(f'{name:13} {kind.about}')
+            print(f'{name:13} {kind.__doc__}')
         return 0
     _check(options)
     pattern = options.pattern or ('none' if options.tap else 'moving')

@@ -1,10 +1,10 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a fault of the simulated bus is: Fault (when, where) and Effect (what it does to the scene).
+What a fault of the simulated bus is: Fault (when, where) and Effect (what it does to the bus).
 
-The effects themselves are in fault_device.py, fault_wire.py and fault_master.py, the catalogue by
-name in faults.py.
+The effects are in fault_device.py, fault_wire.py, fault_master.py and fault_setup.py. Each enters
+itself in Effect.kinds by the name of its class: WrongBaud is `wrong_baud`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from collections.abc import Iterator
 from random import Random
+import re
 from typing import ClassVar
 from typing import NamedTuple
 
@@ -24,6 +25,10 @@ from mecarover_fakes.traffic import Fleet
 
 S = 1_000_000_000
 MS = 1_000_000
+ALL = ('2', '1', 'feetech')
+ONLY_2 = ('2',)
+FAMILY_1 = ('1', 'feetech')
+Play = Iterator[None]
 
 
 class Fault(NamedTuple):
@@ -37,8 +42,6 @@ class Fault(NamedTuple):
 
 class Pace:
     """How the master keeps time; faults may change it (all ns)."""
-
-    __slots__ = ('gap', 'jitter', 'patience', 'pause', 'period')
 
     def __init__(self, period: int, gap: int, patience: int) -> None:
         self.period = period         # ns for a cycle; 0: the next at once
@@ -61,16 +64,29 @@ class Effect:
     """
     What one fault does; every hook does nothing by default.
 
-    `exact` False: with it, what a listener must count is no longer certain (GroundTruth.exact).
+    cause: number of the field problem that it plays, as in docs/doctor.md (0: none of them); a
+    class without one is no fault by itself. protocols: in which it can happen. exact False: with
+    it, what a listener must count is no longer certain (GroundTruth.exact). The line of
+    documentation is for the user, too.
     """
 
-    exact: ClassVar[bool] = True
+    kinds: ClassVar[dict[str, type[Effect]]] = {}    # by name
+    cause: ClassVar[int | None]
+    protocols: ClassVar[tuple[str, ...]]
+    exact: ClassVar[bool]
+    every: ClassVar[int] = 1         # cycles from one ask() to the next; 0: it comes once
+    now = 0
 
-    def __init__(self, fault: Fault, scene: FaultScope) -> None:
+    def __init_subclass__(cls, cause: int | None = None, protocols: tuple[str, ...] = ALL,
+                          exact: bool = True) -> None:
+        cls.cause, cls.protocols, cls.exact = cause, protocols, exact
+        if cause is not None:
+            cls.kinds[re.sub('(?<=.)(?=[A-Z])', '_', cls.__name__).lower()] = cls
+
+    def __init__(self, fault: Fault, scope: FaultScope) -> None:
         self.fault = fault
-        self.scene = scene
-        self.rng = scene.rng
-        self.line = scene.line
+        self.line, self.fleet, self.pace, self.rng = scope
+        self.has_asked = False
 
     @property
     def device(self) -> FakeDevice:
@@ -85,19 +101,24 @@ class Effect:
 
     def concerns(self, number: int) -> bool:
         """Tell whether it is about this ID."""
-        return self.fault.id is None or self.fault.id == number
+        return self.fault.id in (None, number)
 
-    def begin(self, now: int) -> None:
-        """Start."""
+    def play(self) -> Play:
+        """Begin, yield, end; `now` is the time."""
+        yield
 
-    def end(self, now: int) -> None:
-        """Stop."""
-
-    def step(self, now: int) -> None:
+    def step(self) -> None:
         """See time pass; called before each instruction."""
 
     def asks(self, cycle: int) -> Iterable[Ask]:
-        """Return what the master asks besides, at the end of each cycle."""
+        """Return what the master asks besides, at the end of a cycle."""
+        if cycle % self.every if self.every else self.has_asked:
+            return ()
+        self.has_asked = True
+        return self.ask(cycle)
+
+    def ask(self, cycle: int) -> Iterable[Ask]:
+        """Return what the master asks besides, in a cycle in which it does."""
         return ()
 
     def swap(self, ask: Ask) -> Ask:

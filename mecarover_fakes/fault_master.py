@@ -7,9 +7,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from mecarover_fakes.fault import Effect
-from mecarover_fakes.fault import Fault
-from mecarover_fakes.fault import FaultScope
 from mecarover_fakes.fault import MS
+from mecarover_fakes.fault import ONLY_2
+from mecarover_fakes.fault import Play
 from mecarover_fakes.line import Exchange
 from mecarover_fakes.line import wire_ns
 from mecarover_fakes.traffic import Ask
@@ -26,10 +26,9 @@ FOREIGN_TORQUE = {'2': 562, '1': 64}
 HEADER_LIKE = b'\xff\xff\xfd\x00'
 
 
-class Impatient(Effect):
+class Impatient(Effect, cause=5, exact=False):
     """The master gives up while the answer is on its way, and asks again."""
 
-    exact = False
     share = 0.1
 
     def again_at(self, exchange: Exchange) -> int | None:
@@ -41,28 +40,26 @@ class Impatient(Effect):
             else exchange.end + wire_ns(1, self.line.baud)
 
 
-class Latency(Effect):
+class Latency(Effect, cause=5):
     """The adapter hands over received bytes only every 16 ms."""
 
-    def begin(self, now: int) -> None:
-        self.scene.pace.gap += LATENCY_NS
+    def play(self) -> Play:
+        self.pace.gap += LATENCY_NS
+        yield
+        self.pace.gap -= LATENCY_NS
 
-    def end(self, now: int) -> None:
-        self.scene.pace.gap -= LATENCY_NS
 
-
-class TwoMasters(Effect):
+class TwoMasters(Effect, cause=11, exact=False):
     """Another program asks on the same bus, in its own time."""
 
-    exact = False
+    over = 0                         # the last exchange
 
-    def __init__(self, fault: Fault, scene: FaultScope) -> None:
-        super().__init__(fault, scene)
-        self._due = fault.begin + RIVAL_PERIOD_NS
-        self._over = 0                   # the last exchange
+    def play(self) -> Play:
+        self._due = self.fault.begin + RIVAL_PERIOD_NS
+        yield
 
     def rival(self, exchange: Exchange) -> Exchange | None:
-        over, self._over = self._over, exchange.end
+        over, self.over = self.over, exchange.end
         if self._due > exchange.end:
             return None
         due = max(self._due, over + wire_ns(1, self.line.baud))
@@ -76,54 +73,57 @@ class TwoMasters(Effect):
         return exchange
 
 
-class WrongMap(Effect):
+class WrongMap(Effect, cause=12, protocols=('2', '1')):
     """The master uses the addresses of another model series."""
 
-    def asks(self, cycle: int) -> Iterable[Ask]:
-        if cycle % 5 == 0:
-            address = FOREIGN_TORQUE[self.line.protocol]
-            yield write(self.device.id, address, b'\x01')
-            yield read(self.device.id, address, 1)
+    every = 5
+
+    def ask(self, cycle: int) -> Iterable[Ask]:
+        address = FOREIGN_TORQUE[self.line.protocol]
+        yield write(self.device.id, address, b'\x01')
+        yield read(self.device.id, address, 1)
 
 
-class Eeprom(Effect):
+class Eeprom(Effect, cause=13, protocols=ONLY_2):
     """The master writes an EEPROM register while the torque is on."""
 
-    def asks(self, cycle: int) -> Iterable[Ask]:
-        if cycle % 10 == 0:
-            yield from write_register(self.device, 'Return Delay Time', b'\x00')
+    every = 10
+
+    def ask(self, cycle: int) -> Iterable[Ask]:
+        return write_register(self.device, 'Return Delay Time', b'\x00')
 
 
-class EepromWear(Effect):
+class EepromWear(Effect, cause=13):
     """The master writes an EEPROM register again and again (torque off: it is accepted)."""
 
-    def begin(self, now: int) -> None:
+    def play(self) -> Play:
         self.device.set('Torque Enable', 0)
+        yield
 
-    def asks(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Iterable[Ask]:
         field = self.device.field('Homing Offset') or self.device.field('Temperature Limit')
         if field is not None:
-            data = bytes(self.device.image[field.at:field.end])
-            yield write(self.device.id, field.at, data)
+            yield write(self.device.id, field.at, self.device.bytes_in(field))
 
 
-class Unstuffed(Effect):
+class Unstuffed(Effect, cause=16, protocols=ONLY_2):
     """The master does not stuff what it sends, as the official Python SDK."""
 
-    def asks(self, cycle: int) -> Iterable[Ask]:
-        field = self.device.field('Goal PWM') or self.device.field('LED')
-        if cycle % 5 == 0 and field is not None:
-            yield write(self.device.id, field.at, HEADER_LIKE)
+    every = 5
+
+    def ask(self, cycle: int) -> Iterable[Ask]:
+        name = 'Goal PWM' if self.device.field('Goal PWM') else 'LED'
+        return write_register(self.device, name, HEADER_LIKE)
 
     def swap(self, ask: Ask) -> Ask:
         return ask._replace(stuffed=False)
 
 
-class Overload(Effect):
+class Overload(Effect, cause=7):
     """The master wants more per cycle than the bus can carry."""
 
-    def asks(self, cycle: int) -> Iterable[Ask]:
-        room = self.scene.pace.period
+    def ask(self, cycle: int) -> Iterable[Ask]:
+        room = self.pace.period
         while room > 0:
             for device in self.line.chain:
                 length = min(146, len(device.image))
@@ -131,11 +131,10 @@ class Overload(Effect):
                 room -= wire_ns(14 + 11 + length, self.line.baud)
 
 
-class Jitter(Effect):
+class Jitter(Effect, cause=0):
     """The master's cycle time varies widely."""
 
-    def begin(self, now: int) -> None:
-        self.scene.pace.jitter = 0.8
-
-    def end(self, now: int) -> None:
-        self.scene.pace.jitter = 0.0
+    def play(self) -> Play:
+        self.pace.jitter = 0.8
+        yield
+        self.pace.jitter = 0.0

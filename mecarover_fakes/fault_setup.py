@@ -7,9 +7,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from mecarover_fakes.dxl1_servo import MIDDLE
-from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.fault import Effect
-from mecarover_fakes.fault_device import Hot
+from mecarover_fakes.fault import FAMILY_1
+from mecarover_fakes.fault import Play
+from mecarover_fakes.fault_device import Limits
 from mecarover_fakes.traffic import Ask
 from mecarover_fakes.traffic import read
 from mecarover_fakes.traffic import read_register
@@ -26,29 +27,16 @@ SCS_LOCK = 48                    # in the SCS series; half of Torque Limit in an
 LOW_MAXIMUM = 80                 # Max Voltage Limit of a 7.4 V servo of Feetech, 0.1 V
 LOW_SUPPLY = 7.4
 TOO_MUCH = 1.5                   # times the limit, as 12 V on a servo for up to 8 V
+VOLTAGE_BIT = 0x01               # in the error byte, in both dialects
+ONLY_FEETECH = ('feetech',)
 
 
-class Once(Effect):
-    """What the master does one time."""
-
-    def begin(self, now: int) -> None:
-        self._done = False
-
-    def asks(self, cycle: int) -> Iterable[Ask]:
-        if self._done:
-            return ()
-        self._done = True
-        return self.first()
-
-    def first(self) -> Iterable[Ask]:
-        """Return what the master asks, once."""
-        return ()
-
-
-class Baud(Once):
+class Baud(Effect, cause=4):
     """The master writes Baud Rate of the device, which is never heard again."""
 
-    def first(self) -> Iterable[Ask]:
+    every = 0
+
+    def ask(self, cycle: int) -> Iterable[Ask]:
         if self.device.field('Baud Rate') is not None:
             yield from write_register(self.device, 'Torque Enable', b'\x00')
             yield from write_register(self.device, 'Baud Rate', bytes([self.code()]))
@@ -59,122 +47,126 @@ class Baud(Once):
         return next(code for code, baud in codes.items() if baud != self.line.baud)
 
 
-class BaudCode(Baud):
+class BaudCode(Baud, cause=4, protocols=ONLY_FEETECH):
     """The master writes a baud code that Feetech and LeRobot read differently."""
 
     def code(self) -> int:
         return CODE_OF_TWO_MEANINGS
 
 
-class FactoryId(Effect):
+class FactoryId(Effect, cause=3, exact=False):
     """The device still has the factory ID 1, which another device was given."""
 
-    exact = False
-
-    def begin(self, now: int) -> None:
-        self._own = {device: device.id for device in self.devices}
-        for device in self._own:
+    def play(self) -> Play:
+        own = {device: device.id for device in self.devices}
+        for device in own:
             self.line.renumber(device, FACTORY_ID)
-
-    def end(self, now: int) -> None:
-        for device, number in self._own.items():
+        yield
+        for device, number in own.items():
             self.line.renumber(device, number)
 
 
-class LastId(Effect):
+class LastId(Effect, cause=12, exact=False):
     """The master asks ID 253, where nothing is."""
 
-    exact = False                # in Protocol 2.0 no device can be missed there
+    every = 20                   # in Protocol 2.0 no device can be missed there
 
-    def asks(self, cycle: int) -> Iterable[Ask]:
-        if cycle % 20 == 0:
-            yield read(LAST_ID, 3, 2)
+    def ask(self, cycle: int) -> Iterable[Ask]:
+        yield read(LAST_ID, 3, 2)
 
 
-class MixedFirmware(Once):
+class MixedFirmware(Effect, cause=15, protocols=ONLY_FEETECH):
     """The device has an older firmware than the others; the master reads that of all."""
 
-    def begin(self, now: int) -> None:
-        super().begin(now)
+    every = 0
+
+    def play(self) -> Play:
         affected = self.device
         for device in self.line.chain:
             device.set('Firmware Version Minor', OLD_MINOR if device is affected else NEW_MINOR)
+        yield
 
-    def first(self) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Iterable[Ask]:
         return [read(device.id, 0, 2) for device in self.line.chain]
 
 
-class Locked(Once):
+class Locked(Effect, cause=13, protocols=FAMILY_1):
     """The master writes EEPROM while Lock is 1."""
 
-    def begin(self, now: int) -> None:
-        super().begin(now)
-        self.device.set('Lock', 1)
+    every = 0
 
-    def first(self) -> Iterable[Ask]:
+    def play(self) -> Play:
+        self.device.set('Lock', 1)
+        yield
+
+    def ask(self, cycle: int) -> Iterable[Ask]:
         yield from read_register(self.device, 'Lock')
         yield from write_register(self.device, 'Temperature Limit', b'\x46')
 
 
-class Calibrated(Once):
+class Calibrated(Effect, cause=0, protocols=ONLY_FEETECH):
     """The master calibrates the device twice, by the instruction."""
 
-    def first(self) -> Iterable[Ask]:
+    every = 0
+
+    def ask(self, cycle: int) -> Iterable[Ask]:
         return [Ask(self.device.id, CALIBRATE)] * 2
 
 
-class Middle(Once):
+class Middle(Effect, cause=0, protocols=ONLY_FEETECH):
     """The master calibrates the device twice, by Torque Enable 128."""
 
-    def first(self) -> Iterable[Ask]:
+    every = 0
+
+    def ask(self, cycle: int) -> Iterable[Ask]:
         return list(write_register(self.device, 'Torque Enable', bytes([MIDDLE]))) * 2
 
 
-class Offset(Once):
+class Offset(Effect, cause=0, protocols=ONLY_FEETECH):
     """The master calibrates the device on top of the offset that it has."""
 
-    def first(self) -> Iterable[Ask]:
-        offset = self.device.field('Homing Offset')
-        if offset is not None:
-            yield write(self.device.id, offset.at, offset.bytes_of(120))
-            yield from read_register(self.device, 'Present Position')
-            yield write(self.device.id, offset.at, offset.bytes_of(95))
+    every = 0
+
+    def ask(self, cycle: int) -> Iterable[Ask]:
+        offset = self.device.model.by_name['Homing Offset']
+        yield write(self.device.id, offset.at, offset.bytes_of(120))
+        yield from read_register(self.device, 'Present Position')
+        yield write(self.device.id, offset.at, offset.bytes_of(95))
 
 
-class ForeignLayout(Effect):
+class Layout(Effect, cause=12, protocols=ONLY_FEETECH):
     """The master uses the table of another series: Lock of an SCS servo, on an STS."""
 
-    def asks(self, cycle: int) -> Iterable[Ask]:
-        if cycle % 20 == 0:
-            yield write(self.device.id, SCS_LOCK, b'\x01')
+    every = 20
+
+    def ask(self, cycle: int) -> Iterable[Ask]:
+        yield write(self.device.id, SCS_LOCK, b'\x01')
 
 
-class HighSupply(Hot):
+class HighSupply(Limits, cause=0, protocols=FAMILY_1):
     """The servo is made for a lower voltage: its limit is far below the supply."""
 
-    def begin(self, now: int) -> None:
+    def play(self) -> Play:
         for device in self.devices:
             if device.model.protocol == 'feetech':
                 device.set('Max Voltage Limit', LOW_MAXIMUM)
             device.voltage = TOO_MUCH * device.get('Max Voltage Limit') / 10
-            device.latch(_VOLTAGE, now)
+            device.latch(VOLTAGE_BIT, self.now)
+        yield
+        self.recover()
 
-    def end(self, now: int) -> None:
+    def recover(self) -> None:
+        """Feed them as usual again, from a new start."""
         for device in self.devices:
-            _recover(device, now)
+            device.voltage = VOLTAGE
+            device.restart(self.now)
 
 
-class LowSupply(HighSupply):
+class LowSupply(HighSupply, cause=0, protocols=FAMILY_1):
     """A servo for 12 V on a supply of 7.4 V."""
 
-    def begin(self, now: int) -> None:
+    def play(self) -> Play:
         for device in self.devices:
             device.voltage = LOW_SUPPLY
-
-
-def _recover(device: FakeDevice, now: int) -> None:
-    device.voltage = VOLTAGE
-    device.restart(now)
-
-
-_VOLTAGE = 0x01                  # the bit in the error byte, in both dialects
+        yield
+        self.recover()

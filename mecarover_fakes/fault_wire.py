@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from mecarover_fakes.fault import Effect
-from mecarover_fakes.fault import Fault
-from mecarover_fakes.fault import FaultScope
+from mecarover_fakes.fault import FAMILY_1
+from mecarover_fakes.fault import ONLY_2
 from mecarover_fakes.line import Burst
 from mecarover_fakes.line import Exchange
 from mecarover_fakes.line import STRAY
@@ -22,73 +22,128 @@ from msg_defs.uart import heard_at
 
 OFTEN, SOMETIMES, RARELY = 0.2, 0.05, 0.01       # shares of bursts or exchanges
 WRONG_BAUD = 2.0                 # what the listener is set to, as a multiple of the real rate
+OTHERS = 200                     # ID of a device of the other protocol
 
 
-class Flip(Effect):
-    """One bit of a byte arrives wrong."""
+class Damage(Effect):
+    """A share of the bursts does not arrive as it was sent."""
 
     share = RARELY
 
     def damage(self, burst: Burst) -> None:
         if burst.data and self.concerns(burst.sender) and self.rng.random() < self.share:
-            data = bytearray(burst.data)
-            data[self.rng.randrange(len(data))] ^= 1 << self.rng.randrange(8)
+            data, is_repaired = self.heard(bytearray(burst.data))
             burst.data = bytes(data)
-            # A lost first header byte is repaired by the framing.
-            burst.intact = (burst.intact and self.line.repairs_headers
-                            and data[1:4] == HEADER[1:] and data[0] != HEADER[0])
+            burst.intact &= is_repaired and self.line.repairs_headers
+
+    def heard(self, data: bytearray) -> tuple[bytearray, bool]:
+        """Return what arrives, and whether the framing repairs it: the first byte of a header."""
+        return data, True
 
 
-class Drop(Effect):
+class Flip(Damage, cause=17):
+    """One bit of a byte arrives wrong."""
+
+    def heard(self, data: bytearray) -> tuple[bytearray, bool]:
+        data[self.rng.randrange(len(data))] ^= 1 << self.rng.randrange(8)
+        return data, data[1:4] == HEADER[1:] and data[0] != HEADER[0]
+
+
+class Drop(Damage, cause=17):
     """A byte does not arrive."""
 
-    def damage(self, burst: Burst) -> None:
-        if burst.data and self.concerns(burst.sender) and self.rng.random() < RARELY:
-            at = self.rng.randrange(len(burst.data))
-            rest = burst.data[:at] + burst.data[at + 1:]
-            # Either FF of a header may be the one that is lost: the framing repairs it.
-            burst.intact &= (self.line.repairs_headers and burst.data.startswith(HEADER)
-                             and rest == burst.data[1:])
-            burst.data = rest
+    def heard(self, data: bytearray) -> tuple[bytearray, bool]:
+        has_header, rest = data.startswith(HEADER), data[1:]
+        del data[self.rng.randrange(len(data))]
+        return data, has_header and data == rest         # either FF of a header may be lost
 
 
-class Header(Effect):
+class Header(Damage, cause=10):
     """The first byte of a status is missing or wrong, the rest is good."""
 
+    share = OFTEN
     longest = 1
 
     def damage(self, burst: Burst) -> None:
-        if burst.sender < 0 or not self.concerns(burst.sender) \
-                or not burst.data.startswith(self.line.header) or self.rng.random() > OFTEN:
-            return
+        if burst.sender >= 0 and burst.data.startswith(self.line.header):
+            super().damage(burst)
+
+    def heard(self, data: bytearray) -> tuple[bytearray, bool]:
         count = self.rng.randint(1, self.longest)
         garbage = bytes(self.rng.choice((0x00, 0x80, 0xF8, 0xFE)) for _ in range(count))
-        lost = self.rng.random() < 0.5
-        burst.data = (b'' if lost else garbage) + burst.data[count:]
-        burst.intact = burst.intact and count == 1 and self.line.repairs_headers
+        data[:count] = b'' if self.rng.random() < 0.5 else garbage
+        return data, count == 1
 
 
-class Turnaround(Header):
+class Turnaround(Header, cause=10, exact=False):
     """The line turns round too late: one to three bytes of a status are missing or wrong."""
 
-    exact = False                # a damaged last answer looks like one that never came
-    longest = 3
+    longest = 3                  # a damaged last answer looks like one that never came
 
 
-class Glitch(Effect):
-    """The driver enable leaves a byte on the line between packets."""
+class Stray(Effect):
+    """Bytes that belong to no exchange, after some of them."""
+
+    sender = STRAY
+    gap = 0                      # bytes of silence in front of them
 
     def stray(self, exchange: Exchange) -> Iterator[Burst]:
         if self.rng.random() < SOMETIMES:
-            start = exchange.end + wire_ns(2, self.line.baud)
-            yield Burst(start, self.rng.choice((b'\x00', b'\xff')), STRAY, self.line.baud,
-                        intact=False)
+            yield Burst(exchange.end + wire_ns(self.gap, self.line.baud), self.data(),
+                        self.sender, self.line.baud, intact=self.sender != STRAY)
+
+    def data(self) -> bytes:
+        """Return the bytes."""
+        return b''
 
 
-class Echo(Effect):
+class Glitch(Stray, cause=10):
+    """The driver enable leaves a byte on the line between packets."""
+
+    gap = 2
+
+    def data(self) -> bytes:
+        return self.rng.choice((b'\x00', b'\xff'))
+
+
+class Noise(Flip, Stray, cause=17, exact=False):
+    """Disturbance on the wire: wrong bits in every direction, garbage in between."""
+
+    share = SOMETIMES
+
+    def stray(self, exchange: Exchange) -> Iterator[Burst]:
+        return super().stray(exchange) if self.fault.id is None else iter(())
+
+    def data(self) -> bytes:
+        return bytes(self.rng.randrange(256) for _ in range(self.rng.randint(1, 6)))
+
+
+class Foreign(Stray, cause=11, exact=False):
+    """A status that no instruction asked for."""
+
+    def data(self) -> bytes:
+        self.sender = self.device.id
+        return self.line.status_wire(self.sender, 0, bytes(4))
+
+
+class Protocol1(Stray, cause=19, protocols=ONLY_2):
+    """A Protocol 1.0 device on the same bus, and its master."""
+
+    def data(self) -> bytes:
+        return dxl1_packet.encode(OTHERS, Instruction.READ, b'\x24\x08') \
+            + dxl1_packet.encode(OTHERS, 0, bytes(range(0x20, 0x28)))
+
+
+class Protocol2(Stray, cause=19, protocols=FAMILY_1):
+    """A Protocol 2.0 device on the same bus, and its master."""
+
+    def data(self) -> bytes:
+        return encode(OTHERS, Instruction.READ, bytes((0x84, 0, 8, 0))) \
+            + encode(OTHERS, STATUS, bytes(range(0x20, 0x28)), 0)
+
+
+class Echo(Effect, cause=10, exact=False):
     """The adapter repeats what its master sends."""
-
-    exact = False
 
     def stray(self, exchange: Exchange) -> Iterator[Burst]:
         asked = exchange.bursts[0]
@@ -99,64 +154,9 @@ class Echo(Effect):
         yield Burst(asked.end, asked.data, STRAY, self.line.baud)
 
 
-class Noise(Effect):
-    """Disturbance on the wire: wrong bits in every direction, garbage in between."""
-
-    exact = False
-
-    def __init__(self, fault: Fault, scene: FaultScope) -> None:
-        super().__init__(fault, scene)
-        self._flip = Flip(fault, scene)
-        self._flip.share = SOMETIMES
-
-    def damage(self, burst: Burst) -> None:
-        self._flip.damage(burst)
-
-    def stray(self, exchange: Exchange) -> Iterator[Burst]:
-        if self.fault.id is None and self.rng.random() < SOMETIMES:
-            garbage = bytes(self.rng.randrange(256) for _ in range(self.rng.randint(1, 6)))
-            yield Burst(exchange.end, garbage, STRAY, self.line.baud, intact=False)
-
-
-class WrongBaud(Effect):
+class WrongBaud(Effect, cause=4, exact=False):
     """The listener runs at another rate than the bus."""
-
-    exact = False
 
     def damage(self, burst: Burst) -> None:
         burst.data = heard_at(burst.data, WRONG_BAUD)
         burst.intact = False
-
-
-class Foreign(Effect):
-    """A status that no instruction asked for."""
-
-    exact = False
-
-    def stray(self, exchange: Exchange) -> Iterator[Burst]:
-        if self.rng.random() < SOMETIMES:
-            status = self.line.status_wire(self.device.id, 0, bytes(4))
-            yield Burst(exchange.end, status, self.device.id, self.line.baud)
-
-
-class Protocol1(Effect):
-    """A Protocol 1.0 device on the same bus, and its master."""
-
-    number = 200
-
-    def stray(self, exchange: Exchange) -> Iterator[Burst]:
-        if self.rng.random() < SOMETIMES:
-            yield Burst(exchange.end, self.packets(), STRAY, self.line.baud, intact=False)
-
-    def packets(self) -> bytes:
-        """Return a question and its answer."""
-        return dxl1_packet.encode(self.number, Instruction.READ, b'\x24\x08') \
-            + dxl1_packet.encode(self.number, 0, bytes(range(0x20, 0x28)))
-
-
-class Protocol2(Protocol1):
-    """A Protocol 2.0 device on the same bus, and its master."""
-
-    def packets(self) -> bytes:
-        return encode(self.number, Instruction.READ, bytes((0x84, 0, 8, 0))) \
-            + encode(self.number, STATUS, bytes(range(0x20, 0x28)), 0)

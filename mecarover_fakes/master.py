@@ -75,7 +75,7 @@ class Master:
         cycle = 0
         while not self.is_over(self.now):
             yield from self._play(self.pattern(self._fleet, cycle, self._clock))
-            for effect in list(self._faults.active):
+            for effect in self._faults.active:
                 yield from self._play(effect.asks(cycle))
             cycle += 1
             begin = self._next_cycle(begin)

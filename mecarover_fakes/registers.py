@@ -40,7 +40,11 @@ class Registers:
         field = self.field(name)
         if field is None:
             return default
-        return field.code_of(bytes(self.image[field.at:field.end]))
+        return field.code_of(self.bytes_in(field))
+
+    def bytes_in(self, field: Field) -> bytes:
+        """Return the bytes of a register."""
+        return bytes(self.image[field.at:field.end])
 
     def set(self, name: str, raw: float) -> None:
         """Put a raw number into a register, by no instruction; nothing where it has none."""
