@@ -49,8 +49,7 @@ def verdicts(reader, what, ms, data):
         _, x, y, omega = reader.wheels              # mm/s
         return [(b'W', ms, struct.pack('<3d2I', x / 1000, y / 1000, omega,
                                        STATES.index(reader.state), reader.totals.stops))]
-    report = reader.report(ms * MS)
-    return [(b'T', ms, f'{report.line()}\r\n'.encode() if report else b'')]
+    return [(b'T', ms, reader.says(ms * MS).encode())]
 
 
 def main():

@@ -33,6 +33,7 @@ from mecarover_serial.cli import run_tool
 from mecarover_serial.ros_domain import DEMOS
 from mecarover_serial.ros_domain import Domain
 from msg_defs.vel2d import STOP
+from msg_defs.vel2d import Vel2d
 
 READY_S = 20.0          # starting everything on a busy machine; discovery alone takes up to 2.5 s
 COMMAND_PERIOD_S = 0.05
@@ -69,10 +70,10 @@ def _main(arguments: list[str]) -> int:
             verdicts = show.verdicts
         finally:
             operator.close()
-        stage.end()
+        stage.close()
         verdicts.append(show.compare_books())
-        verdicts += [SceneResult(name, code == 0, f'ended with {code}')
-                     for name, code in stage.exit_codes.items()]
+        verdicts += [SceneResult(actor.name, actor.exit_code == 0, f'ended with {actor.exit_code}')
+                     for actor in reversed(stage.actors)]
     return _conclude(verdicts)
 
 
@@ -190,8 +191,8 @@ class Show:
         while self._mcu.lines:
             record = json.loads(self._mcu.lines.popleft())
             if 'what' in record:
-                self._set_points.append(TakenSetPoint.from_record(record))
-                x, y, omega = self._set_points[-1].velocity
+                x, y, omega = record['x'] / 1000, record['y'] / 1000, record['omega']
+                self._set_points.append(TakenSetPoint(record['stamp'], Vel2d(x, y, omega)))
                 print(f'     MCU  x {x:6.3f} m/s  y {y:6.3f} m/s  omega {omega:6.3f} rad/s  '
                       f'{record["what"]}', flush=True)
 

@@ -19,7 +19,6 @@ _COLUMNS = (            # title, width, the keys of which the first one that is 
     ('position (rad)', 15, ('Present Position (rad)',)),
     ('voltage (V)', 12, ('Present Input Voltage (V)', 'Present Voltage (V)')),
 )
-_MARKS = {Level.OK: '    ok', Level.WARN: '  WARN', Level.ERROR: ' ERROR', Level.STALE: ' STALE'}
 _EXPECTED = 20
 
 
@@ -33,19 +32,17 @@ class DeviceTable:
 
     def devices(self, statuses: Mapping[str, Any]) -> dict[str, Any]:
         """Return the statuses of devices by name, in the order of their IDs."""
-        names = sorted(name for name in statuses if name.startswith(self._prefix))
-        return {name.removeprefix(self._prefix): statuses[name] for name in names
-                if name.removeprefix(self._prefix)[:3].isdigit()}
+        names = sorted(name.removeprefix(self._prefix) for name in statuses)
+        return {name: statuses[self._prefix + name] for name in names if name[:3].isdigit()}
 
     def show(self, statuses: Mapping[str, Any], now_s: float) -> None:
         """Print what has changed, and now and then everything."""
         devices = self.devices(statuses)
         for name, status in devices.items():
             state = _values(status).get(keys.STATE, '?')
-            seen = self._states.setdefault(name, [])
-            if seen and seen[-1] != state:
+            seen = self._states.setdefault(name, [state])
+            if seen[-1] != state:
                 print(f'     bus  {name}: {seen[-1]} -> {state} ({status.message})', flush=True)
-            if not seen or seen[-1] != state:
                 seen.append(state)
         if devices and now_s - self._shown_s > _PERIOD_S:
             self._shown_s = now_s
@@ -76,12 +73,12 @@ def _values(status: Any) -> dict[str, str]:
 
 
 def _render(devices: Mapping[str, Any]) -> str:
-    lines = ['', 'level  ' + 'ID   ' + ''.join(f'{title:{width}}' for title, width, _ in _COLUMNS)]
+    rows = [['level', 'ID', *(title for title, _, _ in _COLUMNS)]]
     for name, status in devices.items():
         values = _values(status)
-        cells = (next((values[key] for key in keys if key in values), '-')
-                 for _, _, keys in _COLUMNS)
-        lines.append(f'{_MARKS[Level(status.level[0])]:6} {name[:4]:5}' + ''.join(
-            f'{cell[:width - 1]:{width}}' for cell, (_, width, _) in zip(
-                cells, _COLUMNS, strict=True)))
-    return '\n'.join([*lines, ''])
+        rows.append([Level(status.level[0]).name, name[:4], *(
+            next((values[key] for key in names if key in values), '-')
+            for _, _, names in _COLUMNS)])
+    widths = (7, 5, *(width for _, width, _ in _COLUMNS))
+    return '\n'.join(['', *(''.join(f'{cell[:width - 1]:{width}}' for cell, width in zip(
+        row, widths, strict=True)) for row in rows), ''])

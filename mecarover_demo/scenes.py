@@ -19,7 +19,6 @@ from msg_defs.vel2d import Vel2d
 
 TIME_OUT_BOUND_S = 0.5 + 2 / 20 + 0.05 + 0.3    # cmd_vel_timeout, resends, write_timeout, queue
 KILL_BOUND_S = 0.3 + 0.1        # the deadman's promise; a tenth for a busy demo machine
-_MM_PER_M = 1000.0
 _NAN = Vel2d(math.nan, 0.0, 0.0)
 
 
@@ -52,11 +51,6 @@ class TakenSetPoint(NamedTuple):
     stamp: float
     velocity: Vel2d
 
-    @classmethod
-    def from_record(cls, record: dict[str, float]) -> TakenSetPoint:
-        """Read a line of the fake MCU."""
-        return cls(record['stamp'], Vel2d(
-            record['x'] / _MM_PER_M, record['y'] / _MM_PER_M, record['omega']))
 
 
 class SceneResult(NamedTuple):

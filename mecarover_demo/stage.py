@@ -5,14 +5,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack
 import os
-import signal
 import subprocess
 import sys
 import threading
 import time
-from types import TracebackType
+
+TIMEOUT_S = 5.0
 
 
 class Actor:
@@ -51,47 +51,32 @@ class Actor:
         self._process.wait()
         return stamp
 
-    def end(self, timeout_s: float = 5.0) -> int:
+    def end(self) -> None:
         """
-        End it politely; kill it when it does not listen. Return its exit code.
+        End it politely; kill it when it does not listen.
 
         Not with SIGINT: what a script starts in the background inherits that it is ignored.
         """
-        with suppress(ProcessLookupError):
-            self._process.send_signal(signal.SIGTERM)
+        self._process.terminate()
         try:
-            code = self._process.wait(timeout_s)
+            self._process.wait(TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self.kill()
-            code = -signal.SIGKILL
         self._reader.join(1.0)
-        return code
 
 
-class Stage:
+class Stage(ExitStack):
     """All processes of the demo; leaving it ends them in the reverse order of their start."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.actors: list[Actor] = []
-        self.exit_codes: dict[str, int] = {}
 
     def start(self, module: str, *arguments: str) -> Actor:
         """Start a module of this package with the Python that runs us."""
         package, _, name = module.partition('.')
         actor = Actor(name if package == 'mecarover_fakes' else package,
                       [sys.executable, '-m', module, *arguments])
+        self.callback(actor.end)
         self.actors.append(actor)
         return actor
-
-    def end(self) -> None:
-        """End what still runs."""
-        while self.actors:
-            actor = self.actors.pop()
-            self.exit_codes[actor.name] = actor.end()
-
-    def __enter__(self) -> Stage:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.end()

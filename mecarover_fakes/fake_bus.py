@@ -17,7 +17,6 @@ import time
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor_settings import load_models
-from mecarover_fakes.dxl1_servo import Line1
 from mecarover_fakes.dxl1_servo import Servo1
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fake_servo import FakeDevice
@@ -50,9 +49,7 @@ DIALECTS_BY_NAME = {'dxl1': DYNAMIXEL_1, 'feetech': FEETECH}
 def make_line(devices: list[FakeDevice], baud: int, dialect: str = '2', *,
               waits_in_line: bool = True) -> Line:
     """Return the line of a bus that speaks a dialect."""
-    if dialect == '2':
-        return Line(devices, baud, waits_in_line=waits_in_line)
-    return Line1(devices, baud, DIALECTS_BY_NAME[dialect], waits_in_line=waits_in_line)
+    return Line(devices, baud, DIALECTS_BY_NAME.get(dialect), waits_in_line=waits_in_line)
 
 
 def default_devices(pattern: str, dialect: str = '2') -> list[str]:
@@ -76,10 +73,8 @@ def make_devices(entries: list[str], models: Models, baud: int, *,
         if model.protocol != PROTOCOLS[dialect]:
             raise ParameterError(f'devices: {model.name} does not speak the protocol of --dialect '
                                  f'{dialect}; give devices of one protocol')
-        if dialect == '2':
-            devices.append(FakeDevice(entry.id, model, baud=baud, motion=motion))
-        else:
-            devices.append(Servo1(entry.id, model, baud=baud, motion=motion))
+        servo = FakeDevice if dialect == '2' else Servo1
+        devices.append(servo(entry.id, model, baud=baud, motion=motion))
     return devices
 
 

@@ -11,17 +11,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from collections.abc import Iterator
-from contextlib import contextmanager
 from contextlib import suppress
+from dataclasses import asdict
 import json
 import os
 import sys
-import threading
 import time
 
 from mecarover_fakes.guarded_receiver import GuardedReceiver
-from mecarover_fakes.receiver import Arrival
 from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import Receiver
 from mecarover_fakes.receiver import SetPoint
@@ -38,12 +35,10 @@ from msg_defs.vel2d import FRAME_SIZE
 _READ_SIZE = 146 * FRAME_SIZE      # whole frames; a pty gives at most 4095 bytes
 _GAP_CHARACTERS = 2
 _PUMP_S = 0.01
-# What the firmware of the thesis says on its line when it refuses a frame.
-REFUSALS = {'crc_err': b'crc mismatch!\r\n', 'insufficient': b'insufficient bytes received\r\n'}
 
 
 class FakeMcu:
-    """A receiver on a pty. `pump` drives it; or `running()` does, in a thread, for tests."""
+    """A receiver on a pty, driven by `pump`."""
 
     def __init__(self, link: str | None = None, *, baud: int = 115200,
                  crc: Callable[[bytes], int] = crc32_mpeg2, cable: BadCable | None = None,
@@ -52,10 +47,8 @@ class FakeMcu:
         self.link = link
         self.merged = 0                              # reads that held more than one frame
         self._clock = clock
-        self._lock = threading.Lock()                # `running` pumps, the test unplugs
         self._cable = cable or BadCable()
         self._talks = talks                          # says what it refuses, or how it is
-        self._said = {'crc_err': 0, 'insufficient': 0}
         self._pty: Pty | None = Pty(link)
         self._read = clock()                         # up to when the line has been read
         self.receiver = (GuardedReceiver if watchdog else Receiver)(
@@ -68,73 +61,40 @@ class FakeMcu:
 
     def pump(self, timeout_s: float) -> list[SetPoint]:
         """Wait for bytes, at most so long, and return the set-points taken until now."""
-        with self._lock:
-            if self._pty is None:
-                time.sleep(timeout_s)
-            elif readable([self._pty.master], timeout_s):
-                self._receive(self._pty.master)
-            self._read = self._clock()
-            taken = self.receiver.advance(self._read)
-        text = self._refusals()
-        if isinstance(self.receiver, GuardedReceiver):
-            report = self.receiver.report(self._read)
-            text = f'{report.line()}\r\n'.encode() if report else b''
+        if self._pty is None:
+            time.sleep(timeout_s)
+        elif readable([self._pty.master], timeout_s):
+            self._receive(self._pty.master)
+        self._read = self._clock()
+        taken = self.receiver.advance(self._read)
+        text = self.receiver.says(self._read)
         if self._talks and text:
             with suppress(OSError):                  # no one reads, or the cable is out
-                self.say(text)
+                self.say(text.encode())
         return taken
-
-    def _refusals(self) -> bytes:
-        text = b''
-        for name, refusal in REFUSALS.items():
-            new = getattr(self.receiver.totals, name) - self._said[name]
-            self._said[name] += new
-            text += refusal * new
-        return text
 
     def say(self, text: bytes) -> None:
         """Send something to the host, as firmware does that logs to the same UART."""
-        with self._lock:
-            if self._pty is not None:
-                os.write(self._pty.master, text)
+        if self._pty is not None:
+            os.write(self._pty.master, text)
 
     def vanish(self) -> None:
         """Be unplugged."""
-        with self._lock:
-            if self._pty is not None:
-                self._pty.close()
-                self._pty = None
+        if self._pty is not None:
+            self._pty.close()
+            self._pty = None
 
     def come_back(self) -> None:
         """Be plugged in again, under the same link."""
-        with self._lock:
-            if self._pty is None:
-                self._pty = Pty(self.link)
+        if self._pty is None:
+            self._pty = Pty(self.link)
 
     def close(self) -> None:
         self.vanish()
 
     def totals(self) -> dict[str, int]:
-        return {**self.receiver.totals.as_dict(), 'merged': self.merged,
-                'damaged': self._cable.damaged}
-
-    @contextmanager
-    def running(self) -> Iterator[FakeMcu]:
-        """Pump in a thread; leaving ends it and closes the pty."""
-        done = threading.Event()
-
-        def loop() -> None:
-            while not done.is_set():
-                self.pump(_PUMP_S)
-
-        thread = threading.Thread(target=loop, name='fake_mcu')
-        thread.start()
-        try:
-            yield self
-        finally:
-            done.set()
-            thread.join()
-            self.close()
+        return asdict(self.receiver.totals) | {'merged': self.merged,
+                                               'damaged': self._cable.damaged}
 
     def _receive(self, master: int) -> None:
         try:
@@ -203,42 +163,31 @@ class _Printer:
 
     def begin(self, baud: int, crc_input: str) -> None:
         self._print(f'fake_mcu: {self._mcu.path}, {baud} baud, CRC over {crc_input}',
-                    {'path': self._mcu.path, 'baud': baud, 'crc_input': crc_input})
+                    path=self._mcu.path, baud=baud, crc_input=crc_input)
 
     def show(self, set_points: list[SetPoint]) -> None:
         for set_point in set_points:
             if set_point[1:] != self._last:
                 self._last = set_point[1:]
-                self._print_set_point(set_point)
+                what = 'stop' if set_point.is_stop else 'drive'
+                stamp, x, y, omega = set_point
+                self._print(f'  x {x:8.1f} mm/s  y {y:8.1f} mm/s  omega {omega:7.3f} rad/s'
+                            f'  {what}', stamp, x=x, y=y, omega=omega, what=what)
         arrivals = self._mcu.receiver.arrivals
         while self._frames and arrivals:
-            self._print_arrival(arrivals.popleft())
+            stamp, size, velocity = arrivals.popleft()
+            self._print(f'  {size} bytes  {tuple(velocity) if velocity else "damaged"}', stamp,
+                        bytes=size, frame=velocity)
 
     def end(self) -> None:
         totals = self._mcu.totals()
         text = ', '.join(f'{name} {count}' for name, count in totals.items())
-        self._print(f'totals: {text}', {'totals': totals})
+        self._print(f'totals: {text}', totals=totals)
 
-    def _print_set_point(self, set_point: SetPoint) -> None:
-        what = 'stop' if set_point.is_stop else 'drive'
-        _, x, y, omega = set_point
-        self._print(
-            f'{self._seconds(set_point.stamp):9.3f} s  x {x:8.1f} mm/s  y {y:8.1f} mm/s'
-            f'  omega {omega:7.3f} rad/s  {what}',
-            {'stamp': set_point.stamp / 1e9, 'x': x, 'y': y, 'omega': omega, 'what': what})
-
-    def _print_arrival(self, arrival: Arrival) -> None:
-        velocity = arrival.velocity
-        self._print(
-            f'{self._seconds(arrival.stamp):9.3f} s  {arrival.size} bytes'
-            f'  {"damaged" if velocity is None else tuple(velocity)}',
-            {'stamp': arrival.stamp / 1e9, 'bytes': arrival.size,
-             'frame': None if velocity is None else list(velocity)})
-
-    def _seconds(self, stamp: int) -> float:
-        return (stamp - self._begin) / 1e9
-
-    def _print(self, text: str, record: dict[str, object]) -> None:
+    def _print(self, text: str, stamp: int | None = None, **record: object) -> None:
+        if stamp is not None:
+            record = {'stamp': stamp / 1e9} | record
+            text = f'{(stamp - self._begin) / 1e9:9.3f} s{text}'
         print(json.dumps(record) if self._as_json else text, flush=True)
 
 

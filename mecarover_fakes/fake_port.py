@@ -9,10 +9,8 @@ devices. When this process comes too late, the bus stops for a while; the reader
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from collections.abc import Iterator
-import os
 import threading
 import time
 from typing import Any
@@ -52,15 +50,14 @@ class FakeBus:
         self.outlet = VirtualUart(link)
         self.tap = VirtualUart(tap if isinstance(tap, str) else None) if tap else None
         self.stood_still_ns = 0
-        self._outlets = [self.outlet] if self.tap is None else [self.outlet, self.tap]
+        # The tap first: who drives us may ask its listener as soon as it has an answer.
+        self._ends = ({'tap': self.tap} if self.tap else {}) | {'bus': self.outlet}
+        self._has_own_master = master.pattern is not none
         self._away = away
         self._usb = usb
         self._clock = clock
         self._origin = 0
-        self._framer = master.line.listener()
-        self._answers: deque[Burst] = deque()
         self._is_stopping = False
-        self._wake_read, self._wake_write = os.pipe()
         self._thread: threading.Thread | None = None
 
     @property
@@ -70,7 +67,8 @@ class FakeBus:
 
     def start(self, seconds: float | None = None) -> None:
         """Run in a thread until stop(), or for some seconds."""
-        self._thread = threading.Thread(target=self._run, args=(seconds,), name='fake_bus')
+        until = None if seconds is None else round(seconds * S)
+        self._thread = threading.Thread(target=self._run, args=(until,), name='fake_bus')
         self._thread.start()
 
     @property
@@ -78,56 +76,56 @@ class FakeBus:
         """Whether start() is not over yet."""
         return self._thread is not None and self._thread.is_alive()
 
-    def join(self, timeout_s: float | None = None) -> None:
+    def join(self) -> None:
         """Wait until a run of limited length is over."""
         if self._thread is not None:
-            self._thread.join(timeout_s)
+            self._thread.join()
 
     def stop(self) -> None:
         """End after the exchange in progress and hang up."""
         self._is_stopping = True
         self.master.stop()
-        os.write(self._wake_write, b'x')
         self.join()
-        for outlet in self._outlets:
-            outlet.close()
+        for end in self._ends.values():
+            end.close()
         if self._usb is not None:
             self._usb.close()
-        os.close(self._wake_read)
-        os.close(self._wake_write)
 
     def totals(self) -> dict[str, Any]:
         """Return the counters of both ends."""
-        ends = {'bus': self.outlet} if self.tap is None else \
-            {'bus': self.outlet, 'tap': self.tap}
-        return {name: end.totals() for name, end in ends.items()} \
+        return {name: end.totals() for name, end in self._ends.items()} \
             | {'stood_still_s': round(self.stood_still_ns / S, 3)}
 
-    def _run(self, seconds: float | None) -> None:
+    def _run(self, until: int | None) -> None:
         self._origin = self._clock()
-        until = None if seconds is None else round(seconds * S)
-        if self.master.pattern is none:
-            self._serve(until)
-        else:
-            self._play(self.master.bursts(until))
+        self._play(self.master.bursts(until) if self._has_own_master else self._asked(until))
         deadline = self._clock() + DRAIN_NS      # hanging up takes unread bytes away
-        while any(outlet.outstanding() for outlet in self._outlets) and self._clock() < deadline:
+        while any(end.outstanding() for end in self._ends.values()) and self._clock() < deadline:
             time.sleep(TICK_NS / S)
+
+    def _asked(self, until: int | None) -> Iterator[Burst]:
+        """Yield what the instructions of a real master lead to, as soon as each is whole."""
+        framer, line = self.master.line.framer(), self.master.line
+        while not self._is_stopping and (until is None or self._now() < until):
+            self._sleep(IDLE_NS)
+            for frame in framer.frames(self.outlet.read()):
+                if is_good(frame):
+                    yield from self.master.respond(Ask(*line.heard(frame)), self._now())
 
     def _now(self) -> int:
         return self._clock() - self._origin
 
     def _sleep(self, wait_ns: int) -> None:
-        fds = [self._wake_read] + [self.outlet.fd] * self.outlet.is_plugged_in
-        whole_ms, rest_ns = divmod(max(wait_ns, 0), S // 1000)
-        if not readable(fds, whole_ms / 1000):
+        """Wait so long, or until a real master writes; what is written to our own is dropped."""
+        whole_ms, rest_ns = divmod(wait_ns, S // 1000)
+        if not readable([self.outlet.fd] * self.outlet.is_plugged_in, whole_ms / 1000):
             time.sleep(rest_ns / S)
+        if self._has_own_master:
+            self.outlet.read()
         if self._away is not None:
             begin, end = self._away.after * S, sum(self._away) * S
-            for outlet in self._outlets:
-                outlet.plug(plugged_in=not begin <= self._now() < end)
-
-    # --- a simulated master ----------------------------------------------------------------
+            for one in self._ends.values():
+                one.plug(plugged_in=not begin <= self._now() < end)
 
     def _play(self, bursts: Iterator[Burst]) -> None:
         baud = self.master.line.baud
@@ -144,10 +142,11 @@ class FakeBus:
                     done = end
                 # A machine that is always late never has to wait: it hands over all the same.
                 if done < len(burst.data) or len(due) >= LATE_BYTES:
-                    self._hand_over(due)
+                    self._hand_over(due, burst)
                     wait = min(max(burst.end - now, TICK_NS), burst.start - now + PART_NS)
                     self._sleep(min(max(wait, TICK_NS), IDLE_NS))
-                    self.outlet.read()           # counted, not heard: this master is simulated
+            if not self._has_own_master:
+                self._hand_over(due, burst)
         self._hand_over(due)
 
     def _tell_usb(self, burst: Burst, done: int, end: int) -> None:
@@ -162,40 +161,14 @@ class FakeBus:
     def _catch_up(self, due: int) -> int:
         """Return the time on the bus; it stops while we are too late for what is due."""
         now = self._now()
-        too_late = now - due - wire_ns(LATE_BYTES, self.master.line.baud)
-        if too_late <= 0:
-            return now
+        too_late = max(0, now - due - wire_ns(LATE_BYTES, self.master.line.baud))
         self._origin += too_late
         self.stood_still_ns += too_late
         return now - too_late
 
-    def _hand_over(self, due: bytearray) -> None:
-        if due:
-            for outlet in self._outlets:
-                outlet.write(bytes(due))
-            due.clear()
-
-    # --- a real master ---------------------------------------------------------------------
-
-    def _serve(self, until: int | None) -> None:
-        while not self._is_stopping and (until is None or self._now() < until):
-            self._sleep(self._answers[0].end - self._now() if self._answers else IDLE_NS)
-            self._answers.extend(self._answer(self.outlet.read()))
-            self._send_due()
-
-    def _answer(self, chunk: bytes) -> Iterator[Burst]:
-        """Yield what the chunk leads to on the line, as soon as it holds a whole instruction."""
-        for frame in self._framer.frames(chunk) if chunk else ():
-            if is_good(frame):
-                ask = Ask(*self.master.line.heard(frame))
-                yield from self.master.respond(ask, self._now())
-
-    def _send_due(self) -> None:
-        now = self._now()
-        while self._answers and self._answers[0].end <= now:
-            burst = self._answers.popleft()
-            self._tell_usb(burst, 0, len(burst.data))
-            if self.tap is not None:             # first: who drives us may ask the listener next
-                self.tap.write(burst.data)
-            if burst.sender != MASTER:
-                self.outlet.write(burst.data)
+    def _hand_over(self, due: bytearray, burst: Burst | None = None) -> None:
+        """Write what is due; a real master does not hear its own bytes."""
+        for end in self._ends.values() if due else ():
+            if self._has_own_master or end is self.tap or (burst and burst.sender != MASTER):
+                end.write(bytes(due))
+        due.clear()

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import struct
+import sys
 from typing import NamedTuple
 
 from dxl_monitor.model.control_table import Field
@@ -23,21 +24,21 @@ from mecarover_fakes.registers import OK
 from mecarover_fakes.registers import Registers
 from mecarover_fakes.registers import RESULT_FAIL
 from mecarover_fakes.registers import WATCHDOG_TRIPPED
-from mecarover_fakes.values import BAUD_CODES
-from mecarover_fakes.values import FACTORY
 from mecarover_fakes.values import live_registers
 from mecarover_fakes.values import LiveState
 from mecarover_fakes.values import Sine
 from mecarover_fakes.values import TEMPERATURE
 from mecarover_fakes.values import VOLTAGE
+from msg_defs.dxl_instruction import ALERT
+from msg_defs.dxl_instruction import BACKUP_OPTIONS
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import RESTORE
+from msg_defs.dxl_instruction import STORE
 
-ALERT = 0x80
 BOOT_NS = 200_000_000            # deaf after a start
 WATCHDOG_UNIT_NS = 20_000_000
 
 _CLEAR_KEYS = (b'\x01DXL"', b'\x01ERCL', b'\x02ERCL')     # P1 of Error Clear: sources disagree
-_BACKUP_KEYS = {b'\x01CTRL': True, b'\x02CTRL': False}    # True: store, False: restore
 _WORDS = struct.Struct('<HH')
 
 _Rows = tuple[tuple[str, int | None], ...]
@@ -46,6 +47,7 @@ _Rows = tuple[tuple[str, int | None], ...]
 _FAST_SINCE: _Rows = (('2X', None), ('XL-320', None), ('XL320', None), ('X', 45), ('P', 12),
                       ('RH', 13), ('Y', 1))
 _FIRMWARE: _Rows = (('MX', 45), ('X', 48), ('2X', 48), ('P', 14), ('RH', 14), ('Y', 12))
+_FIRMWARE_1 = {'1': 24, 'feetech': 3}
 
 
 class Reply(NamedTuple):
@@ -61,7 +63,8 @@ class FakeDevice(Registers):
     def __init__(self, number: int, model: Model, *, baud: int = 1_000_000,
                  motion: Sine | None = None, return_delay: int = 0,
                  firmware: int | None = None) -> None:
-        self.firmware = firmware or _by_prefix(_FIRMWARE, model.name) or 1
+        self.firmware = firmware or _FIRMWARE_1.get(model.protocol) \
+            or _by_prefix(_FIRMWARE, model.name) or 1
         super().__init__(model, self.firmware)
         self.id = number
         self.baud = baud
@@ -73,12 +76,14 @@ class FakeDevice(Registers):
         self.rest_angle = 0.0                # its angle while it does not move by `motion`
         self.up_at = 0
         self.extra_delay_ns = 0
+        self.is_feetech = model.protocol == 'feetech'
         self._registered: tuple[int, bytes] | None = None
         self._live = live_registers(model)
         self._backup: bytes | None = None
         self.set('ID', number)
         self.set('Return Delay Time', return_delay)
-        self.set('Baud Rate', next((k for k, v in BAUD_CODES.items() if v == baud), 1))
+        self.set('Baud Rate', next((code for code, rate in self.baud_codes.items()
+                                    if rate == baud), self.get('Baud Rate')))
 
     @property
     def return_delay_ns(self) -> int:
@@ -94,7 +99,9 @@ class FakeDevice(Registers):
     @property
     def baud_codes(self) -> dict[int, int]:
         """What the codes of Baud Rate mean (bit/s)."""
-        return BAUD_CODES
+        field = self.field('Baud Rate')
+        words = field.enum if field is not None and field.enum else {}
+        return {code: int(word) for code, word in words.items()}
 
     def hears(self, baud: int, now: int) -> bool:
         """Tell whether it takes part in the traffic of a bus at `baud`."""
@@ -106,14 +113,12 @@ class FakeDevice(Registers):
 
     def acknowledges(self, instruction: int) -> bool:
         """Tell whether Status Return Level lets it answer this instruction."""
-        if instruction == Instruction.PING:
-            return True
-        reads = instruction in _READS
-        return self.get('Status Return Level', 2) >= (1 if reads else 2)
+        level = self.get('Status Return Level', 2) + self.is_feetech
+        return instruction == Instruction.PING or level >= (1 if instruction in _READS else 2)
 
     def answer_level(self, level: int) -> None:
         """Answer Pings (0), reads too (1), or everything (2)."""
-        self.set('Status Return Level', level)
+        self.set('Status Return Level', level - self.is_feetech)
 
     # --- what happens to it ----------------------------------------------------------------
 
@@ -193,26 +198,26 @@ class FakeDevice(Registers):
 
     def _after_write(self, address: int, end: int, was_torque: bool, angle: float) -> None:
         """Let the device follow what was written to its own settings."""
-        for name, effect in _EFFECTS.items():
-            field = self.field(name)
-            if field is not None and field.at < end and field.end > address:
-                effect(self, field)
+        if self.hardware_error and self._written('Torque Enable', address, end):
+            self.set('Torque Enable', 0)             # shut down: it stays off until a start
+        self._take_address(address, end)
+        goal = self._written('Goal Position', address, end)
+        if goal is not None and self.motion is None and self.torque:
+            self.rest_angle = goal.decode(self.bytes_in(goal)).number or 0.0
         if was_torque != self.torque:
             self.rest_angle = angle
 
-    def _take_id(self, field: Field) -> None:
-        self.id = self.image[field.at]
+    def _take_address(self, address: int = 0, end: int = sys.maxsize) -> None:
+        """Follow ID and Baud Rate where they are in this range of registers."""
+        if self._written('ID', address, end):
+            self.id = self.get('ID')
+        for name in ('Baud Rate', 'Baud Rate (Bus)'):
+            if self._written(name, address, end):
+                self.baud = self.baud_codes.get(self.get(name), self.baud)
 
-    def _take_baud(self, field: Field) -> None:
-        self.baud = self.baud_codes.get(self.image[field.at], self.baud)
-
-    def _take_torque(self, field: Field) -> None:
-        if self.hardware_error:      # shut down: it stays off until a start
-            self.image[field.at] = 0
-
-    def _take_goal(self, field: Field) -> None:
-        if self.motion is None and self.torque:
-            self.rest_angle = field.decode(bytes(self.image[field.at:field.end])).number or 0.0
+    def _written(self, name: str, address: int, end: int) -> Field | None:
+        field = self.field(name)
+        return field if field is not None and field.at < end and field.end > address else None
 
     def _on_ping(self, params: bytes, now: int) -> Reply:
         return Reply(OK, bytes(self.image[0:2]) + bytes([self.firmware]))
@@ -253,10 +258,7 @@ class FakeDevice(Registers):
             self.set('ID', number)
         if params[0] == 0x02:
             self.set('Baud Rate', code)
-        if self.model.fields:
-            self.id = self.get('ID', number)
-        if params[0] != 0x02:
-            self.baud = BAUD_CODES[FACTORY['Baud Rate']]
+        self._take_address()
         self.restart(now)
         return Reply(OK)
 
@@ -268,13 +270,13 @@ class FakeDevice(Registers):
         return Reply(OK if params in _CLEAR_KEYS and not self.torque else RESULT_FAIL)
 
     def _on_backup(self, params: bytes, now: int) -> Reply:
-        store = _BACKUP_KEYS.get(params)
-        if store is None or self.torque or not self.has_fast_reads:
-            return Reply(INSTRUCTION if store is None or not self.has_fast_reads else RESULT_FAIL)
-        if store:
-            self._backup = bytes(self.image)
-        elif self._backup is None:
+        option = BACKUP_OPTIONS.get(params)
+        if option is None or not self.has_fast_reads:
+            return Reply(INSTRUCTION)
+        if self.torque or (option == RESTORE and self._backup is None):
             return Reply(RESULT_FAIL)
+        if self._backup is None or option == STORE:
+            self._backup = bytes(self.image)
         else:
             self.image[:] = self._backup
             self.restart(now)
@@ -294,13 +296,6 @@ _HANDLERS: dict[int, Callable[[FakeDevice, bytes, int], Reply]] = {
     Instruction.REBOOT: FakeDevice._on_reboot,
     Instruction.CLEAR: FakeDevice._on_clear,
     Instruction.CONTROL_TABLE_BACKUP: FakeDevice._on_backup,
-}
-_EFFECTS: dict[str, Callable[[FakeDevice, Field], None]] = {
-    'Torque Enable': FakeDevice._take_torque,
-    'ID': FakeDevice._take_id,
-    'Baud Rate': FakeDevice._take_baud,
-    'Baud Rate (Bus)': FakeDevice._take_baud,
-    'Goal Position': FakeDevice._take_goal,
 }
 
 

@@ -34,7 +34,7 @@ class Damage(Effect):
         if burst.data and self.concerns(burst.sender) and self.rng.random() < self.share:
             data, is_repaired = self.heard(bytearray(burst.data))
             burst.data = bytes(data)
-            burst.intact &= is_repaired and self.line.repairs_headers
+            burst.intact &= is_repaired and self.line.dialect is None
 
     def heard(self, data: bytearray) -> tuple[bytearray, bool]:
         """Return what arrives, and whether the framing repairs it: the first byte of a header."""

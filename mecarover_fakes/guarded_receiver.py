@@ -38,15 +38,16 @@ class GuardedReceiver(Receiver):
         super().overrun()
         self._deaf = False
 
-    def report(self, now: int) -> McuReport | None:
-        """Return what it says to the host, once a second and when its state changes."""
+    def says(self, now: int) -> str:
+        """Return its report to the host, once a second and when its state changes."""
         state, stamp = self._reported
         if state == self.state and now - stamp < _REPORT:
-            return None
+            return ''
         self._reported = self.state, now
         totals = self.totals
-        return McuReport(state=self.state, good=totals.frames, bad=totals.crc_err,
-                         refused=totals.refused, stops=totals.stops)
+        report = McuReport(state=self.state, good=totals.frames, bad=totals.crc_err,
+                           refused=totals.refused, stops=totals.stops)
+        return f'{report.line()}\r\n'
 
     def _call_back(self, stamp: int) -> None:
         frame, self._buffer = self._buffer, b''

@@ -13,10 +13,14 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from mecarover_fakes.fake_servo import FakeDevice
-from mecarover_fakes.fake_servo import Reply
 from mecarover_fakes.fake_servo import WATCHDOG_UNIT_NS
 from msg_defs import dxl1_packet
 from msg_defs.crc import crc16
+from msg_defs.dxl1_instruction import common_error
+from msg_defs.dxl1_instruction import Dialect
+from msg_defs.dxl1_instruction import in_common
+from msg_defs.dxl1_instruction import parse as parse_1
+from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import NAMES
@@ -52,9 +56,6 @@ class Burst:
         self.end = start + wire_ns(len(data), baud)
         self.intact = intact
         self.said = ((start, data),) * (sender == MASTER)
-
-    def __repr__(self) -> str:
-        return f'Burst({self.start}, {self.data.hex(" ")}, {self.sender})'
 
 
 class Answer(NamedTuple):
@@ -95,22 +96,22 @@ class Line:
     """
     A line at `baud` with devices in the order of the cable.
 
+    dialect: of the 1.0 family; None: Protocol 2.0.
+
     `waits_in_line`: a device in a Sync or Bulk Read answers only after the one before it did, so
     that all after a silent one stay silent too; else they answer after its slot.
     """
 
-    protocol = '2'                   # as model files call it
-    header = HEADER
-    repairs_headers = True           # a listener takes a packet whose first byte is damaged
-    pings_tell_model = True
-    status_size = 11                 # bytes of a status without parameters
-    addresses = 0x10000              # that an instruction can name
-
-    def __init__(self, devices: Iterable[FakeDevice], baud: int, *,
-                 waits_in_line: bool = True) -> None:
+    def __init__(self, devices: Iterable[FakeDevice], baud: int,
+                 dialect: Dialect | None = None, *, waits_in_line: bool = True) -> None:
         self.chain = list(devices)
         self.baud = baud
+        self.dialect = dialect
         self.waits_in_line = waits_in_line
+        self.protocol = dialect.protocol if dialect else '2'         # as model files call it
+        self.header = dxl1_packet.HEADER if dialect else HEADER
+        self.status_size = 6 if dialect else 11      # bytes of a status without parameters
+        self.addresses = 0x100 if dialect else 0x10000       # that an instruction can name
         self._heard_at = 0
         self._index()
 
@@ -143,46 +144,50 @@ class Line:
         """
         frame = self.instruction_wire(number, instruction, params, stuffed)
         asked = Burst(start, frame, MASTER, self.baud)
-        request = self.understood(instruction, number, params)
+        request = self.understood(number, instruction, params)
         exchange = Exchange(request, params, [asked], self._due(request), [])
         if heard:
             self._watch(asked.end)
             self._answer(exchange, asked.end)
         return exchange
 
-    # --- what is of Protocol 2.0 alone ------------------------------------------------------
+    # --- packets ---------------------------------------------------------------------------
 
     def instruction_wire(self, number: int, instruction: int, params: bytes,
                          stuffed: bool) -> bytes:
         """Return the bytes of an instruction on the wire."""
+        if self.dialect:
+            return dxl1_packet.encode(number, instruction, narrow(instruction, params))
         return encode(number, instruction, params, stuffed=stuffed)
 
     def status_wire(self, number: int, error: int, params: bytes) -> bytes:
         """Return the bytes of a status on the wire."""
+        if self.dialect:
+            return dxl1_packet.encode(number, error, params)
         return encode(number, STATUS, params, error)
 
-    def understood(self, instruction: int, number: int, params: bytes) -> Request:
+    def understood(self, number: int, instruction: int, params: bytes) -> Request:
         """Return what an instruction asks for."""
+        if self.dialect:
+            return parse_1(instruction, number, narrow(instruction, params), self.dialect)
         return parse(instruction, number, params)
 
     def knows(self, instruction: int) -> bool:
         """Tell whether there is such an instruction."""
-        return instruction in NAMES
+        return instruction in (self.dialect.entries if self.dialect else NAMES)
 
-    def common_error(self, error: int) -> int:
-        """Return the error byte of a status as 2.0 would say it."""
-        return error
-
-    def listener(self) -> AnyFramer:
+    def framer(self) -> AnyFramer:
         """Return what finds the instructions of a real master in its bytes."""
-        return Framer()
+        return dxl1_packet.Dxl1Framer() if self.dialect else Framer()
 
     def heard(self, frame: Frame) -> tuple[int, int, bytes, bool]:
         """Return a frame's ID, instruction, parameters, and whether it was stuffed."""
         number, code, params, flaw = frame[3:]
+        if self.dialect:
+            return number, code, in_common(code, number, params)[1], True
         return number, code, params, flaw is None or not flaw.unstuffed
 
-    # ---------------------------------------------------------------------------------------
+    # --- devices ---------------------------------------------------------------------------
 
     def _index(self) -> None:
         self._by_id: dict[int, list[FakeDevice]] = {}
@@ -217,65 +222,55 @@ class Line:
 
     def _answer(self, exchange: Exchange, now: int) -> None:
         request = exchange.request
-        if request.answers is Answers.EVERYBODY:
-            self._everybody(exchange, now)
-        elif request.answers is Answers.LISTED:
-            self._listed(exchange, now)
-        elif request.answers is Answers.COMBINED:
+        if request.answers is Answers.COMBINED:
             self._combined(exchange, now)
-        elif request.instruction in _LISTED_WRITES:
-            self._write_each(exchange, now)
-        elif request.id == BROADCAST:
-            self._all(exchange, now)
-        else:
-            self._single(exchange, now)
+        elif request.answers is Answers.LISTED or request.instruction in _LISTED_WRITES:
+            self._listed(exchange, now)
+        elif request.id != BROADCAST:
+            self._obey(exchange, self._hearing(request.id, now), now)
+        elif request.instruction != Instruction.FACTORY_RESET or exchange.params != b'\xff':
+            # The latter is ignored by firmware 42 and later.
+            for devices in [self._hearing(number, now) for number in sorted(self._by_id)]:
+                now = self._obey(exchange, devices, now)
 
-    def _single(self, exchange: Exchange, now: int) -> None:
-        request = exchange.request
-        for device in self._hearing(request.id, now):
+    def _obey(self, exchange: Exchange, devices: list[FakeDevice], now: int,
+              access: Access | None = None) -> int:
+        """Let devices do what they are asked for, and answer; return when they have."""
+        request, end = exchange.request, now
+        for device in devices:
             # Read the policy first: the instruction may change it, or take the device away.
-            delay = device.return_delay_ns
-            acknowledges = device.acknowledges(request.instruction)
-            alert = device.error_byte(0)
-            reply = device.execute(request.instruction, exchange.params, now)
-            if acknowledges:
-                self._send(exchange, request.id, reply.error | alert, reply.params, now + delay)
-            self._follow(device, request.id)
-
-    def _follow(self, device: FakeDevice, number: int) -> None:
-        if device.id != number:
-            self._index()
+            number, start, alert = device.id, now + device.return_delay_ns, device.error_byte(0)
+            answers = device.acknowledges(request.instruction)
+            if access is None:
+                reply = device.execute(request.instruction, exchange.params, now)
+            elif access.data is None:
+                reply = device.read(access.address, access.length, now)
+            else:
+                reply = device.write(access.address, access.data, now)
+            if answers and (request.id != BROADCAST or request.answers is not Answers.NONE):
+                error = reply.error | alert
+                end = max(end, self._send(exchange, number, error, reply.params, start))
+            if device.id != number:
+                self._index()
+        return end
 
     def _send(self, exchange: Exchange, number: int, error: int, params: bytes, start: int,
               wire: bytes = b'') -> int:
         """Put a status, or that part of a combined one, on the line; return when it ends."""
         burst = Burst(start, wire or self.status_wire(number, error, params), number, self.baud)
         exchange.bursts.append(burst)
-        exchange.answers.append(Answer(number, self.common_error(error), params, burst))
+        if self.dialect:
+            error = common_error(error, self.dialect)
+        exchange.answers.append(Answer(number, error, params, burst))
         return burst.end
-
-    def _reply(self, exchange: Exchange, device: FakeDevice, reply: Reply, now: int) -> int:
-        return self._send(exchange, device.id, device.error_byte(reply.error), reply.params,
-                          now + device.return_delay_ns)
-
-    def _everybody(self, exchange: Exchange, now: int) -> None:
-        for number in sorted(self._by_id):
-            end = now
-            for device in self._hearing(number, now):
-                reply = device.execute(Instruction.PING, b'', now)
-                end = max(end, self._reply(exchange, device, reply, now))
-            now = end
 
     def _listed(self, exchange: Exchange, now: int) -> None:
         for access in exchange.request.accesses:
-            devices = [device for device in self._hearing(access.id, now)
-                       if device.acknowledges(exchange.request.instruction)]
-            if not devices and self.waits_in_line:
-                return
-            end = now + (0 if devices else wire_ns(access.length + self.status_size, self.baud))
-            for device in devices:
-                reply = device.read(access.address, access.length, now)
-                end = max(end, self._reply(exchange, device, reply, now))
+            end = self._obey(exchange, self._hearing(access.id, now), now, access)
+            if end == now and access.data is None:
+                if self.waits_in_line:
+                    return
+                end += wire_ns(access.length + self.status_size, self.baud)
             now = end
 
     def _combined(self, exchange: Exchange, now: int) -> None:
@@ -296,21 +291,6 @@ class Line:
             start = now if position else now + device.return_delay_ns
             piece = (b'' if position else sent) + block + tail
             now = self._send(exchange, access.id, error, data, start, piece)
-
-    def _write_each(self, exchange: Exchange, now: int) -> None:
-        for access in exchange.request.accesses:
-            for device in self._hearing(access.id, now):
-                device.write(access.address, access.data or b'', now)
-                self._follow(device, access.id)
-
-    def _all(self, exchange: Exchange, now: int) -> None:
-        request = exchange.request
-        if request.instruction == Instruction.FACTORY_RESET and exchange.params == b'\xff':
-            return               # ignored by firmware 42 and later
-        for device in self.chain:
-            if device.hears(self.baud, now):
-                device.execute(request.instruction, exchange.params, now)
-        self._index()
 
 
 _LISTED_WRITES = (Instruction.SYNC_WRITE, Instruction.BULK_WRITE)
@@ -342,3 +322,18 @@ def _clash(first: Burst, second: Burst, baud: int) -> Burst:
     clash = Burst(first.start, bytes(both), STRAY, baud, intact=False)
     clash.said = first.said + second.said
     return clash
+
+
+def narrow(instruction: int, params: bytes) -> bytes:
+    """Return parameters of 2.0 with addresses and sizes as wide as those of 1.0."""
+    if len(params) < len(b'\0\0\0'):            # nothing, or what makes no sense
+        return params
+    if instruction in (Instruction.READ, Instruction.SYNC_READ, Instruction.SYNC_WRITE):
+        return params[:1] + params[2:3] + params[4:]
+    if instruction in (Instruction.WRITE, Instruction.REG_WRITE):
+        return params[:1] + params[2:]
+    if instruction == Instruction.BULK_READ:
+        return b'\0' + b''.join(bytes((params[at + 3], params[at], params[at + 1]))
+                                for at in range(0, len(params) - 4, 5))
+    return params
+

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 import random
 from typing import NamedTuple
 
@@ -48,26 +49,20 @@ class Arrival(NamedTuple):
     velocity: Vel2d | None
 
 
+@dataclass
 class Totals:
     """What the receiver counted since start."""
 
-    __slots__ = ('crc_err', 'frames', 'insufficient', 'overruns', 'queue_full', 'received',
-                 'refused', 'stops', 'taken', 'unheard')
-
-    def __init__(self) -> None:
-        self.received = 0          # bytes
-        self.frames = 0            # good ones
-        self.insufficient = 0      # callbacks with another count than 28
-        self.crc_err = 0
-        self.queue_full = 0
-        self.taken = 0             # set-points
-        self.overruns = 0
-        self.unheard = 0           # bytes after an overrun
-        self.refused = 0           # by a GuardedReceiver, as its stops
-        self.stops = 0
-
-    def as_dict(self) -> dict[str, int]:
-        return {name: getattr(self, name) for name in self.__slots__}
+    received: int = 0              # bytes
+    frames: int = 0                # good ones
+    insufficient: int = 0          # callbacks with another count than 28
+    crc_err: int = 0
+    queue_full: int = 0
+    taken: int = 0                 # set-points
+    overruns: int = 0
+    unheard: int = 0               # bytes after an overrun
+    refused: int = 0               # by a GuardedReceiver, as its stops
+    stops: int = 0
 
 
 class Receiver:
@@ -84,6 +79,7 @@ class Receiver:
         self._crc = crc
         self._buffer = b''
         self._deaf = False
+        self._words = ''
         self._good: deque[Arrival] = deque()         # on the line, not yet in the queue
         self._queue: deque[Vel2d] = deque()
         self._next_loop = start + LOOP
@@ -131,6 +127,11 @@ class Receiver:
         self._deaf = True
         self._buffer = b''
 
+    def says(self, now: int) -> str:
+        """Return what it sends to the host: as the firmware of the thesis, what it refuses."""
+        words, self._words = self._words, ''
+        return words
+
     def _notice_idle(self, now: int) -> None:
         if self._buffer and now - self.line_free >= self.character:
             self._call_back(self.line_free + self.character)
@@ -142,8 +143,10 @@ class Receiver:
         self.arrivals.append(arrival)
         if len(frame) != FRAME_SIZE:
             self.totals.insufficient += 1
+            self._words += 'insufficient bytes received\r\n'
         elif velocity is None:
             self.totals.crc_err += 1
+            self._words += 'crc mismatch!\r\n'
         else:
             self.totals.frames += 1
             self._good.append(arrival)

@@ -30,6 +30,8 @@ class Registers:
         self.image = bytearray(self.factory)
         self.eeprom = {at for field in model.fields if field.memory == 'eeprom'
                        for at in range(field.at, field.end)}
+        self.writable = {at for field in model.fields if field.access != 'r'
+                         for at in range(field.at, field.end)}
 
     def field(self, name: str) -> Field | None:
         """Return the register of that name, None where the model has none."""

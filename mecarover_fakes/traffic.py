@@ -11,9 +11,9 @@ and 3 of the thesis, `moving` follows the cycle of its robot trace.
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Iterable
 from collections.abc import Iterator
 from typing import NamedTuple
-from typing import TypeVar
 
 from dxl_monitor.model.control_table import Field
 from mecarover_fakes.fake_servo import FakeDevice
@@ -27,7 +27,6 @@ SLOW = 25                        # cycles between two looks at voltage and tempe
 IDLE_CYCLES = 100
 ROOM = 1000                      # bytes of parameters: a device's buffer is 1 KiB
 BLOCK = 4                        # error, ID and CRC of each device in a combined status
-T = TypeVar('T')
 
 
 class Ask(NamedTuple):
@@ -55,10 +54,8 @@ class Fleet:
     """The devices of a line as the master knows them: it looks up addresses once."""
 
     def __init__(self, line: Line) -> None:
-        self.knows = line.knows
-        self.pings_tell_model = line.pings_tell_model
+        self.line = line
         self.devices = list(line.chain)
-        self._addresses = line.addresses
         self.id_of = {device: device.id for device in self.devices}    # as it takes them for
         self.ids = tuple(self.id_of.values())
         self.servos = [device for device in self.devices if device.field('Goal Position')]
@@ -72,30 +69,31 @@ class Fleet:
             groups: dict[tuple[int, int], list[int]] = {}
             for device in self.devices:
                 fields = [field for name in names if (field := device.field(name)) is not None
-                          and field.at < self._addresses]
+                          and field.at < self.line.addresses]
                 if fields:
                     first, end = min(f.at for f in fields), max(f.end for f in fields)
                     groups.setdefault((first, end - first), []).append(self.id_of[device])
             self._spans[names] = [CommonRange(*place, tuple(ids)) for place, ids in groups.items()]
         return self._spans[names]
 
-    def read(self, span: CommonRange) -> Iterator[Ask]:
-        """Read the same registers of several devices, one by one where there is no Sync Read."""
-        if self.knows(Instruction.SYNC_READ):
-            return sync_read(span)
-        return (read(number, span.address, span.length) for number in span.ids)
+    def read(self, *names: str) -> Iterator[Ask]:
+        """Read these registers of all, one by one where there is no Sync Read."""
+        for span in self.spans(*names):
+            if self.line.knows(Instruction.SYNC_READ):
+                yield from sync_read(span)
+            else:
+                yield from (read(number, span.address, span.length) for number in span.ids)
 
-    def goals(self, now: int) -> list[tuple[Field, list[tuple[int, bytes]]]]:
-        """Return each servo's Goal Position, devices with equal addresses together."""
-        groups: dict[tuple[int, int], tuple[Field, list[tuple[int, bytes]]]] = {}
+    def goals(self, now: int) -> dict[tuple[int, int], list[tuple[int, bytes]]]:
+        """Return the servos' Goal Positions, by its address and size."""
+        found: dict[tuple[int, int], list[tuple[int, bytes]]] = {}
         for device in self.servos:
             number = self.id_of[device]
-            if number in self.unwritten or device.motion is None:
-                continue
-            field = device.model.by_name['Goal Position']
-            data = pack(field, device.motion.angle(now * 1e-9 + LOOK_AHEAD_S))
-            groups.setdefault((field.at, field.size), (field, []))[1].append((number, data))
-        return list(groups.values())
+            if number not in self.unwritten and device.motion is not None:
+                field = device.model.by_name['Goal Position']
+                data = pack(field, device.motion.angle(now * 1e-9 + LOOK_AHEAD_S))
+                found.setdefault((field.at, field.size), []).append((number, data))
+        return found
 
 
 def words(*numbers: int) -> bytes:
@@ -128,53 +126,49 @@ def write_register(device: FakeDevice, name: str, data: bytes) -> Iterator[Ask]:
 
 
 def sync_read(span: CommonRange, instruction: int = Instruction.SYNC_READ) -> Iterator[Ask]:
-    """Ask several devices for the same registers, in as few packets as the answers fit."""
-    for ids in _batches(list(span.ids), lambda number: span.length + BLOCK):
-        yield Ask(BROADCAST, instruction, words(span.address, span.length) + bytes(ids))
+    """Ask several devices for the same registers."""
+    return _to_many(instruction, words(span.address, span.length),
+                    ((bytes([number]), span.length + BLOCK) for number in span.ids))
 
 
 def sync_write(address: int, data: list[tuple[int, bytes]]) -> Iterator[Ask]:
-    """Write the same registers of several devices, in as few packets as they fit."""
-    for batch in _batches(data, lambda entry: len(entry[1]) + 1):
-        yield Ask(BROADCAST, Instruction.SYNC_WRITE, words(address, len(batch[0][1]))
-                  + b''.join(bytes([number]) + content for number, content in batch))
+    """Write the same registers of several devices."""
+    return _to_many(Instruction.SYNC_WRITE, words(address, len(data[0][1])),
+                    ((bytes([number]) + content, len(content) + 1) for number, content in data))
 
 
 def bulk_read(spans: list[CommonRange], instruction: int = Instruction.BULK_READ) -> Iterator[Ask]:
-    """Ask several devices, each for its own registers, in as few packets as they fit."""
-    entries = [(bytes([number]) + words(span.address, span.length), span.length + BLOCK)
-               for span in spans for number in span.ids]
-    for batch in _batches(entries, lambda entry: max(entry[1], len(entry[0]))):
-        yield Ask(BROADCAST, instruction, b''.join(asked for asked, _ in batch))
+    """Ask several devices, each for its own registers."""
+    entries = ((bytes([number]) + words(span.address, span.length), span.length + BLOCK)
+               for span in spans for number in span.ids)
+    return _to_many(instruction, b'', entries)
 
 
-def _batches(items: list[T], size: Callable[[T], int]) -> Iterator[list[T]]:
-    """Yield the items in batches, each no larger than a packet takes."""
-    batch: list[T] = []
-    room = ROOM
-    for item in items:
-        if size(item) > room:
-            yield batch
-            batch, room = [], ROOM
-        batch.append(item)
-        room -= size(item)
-    if batch:
-        yield batch
-
-
-def bulk_write(data: list[tuple[int, int, bytes]]) -> Iterator[Ask]:
+def bulk_write(data: Iterable[tuple[int, int, bytes]]) -> Iterator[Ask]:
     """Write several devices, each its own registers (id, address, data)."""
-    entries = [bytes([number]) + words(address, len(content)) + content
-               for number, address, content in data]
-    for batch in _batches(entries, len):
-        yield Ask(BROADCAST, Instruction.BULK_WRITE, b''.join(batch))
+    entries = (bytes([number]) + words(address, len(content)) + content
+               for number, address, content in data)
+    return _to_many(Instruction.BULK_WRITE, b'', ((entry, len(entry)) for entry in entries))
+
+
+def _to_many(instruction: int, head: bytes, entries: Iterable[tuple[bytes, int]]) -> Iterator[Ask]:
+    """Ask many devices, with (parameters, bytes that they or the answer take) for each."""
+    params, room = head, ROOM
+    for entry, size in entries:
+        if size > room:
+            yield Ask(BROADCAST, instruction, params)
+            params, room = head, ROOM
+        params += entry
+        room -= size
+    if params != head:
+        yield Ask(BROADCAST, instruction, params)
 
 
 def start_up(fleet: Fleet, clock: Clock) -> Iterator[Ask]:
     """Do what a robot's master does first: look who is there, switch the torque on."""
     for device, number in fleet.id_of.items():
         yield Ask(number, Instruction.PING)
-        if not fleet.pings_tell_model:
+        if fleet.line.dialect:     # its Ping does not say which model it is
             yield read(number, device.model.by_name['Model Number'].at, 2)
     for device in fleet.servos:
         field = device.field('Torque Enable')
@@ -185,35 +179,31 @@ def start_up(fleet: Fleet, clock: Clock) -> Iterator[Ask]:
 
 def moving(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
     """Walk like the robot of the trace: positions, one board after the other, goals."""
-    for span in fleet.spans('Present Position', 'Present Velocity', 'Present Current'):
-        yield from fleet.read(span)
+    yield from fleet.read('Present Position', 'Present Velocity', 'Present Current')
     if fleet.boards:
-        yield _read_board(fleet.boards[cycle % len(fleet.boards)])
+        board = _sensor_span(fleet.boards[cycle % len(fleet.boards)])
+        yield read(board.ids[0], board.address, board.length)
     yield from _goals(fleet, clock)
     if cycle % SLOW == 1:
-        for span in fleet.spans('Present Input Voltage', 'Present Temperature'):
-            yield from fleet.read(span)
+        yield from fleet.read('Present Input Voltage', 'Present Temperature')
     if cycle % SLOW == 2:
-        for span in fleet.spans('Hardware Error Status'):
-            yield from fleet.read(span)
+        yield from fleet.read('Hardware Error Status')
 
 
 def sync(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
     """Sync Read of positions and Sync Write of goals, nothing else."""
-    for span in fleet.spans('Present Position'):
-        yield from fleet.read(span)
+    yield from fleet.read('Present Position')
     yield from _goals(fleet, clock)
 
 
 def bulk(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
     """Bulk Read of positions and boards, Bulk Write (in 1.0 Sync Write) of goals."""
     yield from bulk_read(_everything(fleet))
-    if not fleet.knows(Instruction.BULK_WRITE):
+    if not fleet.line.knows(Instruction.BULK_WRITE):
         yield from _goals(fleet, clock)
         return
-    goals = [(number, field.at, content) for field, data in fleet.goals(clock())
-             for number, content in data]
-    yield from bulk_write(goals)
+    yield from bulk_write((number, at, content) for (at, _), data in fleet.goals(clock()).items()
+                          for number, content in data)
 
 
 def fast(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
@@ -228,12 +218,11 @@ def fast(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
 
 def registered(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
     """Goals by Reg Write to each servo, then one Action for all."""
-    for field, data in fleet.goals(clock()):
+    for (at, _), data in fleet.goals(clock()).items():
         for number, content in data:
-            yield Ask(number, Instruction.REG_WRITE, words(field.at) + content)
+            yield Ask(number, Instruction.REG_WRITE, words(at) + content)
     yield Ask(BROADCAST, Instruction.ACTION)
-    for span in fleet.spans('Present Position'):
-        yield from fleet.read(span)
+    yield from fleet.read('Present Position')
 
 
 def read_write(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
@@ -252,7 +241,7 @@ def read_write(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
         yield from bulk_read([own])
         field = _harmless(device)
         if field is not None:
-            data = bytes(device.image[field.at:field.end])
+            data = device.bytes_in(field)
             yield write(device.id, field.at, data)
             yield from sync_write(field.at, [(device.id, data)])
             yield from bulk_write([(device.id, field.at, data)])
@@ -295,21 +284,15 @@ def none(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
 
 
 def _goals(fleet: Fleet, clock: Clock) -> Iterator[Ask]:
-    for field, data in fleet.goals(clock()):
-        yield from sync_write(field.at, data)
-
-
-def _read_board(device: FakeDevice) -> Ask:
-    span = _sensor_span(device)
-    return read(device.id, span.address, span.length)
+    for (at, _), data in fleet.goals(clock()).items():
+        yield from sync_write(at, data)
 
 
 def _sensor_span(device: FakeDevice) -> CommonRange:
     """Return what there is to read from a board: all after its writable head."""
     fields = [field for field in device.model.fields if field.access == 'r' and field.at > 6]
-    if not fields:
-        return CommonRange(0, 3, (device.id,))
-    return CommonRange(fields[0].at, fields[-1].end - fields[0].at, (device.id,))
+    begin, end = (fields[0].at, fields[-1].end) if fields else (0, 3)
+    return CommonRange(begin, end - begin, (device.id,))
 
 
 def _everything(fleet: Fleet) -> list[CommonRange]:
@@ -317,11 +300,8 @@ def _everything(fleet: Fleet) -> list[CommonRange]:
         _sensor_span(device) for device in fleet.devices if not device.field('Present Position')]
 
 
-PATTERNS: dict[str, Pattern] = {
-    'moving': moving, 'sync': sync, 'bulk': bulk, 'fast': fast, 'registered': registered,
-    'read_write': read_write, 'ping': ping, 'broadcast': broadcast, 'idle': idle,
-    'mixed': mixed, 'none': none,
-}
+PATTERNS: dict[str, Pattern] = {one.__name__: one for one in (
+    moving, sync, bulk, fast, registered, read_write, ping, broadcast, idle, mixed, none)}
 # What a master can ask that has no more than the instructions of the 1.0 family.
 FAMILY_1 = {'1': ('moving', 'sync', 'bulk', 'registered', 'broadcast', 'idle', 'none'),
             'feetech': ('moving', 'sync', 'registered', 'broadcast', 'idle', 'none')}

@@ -90,7 +90,6 @@ class FakeAdapter:
 
     def __init__(self, family: str, transfer_size: int = 512, has_events: bool = False) -> None:
         self._family = FAMILIES[family]
-        self._status = self._family.status
         self._transfer_size = transfer_size
         self._has_events = has_events
         self._number = 0xFFFF_8880_0000_0000
@@ -104,63 +103,59 @@ class FakeAdapter:
                              for address in one.endpoints)
         body = struct.pack('<BBBBBBBBB', 9, 4, 0, 0, 2, one.interface_class, 0, 0, 0) + endpoints
         whole = struct.pack('<BBHBBBBB', 9, 2, 9 + len(body), 1, 1, 0, 0x80, 50) + body
-        return (self._ask(_setup(0x80, 6, 0x100, 0, 18), device, stamp)
-                + self._ask(_setup(0x80, 6, 0x200, 0, len(whole)), whole, stamp))
+        return b''.join(self._request(_setup(0x80, 6, kind << 8, 0, len(answer)), stamp,
+                                      answer=answer)
+                        for kind, answer in ((1, device), (2, whole)))
 
     def set_baud(self, baud: int, stamp: int) -> bytes:
         """Have the master set its rate, as when it opens the port."""
-        found = b''.join(self._tell(setup, data, stamp)
-                         for setup, data in self._family.set_baud(baud))
+        requests = self._family.set_baud(baud)
         if self._has_events:
-            found += self._tell(_setup(0x41, 0x15, _CP210X_ESCAPE, 0), b'', stamp)
-        return found
+            requests.append((_setup(0x41, 0x15, _CP210X_ESCAPE, 0), b''))
+        return b''.join(self._request(setup, stamp, data) for setup, data in requests)
 
     def sent(self, data: bytes, stamp: int) -> bytes:
         """Tell of bytes that the master wrote."""
-        endpoint = self._family.endpoints[1]
-        return self._event(_SUBMIT, _BULK, endpoint, stamp, _IN_PROGRESS, data, last=False) \
-            + self._event(_DONE, _BULK, endpoint, stamp, 0, b'', size=len(data))
+        return self._request(b'', stamp, data)
 
     def received(self, data: bytes, stamp: int) -> bytes:
         """Tell of bytes that came from the bus, in as many transfers as they need."""
         if self._has_events:
             data = data.replace(bytes([_CP210X_ESCAPE]), bytes([_CP210X_ESCAPE, 0]))
-        if self._status:
-            packet = min(self._family.packet_size, self._transfer_size)
-            size = max(1, packet - len(self._status))
-            packets = [self._status + data[at:at + size] for at in range(0, len(data), size)]
-            count = max(1, self._transfer_size // self._family.packet_size)
-            rows = [b''.join(packets[at:at + count]) for at in range(0, len(packets), count)]
-        else:
-            size = self._transfer_size
-            rows = [data[at:at + size] for at in range(0, len(data), size)]
-        return b''.join(self._event(_DONE, _BULK, self._family.endpoints[0], stamp, 0, row)
-                        for row in rows)
+        status = self._family.status
+        packet = min(self._family.packet_size, self._transfer_size)
+        size = max(1, packet - len(status))
+        packets = [status + data[at:at + size] for at in range(0, len(data), size)]
+        count = self._transfer_size // packet
+        return b''.join(self._handed(b''.join(packets[at:at + count]), stamp)
+                        for at in range(0, len(packets), count))
 
     def idle(self, stamp: int) -> bytes:
         """Tell of a transfer without bytes of the line: what a latency timer sends."""
-        return self._event(_DONE, _BULK, self._family.endpoints[0], stamp, 0, self._status)
+        return self._handed(self._family.status, stamp)
 
     def unplug(self, stamp: int) -> bytes:
         """Tell of what ends a transfer when the adapter is pulled out."""
-        return self._event(_DONE, _BULK, self._family.endpoints[0], stamp, _SHUT_DOWN, b'')
+        return self._handed(b'', stamp, _SHUT_DOWN)
 
-    def _ask(self, setup: bytes, answer: bytes, stamp: int) -> bytes:
-        return self._event(_SUBMIT, _CONTROL, 0x80, stamp, _IN_PROGRESS, b'', setup, last=False) \
-            + self._event(_DONE, _CONTROL, 0x80, stamp, 0, answer)
+    def _handed(self, data: bytes, stamp: int, status: int = 0) -> bytes:
+        """Return what a transfer to the host ends with."""
+        return self._event(_DONE, _BULK, self._family.endpoints[0], stamp, status, data)
 
-    def _tell(self, setup: bytes, data: bytes, stamp: int) -> bytes:
-        return self._event(_SUBMIT, _CONTROL, 0, stamp, _IN_PROGRESS, data, setup, last=False) \
-            + self._event(_DONE, _CONTROL, 0, stamp, 0, b'', size=len(data))
+    def _request(self, setup: bytes, stamp: int, data: bytes = b'', answer: bytes = b'') -> bytes:
+        """Return begin and end of a transfer from the host; setup: of a control request."""
+        kind = _CONTROL if setup else _BULK
+        endpoint = setup[0] & 0x80 if setup else self._family.endpoints[1]
+        return self._event(_SUBMIT, kind, endpoint, stamp, _IN_PROGRESS, data, setup) \
+            + self._event(_DONE, kind, endpoint, stamp, 0, answer, size=len(data or answer))
 
     def _event(self, kind: int, transfer: int, endpoint: int, stamp: int, status: int,
-               data: bytes, setup: bytes = b'', size: int | None = None,
-               last: bool = True) -> bytes:
-        """Return an event; last: no more comes of this transfer."""
+               data: bytes, setup: bytes = b'', size: int | None = None) -> bytes:
+        """Return an event; the number of a transfer is free again after its end."""
         seconds, ns = divmod(stamp, 1_000_000_000)
         data_flag = _DATA_FOLLOW if data else ord('<' if endpoint & 0x80 else '>')
         head = _HEAD.pack(self._number, kind, transfer, endpoint, DEVICE, BUS,
                           0 if setup else _NO_SETUP, data_flag, seconds, ns // 1000, status,
                           len(data) if size is None else size, len(data), setup, 0, 0, 0, 0)
-        self._number += 0x100 if last else 0
+        self._number += 0x100 * (kind == _DONE)
         return head + data

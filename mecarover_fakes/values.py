@@ -17,13 +17,6 @@ from dxl_monitor.model.control_table import Field
 from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.control_table import STRUCTS
 
-RANGES = {'u8': (0, 0xFF), 'i8': (-0x80, 0x7F), 'u16': (0, 0xFFFF), 'i16': (-0x8000, 0x7FFF),
-          'u32': (0, 0xFFFFFFFF), 'i32': (-0x80000000, 0x7FFFFFFF)}
-
-# Baud Rate register -> bit/s (e-Manual; XL-320 has 0 to 3 alike)
-BAUD_CODES = {0: 9600, 1: 57600, 2: 115200, 3: 1000000, 4: 2000000, 5: 3000000, 6: 4000000,
-              7: 4500000}
-
 # Raw, as the maker ships them (e-Manual, MX(2.0) and X); other registers begin at 0.
 FACTORY = {
     'ID': 1, 'Baud Rate': 1, 'Return Delay Time': 250, 'Operating Mode': 3, 'Secondary ID': 255,
@@ -33,6 +26,15 @@ FACTORY = {
     'Status Return Level': 2, 'Velocity I Gain': 1920, 'Velocity P Gain': 100,
     'Position P Gain': 850, 'Goal PWM': 885, 'Goal Velocity': 285, 'Goal Current': 2047,
     'Power': 1, 'Power On': 1000,
+}
+# What other protocols have instead (e-Manual, AX and MX(1.0); Feetech, an STS).
+_FACTORY_OF: dict[str, dict[str, int]] = {
+    '2': {},
+    '1': {'Max Voltage Limit': 140, 'Min Voltage Limit': 60, 'Return Delay Time': 0,
+          'Shutdown': 36, 'Alarm LED': 36},
+    'feetech': {'Baud Rate': 0, 'Status Return Level': 1, 'Return Delay Time': 0, 'Lock': 1,
+                'Phase': 12, 'Max Voltage Limit': 140, 'Min Voltage Limit': 40,
+                'Operating Mode': 0},
 }
 
 VOLTAGE = 12.0
@@ -80,13 +82,14 @@ def pack(field: Field, value: float) -> bytes:
 
 def pack_raw(field: Field, number: float) -> bytes:
     """Return the bytes of a register for a raw number, limited to its range."""
-    if field.type in RANGES:
-        low, high = RANGES[field.type]
-        if field.sign_bit is not None and number < 0:      # direction and magnitude apart
-            number = min(round(-number), (1 << field.sign_bit) - 1) | 1 << field.sign_bit
-        raw = STRUCTS[field.type].pack(min(max(round(number), low), high))
-        return raw if field.byte_order == 'little' else raw[::-1]
-    return STRUCTS[field.type].pack(number if field.type[0] == 'f' else round(number))
+    if field.type[0] == 'f':
+        return STRUCTS[field.type].pack(number)
+    if field.sign_bit is not None and number < 0:      # direction and magnitude apart
+        number = min(round(-number), (1 << field.sign_bit) - 1) | 1 << field.sign_bit
+    signed = field.type[0] == 'i'
+    end = 1 << 8 * field.size - signed
+    return min(max(round(number), -end * signed), end - 1).to_bytes(
+        field.size, field.byte_order, signed=signed)
 
 
 # The second figure replaces a unit where the model file leaves the register raw.
@@ -151,13 +154,16 @@ def _sensor(field: Field) -> Callable[[LiveState], bytes] | None:
 def initial_image(model: Model, firmware: int, size: int) -> bytearray:
     """Return the control table as it leaves the factory."""
     image = bytearray(size)
-    for name, number in (FACTORY | {'Firmware Version': firmware}).items():
+    number = model.number or 0
+    if model.protocol == '2':           # what a Ping is answered with
+        image[0:2] = number.to_bytes(2, 'little')
+    numbers = {'Model Number': number, 'Firmware Version': firmware}
+    for name, raw in (FACTORY | numbers | _FACTORY_OF[model.protocol]).items():
         field = model.by_name.get(name)
         if field is not None:
-            image[field.at:field.end] = pack_raw(field, number)
+            image[field.at:field.end] = pack_raw(field, raw)
     for address, data, count in model.indirect:         # each points at its own data byte
         for index in range(count):
             at = address + 2 * index
             image[at:at + 2] = (data + index).to_bytes(2, 'little')
-    image[0:2] = (model.number or 0).to_bytes(2, 'little')
     return image

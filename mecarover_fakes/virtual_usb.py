@@ -43,10 +43,6 @@ class VirtualUsb:
         """Tell of bytes that came from the bus."""
         self._tell(self._adapter.received(data, time.time_ns()))
 
-    def unplug(self) -> None:
-        """Tell that the adapter is pulled out."""
-        self._tell(self._adapter.unplug(time.time_ns()))
-
     def _tell(self, events: bytes) -> None:
         self._accept()
         for reader, pending in list(self._readers.items()):

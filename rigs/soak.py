@@ -28,7 +28,6 @@ from typing import NamedTuple
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from mecarover_fakes.fake_mcu import FakeMcu
 from rigs.cable import Cable
 from rigs.harness import Child
 from rigs.harness import family
@@ -36,6 +35,7 @@ from rigs.harness import Figure
 from rigs.harness import Options
 from rigs.harness import own_mb
 from rigs.harness import ros_environment
+from rigs.running_mcu import RunningMcu
 from rigs.soak_drive import Driver
 from rigs.soak_watch import IDS
 from rigs.soak_watch import Machine
@@ -99,7 +99,7 @@ class _Soak:
     def __init__(self, stack: ExitStack, env: dict[str, str]) -> None:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         self._chance = random.Random(SEED)
-        self._mcu = stack.enter_context(FakeMcu(str(folder / 'mcu')).running())
+        self._mcu = stack.enter_context(RunningMcu(str(folder / 'mcu')).running())
         stack.enter_context(Child('mecarover_fakes.fake_bus', '--link', str(folder / 'bus'),
                                   '--devices', DEVICES, '--pattern', 'moving', env=env)).line()
         self._cables = [

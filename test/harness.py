@@ -14,9 +14,9 @@ import sys
 import threading
 import time
 
-from mecarover_fakes.fake_mcu import FakeMcu
 from rigs.harness import children
 from rigs.harness import state
+from rigs.running_mcu import RunningMcu
 
 ROOT = Path(__file__).parents[1]
 MODULES = {'vel2d_bridge': 'vel2d_bridge.main', 'dxl_monitor': 'dxl_monitor.start'}     # nodes
@@ -201,17 +201,8 @@ def bridge(mcu, *ros_arguments, script=None, prefix=(), **parameters):
                    script=script, prefix=prefix)
 
 
-class Mcu(FakeMcu):
-    """A fake MCU that keeps every set-point it takes; frames are in `arrivals`."""
-
-    def __init__(self, *arguments, **options):
-        super().__init__(*arguments, **options)
-        self.set_points = []
-
-    def pump(self, timeout_s):
-        taken = super().pump(timeout_s)
-        self.set_points += taken
-        return taken
+class Mcu(RunningMcu):
+    """A fake MCU as tests ask it; frames are in `arrivals`."""
 
     @property
     def arrivals(self):

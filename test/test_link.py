@@ -19,6 +19,7 @@ from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
+from rigs.running_mcu import RunningMcu
 from vel2d_bridge.bridge_status import link_status
 from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate
@@ -57,7 +58,7 @@ def linked(path, settings=None, **options):
 
 @pytest.fixture
 def mcu(tmp_path):
-    with FakeMcu(str(tmp_path / 'mcu')).running() as mcu:
+    with RunningMcu(str(tmp_path / 'mcu')).running() as mcu:
         yield mcu
 
 
@@ -170,7 +171,7 @@ def test_a_port_that_is_absent_is_opened_when_it_comes(tmp_path):
         assert problem.kind == 'absent'
         assert problem.reason
         assert problem.remedy
-        with FakeMcu(path).running() as mcu:
+        with RunningMcu(path).running() as mcu:
             drive(link, mcu)
             assert link.state().problem is None
 

@@ -20,8 +20,8 @@ from harness import LATE_S
 from harness import wait
 import pytest
 
-from mecarover_fakes.fake_mcu import FakeMcu
 from rigs.harness import family
+from rigs.running_mcu import RunningMcu
 
 ROOT = Path(__file__).parents[1]
 INSIDE = ['unshare', '--pid', '--fork', '--mount-proc', '--kill-child']
@@ -77,7 +77,7 @@ def named(process, text):
 
 @pytest.fixture
 def mcu(tmp_path):
-    with FakeMcu(str(tmp_path / 'mcu')).running() as mcu:
+    with RunningMcu(str(tmp_path / 'mcu')).running() as mcu:
         yield mcu
 
 

@@ -12,9 +12,8 @@ import threading
 import time
 import tty
 
-from mecarover_fakes.fake_mcu import FakeMcu
-from mecarover_fakes.receiver import SetPoint
 from msg_defs.vel2d import FRAME_SIZE
+from rigs.running_mcu import RunningMcu
 
 READ_SIZE = 65_536
 IDLE_S = 0.004          # a UART is silent for so long behind a frame only
@@ -91,17 +90,8 @@ class Lead:
             self._adapter.setblocking(False)
 
 
-class Mcu(FakeMcu):
-    """A fake MCU that keeps every set-point it takes."""
-
-    def __init__(self, baud: int = 115_200) -> None:
-        super().__init__(baud=baud)
-        self.set_points: list[SetPoint] = []
-
-    def pump(self, timeout_s: float) -> list[SetPoint]:
-        taken = super().pump(timeout_s)
-        self.set_points += taken
-        return taken
+class Mcu(RunningMcu):
+    """A fake MCU at the end of a cable."""
 
     def has_taken(self, handed: int) -> bool:
         """Tell whether all of the bytes that were handed on are taken, its queue empty."""

@@ -1,0 +1,60 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A fake MCU in a thread, for tests and rigs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import threading
+from typing import Any
+
+from mecarover_fakes.fake_mcu import FakeMcu
+from mecarover_fakes.receiver import SetPoint
+
+PUMP_S = 0.01
+
+
+class RunningMcu(FakeMcu):
+    """A fake MCU that keeps every set-point it takes; `running` pumps it in a thread."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.set_points: list[SetPoint] = []
+        self._lock = threading.RLock()               # the thread pumps, the test unplugs
+
+    def pump(self, timeout_s: float) -> list[SetPoint]:
+        with self._lock:
+            taken = super().pump(timeout_s)
+        self.set_points += taken
+        return taken
+
+    def say(self, text: bytes) -> None:
+        with self._lock:
+            super().say(text)
+
+    def vanish(self) -> None:
+        with self._lock:
+            super().vanish()
+
+    def come_back(self) -> None:
+        with self._lock:
+            super().come_back()
+
+    @contextmanager
+    def running(self) -> Iterator[RunningMcu]:
+        """Pump in a thread; leaving ends it and closes the pty."""
+        done = threading.Event()
+
+        def loop() -> None:
+            while not done.is_set():
+                self.pump(PUMP_S)
+
+        thread = threading.Thread(target=loop, name='fake_mcu')
+        thread.start()
+        try:
+            yield self
+        finally:
+            done.set()
+            thread.join()
+            self.close()
