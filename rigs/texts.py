@@ -42,7 +42,11 @@ def place(value: str) -> str:
 
 
 def python_texts(node: ast.AST) -> Iterator[str]:
-    """Yield the strings of a module, f-strings as one: no docstrings, no keys of dicts."""
+    """Yield the strings of a module, f-strings as one: no docstrings, keys only of figures."""
+    if isinstance(node, ast.Call) and ast.unparse(node.func) == 'Claim':
+        for one in ast.walk(node):
+            for key in filter(None, one.keys if isinstance(one, ast.Dict) else ()):
+                yield from python_texts(key)
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         yield node.value
     elif isinstance(node, ast.JoinedStr):

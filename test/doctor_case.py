@@ -122,7 +122,7 @@ def speaks_from_its_edge_on(rule: str, enough: dict[str, Any], message: str,
     of = {name: enough.pop(name, usual) for name, usual in (
         ('whom', None if rule in OF_THE_BUS else 1), ('level', None), ('covers', ()))}
     [claim] = claims(rule, **enough)
-    assert (claim.message, dict(claim.figures)) == (message, figures)
+    assert (claim.message, dict(claim.evidence)) == (message, figures)
     assert (claim.device, claim.level, claim.covers) == tuple(of.values())
     for less in too_little:
         assert claims(rule, **{**enough, **less}) == [], less

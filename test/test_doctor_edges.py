@@ -659,7 +659,7 @@ def test_three_that_are_near_a_limit_are_the_supply(volts: tuple[int, ...], leve
                for number, raw in enumerate(volts, 1)]
     assert [one.device for one in claims('voltage', devices=devices[:2])] == [1, 2]
     found = claims('voltage', devices=devices)[-1]
-    assert (found.device, found.level, found.figures) == (
+    assert (found.device, found.level, found.evidence) == (
         None, level, (('devices', '001, 002, 003'),))
     assert found.message.startswith('3 devices near or beyond a voltage limit')
 

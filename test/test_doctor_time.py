@@ -502,7 +502,7 @@ def test_one_instruction_of_two_loops_is_two_programs_where_packets_collide() ->
     assert two_clocks() == [Doubt(None, words + 'one with two timers')]
     assert two_clocks(cycles=(asks(I.READ, 3),), protocol='Dynamixel 2.0', notes=CLASHES) == [
         Claim(None, words + 'two threads without a lock; let only one ask',
-              (('damaged packets', '3'),))]
+              {'damaged packets': 3})]
 
 
 @pytest.mark.parametrize(('other_ms', 'blur_ms', 'is_told'), [
@@ -530,7 +530,7 @@ def test_a_cycle_that_was_regular_and_is_not(gaps: list[float], parts: dict[str,
     cycle = every(gaps)
     found = told('jitter', **{'rhythms': rhythms((cycle,), NOW, 1_000_000),
                               'steady': {key_of(cycle)}, **parts})
-    assert [dict(one.figures) for one in found] == [
+    assert [dict(one.evidence) for one in found if isinstance(one, Claim)] == [
         {'spread': '0.67', 'cycle (ms)': '20.0 to 40.0, usually 30.0'}] * is_told
 
 

@@ -153,7 +153,7 @@ def _explains(rule: str, by: Claim, name: str, claim: Claim) -> bool:
 
 def _finding(rule: Rule, claim: Claim) -> Finding:
     level = rule.level if claim.level is None else claim.level
-    return Finding(rule.name, level, claim.device, claim.message, claim.figures)
+    return Finding(rule.name, level, claim.device, claim.message, claim.evidence)
 
 
 def _with(case: Case, findings: tuple[Finding, ...],

@@ -160,10 +160,10 @@ class Case:
         stamps = [one.stamp for kind in _DAMAGE for one in self._seen.get(kind, ())]
         return (max(stamps) - min(stamps)) / S if stamps else 0.0
 
-    def looks_like(self, device: int | None = None) -> tuple[tuple[str, str], ...]:
-        """Return what the damage of a device or of all looks like, as a figure; () if unclear."""
+    def looks_like(self, device: int | None = None) -> dict[str, str]:
+        """Return what the damage of a device or of all looks like, as a figure; {} if unclear."""
         said = look([one for one in self.wrecks if device in (None, one.device)])
-        return (('looks like', said),) if said else ()
+        return {'looks like': said} if said else {}
 
     @cached_property
     def spoilt(self) -> int:

@@ -75,7 +75,7 @@ def _eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
             name = device.model.by_address[address].name
             return Claim(device.id, f'write to {name} ({address}) refused {count} times: EEPROM '
                          'cannot be written while the torque is on; switch it off first',
-                         (('refused', str(count)),))
+                         {'refused': count})
     return None
 
 
@@ -89,7 +89,7 @@ def _goal_limits(case: Case, device: DeviceReport) -> Found | None:
             name = field.name if field else f'address {address}'
             return Claim(device.id, f'{count} values for {name} refused, beyond its limits: keep '
                          'goals within these, or set wider ones (as Max Position Limit)',
-                         (('refused', str(count)),))
+                         {'refused': count})
     return None
 
 
@@ -102,7 +102,7 @@ def _wrong_address(case: Case, device: DeviceReport) -> Found | None:
         if count >= FEW:
             return Claim(device.id, f'address {address} refused {count} times '
                          f'({error_text(error)}): {_what_is_there(device, address, error)}',
-                         (('refused', str(count)),))
+                         {'refused': count})
     return None
 
 
@@ -124,7 +124,7 @@ def _eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
     hours = 100_000 / (count / 10) / 3600
     return Claim(device.id, f'EEPROM written {count} times in 10 s: it lasts about 100 000 '
                  f'writes, {hours:.1f} hours at this rate; write only what changes',
-                 (('writes in 10 s', str(count)),))
+                 {'writes in 10 s': count})
 
 
 def _no_acks(case: Case, device: DeviceReport) -> Found | None:
@@ -168,7 +168,7 @@ def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
     after = cycle.ids[cycle.ids.index(device.id):]
     return Claim(device.id, f'answers, but never a fast read ({device.model_name}{firmware}), so '
                  'devices after it are never read: update it or use plain Sync Read',
-                 (('fast reads', str(cycle.asked)),), covers=tuple(after))
+                 {'fast reads': cycle.asked}, covers=tuple(after))
 
 
 def _sync_reads(case: Case) -> Iterator[Found]:
@@ -181,7 +181,7 @@ def _sync_reads(case: Case) -> Iterator[Found]:
         if cycle.instruction == Instruction.SYNC_READ and asked >= FEW and answered >= FEW:
             yield Claim(None, 'the master sends Sync Reads, which Dynamixel has in Protocol 2.0 '
                         'only: none is answered, other instructions are; read one after the other',
-                        (('Sync Reads', str(cycle.asked)),))
+                        {'Sync Reads': cycle.asked})
 
 
 def _lacks_fast_reads(device: DeviceReport) -> bool:
@@ -200,7 +200,7 @@ def _unstuffed(case: Case) -> Iterator[Found]:
         yield Claim(None, 'the master sends FF FF FD without byte stuffing '
                           f'({name_of(last.detail.instruction)} to {last.device:03}), like the '
                           'Python SDK: a device may miss the packet; correct its '
-                          'library', (('packets', str(len(notes))),))
+                          'library', {'packets': len(notes)})
 
 
 def _never_written(case: Case, device: DeviceReport) -> Found | None:
@@ -214,7 +214,7 @@ def _never_written(case: Case, device: DeviceReport) -> Found | None:
                      'monitor')
     return Claim(device.id, f'read {device.totals.reads} times but never written, others are '
                  f'({listed(written, 2)}): check whether the program forgot it',
-                 (('reads', str(device.totals.reads)),))
+                 {'reads': device.totals.reads})
 
 
 def _refusals(case: Case, device: DeviceReport) -> Found | None:
@@ -225,7 +225,7 @@ def _refusals(case: Case, device: DeviceReport) -> Found | None:
         if count >= FEW and address >= 0:
             return Claim(device.id, f'refuses {name_of(instruction)} at {address} '
                          f'({error_text(error)}): set its model in {case.names.devices} to learn '
-                         'which register that is', (('refused', str(count)),))
+                         'which register that is', {'refused': count})
     return None
 
 
@@ -239,7 +239,7 @@ def _master_stopped(case: Case) -> Iterator[Found]:
         return                                 # a command, and it is done
     yield Claim(None, f'the master stopped {since:.1f} s after listening began: check its '
                       'program; device states date from then',
-                (('stopped after (s)', f'{since:.1f}'),),
+                {'stopped after (s)': f'{since:.1f}'},
                 Level.OK if case.quiet_s < RESTED_S else None)
 
 
@@ -254,7 +254,7 @@ def _impossible_id(case: Case) -> Iterator[Found]:
             yield Claim(None, f'the master reads from ID {number}, all devices at once, which '
                         'none answers: use Sync Read' if reads_all else
                         f'the master asks ID {number}, which no device can have (0 to 252): '
-                        'correct the ID in its program', (('asked in 10 s', str(asked)),))
+                        'correct the ID in its program', {'asked in 10 s': asked})
             return
 
 
@@ -269,12 +269,12 @@ def _scan(case: Case) -> Iterator[Found]:
         yield Claim(None, 'the master sends broadcast Pings without a '
                           f"pause{', and the answers collide' if collide else ''}: let it wait "
                           '0.8 s after each, the time that all IDs need',
-                    (('broadcast Pings in 10 s', str(pings)),),
+                    {'broadcast Pings in 10 s': pings},
                     Level.WARN if collide else Level.OK)
     elif case.report.scanned:
         yield Claim(None, f'a scan: {len(case.report.scanned)} IDs were pinged and do not answer, '
                     f'{len(case.report.devices)} devices are known',
-                    (('without an answer', listed(case.report.scanned)),))
+                    {'without an answer': listed(case.report.scanned)})
 
 
 def _models(case: Case) -> Iterator[Found]:

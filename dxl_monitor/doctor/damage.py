@@ -63,7 +63,7 @@ def _wrong_baud(case: Case) -> Iterator[Found]:
     load = _load(case)
     if load > IMPOSSIBLE:
         yield Claim(None, f'more bytes than {report.baud} Bd can carry: the bus is faster; set '
-                          f'{case.names.bauds} to its rate', (('load (%)', f'{load:.0f}'),))
+                          f'{case.names.bauds} to its rate', {'load (%)': f'{load:.0f}'})
         return
     if got < BYTES_NEEDED or good > GARBLED * got or case.count(ev.PROTOCOL_1):
         return
@@ -72,7 +72,7 @@ def _wrong_baud(case: Case) -> Iterator[Found]:
         else f'the right rate is unknown: set {case.names.bauds} to the rate of the bus'
     errors = case.mark(0).framing - before.framing
     yield Claim(None, f'{got} bytes, but no packets at {report.baud} Bd: {remedy}',
-                (('bytes', str(got)), ('framing errors', str(errors))))
+                {'bytes': got, 'framing errors': errors})
 
 
 def _load(case: Case) -> float:
@@ -105,7 +105,7 @@ def _overrun(case: Case) -> Iterator[Found]:
     if lost > 0:
         yield Claim(None, f'this computer lost bytes {lost} times, so packets seem missing or '
                           'damaged: give the monitor a higher priority or a better adapter',
-                    (('overruns', str(lost)),))
+                    {'overruns': lost})
 
 
 def _noise(case: Case) -> Iterator[Found]:
@@ -124,9 +124,10 @@ def _noise(case: Case) -> Iterator[Found]:
     share_of = about(case.damage, packets + case.damage)
     yield Claim(None, f'{share_of} of the packets damaged, {way}, of '
                 'several devices: check termination, ground, shielding and motor cables',
-                (*case.looks_like(),
-                 ('share', share(case.damage, packets + case.damage)),
-                 ('damaged instructions', str(asked)), ('devices', in_full(hit))))
+                {**case.looks_like(),
+                 'share': share(case.damage, packets + case.damage),
+                 'damaged instructions': asked,
+                 'devices': in_full(hit)})
 
 
 def _asked_damaged(case: Case) -> int:
@@ -162,8 +163,9 @@ def _damaged_answers(case: Case) -> Iterator[Found]:
     window = worst.window
     yield Claim(worst.id, f'{about(window.spoilt, window.asked)} of its answers damaged, others '
                 'whole: a bad cable or a second device with its ID; unplug it and ping its ID',
-                (*case.looks_like(worst.id), ('share', share(window.spoilt, window.asked)),
-                 ('damaged', f'{window.spoilt} of {window.asked}')))
+                {**case.looks_like(worst.id),
+                 'share': share(window.spoilt, window.asked),
+                 'damaged': f'{window.spoilt} of {window.asked}'})
 
 
 def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
@@ -177,9 +179,10 @@ def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     also = ', by two models' if window.model_changes >= 2 else ''
     return Claim(device.id, f'answered twice{also}: two devices have this ID; unplug one and '
                  'change the ID of the other',
-                 (*case.looks_like(device.id), ('second answers', str(twice)),
-                  ('damaged', str(window.spoilt)),
-                  ('model changes', str(window.model_changes))))
+                 {**case.looks_like(device.id),
+                  'second answers': twice,
+                  'damaged': window.spoilt,
+                  'model changes': window.model_changes})
 
 
 def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
@@ -216,14 +219,15 @@ def _turnaround(case: Case) -> Iterator[Found]:
         yield Claim(None, f'first byte of {share(first, answers)} of the answers damaged, '
                           f'{len(hit)} devices: the line switches too late; raise Return Delay '
                           'Time or correct the driver enable',
-                    (('answers', str(first)), ('packets with a stray byte', str(stray)),
-                     ('devices', in_full([one.id for one in hit]))))
+                    {'answers': first,
+                     'packets with a stray byte': stray,
+                     'devices': in_full([one.id for one in hit])})
         return
     for device in hit:
         first = _first_bytes(device)
         yield Claim(device.id, f'first byte of {share(first, _spoken(device))} of its answers '
                     'damaged: it answers before the line switches; raise its Return Delay Time by '
-                    'a step or two', (('answers', str(first)),))
+                    'a step or two', {'answers': first})
 
 
 def _first_bytes(device: DeviceReport) -> int:
@@ -242,7 +246,7 @@ def _stray_bytes(case: Case) -> Iterator[Found]:
     if stray >= SOME and stray > GLITCHY * packets:
         yield Claim(None, f'one or two stray bytes before {share(stray, packets)} of the packets: '
                           'driver enable switches late or the line floats; add bias resistors',
-                    (('packets', str(stray)),))
+                    {'packets': stray})
 
 
 def _echo(case: Case) -> Iterator[Found]:
@@ -251,14 +255,14 @@ def _echo(case: Case) -> Iterator[Found]:
         if heard_back:
             yield Claim(None, 'the master receives what it sends: its adapter echoes; switch the '
                         'echo off, or let the program skip it',
-                        (('echoes', str(heard_back)),))
+                        {'echoes': heard_back})
         return
     again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_US]
     answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
     if len(again) >= SOME and answered and len(again) > 0.5 * case.count(ev.REPEATED):
         yield Claim(None, 'every instruction is heard twice: the adapter echoes what its master '
                           'sends; switch the echo off. Losses counted here are not real',
-                    (('echoes', str(len(again))),))
+                    {'echoes': len(again)})
 
 
 def _echoes(case: Case, seconds: float) -> int:
@@ -275,7 +279,7 @@ def _foreign_answers(case: Case, device: DeviceReport) -> Found | None:
         return None
     return Claim(device.id, f'{unasked} answers that this master did not ask for: another master, '
                  'on a segment that is not monitored; find and stop it',
-                 (('answers', str(unasked)),))
+                 {'answers': unasked})
 
 
 def _protocol_1(case: Case) -> Iterator[Found]:
@@ -297,7 +301,7 @@ def _protocol_1(case: Case) -> Iterator[Found]:
     if name != FEETECH.name:           # which has no setting for it
         remedy = f'set these devices to Protocol {to} if they have it, or give them another bus'
     yield Claim(None, f'{who}, ID {listed(ids, 4)}, on a bus of {host}: {remedy}',
-                (('packets', str(case.count(ev.PROTOCOL_1))),))
+                {'packets': case.count(ev.PROTOCOL_1)})
 
 
 def source_lost(case: Case) -> Iterator[Doubt]:
@@ -316,7 +320,7 @@ def _not_sent(case: Case) -> Iterator[Found]:
         yield Claim(None, f'{count} instructions never left the adapter: in the program, switch '
                           'flow control off and do not flush output after a write; else plug the '
                           'adapter in again',
-                    (('instructions', str(count)), ('to', in_full(asked))))
+                    {'instructions': count, 'to': in_full(asked)})
 
 
 def _elsewhere(case: Case) -> Iterator[Found]:

@@ -35,7 +35,7 @@ def _baud_code(case: Case, device: DeviceReport) -> Found | None:
     meant = field.decode(field.bytes_of(code)).text
     return Claim(device.id, f'Baud Rate {code} was written: that is {meant} for Feetech and '
                  f'{taken_for} in LeRobot; look for the servo at {meant} Bd',
-                 (('code', str(code)),))
+                 {'code': code})
 
 
 def _locked(case: Case, device: DeviceReport) -> Found | None:
@@ -49,7 +49,7 @@ def _locked(case: Case, device: DeviceReport) -> Found | None:
         return None
     effect, remedy = _OF_LOCK[device.model.protocol]
     return Claim(device.id, f'{written[0]} written while Lock is 1: the servo {effect}; {remedy}',
-                 (('written', ', '.join(written)),))
+                 {'written': ', '.join(written)})
 
 
 def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
@@ -57,14 +57,14 @@ def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
     if times >= TWICE:
         return Claim(device.id, f'calibrated {times} times within 10 s: each time its present '
                      'position becomes the middle; do it once, with the joint in the middle',
-                     (('times', str(times)),))
+                     {'times': times})
     offsets = case.incidents(ev.OFFSET_WRITTEN, device.id)
     last = offsets[-1] if len(offsets) >= TWICE else None
     if last is None or not all(last.detail):
         return None
     return Claim(device.id, f'Homing Offset written {len(offsets)} times within 10 s, {TWICE} '
                  'without 0 between: the new offset includes the old one; write 0, measure '
-                 'again', (('now, before', f'{last.detail.now}, {last.detail.before}'),))
+                 'again', {'now, before': f'{last.detail.now}, {last.detail.before}'})
 
 
 def _mixed_firmware(case: Case) -> Iterator[Found]:
@@ -82,7 +82,7 @@ def _mixed_firmware(case: Case) -> Iterator[Found]:
             odd = sorted(number for number, one in versions.items() if one == least)
             yield Claim(None, f'{name} with different firmware, {least} in {listed(odd)}: LeRobot '
                         "refuses that; update them to one version with Feetech's debugger",
-                        (('versions', ', '.join(sorted(set(versions.values())))),))
+                        {'versions': ', '.join(sorted(set(versions.values())))})
 
 
 RULES = (

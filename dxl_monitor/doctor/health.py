@@ -98,7 +98,7 @@ def latched(device: DeviceReport) -> Claim | None:
         return None
     values = {one.field.name: one for one in device.observed}
     torque = ', torque is off' if is_off(values.get('Torque Enable')) else ''
-    figures = (('answers with alert', str(device.window.alerts)),)
+    figures = {'answers with alert': device.window.alerts}
     if device.protocol != words.PROTOCOL_2:    # bits that say what is, with nothing to read
         remedy = next((remedy for bit, remedy in _REMEDIES.items() if bit in device.last_error),
                       'switch it off and on')
@@ -148,7 +148,7 @@ def _hot_claim(device: DeviceReport, temperature: float, limit: float, source: s
     what = 'above' if level is Level.ERROR else 'near'
     return Claim(device.id, f'{what} its shutdown limit of {limit:.0f} °C{source}: reduce load or '
                  'holding torque, let it cool',
-                 (('temperature (°C)', f'{temperature:.0f}'), ('limit (°C)', f'{limit:.0f}')),
+                 {'temperature (°C)': f'{temperature:.0f}', 'limit (°C)': f'{limit:.0f}'},
                  level)
 
 
@@ -172,7 +172,7 @@ def _voltage(case: Case) -> Iterator[Found]:
         worst = Level.ERROR if any(one.level is Level.ERROR for one in found) else Level.WARN
         yield Claim(None, f'{len(found)} devices near or beyond a voltage limit: the supply is '
                           'the cause; measure it, charge the battery, check cable gauge',
-                    (('devices', in_full([one.device for one in found if one.device])),), worst)
+                    {'devices': in_full([one.device for one in found if one.device])}, worst)
     if unknown:
         yield Doubt(None, f'{listed(unknown, 3)}: voltage limits never read')
 
@@ -180,13 +180,13 @@ def _voltage(case: Case) -> Iterator[Found]:
 def _low_claim(device: DeviceReport, volts: float, low: float, source: str) -> Claim:
     return Claim(device.id, f'its supply is near or below its limit of {low:.1f} V{source}: '
                  'charge the battery, check cable gauge and the load on the chain',
-                 (('voltage (V)', f'{volts:.1f}'),), Level.ERROR if volts < low else Level.WARN)
+                 {'voltage (V)': f'{volts:.1f}'}, Level.ERROR if volts < low else Level.WARN)
 
 
 def _high_claim(device: DeviceReport, volts: float, high: float, source: str) -> Claim:
     return Claim(device.id, f'its supply is near or above its limit of {high:.1f} V{source}: '
                  'lower the supply, or let it absorb the braking current',
-                 (('voltage (V)', f'{volts:.1f}'),), Level.ERROR if volts > high else Level.WARN)
+                 {'voltage (V)': f'{volts:.1f}'}, Level.ERROR if volts > high else Level.WARN)
 
 
 def _watchdog(case: Case, device: DeviceReport) -> Found | None:
@@ -201,7 +201,7 @@ def _watchdog(case: Case, device: DeviceReport) -> Found | None:
         return None
     return Claim(device.id, f'Bus Watchdog tripped, {refused} goals refused: the master was '
                  'silent too long; write 0 to Bus Watchdog, then send goals without such gaps',
-                 (('goals refused', str(refused)), ('read', 'yes' if tripped else 'no')))
+                 {'goals refused': refused, 'read': 'yes' if tripped else 'no'})
 
 
 def _is_goal(device: DeviceReport, address: int) -> bool:

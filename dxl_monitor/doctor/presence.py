@@ -54,7 +54,7 @@ def _all_silent(case: Case) -> Iterator[Found]:
     heard = sum(device.totals.answers for device in case.report.devices) - before.answers
     missing = [device.id for device in case.report.devices
                if device.missed_in_a_row or is_waiting(device)]
-    figures = (('instructions', str(asked)),)
+    figures = {'instructions': asked}
     is_new = all(device.last_heard_s is None for device in case.report.devices)
     if _waits_for_one(case, missing):
         return
@@ -112,20 +112,20 @@ def _claim_gone(case: Case, number: int) -> Claim:
         case.lately(other, GONE_S).answers for other in case.report.devices) else ''
     own = '' if others or device.last_heard_s is not None else _OF_THE_MASTER
     return Claim(number, f'no answer, {since}{others}: check its power, cable and ID{own}',
-                 (('requests without an answer', str(device.missed_in_a_row)),
-                  *_waiting(case, number)))
+                 {'requests without an answer': device.missed_in_a_row,
+                  **_waiting(case, number)})
 
 
 def _claim_blocking(case: Case, number: int, after: list[int]) -> Claim:
     return Claim(number, f'silent, and the Sync Read ends there: {listed(after, 2)} after it are '
                          'never read; check its power and cable, or leave it out',
-                 (('not served', in_full(after)), *_waiting(case, number)))
+                 {'not served': in_full(after), **_waiting(case, number)})
 
 
-def _waiting(case: Case, number: int) -> tuple[tuple[str, str], ...]:
+def _waiting(case: Case, number: int) -> dict[str, str]:
     """Return what each request without an answer costs the master."""
     waits = [one.us for one in case.report.waits if one.device == number]
-    return (('wait per request (ms)', f'{median(waits) / 1000:.1f}'),) if waits else ()
+    return {'wait per request (ms)': f'{median(waits) / 1000:.1f}'} if waits else {}
 
 
 def _broken_cable(case: Case) -> Iterator[Found]:
@@ -137,7 +137,7 @@ def _broken_cable(case: Case) -> Iterator[Found]:
     if 0 < tail < len(chain) and sum(number in case.gone for number in lost) > 1:
         yield Claim(lost[0], 'it and everything downstream are silent: the cable between '
                     f'{chain[-1 - tail]:03} and {lost[0]:03} is broken or unplugged',
-                    (('silent', in_full(lost)),), covers=tuple(lost))
+                    {'silent': in_full(lost)}, covers=tuple(lost))
 
 
 def _cut_off(case: Case, number: int) -> bool:
@@ -177,7 +177,7 @@ def _dropout(case: Case, device: DeviceReport) -> Found | None:
     away = max(one.detail.ms for one in absences)
     return Claim(device.id, f'no answers for {away} ms: a loose plug or a restart; read Torque '
                  'Enable or Realtime Tick to find out',
-                 (('absences', str(len(absences))), ('longest (ms)', str(away))))
+                 {'absences': len(absences), 'longest (ms)': away})
 
 
 def _rebooted(case: Case, device: DeviceReport) -> Found | None:
@@ -188,7 +188,7 @@ def _rebooted(case: Case, device: DeviceReport) -> Found | None:
         if proof and _talks_since(case, one):
             return Claim(device.id, f'restarted by itself, no answers for {one.detail.ms} ms '
                          f'({proof}): check its supply and plug, then set it up again, torque too',
-                         (('away (ms)', str(one.detail.ms)), ('seen by', proof)))
+                         {'away (ms)': one.detail.ms, 'seen by': proof})
     return None
 
 
@@ -210,7 +210,7 @@ def _brown_out(case: Case) -> Iterator[Found]:
     if len(ids) > 1 and proofs:
         yield Claim(None, f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
                           'check battery and cables, set up again',
-                    (('devices', in_full(ids)), ('seen by', proofs[0])), covers=tuple(ids))
+                    {'devices': in_full(ids), 'seen by': proofs[0]}, covers=tuple(ids))
 
 
 def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
@@ -306,7 +306,7 @@ def _ping_only(case: Case, device: DeviceReport) -> Found | None:
     if not _is_ping_only(case, device):
         return None
     return Claim(device.id, 'answers Pings, but no reads: set Status Return Level to 1 or 2',
-                 (('missed', f'{device.window.missed} of {device.window.asked}'),))
+                 {'missed': f'{device.window.missed} of {device.window.asked}'})
 
 
 def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
@@ -320,8 +320,8 @@ def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
     return Claim(device.id, f'{about(lost, window.asked)} of its answers missing, with no bytes '
                  'in their place: check its plugs; a device that did not get the instruction '
                  'looks the same',
-                 (('loss', share(lost, window.asked)),
-                  ('missed', f'{lost} of {window.asked}')))
+                 {'loss': share(lost, window.asked),
+                  'missed': f'{lost} of {window.asked}'})
 
 
 def _no_answer(case: Case) -> Iterator[Found]:

@@ -9,6 +9,7 @@ of time before the case: how long a claim lasts is the Doctor's.
 
 from collections.abc import Callable
 from collections.abc import Iterable
+from collections.abc import Mapping
 from math import log
 from typing import Any
 from typing import NamedTuple
@@ -24,10 +25,15 @@ class Claim(NamedTuple):
 
     device: int | None
     message: str
-    figures: tuple[tuple[str, str], ...] = ()
+    figures: Mapping[str, object] = {}
     level: Level | None = None     # where it is not the rule's
     covers: tuple[int, ...] = ()
     is_certain: bool = False       # it needs no onset
+
+    @property
+    def evidence(self) -> tuple[tuple[str, str], ...]:
+        """The figures as a finding has them."""
+        return tuple((name, str(figure)) for name, figure in self.figures.items())
 
 
 class Doubt(NamedTuple):

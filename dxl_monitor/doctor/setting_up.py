@@ -50,8 +50,8 @@ def _factory_id(case: Case) -> Iterator[Found]:
         return
     yield Claim(FACTORY_ID, f'several servos answer as 001, and {listed(absent, 3)} never did: '
                 'new ones still have ID 1; connect one at a time and give each its own ID',
-                (('never heard', in_full(absent)),
-                 ('spoilt', f'{first.window.spoilt} of {first.window.asked}')),
+                {'never heard': in_full(absent),
+                 'spoilt': f'{first.window.spoilt} of {first.window.asked}'},
                 covers=tuple(absent))
 
 
@@ -96,8 +96,9 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
     for device, volts, limit in found[:1] if many else found:
         others = f', {len(ids) - 1} others too' if many else ''
         yield Claim(device.id, f'at {volts:.0f} V, ' + words.format(limit=limit, others=others),
-                    (('voltage (V)', f'{volts:.1f}'), ('limit (V)', f'{limit:.1f}'),
-                     ('devices', in_full(ids))), level, covers=ids)
+                    {'voltage (V)': f'{volts:.1f}',
+                     'limit (V)': f'{limit:.1f}',
+                     'devices': in_full(ids)}, level, covers=ids)
 
 
 def _volts(case: Case, device: DeviceReport) -> float | None:
@@ -132,7 +133,7 @@ def _layout(case: Case, device: DeviceReport) -> Found | None:
         if unfit:
             return Claim(device.id, f'{name_of(cycle.instruction)} of {cycle.length} at '
                          f'{cycle.address}, {unfit}: use the table of {device.model_name}',
-                         (('address', str(cycle.address)), ('times', str(cycle.asked))))
+                         {'address': cycle.address, 'times': cycle.asked})
     return None
 
 

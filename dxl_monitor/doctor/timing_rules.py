@@ -77,21 +77,21 @@ def _impatient(case: Case) -> Iterator[Found]:
         worst = again.most_common(1)[0][0]
         yield Claim(None, f'the master repeats {name_of(worst)} at once, {again.total()} times in '
                     '10 s: its time-out is shorter than the answers take; raise it',
-                    (('repeated', str(again.total())),))
+                    {'repeated': again.total()})
         return
     hasty = [one.us for one in case.waits(WAITED_S) if not one.is_spoilt]
     if len(hasty) >= MANY and median(hasty) < SOON_US and case.damage >= FEW \
             and any(case.lately(device, WAITED_S).answers for device in case.report.devices):
         yield Claim(None, 'the master does not wait for answers and sends during them: it gives '
                           f'up within {SOON_US} us, before a servo with factory settings answers; '
-                          'raise its time-out', (('given up at once', str(len(hasty))),))
+                          'raise its time-out', {'given up at once': len(hasty)})
         return
     times = _questions_into_acks(case)
     if times:
         yield Claim(None, 'the master does not wait for the acknowledgement of a write: its next '
                           f'instruction ran into it {times} times in 10 s; let it wait, or use '
                           'Sync Write',
-                    (('instructions into an acknowledgement', str(times)),))
+                    {'instructions into an acknowledgement': times})
 
 
 def _questions_into_acks(case: Case) -> int:
@@ -173,7 +173,7 @@ def _late_answers(case: Case) -> Iterator[Found]:
         else:
             yield Claim(number, 'answers after the master gave up, during the next instruction: '
                         'lower its Return Delay Time or raise the time-out',
-                        (('late answers', str(count)), ('waits', _wait(case))),
+                        {'late answers': count, 'waits': _wait(case)},
                         covers=tuple(case.devices))
 
 
@@ -190,7 +190,7 @@ def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
     size, asked = wrong[-1].detail.got, wrong[-1].detail.wanted
     return Claim(device.id, f'answers {size} bytes to a read of {asked}: its firmware is at '
                  'fault, or a second device has its ID; update it, then unplug it and ping its ID',
-                 (('answers', str(len(wrong))),))
+                 {'answers': len(wrong)})
 
 
 def _wait(case: Case) -> str:
@@ -231,7 +231,7 @@ def _latency_timer(case: Case) -> Iterator[Found]:
     if len(slow) >= 10 and len(slow) >= LATENT * len(gaps) and other:
         yield Claim(None, 'most instructions come 16 ms after the previous answer: the latency '
                           "timer of the master's adapter; set it to 1 ms",
-                    (('16 ms later', f'{len(slow)} of {len(gaps)}'),))
+                    {'16 ms later': f'{len(slow)} of {len(gaps)}'})
 
 
 def _is_latent(gap: int, answer: float) -> bool:
@@ -263,7 +263,7 @@ def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
     rate = device.totals.reads / case.heard_s if case.heard_s > 0 else 0.0
     return Claim(device.id, f'waits {known:.1f} ms before each answer ({how}): write 0 to Return '
                  f'Delay Time, which saves {known * rate:.0f} ms of bus time per second',
-                 (('delay (ms)', f'{known:.2f}'), ('read', 'yes' if delay_ms else 'measured')))
+                 {'delay (ms)': f'{known:.2f}', 'read': 'yes' if delay_ms else 'measured'})
 
 
 def _bus_too_slow(case: Case) -> Iterator[Found]:
@@ -279,7 +279,7 @@ def _bus_too_slow(case: Case) -> Iterator[Found]:
         harm = case.damage or any(device.window.missed for device in case.report.devices)
         yield Claim(None, f'the line is busy for more than {LOADED:.0f} % of the time{per_cycle}: '
                     'no room for a retry; raise the baud rate, or read less',
-                    (('load (%)', f'{load:.0f}'), ('bytes per second', f'{got / seconds:.0f}')),
+                    {'load (%)': f'{load:.0f}', 'bytes per second': f'{got / seconds:.0f}'},
                     Level.WARN if harm else Level.OK)
 
 
@@ -288,7 +288,7 @@ def _two_masters(case: Case) -> Iterator[Found]:
     if foreign >= FOREIGN_ENOUGH:
         yield Claim(None, f'the master received {foreign} instructions that it did not send: '
                           'another program uses this bus; stop '
-                          'one', (('instructions', str(foreign)),))
+                          'one', {'instructions': foreign})
         return
     pair = _apart(case)
     if pair is None:
@@ -322,7 +322,7 @@ def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
 
 def _two(case: Case, words: str) -> Claim:
     return Claim(None, f'{words}: two programs, or two threads without a lock; let only one ask',
-                 (('damaged packets', str(case.damage)),))
+                 {'damaged packets': case.damage})
 
 
 def _words(cycle: Cycle, period: float) -> str:
@@ -347,8 +347,8 @@ def _jitter(case: Case) -> Iterator[Found]:
             and key_of(best.cycle) in case.steady:
         yield Claim(None, "the master's cycle is no longer regular: its computer is busy, or its "
                           'loop does too much; give it a higher priority',
-                    (('spread', f'{best.spread:.2f}'),
-                     ('cycle (ms)', f'{low:.1f} to {high:.1f}, usually {best.period / MS:.1f}')))
+                    {'spread': f'{best.spread:.2f}',
+                     'cycle (ms)': f'{low:.1f} to {high:.1f}, usually {best.period / MS:.1f}'})
 
 
 RULES = (
