@@ -35,11 +35,7 @@ def written(*chunks: Chunk, wire: Wire = WIRE) -> bytes:
     file = io.BytesIO()
     writer = Writer(file, NOW)
     for chunk in chunks:
-        bus = wire._replace(name=chunk.bus)
-        if chunk.change is None:
-            writer.take(bus, chunk.data, chunk.stamp, chunk.side)
-        else:
-            writer.change(bus, chunk.change, chunk.stamp)
+        writer.take(wire._replace(name=chunk.bus), chunk)
     assert writer.size == len(file.getvalue())
     return file.getvalue()
 
@@ -92,7 +88,7 @@ FAR = 400 * b'9'
     b'(1.0) bus ' + b'f' * (LINE_LIMIT + 1)])
 def test_impossible_lines_are_told_and_left_out(line: bytes) -> None:
     text = written(Chunk(NOW.stamp + 5, 'bus', b'\x01')) + line + b'\n' \
-        + chunk_line(NOW.stamp + 6, 'bus', b'\x02')
+        + chunk_line(Chunk(NOW.stamp + 6, 'bus', b'\x02'))
     reader = Reader(lines(io.BytesIO(text)))
     assert [chunk.data for chunk in reader] == [b'\x01', b'\x02']
     assert reader.wires == {'bus': WIRE._replace(name='bus')}
@@ -114,7 +110,7 @@ def test_a_capture_that_is_cut_off_says_so(cut: int) -> None:
 
 
 def test_a_capture_does_not_make_buses_without_end() -> None:
-    text = b''.join(chunk_line(5, f'bus{number}', b'\x01') for number in range(1000))
+    text = b''.join(chunk_line(Chunk(5, f'bus{number}', b'\x01')) for number in range(1000))
     reader = Reader(lines(io.BytesIO(text)))
     assert len(list(reader)) == BUSES_LIMIT
     assert reader.bad_lines == 1000 - BUSES_LIMIT
@@ -127,7 +123,7 @@ def test_the_stamps_of_a_second_capture_go_on(wall: int, boot: int, after: int) 
     first = written(Chunk(NOW.stamp + 1, 'bus', b'\x01'))
     file = io.BytesIO()
     Writer(file, Moment(NOW.wall + wall, boot)).take(
-        WIRE, b'\x02', boot + (2 if wall < 0 else 7))
+        WIRE, Chunk(boot + (2 if wall < 0 else 7), WIRE.name, b'\x02'))
     stamps = [chunk.stamp for chunk in Reader(io.BytesIO(first + file.getvalue()))]
     assert stamps == [NOW.stamp + 1, NOW.stamp + after]
 
@@ -158,7 +154,7 @@ def test_the_recorder_rotates_and_loses_nothing(tmp_path) -> None:
     recorder.start()
     sent = [Chunk(NOW.stamp + number, 'ttyUSB0', bytes([number])) for number in range(250)]
     for chunk in sent:
-        recorder.take(WIRE, chunk.data, chunk.stamp)
+        recorder.take(WIRE, Chunk(chunk.stamp, WIRE.name, chunk.data))
     recorder.stop()
     files = [tmp_path / name for name in ('bus.txt.3', 'bus.txt.2', 'bus.txt.1', 'bus.txt')]
     assert sorted(tmp_path.iterdir()) == sorted(files)
@@ -182,7 +178,7 @@ def test_what_was_heard_is_on_the_disk_soon(tmp_path) -> None:
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 10**6, 2)
     recorder.start()
-    recorder.take(WIRE, b'\xab\xcd', 77)
+    recorder.take(WIRE, Chunk(77, WIRE.name, b'\xab\xcd'))
     wait(lambda: b'abcd' in path.read_bytes())
     recorder.stop()
 
@@ -190,10 +186,10 @@ def test_what_was_heard_is_on_the_disk_soon(tmp_path) -> None:
 def test_a_full_disk_ends_the_capture_and_is_told(tmp_path) -> None:
     recorder = Recorder('/dev/full', 10**6, 2)
     recorder.start()
-    recorder.take(WIRE, b'\x01' * 5000, 1)
+    recorder.take(WIRE, Chunk(1, WIRE.name, b'\x01' * 5000))
     wait(lambda: recorder.problem)
     assert recorder.words.startswith('capture stopped: /dev/full: No space left on device; ')
-    recorder.take(WIRE, b'\x01', 2)
+    recorder.take(WIRE, Chunk(2, WIRE.name, b'\x01'))
     recorder.stop()
 
 
@@ -203,7 +199,7 @@ def test_a_file_that_may_not_grow_ends_the_capture(tmp_path) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
     try:
         recorder.start()
-        recorder.take(WIRE, b'\x01' * 20_000, 1)
+        recorder.take(WIRE, Chunk(1, WIRE.name, b'\x01' * 20_000))
         wait(lambda: recorder.problem)
         recorder.stop()
     finally:
@@ -216,7 +212,7 @@ def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch)
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 10**6, 2, lambda: NOW)
     for number in range(20):
-        recorder.take(WIRE, bytes(10), NOW.stamp + number)
+        recorder.take(WIRE, Chunk(NOW.stamp + number, WIRE.name, bytes(10)))
     recorder.start()
     recorder.stop()
     assert recorder.left_out == 90
@@ -237,8 +233,8 @@ def test_a_pipe_is_not_rotated(tmp_path) -> None:
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     recorder = Recorder(str(path), 1000, 2)
-    recorder.take(WIRE, bytes(1000), 1)
-    recorder.take(WIRE, bytes(1000), 2)
+    recorder.take(WIRE, Chunk(1, WIRE.name, bytes(1000)))
+    recorder.take(WIRE, Chunk(2, WIRE.name, bytes(1000)))
     recorder.start()
     recorder.stop()
     assert recorder.problem == ''
@@ -253,7 +249,7 @@ def test_a_pipe_whose_reader_sleeps_does_not_hold_up_the_end(tmp_path, monkeypat
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     recorder = Recorder(str(path), 10**6, 2)
-    recorder.take(WIRE, bytes(200_000), 1)
+    recorder.take(WIRE, Chunk(1, WIRE.name, bytes(200_000)))
     recorder.start()
     recorder.stop()
     assert recorder.words == (f'capture stopped: {path}: no data could be written; what was not '

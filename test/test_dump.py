@@ -27,6 +27,7 @@ from page_states import heard
 import pytest
 
 from dxl_monitor.model.models import Models
+from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
@@ -98,7 +99,7 @@ def capture(path, chunks, bus='bus'):
     with open(path, 'wb') as file:
         writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
         for data, stamp in chunks:
-            writer.take(Wire(bus, BAUD), data, stamp)
+            writer.take(Wire(bus, BAUD), Chunk(stamp, bus, data))
     return path
 
 
@@ -371,7 +372,8 @@ def test_two_buses_in_one_capture(tmp_path):
         writer = Writer(file, Moment(SECOND, SECOND))
         for number in range(4):
             for bus, device in (('left', 1), ('right', 2)):
-                writer.take(Wire(bus, BAUD), encode(device, I.PING), SECOND * (number + 1))
+                writer.take(Wire(bus, BAUD),
+                            Chunk(SECOND * (number + 1), bus, encode(device, I.PING)))
     assert json.loads(dump(path, '--summary'))['missed'] == {'left/1': 3, 'right/2': 3}
     assert {(one['bus'], one['id']) for one in objects(path)} == {('left', 1), ('right', 2)}
     [first, *_] = objects(path, '--devices', 'right/2:MX-106')

@@ -85,7 +85,7 @@ def capture(path, *faults, seconds=6.0):
     with path.open('wb') as file:
         writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
         for chunk in heard(*faults, seconds=seconds):
-            writer.take(WIRE, chunk.data, chunk.stamp)
+            writer.take(WIRE, Chunk(chunk.stamp, WIRE.name, chunk.data))
     return path
 
 

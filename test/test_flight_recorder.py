@@ -8,6 +8,7 @@ from harness import wait
 import pytest
 
 from dxl_monitor.bus.report import DISCONNECTED
+from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.flight_recorder import FlightRecorder
@@ -41,7 +42,7 @@ class Flight:
     def run(self, seconds, report=WELL):
         for _ in range(round(10 * seconds)):
             self.now += S // 10
-            self.recorder.take(WIRE, self.now.to_bytes(8, 'little'), self.now)
+            self.recorder.take(WIRE, Chunk(self.now, WIRE.name, self.now.to_bytes(8, 'little')))
             self.recorder.look('arm', report)
 
     def files(self):
@@ -103,7 +104,7 @@ def test_a_lost_device_is_recorded_and_advice_is_not(flight):
 
 
 def test_it_is_written_when_asked_and_events_are_in_it(flight):
-    flight.recorder.change(WIRE, Change('unplugged', 1), flight.now)
+    flight.recorder.take(WIRE, Chunk(flight.now, WIRE.name, change=Change('unplugged', 1)))
     path = flight.recorder.save('asked')
     assert flight.recorder.save('asked') == path
     flight.recorder.stop()
@@ -131,7 +132,7 @@ def test_the_oldest_files_go_and_no_other_file(tmp_path):
 def test_memory_is_bounded(flight):
     for _ in range(400):
         flight.now += S // 10
-        flight.recorder.take(WIRE, bytes(1_000_000), flight.now)
+        flight.recorder.take(WIRE, Chunk(flight.now, WIRE.name, bytes(1_000_000)))
     assert flight.recorder._kept <= 32_000_000
 
 

@@ -14,6 +14,7 @@ from test_dump import SECOND
 from usb_files import MMAPPED
 from usb_files import pcapng
 
+from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
@@ -50,11 +51,11 @@ def with_sides(path, pattern='mixed'):
         for data, stamp in bursts(pattern=pattern):
             done = framer.bytes
             for begin, end, kind, *_ in framer.frames(data):
-                writer.take(wire, data[begin - done:end - done], stamp,
-                            IN if kind == IS_STATUS else OUT)
-        writer.change(wire, Change('unread', 5), stamp + 1)
-        writer.take(wire, b'\xff\xff', stamp + 2, IN)
-        writer.change(wire, Change('unplugged', 1), stamp + 3)
+                writer.take(wire, Chunk(stamp, 'arm', data[begin - done:end - done],
+                                        IN if kind == IS_STATUS else OUT))
+        writer.take(wire, Chunk(stamp + 1, 'arm', change=Change('unread', 5)))
+        writer.take(wire, Chunk(stamp + 2, 'arm', b'\xff\xff', IN))
+        writer.take(wire, Chunk(stamp + 3, 'arm', change=Change('unplugged', 1)))
     return path
 
 

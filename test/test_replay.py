@@ -17,6 +17,7 @@ from dxl_monitor.bus.report import BusReport
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.listener import Listener
+from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
@@ -68,7 +69,7 @@ def capture(chunks) -> bytes:
     file = io.BytesIO()
     writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
     for data, stamp in chunks:
-        writer.take(WIRE, data, stamp)
+        writer.take(WIRE, Chunk(stamp, WIRE.name, data))
     return file.getvalue()
 
 
@@ -155,8 +156,8 @@ def test_every_bus_has_its_pty(tmp_path) -> None:
     file = io.BytesIO()
     writer = Writer(file, Moment(1, 1))
     for number in range(3):
-        writer.take(Wire('left', BAUD), b'\x01', 10 + number)
-        writer.take(Wire('right/arm', BAUD), b'\x02\x03', 10 + number)
+        writer.take(Wire('left', BAUD), Chunk(10 + number, 'left', b'\x01'))
+        writer.take(Wire('right/arm', BAUD), Chunk(10 + number, 'right/arm', b'\x02\x03'))
     path.write_bytes(file.getvalue())
     with Program(REPLAY, str(path), '--link', str(link), '--stay') as replay:
         replay.wait_for('waiting')

@@ -21,6 +21,7 @@ from synthetic_robot import serialise
 
 from dxl_monitor.port import tap_sender
 from dxl_monitor.port.tap_reader import _Connection
+from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
@@ -74,7 +75,8 @@ def captured(bus):
             data += encode(1, STATUS, bytes(5))
         noise = Random(number).randbytes(40)
         for name, part in ((f'{bus} answers', data), (f'{bus} noise', noise)):
-            writer.take(Wire(name, 1_000_000, port=bus), part, SECOND + number * SECOND // 10)
+            writer.take(Wire(name, 1_000_000, port=bus),
+                        Chunk(SECOND + number * SECOND // 10, name, part))
     writer.remark('\x1b[5m a remark')
     return file.getvalue() + b'\x1b[5m no line\n'
 

@@ -91,9 +91,11 @@ def seconds(stamp: int) -> str:
     return f'{stamp // _SECOND}.{stamp % _SECOND:09}'
 
 
-def chunk_line(stamp: int, bus: str, data: bytes, side: str = UNKNOWN) -> bytes:
-    front = f'({seconds(stamp)}) {_word(bus)} {side}'
-    return f'{front} {data.hex()}\n'.encode() if side else f'{front}{data.hex()}\n'.encode()
+def chunk_line(chunk: Chunk) -> bytes:
+    stamp, bus, data, side, change = chunk
+    words = [f'({seconds(stamp)})', _word(bus)]
+    words += [change.what, str(change.value)] if change else [side] * bool(side) + [data.hex()]
+    return f'{" ".join(words)}\n'.encode()
 
 
 def _word(name: str) -> str:
@@ -111,28 +113,13 @@ class Writer:
         wall = (_EPOCH + timedelta(microseconds=now.wall // 1000)).strftime(_WALL)
         self._put(MAGIC + f'2 began {wall}Z at {seconds(now.stamp)}\n'.encode())
 
-    def take(self, wire: Wire, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        """Write a chunk, and before the first one of a bus what is known of that."""
-        self._introduce(wire)
-        self._put(chunk_line(stamp, wire.name, data, side))
-
-    def change(self, wire: Wire, change: Change, stamp: int) -> None:
-        """Write what the source reported besides bytes."""
-        self._introduce(wire)
-        self._put(f'({seconds(stamp)}) {_word(wire.name)} {change.what} {change.value}\n'.encode())
-
-    def write(self, wire: Wire, chunk: Chunk) -> None:
-        """Write a chunk, its bytes or its change."""
-        if chunk.change is None:
-            self.take(wire, chunk.data, chunk.stamp, chunk.side)
-        else:
-            self.change(wire, chunk.change, chunk.stamp)
-
-    def _introduce(self, wire: Wire) -> None:
+    def take(self, wire: Wire, chunk: Chunk) -> None:
+        """Write a chunk of a bus, and before its first one what is known of that."""
         if wire.name not in self._told:
             self._told.add(wire.name)
             self._put(f'# bus {_word(wire.name)} baud {wire.baud} latency_timer_ms '
                       f'{wire.latency_timer_ms} port {quote(wire.port, _PLAIN)}\n'.encode())
+        self._put(chunk_line(chunk))
 
     def remark(self, text: str) -> None:
         """Write a line for people."""

@@ -23,8 +23,6 @@ from dxl_monitor.record.capture import seconds
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
 from mecarover_serial.parameters import ParameterError
-from msg_defs.event import Change
-from msg_defs.event import UNKNOWN
 
 FLUSH_S = 0.2
 STOP_S = 3.0                        # the end waits no longer for what takes nothing
@@ -75,21 +73,13 @@ class Recorder:
     def start(self) -> None:
         self._thread.start()
 
-    def take(self, wire: Wire, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        """Record a chunk; from any thread, and without waiting."""
-        self.keep(wire, Chunk(stamp, wire.name, data, side))
-
-    def change(self, wire: Wire, change: Change, stamp: int) -> None:
-        """Record what the source reported besides bytes; as take."""
-        self.keep(wire, Chunk(stamp, wire.name, change=change))
-
     def remark(self, text: str) -> None:
         """Record a line for people."""
         with self._lock:
             self._remarks.append(text)
 
-    def keep(self, wire: Wire, chunk: Chunk) -> None:
-        """Record a chunk, its bytes or its change; as take."""
+    def take(self, wire: Wire, chunk: Chunk) -> None:
+        """Record a chunk; from any thread, and without waiting."""
         if self.problem:
             return
         with self._lock:
@@ -130,7 +120,7 @@ class Recorder:
             gap, self._gap = self._gap, None
             self._waiting_bytes = 0
         for wire, chunk in waiting:
-            self._writer.write(wire, chunk)
+            self._writer.take(wire, chunk)
             if self._writer.size >= self._size:
                 self._file.close()
                 self._make_room()

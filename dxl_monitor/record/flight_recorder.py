@@ -28,8 +28,6 @@ from dxl_monitor.record.capture_recorder import moment
 from dxl_monitor.record.capture_recorder import Recorder
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.plain import printable
-from msg_defs.event import Change
-from msg_defs.event import UNKNOWN
 from msg_defs.reports import Level
 
 S = 1_000_000_000
@@ -88,15 +86,8 @@ class FlightRecorder:
     def start(self) -> None:
         """Nothing to do: it writes when something happens."""
 
-    def take(self, wire: Wire, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
+    def take(self, wire: Wire, chunk: Chunk) -> None:
         """Keep a chunk; without waiting."""
-        self._keep(wire, Chunk(stamp, wire.name, data, side))
-
-    def change(self, wire: Wire, change: Change, stamp: int) -> None:
-        """Keep what the source reported besides bytes."""
-        self._keep(wire, Chunk(stamp, wire.name, change=change))
-
-    def _keep(self, wire: Wire, chunk: Chunk) -> None:
         with self._lock:
             self._chunks.append((wire, chunk))
             self._kept += len(chunk.data) + _CHUNK_SIZE
@@ -104,7 +95,7 @@ class FlightRecorder:
             while self._kept > self._limit or self._chunks[0][1].stamp < oldest:
                 self._kept -= len(self._chunks.popleft()[1].data) + _CHUNK_SIZE
             if self._file is not None:
-                self._file.keep(wire, chunk)
+                self._file.take(wire, chunk)
 
     def look(self, bus: str, report: BusReport) -> None:
         """Take a report of a bus: what is new and WARN or worse, or a lost device, is recorded."""
@@ -159,7 +150,7 @@ class FlightRecorder:
             return ''
         with self._lock:
             for wire, chunk in self._chunks:
-                file.keep(wire, chunk)
+                file.take(wire, chunk)
             first = self._chunks[0][1].stamp if self._chunks else now.stamp
             self._file = file
         file.remark(f'flight recorder: {why}; reaches back {(now.stamp - first) / S:.1f} s')

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture_recorder import Recorder
 from dxl_monitor.record.flight_recorder import FlightRecorder
@@ -36,12 +37,14 @@ class Recorders:
         return [(name, one.words) for name, one in self._all.items()]
 
     def take(self, wire: Wire, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        for one in self._all.values():
-            one.take(wire, data, stamp, side)
+        self._record(wire, Chunk(stamp, wire.name, data, side))
 
     def change(self, wire: Wire, change: Change, stamp: int) -> None:
+        self._record(wire, Chunk(stamp, wire.name, change=change))
+
+    def _record(self, wire: Wire, chunk: Chunk) -> None:
         for one in self._all.values():
-            one.change(wire, change, stamp)
+            one.take(wire, chunk)
 
     def save(self) -> tuple[bool, str]:
         """Have the flight recorder write; return whether it does, and its file or why not."""

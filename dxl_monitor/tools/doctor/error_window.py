@@ -53,11 +53,8 @@ class ErrorWindow:
         file = io.BytesIO()
         writer = Writer(file, Moment(0, self._chunks[0][0].stamp if self._chunks else 0))
         for chunk, wire in self._chunks:
-            plain = wire._replace(name=names.get(chunk.bus, 'bus'), port='')
-            if chunk.change is None:
-                writer.take(plain, chunk.data, chunk.stamp, chunk.side)
-            else:
-                writer.change(plain, chunk.change, chunk.stamp)
+            name = names.get(chunk.bus, 'bus')
+            writer.take(wire._replace(name=name, port=''), chunk._replace(bus=name))
         return file.getvalue()
 
 

@@ -226,8 +226,7 @@ class Session:
         with self._naming_the_file():
             if self._writer is None:
                 self._writer = Writer(file, self._source.began)
-            wire = self._source.wire(chunk.bus)
-            self._writer.write(wire, chunk)
+            self._writer.take(self._source.wire(chunk.bus), chunk)
             if self._source.is_live:
                 file.flush()
 
