@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Sequence
+from functools import partial
 import os
 import threading
 import time
@@ -49,7 +50,6 @@ class ListenerState(NamedTuple):
     is_open: bool
     kind: str = ''
     text: str = ''
-    since: int = 0               # ns, monotonic
 
 
 class ListenerCounters(NamedTuple):
@@ -87,8 +87,7 @@ class Listener:
                  in_thread: bool = False) -> None:
         self.port = port
         self.baud = baud
-        self.state = ListenerState(False, STARTING, f'{port}: not opened yet',
-                                   time.monotonic_ns())
+        self.state = ListenerState(False, STARTING, f'{port}: not opened yet')
         self.latency_timer_ms: int | None = None     # an FTDI adapter's
         self.low_latency = False
         self.reader_pid: int | None = None           # the process that reads at present
@@ -144,9 +143,9 @@ class Listener:
                 self._listen_once()
             except Exception as mistake:            # no mistake ends the listening
                 error = as_port_error(self.port, mistake)
-                self.state = ListenerState(False, error.kind, str(error), time.monotonic_ns())
+                self.state = ListenerState(False, error.kind, str(error))
             self._pause(self._backoff.next())
-        self.state = ListenerState(False, 'stopped', f'{self.port}: closed', time.monotonic_ns())
+        self.state = ListenerState(False, 'stopped', f'{self.port}: closed')
 
     def _listen_once(self) -> None:
         """Open the port and listen until it is lost, which raises, or we are stopped."""
@@ -158,7 +157,6 @@ class Listener:
             port.close()
 
     def _prepare(self, port: Port) -> None:
-        self._openings += 1
         self._errors_before = self._errors_now or LineErrors()
         self._errors_at_opening = None
         self._fd = port.fd if port.is_tty else None
@@ -166,20 +164,26 @@ class Listener:
             self._errors_at_opening = line_errors(self._fd)
             self.low_latency = set_low_latency(self._fd)
             self.latency_timer_ms = latency_timer_ms(self.port)
-        self._say_open()
+        self._opened(f'open at {self.baud} baud')
 
-    def _say_open(self, remark: str = '') -> None:
-        self.state = ListenerState(True, '', f'{self.port}: open at {self.baud} baud{remark}',
-                              time.monotonic_ns())
+    def _opened(self, words: str) -> None:
+        self._openings += 1
+        self._say_open(words)
+
+    def _say_open(self, words: str) -> None:
+        self.state = ListenerState(True, '', f'{self.port}: {words}')
 
     def _listen(self, port: Port) -> None:
         """Have the port read until it is lost (PortError) or we are stopped."""
         self.listened = time.monotonic_ns()
         if port.fd is not None and not self._in_thread:
-            problem = self._listen_by_process(port, port.fd)
+            words = f'open at {self.baud} baud'
+            problem = self._listen_by_process(words, partial(self._take, port), partial(
+                ReaderProcess, port.fd, self.idle_s, self._gather_s, self._wake_read,
+                byte_ns=byte_ns(self.baud)))
             if problem:
-                self._say_open(f', but read by the node itself ({problem}): bytes may be lost '
-                               'under load')
+                self._say_open(f'{words}, but read by the node itself ({problem}): bytes may be '
+                               'lost under load')
         self._listen_in_thread(port)
 
     def _listen_in_thread(self, port: Port) -> None:
@@ -195,24 +199,24 @@ class Listener:
                            byte_ns=byte_ns(self.baud))
         loop.run(lambda: self._stopping)
 
-    def _listen_by_process(self, port: Port, fd: int) -> str:
+    def _listen_by_process(self, words: str, take: Callable[[Record], object],
+                           start: Callable[[], ReaderProcess]) -> str:
         """Have a process read until we are stopped; return why that cannot be, if so."""
         while not self._stopping:
             try:
-                process = ReaderProcess(fd, self.idle_s, self._gather_s, self._wake_read,
-                                        byte_ns=byte_ns(self.baud))
+                process = start()
             except OSError as error:
                 return error.strerror or str(error)
             with process:
-                was_ready = self._follow(process, port)
+                was_ready = self._follow(process, take)
                 if not was_ready and not self._stopping:
                     return f'it ends at once with {process.end()}'
             if not self._stopping:
-                self._say_open(f'; the reader process ended with {process.end()}, a new one '
-                               'continues')
+                self._say_open(f'{words}; the reader process ended with {process.end()}, a new '
+                               'one continues')
         return ''
 
-    def _follow(self, process: ReaderProcess, port: Port) -> bool:
+    def _follow(self, process: ReaderProcess, take: Callable[[Record], object]) -> bool:
         """Take what the process says until it ends or we are stopped; return whether it spoke."""
         was_ready = False
         self.reader_pid = process.pid
@@ -221,13 +225,13 @@ class Listener:
                 if process.wait():
                     for record in process.records():
                         was_ready = True
-                        self._take(record, port)
+                        take(record)
                     time.sleep(self._take_every_s)
         finally:
             self.reader_pid = None
         return was_ready
 
-    def _take(self, record: Record, port: Port) -> None:
+    def _take(self, port: Port, record: Record) -> None:
         self._largest_gap = max(self._largest_gap, record.largest_gap)
         if record.kind == reader.CHUNK:
             self._hear(record.data, record.stamp)

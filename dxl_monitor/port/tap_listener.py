@@ -10,7 +10,6 @@ from typing import Any
 
 from dxl_monitor.port import tap_sender as sent
 from dxl_monitor.port.listener import Listener
-from dxl_monitor.port.listener import ListenerState
 from dxl_monitor.port.reader import SILENT_S
 from dxl_monitor.port.source_name import TAP
 from dxl_monitor.port.tap_reader import HOLD_S
@@ -50,8 +49,7 @@ class TapListener(Listener):
             raise PortError(self.port, Reason('other', problem, 'write tap:NAME or tap:NAME/PORT'))
         self._heard_port = ''
         with self._reader(name) as reader:
-            self._openings += 1
-            self._say_waiting(name)
+            self._opened(f'listening; start the program with dxl_tap {name} -- COMMAND')
             last = time.monotonic_ns()
             while not self._stopping:
                 records = reader.wait(SILENT_S)
@@ -72,15 +70,10 @@ class TapListener(Listener):
                 'other', f'{error.filename}: {reason}',
                 remedy or 'set XDG_RUNTIME_DIR to a folder of yours')) from error
 
-    def _say_waiting(self, name: str) -> None:
-        self.state = ListenerState(True, '', f'{self.port}: listening; start the program with '
-                                   f'dxl_tap {name} -- COMMAND', time.monotonic_ns())
-
     def _take_record(self, record: TapRecord) -> None:
         if record.kind == sent.OPENED and self._is_wanted(record.port):
             self._heard_port = record.port
-            self.state = ListenerState(True, '', f'{self.port}: listening to '
-                                       f'{record.port}', record.stamp)
+            self._say_open(f'listening to {record.port}')
         if record.kind == sent.OPENED and record.port != self._heard_port \
                 and len(self.others) <= _NAMED:
             self.others.add(record.port)

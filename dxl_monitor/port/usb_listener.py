@@ -19,7 +19,6 @@ from typing import Any
 
 from dxl_monitor.port import reader
 from dxl_monitor.port.listener import Listener
-from dxl_monitor.port.listener import ListenerState
 from dxl_monitor.port.reader_process import ReaderProcess
 from dxl_monitor.port.reader_process import Record
 from dxl_monitor.port.source_name import USB
@@ -65,10 +64,7 @@ class UsbListener(Listener):
             self._survey = Survey()
             with socket.socket(socket.AF_UNIX) as stream:
                 stream.connect(name)
-                self._openings += 1
-                self._words = 'listening to a stream of USB events'
-                self._say_open()
-                self._read(stream.fileno(), ())
+                self._read('listening to a stream of USB events', stream.fileno(), ())
         else:
             self._listen_to_bus(name)
 
@@ -79,39 +75,22 @@ class UsbListener(Listener):
         fd = _open(self.port, path)
         try:
             self._usb = UsbPort(place, target.adapter)
-            self._openings += 1
             self.latency_timer_ms = target.latency_timer_ms
-            self._words = f'listening to {target.words} through {path}'
-            self._say_open()
-            self._read(fd, (place.device, target.adapter.IDLE_SIZE, place.bulk_in | INPUT,
-                            place.bulk_out))
+            self._read(f'listening to {target.words} through {path}', fd,
+                       (place.device, target.adapter.IDLE_SIZE, place.bulk_in | INPUT,
+                        place.bulk_out))
         finally:
             os.close(fd)
 
-    def _say_open(self, remark: str = '') -> None:
-        self.state = ListenerState(True, '', f'{self.port}: {self._words}{remark}',
-                                   time.monotonic_ns())
-
-    def _read(self, fd: int, usb: tuple[int, ...]) -> None:
+    def _read(self, words: str, fd: int, usb: tuple[int, ...]) -> None:
         """Have a process read; raise PortError when the adapter or the stream has gone."""
-        while not self._stopping:
-            gather_s = max(self._gather_s, reader.GATHER_LONGEST_S)    # events have stamps
-            with ReaderProcess(fd, self.idle_s, gather_s, self._wake_read, usb) as process:
-                self._follow_process(process)
-                if not self._stopping:
-                    self._say_open(f'; the reader process ended with {process.end()}, a new one '
-                                   'continues')
-
-    def _follow_process(self, process: ReaderProcess) -> None:
-        self.reader_pid = process.pid
-        try:
-            while not self._stopping and not process.is_over:
-                if process.wait():
-                    for record in process.records():
-                        self._take_record(record)
-                    time.sleep(self._take_every_s)
-        finally:
-            self.reader_pid = None
+        self._opened(words)
+        gather_s = max(self._gather_s, reader.GATHER_LONGEST_S)        # events have stamps
+        problem = self._listen_by_process(words, self._take_record, partial(
+            ReaderProcess, fd, self.idle_s, gather_s, self._wake_read, usb))
+        if problem:
+            raise PortError(self.port, Reason('other', f'its reader process: {problem}',
+                                              'start it again'))
 
     def _take_record(self, record: Record) -> None:
         self._largest_gap = max(self._largest_gap, record.largest_gap)
