@@ -85,7 +85,7 @@ def test_it_can_be_piped_and_what_is_cut_off_says_so(tmp_path):
     assert dump(text, '-w', '-', '--format', 'pcapng', binary=True) == whole
     for size in (40, 100, len(whole) - 1):
         file.write_bytes(whole[:size])
-        source = PacketFile('cut', file.open('rb'), b'', None)
+        source = PacketFile('cut', file.open('rb'), None)
         list(source.chunks())
         source.close()
         assert source.problems()

@@ -60,7 +60,7 @@ ALL_BYTES = bytes(range(256)) * 5
 
 
 def read(data):
-    found = UsbEvents(io.BytesIO(data), data[:64])
+    found = UsbEvents(io.BytesIO(data))
     return list(found), found.problems
 
 

@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import codecs
 from io import BufferedReader
+from io import RawIOBase
 import os
 import shlex
 import stat
 import sys
+from typing import Any
 
 from dxl_monitor.port.source_name import is_live
 from dxl_monitor.record.capture import MAGIC
@@ -100,19 +102,41 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
     if packed is not None:
         file.close()
         raise UsageError(f'{name}: compressed with {packed}; unpack it first')
-    if holds_packets(head + file.peek()):
-        return PacketFile(name, file, head, baud)
+    begin = head + file.read1()
+    if is_regular := file.seekable():
+        file.seek(-len(begin), os.SEEK_CUR)
+    else:
+        file = BufferedReader(_Joined(begin, file))
+    if holds_packets(begin):
+        return PacketFile(name, file, baud)
     if is_usb(head):
-        return UsbFile(name, file, head, baud, adapter)
+        return UsbFile(name, file, baud, adapter)
     if adapter is not None:
         file.close()
         raise UsageError(f'--adapter {adapter}: {name} is not a file of USB events; leave it out')
     if head.startswith(MAGIC):
-        return CaptureFile(name, file, head, baud)
-    if stat.S_ISREG(os.fstat(file.fileno()).st_mode) and is_text(head + file.peek()):
+        return CaptureFile(name, file, baud)
+    if is_regular and is_text(begin):
         file.close()
         raise UsageError(f'{name}: a text file, not a recording; {_instead(name, tool)}')
-    return RawFile(name, file, head, baud)
+    return RawFile(name, file, baud)
+
+
+class _Joined(RawIOBase):
+    """A pipe, from its beginning on, after that was read."""
+
+    def __init__(self, begin: bytes, file: BufferedReader) -> None:
+        self._begin = begin
+        self._file = file
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any, /) -> int:
+        data = self._begin[:len(buffer)] or self._file.read1(len(buffer))
+        self._begin = self._begin[len(data):]
+        buffer[:len(data)] = data
+        return len(data)
 
 
 def is_text(begin: bytes) -> bool:

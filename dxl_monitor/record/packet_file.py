@@ -103,10 +103,9 @@ def is_packet_file(path: str | Path) -> bool:
 class PacketFile(File):
     """Such a file as a source; baud overrides what it says."""
 
-    def __init__(self, name: str, file: BufferedReader, head: bytes, baud: int | None) -> None:
-        super().__init__(name, file, head)
-        self._baud = baud
-        self._packets = PcapReader(_Joined(head, file))
+    def __init__(self, name: str, file: BufferedReader, baud: int | None) -> None:
+        super().__init__(name, file, baud)
+        self._packets = PcapReader(file)
 
     def chunks(self) -> Iterator[Chunk | None]:
         """Yield each packet as a chunk; its stamp is of the last byte, or for OUT of the first."""
@@ -141,15 +140,3 @@ def _change(comment: str) -> Change | None:
     is_one = comment.startswith(_EVENT) and what in CHANGES and value.isdecimal() \
         and len(value) <= DIGITS_LIMIT
     return Change(what, int(value)) if is_one else None
-
-
-class _Joined:
-    """A file of which the first bytes were read already."""
-
-    def __init__(self, head: bytes, file: BufferedReader) -> None:
-        self._head = head
-        self._file = file
-
-    def read(self, size: int, /) -> bytes:
-        head, self._head = self._head[:size], self._head[size:]
-        return head or self._file.read(size)

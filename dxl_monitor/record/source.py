@@ -10,10 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from io import BufferedReader
-from io import BytesIO
-from itertools import chain
 import os
-import stat
 
 from dxl_monitor.port.source_name import DEFAULT_BAUD
 from dxl_monitor.record.capture import Chunk
@@ -63,15 +60,18 @@ class Source:
 
 
 class File(Source):
-    """A file or a pipe; `head` is what was read of it already."""
+    """A file or a pipe; baud overrides what it says."""
 
-    def __init__(self, name: str, file: BufferedReader, head: bytes) -> None:
+    def __init__(self, name: str, file: BufferedReader, baud: int | None) -> None:
         super().__init__()
         self._name = name
         self._file = file
-        self._head = head
-        status = os.fstat(file.fileno())
-        self.total = status.st_size if stat.S_ISREG(status.st_mode) else 0
+        self._baud = baud
+        self.total = os.fstat(file.fileno()).st_size if file.seekable() else 0
+
+    @property
+    def _bus(self) -> str:
+        return 'stdin' if self._name == '-' else os.path.basename(self._name).partition('.')[0]
 
     def position(self) -> int:
         return self._file.tell() if self.total else 0
@@ -81,13 +81,11 @@ class File(Source):
 
 
 class CaptureFile(File):
-    """A capture; baud overrides what it says."""
+    """A capture."""
 
-    def __init__(self, name: str, file: BufferedReader, head: bytes, baud: int | None) -> None:
-        super().__init__(name, file, head)
-        self._baud = baud
-        begin = BytesIO(head + file.readline(READ_SIZE))
-        self._reader = Reader(chain(begin, lines(file)))
+    def __init__(self, name: str, file: BufferedReader, baud: int | None) -> None:
+        super().__init__(name, file, baud)
+        self._reader = Reader(lines(file))
         self.wires = self._reader.wires
 
     def chunks(self) -> Iterator[Chunk | None]:
@@ -109,16 +107,13 @@ class RawFile(File):
     is_timed = False
     read_size = READ_SIZE
 
-    def __init__(self, name: str, file: BufferedReader, head: bytes, baud: int | None) -> None:
-        super().__init__(name, file, head)
-        bus = 'stdin' if name == '-' else os.path.basename(name).partition('.')[0]
-        self._wire = self.wires[bus] = Wire(bus, baud or DEFAULT_BAUD, port=name)
+    def __init__(self, name: str, file: BufferedReader, baud: int | None) -> None:
+        super().__init__(name, file, baud)
+        self.wires[self._bus] = Wire(self._bus, baud or DEFAULT_BAUD, port=name)
 
     def chunks(self) -> Iterator[Chunk | None]:
-        name, baud, *_ = self._wire
+        [(name, baud, *_)] = self.wires.values()
         received = 0
-        head, self._head = self._head, b''
-        while data := head or self._file.read1(self.read_size):
-            head = b''
+        while data := self._file.read1(self.read_size):
             received += len(data)
             yield Chunk(1 + received * _BYTE_NS // baud, name, data)

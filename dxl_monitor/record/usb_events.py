@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+import os
 from typing import BinaryIO
 
 from dxl_monitor.port.usbmon import decode
@@ -24,6 +25,7 @@ from dxl_monitor.record.pcap import is_pcap
 from dxl_monitor.record.pcap import LINK_USB_LINUX
 from dxl_monitor.record.pcap import LINK_USB_LINUX_MMAPPED
 from dxl_monitor.record.pcap import LINK_USBPCAP
+from dxl_monitor.record.pcap import MAGIC_SIZE
 from dxl_monitor.record.pcap import PcapReader
 
 READ_SIZE = 1 << 16
@@ -40,13 +42,14 @@ def may_be_usb(head: bytes) -> bool:
 
 
 class UsbEvents:
-    """The events of an open file, from its position on."""
+    """The events of an open file, from its position on; it can seek."""
 
-    def __init__(self, file: BinaryIO, head: bytes) -> None:
-        """Begin; head: the first bytes of the file, which were not yet taken from it."""
+    def __init__(self, file: BinaryIO) -> None:
         self.problems: list[str] = []
         self._file = file
+        head = file.read(MAGIC_SIZE)
         self._is_pcap = is_pcap(head)
+        file.seek(-len(head), os.SEEK_CUR)
 
     def __iter__(self) -> Iterator[UsbEvent]:
         return self._from_packets() if self._is_pcap else self._from_records()

@@ -6,10 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from io import BufferedReader
-import os
 import shutil
 from tempfile import TemporaryFile
-from typing import BinaryIO
+from typing import cast
 
 from dxl_monitor.port.usb_port import UsbPort
 from dxl_monitor.port.usb_survey import Found
@@ -32,30 +31,25 @@ class UsbFile(File):
     UsageError, which lists them. The file is read twice: a pipe goes through a temporary file.
     """
 
-    def __init__(self, name: str, file: BufferedReader, head: bytes, baud: int | None,
+    def __init__(self, name: str, file: BufferedReader, baud: int | None,
                  adapter: str | None) -> None:
-        super().__init__(name, file, head)
-        self._baud = baud
-        self._usb = _seekable(file, head)
-        self.total = self._usb.seek(0, os.SEEK_END)
+        super().__init__(name, _seekable(file), baud)
         self._events = self._from_the_start()
         survey = Survey()
         for event in self._events:
             survey.take(event)
         found = _chosen(name, survey.ports(), adapter, self._events.problems)
         self._port = UsbPort(found.place, found.adapter)
-        bus = 'stdin' if name == '-' else os.path.basename(name).partition('.')[0]
-        self._wire = Wire(bus, baud or 0, port=name)
-        self.wires = {bus: self._wire}
+        self.wires[self._bus] = Wire(self._bus, baud or 0, port=name)
 
     def _from_the_start(self) -> UsbEvents:
-        self._usb.seek(0)
-        return UsbEvents(self._usb, self._head)
+        self._file.seek(0)
+        return UsbEvents(self._file)
 
     def chunks(self) -> Iterator[Chunk | None]:
         """Yield what was heard, in the order of its stamps: those of the file, ns since 1970."""
         self._events = self._from_the_start()
-        newest = 0
+        bus, newest = self._bus, 0
         for event in self._events:
             heard = self._port.take(event)
             if heard is None:
@@ -65,29 +59,22 @@ class UsbFile(File):
             if not self.began.stamp:
                 self.began = Moment(newest, newest)
             if heard.data:
-                yield Chunk(newest, self._wire.name, heard.data, heard.side)
+                yield Chunk(newest, bus, heard.data, heard.side)
             for change in heard.changes:
                 if change.what != BAUD or self._baud is None:
-                    yield Chunk(newest, self._wire.name, change=change)
-
-    def position(self) -> int:
-        return self._usb.tell()
+                    yield Chunk(newest, bus, change=change)
 
     def problems(self) -> list[str]:
         return [f'{self._name}: {problem}' for problem in self._events.problems]
 
-    def close(self) -> None:
-        self._usb.close()
-        super().close()
 
-
-def _seekable(file: BufferedReader, head: bytes) -> BinaryIO:
+def _seekable(file: BufferedReader) -> BufferedReader:
     if file.seekable():
         return file
     copy = TemporaryFile()                             # noqa: SIM115 - closed with the source
-    copy.write(head)
     shutil.copyfileobj(file, copy)
-    return copy
+    copy.flush()
+    return cast(BufferedReader, copy)
 
 
 def _chosen(name: str, ports: list[Found], adapter: str | None, problems: list[str]) -> Found:
