@@ -34,8 +34,6 @@ class Detector:
     frame that did so.
     """
 
-    __slots__ = ('_single', 'proof', 'proven', 'proving', 'streak')
-
     def __init__(self) -> None:
         self.proven: set[int] = set()
         self.proof: list[Candidate] = []

@@ -204,8 +204,6 @@ _TEXTS: dict[str, str] = {
 class Evidence:
     """What was noted on one bus."""
 
-    __slots__ = ('_errors', '_incidents', '_kept', '_waits', 'counts', 'noted')
-
     def __init__(self) -> None:
         self._incidents: deque[Incident[Any]] = deque(maxlen=_KEPT)
         self._errors: deque[Incident[Any]] = deque(maxlen=_ERRORS_KEPT)

@@ -70,9 +70,6 @@ class Target(NamedTuple):
 class Planner:
     """The plans of one bus. on_ack: called with the device and its status when it acknowledges."""
 
-    __slots__ = ('_actions', '_evidence', '_makers', '_on_ack', '_registry', '_retired', '_size',
-                 '_targets', 'known')
-
     def __init__(self, registry: DeviceRegistry, evidence: Evidence,
                  on_ack: Callable[..., object]) -> None:
         self._registry = registry

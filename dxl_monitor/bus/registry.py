@@ -59,9 +59,6 @@ class DeviceRegistry:
     changed: called when a device has another ID or model, so that plans made before do not hold.
     """
 
-    __slots__ = ('_dummy', '_evidence', '_followers', '_models', '_offsets', '_renamed',
-                 'baud', 'changed', 'devices', 'dialect', 'highest', 'tried')
-
     def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
                  evidence: Evidence) -> None:
         self._models = models

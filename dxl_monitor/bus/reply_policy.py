@@ -34,8 +34,6 @@ class OpenQuestion(NamedTuple):
 class ReplyPolicy:
     """write_acks: 'auto', 'always' or 'never'; missed_limit: both as the parameters."""
 
-    __slots__ = ('_evidence', '_missed_limit', '_registry', '_write_acks')
-
     def __init__(self, write_acks: str, missed_limit: int, registry: DeviceRegistry,
                  evidence: Evidence) -> None:
         self._write_acks = write_acks
