@@ -6,12 +6,12 @@ from functools import partial
 import sys
 from unittest import mock
 
-from dxl_monitor import monitor_node
+from dxl_monitor import monitored_bus
 from dxl_monitor.start import main
 
-# Fails where monitor_node.py no longer has that name; an assignment would go unseen.
-in_thread = mock.patch.object(monitor_node, 'listener_on',
-                              partial(monitor_node.listener_on, in_thread=True))
+# Fails where monitored_bus.py no longer has that name; an assignment would go unseen.
+in_thread = mock.patch.object(monitored_bus, 'listener_on',
+                              partial(monitored_bus.listener_on, in_thread=True))
 
 if __name__ == '__main__':
     with in_thread:

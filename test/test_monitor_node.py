@@ -172,7 +172,7 @@ def test_no_system_call_writes_to_the_port(tmp_path, heard):
 
 def test_a_report_waits_until_what_waited_is_read(ros):
     """After a freeze; but not for ever, if it is the reader that hangs."""
-    from dxl_monitor.monitor_node import MonitoredBus
+    from dxl_monitor.monitored_bus import MonitoredBus
     bus = Bus('bus', '', '/does/not/exist', Settings())
     watched = MonitoredBus(bus, Models(), Recorders(None, None), 0.0)
     listener = watched.listener

@@ -1,0 +1,117 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bus that is listened to: its port and its monitor, with or without ROS."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+import time
+
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.doctor.case import Names
+from dxl_monitor.doctor.case import PARAMETERS
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor_settings import Bus
+from dxl_monitor.monitor_status import PortState
+from dxl_monitor.port.driver import adapter
+from dxl_monitor.port.listener import TAKE_EVERY_S
+from dxl_monitor.port.listeners import listener_on
+from dxl_monitor.port.reader import NAME as READER_NAME
+from dxl_monitor.port.source_name import is_live
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.recorders import Recorders
+from mecarover_serial.inspection import Inspection
+from msg_defs.event import Change
+from msg_defs.event import UNKNOWN
+
+BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s late at most
+PATIENCE_NS = 2_500_000_000     # longer is not a freeze: its reader hangs; a dashboard waits 4 s
+
+
+class MonitoredBus:
+    """One bus: its listener and its monitor, and the recorders of all buses."""
+
+    def __init__(self, bus: Bus, models: Models, recorders: Recorders,
+                 joint_state_rate: float = 0.0, names: Names = PARAMETERS) -> None:
+        self.bus = bus
+        self.monitor = Monitor(bus.label, models, bus.settings, idle_is_told=True, names=names)
+        self._behind_since = 0
+        self._known_adapter: tuple[int, list[tuple[str, str]]] = (0, [])
+        self._recorders = recorders
+        self._inspection = None if is_live(bus.port) else Inspection(bus.port, [READER_NAME])
+        self.listener = listener_on(
+            bus.port, bus.settings.baud,
+            self._record_and_feed if recorders else self.monitor.feed,
+            self.monitor.flush_if_idle, on_change=self._change,
+            on_pieces=None if recorders else self.monitor.feed_pieces,
+            take_every_s=min(TAKE_EVERY_S, 0.5 / (joint_state_rate or 1.0)))
+
+    @cached_property
+    def _wire(self) -> Wire:
+        """What a capture says about the bus; known once there are bytes."""
+        return Wire(self.bus.name, self.bus.settings.baud, self.listener.latency_timer_ms or 0,
+                    self.bus.port)
+
+    def _record_and_feed(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
+        self._recorders.take(self._wire, chunk, stamp, side)
+        self.monitor.feed(chunk, stamp, side)
+
+    def _change(self, change: Change, stamp: int) -> None:
+        self._recorders.change(self._wire, change, stamp)
+        self.monitor.change(change, stamp)
+
+    def is_late(self, now: int) -> bool:
+        """Return whether a report must wait, because what came is still to be read."""
+        if not self.listener.state.is_open or now - self.listener.listened < BEHIND_NS:
+            self._behind_since = 0
+            return False
+        self._behind_since = self._behind_since or now
+        return now - self._behind_since < PATIENCE_NS
+
+    def report(self, now: int) -> BusReport:
+        """Return what is known; what the adapter delays is not silence."""
+        self.monitor.expect_delay(self.listener.latency_timer_ms or 0)
+        return self.monitor.report(now, self.listener.counters.line_errors,
+                                   self.listener.state.is_open and not self._behind_since)
+
+    def port_state(self, warnings: Sequence[str] = ()) -> PortState:
+        """Return what the driver and the thread know about the port; `warnings` are the node's."""
+        counters, state = self.listener.counters, self.listener.state
+        values = [
+            ('Bytes read', str(counters.bytes)),
+            ('Reads', str(counters.reads)),
+            ('Openings', str(counters.openings)),
+            ('Largest gap between reads (ms)', f'{1e3 * counters.largest_gap_s:.1f}'),
+            ('Low latency mode', str(self.listener.low_latency).lower()),
+        ]
+        if state.is_open:
+            values.append(('Read by', 'a process of its own' if self.listener.reader_pid
+                           else 'a thread of the node'))
+            values += self._adapter(counters.openings)
+        if self.listener.latency_timer_ms is not None:
+            values.append(('Latency timer (ms)', str(self.listener.latency_timer_ms)))
+        values += self._recorders.values()
+        if counters.line_errors is not None:
+            values += [(f'Driver: {name}', str(count))
+                       for name, count in counters.line_errors._asdict().items()]
+        warning = self._recorders.problem or '; '.join(
+            [*self.listener.problems(), *self._complaints()])
+        if state.is_open and self._behind_since:
+            warning = (f'{self.bus.port}: its reader is not responding, so the data is stale; '
+                       'plug the adapter in again, or restart the node')
+        return PortState(self.bus.port, '' if state.is_open else state.text, tuple(values),
+                         '; '.join(filter(None, [*warnings, warning])))
+
+    def _complaints(self) -> list[str]:
+        """Return what disturbs the port while it is open: a login, a console."""
+        if self._inspection is None or not self.listener.state.is_open:
+            return []
+        self._inspection.look(self.listener.counters.openings, time.monotonic())
+        return self._inspection.complaints
+
+    def _adapter(self, openings: int) -> list[tuple[str, str]]:
+        """Return what the adapter says of itself; another one may be there after each opening."""
+        if self._known_adapter[0] != openings:
+            self._known_adapter = openings, adapter(self.bus.port)
+        return self._known_adapter[1]
