@@ -17,7 +17,7 @@ TOOLS = {
     'dxl_doctor': 'dxl_monitor.tools.dxl_doctor',
     'dxl_replay': 'dxl_monitor.tools.replay',
     'dxl_tap': 'dxl_monitor.tools.tap',
-    'dxl_dashboard': 'mecarover_dashboard.serve',
+    'dxl_dashboard': 'mecarover_feed.dxl_dashboard',
     'mecarover_status': 'mecarover_dashboard.terminal',
 }
 DASHBOARD = ['aiohttp>=3.9', 'prometheus-client>=0.16']
@@ -37,7 +37,7 @@ setup(
     python_requires='>=3.10',
     packages=find_packages(include=[
         'msg_defs', NAME, 'vel2d_bridge*', 'dxl_monitor*', 'mecarover_dashboard',
-        'mecarover_demo', 'mecarover_fakes']),
+        'mecarover_demo', 'mecarover_fakes', 'mecarover_feed']),
     package_data={'dxl_monitor.model': ['files/*.yaml'],
                   'dxl_monitor.tools.doctor': ['errors.yaml'],
                   'mecarover_dashboard': ['static/*']},

@@ -10,6 +10,7 @@ alignment counted from the byte after the first four.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from struct import error as StructError
 from struct import Struct
@@ -20,6 +21,7 @@ from mecarover_serial.plain import printable
 TEXT_LIMIT = 500            # characters of one text that reach the page
 PAIRS_LIMIT = 4096          # in a status: the longest control table has a few hundred
 STATUSES_LIMIT = 5000       # in a message: ten full buses have half of it
+_BYTES_OF_PAIR = 40           # about, of a table
 _FRONT = 4                  # representation and options
 _STAMP = 8
 
@@ -43,6 +45,10 @@ class RawStatus(NamedTuple):
     at: int
     count: int  # type: ignore[assignment]      # the field's name, not tuple.count
 
+    @property
+    def size(self) -> int:
+        return len(self.data)
+
     def pairs(self, first: int | None = None, limit: int = TEXT_LIMIT) -> list[tuple[str, str]]:
         """Return the first so many (key, value) pairs, by default all, long texts cut."""
         count = self.count if first is None else min(first, self.count)
@@ -60,6 +66,42 @@ class RawStatus(NamedTuple):
                         return key, value
             at += 1
         return None
+
+
+class HandedStatus(NamedTuple):
+    """The same of a status that was never serialised: its values as they were handed over."""
+
+    level: int
+    name: str
+    message: str
+    hardware_id: str
+    values: Sequence[tuple[str, str]]
+
+    @property
+    def count(self) -> int:  # type: ignore[override]
+        return len(self.values)
+
+    @property
+    def size(self) -> int:
+        return _BYTES_OF_PAIR * len(self.values)
+
+    def pairs(self, first: int | None = None, limit: int = TEXT_LIMIT) -> list[tuple[str, str]]:
+        """Return the first so many (key, value) pairs, by default all, long texts cut."""
+        return [(handed(key, limit), handed(value, limit)) for key, value in self.values[:first]]
+
+    def find(self, start: bytes) -> tuple[str, str] | None:
+        """Return the first pair with a key that begins with ASCII text; None if there is none."""
+        text = start.decode()
+        return next(((handed(key), handed(value)) for key, value in self.values
+                     if key.startswith(text)), None)
+
+
+AnyStatus = RawStatus | HandedStatus
+
+
+def handed(text: str, limit: int = TEXT_LIMIT) -> str:
+    """Return a text of this process as the page may have it."""
+    return printable(text) if len(text) <= limit else f'{printable(text[:limit])}\u2026'
 
 
 def statuses(data: bytes) -> list[RawStatus]:

@@ -14,7 +14,7 @@ import re
 from typing import Any
 from typing import NamedTuple
 
-from mecarover_dashboard.cdr import RawStatus
+from mecarover_dashboard.cdr import AnyStatus
 from msg_defs import status_keys as keys
 from msg_defs.reports import CONNECTED
 from msg_defs.reports import Level
@@ -71,7 +71,7 @@ class RegisterTable(NamedTuple):
     fields: list[FieldRow]
 
 
-def split(status: RawStatus) -> tuple[str, str]:
+def split(status: AnyStatus) -> tuple[str, str]:
     """Return the node and what it speaks of; ('', ...) where a name is of another kind."""
     return split_name(status.name)
 
@@ -82,7 +82,7 @@ def split_name(name: str) -> tuple[str, str]:
     return (node, rest) if colon else ('', name)
 
 
-def section(status: RawStatus) -> str:
+def section(status: AnyStatus) -> str:
     """Return where a status belongs: devices, buses, bridge or timing; '' if it is not ours."""
     _, rest = split(status)
     if rest.startswith('timing/'):
@@ -97,19 +97,19 @@ def section(status: RawStatus) -> str:
     return ''
 
 
-def _bus_of(status: RawStatus) -> str:
+def _bus_of(status: AnyStatus) -> str:
     """Return the bus of a device, '' where its node has only one."""
     robot = namespace_of(split(status)[0])
     return status.hardware_id.removeprefix(f'{robot}/').rpartition('/')[0]
 
 
-def _own_name(status: RawStatus, rest: str) -> str:
+def _own_name(status: AnyStatus, rest: str) -> str:
     """Return the name of a device without its bus."""
     bus = _bus_of(status)
     return rest.removeprefix(f'{bus}/') if bus else rest
 
 
-def metric_of(status: RawStatus) -> str:
+def metric_of(status: AnyStatus) -> str:
     """Return what a timing status is about: a bus, [bus/]device, or '' (a node, its only bus)."""
     return split(status)[1].removeprefix('timing/').rpartition('/')[0]
 
@@ -119,7 +119,7 @@ def is_device(of: str) -> bool:
     return _DEVICE.match(of.rpartition('/')[2]) is not None
 
 
-def row(kind: str, status: RawStatus) -> Row:
+def row(kind: str, status: AnyStatus) -> Row:
     """Return what the page knows of a status at all times (tables come on demand)."""
     node, rest = split(status)
     level = status.level if status.level in _LEVELS else Level.STALE
@@ -128,7 +128,7 @@ def row(kind: str, status: RawStatus) -> Row:
     return common | _MAKERS[kind](status, rest)
 
 
-def _device(status: RawStatus, rest: str) -> Row:
+def _device(status: AnyStatus, rest: str) -> Row:
     pairs = _head(status)
     values = dict(reversed(pairs))      # a field of the table may be called like a fact
     id_, _, joint = _own_name(status, rest).partition(' ')
@@ -145,7 +145,7 @@ def _device(status: RawStatus, rest: str) -> Row:
          for found in [values.get(one.key, '')]}
 
 
-def _head(status: RawStatus) -> list[tuple[str, str]]:
+def _head(status: AnyStatus) -> list[tuple[str, str]]:
     """Return the pairs in front of the table, with all findings, however many there are."""
     most = HEAD
     pairs = status.pairs(most)
@@ -160,7 +160,7 @@ def _is_open(pairs: list[tuple[str, str]]) -> bool:
     return dict(pairs).get(keys.STATE) != PORT_CLOSED
 
 
-def _bus(status: RawStatus, rest: str) -> Row:
+def _bus(status: AnyStatus, rest: str) -> Row:
     pairs = status.pairs()
     return {
         'bus': rest.partition(' ')[2],
@@ -174,12 +174,12 @@ def _bus(status: RawStatus, rest: str) -> Row:
     }
 
 
-def _bridge(status: RawStatus, rest: str) -> Row:
+def _bridge(status: AnyStatus, rest: str) -> Row:
     pairs = status.pairs()
     return {'part': rest, 'values': pairs, 'live': _is_open(pairs)}
 
 
-def _timing(status: RawStatus, rest: str) -> Row:
+def _timing(status: AnyStatus, rest: str) -> Row:
     return {'of': metric_of(status), 'metric': rest.rpartition('/')[2], 'values': status.pairs()}
 
 
@@ -234,7 +234,7 @@ def finite(text: str) -> float | None:
     return value if abs(value) < 1e300 else None        # False for NaN, too
 
 
-def table(status: RawStatus, arrived_s: float,
+def table(status: AnyStatus, arrived_s: float,
           before: RegisterTable | None = None) -> RegisterTable:
     """Return facts and fields of a device status; `observed` decides which keys are fields."""
     pairs = status.pairs(limit=_OBSERVED_LIMIT)
@@ -256,14 +256,14 @@ def table(status: RawStatus, arrived_s: float,
     return RegisterTable(facts, fields)
 
 
-def values(status: RawStatus) -> Values:
+def values(status: AnyStatus) -> Values:
     """Return what the registers of a device say of its health, as far as they were read."""
     (_, position), (_, temperature), (_, voltage), (key, load) = (
         _first(status, names) for names in _VALUES)
     return Values(position, temperature, voltage, load, key.rpartition(' (')[2].rstrip(')'))
 
 
-def _first(status: RawStatus, names: tuple[bytes, ...]) -> tuple[str, str]:
+def _first(status: AnyStatus, names: tuple[bytes, ...]) -> tuple[str, str]:
     return next(filter(None, map(status.find, names)), ('', ''))
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import socket
 import sys
 from typing import Any
+from typing import TYPE_CHECKING
 
 from mecarover_dashboard.history_recorder import default_path
 from mecarover_dashboard.history_recorder import HistoryError
@@ -21,6 +22,9 @@ from mecarover_serial.cli import no_ros
 from mecarover_serial.cli import options_of_node
 from mecarover_serial.plain import plain_streams
 from mecarover_serial.plain import printable
+
+if TYPE_CHECKING:
+    from mecarover_dashboard.web_server import Server
 
 NAME = 'dxl_dashboard'
 NONE = 'none'
@@ -37,32 +41,43 @@ _REMEDIES = {
 @plain_streams()
 def main(args: Sequence[str] | None = None) -> int:
     """Run the dashboard; return the exit code."""
-    options, arguments = options_of_node(_parser(), args)
-    try:
-        listener = listen(options.host, options.port)
-    except OSError as error:
-        remedy = _REMEDIES.get(error.errno or 0, f'{error.strerror}; see --help')
-        print(f'{NAME}: {options.host}:{options.port}: {remedy}', file=sys.stderr)
-        return COULD_NOT_RUN
-    try:
-        from mecarover_dashboard.web_server import Server
-    except ImportError as error:
-        print(f'{NAME}: {error.name} is not installed; sudo apt install python3-aiohttp, or pip '
-              "install 'mecarover_serial[dashboard]'", file=sys.stderr)
-        return COULD_NOT_RUN
+    options, arguments = options_of_node(make_parser(), args)
     try:
         from mecarover_dashboard.topic_subscriber import Subscriber
         from mecarover_serial.ros_node import run
     except ImportError as error:
         return no_ros(NAME, error)
+    server = open_server(options)
+    return COULD_NOT_RUN if server is None else run(NAME, lambda: Subscriber(server), arguments)
+
+
+def open_server(options: argparse.Namespace, source: str = '') -> Server | None:
+    """
+    Return a server for these options, and say where it is; None: it was said why not.
+
+    source: what it shows, in words; '': ROS topics.
+    """
+    try:
+        listener = listen(options.host, options.port)
+    except OSError as error:
+        remedy = _REMEDIES.get(error.errno or 0, f'{error.strerror}; see --help')
+        print(f'{NAME}: {options.host}:{options.port}: {remedy}', file=sys.stderr)
+        return None
+    try:
+        from mecarover_dashboard.web_server import Server
+    except ImportError as error:
+        print(f'{NAME}: {error.name} is not installed; sudo apt install python3-aiohttp, or pip '
+              "install 'mecarover_serial[dashboard]'", file=sys.stderr)
+        return None
     host, port = listener.getsockname()[:2]
     is_open = not is_loopback(host)
-    print(announcement(host, port, is_open), flush=True)
+    # A program that is started has stdout for itself.
+    print(announcement(host, port, is_open), flush=True, file=sys.stderr if source else None)
     recording, without = open_history(options.history)
     if recording is None and options.history not in (None, NONE):
-        return COULD_NOT_RUN
-    server = Server(listener, facts(host, port, without), is_open, recording, options.name)
-    return run(NAME, lambda: Subscriber(server), arguments)
+        return None
+    about = facts(host, port, without) | ({'source': source} if source else {})
+    return Server(listener, about, is_open, recording, options.name)
 
 
 def open_history(wanted: str | None) -> tuple[HistoryRecorder | None, str]:
@@ -115,7 +130,8 @@ def _bracketed(host: str) -> str:
     return f'[{host}]' if ':' in host else host
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return the options of the page, whatever feeds it."""
     parser = argparse.ArgumentParser(
         prog=NAME, description='Web page of devices, registers, timing and the bridge: shows '
         'what dxl_monitor and vel2d_bridge publish, live or from ros2 bag play. Read-only.')

@@ -11,19 +11,23 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field
 from typing import Any
 from typing import NamedTuple
 
 from mecarover_dashboard import rows
+from mecarover_dashboard.cdr import AnyStatus
 from mecarover_dashboard.cdr import CdrError
-from mecarover_dashboard.cdr import RawStatus
+from mecarover_dashboard.cdr import handed
+from mecarover_dashboard.cdr import HandedStatus
 from mecarover_dashboard.cdr import statuses
 from mecarover_dashboard.robot_parts import parts_of
 from mecarover_dashboard.robot_parts import RobotPart
 from mecarover_dashboard.rows import RegisterTable
 from mecarover_dashboard.rows import Row
+from msg_defs.reports import Status
 from msg_defs.reports import status_name
 
 TABLES = 'dxl/diagnostics'
@@ -45,6 +49,7 @@ _POINTS = 60_000             # ... and its history
 _ONLY_LONG: Row = {'errors': [], 'running': None, 'started': None}
 
 Point = list[float | None]
+Message = bytes | Sequence[Status]
 
 
 @dataclass(slots=True)
@@ -56,7 +61,7 @@ class _Row:
     cost: int = 0               # bytes, about
     arrived: float = 0.0
     period_s: float = 0.0       # between reports: the longest of late
-    whole: RawStatus | None = None
+    whole: AnyStatus | None = None
     whole_arrived: float = 0.0
     values: rows.Values = rows.NOTHING
     points: deque[tuple[int, Point]] = field(default_factory=lambda: deque(maxlen=HISTORY))
@@ -90,17 +95,20 @@ class State:
         self._removed: deque[tuple[int, str, str]] = deque(maxlen=MOST_ROWS)
         self._heard: dict[str, float] = {}          # by node
         self._latencies: dict[str, deque[Point]] = {}       # by device
-        self._tables: dict[str, tuple[RawStatus, RegisterTable]] = {}
+        self._tables: dict[str, tuple[AnyStatus, RegisterTable]] = {}
         self._parts: tuple[int, list[RobotPart]] = -1, []      # and their version
         self.grown_s = 0.0                          # when the last new row came
 
-    def take(self, topic: str, message: bytes, now_s: float) -> None:
-        """Take a serialised DiagnosticArray; no content makes this raise."""
+    def take(self, topic: str, message: Message, now_s: float) -> None:
+        """Take a DiagnosticArray, serialised or as its statuses; no content makes this raise."""
         if len(message) > MOST_OF_MESSAGE:
             self.refused += 1
             return
+        found: Sequence[AnyStatus]
         try:
-            found = statuses(message)
+            found = statuses(message) if isinstance(message, bytes) else [
+                HandedStatus(one.level, handed(one.name), handed(one.message),
+                             handed(one.hardware_id), one.values) for one in message]
         except CdrError:
             self.malformed += 1
             return
@@ -116,15 +124,15 @@ class State:
             elif section:
                 self._take_status(topic, section, status, now_s)
 
-    def _is_ours(self, status: RawStatus) -> bool:
+    def _is_ours(self, status: AnyStatus) -> bool:
         return not self.namespace or status.name.startswith(f'{self.namespace}/')
 
-    def _is_of_device(self, status: RawStatus) -> bool:
+    def _is_of_device(self, status: AnyStatus) -> bool:
         of = rows.metric_of(status)
         bus = f'{rows.split(status)[0]}: bus {of}'
         return rows.is_device(of) and bus not in self._entries['buses']
 
-    def _take_latency(self, status: RawStatus, now_s: float) -> None:
+    def _take_latency(self, status: AnyStatus, now_s: float) -> None:
         name = f'{rows.split(status)[0]}: {rows.metric_of(status)}'
         if name in self._entries['devices']:
             points = self._latencies.get(name)
@@ -136,7 +144,7 @@ class State:
                 points = self._latencies[name] = deque(maxlen=HISTORY)
             points.append([round(now_s, 2), *rows.figures(status.pairs())])
 
-    def _take_status(self, topic: str, section: str, status: RawStatus, now_s: float) -> None:
+    def _take_status(self, topic: str, section: str, status: AnyStatus, now_s: float) -> None:
         entry = self._entry(section, status)
         if entry is None:
             return
@@ -160,13 +168,13 @@ class State:
         if row != entry.row or section == 'timing':
             entry.row, entry.version = row, self.version
 
-    def _entry(self, section: str, status: RawStatus) -> _Row | None:
+    def _entry(self, section: str, status: AnyStatus) -> _Row | None:
         """Return the row of a status, None where there is no room for it."""
         entries = self._entries[section]
         entry = entries.get(status.name)
         cost = _cost(section, status)
         old = 0 if entry is None else entry.cost
-        if len(status.data) > MOST_OF_STATUS or (
+        if status.size > MOST_OF_STATUS or (
                 self._is_full(cost) if entry is None
                 else cost > old and self.bytes + cost - old > MOST_BYTES):
             self.refused += 1
@@ -284,10 +292,10 @@ class State:
                 for topic, count in self.messages.items()}
 
 
-def _cost(section: str, status: RawStatus) -> int:
+def _cost(section: str, status: AnyStatus) -> int:
     """Return about how many bytes a row takes; texts are kept as bytes and decoded."""
     pairs = min(status.count, rows.HEAD) if section == 'devices' else status.count
-    return (_ROW + 2 * len(status.data) + _PAIR * pairs
+    return (_ROW + 2 * status.size + _PAIR * pairs
             + (_POINTS if section == 'timing' else 0))
 
 

@@ -33,6 +33,7 @@ from mecarover_dashboard.client import json_text
 from mecarover_dashboard.connection_limit import ConnectionLimit
 from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_dashboard.history_requests import HistoryRequests
+from mecarover_dashboard.state import Message
 from mecarover_dashboard.state import MOST_OF_MESSAGE
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
@@ -105,7 +106,7 @@ class Server:
         self._names = frozenset(names)
         self._boot = secrets.token_hex(4)       # versions count from the start of this process
         self._facts = facts | {'boot': self._boot, 'open': is_open}
-        self._inbox: deque[tuple[str, bytes, float]] = deque()
+        self._inbox: deque[tuple[str, Message, float]] = deque()
         self._inbox_bytes = 0
         self._inbox_lock = threading.Lock()
         self._state = State()
@@ -120,6 +121,12 @@ class Server:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ended: asyncio.Event
         self._haste: asyncio.Event
+
+    @property
+    def address(self) -> str:
+        """The page, for a browser of this machine."""
+        address = str(self._facts['address'])
+        return 'http://' + address.replace('0.0.0.0', '127.0.0.1').replace('[::]', '[::1]')
 
     # From any thread.
 
@@ -138,8 +145,8 @@ class Server:
             self._recording.close()
             self._recording = None
 
-    def take(self, topic: str, message: bytes) -> None:
-        """Take a serialised DiagnosticArray; it is looked at with the next push."""
+    def take(self, topic: str, message: Message) -> None:
+        """Take a DiagnosticArray, serialised or not; it is looked at with the next push."""
         if len(message) > MOST_OF_MESSAGE:
             message = b''                       # counted as malformed, and takes no one's room
         with self._inbox_lock:
@@ -147,7 +154,8 @@ class Server:
             self._inbox_bytes += len(message)
             while len(self._inbox) > INBOX or self._inbox_bytes > INBOX_BYTES:
                 self._inbox_bytes -= len(self._inbox.popleft()[1])
-        if topic == OVERVIEW and self._loop is not None:    # the nodes tell changes of level there
+        # The nodes publish changes of level there; what is handed over has them in it.
+        if (topic == OVERVIEW or not isinstance(message, bytes)) and self._loop is not None:
             with suppress(RuntimeError):                    # it has just ended
                 self._loop.call_soon_threadsafe(self._haste.set)
 
@@ -234,7 +242,7 @@ class Server:
             self._pushed.set()
             self._pushed = asyncio.Event()
 
-    def _taken(self) -> tuple[str, bytes, float] | None:
+    def _taken(self) -> tuple[str, Message, float] | None:
         """Take the oldest message out of the inbox."""
         with self._inbox_lock:
             if not self._inbox:

@@ -23,7 +23,7 @@ import yaml
 ROOT = Path(__file__).resolve().parents[1]
 LIST = ROOT / 'test/baseline/texts.txt'
 PLACES = ('msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor', 'mecarover_dashboard',
-          'mecarover_demo', 'mecarover_fakes', 'launch', 'deploy', 'scripts')
+          'mecarover_demo', 'mecarover_fakes', 'mecarover_feed', 'launch', 'deploy', 'scripts')
 WORDS = re.compile(r"[^\W\d_]{2,}[\"'”)\]},.:;%]* [\"'“({\[]*[\w-]{2,}"
                    r'|\} [^\W\d_]{3,}|[^\W\d_]{3,},? \{')
 NO_TEXT = re.compile(               # patterns, queries, names of registers and keys

@@ -66,13 +66,16 @@ class Robot:
         if self._bridge:
             self._bridge.bridge_problem = problem
 
+    def port_state(self):
+        return PortState('/dev/ttyUSB0', self._port, ())
+
     def messages(self, with_silent=False):
         """Return what it publishes, without that of the silent nodes where these are silent."""
         found = []
         if with_silent or 'dxl_monitor' not in self.silent:
             for topic, is_whole in ((TABLES, True), (OVERVIEW, False)):
                 for bus, report in self.buses.items():
-                    port = PortState('/dev/ttyUSB0', self._port, ())
+                    port = self.port_state()
                     found.append((topic, serialise([
                         bus_status(self._node, bus, report, port, is_whole),
                         *(device_status(self._node, bus, one, report.findings, is_whole,

@@ -22,6 +22,8 @@ LAYERS = {                              # package: what of ours it may import
     'mecarover_demo': {'msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor',
                        'mecarover_dashboard', 'mecarover_fakes', 'mecarover_demo'},
     'mecarover_fakes': {'msg_defs', 'mecarover_serial', 'dxl_monitor', 'mecarover_fakes'},
+    'mecarover_feed': {'msg_defs', 'mecarover_serial', 'dxl_monitor', 'mecarover_dashboard',
+                       'mecarover_feed'},
 }
 BELOW = {'model', 'port', 'bus', 'doctor', 'record'}
 ROOMS = {                               # room of dxl_monitor ('': none): what it may import

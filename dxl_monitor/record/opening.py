@@ -36,6 +36,8 @@ from mecarover_serial.preflight import why_not
 HEAD_SIZE = 64
 _HEARS = {
     'dxl_doctor': 'dxl_doctor run -- {}',
+    'dxl_dashboard': 'dxl_dashboard run -- {}',
+    'mecarover_status': 'dxl_tap arm -- {}, and mecarover_status tap:arm in another terminal',
     'dxl_dump': 'dxl_tap arm -- {}, and dxl_dump tap:arm in another terminal',
     'dxl_replay': 'dxl_tap arm -- {}, and dxl_dump tap:arm -w bus.txt in another terminal, to '
                   'play bus.txt',
@@ -56,7 +58,7 @@ def open_source(tool: str, name: str, baud: int | None, adapter: str | None = No
         if sys.stdin.isatty():
             raise UsageError('-: stdin is a terminal; pipe bytes or a capture into it')
         return _file(name, open(sys.stdin.fileno(), 'rb', closefd=False), baud, adapter, tool)
-    if is_live(name) or _is_device(name):
+    if is_port(name):
         from dxl_monitor.record.live import LivePort  # needs fcntl, and files do not
 
         return LivePort(name, baud, tool)
@@ -72,7 +74,10 @@ def open_file(name: str, baud: int | None, adapter: str | None = None, *, tool: 
     return _file(name, open(name, 'rb'), baud, adapter, tool)
 
 
-def _is_device(name: str) -> bool:
+def is_port(name: str) -> bool:
+    """Tell whether a source is live; raise where there is nothing of that name."""
+    if is_live(name):
+        return True
     try:
         mode = os.stat(name).st_mode
     except OSError as error:

@@ -15,11 +15,7 @@ from typing import Any
 
 from dxl_monitor.bus.decoder import DEFAULTS
 from dxl_monitor.bus.decoder import PROTOCOLS
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.bus.expected import split_bus
 from dxl_monitor.model.models import Models
-from dxl_monitor.monitor_settings import check_models
-from dxl_monitor.monitor_settings import load_models
 from dxl_monitor.port.source_name import DEFAULT_BAUD
 from dxl_monitor.record.capture import BAUD_LIMIT
 from dxl_monitor.record.capture import Wire
@@ -46,10 +42,11 @@ from dxl_monitor.tools.doctor.verdict import as_json
 from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
+from dxl_monitor.tools.run import add_bus_options
+from dxl_monitor.tools.run import check_range
+from dxl_monitor.tools.run import models_of
+from dxl_monitor.tools.run import parse_run
 from dxl_monitor.tools.run import RUN
-from dxl_monitor.tools.start_program import BY
-from dxl_monitor.tools.start_program import WAYS
-from dxl_monitor.tools.start_program import with_python
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
@@ -74,16 +71,15 @@ def main() -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    options, command = _parse(arguments)
+    options, command = parse_run(_parser(), arguments)
     if options.explain is not None:
         return _explain(options.explain)
-    _check(options, command)
-    models = load_models(options.model_dirs)
+    _check(options)
+    models = models_of(options)
     stored = report_file.load(options.source) if os.path.isfile(options.source) else None
     if stored is not None:
         return _retell(stored, models, options)
     check_report(options.report)
-    check_models(parse_all(split_bus(text)[1] for text in options.devices), models)
     examination = Examination(models, options.devices, options.protocol)
     source = _open(options, command)
     try:
@@ -108,21 +104,6 @@ def _run(arguments: list[str]) -> int:
     return said.code
 
 
-def _parse(arguments: Sequence[str]) -> tuple[argparse.Namespace, Sequence[str]]:
-    """Return the options, and the command after --."""
-    mark = arguments.index('--') if '--' in arguments else len(arguments)
-    parser = _parser()
-    options, left = parser.parse_known_args(arguments[:mark])
-    if left and options.source == RUN and mark == len(arguments):
-        at = arguments.index(RUN) + 1
-        command = with_python(arguments[at:])
-        raise UsageError(f'{RUN}: -- is missing in front of the program; write dxl_doctor '
-                         + shlex.join([*arguments[:at], '--', *command]))
-    if left:
-        parser.error(f'unrecognized arguments: {" ".join(left)}')
-    return options, arguments[mark + 1:]
-
-
 def _explain(pasted: str) -> int:
     """Say what an error text means; return the exit code."""
     found = explain.find(pasted)
@@ -134,22 +115,12 @@ def _explain(pasted: str) -> int:
         f'did you mean "{near}"?' if near else 'paste the line as the program printed it'))
 
 
-def _check(options: argparse.Namespace, command: Sequence[str]) -> None:
+def _check(options: argparse.Namespace) -> None:
     if options.source is None:
         raise UsageError('SOURCE: none given; name a port, a file, or write dxl_doctor run -- '
                          'python my_script.py')
-    if options.by and not command:
-        raise UsageError(f'--by {options.by}: only for run -- COMMAND; leave it out')
-    if (options.source == RUN) != bool(command):
-        raise UsageError(f'{options.source}: the program to run goes after --; write dxl_doctor '
-                         'run -- python my_script.py')
-    for name, least, most in (('baud', 1, BAUD_LIMIT), ('seconds', 0.1, 1e9)):
-        value = getattr(options, name)
-        if value is not None and not least <= value <= most:
-            raise UsageError(f'--{name} {value}: not possible; give {least} to {most:g}')
-    for text in options.devices:
-        if not text.isprintable():
-            raise UsageError(f'--devices {text!r}: control codes; give plain text')
+    check_range(options, 'baud', 1, BAUD_LIMIT)
+    check_range(options, 'seconds', 0.1, 1e9)
 
 
 def _open(options: argparse.Namespace, command: Sequence[str]) -> Source | Program:
@@ -298,16 +269,8 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add('source', metavar='SOURCE', nargs='?',
         help='a port, usb:PORT, tap:NAME, a recording; or run, with a command after --')
-    add('-b', '--baud', type=int, help='baud rate of the bus, if the source does not know it')
-    add('--protocol', choices=PROTOCOLS, default=DEFAULTS.protocol,
-        help='protocol of the bus, if the traffic does not show it')
-    add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
-    add('--by', choices=WAYS, default='', help=BY)
+    add_bus_options(parser)
     add('--seconds', type=float, metavar='N', help='listen for N seconds')
-    add('--devices', action='append', metavar='ID:MODEL:JOINT', default=[],
-        help="devices on the bus, in the order along the cable, e.g. '1-6:XL430-W250'")
-    add('--model-dirs', action='append', metavar='DIR', default=[],
-        help='one more folder of model files')
     add('--report', metavar='FILE', help='write a report to attach to an issue')
     add('--with-host', action='store_true',
         help='put host, user, serial number and command line into it')

@@ -1,6 +1,10 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""`run -- COMMAND`: dxl_doctor starts a program; other tools say what to type instead."""
+"""
+What command lines of several tools have in common: options about a bus, `run -- COMMAND`.
+
+Some tools start a program; the others say what to type instead.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,16 @@ from collections.abc import Sequence
 import os
 import shlex
 
+from dxl_monitor.bus.decoder import DEFAULTS
+from dxl_monitor.bus.decoder import PROTOCOLS
+from dxl_monitor.bus.expected import parse_all
+from dxl_monitor.bus.expected import split_bus
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor_settings import check_models
+from dxl_monitor.monitor_settings import load_models
 from dxl_monitor.record.opening import how_to_hear
+from dxl_monitor.tools.start_program import BY
+from dxl_monitor.tools.start_program import WAYS
 from dxl_monitor.tools.start_program import with_python
 from mecarover_serial.cli import UsageError
 
@@ -30,3 +43,57 @@ def refuse_run(parser: argparse.ArgumentParser, where: str, arguments: Sequence[
     meant = shlex.join(with_python(command or _ANY))
     raise UsageError(f'{RUN}: {parser.prog} starts no program; write: '
                      + how_to_hear(parser.prog, meant))
+
+
+def parse_run(parser: argparse.ArgumentParser,
+              arguments: Sequence[str]) -> tuple[argparse.Namespace, Sequence[str]]:
+    """Return the options, and the command after --; `source` is one, or a list of them."""
+    mark = arguments.index('--') if '--' in arguments else len(arguments)
+    options, left = parser.parse_known_args(arguments[:mark])
+    sources = options.source if isinstance(options.source, list) else [options.source]
+    first = next(iter(sources), None)
+    if first == RUN and mark == len(arguments) and (left or sources[1:]):
+        at = arguments.index(RUN) + 1
+        command = with_python(arguments[at:])
+        raise UsageError(f'{RUN}: -- is missing in front of the program; write {parser.prog} '
+                         + shlex.join([*arguments[:at], '--', *command]))
+    if left:
+        parser.error(f'unrecognized arguments: {" ".join(left)}')
+    command = list(arguments[mark + 1:])
+    if options.by and not command:
+        raise UsageError(f'--by {options.by}: only for run -- COMMAND; leave it out')
+    if (first == RUN) != bool(command):
+        raise UsageError(f'{first or RUN}: the program to run goes after --; write {parser.prog} '
+                         'run -- python my_script.py')
+    return options, command
+
+
+def add_bus_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what is on a bus and how it is heard."""
+    add = parser.add_argument
+    add('-b', '--baud', type=int, help='baud rate of the bus, if the source does not know it')
+    add('--protocol', choices=PROTOCOLS, default=DEFAULTS.protocol,
+        help='protocol of the bus, if the traffic does not show it')
+    add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
+    add('--by', choices=WAYS, default='', help=BY)
+    add('--devices', action='append', metavar='ID:MODEL:JOINT', default=[],
+        help="devices on the bus, in the order along the cable, e.g. '1-6:XL430-W250'")
+    add('--model-dirs', action='append', metavar='DIR', default=[],
+        help='one more folder of model files')
+
+
+def check_range(options: argparse.Namespace, name: str, least: float, most: float) -> None:
+    """Raise UsageError for a number that is out of its range."""
+    value = getattr(options, name)
+    if value is not None and not least <= value <= most:
+        raise UsageError(f'--{name} {value}: not possible; give {least} to {most:g}')
+
+
+def models_of(options: argparse.Namespace) -> Models:
+    """Return the models, when the options about devices can be used."""
+    for text in options.devices:
+        if not text.isprintable():
+            raise UsageError(f'--devices {text!r}: control codes; give plain text')
+    models = load_models(options.model_dirs)
+    check_models(parse_all(split_bus(text)[1] for text in options.devices), models)
+    return models

@@ -15,8 +15,8 @@ export function listenToKeys(view) {
     if (to) location.replace(to);    // one step back leads out of the devices, not through all
   };
   const keys = {
-    1: () => show(), 2: () => show('devices'), 3: () => show('log'), 4: () => show('bridge'),
-    5: () => show('history'),
+    ...Object.fromEntries([...document.querySelectorAll('.views a')].map((link, index) =>
+      [index + 1, () => { if (!link.hidden) location.hash = link.hash; }])),
     '/': () => {
       const field = view.search();
       if (field) field.focus();

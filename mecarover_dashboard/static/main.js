@@ -61,21 +61,27 @@ function go(isFirst) {
   view = new VIEWS[name](rest, filters);
   stream.watch(view.watch ?? '', view.wantsValues ?? false);
   main.replaceChildren(view.element);
-  const tab = TAB[name] ?? name;
   document.body.dataset.view = name || 'overview';
-  for (const link of document.querySelectorAll('.views a')) {
-    const to = link.dataset.view;
-    set(link, 'href', path(...to === 'overview' ? [] : [to]));
-    set(link, 'aria-current', to === tab ? 'page' : null);
-    link.hidden = name === 'robots';
-  }
-  say(at('robot'), isOne || robot === null ? '' : robot || 'no namespace');
   scrollTo(0, 0);
   if (!isFirst) (main.querySelector('h1') ?? main).focus({preventScroll: true});
   showAll();
 }
 
+/** The links to the views, and the name of the robot. */
+function showTabs() {
+  const {name, robot} = wanted();
+  const tab = TAB[name] ?? name;
+  for (const link of document.querySelectorAll('.views a')) {
+    const to = link.dataset.view;
+    set(link, 'href', path(...to === 'overview' ? [] : [to]));
+    set(link, 'aria-current', to === tab ? 'page' : null);
+    link.hidden = name === 'robots' || (to === 'bridge' && Boolean(store.facts?.source));
+  }
+  say(at('robot'), robot || (robot === null || store.robots().length < 2 ? '' : 'no namespace'));
+}
+
 function showAll() {
+  showTabs();
   if (!store.facts) return;
   view.update(store);
   const parts = store.parts();
@@ -103,7 +109,7 @@ function showTitle(wrong) {
   document.title = [
     ...!live ? ['? no connection'] : wrong.length
       ? [`${MARKS[wrong[0].state]} ${marks.join(', ')}`] : [],
-    view.title, store.robot || store.facts.machine].join(' \u00b7 ');
+    view.title, wanted().robot || store.facts.machine].join(' \u00b7 ');
 }
 
 /** Tell a screen reader what is wrong, when that changes; a number that changes is no change. */
@@ -133,7 +139,8 @@ function showFacts(facts) {
   say(at('machine'), facts.machine);
   const open = facts.open
     ? `Open to the network: everybody who can reach ${facts.address} can read this page. ` : '';
-  say(at('foot-text'), `${open}Read-only. ROS domain ${facts.domain}. Press ? for keys.`);
+  const from = facts.source ? `Listens to ${facts.source}` : `ROS domain ${facts.domain}`;
+  say(at('foot-text'), `${open}Read-only. ${from}. Press ? for keys.`);
   set(at('foot'), 'data-open', facts.open);
 }
 

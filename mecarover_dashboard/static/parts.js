@@ -9,6 +9,12 @@ const COLUMNS = ['mean', 'p50', 'p95', 'max'];
 
 /** What to do while nothing has come yet. */
 export function fillEmpty(element, store, wanted = 'dxl/diagnostics') {
+  const source = store.facts?.source;
+  if (source) {
+    each(element, [source], (text) => text, (text) => h('p', {class: 'empty-head'},
+      `Nothing heard of a bus yet: ${text}`));
+    return;
+  }
   const heard = Object.values(store.topics).some(([count]) => count);
   const publishers = store.publishers[wanted] ?? 0;
   const domain = store.facts?.domain ?? '?';

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A program and what its serial ports say, as a source: dxl_doctor run -- COMMAND.
+A program and what its serial ports say, as a source: run -- COMMAND.
 
 It goes on as without us: its input and output are ours, signals are handed on. It runs where
 there is no fcntl, termios or pty, too.
@@ -87,7 +87,8 @@ class Program:
     is_live = True
     is_timed = True
 
-    def __init__(self, command: Sequence[str], by: str = '', output: int | None = None) -> None:
+    def __init__(self, command: Sequence[str], by: str = '', output: int | None = None,
+                 tool: str = 'dxl_doctor') -> None:
         name = f'doctor-{secrets.token_hex(4)}'
         self._ending = Ending()
         self.ports: list[str] = []
@@ -96,7 +97,7 @@ class Program:
         self._users: tuple[str, ...] = ()
         self._reader = TapReader(name)
         try:
-            self._started = StartedProgram('dxl_doctor', name, command, by, output)
+            self._started = StartedProgram(tool, name, command, by, output)
         except OSError:
             self._reader.close()
             raise

@@ -20,13 +20,9 @@ import time
 from types import TracebackType
 from typing import BinaryIO
 
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.bus.expected import split_bus
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor.case import OPTIONS
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_settings import check_models
-from dxl_monitor.monitor_settings import load_models
 from dxl_monitor.monitor_settings import settings_of
 from dxl_monitor.record.capture import check_new
 from dxl_monitor.record.capture import Chunk
@@ -48,6 +44,7 @@ from dxl_monitor.tools.dump.packet_lines import Lines
 from dxl_monitor.tools.dump.packet_recording import PacketRecording
 from dxl_monitor.tools.dump.stats import stats
 from dxl_monitor.tools.dump.stats import summary
+from dxl_monitor.tools.run import models_of
 from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import printable
@@ -67,11 +64,7 @@ class Session:
         self._options = options
         self._lists = options.json or not (
             options.summary or options.changes or options.stats or options.write)
-        for text in options.devices:
-            if not text.isprintable():
-                raise UsageError(f'--devices {text!r}: control codes; give plain text')
-        self._models = load_models(options.model_dirs)
-        check_models(parse_all(split_bus(text)[1] for text in options.devices), self._models)
+        self._models = models_of(options)
         self._source = open_source('dxl_dump', options.source, options.baud,
                                    options.adapter)
         self._file = _output(options)

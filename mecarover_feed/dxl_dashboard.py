@@ -1,0 +1,91 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""dxl_dashboard: the page of a port, a recording or a program; without a source that of ROS."""
+from __future__ import annotations
+
+import argparse
+from importlib.util import find_spec
+import os
+import sys
+import threading
+import webbrowser
+
+from dxl_monitor.tools.run import add_bus_options
+from dxl_monitor.tools.run import parse_run
+from dxl_monitor.tools.run import RUN
+from mecarover_dashboard import serve
+from mecarover_feed.feed import conclusion
+from mecarover_feed.feed import Feed
+from mecarover_feed.source_run import make_run
+from mecarover_serial.cli import COULD_NOT_RUN
+from mecarover_serial.cli import DONE
+from mecarover_serial.cli import run_tool
+from mecarover_serial.cli import UsageError
+
+NAME = serve.NAME
+EXAMPLES = """examples:
+  dxl_dashboard run -- python my_script.py      a Python program, or any other (Linux: strace)
+  dxl_dashboard usb:/dev/ttyUSB0                a program that runs already (Linux, root)
+  dxl_dashboard /dev/ttyUSB1 -b 1000000         a second adapter on the wire
+  dxl_dashboard bus.txt                         a recording of dxl_dump -w bus.txt
+  dxl_dashboard                                 ROS topics of dxl_monitor and vel2d_bridge"""
+
+
+def main() -> int:
+    """Run the command; return the exit code."""
+    arguments = sys.argv[1:]
+    before = arguments[:arguments.index('--')] if '--' in arguments else arguments
+    is_of_ros = '--ros-args' in before or (
+        find_spec('rclpy') is not None and not _parser().parse_known_args(before)[0].source)
+    return serve.main(arguments) if is_of_ros else run_tool(NAME, _run)
+
+
+def _run(arguments: list[str]) -> int:
+    options, command = parse_run(_parser(), arguments)
+    if not options.source:
+        raise UsageError('SOURCE: none given, and ROS 2 is not sourced; name a port or a '
+                         f'recording, or write {NAME} {RUN} -- python my_script.py')
+    if len(options.source) == 1 and os.path.isfile(options.source[0]):
+        options.history = options.history or serve.NONE    # its times are not of now
+    feed = Feed()
+    run = make_run(NAME, options, command, feed)
+    server = serve.open_server(options, run.words)
+    if server is None:
+        return COULD_NOT_RUN
+    feed.out = server.take
+    try:
+        server.start()
+        if not options.no_browser and _has_display():
+            threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
+        run.start()
+        run.play(lambda: None)
+        print(f'{NAME}: {conclusion(run.end())}', file=sys.stderr)
+    finally:
+        server.stop()
+    return DONE
+
+
+def _has_display() -> bool:
+    """Tell whether a browser would open where somebody looks."""
+    return sys.stderr.isatty() and not os.environ.get('SSH_CONNECTION') and (
+        sys.platform in ('win32', 'darwin')
+        or any(map(os.environ.get, ('DISPLAY', 'WAYLAND_DISPLAY'))))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = serve.make_parser()
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = EXAMPLES
+    parser.usage = f'{NAME} [options] [SOURCE ...]\n       {NAME} [options] {RUN} -- COMMAND'
+    parser.description = ('Web page of servo buses: devices, registers, what is wrong. It never '
+                          'sends.\nWithout a source: of dxl_monitor and vel2d_bridge, over ROS.')
+    add = parser.add_argument
+    add('source', metavar='SOURCE', nargs='*',
+        help='ports, usb:PORT, tap:NAME, or a recording; or run, with a command after --')
+    add('--no-browser', action='store_true', help='open no browser')
+    add_bus_options(parser)
+    return parser
+
+
+if __name__ == '__main__':
+    sys.exit(main())

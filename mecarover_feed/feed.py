@@ -1,0 +1,109 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the node dxl_monitor would publish of some buses, handed over in this process as it is.
+
+Stamps are monotonic ns, or those of a recording.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Sequence
+import math
+import time
+from typing import Protocol
+
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor_status import bus_status
+from dxl_monitor.monitor_status import device_metrics
+from dxl_monitor.monitor_status import device_status
+from dxl_monitor.monitor_status import PortState
+from dxl_monitor.tools.doctor.finding_log import FindingLog
+from dxl_monitor.tools.doctor.verdict import BusSummary
+from dxl_monitor.tools.doctor.verdict import Verdict
+from mecarover_serial.process import resident_memory_mb
+from msg_defs.reports import Metric
+from msg_defs.reports import metric_status
+from msg_defs.reports import Status
+
+NODE = 'dxl_monitor'                # in the names of statuses
+TABLES, TIMING = 'dxl/diagnostics', 'dxl/timing'
+REPORT_NS = 500_000_000
+APART_NS = 200_000_000              # a device that was lost is reported sooner
+TIMING_NS = 1_000_000_000
+GROUPS = 3                          # of devices in a line
+
+
+class FedBus(Protocol):
+    """A bus; a MonitoredBus is one."""
+
+    monitor: Monitor
+
+    def is_late(self, now: int) -> bool: ...
+
+    def report(self, now: int) -> BusReport: ...
+
+    def port_state(self) -> PortState: ...
+
+
+class Feed:
+    """Hands reports to `out(topic, statuses)`; used by one thread."""
+
+    def __init__(self) -> None:
+        self.out: Callable[[str, Sequence[Status]], None] = lambda topic, statuses: None
+        self._logs: list[tuple[FedBus, FindingLog]] = []
+        self._alarms = 0
+        self._reported = self._timed = -math.inf     # of our clock
+
+    def add(self, bus: FedBus) -> None:
+        """Report on one more bus from now on."""
+        self._logs.append((bus, FindingLog()))
+        self._reported = -math.inf
+
+    def turn(self, now: int) -> None:
+        """Report what is due, as of a stamp; called ten times a second or more often."""
+        since = time.monotonic_ns() - self._reported
+        if since < REPORT_NS and (since < APART_NS or self._count_alarms() == self._alarms):
+            return
+        late = [bus.is_late(now) for bus, _ in self._logs]      # each: it notes since when
+        if not any(late):
+            self.report(now)
+
+    def report(self, now: int) -> None:
+        """Report at once."""
+        self._alarms, self._reported = self._count_alarms(), time.monotonic_ns()
+        statuses: list[Status] = []
+        metrics = [Metric('resident_memory', 'MB', value=resident_memory_mb())]
+        for bus, log in self._logs:
+            report, port = bus.report(now), bus.port_state()
+            log.take(report)
+            label = bus.monitor.name
+            statuses.append(bus_status(NODE, label, report, port, with_log=True))
+            statuses += [device_status(NODE, label, one, report.findings, with_table=True,
+                                       is_listening=not port.problem) for one in report.devices]
+            metrics += [*report.metrics, *device_metrics(report)]
+        self.out(TABLES, statuses)
+        if self._reported - self._timed >= TIMING_NS:
+            self._timed = self._reported
+            self.out(TIMING, [metric_status(NODE, one) for one in metrics])
+
+    def _count_alarms(self) -> int:
+        return sum(bus.monitor.alarms() for bus, _ in self._logs)
+
+    def summaries(self, is_timed: bool) -> list[BusSummary]:
+        """Return each bus as dxl_doctor shows it."""
+        return [BusSummary.of(bus.monitor.name, log.last, log, is_timed)
+                for bus, log in self._logs if log.last is not None]
+
+
+def conclusion(said: Verdict) -> str:
+    """Return what dxl_doctor says of a run, in a line."""
+    if said.quiet:
+        return f'nothing was heard: {said.quiet[0]}'
+    if not said.wrong:
+        heard = '; '.join(f'{one.who} {one.what}' for one in said.heard[:GROUPS])
+        return f'no problem found: {heard or "no device"}'
+    more = len(said.wrong) - 1
+    return (f'{said.wrong[0].who}: {said.wrong[0].message}'
+            + (f'; and {more} more: dxl_doctor shows all' if more else ''))

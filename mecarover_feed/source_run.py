@@ -1,0 +1,238 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Sources, from their names on the command line to a conclusion: ports, a recording, a program.
+
+The page and mecarover_status differ only in what they do with the statuses.
+"""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Sequence
+import shlex
+import sys
+import time
+
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.doctor.case import OPTIONS
+from dxl_monitor.model.models import Models
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor_settings import buses
+from dxl_monitor.monitor_settings import PARAMETERS
+from dxl_monitor.monitor_settings import settings_of
+from dxl_monitor.monitor_status import PortState
+from dxl_monitor.monitored_bus import MonitoredBus
+from dxl_monitor.port.source_name import rate_of
+from dxl_monitor.port.tap_reader import HOLD_S
+from dxl_monitor.record.capture import BAUD_LIMIT
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.opening import is_port
+from dxl_monitor.record.opening import open_file
+from dxl_monitor.record.recorders import Recorders
+from dxl_monitor.tools.doctor import no_data
+from dxl_monitor.tools.doctor.program import Program
+from dxl_monitor.tools.doctor.verdict import Verdict
+from dxl_monitor.tools.doctor.verdict import verdict
+from dxl_monitor.tools.run import check_range
+from dxl_monitor.tools.run import models_of
+from mecarover_feed.feed import Feed
+from mecarover_serial.cli import UsageError
+from mecarover_serial.plain import printable
+
+TURN_S = 0.1
+S = 1_000_000_000
+
+
+class HeardBus:
+    """A bus of a program or of a recording: all that came up to a report was handed on."""
+
+    def __init__(self, wire: Wire, models: Models, options: argparse.Namespace) -> None:
+        self._port = wire.port or wire.name
+        settings = settings_of(wire.name, wire, options.devices, options.protocol)
+        self.monitor = Monitor(printable(wire.name), models, settings, idle_is_told=True,
+                               names=OPTIONS)
+
+    def take(self, chunk: Chunk) -> None:
+        if chunk.change is None:
+            self.monitor.feed(chunk.data, chunk.stamp, chunk.side)
+        else:
+            self.monitor.change(chunk.change, chunk.stamp)
+
+    def is_late(self, now: int) -> bool:
+        return False
+
+    def report(self, now: int) -> BusReport:
+        self.monitor.flush_if_idle(now)
+        return self.monitor.report(now)
+
+    def port_state(self) -> PortState:
+        return PortState(self._port, '', ())
+
+
+class SourceRun:
+    """What all kinds of sources have in common; `words` says what they are."""
+
+    is_timed = True
+
+    def __init__(self, options: argparse.Namespace, words: str, feed: Feed) -> None:
+        self.words = words
+        self._options = options
+        self._feed = feed
+        self._models = models_of(options)
+        self._began_s = time.monotonic()
+        self._heard: dict[str, HeardBus] = {}
+
+    def start(self) -> None:
+        """Begin to listen."""
+
+    def play(self, look: Callable[[], object]) -> None:
+        """Hand on what comes until the end or Ctrl-C; look: called ten times a second."""
+        try:
+            for now in self._stamps():
+                self._feed.turn(now)
+                look()
+        except KeyboardInterrupt:
+            pass
+
+    def _stamps(self) -> Iterator[int]:
+        """Yield up to when all was handed on, a few times a second."""
+        raise NotImplementedError
+
+    def _take(self, chunk: Chunk, wire: Wire) -> None:
+        bus = self._heard.get(chunk.bus)
+        if bus is None:
+            bus = self._heard[chunk.bus] = HeardBus(wire, self._models, self._options)
+            self._feed.add(bus)
+        bus.take(chunk)
+
+    def end(self) -> Verdict:
+        """Close the sources; return what dxl_doctor says of the run."""
+        raise NotImplementedError
+
+    def _verdict(self, quiet: Callable[[], Sequence[str]]) -> Verdict:
+        found = self._feed.summaries(self.is_timed)
+        is_silent = not any(one.report.counters['Bytes'] for one in found)
+        return verdict(self.words, found, time.monotonic() - self._began_s, self.is_timed,
+                       quiet() if is_silent else ())
+
+
+class PortsRun(SourceRun):
+    """Ports of this machine, until Ctrl-C; one that is lost is opened again."""
+
+    def __init__(self, options: argparse.Namespace, feed: Feed) -> None:
+        super().__init__(options, ', '.join(options.source), feed)
+        given = {one.name: one.default for one in PARAMETERS} | {
+            'ports': options.source, 'devices': options.devices,
+            'protocols': [options.protocol],
+            'bauds': [rate_of(name, options.baud) for name in options.source]}
+        self._ports = [MonitoredBus(bus, self._models, Recorders(None, None), names=OPTIONS)
+                       for bus in buses(given, self._models)]
+        self._said: dict[str, str] = {}
+
+    def start(self) -> None:
+        for bus in self._ports:
+            self._feed.add(bus)
+            bus.listener.start()
+
+    def _stamps(self) -> Iterator[int]:
+        while True:
+            time.sleep(TURN_S)
+            yield time.monotonic_ns()
+            self._say_problems()
+
+    def _say_problems(self) -> None:
+        for bus in self._ports:
+            state = bus.listener.state
+            words = '' if state.is_open else state.text
+            if words != self._said.get(bus.bus.port, ''):
+                self._said[bus.bus.port] = words
+                print(words or f'{bus.bus.port}: the port is open again', file=sys.stderr)
+
+    def end(self) -> Verdict:
+        self._feed.report(time.monotonic_ns())
+        for bus in self._ports:
+            bus.listener.stop()
+        return self._verdict(lambda: no_data.reasons(self._options.source[0], is_live=True))
+
+
+class ProgramRun(SourceRun):
+    """A program that is started, until it ends."""
+
+    def __init__(self, tool: str, command: Sequence[str], options: argparse.Namespace,
+                 feed: Feed) -> None:
+        super().__init__(options, shlex.join(command), feed)
+        self._command = command
+        self._tool = tool
+        self._known = time.monotonic_ns()
+
+    def start(self) -> None:
+        self._program = Program(self._command, self._options.by, tool=self._tool)
+
+    def _stamps(self) -> Iterator[int]:
+        for chunk in self._program.chunks():
+            if chunk is None:
+                self._known = max(self._known, time.monotonic_ns() - int(HOLD_S * S))
+            else:
+                self._known = max(self._known, chunk.stamp)
+                self._take(chunk, self._program.wire(chunk.bus))
+            yield self._known
+
+    def end(self) -> Verdict:
+        self._program.close()
+        ending = self._program.ending
+        for bus in self._heard.values():
+            bus.monitor.end(self._known, ending.failed)
+        self._feed.report(self._known)
+        said = self._verdict(
+            lambda: no_data.of_program(self._command, self._program.ports, ending))
+        trouble = ending.trouble()
+        return said._replace(wrong=(*said.wrong, *([trouble] if trouble else [])))
+
+
+class RecordingRun(SourceRun):
+    """A recording, played as fast as it was made, until Ctrl-C."""
+
+    def __init__(self, tool: str, options: argparse.Namespace, feed: Feed) -> None:
+        super().__init__(options, options.source[0], feed)
+        self._file = open_file(options.source[0], options.baud, options.adapter, tool=tool)
+        self.is_timed = self._file.is_timed
+
+    def _stamps(self) -> Iterator[int]:
+        ahead = now = 0                        # of the stamps before our clock
+        for chunk in self._file.chunks():
+            if chunk is None:
+                continue
+            ahead = ahead or time.monotonic_ns() - chunk.stamp
+            while (left := chunk.stamp + ahead - time.monotonic_ns()) > 0:
+                time.sleep(min(TURN_S, left / S))
+                now = min(time.monotonic_ns() - ahead, chunk.stamp)
+                yield now
+            self._take(chunk, self._file.wire(chunk.bus))
+            now = chunk.stamp
+            yield now
+        while True:
+            time.sleep(TURN_S)
+            yield now
+
+    def end(self) -> Verdict:
+        self._file.close()
+        return self._verdict(lambda: no_data.of_file(self.words))
+
+
+def make_run(tool: str, options: argparse.Namespace, command: Sequence[str],
+             feed: Feed) -> SourceRun:
+    """Return the run that a command line asks for; raise UsageError, PortError or OSError."""
+    check_range(options, 'baud', 1, BAUD_LIMIT)
+    if command:
+        return ProgramRun(tool, command, options, feed)
+    files = [name for name in options.source
+             if not name.startswith('/dev/') and not is_port(name)]
+    if not files:
+        return PortsRun(options, feed)
+    if len(options.source) > 1:
+        raise UsageError(f'{files[0]}: a recording is shown alone; leave out the others')
+    return RecordingRun(tool, options, feed)
+

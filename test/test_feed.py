@@ -1,0 +1,137 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""dxl_dashboard without ROS: a program, a port and a recording on the page, as dxl_doctor says."""
+import json
+import re
+import sys
+from types import SimpleNamespace
+from urllib.request import urlopen
+
+from harness import Program
+import pytest
+
+from benchmark import confusion
+from benchmark.confusion_cases import Scene
+from mecarover_feed.feed import Feed
+
+ARM = '1-6:STS3215'
+BUS = ('--dialect', 'feetech', '--devices', ARM)
+NO_ROS = """
+import sys
+sys.modules['rclpy'] = None
+from mecarover_feed.{tool} import main
+sys.exit(main())
+"""
+MASTER = """
+import sys, time
+import scservo_sdk as sdk
+port = sdk.PortHandler(sys.argv[1])
+port.setBaudRate(1000000)
+packet = sdk.PacketHandler(0)
+end = time.monotonic() + float(sys.argv[2])
+while time.monotonic() < end:
+    for servo in range(1, 7):
+        packet.read2ByteTxRx(port, servo, 56)
+print('my program ends')
+"""
+
+
+def dashboard(*arguments):
+    """Start it where there is no ROS."""
+    return Program('', '--port', '0', '--no-browser', '--history', 'none', *arguments,
+                   script=NO_ROS.format(tool='dxl_dashboard'))
+
+
+def events(program):
+    """Yield what a page gets."""
+    address = program.wait_for('http://').split('http://')[1].split()[0]
+    with urlopen(f'http://{address}/events', timeout=20) as stream:
+        for line in stream:
+            if line.startswith(b'data: '):
+                yield json.loads(line.removeprefix(b'data: '))
+
+
+def devices(program, until):
+    """Return the devices of a page, when something is so of them, and what came first."""
+    found, first = {}, None
+    for event in events(program):
+        first = first or event
+        for row in event.get('devices', {}).values():
+            found[row['id']] = row
+        if until(found):
+            return found, first
+    raise AssertionError(found)
+
+
+@pytest.mark.alone
+def test_a_program_is_shown_while_it_runs_and_judged_at_its_end(tmp_path):
+    link = str(tmp_path / 'bus')
+    with Program('mecarover_fakes.fake_bus', '--link', link, *BUS, '--pattern', 'none',
+                 '--fault', 'silent:3:0:999') as fake:
+        fake.wait_for('6 devices')
+        with dashboard('--devices', ARM, 'run', '--', sys.executable, '-c', MASTER, link,
+                       '6') as program:
+            found, first = devices(program, lambda rows: {
+                number for number, row in rows.items() if row['level'] == 2} == {3})
+            assert {row['state'] for row in found.values() if row['id'] != 3} == {'connected'}
+            assert found[3]['bus'] == 'bus'
+            assert first['facts']['source'].startswith(sys.executable)
+            assert program.exit_code() == 0
+    assert program.said('my program ends')
+    assert re.search(r'dxl_dashboard: .*003, STS3215: no answer', program.text)
+
+
+@pytest.mark.alone
+def test_a_port_may_go_and_come_again(tmp_path):
+    link = tmp_path / 'bus'
+    with Program('mecarover_fakes.fake_bus', '--link', str(link), *BUS, '--vanish', '4:3') as fake:
+        fake.wait_for('6 devices')
+        with dashboard(str(link), '-b', '1000000', '--devices', ARM) as program:
+            devices(program, lambda rows: len(rows) == 6 and rows[6]['live'])
+            lost = program.wait_for(f'{link}: ')
+            program.wait_for(f'{link}: the port is open again')
+            found, _ = devices(program, lambda rows: len(rows) == 6 and rows[6]['live'])
+            assert {row['level'] for row in found.values()} == {0}
+    assert ';' in lost                                          # its remedy
+    assert program.said('dxl_dashboard: ', 'STS3215')
+
+
+@pytest.mark.parametrize(('arguments', 'code', 'words'), [
+    ((), 2, 'SOURCE: none given, and ROS 2 is not sourced; name a port or a recording, or write '
+            'dxl_dashboard run -- python my_script.py'),
+    (('no_such_file',), 1, 'no_such_file: no such file or port; check the name'),
+    (('run', 'x.py'), 2, 'write dxl_dashboard'),
+    (('run', '--', 'no_such_program'), 1, 'check the name of the program'),
+    ((__file__,), 2, 'write: dxl_dashboard run -- python'),
+    (('usb:x', '-b', '0'), 2, '--baud 0: not possible'),
+    (('/dev/x', '/dev/x'), 2, 'twice')])
+def test_mistakes_are_one_line(arguments, code, words):
+    with dashboard(*arguments) as program:
+        assert program.exit_code() == code
+    own = [line for line in program.lines if 'http://' not in line and 'heard' not in line]
+    assert len(own) == 1
+    assert words in own[0]
+
+
+def test_what_is_handed_over_is_what_is_published():
+    """One report, once serialised as for ROS, once handed over: the page gets the same."""
+    from page_states import Robot
+
+    from mecarover_dashboard.state import State
+    *_, report = confusion.reports(['silent:3:1', 'hot:2:1'], Scene(devices=('1-6:MX-64',)), 4.0)
+    robot = Robot(buses={'': report}, bridge=None)
+    told, handed = State(), State()
+    for topic, message in robot.messages():
+        if topic != '/diagnostics':
+            told.take(topic, message, 1.0)
+    feed = Feed()
+    feed.out = lambda topic, statuses: handed.take(topic, statuses, 1.0)
+    feed.add(SimpleNamespace(
+        monitor=SimpleNamespace(name='', alarms=lambda: 0), is_late=lambda now: False,
+        report=lambda now: report, port_state=lambda: robot.port_state()))
+    feed.report(report.stamp)
+    for section in ('devices', 'buses'):
+        rows = [{one.row_name: one for one in state.reports(section)} for state in (told, handed)]
+        assert rows[0] == rows[1]
+    for one in told.reports('devices'):
+        assert told.table(one.row_name) == handed.table(one.row_name)
