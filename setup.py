@@ -18,7 +18,7 @@ TOOLS = {
     'dxl_replay': 'dxl_monitor.tools.replay',
     'dxl_tap': 'dxl_monitor.tools.tap',
     'dxl_dashboard': 'mecarover_feed.dxl_dashboard',
-    'mecarover_status': 'mecarover_dashboard.terminal',
+    'mecarover_status': 'mecarover_feed.mecarover_status',
 }
 DASHBOARD = ['aiohttp>=3.9', 'prometheus-client>=0.16']
 MCAP = ['rosbags>=0.10.5']

@@ -21,7 +21,7 @@ from mecarover_serial.plain import printable
 TEXT_LIMIT = 500            # characters of one text that reach the page
 PAIRS_LIMIT = 4096          # in a status: the longest control table has a few hundred
 STATUSES_LIMIT = 5000       # in a message: ten full buses have half of it
-_BYTES_OF_PAIR = 40           # about, of a table
+_BYTES_OF_PAIR = 40           # about
 _FRONT = 4                  # representation and options
 _STAMP = 8
 

@@ -131,7 +131,7 @@ def _bracketed(host: str) -> str:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return the options of the page, whatever feeds it."""
+    """Return the options of the page, with and without ROS."""
     parser = argparse.ArgumentParser(
         prog=NAME, description='Web page of devices, registers, timing and the bridge: shows '
         'what dxl_monitor and vel2d_bridge publish, live or from ros2 bag play. Read-only.')

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What is known to the lines of mecarover_status: one per bridge, per bus and per sick device.
+What is known to the lines of mecarover_status: per bridge, bus and device.
 
 Pure; times are monotonic seconds of arrival.
 """
@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from mecarover_dashboard import rows
 from mecarover_dashboard.robot_parts import level_of
+from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
 from mecarover_serial.plain import printable
 from msg_defs.reports import Level
@@ -38,8 +39,13 @@ class StatusLine(NamedTuple):
         return f'{_WORDS[self.level]:6}  {robot}{self.what:{what_width}}  {self.message}'
 
 
-def status_lines(state: State, now_s: float, every_device: bool = False) -> list[StatusLine]:
-    """Return the lines: the worst robot first, and of each robot what is worst."""
+def status_lines(state: State, now_s: float,
+                 every_device: bool | None = False) -> list[StatusLine]:
+    """
+    Return the lines: the worst robot first, and of each robot what is worst.
+
+    every_device: also those that are well; None: no device.
+    """
     state.expire(now_s)
     found = [StatusLine(line.level, printable(line.robot, 40), printable(line.what, 60),
                         printable(line.message))
@@ -49,21 +55,70 @@ def status_lines(state: State, now_s: float, every_device: bool = False) -> list
     return [line for some in sorted(robots, key=lambda some: _urgency(some[0])) for line in some]
 
 
-def _lines(state: State, now_s: float, every_device: bool) -> Iterator[StatusLine]:
+class DeviceLine(NamedTuple):
+    """A device with its values, as text; '' is not known."""
+
+    level: Level
+    name: str
+    values: tuple[str, ...]             # in the order of COLUMNS
+    cause: str
+
+    def text(self, name_width: int) -> str:
+        cells = ''.join(f'  {value or "-":>{width}}' for value, (_, width) in zip(
+            self.values, COLUMNS, strict=True))
+        return f'{_WORDS[self.level]:6}  {self.name:{name_width}}{cells}  {self.cause}'
+
+
+COLUMNS = (('rad', 6), ('\u00b0C', 4), ('V', 5), ('load', 6), ('loss %', 6))
+SORTS = {'w': 'worst first', 'i': 'by ID', 'p': 'position', 't': 'temperature', 'v': 'voltage',
+         'l': 'load', 'm': 'missed'}
+_VALUES = 'ptvlm'                       # the columns, by the key that sorts by them
+
+
+def table(state: State, now_s: float, sort: str = 'w') -> list[str]:
+    """Return a heading and a line for each device, in an order of SORTS; nothing for none."""
+    found = [_device_line(report, now_s) for report in state.reports('devices')]
+    if not found:
+        return []
+    found.sort(key=lambda line: line.name)
+    if sort in _VALUES:
+        at = _VALUES.index(sort)
+        found.sort(key=lambda line: -abs(rows.finite(line.values[at].partition(' ')[0]) or 0.0))
+    elif sort == 'w':
+        found.sort(key=lambda line: -SEVERITY.index(line.level))
+    width = max(len(line.name) for line in found)
+    head = ''.join(f'  {name:>{width}}' for name, width in COLUMNS)
+    return [f'{"":6}  {"device":{width}}{head}  state ({SORTS[sort]})',
+            *(line.text(width) for line in found)]
+
+
+def _device_line(report: RowReport, now_s: float) -> DeviceLine:
+    row, values = report.row, report.values
+    load = f'{rows.calm(values.load)} {values.unit}'.strip()
+    name = '/'.join(filter(None, (row['robot'], rows.split_name(report.row_name)[1])))
+    return DeviceLine(level_of(row), printable(name, 40), (
+        rows.calm(values.position, 3), values.temperature, rows.calm(values.voltage, 3), load,
+        '' if 'quiet_since' in row else row['loss']), printable(_message(row, now_s)))
+
+
+def _message(row: rows.Row, now_s: float) -> str:
+    if 'quiet_since' not in row:
+        return str(row['message'])
+    return f'no report for {now_s - row["quiet_since"]:.0f} s; last: {row["message"]}'
+
+
+def _lines(state: State, now_s: float, every_device: bool | None) -> Iterator[StatusLine]:
     hiding = set()
     for part in state.parts():
         yield StatusLine(part.level, part.robot, part.name, part.said(now_s))
         if part.hides_devices:
             hiding.add((part.node, part.bus))
-    for report in state.reports('devices'):
+    for report in () if every_device is None else state.reports('devices'):
         row, level = report.row, level_of(report.row)
         is_told = level is Level.OK or (row['node'], row['bus']) in hiding
         if every_device or not is_told:
-            message = row['message']
-            if 'quiet_since' in row:
-                quiet_s = now_s - row['quiet_since']
-                message = f'no report for {quiet_s:.0f} s; last: {message}'
-            yield StatusLine(level, row['robot'], rows.split_name(report.row_name)[1], message)
+            yield StatusLine(level, row['robot'], rows.split_name(report.row_name)[1],
+                             _message(row, now_s))
 
 
 def _urgency(line: StatusLine) -> int:

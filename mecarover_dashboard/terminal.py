@@ -1,6 +1,10 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""mecarover_status: the state of all robots in a terminal, one line each for what matters."""
+"""
+mecarover_status: bridges, buses and devices in a terminal, in place, the worst first.
+
+Without a terminal: a line each for what matters, whenever that changes.
+"""
 from __future__ import annotations
 
 import argparse
@@ -11,10 +15,13 @@ import sys
 import textwrap
 import time
 
+from mecarover_dashboard.keyboard import Keyboard
 from mecarover_dashboard.state import State
 from mecarover_dashboard.status_lines import exit_code
 from mecarover_dashboard.status_lines import screen
+from mecarover_dashboard.status_lines import SORTS
 from mecarover_dashboard.status_lines import status_lines
+from mecarover_dashboard.status_lines import table
 from mecarover_serial.cli import no_ros
 from mecarover_serial.cli import options_of_node
 from mecarover_serial.plain import on_screen
@@ -23,10 +30,12 @@ from mecarover_serial.plain import plain_streams
 NAME = 'mecarover_status'
 SETTLED_S = 1.5             # without a new name: all have come, as reports come once a second
 WAIT_S = 6.0                # discovery takes up to 2.5 s
-SHOW_S = 1.0
+SHOW_S = 0.5
 NO_REPORT = ('no report on /diagnostics; start the nodes, with the same ROS_DOMAIN_ID and '
              'discovery range as here')
 _HOME, _CLEAR_LINE, _CLEAR_BELOW = '\033[H', '\033[K', '\033[J'
+_COLOURS = {'ERROR': '\033[31m', 'WARN': '\033[33m'}
+_STEPS = {'UP': -1, 'DOWN': 1, 'k': -1, 'j': 1, 'PAGE_UP': -10, 'PAGE_DOWN': 10, ' ': 10}
 
 
 class Display:
@@ -36,11 +45,17 @@ class Display:
     Made before ROS starts: what reads stdout is asked for now, a pipe to it comes then.
     """
 
-    def __init__(self, state: State, wait_s: float | None, every_device: bool) -> None:
+    def __init__(self, state: State, wait_s: float | None, every_device: bool,
+                 nothing: str = NO_REPORT) -> None:
         self._state = state
         self._wait_s = wait_s
         self._every_device = every_device
+        self._nothing = nothing
         self._terminal = os.dup(sys.stdout.fileno()) if sys.stdout.isatty() else None
+        self._keys = Keyboard(wait_s is None and self._terminal is not None)
+        self._has_colours = not os.environ.get('NO_COLOR')
+        self._sort = 'w'
+        self._top = 0               # the first row shown
         self._begin = time.monotonic()
         self._shown_s = -math.inf
         self._last: list[str] = []
@@ -50,15 +65,29 @@ class Display:
         """Show what is due; return whether that was all."""
         if self._wait_s is not None:
             return self._once(now_s, self._wait_s)
+        for key in self._keys.pressed():
+            if key == 'q':
+                return True
+            self._sort = key if key in SORTS else self._sort
+            self._top += _STEPS.get(key, 0)
+            self._shown_s = -math.inf
         if now_s - self._shown_s >= SHOW_S:
             self._shown_s = now_s
-            lines = screen(status_lines(self._state, now_s, self._every_device)) or [NO_REPORT]
+            lines = screen(status_lines(
+                self._state, now_s, self._every_device if self._terminal is None else None))
             if self._terminal is not None:
-                self._paint(lines, *os.get_terminal_size(self._terminal))
+                lines += table(self._state, now_s, self._sort)
+                self._paint(lines or [self._nothing], *os.get_terminal_size(self._terminal))
             elif lines != self._last:       # a file or a pipe gets what is new
-                print('\n'.join([*lines, '']), flush=True)
-            self._last = lines
+                print('\n'.join([*lines, '']) if lines else self._nothing, flush=True)
+            self._last = lines or [self._nothing]
         return False
+
+    def close(self) -> None:
+        """Give the keyboard back, and go below what was shown."""
+        self._keys.close()
+        if self._terminal is not None and self._last:
+            print(flush=True)
 
     def _once(self, now_s: float, wait_s: float) -> bool:
         grown = self._state.grown_s
@@ -69,36 +98,52 @@ class Display:
         if found:
             print('\n'.join(screen(found)), flush=True)
         else:
-            print(f'{NAME}: {NO_REPORT}', file=sys.stderr)
+            print(f'{NAME}: {self._nothing}', file=sys.stderr)
         return True
 
     def _paint(self, lines: list[str], width: int, height: int) -> None:
         """Write the lines over the last ones, in full: long ones take several rows."""
-        rows = [row for line in lines
+        rows = [self._coloured(line, row) for line in lines
                 for row in textwrap.wrap(line, max(20, width - 1), subsequent_indent=' ' * 8)]
-        if len(rows) >= height:
-            more = len(rows) - height + 2
-            rows = [*rows[:height - 2], f'... and {more} more rows: a larger window shows them']
+        room = max(1, height - 2)
+        self._top = max(0, min(self._top, len(rows) - room))
+        shown = rows[self._top:self._top + room]
+        foot = [f'rows {self._top + 1} to {self._top + len(shown)} of {len(rows)}'
+                if len(rows) > room else '']
+        if self._keys.is_on:
+            foot.append(f'arrows: scroll; {", ".join(SORTS)}: sort; q: end')
+        elif len(rows) > room:
+            foot.append('a larger window shows more')
         begin = _HOME if self._last else f'\033[2J{_HOME}'
-        text = '\n'.join(row + _CLEAR_LINE for row in rows)
-        on_screen(sys.stdout, f'{begin}{text}\n{_CLEAR_BELOW}')
+        text = '\n'.join(row + _CLEAR_LINE for row in shown)
+        last = '; '.join(filter(None, foot))[:width - 1]
+        on_screen(sys.stdout, f'{begin}{text}\n{_CLEAR_BELOW}{last}\r')
+
+    def _coloured(self, line: str, row: str) -> str:
+        colour = _COLOURS.get(line.partition(' ')[0], '') if self._has_colours else ''
+        return f'{colour}{row}\033[m' if colour else row
 
 
 @plain_streams()
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return the exit code."""
-    options, arguments = options_of_node(_parser(), args)
+    """Run the command with ROS; return the exit code."""
+    options, arguments = options_of_node(make_parser(), args)
     try:
-        from mecarover_dashboard.dashboard_node import StatusNode
+        from mecarover_dashboard.status_subscriber import StatusSubscriber
         from mecarover_serial.ros_node import run
     except ImportError as error:
         return no_ros(NAME, error)
     state = State()
     display = Display(state, options.wait if options.once else None, options.all)
-    return run(NAME, lambda: StatusNode(state, display.look), arguments) or display.code
+    try:
+        return run(NAME, lambda: StatusSubscriber(state, display.look, not options.once),
+                   arguments) or display.code
+    finally:
+        display.close()
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return the options, with and without ROS."""
     parser = argparse.ArgumentParser(
         prog=NAME, description='Prints a line for each bridge, each bus and each device with a '
                                'problem, of every robot in the ROS domain. In a namespace '

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-from importlib.util import find_spec
 import os
 import sys
 import threading
@@ -16,6 +15,7 @@ from dxl_monitor.tools.run import RUN
 from mecarover_dashboard import serve
 from mecarover_feed.feed import conclusion
 from mecarover_feed.feed import Feed
+from mecarover_feed.source_run import is_of_ros
 from mecarover_feed.source_run import make_run
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import DONE
@@ -34,10 +34,7 @@ EXAMPLES = """examples:
 def main() -> int:
     """Run the command; return the exit code."""
     arguments = sys.argv[1:]
-    before = arguments[:arguments.index('--')] if '--' in arguments else arguments
-    is_of_ros = '--ros-args' in before or (
-        find_spec('rclpy') is not None and not _parser().parse_known_args(before)[0].source)
-    return serve.main(arguments) if is_of_ros else run_tool(NAME, _run)
+    return serve.main(arguments) if is_of_ros(_parser(), arguments) else run_tool(NAME, _run)
 
 
 def _run(arguments: list[str]) -> int:
@@ -58,7 +55,7 @@ def _run(arguments: list[str]) -> int:
         if not options.no_browser and _has_display():
             threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
         run.start()
-        run.play(lambda: None)
+        run.play(lambda: False)
         print(f'{NAME}: {conclusion(run.end())}', file=sys.stderr)
     finally:
         server.stop()

@@ -32,7 +32,7 @@ TABLES, TIMING = 'dxl/diagnostics', 'dxl/timing'
 REPORT_NS = 500_000_000
 APART_NS = 200_000_000              # a device that was lost is reported sooner
 TIMING_NS = 1_000_000_000
-GROUPS = 3                          # of devices in a line
+NAMED = 3                           # groups of devices in a line
 
 
 class FedBus(Protocol):
@@ -54,7 +54,7 @@ class Feed:
         self.out: Callable[[str, Sequence[Status]], None] = lambda topic, statuses: None
         self._logs: list[tuple[FedBus, FindingLog]] = []
         self._alarms = 0
-        self._reported = self._timed = -math.inf     # of our clock
+        self._reported = self._timed = -math.inf     # on our clock
 
     def add(self, bus: FedBus) -> None:
         """Report on one more bus from now on."""
@@ -69,6 +69,11 @@ class Feed:
         late = [bus.is_late(now) for bus, _ in self._logs]      # each: it notes since when
         if not any(late):
             self.report(now)
+
+    def note(self, now: int) -> None:
+        """Have the buses judged at a stamp, for what is said of a recording at its end."""
+        for bus, log in self._logs:
+            log.take(bus.report(now))
 
     def report(self, now: int) -> None:
         """Report at once."""
@@ -102,7 +107,7 @@ def conclusion(said: Verdict) -> str:
     if said.quiet:
         return f'nothing was heard: {said.quiet[0]}'
     if not said.wrong:
-        heard = '; '.join(f'{one.who} {one.what}' for one in said.heard[:GROUPS])
+        heard = '; '.join(f'{one.who} {one.what}' for one in said.heard[:NAMED])
         return f'no problem found: {heard or "no device"}'
     more = len(said.wrong) - 1
     return (f'{said.wrong[0].who}: {said.wrong[0].message}'

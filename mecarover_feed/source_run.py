@@ -11,6 +11,7 @@ import argparse
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
+from importlib.util import find_spec
 import shlex
 import sys
 import time
@@ -39,11 +40,14 @@ from dxl_monitor.tools.doctor.verdict import verdict
 from dxl_monitor.tools.run import check_range
 from dxl_monitor.tools.run import models_of
 from mecarover_feed.feed import Feed
+from mecarover_feed.feed import REPORT_NS
 from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import printable
 
 TURN_S = 0.1
 S = 1_000_000_000
+END = 1 << 64                       # a stamp after all others
+LONGEST_PAUSE_NS = 12 * S           # in a recording: a monitor has forgotten all by then
 
 
 class HeardBus:
@@ -88,12 +92,13 @@ class SourceRun:
     def start(self) -> None:
         """Begin to listen."""
 
-    def play(self, look: Callable[[], object]) -> None:
-        """Hand on what comes until the end or Ctrl-C; look: called ten times a second."""
+    def play(self, look: Callable[[], bool]) -> None:
+        """Hand on what comes until the end, or Ctrl-C, or look() says so, called all the time."""
         try:
             for now in self._stamps():
                 self._feed.turn(now)
-                look()
+                if look():
+                    break
         except KeyboardInterrupt:
             pass
 
@@ -193,38 +198,66 @@ class ProgramRun(SourceRun):
 
 
 class RecordingRun(SourceRun):
-    """A recording, played as fast as it was made, until Ctrl-C."""
+    """A recording, played as fast as it was made, or heard at once; then until Ctrl-C."""
 
-    def __init__(self, tool: str, options: argparse.Namespace, feed: Feed) -> None:
+    def __init__(self, tool: str, options: argparse.Namespace, feed: Feed, at_once: bool) -> None:
         super().__init__(options, options.source[0], feed)
-        self._file = open_file(options.source[0], options.baud, options.adapter, tool=tool)
+        self._tool = tool
+        self._at_once = at_once
+        self._begin()
         self.is_timed = self._file.is_timed
 
+    def _begin(self) -> None:
+        """Go to the first byte."""
+        self._file = open_file(self.words, self._options.baud, self._options.adapter,
+                               tool=self._tool)
+        self._chunks = filter(None, self._file.chunks())
+        self._next = next(self._chunks, None)
+        self._now = self._noted = self._next.stamp if self._next else 0
+
     def _stamps(self) -> Iterator[int]:
-        ahead = now = 0                        # of the stamps before our clock
-        for chunk in self._file.chunks():
-            if chunk is None:
-                continue
-            ahead = ahead or time.monotonic_ns() - chunk.stamp
-            while (left := chunk.stamp + ahead - time.monotonic_ns()) > 0:
-                time.sleep(min(TURN_S, left / S))
-                now = min(time.monotonic_ns() - ahead, chunk.stamp)
-                yield now
-            self._take(chunk, self._file.wire(chunk.bus))
-            now = chunk.stamp
-            yield now
+        last_s = time.monotonic()
         while True:
+            now_s = time.monotonic()
+            self._forward(END if self._at_once else self._now + int((now_s - last_s) * S))
+            last_s = now_s
+            yield self._now
             time.sleep(TURN_S)
-            yield now
+
+    def _forward(self, until: int) -> None:
+        """Hear what there is up to a stamp, and report on it as often as dxl_doctor does."""
+        while self._next is not None and self._next.stamp <= until:
+            chunk = self._next
+            if chunk.stamp - self._noted > LONGEST_PAUSE_NS:
+                self._noted = chunk.stamp
+            while chunk.stamp - self._noted >= REPORT_NS:
+                self._noted += REPORT_NS
+                self._feed.note(self._noted)
+            self._take(chunk, self._file.wire(chunk.bus))
+            self._now = chunk.stamp
+            self._next = next(self._chunks, None)
+        if self._next is not None:
+            self._now = until
 
     def end(self) -> Verdict:
         self._file.close()
         return self._verdict(lambda: no_data.of_file(self.words))
 
 
+def is_of_ros(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> bool:
+    """Tell whether a command line is about ROS topics: it names no source, and ROS is here."""
+    before = arguments[:arguments.index('--')] if '--' in arguments else arguments
+    return '--ros-args' in before or (
+        find_spec('rclpy') is not None and not parser.parse_known_args(before)[0].source)
+
+
 def make_run(tool: str, options: argparse.Namespace, command: Sequence[str],
-             feed: Feed) -> SourceRun:
-    """Return the run that a command line asks for; raise UsageError, PortError or OSError."""
+             feed: Feed, at_once: bool = False) -> SourceRun:
+    """
+    Return the run that a command line asks for; raise UsageError, PortError or OSError.
+
+    at_once: a recording is not played but heard whole.
+    """
     check_range(options, 'baud', 1, BAUD_LIMIT)
     if command:
         return ProgramRun(tool, command, options, feed)
@@ -234,5 +267,5 @@ def make_run(tool: str, options: argparse.Namespace, command: Sequence[str],
         return PortsRun(options, feed)
     if len(options.source) > 1:
         raise UsageError(f'{files[0]}: a recording is shown alone; leave out the others')
-    return RecordingRun(tool, options, feed)
+    return RecordingRun(tool, options, feed, at_once)
 

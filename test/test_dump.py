@@ -4,7 +4,6 @@
 from contextlib import suppress
 import fcntl
 import gzip
-from itertools import takewhile
 import json
 import os
 from pathlib import Path
@@ -23,7 +22,6 @@ from harness import Program
 from harness import wait
 from packets import packets_in
 from packets import packets_left
-from page_states import heard
 import pytest
 
 from dxl_monitor.model.models import Models
@@ -32,7 +30,6 @@ from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
-from dxl_monitor.tools.dump.changes_screen import Changes
 from dxl_monitor.tools.dump.packet_lines import delta_text
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.faults import parse
@@ -327,9 +324,8 @@ def test_lines_fit_the_terminal(recorded, columns):
                    .splitlines())) > columns or columns > 80
 
 
-@pytest.mark.parametrize('view', ['--stats', '--changes'])
-def test_screens_fit_the_terminal(recorded, view):
-    text = on_a_terminal(80, recorded, view, '--devices', '1-3:MX-106', NO_COLOR='1')
+def test_screens_fit_the_terminal(recorded):
+    text = on_a_terminal(80, recorded, '--stats', '--devices', '1-3:MX-106', NO_COLOR='1')
     assert max(len(re.sub('\033.*?[A-Za-z]', '', line)) for line in text.splitlines()) <= 80
 
 
@@ -381,22 +377,11 @@ def test_two_buses_in_one_capture(tmp_path):
     assert ' right ' in dump(path)
 
 
-def test_stats_and_changes_of_a_file(recorded):
-    text = dump(recorded, '--stats', '--changes', '--devices', '1-3:MX-106')
+def test_stats_of_a_file(recorded):
+    text = dump(recorded, '--stats', '--devices', '1-3:MX-106')
     assert 'mean load' in text
     assert re.search(r'^002 MX-106 +\w+ +\d+ ', text, re.M)
     assert 'refused' in text
-    assert re.search(r'^001 MX-106 .*Position -?[\d.]+ rad', text, re.M)
-
-
-def test_what_is_wrong_with_a_device_is_said_in_full_and_first():
-    report = heard('silent:3:1')
-    _, first, *others = Changes(False).lines([report], 80)
-    assert first.startswith('003 MX-64')
-    below = list(takewhile(lambda line: line.startswith('    '), others))
-    assert ' '.join(map(str.strip, below)) == next(
-        one.message for one in report.devices if one.id == 3)
-    assert len(below) > 1 and max(map(len, [first, *others])) <= 80
 
 
 # --- a live bus -----------------------------------------------------------------------------

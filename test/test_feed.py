@@ -1,13 +1,20 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """dxl_dashboard without ROS: a program, a port and a recording on the page, as dxl_doctor says."""
+import fcntl
 import json
+import os
+import pty
 import re
+import struct
+import subprocess
 import sys
+import termios
 from types import SimpleNamespace
 from urllib.request import urlopen
 
 from harness import Program
+from harness import ROOT
 import pytest
 
 from benchmark import confusion
@@ -22,6 +29,10 @@ sys.modules['rclpy'] = None
 from mecarover_feed.{tool} import main
 sys.exit(main())
 """
+LEADER = """
+import fcntl, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+"""
 MASTER = """
 import sys, time
 import scservo_sdk as sdk
@@ -34,6 +45,14 @@ while time.monotonic() < end:
         packet.read2ByteTxRx(port, servo, 56)
 print('my program ends')
 """
+
+
+def read_until(terminal, pattern):
+    """Return what was written to a terminal, until a pattern is there."""
+    text = ''
+    while not re.search(pattern, text):
+        text += os.read(terminal, 65536).decode()
+    return text
 
 
 def dashboard(*arguments):
@@ -135,3 +154,34 @@ def test_what_is_handed_over_is_what_is_published():
         assert rows[0] == rows[1]
     for one in told.reports('devices'):
         assert told.table(one.row_name) == handed.table(one.row_name)
+
+
+@pytest.mark.alone
+def test_the_same_rows_in_a_terminal(tmp_path):
+    """Of a port, in place and by key; of a recording, whole and once."""
+    link, capture = str(tmp_path / 'bus'), str(tmp_path / 'bus.txt')
+    status = NO_ROS.format(tool='mecarover_status')
+    with Program('mecarover_fakes.fake_bus', '--link', link, *BUS, '--fault',
+                 'silent:3:0:999') as fake:
+        fake.wait_for('6 devices')
+        ours, theirs = pty.openpty()
+        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack('4H', 24, 100, 0, 0))
+        with subprocess.Popen(
+                [sys.executable, '-c', LEADER + status, link, '-b', '1000000', '--devices', ARM],
+                cwd=ROOT, stdin=theirs, stdout=theirs, stderr=theirs,
+                start_new_session=True) as shown:
+            os.close(theirs)
+            read_until(ours, r'ERROR +003 ')
+            read_until(ours, r'ok +001 +-?\d\.\d+ +\d+ +12 ')                  # rad, °C, V
+            os.write(ours, b't')
+            read_until(ours, r'state \(temperature\)[\s\S]*ok +001')
+            os.write(ours, b'q')
+            read_until(ours, 'mecarover_status: 003, STS3215: ')
+        os.close(ours)
+        assert shown.returncode == 0
+        with Program('dxl_monitor.tools.dxl_dump', link, '-b', '1000000', '-w', capture,
+                     '--seconds', '4') as dump:
+            assert dump.exit_code() == 0
+    with Program('', capture, '--once', '--all', '--devices', ARM, script=status) as once:
+        assert once.exit_code() == 4
+    assert once.said('ERROR', '003 ')

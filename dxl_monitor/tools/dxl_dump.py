@@ -31,7 +31,6 @@ HIGHEST_ID = 255                   # damage may make any byte of an ID
 EXAMPLES = """examples:
   dxl_dump /dev/ttyUSB0                         every packet at 2 MBd, registers by name
   dxl_dump /dev/ttyUSB0 -b 1000000 --errors     only what went wrong
-  dxl_dump /dev/ttyUSB0 --changes               one line per device, in place
   dxl_dump /dev/ttyUSB0 --stats                 load, rates, errors, latency
   dxl_dump /dev/ttyUSB0 -w bus.txt              record; Ctrl-C ends it
   dxl_dump /dev/ttyUSB0 -w - --format pcapng | wireshark -k -i -
@@ -157,7 +156,6 @@ def _parser() -> argparse.ArgumentParser:
     add = show.add_argument
     add('--json', action='store_true', help='a JSON object for each packet')
     add('--summary', action='store_true', help='the counters, as one JSON object at the end')
-    add('--changes', action='store_true', help='one line for each device, updated in place')
     add('--stats', action='store_true', help='load, rates, errors, latency of each device')
     add('-w', '--write', metavar='FILE', help='record to a file (- for stdout): a capture; '
         'packets for Wireshark if its name ends in .pcapng; messages for Foxglove: .mcap')

@@ -68,14 +68,15 @@ def parse_run(parser: argparse.ArgumentParser,
     return options, command
 
 
-def add_bus_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say what is on a bus and how it is heard."""
+def add_bus_options(parser: argparse.ArgumentParser, runs: bool = True) -> None:
+    """Add the options that say what is on a bus and how it is heard; runs: a program too."""
     add = parser.add_argument
+    if runs:
+        add('--by', choices=WAYS, default='', help=BY)
     add('-b', '--baud', type=int, help='baud rate of the bus, if the source does not know it')
     add('--protocol', choices=PROTOCOLS, default=DEFAULTS.protocol,
         help='protocol of the bus, if the traffic does not show it')
     add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
-    add('--by', choices=WAYS, default='', help=BY)
     add('--devices', action='append', metavar='ID:MODEL:JOINT', default=[],
         help="devices on the bus, in the order along the cable, e.g. '1-6:XL430-W250'")
     add('--model-dirs', action='append', metavar='DIR', default=[],

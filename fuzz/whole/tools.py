@@ -35,7 +35,7 @@ from mecarover_fakes.usb_adapter import FAMILIES
 from msg_defs.event import OUT
 
 RUNS: Counter[str] = Counter()
-DUMP = (['--json'], ['--summary'], ['--changes'], ['--stats'], ['--errors'], ['--full'],
+DUMP = (['--json'], ['--summary'], ['--stats'], ['--errors'], ['--full'],
         ['--id', '1,3'], ['--about', '2-5'], ['--instruction', 'read,status,0x83'],
         ['--count', '5'], ['-t', 'clock'], ['-t', 'epoch'], ['--color', 'always'], ['-b', '57600'],
         ['--devices', '1-6:XL430-W250'], ['--seconds', '0.5'])
@@ -111,7 +111,7 @@ def run_dump(case, path, chance):
     if chance.random() < 0.4:
         options += ['-w', f'{path}.again']
     code, out = tool(dump, case, path, options, chance)
-    if '--json' in options and not {'--changes', '--stats'} & {*options} and code == 0:
+    if '--json' in options and '--stats' not in options and code == 0:
         *_, last = [{}, *map(json.loads, out.splitlines())]
         assert '--summary' not in options or last['bytes'] >= last['noise_bytes'] >= 0
 

@@ -14,11 +14,11 @@ import textwrap
 
 from dxl_monitor.tools.doctor.verdict import Trouble
 from dxl_monitor.tools.doctor.verdict import Verdict
-from dxl_monitor.tools.dump.changes_screen import COLOURS
 from dxl_monitor.tools.dump.packet_lines import BOLD
 from dxl_monitor.tools.dump.packet_lines import fit
 from dxl_monitor.tools.dump.packet_lines import GREEN
 from dxl_monitor.tools.dump.packet_lines import paint
+from dxl_monitor.tools.dump.screen import COLOURS
 from msg_defs.reports import Level
 
 WIDTH, HEIGHT = 80, 23             # the shell takes one of the 24 lines

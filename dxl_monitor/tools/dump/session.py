@@ -31,8 +31,6 @@ from dxl_monitor.record.capture import Writer
 from dxl_monitor.record.opening import open_source
 from dxl_monitor.record.packet_file import is_packet_file
 from dxl_monitor.tools.doctor.no_data import reasons
-from dxl_monitor.tools.dump.changes_screen import Changes
-from dxl_monitor.tools.dump.changes_screen import Screen
 from dxl_monitor.tools.dump.decode import Interpreter
 from dxl_monitor.tools.dump.filter import Filter
 from dxl_monitor.tools.dump.json import json_line
@@ -42,6 +40,7 @@ from dxl_monitor.tools.dump.mcap_recording import is_mcap
 from dxl_monitor.tools.dump.mcap_recording import McapRecording
 from dxl_monitor.tools.dump.packet_lines import Lines
 from dxl_monitor.tools.dump.packet_recording import PacketRecording
+from dxl_monitor.tools.dump.screen import Screen
 from dxl_monitor.tools.dump.stats import stats
 from dxl_monitor.tools.dump.stats import summary
 from dxl_monitor.tools.run import models_of
@@ -50,7 +49,7 @@ from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import printable
 
 CAPTURE, PCAPNG, MCAP = FORMATS = ('capture', 'pcapng', 'mcap')
-PAINT_S = {'changes': 0.2, 'stats': 1.0}
+PAINT_S = 1.0
 PROGRESS_S = 0.5
 SILENT_S = 5.0                     # without a byte: time to say what may be the reason
 LOOK_NS = 1_000_000_000             # between two looks for findings, of a recording
@@ -63,7 +62,7 @@ class Session:
     def __init__(self, options: argparse.Namespace) -> None:
         self._options = options
         self._lists = options.json or not (
-            options.summary or options.changes or options.stats or options.write)
+            options.summary or options.stats or options.write)
         self._models = models_of(options)
         self._source = open_source('dxl_dump', options.source, options.baud,
                                    options.adapter)
@@ -81,7 +80,6 @@ class Session:
         self._listings: dict[str, Listing] = {}
         self._filter = Filter(options)
         self._screen = Screen(sys.stdout, options.colours)
-        self._changes = Changes(options.colours)
         self._lines: Lines | None = None
         self._shown = 0
         self._bytes = 0
@@ -252,24 +250,19 @@ class Session:
 
     def _paint(self) -> None:
         now_s = time.monotonic()
-        kinds = [PAINT_S[kind] for kind in PAINT_S if getattr(self._options, kind)]
-        if self._source.is_live and kinds and now_s >= self._next_paint_s:
+        is_shown = self._options.stats
+        if self._source.is_live and is_shown and now_s >= self._next_paint_s:
             self._paint_screen(self._reports(time.monotonic_ns()))
             cost_s = time.monotonic() - now_s
-            self._next_paint_s = now_s + max(min(kinds), PAINT_SHARE * cost_s)
-        elif not kinds and now_s >= self._next_progress_s:
+            self._next_paint_s = now_s + max(PAINT_S, PAINT_SHARE * cost_s)
+        elif not is_shown and now_s >= self._next_progress_s:
             self._next_progress_s = now_s + PROGRESS_S
             self._progress(now_s)
 
     def _paint_screen(self, reports: list[BusReport], is_last: bool = False) -> None:
-        lines = []
-        width = self._screen.width
-        if self._options.changes:
-            lines += self._changes.lines(reports, width)
         if self._options.stats:
-            lines += stats(reports, width, self._options.colours, self._source.is_timed)
-        if lines:
-            self._screen.paint(lines, is_last)
+            self._screen.paint(stats(reports, self._screen.width, self._options.colours,
+                                     self._source.is_timed), is_last)
 
     def _progress(self, now_s: float) -> None:
         """Say how far we are, where that does not disturb."""
@@ -330,7 +323,7 @@ def _output(options: argparse.Namespace) -> BinaryIO | None:
         return open_new(options.write, is_ours=is_ours) if options.write else None
     if options.format == MCAP:
         raise UsageError('-w - --format mcap: needs a file name')
-    if options.json or options.summary or options.changes or options.stats:
+    if options.json or options.summary or options.stats:
         raise UsageError('-w -: the capture goes to stdout, so nothing else can be shown; give a '
                          'file name')
     return open(sys.stdout.fileno(), 'wb', closefd=False)

@@ -13,10 +13,10 @@ from typing import Any
 
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import DeviceReport
-from dxl_monitor.tools.dump.changes_screen import COLOURS
-from dxl_monitor.tools.dump.changes_screen import headline
 from dxl_monitor.tools.dump.packet_lines import fit
 from dxl_monitor.tools.dump.packet_lines import paint
+from dxl_monitor.tools.dump.screen import COLOURS
+from dxl_monitor.tools.dump.screen import headline
 from dxl_monitor.tools.dump.text_format import error_words
 from msg_defs.dxl_instruction import name_of
 from msg_defs.reports import Level

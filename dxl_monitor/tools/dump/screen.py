@@ -1,0 +1,56 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What dxl_dump shows in place: a Screen, and the line about a bus."""
+
+from collections.abc import Sequence
+import shutil
+from typing import TextIO
+
+from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import PROTOCOL_2
+from dxl_monitor.tools.dump.packet_lines import DIM
+from dxl_monitor.tools.dump.packet_lines import RED
+from dxl_monitor.tools.dump.packet_lines import YELLOW
+from mecarover_serial.plain import on_screen
+from mecarover_serial.plain import plain
+from msg_defs.reports import Level
+
+PLAIN_WIDTH = 160                  # where there is no terminal
+COLOURS = {Level.WARN: YELLOW, Level.ERROR: RED, Level.STALE: DIM}
+
+
+class Screen:
+    """Shows lines in place of the ones before; without a terminal only the last ones."""
+
+    def __init__(self, file: TextIO, colours: bool) -> None:
+        self.is_terminal = file.isatty()
+        self.colours = colours
+        self._file = file
+        self._height = 0
+
+    @property
+    def width(self) -> int:
+        return shutil.get_terminal_size().columns if self.is_terminal else PLAIN_WIDTH
+
+    def paint(self, lines: Sequence[str], is_last: bool = False) -> None:
+        if not self.is_terminal:
+            if is_last:
+                self._file.write(''.join(f'{line}\n' for line in lines))
+            return
+        rows = shutil.get_terminal_size().lines - 1
+        if len(lines) > rows and not is_last:
+            lines = [*lines[:rows - 1], f'... and {len(lines) - rows + 1} more lines']
+        up = f'\033[{self._height}A' if self._height else ''
+        text = ''.join(f'{plain(line)}\033[K\n' for line in lines)
+        on_screen(self._file, f'{up}\r{text}\033[J')
+        self._height = len(lines)
+
+
+def headline(report: BusReport) -> str:
+    """Return what a bus does, in a line of less than 80 columns, as a rule."""
+    load = next((one.value or 0.0 for one in report.metrics if one.name == 'bus_load'), None)
+    rate = 'baud rate not known yet' if load is None else f'{report.baud} baud  load {load:.0f} %'
+    # Most buses speak 2.0, and the line is short: only what is less usual is said.
+    protocol = '' if report.protocol in ('', PROTOCOL_2) else f'{report.protocol}  '
+    return (f'{report.name}  {rate}  {protocol}'
+            f'{report.rates["packets"]:.0f} packets/s  {report.rates["errors"]:.1f} errors/s')

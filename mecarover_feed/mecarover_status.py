@@ -1,0 +1,63 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""mecarover_status: the devices of a port or a recording; without a source those of ROS."""
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+from dxl_monitor.tools.run import add_bus_options
+from dxl_monitor.tools.run import refuse_run
+from mecarover_dashboard import terminal
+from mecarover_dashboard.state import State
+from mecarover_feed.feed import conclusion
+from mecarover_feed.feed import Feed
+from mecarover_feed.source_run import is_of_ros
+from mecarover_feed.source_run import make_run
+from mecarover_serial.cli import run_tool
+from mecarover_serial.cli import UsageError
+
+NAME = terminal.NAME
+
+
+def main() -> int:
+    """Run the command; return the exit code."""
+    arguments = sys.argv[1:]
+    return terminal.main(arguments) if is_of_ros(_parser(), arguments) else run_tool(NAME, _run)
+
+
+def _run(arguments: list[str]) -> int:
+    parser = _parser()
+    refuse_run(parser, 'source', arguments)
+    options = parser.parse_args(arguments)
+    if options.source is None:
+        raise UsageError('SOURCE: none given, and ROS 2 is not sourced; name a port or a '
+                         'recording')
+    options.source = [options.source]
+    feed, state = Feed(), State()
+    feed.out = lambda topic, statuses: state.take(topic, statuses, time.monotonic())
+    run = make_run(NAME, options, (), feed, at_once=options.once)
+    display = terminal.Display(state, options.wait if options.once else None, options.all,
+                               f'{run.words}: nothing heard')
+    run.start()
+    try:
+        run.play(lambda: display.look(time.monotonic()))
+        said = run.end()
+    finally:
+        display.close()
+    if not options.once:
+        print(f'{NAME}: {conclusion(said)}', file=sys.stderr)
+    return display.code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = terminal.make_parser()
+    parser.add_argument('source', metavar='SOURCE', nargs='?', help='a port, usb:PORT, '
+                        'tap:NAME, or a recording; default: ROS topics')
+    add_bus_options(parser, runs=False)
+    return parser
+
+
+if __name__ == '__main__':
+    sys.exit(main())
