@@ -18,6 +18,7 @@ from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor_settings import load_models
 from mecarover_fakes.dxl1_servo import Servo1
+from mecarover_fakes.fake_options import add_options
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.faults import KINDS
@@ -153,8 +154,8 @@ def _parser() -> argparse.ArgumentParser:
         description='Simulates a Dynamixel bus on a pty: devices, and a master unless --pattern '
                     'none.',
         epilog=_EXAMPLES + patterns)
+    add_options(parser)
     add = parser.add_argument
-    add('--link', metavar='PATH', help='make this symlink to the pty that the monitor opens')
     add('--tap', metavar='PATH', help='symlink to a second pty with a copy of everything')
     add('--usbmon', metavar='PATH', help='Unix socket that shows the bus as usbmon shows an '
         'adapter; listen with usb:PATH')
@@ -174,16 +175,12 @@ def _parser() -> argparse.ArgumentParser:
     add('--fault', action='append', default=[], metavar='NAME[:id[:at_s[:for_s]]]',
         help='simulate a fault; repeat it for more')
     add('--list-faults', action='store_true', help='list the faults and exit')
-    add('--vanish', metavar='AFTER:FOR', help='unplug after so many seconds, for so long')
     add('--mid-traffic', action='store_true', help='begin without Pings and without switching the '
         'torque on')
     add('--behind-silent', choices=('wait', 'answer'), default='wait',
         help='what devices after a silent one do in a Sync Read (default %(default)s)')
     add('--patience', type=float, default=34.0, metavar='MS',
         help='the master waits for answers for their wire time plus this (default %(default)g)')
-    add('--seed', type=int, default=1, help='seed of the faults (default %(default)s)')
-    add('--outlive', action='store_true', help='at Ctrl-C wait until the host closed the port')
-    add('--seconds', type=float, help='end after this time (default: run until Ctrl-C)')
     add('--truth', metavar='FILE', help='at the end write what really happened to this file, as '
         'JSON')
     return parser

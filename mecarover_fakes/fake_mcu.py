@@ -18,6 +18,7 @@ import os
 import sys
 import time
 
+from mecarover_fakes.fake_options import add_options
 from mecarover_fakes.guarded_receiver import GuardedReceiver
 from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import Receiver
@@ -195,25 +196,21 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='fake_mcu', description='Simulates the MCU of the rover on a pty and shows the '
         'set-points that it takes.')
+    add_options(parser)
     add = parser.add_argument
-    add('--link', metavar='PATH', help='make this symlink to the pty, for the bridge to open')
     add('--baud', type=int, default=115200, help='baud rate of the simulated line (default '
         '%(default)s)')
     add('--crc-input', choices=sorted(CRC_INPUTS), default='bytes',
         help='how the CRC unit is fed (default %(default)s)')
-    add('--seconds', type=float, help='end after this time (default: run until Ctrl-C)')
     add('--json', action='store_true', help='JSON lines; stamps are monotonic seconds')
     add('--frames', action='store_true', help='print a line for every frame too')
     add('--drop', type=int, default=0, metavar='N', help='drop a byte in each Nth frame')
     add('--flip', type=int, default=0, metavar='N', help='flip a bit in each Nth frame')
     add('--deaf-after', type=int, default=0, metavar='N', help='lose bytes (overrun) after N '
         'frames')
-    add('--vanish', metavar='AFTER:FOR', help='unplug after so many seconds, for so long')
     add('--watchdog', action='store_true', help='an MCU with the receiver of firmware/: it stops '
         'after 0.3 s without a good frame, and reports once a second')
     add('--silent', action='store_true', help='send no text to the host')
-    add('--outlive', action='store_true', help='at Ctrl-C wait until the host closed the port')
-    add('--seed', type=int, default=0, help='seed of the faults (default %(default)s)')
     return parser
 
 

@@ -11,7 +11,6 @@ Factory Reset, Reboot, Clear, Control Table Backup, Bus Watchdog, latched hardwa
 from __future__ import annotations
 
 from collections.abc import Callable
-import struct
 import sys
 from typing import NamedTuple
 
@@ -39,7 +38,6 @@ BOOT_NS = 200_000_000            # deaf after a start
 WATCHDOG_UNIT_NS = 20_000_000
 
 _CLEAR_KEYS = (b'\x01DXL"', b'\x01ERCL', b'\x02ERCL')     # P1 of Error Clear: sources disagree
-_WORDS = struct.Struct('<HH')
 
 _Rows = tuple[tuple[str, int | None], ...]
 
@@ -223,18 +221,17 @@ class FakeDevice(Registers):
         return Reply(OK, bytes(self.image[0:2]) + bytes([self.firmware]))
 
     def _on_read(self, params: bytes, now: int) -> Reply:
-        if len(params) != _WORDS.size:
+        if len(params) != 4:
             return Reply(INSTRUCTION)
-        address, length = _WORDS.unpack(params)
-        return self.read(address, length, now)
+        return self.read(_word(params), _word(params[2:]), now)
 
     def _on_write(self, params: bytes, now: int) -> Reply:
         if len(params) < 3:
             return Reply(LENGTH)
-        return self.write(int.from_bytes(params[:2], 'little'), params[2:], now)
+        return self.write(_word(params), params[2:], now)
 
     def _on_reg_write(self, params: bytes, now: int) -> Reply:
-        address, data = int.from_bytes(params[:2], 'little'), params[2:]
+        address, data = _word(params), params[2:]
         error = self.write_error(address, data)
         if error == OK:
             self._registered = address, data
@@ -297,6 +294,10 @@ _HANDLERS: dict[int, Callable[[FakeDevice, bytes, int], Reply]] = {
     Instruction.CLEAR: FakeDevice._on_clear,
     Instruction.CONTROL_TABLE_BACKUP: FakeDevice._on_backup,
 }
+
+
+def _word(params: bytes) -> int:
+    return int.from_bytes(params[:2], 'little')
 
 
 def _by_prefix(rows: _Rows, name: str) -> int | None:

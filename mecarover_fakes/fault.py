@@ -65,21 +65,19 @@ class Effect:
     What one fault does; every hook does nothing by default.
 
     cause: number of the field problem that it plays, as in docs/doctor.md (0: none of them); a
-    class without one is no fault by itself. protocols: in which it can happen. exact False: with
-    it, what a listener must count is no longer certain (GroundTruth.exact). The line of
-    documentation is for the user, too.
+    class without one is no fault by itself. protocols: in which it can happen. The line
+    of documentation is for the user, too.
     """
 
     kinds: ClassVar[dict[str, type[Effect]]] = {}    # by name
     cause: ClassVar[int | None]
     protocols: ClassVar[tuple[str, ...]]
-    exact: ClassVar[bool]
     every: ClassVar[int] = 1         # cycles from one ask() to the next; 0: it comes once
     now = 0
 
-    def __init_subclass__(cls, cause: int | None = None, protocols: tuple[str, ...] = ALL,
-                          exact: bool = True) -> None:
-        cls.cause, cls.protocols, cls.exact = cause, protocols, exact
+    def __init_subclass__(cls, cause: int | None = None,
+                          protocols: tuple[str, ...] = ALL) -> None:
+        cls.cause, cls.protocols = cause, protocols
         if cause is not None:
             cls.kinds[re.sub('(?<=.)(?=[A-Z])', '_', cls.__name__).lower()] = cls
 

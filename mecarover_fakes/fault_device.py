@@ -52,7 +52,7 @@ class Cable(Silent, cause=1):
         return self.line.chain[self.line.chain.index(self.device):]
 
 
-class Duplicate(Effect, cause=3, exact=False):
+class Duplicate(Effect, cause=3):
     """A second device with the same ID, on its own return delay and perhaps another model."""
 
     def play(self) -> Play:
@@ -140,7 +140,7 @@ class NoAck(Effect, cause=14):
                 yield Ask(device.id, Instruction.PING)
 
 
-class PingOnly(NoAck, cause=14, protocols=('2', '1'), exact=False):
+class PingOnly(NoAck, cause=14, protocols=('2', '1')):
     """Status Return Level 0: only Pings are answered."""
 
     level = 0                    # a listener cannot know why it does not answer reads
@@ -216,7 +216,7 @@ class Watchdog(Effect, cause=18, protocols=ONLY_2):
             yield read(number, watchdog.at, 1)
 
 
-class Late(Effect, cause=5, exact=False):
+class Late(Effect, cause=5):
     """The device answers when the master has given up."""
 
     def play(self) -> Play:

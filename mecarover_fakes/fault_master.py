@@ -26,7 +26,7 @@ FOREIGN_TORQUE = {'2': 562, '1': 64}
 HEADER_LIKE = b'\xff\xff\xfd\x00'
 
 
-class Impatient(Effect, cause=5, exact=False):
+class Impatient(Effect, cause=5):
     """The master gives up while the answer is on its way, and asks again."""
 
     share = 0.1
@@ -49,7 +49,7 @@ class Latency(Effect, cause=5):
         self.pace.gap -= LATENCY_NS
 
 
-class TwoMasters(Effect, cause=11, exact=False):
+class TwoMasters(Effect, cause=11):
     """Another program asks on the same bus, in its own time."""
 
     over = 0                         # the last exchange

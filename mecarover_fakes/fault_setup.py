@@ -54,7 +54,7 @@ class BaudCode(Baud, cause=4, protocols=ONLY_FEETECH):
         return CODE_OF_TWO_MEANINGS
 
 
-class FactoryId(Effect, cause=3, exact=False):
+class FactoryId(Effect, cause=3):
     """The device still has the factory ID 1, which another device was given."""
 
     def play(self) -> Play:
@@ -66,7 +66,7 @@ class FactoryId(Effect, cause=3, exact=False):
             self.line.renumber(device, number)
 
 
-class LastId(Effect, cause=12, exact=False):
+class LastId(Effect, cause=12):
     """The master asks ID 253, where nothing is."""
 
     every = 20                   # in Protocol 2.0 no device can be missed there

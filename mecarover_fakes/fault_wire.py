@@ -75,7 +75,7 @@ class Header(Damage, cause=10):
         return data, count == 1
 
 
-class Turnaround(Header, cause=10, exact=False):
+class Turnaround(Header, cause=10):
     """The line turns round too late: one to three bytes of a status are missing or wrong."""
 
     longest = 3                  # a damaged last answer looks like one that never came
@@ -106,7 +106,7 @@ class Glitch(Stray, cause=10):
         return self.rng.choice((b'\x00', b'\xff'))
 
 
-class Noise(Flip, Stray, cause=17, exact=False):
+class Noise(Flip, Stray, cause=17):
     """Disturbance on the wire: wrong bits in every direction, garbage in between."""
 
     share = SOMETIMES
@@ -118,7 +118,7 @@ class Noise(Flip, Stray, cause=17, exact=False):
         return bytes(self.rng.randrange(256) for _ in range(self.rng.randint(1, 6)))
 
 
-class Foreign(Stray, cause=11, exact=False):
+class Foreign(Stray, cause=11):
     """A status that no instruction asked for."""
 
     def data(self) -> bytes:
@@ -142,7 +142,7 @@ class Protocol2(Stray, cause=19, protocols=FAMILY_1):
             + encode(OTHERS, STATUS, bytes(range(0x20, 0x28)), 0)
 
 
-class Echo(Effect, cause=10, exact=False):
+class Echo(Effect, cause=10):
     """The adapter repeats what its master sends."""
 
     def stray(self, exchange: Exchange) -> Iterator[Burst]:
@@ -154,7 +154,7 @@ class Echo(Effect, cause=10, exact=False):
         yield Burst(asked.end, asked.data, STRAY, self.line.baud)
 
 
-class WrongBaud(Effect, cause=4, exact=False):
+class WrongBaud(Effect, cause=4):
     """The listener runs at another rate than the bus."""
 
     def damage(self, burst: Burst) -> None:

@@ -10,6 +10,7 @@ device or all, as the fault's line says; without times: from the beginning, for 
 from __future__ import annotations
 
 import difflib
+import re
 
 from mecarover_fakes import fault_device
 from mecarover_fakes import fault_master
@@ -24,26 +25,25 @@ from mecarover_serial.parameters import ParameterError
 
 MODULES = (fault_device, fault_master, fault_setup, fault_wire)      # what is in `kinds`
 KINDS = Effect.kinds
+_SECONDS = r'(\d{1,9}(?:\.\d*)?)?'
+_FORM = re.compile(rf'\w+(?::(\d{{1,9}})?(?::{_SECONDS}(?::{_SECONDS})?)?)?')
 
 
 def parse(text: str) -> Fault:
     """Return the fault that a person wrote; raise ParameterError when it is none."""
-    name, *figures = text.split(':')
+    name = text.partition(':')[0]
     if name not in KINDS:
         near = difflib.get_close_matches(name, KINDS, 1)
         remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(KINDS)}'
         raise ParameterError(f'fault: there is no fault {name!r}; {remedy}')
-    try:
-        if len(figures) > 3:
-            raise ValueError
-        number = int(figures[0]) if figures and figures[0] else None
-        begin, length = (float(part) if part else None for part in [*figures[1:], '', ''][:2])
-        start = round((begin or 0.0) * S)
-        end = None if length is None else start + round(length * S)
-    except (ValueError, OverflowError):        # the latter: of inf
+    found = _FORM.fullmatch(text)
+    if found is None:
         raise ParameterError(f'fault: {text!r} does not have the form NAME[:id[:at_s[:for_s]]]; '
-                             "write e.g. 'silent:5:2:3'") from None
-    return Fault(name, number, start, end)
+                             "write e.g. 'silent:5:2:3'")
+    number, begin, length = found.groups()
+    start = round(float(begin or 0) * S)
+    return Fault(name, int(number) if number else None, start,
+                 start + round(float(length) * S) if length else None)
 
 
 class Faults:
@@ -61,7 +61,6 @@ class Faults:
         self._waiting = sorted(faults, key=lambda fault: fault.begin)
         self._scope = scope
         self._running: dict[Effect, Play] = {}
-        self.exact = True
 
     @property
     def active(self) -> tuple[Effect, ...]:
@@ -76,7 +75,6 @@ class Faults:
             effect.now = now
             self._running[effect] = effect.play()
             next(self._running[effect])
-            self.exact &= effect.exact
         for effect in self.active:
             effect.now = now
             if effect.fault.end is not None and effect.fault.end <= now:

@@ -52,11 +52,10 @@ def good_answers(exchange: Exchange) -> list[Answer]:
 
 
 class GroundTruth:
-    """Counts exchanges; `exact` is False once something happened that blurs the counts."""
+    """Counts exchanges."""
 
     def __init__(self) -> None:
         self.known: dict[int, Known] = defaultdict(Known)
-        self.exact = True
         self.bytes = 0
         self.instructions = 0
         self.statuses = 0            # frames, a combined one counts once
@@ -101,7 +100,7 @@ class GroundTruth:
     def as_json(self) -> dict[str, Any]:
         """Return everything for --truth."""
         return {
-            'exact': self.exact, 'bytes': self.bytes, 'instructions': self.instructions,
-            'statuses': self.statuses, 'damaged': self.damaged,
+            'bytes': self.bytes, 'instructions': self.instructions, 'statuses': self.statuses,
+            'damaged': self.damaged,
             'devices': {number: {'state': known.state} | asdict(known)
                         for number, known in sorted(self.known.items())}}

@@ -37,6 +37,7 @@ MASTER = -1
 STRAY = -2                       # bytes that were not sent on purpose
 AnyFramer = Framer | dxl1_packet.Dxl1Framer
 BITS_PER_BYTE = 10               # 8N1
+BLOCK = 4                        # error, ID and CRC of each device in a combined status
 
 
 class Burst:
@@ -275,22 +276,20 @@ class Line:
 
     def _combined(self, exchange: Exchange, now: int) -> None:
         accesses = exchange.request.accesses
-        length = 1 + sum(access.length + 4 for access in accesses)
-        sent = HEADER + bytes([BROADCAST]) + length.to_bytes(2, 'little') + bytes([STATUS])
-        crc = crc16(sent)
-        for position, access in enumerate(accesses):
+        length = 1 + sum(access.length + BLOCK for access in accesses)
+        status = bytearray(HEADER + bytes([BROADCAST, *length.to_bytes(2, 'little'), STATUS]))
+        sent = 0
+        for access in accesses:
             device = next(iter(self._hearing(access.id, now)), None)
             if device is None or not device.has_fast_reads:
                 return
             reply = device.read(access.address, access.length, now)
             error, data = device.error_byte(reply.error), reply.params or bytes(access.length)
-            block = bytes([error, access.id]) + data
-            crc = crc16(block, crc)
-            tail = crc.to_bytes(2, 'little')
-            crc = crc16(tail, crc)
-            start = now if position else now + device.return_delay_ns
-            piece = (b'' if position else sent) + block + tail
-            now = self._send(exchange, access.id, error, data, start, piece)
+            status += bytes([error, access.id]) + data
+            status += crc16(status).to_bytes(2, 'little')
+            start = now if sent else now + device.return_delay_ns
+            now = self._send(exchange, access.id, error, data, start, bytes(status[sent:]))
+            sent = len(status)
 
 
 _LISTED_WRITES = (Instruction.SYNC_WRITE, Instruction.BULK_WRITE)

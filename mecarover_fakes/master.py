@@ -184,7 +184,6 @@ class Master:
             for effect in self._faults.active:
                 if burst.start >= effect.fault.begin:
                     effect.damage(burst)
-        self.truth.exact = self._faults.exact
         self.truth.count(bursts)
         done = [exchange for exchange in self._backlog if exchange.end <= self.now]
         for exchange in sorted(done, key=lambda one: one.bursts[0].start):

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from dxl_monitor.model.control_table import Field
 from mecarover_fakes.fake_servo import FakeDevice
+from mecarover_fakes.line import BLOCK
 from mecarover_fakes.line import Line
 from mecarover_fakes.values import pack
 from msg_defs.dxl_instruction import Instruction
@@ -26,7 +27,6 @@ LOOK_AHEAD_S = 0.02              # a goal is where the joint shall be a little l
 SLOW = 25                        # cycles between two looks at voltage and temperature
 IDLE_CYCLES = 100
 ROOM = 1000                      # bytes of parameters: a device's buffer is 1 KiB
-BLOCK = 4                        # error, ID and CRC of each device in a combined status
 
 
 class Ask(NamedTuple):

@@ -118,30 +118,25 @@ _IDENTITY = ('Model', 'Firmware', 'Error', 'Information', 'Reserved', 'Status', 
 
 def live_registers(model: Model) -> list[Live]:
     """Return (begin, end, bytes of a state) for each register that moves by itself."""
-    if 'Present Position' in model.by_name:
-        # By name, so that aliases count: XL-320 has its own names for some of them.
-        found = [(field, _servo(name, field)) for name in _SERVO
-                 if (field := model.by_name.get(name)) is not None]
-    else:
-        found = [(field, value) for field in model.fields
-                 if (value := _sensor(field)) is not None]
-    return [(field.at, field.end, value) for field, value in found]
+    # By name, so that aliases count: XL-320 has its own names for some of them.
+    find = _servo if 'Present Position' in model.by_name else _sensor
+    return [(field.at, field.end, value) for name, field in model.by_name.items()
+            if (value := find(name, field)) is not None]
 
 
-def _servo(name: str, field: Field) -> Callable[[LiveState], bytes]:
-    value = _SERVO[name]
-    if field.scale is None and name in _RAW:
+def _servo(name: str, field: Field) -> Callable[[LiveState], bytes] | None:
+    value = _SERVO.get(name)
+    if value is not None and field.scale is None and name in _RAW:
         zero, per_unit = _RAW[name]
         return lambda state: pack_raw(field, zero + per_unit * value(state))
-    return lambda state: pack(field, value(state))
+    return value and (lambda state: pack(field, value(state)))
 
 
-def _sensor(field: Field) -> Callable[[LiveState], bytes] | None:
+def _sensor(name: str, field: Field) -> Callable[[LiveState], bytes] | None:
     """Go by unit and size: boards have no register names in common."""
-    if field.access != 'r' or field.name in FACTORY \
-            or any(word in field.name for word in _IDENTITY):
+    if field.access != 'r' or name in FACTORY or any(word in name for word in _IDENTITY):
         return None
-    if field.name == 'VCC':
+    if name == 'VCC':
         return lambda state: pack(field, _LOGIC_VOLTAGE)
     if field.unit in _BY_UNIT:
         return lambda state: pack(field, _BY_UNIT[field.unit](state))

@@ -17,6 +17,7 @@ import termios
 from mecarover_serial.pty import Pty
 
 CAPACITY = 4096
+COUNTERS = 'sent', 'taken', 'overrun', 'unheard', 'received'
 _READ_SIZE = 4096
 
 
@@ -93,8 +94,7 @@ class VirtualUart:
 
     def totals(self) -> dict[str, int]:
         """Return the counters by name."""
-        return {'sent': self.sent, 'taken': self.taken, 'overrun': self.overrun,
-                'unheard': self.unheard, 'received': self.received}
+        return {name: getattr(self, name) for name in COUNTERS}
 
     def close(self) -> None:
         """Hang up: the reader gets an error, the link goes."""

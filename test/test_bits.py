@@ -99,9 +99,9 @@ def test_a_packet_that_breaks_off_is_no_wreck(noise):
 # --- what it looks like ------------------------------------------------------------------------
 
 @pytest.mark.parametrize(('draw', 'said'), [
-    (uart.clock(1.06, 1.07), bits.CLOCK),
-    (uart.slow_edge(0.58, 0.7), f'{bits.LEVEL}: 1 read as 0'),
-    (uart.lifted(0.35, 0.37), f'{bits.LEVEL}: 0 read as 1'),
+    (uart.varied(clock=(1.06, 1.07), noise=0.05), bits.CLOCK),
+    (uart.varied(rise=(0.58, 0.7), noise=0.03), f'{bits.LEVEL}: 1 read as 0'),
+    (uart.varied(lift=(0.35, 0.37), noise=0.07), f'{bits.LEVEL}: 0 read as 1'),
     (uart.glitches(0.2), bits.INTERFERENCE),
     (uart.beats(47.0, 0.4), bits.PWM),
 ], ids=['clock', 'edge', 'ground', 'glitches', 'PWM'])

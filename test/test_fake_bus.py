@@ -83,7 +83,6 @@ def test_pattern_is_good_traffic_in_order_of_time(pattern: str) -> None:
         framer.frames(burst.data)
     assert framer.noise_bytes == framer.pending == 0
     truth = master.truth
-    assert truth.exact
     assert framer.bytes == truth.bytes == sum(len(burst.data) for burst in bursts)
     assert framer.packets == truth.instructions + truth.statuses > 20
 
@@ -157,6 +156,11 @@ EXACT_FAULTS = [
     'wrong_map:2', 'eeprom:3', 'eeprom_wear:3', 'no_ack', 'unstuffed', 'flip', 'drop',
     'watchdog:3', 'protocol1', 'hot:1', 'low_voltage', 'unwritten:1', 'jitter']
 
+# With these, what a listener must count is not certain.
+BLURRED_FAULTS = {
+    'duplicate', 'wrong_baud', 'impatient', 'late', 'turnaround', 'echo', 'two_masters', 'foreign',
+    'ping_only', 'noise', 'factory_id', 'last_id'}
+
 
 def monitored(master: Master, seconds: float, write_acks: str = 'always') -> BusReport:
     monitor = Monitor('bus', MODELS, Settings(baud=master.line.baud, write_acks=write_acks))
@@ -193,7 +197,6 @@ def test_monitor_knows_the_truth_of_a_pattern(pattern: str) -> None:
 def test_monitor_knows_the_truth_of_a_fault(fault: str) -> None:
     master = make_master(faults=(fault,))
     report = monitored(master, 3.0, 'auto' if fault == 'no_ack' else 'always')
-    assert master.truth.exact
     assert_agrees(report, master.truth)
 
 
@@ -210,9 +213,10 @@ def test_monitor_knows_the_truth_of_cut_combined_replies(fault: str, waits_in_li
 KINDS_OF_2 = [name for name, kind in KINDS.items() if '2' in kind.protocols]
 
 
-def test_exactly_the_exact_faults_are_tested_against_the_monitor() -> None:
-    exact = {name for name in KINDS_OF_2 if KINDS[name].exact}
-    assert exact - {'old_firmware'} == {text.split(':')[0] for text in EXACT_FAULTS}
+def test_each_fault_is_tested_against_the_monitor_where_its_counts_are_certain() -> None:
+    exact = {text.split(':')[0] for text in EXACT_FAULTS} | {'old_firmware'}
+    assert exact | BLURRED_FAULTS == set(KINDS_OF_2)
+    assert not exact & BLURRED_FAULTS
 
 
 def test_all_field_problems_are_played() -> None:
@@ -371,7 +375,7 @@ def test_bus_never_waits_for_its_reader() -> None:
     bus = FakeBus(make_master(rate=0))
     reader = Reader(bus.path)
     bus.start()
-    reader.take_until(1000)
+    reader.take_until(CAPACITY + 1000)           # more than fits: somebody reads
     wait(lambda: bus.outlet.overrun > 50_000)
     bus.stop()
     totals = bus.outlet

@@ -11,7 +11,6 @@ import time
 import pytest
 from terminal_server import TerminalServer
 
-from mecarover_fakes.fake_mcu import FakeMcu
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
 from msg_defs.reports import Level
@@ -299,7 +298,7 @@ def stuff(path):
 
 
 def test_a_stuck_reader_costs_a_write_time_out_and_leads_to_a_stop(tmp_path):
-    mcu = FakeMcu(str(tmp_path / 'mcu'))             # it is not pumped yet
+    mcu = RunningMcu(str(tmp_path / 'mcu'))          # it is not pumped yet
     opened = []
 
     def opener(path, baud):

@@ -18,35 +18,13 @@ from rigs.bus import frames1
 from rigs.bus import servo as reg
 from rigs.bus.masters import Master
 from rigs.bus.rig import Rig
-from rigs.bus.servo import Servo
 from rigs.bus.servo1 import Kind
-from rigs.bus.servo1 import Servo1
+from rigs.bus.servo1 import servo
 from rigs.bus.wire import Heard
 from rigs.bus.wire import S
 
 MS = 1_000_000
 Fault = Callable[[Rig], None]
-
-
-def _set(ids: Iterable[int], at: float, **attributes: object) -> Fault:
-    def fault(rig: Rig) -> None:
-        def do() -> None:
-            for number in ids:
-                for name, value in attributes.items():
-                    assert hasattr(rig.servos[number], name)
-                    setattr(rig.servos[number], name, value)
-        rig.at(at, do)
-    return fault
-
-
-def dead(*ids: int, at: float = 8.0) -> Fault:
-    """End the supply of these servos, or pull the plug in front of them."""
-    return _both(_set(ids, at, is_on=False), _silence(ids, at))
-
-
-def deaf(*ids: int, at: float = 8.0) -> Fault:
-    """Let them hear nothing any more."""
-    return _both(_set(ids, at, is_deaf=True), _silence(ids, at))
 
 
 def _both(*faults: Fault) -> Fault:
@@ -56,10 +34,40 @@ def _both(*faults: Fault) -> Fault:
     return fault
 
 
+def _altering(at: float, do: Callable[[Rig], object]) -> Fault:
+    """Do something at a time that changes the bytes from then on."""
+    return lambda rig: rig.altering(at, lambda: do(rig))
+
+
+def attribute(*ids: int, at: float = 8.0, **values: object) -> Fault:
+    """Change plain attributes of these servos."""
+    def fault(rig: Rig) -> None:
+        for number in ids:
+            for name, value in values.items():
+                assert hasattr(rig.servos[number], name)
+                rig.at(at, partial(setattr, rig.servos[number], name, value))
+    return fault
+
+
+def changed(number: int, at: float = 8.0, **values: object) -> Fault:
+    """Change plain attributes of a servo, with which its bytes are different at once."""
+    return _both(attribute(number, at=at, **values), _altering(at, lambda rig: None))
+
+
+def dead(*ids: int, at: float = 8.0) -> Fault:
+    """End the supply of these servos, or pull the plug in front of them."""
+    return _both(attribute(*ids, at=at, is_on=False), _silence(ids, at))
+
+
+def deaf(*ids: int, at: float = 8.0) -> Fault:
+    """Let them hear nothing any more."""
+    return _both(attribute(*ids, at=at, is_deaf=True), _silence(ids, at))
+
+
 def _silence(ids: Iterable[int], at: float) -> Fault:
     """Note the first instruction that one of these servos would have answered."""
     names = set(ids)
-    group = (frames.SYNC_READ, frames.FAST_SYNC_READ, frames.BULK_READ)
+    group = (frames.SYNC_READ, frames.FAST_SYNC_READ)
 
     def fault(rig: Rig) -> None:
         def hear(heard: Heard) -> None:
@@ -73,53 +81,27 @@ def _silence(ids: Iterable[int], at: float) -> Fault:
 
 def loose(number: int, share: float, at: float = 8.0) -> Fault:
     """Loosen a plug: some answers are not there."""
-    def fault(rig: Rig) -> None:
-        servo = rig.servos[number]
-        rig.at(at, lambda: setattr(servo, 'loses', lambda: rig.random.random() < share))
-    return fault
+    return lambda rig: attribute(number, at=at, loses=lambda: rig.random.random() < share)(rig)
 
 
 def away(*ids: int, at: float = 12.0, seconds: float = 0.4, restart: bool = True) -> Fault:
     """Take the supply away for a moment: RAM is at its defaults afterwards."""
-    def fault(rig: Rig) -> None:
-        _silence(ids, at)(rig)
-        for number in ids:
-            servo = rig.servos[number]
-            rig.at(at, partial(setattr, servo, 'is_on', False))
-            on = partial(setattr, servo, 'is_on', True)
-            rig.at(at + seconds, servo.start if restart else on)
-    return fault
-
+    def back(rig: Rig) -> None:
+        for number in ids if restart else ():
+            rig.at(at + seconds, rig.servos[number].start)
+    return _both(_silence(ids, at), attribute(*ids, at=at, is_on=False),
+                 attribute(*ids, at=at + seconds, is_on=True), back)
 
 
 def latched(number: int, bits: int = 0x20, at: float = 8.0, *, torque_off: bool = True) -> Fault:
     """Latch a hardware error (e-Manual, Hardware Error Status)."""
-    def fault(rig: Rig) -> None:
-        def do() -> None:
-            rig.servos[number].put(reg.ERRORS, 1, bits)
-            if torque_off:
-                rig.servos[number].put(reg.TORQUE, 1, 0)
-        rig.altering(at, do)
-    return fault
+    latch = register(number, reg.ERRORS, 1, bits, at)
+    return _both(latch, register(number, reg.TORQUE, 1, 0, at)) if torque_off else latch
 
 
 def register(number: int, at_register: int, size: int, value: int, at: float = 0.0) -> Fault:
     """Give a register this value."""
-    def fault(rig: Rig) -> None:
-        rig.altering(at, lambda: rig.servos[number].put(at_register, size, value))
-    return fault
-
-
-def attribute(number: int, at: float = 0.0, **values: object) -> Fault:
-    """Change one of the plain attributes of a servo."""
-    return _set((number,), at, **values)
-
-
-def since(at: float) -> Fault:
-    """Say that what is wrong is in the scene itself, from this time on."""
-    def fault(rig: Rig) -> None:
-        rig.at(at, rig.alter)
-    return fault
+    return _altering(at, lambda rig: rig.servos[number].put(at_register, size, value))
 
 
 def heating(number: int, top: float, at: float = 2.0, seconds: float = 12.0) -> Fault:
@@ -210,8 +192,7 @@ def twin(number: int, at: float = 0.0, *, own_us: int = 40, model: str | Kind = 
     """Add a second servo with the same ID."""
     def fault(rig: Rig) -> None:
         def join() -> None:
-            other = Servo(rig.wire, number, model, own_us=own_us) if isinstance(model, str) \
-                else Servo1(rig.wire, number, model, own_us=own_us)
+            other = servo(rig.wire, number, model, own_us=own_us)
             other.stand(place)
             other.tremor = number + 1.6    # two joints never stand in the same place to the step
             other.changed = rig.alter
@@ -221,9 +202,7 @@ def twin(number: int, at: float = 0.0, *, own_us: int = 40, model: str | Kind = 
 
 
 def master_stops(at: float = 10.0) -> Fault:
-    def fault(rig: Rig) -> None:
-        rig.altering(at, rig.ports[0].stop)
-    return fault
+    return _altering(at, lambda rig: rig.ports[0].stop())
 
 
 def second_master(master: Master, ids: list[int], at: float = 6.0, **options: object) -> Fault:
@@ -237,10 +216,10 @@ def second_master(master: Master, ids: list[int], at: float = 6.0, **options: ob
 def elsewhere(number: int, at: float = 8.0, rate: float = 20.0) -> Fault:
     """Let a master that this line does not hear ask a servo that it hears."""
     def fault(rig: Rig) -> None:
-        servo = rig.servos[number]
+        one = rig.servos[number]
 
         def ask() -> None:
-            data = bytes(servo.table[reg.PLACE:reg.PLACE + 4])
+            data = bytes(one.table[reg.PLACE:reg.PLACE + 4])
             rig.wire.talk(f'servo {number}', frames.status(number, 0, data))
             rig.alter()
             rig.at(rig.clock.now / S + 1 / rate + rig.random.random() / 300, ask)
@@ -263,15 +242,10 @@ def protocol_1(number: int = 9, at: float = 6.0, rate: float = 10.0) -> Fault:
 
 def wait_less(ms: float, at: float = 8.0) -> Fault:
     """Make the time-out of the program shorter than the answers take."""
-    def fault(rig: Rig) -> None:
-        rig.altering(at, lambda: setattr(rig.ports[0], 'wait_ms', ms))
-    return fault
+    return _altering(at, lambda rig: setattr(rig.ports[0], 'wait_ms', ms))
 
 
 def busy_host(ms: float, at: float = 6.0) -> Fault:
     """Let the master's computer be late, differently each time."""
-    def fault(rig: Rig) -> None:
-        rig.altering(at, lambda: setattr(rig.ports[0], 'slow_ms',
-                                         lambda: rig.random.expovariate(1 / ms)))
-    return fault
-
+    return _altering(at, lambda rig: setattr(
+        rig.ports[0], 'slow_ms', lambda: rig.random.expovariate(1 / ms)))

@@ -12,17 +12,15 @@ from __future__ import annotations
 from functools import partial
 
 from rigs.bus import faults as f
-from rigs.bus import frames
 from rigs.bus import masters as m
 from rigs.bus import masters1 as m1
 from rigs.bus import servo as reg
 from rigs.bus.ear import FINE
-from rigs.bus.faults import Fault
 from rigs.bus.master import Port
 from rigs.bus.master import Program
 from rigs.bus.rig import Rig
-from rigs.bus.scene import Key
 from rigs.bus.scene import Scene
+from rigs.bus.scene import scene
 from rigs.bus.servo1 import AX_12
 from rigs.bus.servo1 import MX_28
 from rigs.bus.servo1 import STS3215
@@ -32,20 +30,14 @@ ROUND = partial(m.poller, torque=True)
 GOES_ON = partial(m1.lerobot, gives_up=False)
 SIX = (1, 2, 3, 4, 5, 6)
 NINE = tuple(range(10, 19))
-WEAK = ('missed_answers', 'dropout', 'no_answer', 'sync_read_stops')
-AFTER_A_RESTART = (*WEAK, 'rebooted', 'torque_off')
-
-
-def _of(*rules: str, ids: tuple[int | None, ...] = (None,)) -> tuple[Key, ...]:
-    return tuple((rule, number) for rule in rules for number in ids)
 
 
 def xs_start(port: Port, ids: m.Ids) -> Program:
     """Start as xs_sdk does: three rounds of Ping and torque off, also where the Ping failed."""
     for _ in range(3):
         for number in ids:
-            yield from port.ask(frames.instruction(number, frames.PING), number, 3)
-            yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number, 0)
+            yield from port.ping(number)
+            yield from port.write(number, reg.TORQUE, b'\0')
 
 
 def _supply(rig: Rig, volts: float) -> None:
@@ -57,118 +49,92 @@ def _supply(rig: Rig, volts: float) -> None:
         servo.volts = lambda: volts
 
 
-LIMITS = m.asks(frames.read(10, reg.MAX_VOLTS, 4), 10, 4)
+LIMITS = m.reads(10, reg.MAX_VOLTS, 4)
 
 _OF_2: tuple[Scene, ...] = (
-    Scene('T10 wiring, nothing answers', m.poller, _of('all_silent'), (f.since(0.0),),
-          _of(*WEAK, ids=(1, 2)), ids=(1, 2), absent=(1, 2)),
-    Scene('T13 overload that is not cleared', partial(ROBOT, rate=46.0),
-          _of('hardware_error', ids=(17,)),
-          (f.latched(17), partial(_supply, volts=5.0)), _of('torque_off', ids=(17,)),
-          ids=NINE, model='XL330-M288'),
-    Scene('T19 over-voltage latch of all', partial(SDK, rate=50.0),
-          _of('hardware_error', ids=NINE) + _of('voltage'),
-          tuple(f.latched(number, 1) for number in NINE),
-          _of('hardware_error', 'torque_off', ids=NINE), ids=NINE, model='XL330-M288'),
-    Scene('T20 7.6 V at a limit of 7.0 V', m.beside(partial(ROBOT, rate=50.0), LIMITS),
-          _of('voltage', 'hardware_error', ids=(*NINE, None)),
-          (f.since(0.0), partial(_supply, volts=7.6),
-           *(f.latched(number, 1, at=6.0) for number in NINE)),
-          _of('voltage', 'hardware_error', 'torque_off', ids=NINE), ids=NINE,
+    scene('T10 wiring, nothing answers', m.poller, 'all_silent', since=0.0, also='weak 1 2',
+          ids=(1, 2), absent=(1, 2)),
+    scene('T13 overload that is not cleared', partial(ROBOT, rate=46.0), 'hardware_error 17',
+          (f.latched(17), partial(_supply, volts=5.0)), 'torque_off 17', ids=NINE,
           model='XL330-M288'),
-    Scene('T22 empty battery', ROBOT, _of('voltage', 'all_silent', 'brown_out')
-          + _of('voltage', ids=(1, 2)), (f.sagging((1, 2), 8.6), f.dead(1, 2, at=15.0)),
-          _of(*WEAK, 'voltage', ids=(1, 2)), ids=(1, 2), model='XM430-W350'),
-    Scene('T23 emergency stop in the supply', SDK, _of('brown_out'),
-          (f.away(*SIX, at=8.0, seconds=2.0),),
-          _of('all_silent') + _of(*AFTER_A_RESTART, ids=SIX)),
-    Scene("T28 'Can't find' a servo that is there", xs_start, _of('hardware_error', ids=(8,)),
-          (f.latched(8, at=0.05),), _of('master_stopped'), ids=(6, 7, 8, 9)),
-    Scene('T34 latency timer 16 ms', partial(m.poller, rate=1000.0, writes=()),
-          _of('latency_timer'), (f.since(0.0),), latency_ms=16.0),
-    Scene('T35 firmware without Fast Sync Read', DHI, _of('fast_read_unsupported', ids=(1,)),
-          (f.since(0.0),), ids=(1,), firmware=42),
-    Scene('T38 thread without CPU', partial(SDK, rate=15.0), _of('jitter'), (f.busy_host(40.0),)),
-    Scene('T40 57600 baud at 50 Hz', partial(SDK, rate=50.0), _of('bus_too_slow'),
-          (f.since(0.0),), baud=57_600),
-    Scene('T41 one lost answer ends the program', ARM,
-          _of('master_stopped') + _of('missed_answers', ids=(4,)), (f.loose(4, 0.02),),
-          _of(*WEAK, ids=(4,))),
-    Scene('T43 forgotten second program', partial(SDK, rate=50.0), _of('two_masters'),
-          (f.second_master(partial(SDK, rate=33.3, torque=False), list(SIX)),)),
-    Scene('T44 write of a second thread', partial(SDK, rate=50.0), _of('two_masters', 'noise'),
-          (f.second_master(partial(m.poller, rate=13.0, enables=False), [2]),), _of('noise'),
+    scene('T19 over-voltage latch of all', partial(SDK, rate=50.0),
+          'hardware_error 10-18, voltage', tuple(f.latched(number, 1) for number in NINE),
+          'hardware_error torque_off 10-18', ids=NINE, model='XL330-M288'),
+    scene('T20 7.6 V at a limit of 7.0 V', m.beside(partial(ROBOT, rate=50.0), LIMITS),
+          'voltage hardware_error 10-18 bus',
+          (partial(_supply, volts=7.6), *(f.latched(number, 1, at=6.0) for number in NINE)),
+          'voltage hardware_error torque_off 10-18', since=0.0, ids=NINE, model='XL330-M288'),
+    scene('T22 empty battery', ROBOT, 'voltage all_silent brown_out, voltage 1 2',
+          (f.sagging((1, 2), 8.6), f.dead(1, 2, at=15.0)), 'weak voltage 1 2', ids=(1, 2),
+          model='XM430-W350'),
+    scene('T23 emergency stop in the supply', SDK, 'brown_out', f.away(*SIX, at=8.0, seconds=2.0),
+          'all_silent, weak rebooted torque_off 1-6'),
+    scene("T28 'Can't find' a servo that is there", xs_start, 'hardware_error 8',
+          f.latched(8, at=0.05), 'master_stopped', ids=(6, 7, 8, 9)),
+    scene('T34 latency timer 16 ms', partial(m.poller, rate=1000.0, writes=()), 'latency_timer',
+          since=0.0, latency_ms=16.0),
+    scene('T35 firmware without Fast Sync Read', DHI, 'fast_read_unsupported 1', since=0.0,
+          ids=(1,), firmware=42),
+    scene('T38 thread without CPU', partial(SDK, rate=15.0), 'jitter', f.busy_host(40.0)),
+    scene('T40 57600 baud at 50 Hz', partial(SDK, rate=50.0), 'bus_too_slow', since=0.0,
+          baud=57_600),
+    scene('T41 one lost answer ends the program', ARM, 'master_stopped, missed_answers 4',
+          f.loose(4, 0.02), 'weak 4'),
+    scene('T43 forgotten second program', partial(SDK, rate=50.0), 'two_masters',
+          f.second_master(partial(SDK, rate=33.3, torque=False), list(SIX))),
+    scene('T44 write of a second thread', partial(SDK, rate=50.0), 'two_masters noise',
+          f.second_master(partial(m.poller, rate=13.0, enables=False), [2]), 'noise',
           why='two threads or two programs: partly'),
-    Scene('T52 25 servos in one chain, the far ones fail', partial(SDK, rate=50.0),
-          _of('missed_answers', 'sync_read_stops', ids=tuple(range(20, 26))),
-          tuple(f.loose(number, 0.03) for number in range(20, 26)),
-          _of(*WEAK, ids=tuple(range(20, 26))), ids=tuple(range(1, 26)), model='XM430-W350',
-          baud=3_000_000),
-    Scene('T56 EEPROM write with torque on', m.beside(ARM, m.asks(
-        frames.write(1, 20, bytes((0x66, 0, 0, 0))), 1)), _of('eeprom_locked', ids=(1,)),
-        (f.since(8.0),)),
-    Scene('T61 pinched cable at the first joint, Fast Sync Read', DHI,
-          _of('missed_answers', 'damaged_answers', ids=(11,)), (f.loose(11, 0.3),),
-          _of(*WEAK, ids=(11,)), ids=(11, 12, 13, 14, 15)),
+    scene('T52 25 servos in one chain, the far ones fail', partial(SDK, rate=50.0),
+          'missed_answers sync_read_stops 20-25',
+          tuple(f.loose(number, 0.03) for number in range(20, 26)), 'weak 20-25',
+          ids=tuple(range(1, 26)), model='XM430-W350', baud=3_000_000),
+    scene('T56 EEPROM write with torque on', m.beside(ARM, m.writes(1, 20, b'\x66\0\0\0')),
+          'eeprom_locked 1', since=8.0),
+    scene('T61 pinched cable at the first joint, Fast Sync Read', DHI,
+          'missed_answers damaged_answers 11', f.loose(11, 0.3), 'weak 11',
+          ids=(11, 12, 13, 14, 15)),
 )
-
-def bits(number: int, errors: int, at: float = 8.0) -> Fault:
-    """Let a servo carry these error bits in each of its statuses."""
-    def fault(rig: Rig) -> None:
-        rig.altering(at, lambda: setattr(rig.servos[number], 'errors', errors))
-    return fault
-
-
-def silent(number: int, at: float = 8.0) -> Fault:
-    """End the supply of a servo."""
-    def fault(rig: Rig) -> None:
-        rig.altering(at, lambda: setattr(rig.servos[number], 'is_on', False))
-    return fault
-
-
 _OF_1: tuple[Scene, ...] = (
-    Scene('T01 two servos with the factory ID', GOES_ON,
-          _of('factory_id', 'duplicate_id', 'damaged_answers', ids=(1,)),
-          (f.twin(1, model=STS3215),), _of(*WEAK, ids=(1, 2)),
-          ids=(1, 2), absent=(2,), family=STS3215, why='factory_id is what the thread found; the '
-          'other two were written before there was that rule'),
-    Scene('T03 two servos with one ID, read one by one', m1.read_write,
-          _of('duplicate_id', 'damaged_answers', ids=(2,)), (f.twin(2, model=AX_12),),
-          _of(*WEAK, ids=(2,)), ids=(2,), family=AX_12),
-    Scene('T04 first and last never set up', m1.check, _of('no_answer', ids=(1, 6)),
-          (f.since(0.0),), _of(*WEAK, ids=(1, 6)), absent=(1, 6), family=STS3215),
-    Scene('T06 Lock is sent to the old ID', m1.set_id, _of('lock', ids=(1, 5)), (f.since(1.0),),
-          _of(*WEAK, ids=(1,)), ids=(1,), family=STS3215,
+    scene('T01 two servos with the factory ID', GOES_ON,
+          'factory_id duplicate_id damaged_answers 1', f.twin(1, model=STS3215), 'weak 1 2',
+          ids=(1, 2), absent=(2,), model=STS3215,
+          why='factory_id is what the thread found; the other two are older'),
+    scene('T03 two servos with one ID, read one by one', m1.read_write,
+          'duplicate_id damaged_answers 2', f.twin(2, model=AX_12), 'weak 2', ids=(2,),
+          model=AX_12),
+    scene('T04 first and last never set up', m1.check, 'no_answer 1 6', since=0.0, also='weak 1 6',
+          absent=(1, 6), model=STS3215),
+    scene('T06 Lock is sent to the old ID', m1.set_id, 'lock 1 5', since=1.0, also='weak 1',
+          ids=(1,), model=STS3215,
           why='its EEPROM stays open; the acknowledgement with the new ID is no foreign answer'),
-    Scene('T07 ID lost in a dip', m1.hexapod, _of('no_answer', ids=(4,))
-          + _of('duplicate_id', 'damaged_answers', ids=(1,)),
-          (silent(4), f.twin(1, 8.0, model=AX_12)), _of(*WEAK, ids=(1, 4)), family=AX_12,
+    scene('T07 ID lost in a dip', m1.hexapod, 'no_answer 4, duplicate_id damaged_answers 1',
+          (f.changed(4, is_on=False), f.twin(1, 8.0, model=AX_12)), 'weak 1 4', model=AX_12,
           why='either half is half of the cause'),
-    Scene('T08 loose plug, the arm moves', GOES_ON, _of('missed_answers', ids=(4,)),
-          (f.loose(4, 0.05),), _of(*WEAK, ids=(4,)), family=STS3215),
-    Scene('T11 adapter with a bad contact, one servo', m1.read_write,
-          _of('all_silent') + _of('no_answer', ids=(12,)), (f.since(0.0),), ids=(12,),
-          absent=(12,), family=AX_12),
-    Scene('T14 7.4 V servo on 12 V', m1.check, _of('hardware_error', 'voltage', ids=(2,)),
-          (bits(2, 0x01, 0.0),), ids=(2, 3, 4, 5, 6), family=STS3215),
-    Scene('T25 overload, seen at the end only', m1.lerobot, _of('hardware_error', ids=(3,)),
-          (bits(3, 0x20),), _of('torque_off', ids=(3,)), family=STS3215),
-    Scene('T26 gripper against its stop, then silent', GOES_ON,
-          _of('hardware_error', 'no_answer', 'sync_read_stops', ids=(6,)),
-          (bits(6, 0x20), silent(6, 14.0)), _of(*WEAK, 'torque_off', ids=(6,)), family=STS3215),
-    Scene('T29 overload in a round of reads', m1.rounds, _of('hardware_error', ids=(3,)),
-          (bits(3, 0x20),), _of('torque_off', ids=(3,)), family=MX_28),
-    Scene('T37 Return Delay Time as from the factory', partial(m1.rounds, rate=50.0, size=2),
-          _of('return_delay', ids=SIX), (f.since(0.0),), delay=250, family=AX_12, ear=FINE),
-    Scene('T49 stray byte in front', m1.read_write, _of('stray_bytes'),
-          (f.spoil(f.stray, 1.0, 'servo'),), ids=(1,), baud=57_600, family=MX_28),
-    Scene('T50 single bits, from several servos', m1.duck, _of('noise'),
-          (f.spoil(f.flip, 0.02, 'servo'),), ids=tuple(range(20, 34)), family=STS3215),
-    Scene('T53 firmware 3.9 on one servo', partial(GOES_ON, firmware=True),
-          _of('mixed_firmware'), (f.register(3, 1, 1, 9),), family=STS3215),
-    Scene('T58 writes without a wait', m1.sweep, _of('impatient_master'), (f.since(0.0),),
-          family=STS3215),
-    Scene('T59 odd position of a servo (control)', GOES_ON, family=STS3215),
+    scene('T08 loose plug, the arm moves', GOES_ON, 'missed_answers 4', f.loose(4, 0.05), 'weak 4',
+          model=STS3215),
+    scene('T11 adapter with a bad contact, one servo', m1.read_write, 'all_silent, no_answer 12',
+          since=0.0, ids=(12,), absent=(12,), model=AX_12),
+    scene('T14 7.4 V servo on 12 V', m1.check, 'hardware_error voltage 2',
+          f.changed(2, 0.0, errors=0x01), ids=(2, 3, 4, 5, 6), model=STS3215),
+    scene('T25 overload, seen at the end only', m1.lerobot, 'hardware_error 3',
+          f.changed(3, errors=0x20), 'torque_off 3', model=STS3215),
+    scene('T26 gripper against its stop, then silent', GOES_ON,
+          'hardware_error no_answer sync_read_stops 6',
+          (f.changed(6, errors=0x20), f.changed(6, 14.0, is_on=False)), 'weak torque_off 6',
+          model=STS3215),
+    scene('T29 overload in a round of reads', m1.rounds, 'hardware_error 3',
+          f.changed(3, errors=0x20), 'torque_off 3', model=MX_28),
+    scene('T37 Return Delay Time as from the factory', partial(m1.rounds, rate=50.0, size=2),
+          'return_delay 1-6', since=0.0, delay=250, model=AX_12, ear=FINE),
+    scene('T49 stray byte in front', m1.read_write, 'stray_bytes', f.spoil(f.stray, 1.0, 'servo'),
+          ids=(1,), baud=57_600, model=MX_28),
+    scene('T50 single bits, from several servos', m1.duck, 'noise', f.spoil(f.flip, 0.02, 'servo'),
+          ids=tuple(range(20, 34)), model=STS3215),
+    scene('T53 firmware 3.9 on one servo', partial(GOES_ON, firmware=True), 'mixed_firmware',
+          f.register(3, 1, 1, 9), model=STS3215),
+    scene('T58 writes without a wait', m1.sweep, 'impatient_master', since=0.0, model=STS3215),
+    scene('T59 odd position of a servo (control)', GOES_ON, model=STS3215),
 )
 
 # Where they are from:

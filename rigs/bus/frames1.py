@@ -38,5 +38,5 @@ def parse(data: bytes) -> list[Packet]:
     return found
 
 
-FORM = Form(HEAD, SMALLEST, _size, parse, packet, lambda value: bytes((value,)))
+FORM = Form(HEAD, SMALLEST, _size, parse, 0, packet, lambda value: bytes((value,)))
 read, write, sync_read, sync_write = FORM.read, FORM.write, FORM.sync_read, FORM.sync_write

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Generator
 from collections.abc import Iterable
+from collections.abc import Iterator
 from functools import partial
 from random import Random
 from typing import NamedTuple
@@ -49,6 +50,7 @@ class Listen(NamedTuple):
 
 Step = Say | Sleep | Listen
 Program = Generator[Step, None, None]
+Answer = Generator[Step, None, Packet | None]
 
 
 class Port:
@@ -141,7 +143,7 @@ class Port:
         """Return until when an answer of so many bytes is waited for."""
         return self.now + round(size * self.wire.byte_ns) + round(self.wait_ms * MS)
 
-    def receive(self, wanted: int, until: int) -> Generator[Step, None, Packet | None]:
+    def receive(self, wanted: int, until: int) -> Answer:
         """Return the next status of this ID, None for a time-out or a damaged one."""
         while True:
             start = self.input.find(self.form.start)
@@ -161,8 +163,7 @@ class Port:
                 return None
             yield Listen(until)
 
-    def ask(self, packet: bytes, wanted: int,
-            size: int = 0) -> Generator[Step, None, Packet | None]:
+    def ask(self, packet: bytes, wanted: int, size: int = 0) -> Answer:
         """Say an instruction to one device and return its status (txRxPacket)."""
         self.clear()
         yield Say(packet)
@@ -192,13 +193,29 @@ class Port:
         until = self.patience(8 + (size + 4) * len(wanted))
         return (yield from self.receive(frames.EVERYBODY, until)) is not None
 
-    def pace(self, start: int, period_ms: float) -> tuple[Sleep, int]:
-        """Return the sleep to the next turn of a loop, and when that is; it drops late ones."""
-        period = round(period_ms * MS)
-        due = start + period
-        while due < self.now:
+    def ping(self, number: int) -> Answer:
+        return self.ask(self.form.whole(number, frames.PING, b''), number, self.form.ping_size)
+
+    def read(self, number: int, at: int, size: int) -> Answer:
+        return self.ask(self.form.read(number, at, size), number, size)
+
+    def write(self, number: int, at: int, data: bytes) -> Answer:
+        return self.ask(self.form.write(number, at, data), number)
+
+    def sync_read(self, ids: Iterable[int], at: int, size: int) -> Generator[
+            Step, None, dict[int, Packet]]:
+        return self.ask_all(self.form.sync_read(ids, at, size), ids, size)
+
+    def turns(self, rate: float) -> Iterator[Sleep]:
+        """Return the sleeps to the next turns of a loop that begins now; it drops late ones."""
+        return self._turns(self.now, round(1000 / rate * MS))
+
+    def _turns(self, due: int, period: int) -> Iterator[Sleep]:
+        while True:
             due += period
-        return Sleep(due), due
+            while due < self.now:
+                due += period
+            yield Sleep(due)
 
     def seconds(self) -> float:
         return self.now / S

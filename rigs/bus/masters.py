@@ -12,6 +12,7 @@ bus: handshake, calibration, one try, torque off at the end), a Wizard-like scan
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Generator
 from collections.abc import Sequence
 from math import sin
 
@@ -23,6 +24,7 @@ from rigs.bus.master import Port
 from rigs.bus.master import Program
 from rigs.bus.master import Say
 from rigs.bus.master import Sleep
+from rigs.bus.master import Step
 
 Ids = Sequence[int]
 Master = Callable[[Port, Ids], Program]
@@ -33,27 +35,31 @@ def goal(port: Port, number: int, swing: float = 500.0) -> bytes:
     return round(2048 + swing * sin(2 * port.seconds() + number)).to_bytes(4, 'little')
 
 
+def goals(port: Port, ids: Ids, at: int = reg.GOAL, size: int = 4) -> Say:
+    """Return the group write that sends all of them there."""
+    return Say(port.form.sync_write(at, size, [(one, goal(port, one)[:size]) for one in ids]))
+
+
 def sdk_loop(port: Port, ids: Ids, *, rate: float = 100.0, address: int = reg.PLACE,
              size: int = 4, torque: bool = True, retries: int = 0) -> Program:
     """Group read, then group write, as the examples of the SDK do: the usual loop."""
     for number in ids if torque else ():
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number)
-    due = port.now
+        yield from port.write(number, reg.TORQUE, b'\1')
+    turns = port.turns(rate)
     while True:
         for _ in range(retries + 1):
-            found = yield from port.ask_all(frames.sync_read(ids, address, size), ids, size)
+            found = yield from port.sync_read(ids, address, size)
             if len(found) == len(ids):
                 break
-        yield Say(port.form.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids]))
-        sleep, due = port.pace(due, 1000 / rate)
-        yield sleep
+        yield goals(port, ids)
+        yield next(turns)
 
 
 def unpaced(port: Port, ids: Ids) -> Program:
     """Run the same loop without a pause: as fast as answers come."""
     while True:
-        yield from port.ask_all(frames.sync_read(ids, reg.PLACE, 4), ids, 4)
-        yield Say(frames.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids]))
+        yield from port.sync_read(ids, reg.PLACE, 4)
+        yield goals(port, ids)
 
 
 def hardware_interface(port: Port, ids: Ids, *, rate: float = 100.0, fast: bool = True,
@@ -64,14 +70,14 @@ def hardware_interface(port: Port, ids: Ids, *, rate: float = 100.0, fast: bool 
         items += [(reg.VOLTS, 2), (reg.HEAT, 1)]
     watched = [at + byte for at, size in items for byte in range(size)]
     for number in ids if pings else ():
-        yield from port.ask(frames.instruction(number, frames.PING), number, 3)
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number)
-        yield from port.ask(frames.write(number, reg.DELAY, b'\0'), number)
+        yield from port.ping(number)
+        yield from port.write(number, reg.TORQUE, b'\0')
+        yield from port.write(number, reg.DELAY, b'\0')
         for slot, at in enumerate(watched):
-            yield from port.ask(frames.write(number, reg.REDIRECTS + 2 * slot, two(at)), number)
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number)
+            yield from port.write(number, reg.REDIRECTS + 2 * slot, two(at))
+        yield from port.write(number, reg.TORQUE, b'\1')
         yield Sleep(port.now + 2 * MS)
-    size, due = len(watched), port.now
+    size, turns = len(watched), port.turns(rate)
     packet = frames.sync_read(
         ids, reg.REDIRECTED, size, frames.FAST_SYNC_READ if fast else frames.SYNC_READ)
     while True:
@@ -79,55 +85,52 @@ def hardware_interface(port: Port, ids: Ids, *, rate: float = 100.0, fast: bool 
             yield from port.ask_fast(packet, ids, size)
         else:
             yield from port.ask_all(packet, ids, size)
-        yield Say(frames.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids]))
-        sleep, due = port.pace(due, 1000 / rate)
-        yield sleep
+        yield goals(port, ids)
+        yield next(turns)
 
 
 def bitbots(port: Port, ids: Ids, *, board: int = 0, rate: float = 100.0) -> Program:
     """Walk: all joints each cycle, supply and errors now and then, a board beside."""
     for number in ids:
-        yield from port.ask(frames.instruction(number, frames.PING), number, 3)
+        yield from port.ping(number)
     yield Say(frames.sync_write(reg.TORQUE, 1, [(one, b'\1') for one in ids]))
-    due, turn = port.now, 0
+    turns, turn = port.turns(rate), 0
     while True:
-        yield from port.ask_all(frames.sync_read(ids, 126, 10), ids, 10)
+        yield from port.sync_read(ids, 126, 10)
         if board:
-            yield from port.ask(frames.read(board, 36, 16), board, 16)
+            yield from port.read(board, 36, 16)
         if turn % 10 == 3:
-            yield from port.ask_all(frames.sync_read(ids, 144, 3), ids, 3)
+            yield from port.sync_read(ids, 144, 3)
         if turn % 10 == 7:
-            yield from port.ask_all(frames.sync_read(ids, 70, 1), ids, 1)
-        yield Say(frames.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids]))
+            yield from port.sync_read(ids, 70, 1)
+        yield goals(port, ids)
         turn += 1
-        sleep, due = port.pace(due, 1000 / rate)
-        yield sleep
+        yield next(turns)
 
 
 def lerobot(port: Port, ids: Ids, *, rate: float = 30.0, gives_up: bool = True) -> Program:
     """Run handshake, settings, a loop of one try; a failure ends it and the torque."""
     for number in ids:
-        if (yield from port.ask(frames.instruction(number, frames.PING), number, 3)) is None:
+        if (yield from port.ping(number)) is None:
             return
     for number in ids:
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number)
-        yield from port.ask(frames.write(number, reg.DELAY, b'\0'), number)
+        yield from port.write(number, reg.TORQUE, b'\0')
+        yield from port.write(number, reg.DELAY, b'\0')
     for at, size in ((20, 4), (52, 4), (48, 4), (10, 1)):
-        yield from port.ask_all(frames.sync_read(ids, at, size), ids, size)
+        yield from port.sync_read(ids, at, size)
     for number in ids:
-        yield from port.ask(frames.write(number, reg.MODE, b'\3'), number)
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number)
-    due = port.now
+        yield from port.write(number, reg.MODE, b'\3')
+        yield from port.write(number, reg.TORQUE, b'\1')
+    turns = port.turns(rate)
     while True:
-        found = yield from port.ask_all(frames.sync_read(ids, reg.PLACE, 4), ids, 4)
+        found = yield from port.sync_read(ids, reg.PLACE, 4)
         if len(found) < len(ids) and gives_up:
             break
-        yield Say(frames.sync_write(reg.GOAL, 4, [(one, goal(port, one)) for one in ids]))
-        sleep, due = port.pace(due, 1000 / rate)
-        yield sleep
+        yield goals(port, ids)
+        yield next(turns)
     for number in ids:
         for _ in range(6):
-            if (yield from port.ask(frames.write(number, reg.TORQUE, b'\0'), number)):
+            if (yield from port.write(number, reg.TORQUE, b'\0')):
                 break
 
 
@@ -137,12 +140,12 @@ def scan(port: Port, ids: Ids, *, first: int = 0, last: int = 252, again: bool =
     found: list[int] = []
     port.wait_ms = dwell_ms
     for number in range(first, last + 1):
-        answer = yield from port.ask(frames.instruction(number, frames.PING), number, 3)
+        answer = yield from port.ping(number)
         found += [number] if answer else []
     port.wait_ms = 34.0
     while again and found:
         for number in found:
-            yield from port.ask(frames.read(number, 0, 147), number, 147)
+            yield from port.read(number, 0, 147)
             yield Sleep(port.now + 20 * MS)
 
 
@@ -150,13 +153,13 @@ def beginner(port: Port, ids: Ids, *, print_ms: float = 4.0, address: int = reg.
              wanted: int = reg.PLACE, torque: int = reg.TORQUE, size: int = 4) -> Program:
     """Do as a first program: send a goal, read the position for a while and print it."""
     for number in ids:
-        yield from port.ask(port.form.write(number, torque, b'\1'), number)
+        yield from port.write(number, torque, b'\1')
     while True:
         for number in ids:
             place = goal(port, number)[:size]
-            yield from port.ask(port.form.write(number, address, place), number)
+            yield from port.write(number, address, place)
             for _ in range(8):
-                yield from port.ask(port.form.read(number, wanted, size), number, size)
+                yield from port.read(number, wanted, size)
                 yield Sleep(port.now + round(port.random.expovariate(1 / print_ms) * MS))
 
 
@@ -164,19 +167,18 @@ def poller(port: Port, ids: Ids, *, rate: float = 20.0, torque: bool = False,
            ping: bool = False, writes: Ids | None = None, enables: bool = True) -> Program:
     """Item by item and device by device, as dynamixel_workbench: read, now and then write."""
     for number in () if not enables else ids if writes is None else writes:
-        yield from port.ask(frames.write(number, reg.TORQUE, b'\1'), number)
-    due = port.now
+        yield from port.write(number, reg.TORQUE, b'\1')
+    turns = port.turns(rate)
     while True:
         for number in ids:
             if ping:
-                yield from port.ask(frames.instruction(number, frames.PING), number, 3)
+                yield from port.ping(number)
             if torque:
-                yield from port.ask(frames.read(number, reg.TORQUE, 1), number, 1)
-            yield from port.ask(frames.read(number, reg.PLACE, 4), number, 4)
+                yield from port.read(number, reg.TORQUE, 1)
+            yield from port.read(number, reg.PLACE, 4)
             if writes is None or number in writes:
-                yield from port.ask(frames.write(number, reg.GOAL, goal(port, number)), number)
-        sleep, due = port.pace(due, 1000 / rate)
-        yield sleep
+                yield from port.write(number, reg.GOAL, goal(port, number))
+        yield next(turns)
 
 
 def ping_flood(port: Port, ids: Ids, *, every_ms: float = 20.0) -> Program:
@@ -206,11 +208,21 @@ def beside(loop: Master, extra: Master, *, at: float = 8.0, every_s: float = 0.2
     return both
 
 
-def asks(packet: bytes, number: int, size: int = 0) -> Master:
-    """One instruction to one device, with its answer."""
+def asks(what: Callable[[Port], Generator[Step, None, object]]) -> Master:
+    """One instruction with its answer."""
     def ask(port: Port, ids: Ids) -> Program:
-        yield from port.ask(packet, number, size)
+        yield from what(port)
     return ask
+
+
+def reads(number: int, at: int, size: int) -> Master:
+    """One Read of one device."""
+    return asks(lambda port: port.read(number, at, size))
+
+
+def writes(number: int, at: int, data: bytes) -> Master:
+    """One Write to one device."""
+    return asks(lambda port: port.write(number, at, data))
 
 
 def says(packet: bytes) -> Master:

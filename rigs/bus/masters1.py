@@ -14,7 +14,6 @@ from __future__ import annotations
 from functools import partial
 
 from rigs.bus import frames1 as frames
-from rigs.bus.frames import PING
 from rigs.bus.master import MS
 from rigs.bus.master import Port
 from rigs.bus.master import Program
@@ -22,37 +21,33 @@ from rigs.bus.master import Say
 from rigs.bus.master import Sleep
 from rigs.bus.masters import beginner
 from rigs.bus.masters import goal
+from rigs.bus.masters import goals
 from rigs.bus.masters import Ids
-
-
-def _goals(port: Port, ids: Ids) -> list[tuple[int, bytes]]:
-    return [(number, goal(port, number)[:2]) for number in ids]
 
 
 def lerobot(port: Port, ids: Ids, *, rate: float = 30.0, gives_up: bool = True,
             firmware: bool = False) -> Program:
     """Connect, set up, and loop as LeRobot does with Feetech servos."""
     for number in ids:
-        if (yield from port.ask(frames.packet(number, PING), number)) is not None:
-            yield from port.ask(frames.read(number, 3, 2), number, 2)
+        if (yield from port.ping(number)) is not None:
+            yield from port.read(number, 3, 2)
     for number in ids if firmware else ():
-        yield from port.ask(frames.read(number, 0, 1), number, 1)
-        yield from port.ask(frames.read(number, 1, 1), number, 1)
+        yield from port.read(number, 0, 1)
+        yield from port.read(number, 1, 1)
     for number in ids:
         for at, value in ((40, 0), (55, 0), (7, 0), (85, 254), (41, 254), (40, 1), (55, 1)):
-            yield from port.ask(frames.write(number, at, bytes((value,))), number)
-    due = port.now
+            yield from port.write(number, at, bytes((value,)))
+    turns = port.turns(rate)
     while True:
-        found = yield from port.ask_all(frames.sync_read(ids, 56, 2), ids, 2)
+        found = yield from port.sync_read(ids, 56, 2)
         if len(found) < len(ids) and gives_up:
             break
-        yield Say(frames.sync_write(42, 2, _goals(port, ids)))
-        sleep, due = port.pace(due, 1000 / rate)
-        yield sleep
+        yield goals(port, ids, 42, 2)
+        yield next(turns)
     for number in ids:
         for at in (40, 55):
             for _ in range(6):
-                if (yield from port.ask(frames.write(number, at, b'\0'), number)):
+                if (yield from port.write(number, at, b'\0')):
                     break
 
 
@@ -60,8 +55,8 @@ def check(port: Port, ids: Ids) -> Program:
     """Look again and again which motors are there, as a user does who starts it again."""
     while True:
         for number in ids:
-            if (yield from port.ask(frames.packet(number, PING), number)) is not None:
-                yield from port.ask(frames.read(number, 3, 2), number, 2)
+            if (yield from port.ping(number)) is not None:
+                yield from port.read(number, 3, 2)
         yield Sleep(port.now + 1000 * MS)
 
 
@@ -71,63 +66,59 @@ read_write = partial(beginner, address=30, wanted=36, torque=24, size=2)
 def set_id(port: Port, ids: Ids, *, to: int = 5) -> Program:
     """Give a Feetech servo another ID as a simple tool does; Lock goes to the old one."""
     old = ids[0]
-    yield from port.ask(frames.packet(old, PING), old)
+    yield from port.ping(old)
     for at, value in ((55, 0), (5, to), (55, 1)):
-        yield from port.ask(frames.write(old, at, bytes((value,))), old)
+        yield from port.write(old, at, bytes((value,)))
     while True:
-        yield from port.ask(frames.packet(to, PING), to)
-        yield from port.ask(frames.read(to, 56, 2), to, 2)
+        yield from port.ping(to)
+        yield from port.read(to, 56, 2)
         yield Sleep(port.now + 50 * MS)
 
 
-def sweep(port: Port, ids: Ids, *, rate: float = 30.0, turns: int = 20) -> Program:
+def sweep(port: Port, ids: Ids, *, rate: float = 30.0, reads: int = 20) -> Program:
     """Switch the torque of all on without a wait, again and again, and read them one by one."""
-    due = port.now
+    turns = port.turns(rate)
     while True:
         for number in ids:
             yield Say(frames.write(number, 40, b'\1'))
-        for _ in range(turns):
+        for _ in range(reads):
             for number in ids:
-                yield from port.ask(frames.read(number, 56, 2), number, 2)
-            sleep, due = port.pace(due, 1000 / rate)
-            yield sleep
+                yield from port.read(number, 56, 2)
+            yield next(turns)
 
 
 def rounds(port: Port, ids: Ids, *, rate: float = 16.0, size: int = 8,
            torque: bool = True) -> Program:
     """Read state from one servo after the other, as dynamixel_motor and pypot do."""
     for number in ids if torque else ():
-        yield from port.ask(frames.write(number, 24, b'\1'), number)
-    due = port.now
+        yield from port.write(number, 24, b'\1')
+    turns = port.turns(rate)
     while True:
         for number in ids:
-            yield from port.ask(frames.read(number, 36, size), number, size)
-        yield Say(frames.sync_write(30, 2, _goals(port, ids)))
-        sleep, due = port.pace(due, 1000 / rate)
-        yield sleep
+            yield from port.read(number, 36, size)
+        yield goals(port, ids, 30, 2)
+        yield next(turns)
 
 
 def hexapod(port: Port, ids: Ids, *, rate: float = 40.0) -> Program:
     """Write all goals at once, and read a position now and then."""
     yield Say(frames.sync_write(24, 1, [(one, b'\1') for one in ids]))
-    due, turn = port.now, 0
+    turns, turn = port.turns(rate), 0
     while True:
-        yield Say(frames.sync_write(30, 4, [(one, place + b'\0\1') for one, place in
-                                            _goals(port, ids)]))
+        yield Say(frames.sync_write(30, 4, [(one, goal(port, one)[:2] + b'\0\1')
+                                            for one in ids]))
         number = ids[turn % len(ids)]
         yield Sleep(port.now + 5 * MS)
-        yield from port.ask(frames.read(number, 36, 2), number, 2)
+        yield from port.read(number, 36, 2)
         turn += 1
-        sleep, due = port.pace(due, 1000 / rate)
-        yield sleep
+        yield next(turns)
 
 
 def duck(port: Port, ids: Ids, *, rate: float = 50.0) -> Program:
     """Read positions and speeds of all, write goals, fifty times a second; it goes on."""
-    due = port.now
+    turns = port.turns(rate)
     while True:
-        yield from port.ask_all(frames.sync_read(ids, 56, 2), ids, 2)
-        yield from port.ask_all(frames.sync_read(ids, 58, 2), ids, 2)
-        yield Say(frames.sync_write(42, 2, _goals(port, ids)))
-        sleep, due = port.pace(due, 1000 / rate)
-        yield sleep
+        yield from port.sync_read(ids, 56, 2)
+        yield from port.sync_read(ids, 58, 2)
+        yield goals(port, ids, 42, 2)
+        yield next(turns)

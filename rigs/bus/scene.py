@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from typing import Any
 from typing import NamedTuple
 
 from rigs.bus import ear
@@ -12,12 +13,12 @@ from rigs.bus import frames1
 from rigs.bus.faults import Fault
 from rigs.bus.masters import Master
 from rigs.bus.rig import Rig
-from rigs.bus.servo import Servo
 from rigs.bus.servo1 import Kind
-from rigs.bus.servo1 import Servo1
+from rigs.bus.servo1 import servo
 
 SECONDS = 20.0
 Key = tuple[str, int | None]       # rule, device (None: the bus)
+WEAK = 'missed_answers dropout no_answer sync_read_stops'
 
 
 class Scene(NamedTuple):
@@ -34,8 +35,7 @@ class Scene(NamedTuple):
     faults: tuple[Fault, ...] = ()
     also: tuple[Key, ...] = ()
     ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
-    model: str = 'XL430-W250'
-    family: Kind | None = None     # in place of the model, for the 1.0 family
+    model: str | Kind = 'XL430-W250'
     firmware: int = 46
     delay: int = 0                 # Return Delay Time, 2 us units
     in_line: bool = True           # in a Sync Read they wait for the one before
@@ -47,21 +47,48 @@ class Scene(NamedTuple):
     latency_ms: float = 0.2        # the master's adapter
     wait_ms: float = 34.0
     why: str = ''                  # where the expectation needs a word
+    since: float | None = None     # what is wrong is in the scene itself, from then on (s)
 
     def rig(self, seed: int) -> Rig:
         """Return the bus with its program, ready to run."""
         rig = Rig(self.baud, seed)
         for number in {*self.ids, *self.spares} - {*self.absent}:
-            rig.add(self._servo(rig, number))
+            rig.add(servo(rig.wire, number, self.model, firmware=self.firmware, delay=self.delay,
+                          in_line=self.in_line))
         rig.run_master(self.master, list(self.ids), 0.1, latency_ms=self.latency_ms,
                        wait_ms=self.wait_ms,
-                       form=(frames1 if self.family else frames).FORM)
+                       form=(frames if isinstance(self.model, str) else frames1).FORM)
         for fault in self.faults:
             fault(rig)
+        if self.since is not None:
+            rig.at(self.since, rig.alter)
         return rig
 
-    def _servo(self, rig: Rig, number: int) -> Servo | Servo1:
-        if self.family is not None:
-            return Servo1(rig.wire, number, self.family, delay=self.delay)
-        return Servo(rig.wire, number, self.model, firmware=self.firmware, delay=self.delay,
-                     in_line=self.in_line)
+
+def scene(name: str, master: Master, expected: str = '', faults: Fault | tuple[Fault, ...] = (),
+          also: str = '', **others: Any) -> Scene:
+    """Return a scene; expected and also are as keys() has them."""
+    return Scene(name, master, keys(expected), (faults,) if callable(faults) else faults,
+                 keys(also), **others)
+
+
+def keys(text: str) -> tuple[Key, ...]:
+    """
+    Return the rules with their devices that a text names: 'weak dropout 1-3 5, noise'.
+
+    Without a number, or for 'bus', it is the bus. 'weak': what is said of a device before it is
+    clear what it has.
+    """
+    found: list[Key] = []
+    for part in text.split(', ') if text else ():
+        words = part.replace('weak', WEAK).split()
+        rules = [word for word in words if not word[0].isdigit() and word != 'bus']
+        ids = [number for word in words if word[0].isdigit() for number in _range(word)]
+        devices: list[int | None] = [*ids, None] if 'bus' in words or not ids else [*ids]
+        found += [(rule, number) for rule in rules for number in devices]
+    return tuple(found)
+
+
+def _range(word: str) -> range:
+    first, _, last = word.partition('-')
+    return range(int(first), int(last or first) + 1)

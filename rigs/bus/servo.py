@@ -37,13 +37,6 @@ FAST_SINCE = {'XL330-M288': 46}    # the others: 45; MX(2.0): never
 NO_FAST = ('MX-106', 'MX-64')
 
 
-class Books(NamedTuple):
-    """What a servo did, counted by itself."""
-
-    asked: int
-    answered: int
-
-
 class _Turn(NamedTuple):
     """An answer that waits for others: in a Sync Read for one, in a fast read for bytes."""
 
@@ -117,7 +110,6 @@ class Servo(AnyServo):
         self.wrong_size = 0            # bytes that its answers have too many
         self.answers_only_pings = False
         self.heat: Callable[[], float] = lambda: 35.0
-        self._registered = (0, b'')
         self._turn: _Turn | None = None
         self._born = 0
         self._fed = 0                  # the bus watchdog
@@ -226,15 +218,14 @@ class Servo(AnyServo):
     def _obey(self, packet: Packet) -> None:
         self._turn = None
         code = packet.instruction
-        if code in (frames.SYNC_WRITE, frames.BULK_WRITE):
+        if code == frames.SYNC_WRITE:
             for number, at, data in frames.group_writes(packet):
                 if number == self.number:
                     self._store(at, data)
-        elif code in (frames.SYNC_READ, frames.BULK_READ):
-            self._take_turn(frames.accesses(packet), False)
-        elif code in (frames.FAST_SYNC_READ, frames.FAST_BULK_READ):
-            if self._is_fast:
-                self._take_turn(frames.accesses(packet), True)
+        elif code == frames.SYNC_READ or (code == frames.FAST_SYNC_READ and self._is_fast):
+            self._take_turn(frames.accesses(packet), code == frames.FAST_SYNC_READ)
+        elif code == frames.FAST_SYNC_READ:
+            return                             # firmware that does not know it
         elif packet.id in (self.number, frames.EVERYBODY):
             self._alone(packet)
 
@@ -256,36 +247,22 @@ class Servo(AnyServo):
                 self._answer(frames.ACCESS)
             else:
                 self._answer(0, bytes(self.table[at:at + size]), level=1)
-        elif code in (frames.WRITE, frames.REG_WRITE):
+        elif code == frames.WRITE:
             self._obey_write(packet)
-        elif code == frames.ACTION:
-            error = self._store(*self._registered)
-            self._answer(error, level=2)
-        elif code == frames.REBOOT:
-            self._answer(0, level=2)
-            self.clock.at(self.clock.now + 5_000_000, self._restart)
         elif packet.id != frames.EVERYBODY:    # none answers a Read of all (e-Manual)
             self._answer(frames.BAD_INSTRUCTION, level=2)
 
-    def _restart(self) -> None:
-        self.is_on = False
-        self.clock.at(self.clock.now + 300_000_000, self.start)
-
     def _obey_write(self, packet: Packet) -> None:
         at, data = packet.params[0] | packet.params[1] << 8, packet.params[2:]
-        if packet.instruction == frames.REG_WRITE:
-            self._registered = at, data
-            error = 0
-        else:
-            number, code = self.table[ID], self.table[BAUD]
-            error = self._store(at, data)
-            if code != self.table[BAUD]:       # it acknowledges at the old rate
-                self.changed()
-                later = self.table[BAUD]
-                self.table[BAUD] = code
-                self.clock.at(self.clock.now + 3_000_000, lambda: self.put(BAUD, 1, later))
-            if number != self.table[ID]:
-                self.changed()
+        number, code = self.table[ID], self.table[BAUD]
+        error = self._store(at, data)
+        if code != self.table[BAUD]:           # it acknowledges at the old rate
+            self.changed()
+            later = self.table[BAUD]
+            self.table[BAUD] = code
+            self.clock.at(self.clock.now + 3_000_000, lambda: self.put(BAUD, 1, later))
+        if number != self.table[ID]:
+            self.changed()
         if packet.id != frames.EVERYBODY:
             self._answer(error, level=2)
 
@@ -367,7 +344,3 @@ class Servo(AnyServo):
         piece = block + frames.crc(before + block)
         wait = (2 * self.table[DELAY] + self.own_us) * US if turn.mine == 0 else 0
         self.clock.at(self.clock.now + wait, lambda: self._say(piece))
-
-    @property
-    def books(self) -> Books:
-        return Books(self.asked, self.answered)

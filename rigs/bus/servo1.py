@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from typing import Any
 from typing import NamedTuple
 
 from rigs.bus import frames1 as frames
@@ -14,6 +15,7 @@ from rigs.bus.frames import SYNC_READ
 from rigs.bus.frames import SYNC_WRITE
 from rigs.bus.frames import WRITE
 from rigs.bus.servo import AnyServo
+from rigs.bus.servo import Servo
 from rigs.bus.wire import Heard
 from rigs.bus.wire import Wire
 
@@ -133,3 +135,11 @@ class Servo1(AnyServo):
             return
         self.say_after(self.table[self.kind.delay_at],
                        frames.packet(self.number, self.errors, data))
+
+
+def servo(wire: Wire, number: int, model: str | Kind, **options: Any) -> Servo | Servo1:
+    """Return a servo of either family; the options are Servo's, of which Servo1 has some."""
+    if isinstance(model, str):
+        return Servo(wire, number, model, **options)
+    return Servo1(wire, number, model, **{
+        name: value for name, value in options.items() if name in ('delay', 'own_us')})

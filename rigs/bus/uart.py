@@ -124,19 +124,11 @@ def bad_line(draw: Draw, who: str, at: float = 2.0) -> Fault:
         data, draw(rig.random, BITS * len(data), now / (S / rig.wire.baud)), rig.random), who, at)
 
 
-def clock(least: float, most: float) -> Draw:
-    """Let the talker's clock be off by so much; it differs a little from packet to packet."""
-    return lambda random, size, now: Line(clock=random.uniform(least, most), noise=0.05)
-
-
-def slow_edge(least: float, most: float) -> Draw:
-    """Let the line go up slowly: no pull-up, or too much cable for it."""
-    return lambda random, size, now: Line(rise=random.uniform(least, most), noise=0.03)
-
-
-def lifted(least: float, most: float) -> Draw:
-    """Let a low level be hardly low: the grounds of two devices differ under current."""
-    return lambda random, size, now: Line(lift=random.uniform(least, most), noise=0.07)
+def varied(**given: float | tuple[float, float]) -> Draw:
+    """Let a line have these figures, or one between two from packet to packet."""
+    return lambda random, size, now: Line(**{
+        name: random.uniform(*one) if isinstance(one, tuple) else one
+        for name, one in given.items()})
 
 
 def glitches(share: float, least: float = 0.5, most: float = 1.0) -> Draw:
@@ -161,11 +153,6 @@ def beats(period: float, share: float) -> Draw:
                                  for turn in range(count)
                                  for begin in (first + turn * period / 2,)))
     return draw
-
-
-def held_high(least: float, most: float) -> Draw:
-    """Let the other side hold the line for some bits of the packet: it turns round too late."""
-    return lambda random, size, now: Line(held=random.uniform(least, most))
 
 
 def floating(share: float) -> Draw:

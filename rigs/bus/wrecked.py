@@ -37,22 +37,22 @@ def _line(draw: Callable[[Random], uart.Draw], who: str) -> Callable[[Random], t
 
 def _slow(random: Random) -> uart.Draw:
     off = random.uniform(0.058, 0.066)     # 8.5 bits of the receiver are then 8 of the talker
-    return uart.clock(1 + off, 1.008 + off)
+    return uart.varied(clock=(1 + off, 1.008 + off), noise=0.05)
 
 
 def _fast(random: Random) -> uart.Draw:
     off = random.uniform(0.050, 0.062)
-    return uart.clock(0.992 - off, 1 - off)
+    return uart.varied(clock=(0.992 - off, 1 - off), noise=0.05)
 
 
 def _edge(random: Random) -> uart.Draw:
     least = random.uniform(0.55, 0.62)
-    return uart.slow_edge(least, least + 0.12)
+    return uart.varied(rise=(least, least + 0.12), noise=0.03)
 
 
 def _lifted(random: Random) -> uart.Draw:
     least = random.uniform(0.34, 0.37)
-    return uart.lifted(least, least + 0.02)
+    return uart.varied(lift=(least, least + 0.02), noise=0.07)
 
 
 def _twin_apart(random: Random) -> tuple[Fault, ...]:
@@ -69,7 +69,7 @@ KINDS: tuple[Kind, ...] = (
     Kind('PWM of a motor', (PWM, INTERFERENCE), _line(
         lambda random: uart.beats(random.uniform(40.0, 60.0), random.uniform(0.05, 0.2)), SERVOS)),
     Kind('turns round too late', (TURN,), _line(
-        lambda random: uart.held_high(0.2, random.uniform(1.5, 6.0)), ONE)),
+        lambda random: uart.varied(held=(0.2, random.uniform(1.5, 6.0))), ONE)),
     Kind('no pull-up, the line floats', (STRAY, TURN), _line(
         lambda random: uart.floating(random.uniform(0.1, 0.5)), SERVOS)),
     Kind('two with one ID, same delay', (SPEAKERS,), lambda random: (f.twin(3, AT),)),
