@@ -17,7 +17,7 @@ import time
 from typing import Any
 import urllib.request
 
-from mecarover_demo.device_lines import DeviceTable
+from mecarover_demo.device_lines import DeviceLines
 from mecarover_demo.scenes import BOOKS
 from mecarover_demo.scenes import judge
 from mecarover_demo.scenes import judge_books
@@ -98,7 +98,7 @@ class Show:
         print(f'demo: fake MCU on {mcu}, fake Dynamixel bus on {bus}', flush=True)
         self._mcu = stage.start('mecarover_fakes.fake_mcu', '--link', mcu, '--json')
         self._bridge = stage.start('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}')
-        self._table = DeviceTable()
+        self._devices = DeviceLines(operator.state)
         self._stage = stage
         self._books = os.path.join(folder, 'books.json')
         devices = ','.join(DEVICES)
@@ -120,7 +120,7 @@ class Show:
             for scene in SCENES:
                 self._play(scene)
             round_ += 1
-        self.verdicts += self._table.verdicts(SILENT_ID)
+        self.verdicts += self._devices.verdicts(SILENT_ID)
         return self.verdicts
 
     def compare_books(self) -> SceneResult:
@@ -130,13 +130,13 @@ class Show:
                 books = json.load(file)
         except (OSError, ValueError) as error:
             return SceneResult(BOOKS, False, f'the fake bus gave no counts: {error}')
-        verdict = judge_books(self._table.missed(self._operator.statuses), books)
+        verdict = judge_books(self._devices.missed(), books)
         print(f'  {verdict.mark}  {BOOKS:24} {verdict.text}', flush=True)
         return verdict
 
     def _await_ready(self, deadline: float) -> None:
         """Wait until the bridge listens and the monitor reports."""
-        while not (self._operator.is_heard() and self._table.devices(self._operator.statuses)):
+        while not (self._operator.is_heard() and self._devices.devices()):
             self._operator.command(STOP)
             self._operator.spin(COMMAND_PERIOD_S)
             for actor in self._stage.actors:
@@ -185,7 +185,7 @@ class Show:
         while (left := deadline - time.monotonic()) > 0:
             self._operator.spin(left)
             self._read_mcu()
-            self._table.show(self._operator.statuses, time.monotonic())
+            self._devices.show(time.monotonic())
 
     def _read_mcu(self) -> None:
         while self._mcu.lines:

@@ -3,8 +3,8 @@
 """The demo's own node: publishes cmd_vel as a teleop would, and hears the diagnostics."""
 from __future__ import annotations
 
+from functools import partial
 import time
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist
@@ -12,6 +12,9 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
+from mecarover_dashboard.state import OVERVIEW
+from mecarover_dashboard.state import State
+from mecarover_dashboard.state import TABLES
 from msg_defs.status_keys import COMMANDS_RECEIVED
 from msg_defs.vel2d import Vel2d
 
@@ -27,17 +30,14 @@ class Operator:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._cmd_vel = self._node.create_publisher(Twist, 'cmd_vel', 1)
-        self.statuses: dict[str, Any] = {}      # the newest DiagnosticStatus by name
-        for topic in ('/diagnostics', 'dxl/diagnostics'):
-            self._node.create_subscription(DiagnosticArray, topic, self._hear, 50)
+        self.state = State()
+        self._forgotten_s = 0.0
+        for topic in (OVERVIEW, TABLES):
+            self._node.create_subscription(
+                DiagnosticArray, topic, partial(self._hear, topic), 50, raw=True)
 
-    def _hear(self, message: Any) -> None:
-        # dxl/diagnostics has the whole table under the same names: the richer one stays.
-        for status in message.status:
-            known = self.statuses.get(status.name)
-            if known is None or len(status.values) >= len(known.values) \
-                    or status.level != known.level:
-                self.statuses[status.name] = status
+    def _hear(self, topic: str, message: bytes) -> None:
+        self.state.take(topic, message, time.monotonic())
 
     def is_heard(self) -> bool:
         """
@@ -45,9 +45,10 @@ class Operator:
 
         Matched subscriptions do not tell: those of a killed process stay until its lease ends.
         """
-        status = self.statuses.get('vel2d_bridge: commands')
-        return status is not None and any(
-            pair.key == COMMANDS_RECEIVED and int(pair.value) > 0 for pair in status.values)
+        return any(key == COMMANDS_RECEIVED and int(value) > 0
+                   for report in self.state.reports('bridge')
+                   if report.arrived > self._forgotten_s
+                   for key, value in report.row['values'])
 
     def is_in_company(self) -> bool:
         """Tell whether another node is in this domain, before anything was started."""
@@ -60,7 +61,7 @@ class Operator:
 
     def forget(self) -> None:
         """Forget what the bridge reported: it was killed, the next report is of another one."""
-        self.statuses.pop('vel2d_bridge: commands', None)
+        self._forgotten_s = time.monotonic()
 
     def command(self, velocity: Vel2d) -> None:
         """Publish one Twist."""

@@ -1,84 +1,57 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The device table of the demo: what dxl/diagnostics says, as a person wants it in a terminal."""
+"""The devices of the demo, as mecarover_status shows them, and what must be seen of them."""
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
+from mecarover_dashboard.rows import Row
+from mecarover_dashboard.state import State
+from mecarover_dashboard.status_lines import table
 from mecarover_demo.scenes import SceneResult
-from msg_defs import status_keys as keys
-from msg_defs.reports import Level
+from msg_defs.status_keys import MISSED_ANSWERS
 
 _PERIOD_S = 5.0
-_COLUMNS = (            # title, width, the keys of which the first one that is there is shown
-    ('model', 19, (keys.MODEL,)),
-    ('state', 13, (keys.STATE,)),
-    ('answers', 8, (keys.ANSWERS,)),
-    ('missed', 7, (keys.MISSED_ANSWERS,)),
-    ('position (rad)', 15, ('Present Position (rad)',)),
-    ('voltage (V)', 12, ('Present Input Voltage (V)', 'Present Voltage (V)')),
-)
 _EXPECTED = 20
 
 
-class DeviceTable:
+class DeviceLines:
     """Shows the table every few seconds and each change of a device's state at once."""
 
-    def __init__(self, node: str = 'dxl_monitor') -> None:
-        self._prefix = f'{node}: '
-        self._states: dict[str, list[str]] = {}     # every state a device was seen in, in order
+    def __init__(self, state: State) -> None:
+        self._state = state
+        self._seen: dict[int, list[str]] = {}       # every state a device was seen in, in order
         self._shown_s = 0.0
 
-    def devices(self, statuses: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the statuses of devices by name, in the order of their IDs."""
-        names = sorted(name.removeprefix(self._prefix) for name in statuses)
-        return {name: statuses[self._prefix + name] for name in names if name[:3].isdigit()}
+    def devices(self) -> dict[int, Row]:
+        """Return what is known of the devices, by ID."""
+        return {report.row['id']: report.row for report in self._state.reports('devices')}
 
-    def show(self, statuses: Mapping[str, Any], now_s: float) -> None:
+    def show(self, now_s: float) -> None:
         """Print what has changed, and now and then everything."""
-        devices = self.devices(statuses)
-        for name, status in devices.items():
-            state = _values(status).get(keys.STATE, '?')
-            seen = self._states.setdefault(name, [state])
-            if seen[-1] != state:
-                print(f'     bus  {name}: {seen[-1]} -> {state} ({status.message})', flush=True)
-                seen.append(state)
+        devices = self.devices()
+        for number, row in devices.items():
+            seen = self._seen.setdefault(number, [row['state']])
+            if seen[-1] != row['state']:
+                print(f'     bus  {number:03}: {seen[-1]} -> {row["state"]} ({row["message"]})',
+                      flush=True)
+                seen.append(row['state'])
         if devices and now_s - self._shown_s > _PERIOD_S:
             self._shown_s = now_s
-            print(_render(devices), flush=True)
+            print('\n'.join(['', *table(self._state, now_s, 'i'), '']), flush=True)
 
-    def missed(self, statuses: Mapping[str, Any]) -> dict[str, int]:
-        """Return how many answers each device missed, by its three digits."""
-        return {name[:3]: int(_values(status).get(keys.MISSED_ANSWERS, 0))
-                for name, status in self.devices(statuses).items()}
+    def missed(self) -> dict[int, int]:
+        """Return how many answers each device missed."""
+        return {report.row['id']: int(self._state.fact(report.row_name, MISSED_ANSWERS) or 0)
+                for report in self._state.reports('devices')}
 
     def verdicts(self, silenced: int) -> list[SceneResult]:
         """Judge what was seen: all there, the silenced one lost and found, no other lost."""
-        name = f'{silenced:03}'
-        lost = [other for other, states in self._states.items() if 'disconnected' in states]
-        states = self._states.get(name, [])
+        lost = [number for number, states in self._seen.items() if 'disconnected' in states]
+        states = self._seen.get(silenced, [])
         back = 'disconnected' in states and states[-1] == 'connected'
         return [
-            SceneResult('all devices seen', len(self._states) == _EXPECTED,
-                        f'{len(self._states)} of {_EXPECTED}'),
-            SceneResult(f'device {name} lost and found again', back,
+            SceneResult('all devices seen', len(self._seen) == _EXPECTED,
+                        f'{len(self._seen)} of {_EXPECTED}'),
+            SceneResult(f'device {silenced:03} lost and found again', back,
                         ' -> '.join(states) or 'never lost'),
-            SceneResult('no other device lost', lost in ([name], []), ', '.join(lost)),
+            SceneResult('no other device lost', lost in ([silenced], []), str(lost)),
         ]
-
-
-def _values(status: Any) -> dict[str, str]:
-    return {pair.key: pair.value for pair in status.values}
-
-
-def _render(devices: Mapping[str, Any]) -> str:
-    rows = [['level', 'ID', *(title for title, _, _ in _COLUMNS)]]
-    for name, status in devices.items():
-        values = _values(status)
-        rows.append([Level(status.level[0]).name, name[:4], *(
-            next((values[key] for key in names if key in values), '-')
-            for _, _, names in _COLUMNS)])
-    widths = (7, 5, *(width for _, width, _ in _COLUMNS))
-    return '\n'.join(['', *(''.join(f'{cell[:width - 1]:{width}}' for cell, width in zip(
-        row, widths, strict=True)) for row in rows), ''])

@@ -98,16 +98,16 @@ def _judge_stillness(scene: Scene, begin: float, end: float,
     return SceneResult(scene.name, after <= TIME_OUT_BOUND_S, text)
 
 
-def judge_books(missed: Mapping[str, int], books: Mapping[str, Any]) -> SceneResult:
+def judge_books(missed: Mapping[int, int], books: Mapping[str, Any]) -> SceneResult:
     """
-    Judge the answers that the monitor calls missed, per device ('007'), by the fake bus' books.
+    Judge the answers that the monitor calls missed, per device, by the fake bus' books.
 
     The monitor began later, so it may have seen fewer. Bytes that it did not fetch in time are
     lost as in a UART: then it is right to miss answers that were given.
     """
-    given = {f'{int(number):03}': known['missed'] for number, known in books['devices'].items()}
-    wrong = [f'{name}: {count} counted, {given.get(name, 0)} simulated'
-             for name, count in missed.items() if count > given.get(name, 0)]
+    given = {int(number): known['missed'] for number, known in books['devices'].items()}
+    wrong = [f'{number:03}: {count} counted, {given.get(number, 0)} simulated'
+             for number, count in missed.items() if count > given.get(number, 0)]
     lost = books['totals']['bus']['overrun']
     if wrong and lost:
         return SceneResult(BOOKS, True, f'unknown: the busy computer lost {lost} bytes')

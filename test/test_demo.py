@@ -8,10 +8,10 @@ from mecarover_demo.scenes import judge_books
 
 
 @pytest.mark.parametrize('missed, overrun, passed, text', [
-    ({'006': 0, '007': 9}, 0, True, '9 counted, 10 simulated'),
-    ({'006': 1, '007': 9}, 0, False, '006: 1 counted, 0 simulated'),
-    ({'006': 1, '007': 9}, 40, True, 'unknown: the busy computer lost 40 bytes'),
-    ({'006': 0, '007': 9, '055': 3}, 0, False, '055: 3 counted, 0 simulated'),
+    ({6: 0, 7: 9}, 0, True, '9 counted, 10 simulated'),
+    ({6: 1, 7: 9}, 0, False, '006: 1 counted, 0 simulated'),
+    ({6: 1, 7: 9}, 40, True, 'unknown: the busy computer lost 40 bytes'),
+    ({6: 0, 7: 9, 55: 3}, 0, False, '055: 3 counted, 0 simulated'),
 ])
 def test_missed_answers_are_those_of_the_fakes_books(missed, overrun, passed, text):
     books = {'devices': {'6': {'missed': 0}, '7': {'missed': 10}},
