@@ -76,16 +76,12 @@ class FakeBus:
         """Whether start() is not over yet."""
         return self._thread is not None and self._thread.is_alive()
 
-    def join(self) -> None:
-        """Wait until a run of limited length is over."""
-        if self._thread is not None:
-            self._thread.join()
-
     def stop(self) -> None:
         """End after the exchange in progress and hang up."""
         self._is_stopping = True
         self.master.stop()
-        self.join()
+        if self._thread is not None:
+            self._thread.join()
         for end in self._ends.values():
             end.close()
         if self._usb is not None:

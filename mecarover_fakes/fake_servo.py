@@ -59,10 +59,8 @@ class FakeDevice(Registers):
     """A device on a bus that runs at `baud`; it moves by `motion` while its torque is on."""
 
     def __init__(self, number: int, model: Model, *, baud: int = 1_000_000,
-                 motion: Sine | None = None, return_delay: int = 0,
-                 firmware: int | None = None) -> None:
-        self.firmware = firmware or _FIRMWARE_1.get(model.protocol) \
-            or _by_prefix(_FIRMWARE, model.name) or 1
+                 motion: Sine | None = None) -> None:
+        self.firmware = _FIRMWARE_1.get(model.protocol) or _by_prefix(_FIRMWARE, model.name) or 1
         super().__init__(model, self.firmware)
         self.id = number
         self.baud = baud
@@ -79,7 +77,7 @@ class FakeDevice(Registers):
         self._live = live_registers(model)
         self._backup: bytes | None = None
         self.set('ID', number)
-        self.set('Return Delay Time', return_delay)
+        self.set('Return Delay Time', 0)
         self.set('Baud Rate', next((code for code, rate in self.baud_codes.items()
                                     if rate == baud), self.get('Baud Rate')))
 

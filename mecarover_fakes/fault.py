@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from collections.abc import Iterator
+from dataclasses import dataclass
 from random import Random
 import re
 from typing import ClassVar
@@ -40,15 +41,15 @@ class Fault(NamedTuple):
     end: int | None = None
 
 
+@dataclass
 class Pace:
     """How the master keeps time; faults may change it (all ns)."""
 
-    def __init__(self, period: int, gap: int, patience: int) -> None:
-        self.period = period         # ns for a cycle; 0: the next at once
-        self.gap = gap               # between the end of a reply and the next instruction
-        self.patience = patience     # beyond the wire time of the answers
-        self.jitter = 0.0            # as a share of the period
-        self.pause = 0               # once, before the next instruction
+    period: int                  # ns for a cycle; 0: the next at once
+    gap: int                     # between the end of a reply and the next instruction
+    patience: int                # beyond the wire time of the answers
+    jitter: float = 0.0          # as a share of the period
+    pause: int = 0               # once, before the next instruction
 
 
 class FaultScope(NamedTuple):

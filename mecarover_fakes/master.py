@@ -68,7 +68,8 @@ class Master:
         self._until = until
         self._faults.update(0)
         if self._started:
-            self._wake_servos()
+            for device in self._fleet.servos:
+                device.set('Torque Enable', 1)
         else:
             yield from self._play(start_up(self._fleet, self._clock))
         begin = self.now
@@ -100,10 +101,6 @@ class Master:
 
     def _clock(self) -> int:
         return self.now
-
-    def _wake_servos(self) -> None:
-        for device in self._fleet.servos:
-            device.set('Torque Enable', 1)
 
     def _next_cycle(self, begin: int) -> int:
         """Move on to the next cycle; return when it should have begun."""

@@ -166,26 +166,28 @@ class Receiver:
         return self._queue.popleft() if self._queue else None
 
 
+@dataclass
 class BadCable:
     """Damages frames on request, seeded: 0 = never, N = each Nth frame (or after N frames)."""
 
-    def __init__(self, *, drop: int = 0, flip: int = 0, deaf_after: int = 0,
-                 seed: int = 0) -> None:
-        self.frames = 0
-        self.damaged = 0
-        self._drop = drop
-        self._flip = flip
-        self._deaf_after = deaf_after
-        self._random = random.Random(seed)
+    drop: int = 0
+    flip: int = 0
+    deaf_after: int = 0
+    seed: int = 0
+    frames: int = 0
+    damaged: int = 0
+
+    def __post_init__(self) -> None:
+        self._random = random.Random(self.seed)
 
     def carry(self, frame: bytes) -> bytes:
         """Return what arrives of a frame."""
         self.frames += 1
         before = frame
-        if frame and self._drop and self.frames % self._drop == 0:
+        if frame and self.drop and self.frames % self.drop == 0:
             at = self._random.randrange(len(frame))
             frame = frame[:at] + frame[at + 1:]
-        if frame and self._flip and self.frames % self._flip == 0:
+        if frame and self.flip and self.frames % self.flip == 0:
             bit = self._random.randrange(8 * len(frame))
             damaged = bytearray(frame)
             damaged[bit // 8] ^= 1 << bit % 8
@@ -195,4 +197,4 @@ class BadCable:
 
     def overruns(self) -> bool:
         """Whether the receiver is overrun by the frame carried last."""
-        return self.frames == self._deaf_after > 0
+        return self.frames == self.deaf_after > 0

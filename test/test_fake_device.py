@@ -30,10 +30,14 @@ S = 1_000_000_000
 TORQUE, LED, GOAL, POSITION, WATCHDOG = 64, 65, 116, 132, 98
 
 
-def make(number: int = 1, name: str = 'XM430-W350', **options: object) -> FakeDevice:
+def make(number: int = 1, name: str = 'XM430-W350', *, motion: Sine | None = None,
+         return_delay: int = 0, firmware: int = 0) -> FakeDevice:
     model = MODELS.by_name(name)
     assert model is not None
-    return FakeDevice(number, model, baud=BAUD, **options)  # type: ignore[arg-type]
+    device = FakeDevice(number, model, baud=BAUD, motion=motion)
+    device.set('Return Delay Time', return_delay)
+    device.firmware = firmware or device.firmware
+    return device
 
 
 def write(device: FakeDevice, address: int, data: bytes) -> int:

@@ -56,7 +56,8 @@ def test_every_byte_of_19_devices_at_2000000_baud_is_heard(
     with bus_of('1-19:MX-64', CYCLES_PER_S) as bus, kind(guest, bus.path, gather=False) as adapter:
         dump = listen(guest, adapter.path, '--summary')
         bus.start(SECONDS)
-        bus.join()
+        while bus.is_running:
+            time.sleep(SETTLE_S)
         time.sleep(SETTLE_S)
         dump.signal('INT')
         guest.until(lambda: not dump.is_active())
