@@ -13,7 +13,7 @@ from mecarover_dashboard.rows import calm
 from mecarover_dashboard.rows import RegisterTable
 from mecarover_dashboard.state import State
 
-_Shown = tuple[str, str, str, str]              # temperature, voltage, load, unit
+_Shown = tuple[str, ...]                # temperature, voltage, load, unit, position, limits
 
 
 class Client:
@@ -49,10 +49,11 @@ class Client:
         return ''.join(texts) + '}'
 
     def _changed_values(self, state: State) -> dict[str, _Shown]:
-        """Return (temperature, voltage, load, unit) of the devices where they changed."""
+        """Return what is shown of the devices where that changed."""
         if not self._wants_values:
             return {}
-        now = {name: (one.temperature, calm(one.voltage, 3), calm(one.load, 2), one.unit)
+        now = {name: (one.temperature, calm(one.voltage, 3), calm(one.load, 2), one.unit,
+                      calm(one.position, 3), *one.limits)
                for name, one in state.values().items()}
         changed = {name: one for name, one in now.items() if self._values.get(name) != one}
         self._values = now

@@ -39,6 +39,10 @@ _ERROR = re.compile(r'(\d+\.\d+) s: (.*)', re.DOTALL)
 _VALUES = ((b'Present Position (',), (b'Present Temperature (', b'Present Motor Temperature ('),
            (b'Present Input Voltage (', b'Present Voltage ('),
            (b'Present Load (', b'Present Current ('))
+_LIMITS = ((b'Min Position Limit (', b'CW Angle Limit ('),
+           (b'Max Position Limit (', b'CCW Angle Limit ('),
+           (b'Temperature Limit (', b'Motor Temperature Limit ('),
+           (b'Min Voltage Limit (',), (b'Max Voltage Limit (',))
 
 
 class FieldRow(NamedTuple):
@@ -59,6 +63,7 @@ class Values(NamedTuple):
     voltage: str
     load: str
     unit: str
+    limits: tuple[str, ...] = ()        # of position (2), temperature and voltage (2)
 
 
 NOTHING = Values('', '', '', '', '')
@@ -260,7 +265,8 @@ def values(status: AnyStatus) -> Values:
     """Return what the registers of a device say of its health, as far as they were read."""
     (_, position), (_, temperature), (_, voltage), (key, load) = (
         _first(status, names) for names in _VALUES)
-    return Values(position, temperature, voltage, load, key.rpartition(' (')[2].rstrip(')'))
+    return Values(position, temperature, voltage, load, key.rpartition(' (')[2].rstrip(')'),
+                  tuple(_first(status, names)[1] for names in _LIMITS))
 
 
 def _first(status: AnyStatus, names: tuple[bytes, ...]) -> tuple[str, str]:

@@ -106,7 +106,8 @@ def test_overview(page):
     tiles = page.locator('.tile').all_inner_texts()
     assert [tile.split('\n')[0] for tile in tiles] \
         == ['MX-106', 'MX-64', 'BitFoot', 'Bit-Bots IMU', 'Rhoban DXL Board']
-    assert page.locator('.cell').count() == 24
+    assert page.locator('.cell').count() == page.locator('.servo').count() == 24
+    see(page, '.servo', r'007\s*left_knee\s*-?\d+\u00b0\s*-?[\d.]+ A\s*\d+ \u00b0C\s*[\d.]+ V')
 
 
 def test_a_device_lost_and_found(page, robot):
@@ -528,7 +529,7 @@ def test_the_list_stands_still_while_it_is_paused(page, robot):
 
 
 @pytest.mark.parametrize(('view', 'items', 'changed'), [
-    ('overview', '.alerts .alert', '2 lost'), ('overview', '.findings li', ''),
+    ('overview', '.servo[data-state=error]', '2 lost'), ('overview', '.findings li', ''),
     ('log', '.findings li', ''), ('devices', '.devices tbody tr', '2 lost')])
 def test_what_moves_can_be_stopped(page, robot, view, items, changed):
     robot.lost, robot.findings = {7}, FINDINGS[:1]

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from unittest.mock import MagicMock
 from unittest.mock import patch
 
+from dxl_monitor import monitored_bus
 from dxl_monitor import timers
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor_settings import PARAMETERS
@@ -148,11 +149,13 @@ def through_node(case, folder):
                               monotonic_ns=lambda: clock.now)
     with ExitStack() as changed:
         for name, value in (('Node', lambda *_: ros), ('declare', lambda *_: values),
-                            ('load_models', lambda _: MODELS), ('listener_on', Ear),
+                            ('load_models', lambda _: MODELS),
                             ('Clock', lambda **_: None), ('resident_memory_mb', lambda: 50.0),
                             ('time', stopped), ('overridable_publisher',
                                                 lambda node, *rest: node.create_publisher(*rest))):
             changed.enter_context(patch.object(dxl_node, name, value))
+        changed.enter_context(patch.object(monitored_bus, 'listener_on', Ear))
+        changed.enter_context(patch.object(monitored_bus, 'time', stopped))
         changed.enter_context(patch.object(timers, 'time', stopped))
         changed.enter_context(patch.object(timers.Timers, 'start', lambda _: None))
         changed.enter_context(patch(

@@ -20,7 +20,7 @@ from dxl_monitor.record import live
 from dxl_monitor.tools import dxl_doctor as doctor
 from dxl_monitor.tools import dxl_dump as dump
 from dxl_monitor.tools import replay
-from dxl_monitor.tools.dump import session
+from dxl_monitor.tools import run as common
 from fuzz.whole.node import Ear
 from fuzz.whole.node import MODELS
 from fuzz.whole.node import print_nothing
@@ -32,6 +32,7 @@ from fuzz.whole.traffic import FAR
 from fuzz.whole.traffic import PROTOCOLS
 from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
+from mecarover_feed import mecarover_status as status
 from msg_defs.event import OUT
 
 RUNS: Counter[str] = Counter()
@@ -46,7 +47,8 @@ def through_tools(case, capture, folder, chance):
     path = folder / 'heard'
     path.write_bytes(chance.choice(FORMS)(case, capture, chance))
     for _ in range(2):
-        chance.choice((run_dump, run_dump, run_doctor, run_replay))(case, str(path), chance)
+        chance.choice((run_dump, run_dump, run_doctor, run_replay, run_status))(
+            case, str(path), chance)
 
 
 def usb(case, capture, chance):
@@ -142,6 +144,10 @@ def run_replay(case, path, chance):
         tool(replay, None, path, chance.choice((['--speed', '0'], ['--side', 'out'], [])), chance)
 
 
+def run_status(case, path, chance):
+    tool(status, None, path, ['--once', '--wait', '0.001', '--all'], chance)
+
+
 def tool(module, case, path, options, chance):
     """Run a tool on a file, or on a port where the case is heard; return its code and output."""
     def listener_on(*arguments, **more):
@@ -160,8 +166,7 @@ def tool(module, case, path, options, chance):
     RUNS[name] += 1
     with redirect_stdout(out), redirect_stderr(err), patch.object(
             sys, 'argv', [name, *options, *filter(None, [path])]), patch.object(
-            session, 'load_models', lambda _: MODELS), patch.object(
-            doctor, 'load_models', lambda _: MODELS), patch.object(
+            common, 'load_models', lambda _: MODELS), patch.object(
             live, 'listener_on', listener_on), patch.object(live, 'TICK_S', 0), patch.object(
             live.LivePort, '_tell_state', end):
         code = module.main()

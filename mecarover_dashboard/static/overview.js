@@ -9,12 +9,15 @@ import {id3, isolate, list, plural, short} from './format.js';
 import {path} from './place.js';
 import {fillEmpty} from './parts.js';
 import {Pause} from './pause.js';
+import {showServos, sizeOf} from './servos.js';
 import {countOf, deviceName, isLost, isQuiet, stateOf, valueOf, WORDS, worst}
   from './store.js';
 
 const MOST_ALERTS = 8;
 
 export class Overview {
+  wantsValues = true;
+
   constructor() {
     this.title = 'Overview';
     this.empty = h('div', {class: 'empty'});
@@ -40,7 +43,8 @@ export class Overview {
     this.buses.style.order = isFirst ? '' : -1;
     const shown = groups.map((group) => ({...group, alerts: alertsOf(group),
       text: store.said(group.part)}));
-    each(this.buses, shown, (group) => group.key, makeBus, updateBus);
+    each(this.buses, shown, (group) => group.key, makeBus,
+      (element, group) => updateBus(element, group, store));
     this.beside.update(store, shown);
   }
 }
@@ -61,17 +65,18 @@ function showBridge(element, {state, is_known: isKnown}, text) {
 }
 
 function makeBus(group) {
-  const pause = new Pause('Devices with a problem', () => showAlerts(element));
+  const pause = new Pause('Devices', () => showDevices(element));
   const element = h('section', {class: 'bus'}, makeBar(path('devices', group.key)),
     h('div', {class: 'strip', 'aria-hidden': 'true'}),
-    h('ul', {class: 'alerts'}, h('li', {}, pause.element)),
+    h('ul', {class: 'servos'}),
+    h('ul', {class: 'alerts'}),
     h('div', {class: 'tiles'}),
-    h('p', {class: 'bus-line'}));
+    h('div', {class: 'bus-line'}, h('p'), pause.element));
   return Object.assign(element, {pause});
 }
 
-function updateBus(element, group) {
-  const [bar, strip, , tiles, line] = element.children;
+function updateBus(element, group, store) {
+  const [bar, strip, , , tiles, line] = element.children;
   const total = group.devices.length;
   const {is_known: isKnown} = group.part;
   const count = countOf(group.devices, group.part);
@@ -86,11 +91,12 @@ function updateBus(element, group) {
     + `${plural(total, 'device')} connected. ${group.text}. Show devices`);
   set(strip, 'data-many', total > 60);
   each(strip, group.devices, (device) => device.name, makeCell, updateCell);
-  element.newest = group.alerts;
-  if (!element.pause.isOn) showAlerts(element);
+  set(element, 'data-size', sizeOf(total));
+  element.newest = {group, store};
+  if (!element.pause.isOn) showDevices(element);
   each(tiles, group.models, (model) => model.model, (model) => makeTile(group, model),
     updateTile);
-  say(line, busLine(group));
+  say(line.firstChild, busLine(group));
   set(tiles, 'data-old', !isKnown);
   set(line, 'data-old', !isKnown);
 }
@@ -145,9 +151,11 @@ function alertOf(group, {state, message, devices}) {
     href: isMany ? path('devices', group.key) : path('device', first.name)};
 }
 
-function showAlerts({children: [, , list], newest}) {
-  list.hidden = !newest.length;
-  each(list, newest, (alert) => alert.key, makeAlert, updateAlert);
+function showDevices({children: [, , servos, list], newest: {group, store}}) {
+  showServos(servos, group.devices, store);
+  set(servos, 'data-old', !group.part.is_known);
+  list.hidden = !group.alerts.length;
+  each(list, group.alerts, (alert) => alert.key, makeAlert, updateAlert);
 }
 
 const makeAlert = ({href}) => h('li', {},

@@ -1,0 +1,80 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// The servos of a bus, a card each: its joint, where in its range it is, load, temperature,
+// voltage. A bar needs a scale: what the servo itself says, or else the usual one.
+
+import {each, h, icon, say, set, setIcon} from './dom.js';
+import {figure, id3, numberOf} from './format.js';
+import {path} from './place.js';
+import {saysMore, stateOf, wordOf} from './store.js';
+
+const FEW = 8;                 // as many as a small display has room for
+const SOME = 30;
+const COLD = 20;               // °C, where the bar of the temperature begins
+const HOT = 80;
+const NONE = [];
+
+/** How much room a bus needs: 'few', 'some', or 'many', which are cells without values. */
+export const sizeOf = (count) => count <= FEW ? 'few' : count <= SOME ? 'some' : 'many';
+
+/** A value on a scale: {text, from, to}, shares of the bar; no bar where there is no scale. */
+const MEASURES = {
+  position: ([, , , , position, low, high]) => {
+    const [first, last] = low < high ? [low, high] : [-Math.PI, Math.PI];
+    const at = share(position, first, last);
+    return {text: `${Math.round(position * 180 / Math.PI)}\u00b0`, from: at - 0.02, to: at + 0.02};
+  },
+  load: ([, , load, , , , , , , , unit], most) => {
+    const at = share(load, -most, most);
+    return {text: `${figure(load, 2)} ${unit}`, from: Math.min(at, 0.5), to: Math.max(at, 0.5)};
+  },
+  temperature: ([temperature, , , , , , , limit]) => ({text: `${figure(temperature, 3)} \u00b0C`,
+    from: 0, to: share(temperature, COLD, limit || HOT)}),
+  voltage: ([, voltage, , , , , , , low, high]) => ({text: `${figure(voltage, 3)} V`,
+    from: 0, to: low < high ? share(voltage, low, high) : 0}),
+};
+const NAMES = Object.keys(MEASURES);
+const PLACES = {position: 4, load: 2, temperature: 0, voltage: 1};
+const share = (value, low, high) => Math.min(1, Math.max(0, (value - low) / (high - low)));
+
+export function showServos(grid, devices, store) {
+  each(grid, devices, (device) => device.name, makeServo,
+    (item, device) => showServo(item, device, store.values.get(device.name) ?? NONE));
+}
+
+const makeServo = (device) => h('li', {}, h('a', {class: 'servo',
+  href: path('device', device.name)},
+h('p', {class: 'servo-head'}, icon('ok'), h('b', {}), h('span')), h('p', {class: 'servo-text'}),
+...NAMES.map((name) => h('p', {class: `measure ${name}`, title: name},
+  h('i', {}, h('i')), h('span')))));
+
+function showServo(item, device, values) {
+  const [head, text, ...lines] = item.firstChild.children;
+  const state = stateOf(device);
+  set(item.firstChild, 'data-state', state);
+  set(head, 'data-state', state);
+  setIcon(head.children[0], state);
+  say(head.children[1], id3(device.id));
+  say(head.children[2], device.joint || device.model);
+  const isSick = state !== 'ok';
+  text.hidden = !isSick;
+  if (isSick) say(text, saysMore(device) ? device.message : wordOf(device));
+  set(item, 'data-sick', isSick);
+  const numbers = values.map(numberOf);
+  numbers.push(values[3]);
+  const most = item.most = values[3] === '%' ? 100
+    : Math.max(item.most ?? 1, Math.abs(numbers[2]) || 0);
+  NAMES.forEach((name, at) => {
+    const isKnown = Number.isFinite(numbers[PLACES[name]]);
+    lines[at].hidden = !isKnown;
+    if (isKnown) showMeasure(lines[at], MEASURES[name](numbers, most));
+  });
+}
+
+function showMeasure(line, {text, from, to}) {
+  const [bar, words] = line.children;
+  say(words, text);
+  bar.style.visibility = to > 0 ? '' : 'hidden';
+  bar.firstChild.style.left = `${100 * from}%`;
+  bar.firstChild.style.width = `${100 * (to - from)}%`;
+}
