@@ -258,7 +258,7 @@ class Monitor:
             devices = list(self._registry.devices.values())
             said = {model_key(device.identity[0] | device.identity[1] << 8, device.protocol)
                     for device in devices if device.is_unresolved}
-            nameless = [(device, device.protocol, frozenset(device.used)) for device in devices
+            nameless = [(device, device.protocol, device.all_uses()) for device in devices
                         if device.used and device.heard and device.model_number is None]
         for key in said:
             self._models.get(key)

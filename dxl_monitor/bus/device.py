@@ -22,6 +22,8 @@ from dxl_monitor.model.control_table import Field
 from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.model.layout import LONGEST
+from dxl_monitor.model.layout import orders_of
+from dxl_monitor.model.layout import POSITIONS_AT
 from dxl_monitor.model.layout import Use
 from msg_defs.dxl1_instruction import Dialect
 from msg_defs.dxl1_instruction import error_text as bits_text
@@ -128,6 +130,12 @@ class Device:
         """Note what a program reads or writes of it, where that may say what it is."""
         if self.model_number is None and size <= LONGEST and len(self.used) < _USES_KEPT:
             self.used.add((address, size))
+
+    def all_uses(self) -> frozenset[Use]:
+        """Return what a program uses of it, and the order of bytes that makes sense there."""
+        if self.dialect is FEETECH:
+            self.used |= orders_of(self.table.bytes(at, 2) for at in POSITIONS_AT)
+        return frozenset(self.used)
 
     def is_told_by(self, address: int, size: int) -> bool:
         """Return whether these bytes, read, may tell what the device is or does."""

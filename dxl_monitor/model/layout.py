@@ -25,9 +25,10 @@ from dxl_monitor.model.models import Models
 
 Use = tuple[int, int]              # address and size of what a program reads or writes
 
-ENOUGH = 3                         # different registers, Torque Enable or a goal among them
+ENOUGH = 3        # different registers, Torque Enable or a goal among them; or both positions
 LONGEST = 16                       # bytes: a longer read takes all there is, gaps too
 NOWHERE = (-1, 1)                  # a use that no table has
+LITTLE, BIG = (-2, 1), (-2, 2)     # uses only of numbers that make sense in this order of bytes
 _KEPT = 256
 _X_SERIES = re.compile(r'2?X[A-Z]\d|2X|MX-\d+$')       # MX(2.0) has the same table
 # Where several series are left, only these have a meaning: what else is at one address in all
@@ -38,6 +39,7 @@ _COMMON = ('Torque Enable', 'Goal Position', 'Goal Velocity', 'Present Position'
 # STS and SCS of Feetech differ in the order of bytes: one of these says which.
 _TELLS_ORDER = ('Lock', 'Acceleration')
 POSITIONS = ('Goal Position', 'Present Position')      # signed in some tables
+POSITIONS_AT = (42, 56)            # there with Feetech
 # What a register can hold, in its unit. Of positions: by size, in rad and in steps.
 _RANGES = {'Torque Enable': 1, 'Present Temperature': 120, 'Present Input Voltage': 400}
 _FARTHEST = {2: (2 * pi, 4095), 4: (512 * pi, 1 << 22)}
@@ -73,16 +75,18 @@ class Layouts:
 
 def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
     """Return the registers on which all tables agree that have what is used; or UNKNOWN."""
-    fits = {table: registers for table in tables if (registers := _registers(table, used))}
-    if not fits or not all(len(registers) >= ENOUGH and any(
-            name == 'Torque Enable' or name.startswith('Goal') for name in registers)
-            for registers in fits.values()):
+    orders = [name for name, use in (('little', LITTLE), ('big', BIG)) if use in used]
+    order = orders[0] if len(orders) == 1 else ''      # both: neither is certain
+    uses = [use for use in used if use not in (LITTLE, BIG)]
+    fits = {table: registers for table in tables if (registers := _registers(table, uses))
+            and order in ('', table.by_name['Goal Position'].byte_order)}
+    if not fits or not all(map(_is_enough, fits.values())):
         return UNKNOWN
     first, *others = fits
     names = {table.name for table in fits}
     series = {_series(name) for name in names}
     knows_units = len({table.file for table in fits}) > 1
-    knows_order = first.protocol != 'feetech' or all(
+    knows_order = bool(order) or first.protocol != 'feetech' or all(
         not registers.isdisjoint(_TELLS_ORDER) for registers in fits.values())
     found = [_agreed([field, *(table.by_address.get(field.at) for table in others)], knows_units)
              for field in first.fields if (len(series) == 1 or field.name in _COMMON)
@@ -90,6 +94,22 @@ def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
     name = f'the {series.pop()} series' if len(series) == 1 < len(names) else \
         names.pop() if len(names) == 1 else 'several series'
     return Model(None, name, tuple(field for field in found if field), protocol=first.protocol)
+
+
+def _is_enough(registers: set[str]) -> bool:
+    return registers.issuperset(POSITIONS) or (len(registers) >= ENOUGH and any(
+        name == 'Torque Enable' or name.startswith('Goal') for name in registers))
+
+
+def orders_of(positions: Iterable[bytes | bytearray | None]) -> set[Use]:
+    """Return the orders of bytes in which positions of Feetech make sense, each in one only."""
+    found = set()
+    for low, high in filter(None, positions):
+        if high < 16 <= low:           # 16 and more: beyond one turn
+            found.add(LITTLE)
+        elif low < 4 and high >= 16:   # SCS: 1023 at most
+            found.add(BIG)
+    return found
 
 
 def _registers(table: Model, used: Iterable[Use]) -> set[str]:
