@@ -8,18 +8,7 @@ from setuptools import find_packages
 from setuptools import setup
 
 NAME = 'mecarover_serial'
-TOOLS = {
-    'vel2d_bridge': 'vel2d_bridge.main',
-    'dxl_monitor': 'dxl_monitor.start',
-    'fake_mcu': 'mecarover_fakes.fake_mcu',
-    'fake_bus': 'mecarover_fakes.fake_bus',
-    'dxl_dump': 'dxl_monitor.tools.dxl_dump',
-    'dxl_doctor': 'dxl_monitor.tools.dxl_doctor',
-    'dxl_replay': 'dxl_monitor.tools.replay',
-    'dxl_tap': 'dxl_monitor.tools.tap',
-    'dxl_dashboard': 'mecarover_feed.dxl_dashboard',
-    'mecarover_status': 'mecarover_feed.mecarover_status',
-}
+TOOLS = [Path(name).name for name in sorted(glob('resource/executables/*'))]
 DASHBOARD = ['aiohttp>=3.9', 'prometheus-client>=0.16']
 MCAP = ['rosbags>=0.10.5']
 DOCS = ['sphinx>=7']
@@ -64,6 +53,6 @@ setup(
         'mutation': ['mutmut>=3.8'],        # which changes to the core no test notices
     },
     entry_points={'console_scripts': [
-        f'{tool} = {module}:main' for tool, module in TOOLS.items()]},
+        f'{tool} = {NAME}.command:{tool}' for tool in TOOLS]},
     zip_safe=False,
 )

@@ -20,6 +20,8 @@ from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import no_ros
 from mecarover_serial.cli import options_of_node
+from mecarover_serial.command_line import number
+from mecarover_serial.command_line import Parser
 from mecarover_serial.plain import plain_streams
 from mecarover_serial.plain import printable
 
@@ -130,27 +132,20 @@ def _bracketed(host: str) -> str:
     return f'[{host}]' if ':' in host else host
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the options of the page, with and without ROS."""
-    parser = argparse.ArgumentParser(
-        prog=NAME, description='Web page of devices, registers, timing and the bridge: shows '
+    parser = Parser(
+        NAME, description='Web page of devices, registers, timing and the bridge: shows '
         'what dxl_monitor and vel2d_bridge publish, live or from ros2 bag play. Read-only.')
     parser.add_argument('--host', default=HOST, help='address to listen on; default %(default)s '
                         '(this machine only), 0.0.0.0 or :: = open to the network')
-    parser.add_argument('--port', type=_port, default=PORT,
+    parser.add_argument('--port', type=number(int, 0, 65535), default=PORT,
                         help='port to listen on; default %(default)s, 0 = any free port')
     parser.add_argument('--name', default='', help='one more name of this machine that browsers '
                         'may use, e.g. rover1.example.org')
     parser.add_argument('--history', metavar='FILE', help='file for the history of the last 24 '
                         f'hours; default {default_path()}, {NONE} = keep no history')
     return parser
-
-
-def _port(text: str) -> int:
-    port = int(text)
-    if not 0 <= port <= 65535:
-        raise argparse.ArgumentTypeError('give a port from 0 to 65535')
-    return port
 
 
 if __name__ == '__main__':

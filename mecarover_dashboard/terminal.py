@@ -7,7 +7,6 @@ Without a terminal: a line each for what matters, whenever that changes.
 """
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 import math
 import os
@@ -24,6 +23,8 @@ from mecarover_dashboard.status_lines import status_lines
 from mecarover_dashboard.status_lines import table
 from mecarover_serial.cli import no_ros
 from mecarover_serial.cli import options_of_node
+from mecarover_serial.command_line import number
+from mecarover_serial.command_line import Parser
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import plain_streams
 
@@ -142,10 +143,10 @@ def main(args: Sequence[str] | None = None) -> int:
         display.close()
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the options, with and without ROS."""
-    parser = argparse.ArgumentParser(
-        prog=NAME, description='Prints a line for each bridge, each bus and each device with a '
+    parser = Parser(
+        NAME, description='Prints a line for each bridge, each bus and each device with a '
                                'problem, of every robot in the ROS domain. In a namespace '
                                '(--ros-args -r __ns:=/rover1): of the robots below it.',
         epilog='Exit codes with --once: 0 no problem, 1 no report or could not run, 2 wrong '
@@ -153,16 +154,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument('--once', action='store_true', help='print the lines once and end')
     parser.add_argument('--all', action='store_true', help='every device, not only those with a '
                         'problem')
-    parser.add_argument('--wait', type=_seconds, default=WAIT_S, metavar='S',
+    parser.add_argument('--wait', type=number(float, 0.1), default=WAIT_S, metavar='S',
                         help='with --once: longest wait for reports (default %(default)g)')
     return parser
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not 0 < seconds < math.inf:
-        raise argparse.ArgumentTypeError('give a time above 0 s')
-    return seconds
 
 
 if __name__ == '__main__':

@@ -32,6 +32,8 @@ from mecarover_fakes.values import Sine
 from mecarover_fakes.virtual_usb import VirtualUsb
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from mecarover_serial.command_line import number
+from mecarover_serial.command_line import Parser
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.pty import outlive
 from mecarover_serial.pty import parse_away
@@ -129,13 +131,6 @@ def _check(options: argparse.Namespace) -> None:
                          f"{options.dialect}; use one of: {', '.join(spoken)}")
     if options.baud is None:
         options.baud = 2_000_000 if options.dialect == '2' else 1_000_000
-    if options.baud <= 0:
-        raise UsageError(f'--baud {options.baud}: not a baud rate; give bits per second, e.g. '
-                         '2000000')
-    for name, unit in (('rate', 'cycles per second'), ('patience', 'ms'), ('seconds', 's')):
-        value = getattr(options, name)
-        if value is not None and not 0 <= value < float('inf'):
-            raise UsageError(f'--{name} {value:g}: not possible; give {unit}, 0 or more')
 
 
 _EXAMPLES = """examples:
@@ -147,11 +142,11 @@ patterns:
 """
 
 
-def _parser() -> argparse.ArgumentParser:
-    patterns = ''.join(f'  {name:11} {pattern.__doc__}\n' for name, pattern in PATTERNS.items())
-    parser = argparse.ArgumentParser(
-        prog='fake_bus', formatter_class=argparse.RawDescriptionHelpFormatter,
-        description='Simulates a Dynamixel bus on a pty: devices, and a master unless --pattern '
+def _parser() -> Parser:
+    patterns = ''.join(f'  {name:11} {(pattern.__doc__ or "").strip().splitlines()[0]}\n'
+                       for name, pattern in PATTERNS.items())
+    parser = Parser(
+        'fake_bus', 'Simulates a Dynamixel bus on a pty: devices, and a master unless --pattern '
                     'none.',
         epilog=_EXAMPLES + patterns)
     add_options(parser)
@@ -161,7 +156,8 @@ def _parser() -> argparse.ArgumentParser:
         'adapter; listen with usb:PATH')
     add('--adapter', choices=FAMILIES, default='ftdi', metavar='KIND',
         help=f"kind of adapter that --usbmon shows: {', '.join(FAMILIES)} (default %(default)s)")
-    add('--baud', type=int, help='baud rate (default 2000000, with the other dialects 1000000)')
+    add('-b', '--baud', type=number(int, 1),
+        help='baud rate (default 2000000, with the other dialects 1000000)')
     add('--dialect', choices=PROTOCOLS, default='2', help='2: Dynamixel Protocol 2.0, dxl1: '
         'Protocol 1.0, feetech: FT-SCS (default %(default)s)')
     add('--devices', nargs='+', metavar='ID:MODEL', help="e.g. '1-20:MX-106' '101:BitFoot' "
@@ -170,8 +166,8 @@ def _parser() -> argparse.ArgumentParser:
         'files')
     add('--pattern', choices=PATTERNS, metavar='NAME',
         help='traffic of the master, see below (default moving; none with --tap)')
-    add('--rate', type=float, default=100.0, help='cycles per second, 0: without a pause (default '
-        '%(default)g)')
+    add('--rate', type=number(float, 0), default=100.0,
+        help='cycles per second, 0: without a pause (default %(default)g)')
     add('--fault', action='append', default=[], metavar='NAME[:id[:at_s[:for_s]]]',
         help='simulate a fault; repeat it for more')
     add('--list-faults', action='store_true', help='list the faults and exit')
@@ -179,7 +175,7 @@ def _parser() -> argparse.ArgumentParser:
         'torque on')
     add('--behind-silent', choices=('wait', 'answer'), default='wait',
         help='what devices after a silent one do in a Sync Read (default %(default)s)')
-    add('--patience', type=float, default=34.0, metavar='MS',
+    add('--patience', type=number(float, 0), default=34.0, metavar='MS',
         help='the master waits for answers for their wire time plus this (default %(default)g)')
     add('--truth', metavar='FILE', help='at the end write what really happened to this file, as '
         'JSON')

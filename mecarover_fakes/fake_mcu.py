@@ -24,6 +24,8 @@ from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import Receiver
 from mecarover_fakes.receiver import SetPoint
 from mecarover_serial.cli import run_tool
+from mecarover_serial.command_line import number
+from mecarover_serial.command_line import Parser
 from mecarover_serial.pty import Away
 from mecarover_serial.pty import outlive
 from mecarover_serial.pty import parse_away
@@ -192,21 +194,21 @@ class _Printer:
         print(json.dumps(record) if self._as_json else text, flush=True)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='fake_mcu', description='Simulates the MCU of the rover on a pty and shows the '
+def _parser() -> Parser:
+    parser = Parser(
+        'fake_mcu', 'Simulates the MCU of the rover on a pty and shows the '
         'set-points that it takes.')
     add_options(parser)
-    add = parser.add_argument
-    add('--baud', type=int, default=115200, help='baud rate of the simulated line (default '
-        '%(default)s)')
+    add, count = parser.add_argument, number(int, 0)
+    add('-b', '--baud', type=number(int, 1), default=115200,
+        help='baud rate of the simulated line (default %(default)s)')
     add('--crc-input', choices=sorted(CRC_INPUTS), default='bytes',
         help='how the CRC unit is fed (default %(default)s)')
     add('--json', action='store_true', help='JSON lines; stamps are monotonic seconds')
     add('--frames', action='store_true', help='print a line for every frame too')
-    add('--drop', type=int, default=0, metavar='N', help='drop a byte in each Nth frame')
-    add('--flip', type=int, default=0, metavar='N', help='flip a bit in each Nth frame')
-    add('--deaf-after', type=int, default=0, metavar='N', help='lose bytes (overrun) after N '
+    add('--drop', type=count, default=0, metavar='N', help='drop a byte in each Nth frame')
+    add('--flip', type=count, default=0, metavar='N', help='flip a bit in each Nth frame')
+    add('--deaf-after', type=count, default=0, metavar='N', help='lose bytes (overrun) after N '
         'frames')
     add('--watchdog', action='store_true', help='an MCU with the receiver of firmware/: it stops '
         'after 0.3 s without a good frame, and reports once a second')

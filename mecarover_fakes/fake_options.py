@@ -4,14 +4,15 @@
 
 from __future__ import annotations
 
-import argparse
+from mecarover_serial.command_line import number
+from mecarover_serial.command_line import Parser
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: Parser) -> None:
     """Add the options of a program that plays hardware on a pty."""
     add = parser.add_argument
     add('--link', metavar='PATH', help='make this symlink to the pty, for the node to open')
     add('--vanish', metavar='AFTER:FOR', help='unplug after so many seconds, for so long')
     add('--seed', type=int, default=1, help='seed of the faults (default %(default)s)')
     add('--outlive', action='store_true', help='at Ctrl-C wait until the host closed the port')
-    add('--seconds', type=float, help='end after this time (default: run until Ctrl-C)')
+    add('--seconds', type=number(float, 0), help='end after this time (default: run until Ctrl-C)')

@@ -164,7 +164,7 @@ class OldFirmware(Effect, cause=15, protocols=ONLY_2):
             yield from sync_read(span, Instruction.FAST_SYNC_READ)
 
 
-class Limits(Effect):
+class BeyondLimits(Effect):
     """Something is beyond the device's own limits, which the master reads now and then."""
 
     every = 50
@@ -175,7 +175,7 @@ class Limits(Effect):
                 yield from read_register(device, name)
 
 
-class Hot(Limits, cause=0):
+class Hot(BeyondLimits, cause=0):
     """The motor is warmer than its own limit."""
 
     def play(self) -> Play:
@@ -186,7 +186,7 @@ class Hot(Limits, cause=0):
             device.temperature = TEMPERATURE
 
 
-class LowVoltage(Limits, cause=0):
+class LowVoltage(BeyondLimits, cause=0):
     """The supply is below the device's own limit."""
 
     def play(self) -> Play:

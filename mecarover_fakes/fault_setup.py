@@ -10,7 +10,7 @@ from mecarover_fakes.dxl1_servo import MIDDLE
 from mecarover_fakes.fault import Effect
 from mecarover_fakes.fault import FAMILY_1
 from mecarover_fakes.fault import Play
-from mecarover_fakes.fault_device import Limits
+from mecarover_fakes.fault_device import BeyondLimits
 from mecarover_fakes.traffic import Ask
 from mecarover_fakes.traffic import read
 from mecarover_fakes.traffic import read_register
@@ -143,7 +143,7 @@ class Layout(Effect, cause=12, protocols=ONLY_FEETECH):
         yield write(self.device.id, SCS_LOCK, b'\x01')
 
 
-class HighSupply(Limits, cause=0, protocols=FAMILY_1):
+class HighSupply(BeyondLimits, cause=0, protocols=FAMILY_1):
     """The servo is made for a lower voltage: its limit is far below the supply."""
 
     def play(self) -> Play:

@@ -71,7 +71,6 @@ def _has_display() -> bool:
 
 def _parser() -> argparse.ArgumentParser:
     parser = serve.make_parser()
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = EXAMPLES
     parser.usage = f'{NAME} [options] [SOURCE ...]\n       {NAME} [options] {RUN} -- COMMAND'
     parser.description = ('Web page of servo buses: devices, registers, what is wrong. It never '

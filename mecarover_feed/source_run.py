@@ -27,7 +27,6 @@ from dxl_monitor.monitor_status import PortState
 from dxl_monitor.monitored_bus import MonitoredBus
 from dxl_monitor.port.source_name import rate_of
 from dxl_monitor.port.tap_reader import HOLD_S
-from dxl_monitor.record.capture import BAUD_LIMIT
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.opening import is_port
@@ -37,7 +36,6 @@ from dxl_monitor.tools.doctor import no_data
 from dxl_monitor.tools.doctor.program import Program
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
-from dxl_monitor.tools.run import check_range
 from dxl_monitor.tools.run import models_of
 from mecarover_feed.feed import Feed
 from mecarover_feed.feed import REPORT_NS
@@ -247,8 +245,11 @@ class RecordingRun(SourceRun):
 def is_of_ros(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> bool:
     """Tell whether a command line is about ROS topics: it names no source, and ROS is here."""
     before = arguments[:arguments.index('--')] if '--' in arguments else arguments
-    return '--ros-args' in before or (
-        find_spec('rclpy') is not None and not parser.parse_known_args(before)[0].source)
+    try:
+        return '--ros-args' in before or (
+            find_spec('rclpy') is not None and not parser.parse_known_args(before)[0].source)
+    except UsageError:
+        return False            # it is raised again where it can be said
 
 
 def make_run(tool: str, options: argparse.Namespace, command: Sequence[str],
@@ -258,7 +259,6 @@ def make_run(tool: str, options: argparse.Namespace, command: Sequence[str],
 
     at_once: a recording is not played but heard whole.
     """
-    check_range(options, 'baud', 1, BAUD_LIMIT)
     if command:
         return ProgramRun(tool, command, options, feed)
     files = [name for name in options.source

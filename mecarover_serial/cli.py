@@ -20,12 +20,14 @@ import textwrap
 from types import FrameType
 from typing import TextIO
 
+from mecarover_serial.command import take_over
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import split_ros_args
 from mecarover_serial.plain import plain_streams
 from mecarover_serial.plain import printable
-from mecarover_serial.preflight import PortError
+from mecarover_serial.port_error import PortError
+from mecarover_serial.version import version_of
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
 FILES_LEAST = 64                # a node has 31 open
@@ -48,7 +50,9 @@ def run_tool(tool: str, main: Callable[[list[str]], int | None]) -> int:
 def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
     failure: Exception | None = None
     code = DONE
+    is_command = False
     try:
+        is_command = take_over()
         code = main(sys.argv[1:]) or DONE
     except KeyboardInterrupt:
         pass
@@ -63,7 +67,11 @@ def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
     lost = _lost_output()
     if lost is not None and not isinstance(lost, BrokenPipeError):
         failure, code = OSError(lost.errno, lost.strerror, 'stdout'), COULD_NOT_RUN
-    return code if failure is None else _complain(tool, failure, code)
+    if failure is not None:
+        _complain(tool, failure, code)
+    if is_command:                         # all is said: what is left must not be interrupted
+        signal.signal(signal.SIGINT, lambda *_: os._exit(code))
+    return code
 
 
 def few_files(name: str) -> int | None:
@@ -138,6 +146,7 @@ def hold_signals() -> None:
     """Begin a node: let ending signals wait while it imports ROS; its `run` takes them."""
     _open_streams()
     signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+    take_over()
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -165,7 +174,10 @@ def options_of_node(parser: argparse.ArgumentParser, args: Sequence[str] | None
     """
     hold_signals()
     arguments = sys.argv[1:] if args is None else args
-    options = parser.parse_args(split_ros_args(arguments)[1])
+    try:
+        options = parser.parse_args(split_ros_args(arguments)[1])
+    except UsageError as error:
+        sys.exit(_complain(parser.prog, error, WRONG_USAGE))
     if code := few_files(parser.prog):
         sys.exit(code)
     return options, [parser.prog, *arguments]
@@ -180,9 +192,9 @@ def answer(name: str, about: str, parameters: Sequence[Parameter],
     one that was meant. args: None for those of the process.
     """
     arguments = sys.argv[1:] if args is None else args
-    if '--help' in arguments or '-h' in arguments:
-        print(node_help(name, about, parameters))
-        return DONE
+    if wanted := {'-h', '--help', '--version'} & {*arguments}:
+        return run_tool(name, lambda _: print(
+            version_of(name) if '--version' in wanted else node_help(name, about, parameters)))
     _, outside = split_ros_args(arguments)
     if outside:
         return _complain(name, UsageError(

@@ -24,8 +24,8 @@ from typing import Any
 
 import serial
 
-from mecarover_serial.preflight import PortError
-from mecarover_serial.preflight import Reason
+from mecarover_serial.port_error import PortError
+from mecarover_serial.port_error import Reason
 from mecarover_serial.preflight import why_not
 from mecarover_serial.readable import readable
 

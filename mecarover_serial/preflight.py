@@ -15,11 +15,10 @@ import os
 from pathlib import Path
 import re
 import stat
-from typing import NamedTuple
 
 from serial.tools import list_ports
 
-from mecarover_serial.plain import printable
+from mecarover_serial.port_error import Reason
 from mecarover_serial.port_users import file_text
 from mecarover_serial.port_users import holders
 from mecarover_serial.port_users import PTYS
@@ -28,26 +27,6 @@ from mecarover_serial.port_users import ROOT
 _FOREIGN = {stat.S_IFDIR: 'a directory', stat.S_IFREG: 'a file', stat.S_IFBLK: 'a disk',
             stat.S_IFIFO: 'a pipe', stat.S_IFSOCK: 'a socket'}
 _SCREENS = re.compile(r'tty\d*|console|ptmx')
-
-
-class Reason(NamedTuple):
-    """Why a port cannot be used: `kind` for programs, `reason` and `remedy` for people."""
-
-    kind: str       # absent, permission, busy, not_a_port, baud, url, lost, console, other
-    reason: str
-    remedy: str
-
-
-class PortError(Exception):
-    """A port that cannot be used: `str()` is one line, 'thing: reason; remedy'."""
-
-    def __init__(self, thing: str, reason: Reason) -> None:
-        reason = Reason(*map(printable, reason))        # with names of processes and devices
-        super().__init__(f'{printable(thing)}: {reason.reason}; {reason.remedy}')
-        self.thing = thing
-        self.kind = reason.kind
-        self.reason = reason.reason
-        self.remedy = reason.remedy
 
 
 def why_not(path: str, error: Exception, root: Path = ROOT) -> Reason:

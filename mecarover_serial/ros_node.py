@@ -50,7 +50,7 @@ from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import settings_files
 from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
-from mecarover_serial.preflight import PortError
+from mecarover_serial.port_error import PortError
 from mecarover_serial.settings_file import check
 from mecarover_serial.settings_file import SettingsError
 from mecarover_serial.standard_streams import StandardStreams

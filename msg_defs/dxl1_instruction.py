@@ -26,7 +26,7 @@ from msg_defs.frame import MALFORMED_1
 STATUS_BITS = 0x7F                 # bit 7 of an error byte is always 0: no 0x82, 0x83, 0x92
 
 
-class Layout(Enum):
+class ParamLayout(Enum):
     """How the parameters of an instruction are laid out."""
 
     NOTHING = 'no parameters'
@@ -42,7 +42,7 @@ class DialectInstruction(NamedTuple):
     """One instruction of a dialect; answers: to a single device, LISTED for a group."""
 
     name: str
-    layout: Layout
+    layout: ParamLayout
     answers: Answers
 
 
@@ -69,27 +69,27 @@ class Dialect(NamedTuple):
 
 
 _COMMON = {
-    0x01: DialectInstruction('Ping', Layout.NOTHING, Answers.PING),
-    0x02: DialectInstruction('Read', Layout.READ, Answers.DATA),
-    0x03: DialectInstruction('Write', Layout.WRITE, Answers.ACK),
-    0x04: DialectInstruction('Reg Write', Layout.WRITE, Answers.ACK),
-    0x05: DialectInstruction('Action', Layout.NOTHING, Answers.ACK),
-    0x06: DialectInstruction('Factory Reset', Layout.NOTHING, Answers.ACK),
-    0x83: DialectInstruction('Sync Write', Layout.SYNC_WRITE, Answers.NONE),
+    0x01: DialectInstruction('Ping', ParamLayout.NOTHING, Answers.PING),
+    0x02: DialectInstruction('Read', ParamLayout.READ, Answers.DATA),
+    0x03: DialectInstruction('Write', ParamLayout.WRITE, Answers.ACK),
+    0x04: DialectInstruction('Reg Write', ParamLayout.WRITE, Answers.ACK),
+    0x05: DialectInstruction('Action', ParamLayout.NOTHING, Answers.ACK),
+    0x06: DialectInstruction('Factory Reset', ParamLayout.NOTHING, Answers.ACK),
+    0x83: DialectInstruction('Sync Write', ParamLayout.SYNC_WRITE, Answers.NONE),
 }
 RESET = 0x06
 CALIBRATE = 0x0B
 _FEETECH = {
-    0x09: DialectInstruction(FEETECH_NAMES[0x09], Layout.NOTHING, Answers.ACK),
-    0x0A: DialectInstruction(FEETECH_NAMES[0x0A], Layout.NOTHING, Answers.ACK),
-    CALIBRATE: DialectInstruction(FEETECH_NAMES[CALIBRATE], Layout.VALUE, Answers.ACK),
-    0x82: DialectInstruction('Sync Read', Layout.SYNC_READ, Answers.LISTED),
+    0x09: DialectInstruction(FEETECH_NAMES[0x09], ParamLayout.NOTHING, Answers.ACK),
+    0x0A: DialectInstruction(FEETECH_NAMES[0x0A], ParamLayout.NOTHING, Answers.ACK),
+    CALIBRATE: DialectInstruction(FEETECH_NAMES[CALIBRATE], ParamLayout.VALUE, Answers.ACK),
+    0x82: DialectInstruction('Sync Read', ParamLayout.SYNC_READ, Answers.LISTED),
 }
 
 DYNAMIXEL_1 = Dialect(
     name='Dynamixel 1.0', protocol='1',
-    entries={**_COMMON, 0x08: DialectInstruction('Reboot', Layout.NOTHING, Answers.ACK),
-             0x92: DialectInstruction('Bulk Read', Layout.BULK_READ, Answers.LISTED)},
+    entries={**_COMMON, 0x08: DialectInstruction('Reboot', ParamLayout.NOTHING, Answers.ACK),
+             0x92: DialectInstruction('Bulk Read', ParamLayout.BULK_READ, Answers.LISTED)},
     errors={0: 'input voltage', 1: 'angle limit', 2: 'overheating', 3: 'range', 4: 'checksum',
             5: 'overload', 6: 'instruction'},
     refusals={1: 6, 3: 4, 4: 3, 6: 2},
@@ -97,7 +97,7 @@ DYNAMIXEL_1 = Dialect(
 # It is away for 0.8 s after a Reboot, and does not say so first.
 FEETECH = Dialect(
     name='Feetech', protocol='feetech',
-    entries={**_COMMON, 0x08: DialectInstruction('Reboot', Layout.NOTHING, Answers.NONE),
+    entries={**_COMMON, 0x08: DialectInstruction('Reboot', ParamLayout.NOTHING, Answers.NONE),
              **_FEETECH},
     errors={0: 'voltage', 1: 'angle sensor', 2: 'overheating', 3: 'current', 5: 'overload'},
     refusals={},
@@ -197,12 +197,12 @@ def _fits_bulk_read(id: int, params: bytes) -> bool:
             and len(set(params[2::3])) == len(params) // 3)
 
 
-_FITS: dict[Layout, Callable[[int, bytes], bool]] = {
-    Layout.NOTHING: lambda id, params: not params,
-    Layout.READ: lambda id, params: len(params) == 2 and params[1] > 0,
-    Layout.WRITE: lambda id, params: len(params) > 1,
-    Layout.SYNC_READ: _fits_sync_read,
-    Layout.SYNC_WRITE: _fits_sync_write,
-    Layout.BULK_READ: _fits_bulk_read,
-    Layout.VALUE: lambda id, params: len(params) in (0, 2),
+_FITS: dict[ParamLayout, Callable[[int, bytes], bool]] = {
+    ParamLayout.NOTHING: lambda id, params: not params,
+    ParamLayout.READ: lambda id, params: len(params) == 2 and params[1] > 0,
+    ParamLayout.WRITE: lambda id, params: len(params) > 1,
+    ParamLayout.SYNC_READ: _fits_sync_read,
+    ParamLayout.SYNC_WRITE: _fits_sync_write,
+    ParamLayout.BULK_READ: _fits_bulk_read,
+    ParamLayout.VALUE: lambda id, params: len(params) in (0, 2),
 }

@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from mecarover_serial.preflight import PortError
-from mecarover_serial.preflight import Reason
+from mecarover_serial.port_error import PortError
+from mecarover_serial.port_error import Reason
 from msg_defs.reports import Level
 from msg_defs.timing import Series
 from msg_defs.vel2d import Vel2d

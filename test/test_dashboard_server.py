@@ -328,8 +328,9 @@ def _answers(dashboard):
 
 
 @pytest.mark.parametrize(('options', 'code', 'words'), [
-    (['--port', 'x'], 2, 'usage'), (['--port', '70000'], 2, 'give a port from 0 to 65535'),
-    (['--nonsense'], 2, 'usage'), (['--host', '203.0.113.9'], 1, 'not an address of this machine'),
+    (['--port', 'x'], 2, '--port: x: not possible; give a whole number from 0 to 65535; see '),
+    (['--port', '70000'], 2, '70000: not possible'), (['--nonsense'], 2, '--nonsense; see '),
+    (['--host', '203.0.113.9'], 1, 'not an address of this machine'),
     (['--host', 'a..b'], 1, 'a..b:8420: not a name; '),
     (['--host', 'no.such.host.invalid'], 1, 'no.such.host.invalid:8420: ')])
 def test_mistakes_are_one_line(options, code, words):

@@ -462,8 +462,8 @@ def test_command_plays_tells_totals_and_truth(tmp_path: Path) -> None:
     (('--devices', '1:MX-107'), 'did you mean MX-106'),
     (('--devices', '1-999:MX-106'), 'at most 253'),
     (('--model-dirs', '/does/not/exist'), 'model_dirs: /does/not/exist: '),
-    (('--baud', '0'), 'give bits per second'),
-    (('--baud', 'fast'), 'invalid'),
+    (('--baud', '0'), 'give a whole number of 1 or more'),
+    (('--baud', 'fast'), 'fast: not possible'),
     (('--rate', '-1'), '--rate'),
     (('--seconds', 'inf'), '--seconds'),
 ])

@@ -122,7 +122,7 @@ def test_a_port_may_go_and_come_again(tmp_path):
     (('run', 'x.py'), 2, 'write dxl_dashboard'),
     (('run', '--', 'no_such_program'), 1, 'check the name of the program'),
     ((__file__,), 2, 'write: dxl_dashboard run -- python'),
-    (('usb:x', '-b', '0'), 2, '--baud 0: not possible'),
+    (('usb:x', '-b', '0'), 2, '--baud: 0: not possible'),
     (('/dev/x', '/dev/x'), 2, 'twice')])
 def test_mistakes_are_one_line(arguments, code, words):
     with dashboard(*arguments) as program:

@@ -53,7 +53,7 @@ from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
 from mecarover_fakes.virtual_usb import VirtualUsb
 from mecarover_serial.cli import UsageError
-from mecarover_serial.preflight import PortError
+from mecarover_serial.port_error import PortError
 from mecarover_serial.pty import Pty
 from msg_defs.event import IN
 from msg_defs.event import OUT

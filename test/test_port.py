@@ -21,8 +21,8 @@ from mecarover_serial import port as port_module
 from mecarover_serial import preflight
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
+from mecarover_serial.port_error import PortError
 from mecarover_serial.port_users import holders
-from mecarover_serial.preflight import PortError
 from mecarover_serial.pty import Pty
 
 LINE = re.compile(r'[^\n]+: [^\n]+; [^\n]+')

@@ -188,8 +188,8 @@ def test_raw_bytes_play_at_the_speed_of_the_wire(tmp_path) -> None:
     (['{capture}', '--link', '/does/not/exist/x'], '/does/not/exist/x: cannot be made', 1),
     (['{empty}'], '{empty}: it holds no bytes; ', 2),
     (['{capture}', '--speed', '1e-320'], '--speed 9.99989e-321: not possible; ', 2),
-    (['{capture}', '-b', '0'], '--baud 0: not possible; ', 2),
-    (['{capture}', '-b', '-5'], '--baud -5: not possible; ', 2),
+    (['{capture}', '-b', '0'], '--baud: 0: not possible; ', 2),
+    (['{capture}', '-b', '-5'], '--baud: -5: not possible; ', 2),
     (['/dev/zero'], '/dev/zero: not a file, ', 2),
     (['{pipe}'], '{pipe}: not a file, ', 2),
     (['run', '--', 'python', 'x.py'], 'run: dxl_replay starts no program; write: dxl_tap arm -- '

@@ -34,8 +34,8 @@ from mecarover_dashboard.history import Window
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_serial.plain import plain
 from mecarover_serial.plain import printable
-from mecarover_serial.preflight import PortError
-from mecarover_serial.preflight import Reason
+from mecarover_serial.port_error import PortError
+from mecarover_serial.port_error import Reason
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS

@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
 from mecarover_serial.inspection import Inspection
-from mecarover_serial.preflight import PortError
+from mecarover_serial.port_error import PortError
 from mecarover_serial.ros_node import declare
 from mecarover_serial.ros_node import Surroundings
 from msg_defs.crc import CRC_INPUTS

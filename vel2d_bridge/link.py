@@ -21,8 +21,8 @@ from mecarover_serial.port import as_port_error
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
-from mecarover_serial.preflight import PortError
-from mecarover_serial.preflight import Reason
+from mecarover_serial.port_error import PortError
+from mecarover_serial.port_error import Reason
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP

@@ -16,8 +16,8 @@ from dxl_monitor.port.tap_reader import HOLD_S
 from dxl_monitor.port.tap_reader import TapReader
 from dxl_monitor.port.tap_reader import TapRecord
 from dxl_monitor.port.tap_reader import why_no_name
-from mecarover_serial.preflight import PortError
-from mecarover_serial.preflight import Reason
+from mecarover_serial.port_error import PortError
+from mecarover_serial.port_error import Reason
 
 _NAMED = 3                  # ports that are not heard, at most
 

@@ -21,8 +21,8 @@ from dxl_monitor.port.adapters import FAMILIES
 from dxl_monitor.port.adapters import UsbIdentity
 from dxl_monitor.port.driver import SYS
 from dxl_monitor.port.usb_port import Place
-from mecarover_serial.preflight import PortError
-from mecarover_serial.preflight import Reason
+from mecarover_serial.port_error import PortError
+from mecarover_serial.port_error import Reason
 from msg_defs.event import IN
 from msg_defs.event import OUT
 

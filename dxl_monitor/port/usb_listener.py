@@ -29,8 +29,8 @@ from dxl_monitor.port.usb_survey import Survey
 from dxl_monitor.port.usbmon import INPUT
 from dxl_monitor.port.usbmon import Records
 from dxl_monitor.port.usbmon import UsbEvent
-from mecarover_serial.preflight import PortError
-from mecarover_serial.preflight import Reason
+from mecarover_serial.port_error import PortError
+from mecarover_serial.port_error import Reason
 from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import GONE

@@ -30,7 +30,7 @@ from dxl_monitor.record.usb_events import is_usb
 from dxl_monitor.record.usb_events import may_be_usb
 from dxl_monitor.record.usb_source import UsbFile
 from mecarover_serial.cli import UsageError
-from mecarover_serial.preflight import PortError
+from mecarover_serial.port_error import PortError
 from mecarover_serial.preflight import why_not
 
 HEAD_SIZE = 64

@@ -17,7 +17,6 @@ from dxl_monitor.bus.decoder import DEFAULTS
 from dxl_monitor.bus.decoder import PROTOCOLS
 from dxl_monitor.model.models import Models
 from dxl_monitor.port.source_name import DEFAULT_BAUD
-from dxl_monitor.record.capture import BAUD_LIMIT
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.opening import open_source
 from dxl_monitor.record.source import Source
@@ -43,13 +42,14 @@ from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
 from dxl_monitor.tools.run import add_bus_options
-from dxl_monitor.tools.run import check_range
 from dxl_monitor.tools.run import models_of
 from dxl_monitor.tools.run import parse_run
 from dxl_monitor.tools.run import RUN
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from mecarover_serial.command_line import number
+from mecarover_serial.command_line import Parser
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import plain
 from mecarover_serial.plain import printable
@@ -119,8 +119,6 @@ def _check(options: argparse.Namespace) -> None:
     if options.source is None:
         raise UsageError('SOURCE: none given; name a port, a file, or write dxl_doctor run -- '
                          'python my_script.py')
-    check_range(options, 'baud', 1, BAUD_LIMIT)
-    check_range(options, 'seconds', 0.1, 1e9)
 
 
 def _open(options: argparse.Namespace, command: Sequence[str]) -> Source | Program:
@@ -260,9 +258,9 @@ def _difference(then: SavedReport, now: Sequence[BusSummary]) -> list[str]:
             if (bus.report.name, one.finding.rule, str(one.finding.device)) not in then.logged]
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='dxl_doctor', formatter_class=argparse.RawDescriptionHelpFormatter, epilog=EXAMPLES,
+def _parser() -> Parser:
+    parser = Parser(
+        'dxl_doctor', epilog=EXAMPLES,
         usage='dxl_doctor [options] SOURCE\n       dxl_doctor [options] run -- COMMAND',
         description='Listens to a servo bus and says what is wrong with it. It never sends. '
         'It ends after 10 s of traffic, 5 s of silence, or with COMMAND.')
@@ -270,7 +268,7 @@ def _parser() -> argparse.ArgumentParser:
     add('source', metavar='SOURCE', nargs='?',
         help='a port, usb:PORT, tap:NAME, a recording; or run, with a command after --')
     add_bus_options(parser)
-    add('--seconds', type=float, metavar='N', help='listen for N seconds')
+    add('--seconds', type=number(float, 0.1), metavar='S', help='listen for S seconds')
     add('--report', metavar='FILE', help='write a report to attach to an issue')
     add('--with-host', action='store_true',
         help='put host, user, serial number and command line into it')

@@ -3,27 +3,27 @@
 """dxl_dump: what happens on a Dynamixel bus, in the terminal; from a port, a capture or bytes."""
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 import os
 from pathlib import Path
 import sys
 
-from dxl_monitor.bus.decoder import PROTOCOLS
 from dxl_monitor.model.models import check_models
 from dxl_monitor.model.models import model_files
-from dxl_monitor.record.capture import BAUD_LIMIT
 from dxl_monitor.tools.dump.packet_lines import TIMES
 from dxl_monitor.tools.dump.session import CAPTURE
 from dxl_monitor.tools.dump.session import FORMATS
 from dxl_monitor.tools.dump.session import MCAP
 from dxl_monitor.tools.dump.session import PCAPNG
 from dxl_monitor.tools.dump.session import Session
+from dxl_monitor.tools.run import add_bus_options
 from dxl_monitor.tools.run import refuse_run
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from mecarover_serial.command_line import number
+from mecarover_serial.command_line import Parser
 from mecarover_serial.plain import printable
 from msg_defs.dxl_instruction import NAMES
 
@@ -53,12 +53,6 @@ def _run(arguments: list[str]) -> int:
         return _check_models(options.check_models)
     if options.source is None:
         raise UsageError('SOURCE: none given; name a port, a capture or a file, or - for stdin')
-    for name, least, most in (('baud', 1, BAUD_LIMIT), ('count', 1, sys.maxsize),
-                              ('seconds', 0, 1e9)):
-        value = getattr(options, name)
-        if value is not None and not least <= value <= most:
-            raise UsageError(f'--{name} {value}: not possible; give {least} or more'
-                             if value < least else f'--{name}: not possible; give less')
     options.ids = _ids(options.id)
     options.about = _ids(options.about)
     options.instructions = _instructions(options.instruction)
@@ -133,25 +127,16 @@ def _has_colours(wish: str) -> bool:
             and os.environ.get('TERM') != 'dumb')
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='dxl_dump', formatter_class=argparse.RawDescriptionHelpFormatter, epilog=EXAMPLES,
+def _parser() -> Parser:
+    parser = Parser(
+        'dxl_dump', epilog=EXAMPLES,
         description='Shows the packets on a Dynamixel or Feetech bus. It never sends.')
     add = parser.add_argument
     add('source', metavar='SOURCE', nargs='?',
         help='a port, a pyserial URL, usb:PORT (the traffic of another program that uses PORT), '
              'tap:NAME (a program started with dxl_tap), a capture, a pcap file, a file of raw '
              'bytes, or - for stdin')
-    add('-b', '--baud', type=int, help='baud rate of the bus (default: that of the source, else '
-        '2000000)')
-    add('--protocol', choices=PROTOCOLS, default='auto', help='protocol of the bus: auto, 2, 1 '
-        '(Dynamixel) or feetech (default: auto, learned from the traffic)')
-    add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
-    add('--devices', action='append', metavar='ID:MODEL:JOINT', default=[],
-        help="devices on the bus, e.g. '1-20:MX-106,30:XL-320:jaw' (default: learned from the "
-             'traffic)')
-    add('--model-dirs', action='append', metavar='DIR', default=[],
-        help='one more folder of model files')
+    add_bus_options(parser, runs=False)
     show = parser.add_argument_group('what to show (default: a line for each packet)')
     add = show.add_argument
     add('--json', action='store_true', help='a JSON object for each packet')
@@ -167,8 +152,8 @@ def _parser() -> argparse.ArgumentParser:
         help='also packets that list these IDs: Sync Read, Bulk Write and so on')
     add('--instruction', action='append', metavar='NAMES', help='e.g. write,status or 0x83')
     add('--errors', action='store_true', help='only errors')
-    add('--count', type=int, metavar='N', help='end after N packets')
-    add('--seconds', type=float, metavar='S', help='end after this time')
+    add('--count', type=number(int, 1), metavar='N', help='end after N packets')
+    add('--seconds', type=number(float, 0), metavar='S', help='end after this time')
     look = parser.add_argument_group('format')
     add = look.add_argument
     add('-t', '--time', choices=TIMES, default='start',

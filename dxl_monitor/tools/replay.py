@@ -19,7 +19,6 @@ import time
 from typing import NamedTuple
 from urllib.parse import quote
 
-from dxl_monitor.record.capture import BAUD_LIMIT
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import is_capture
 from dxl_monitor.record.capture import lines
@@ -28,10 +27,12 @@ from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.opening import open_file
 from dxl_monitor.record.source import File
 from dxl_monitor.record.source import RawFile
+from dxl_monitor.tools.run import BAUD
 from dxl_monitor.tools.run import refuse_run
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from mecarover_serial.command_line import Parser
 from mecarover_serial.plain import printable
 from mecarover_serial.pty import Pty
 from mecarover_serial.readable import is_writable
@@ -108,8 +109,6 @@ def _run(arguments: list[str]) -> int:
     if options.speed and not SLOWEST <= options.speed < float('inf'):
         raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '
                          'timing, 0 for the speed of the reader')
-    if options.baud is not None and not 1 <= options.baud <= BAUD_LIMIT:
-        raise UsageError(f'--baud {options.baud}: not possible; give 1 to {BAUD_LIMIT}')
     wires = _wires(options)
     outlets: dict[str, Pty] = {}
     try:
@@ -189,9 +188,9 @@ def _link(link: str | None, bus: str, count: int) -> str | None:
     return link if link is None or count == 1 else f'{link}_{quote(bus, "")}'
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='dxl_replay', formatter_class=argparse.RawDescriptionHelpFormatter,
+def _parser() -> Parser:
+    parser = Parser(
+        'dxl_replay',
         description='Plays a capture (or a file of raw bytes) into a pty, with the timing that it '
                     'had on the bus.',
         epilog="""examples:
@@ -212,7 +211,7 @@ def _parser() -> argparse.ArgumentParser:
     add('--side', choices=(OUT, IN), help='play only what the master sent (out) or received (in), '
         'if the capture knows the direction')
     add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
-    add('-b', '--baud', type=int, help='baud rate of raw bytes (default 2000000)')
+    add('-b', '--baud', type=BAUD, help='baud rate of raw bytes (default 2000000)')
     return parser
 
 

@@ -20,13 +20,16 @@ from dxl_monitor.bus.expected import split_bus
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor_settings import check_models
 from dxl_monitor.monitor_settings import load_models
+from dxl_monitor.record.capture import BAUD_LIMIT
 from dxl_monitor.record.opening import how_to_hear
 from dxl_monitor.tools.start_program import BY
 from dxl_monitor.tools.start_program import WAYS
 from dxl_monitor.tools.start_program import with_python
 from mecarover_serial.cli import UsageError
+from mecarover_serial.command_line import number
 
 RUN = 'run'
+BAUD = number(int, 1, BAUD_LIMIT, 'Bd')
 _ANY = ('my_script.py',)
 
 
@@ -73,7 +76,7 @@ def add_bus_options(parser: argparse.ArgumentParser, runs: bool = True) -> None:
     add = parser.add_argument
     if runs:
         add('--by', choices=WAYS, default='', help=BY)
-    add('-b', '--baud', type=int, help='baud rate of the bus, if the source does not know it')
+    add('-b', '--baud', type=BAUD, help='baud rate of the bus, if the source does not know it')
     add('--protocol', choices=PROTOCOLS, default=DEFAULTS.protocol,
         help='protocol of the bus, if the traffic does not show it')
     add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
@@ -81,13 +84,6 @@ def add_bus_options(parser: argparse.ArgumentParser, runs: bool = True) -> None:
         help="devices on the bus, in the order along the cable, e.g. '1-6:XL430-W250'")
     add('--model-dirs', action='append', metavar='DIR', default=[],
         help='one more folder of model files')
-
-
-def check_range(options: argparse.Namespace, name: str, least: float, most: float) -> None:
-    """Raise UsageError for a number that is out of its range."""
-    value = getattr(options, name)
-    if value is not None and not least <= value <= most:
-        raise UsageError(f'--{name} {value}: not possible; give {least} to {most:g}')
 
 
 def models_of(options: argparse.Namespace) -> Models:

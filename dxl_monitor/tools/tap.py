@@ -9,15 +9,15 @@ as the child does.
 
 from __future__ import annotations
 
-import argparse
 import sys
 
 from dxl_monitor.port.tap_reader import why_no_name
 from dxl_monitor.tools.start_program import BY
 from dxl_monitor.tools.start_program import StartedProgram
 from dxl_monitor.tools.start_program import WAYS
+from mecarover_serial.cli import run_tool
+from mecarover_serial.command_line import Parser
 
-COULD_NOT_RUN = 1
 EXAMPLES = """examples:
   dxl_tap arm -- python my_script.py            dynamixel-sdk, pypot, all programs with pyserial
   dxl_tap arm -- lerobot-teleoperate ...        LeRobot; one name for all of its ports
@@ -30,8 +30,11 @@ in another terminal, before or after:
 
 def main() -> int:
     """Run the command `dxl_tap`."""
+    return run_tool('dxl_tap', _run)
+
+
+def _run(arguments: list[str]) -> int:
     parser = _parser()
-    arguments = sys.argv[1:]
     mark = arguments.index('--') if '--' in arguments else len(arguments)
     options, command = parser.parse_known_args(arguments[:mark])
     problem = why_no_name(options.name)
@@ -40,21 +43,17 @@ def main() -> int:
     command += arguments[mark + 1:]
     if not command:
         parser.error('COMMAND: not given; write dxl_tap NAME -- python my_script.py')
-    try:
-        started = StartedProgram('dxl_tap', options.name, command, options.by)
-        problem = started.end()
-    except OSError as error:
-        print(f'dxl_tap: {error.filename}: {error.strerror}', file=sys.stderr)
-        return COULD_NOT_RUN
+    started = StartedProgram('dxl_tap', options.name, command, options.by)
+    problem = started.end()
     if problem:
         print(f'dxl_tap: {problem}', file=sys.stderr)
     code = started.child.returncode
     return 128 - code if code < 0 else code
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='dxl_tap', formatter_class=argparse.RawDescriptionHelpFormatter, epilog=EXAMPLES,
+def _parser() -> Parser:
+    parser = Parser(
+        'dxl_tap', epilog=EXAMPLES,
         usage='dxl_tap NAME [--by WAY] -- COMMAND',
         description='Runs a program and lets other programs listen to what it sends to and '
                     'receives from its serial ports. The program is not changed and never waits '

@@ -15,7 +15,7 @@ import time
 from dxl_monitor.port.driver import line_errors
 from dxl_monitor.port.driver import set_low_latency
 from mecarover_serial.port import open_port
-from mecarover_serial.preflight import PortError
+from mecarover_serial.port_error import PortError
 
 BAUD = 115_200
 WRITTEN = 2000

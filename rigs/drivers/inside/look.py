@@ -8,7 +8,7 @@ usage: look.py PORT [BAUD] [--closed]      --closed: only what preflight warns o
 import sys
 
 from mecarover_serial.port import open_port
-from mecarover_serial.preflight import PortError
+from mecarover_serial.port_error import PortError
 from mecarover_serial.preflight import warnings
 
 

@@ -1,0 +1,50 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Where every command begins: `from mecarover_serial.command import dxl_dump`.
+
+From then on Ctrl-C ends it without a traceback: while modules are imported nothing is open yet,
+and the process just leaves. `cli` takes the signal over when there is something to close.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+import os
+import signal
+from types import FrameType
+from typing import NoReturn
+
+COMMANDS = {
+    'vel2d_bridge': 'vel2d_bridge.main',
+    'dxl_monitor': 'dxl_monitor.start',
+    'fake_mcu': 'mecarover_fakes.fake_mcu',
+    'fake_bus': 'mecarover_fakes.fake_bus',
+    'dxl_dump': 'dxl_monitor.tools.dxl_dump',
+    'dxl_doctor': 'dxl_monitor.tools.dxl_doctor',
+    'dxl_replay': 'dxl_monitor.tools.replay',
+    'dxl_tap': 'dxl_monitor.tools.tap',
+    'dxl_dashboard': 'mecarover_feed.dxl_dashboard',
+    'mecarover_status': 'mecarover_feed.mecarover_status',
+}
+
+
+def __getattr__(name: str) -> Callable[[], int]:
+    if name not in COMMANDS:
+        raise AttributeError(name)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:     # nohup: it is ignored
+        signal.signal(signal.SIGINT, leave)
+    return lambda: int(import_module(COMMANDS[name]).main())
+
+
+def leave(number: int, frame: FrameType | None) -> NoReturn:
+    """End the process at once; a signal that ends a command is no failure."""
+    os._exit(0)
+
+
+def take_over() -> bool:
+    """Let Ctrl-C raise KeyboardInterrupt from now on; return whether it made us leave before."""
+    if signal.getsignal(signal.SIGINT) is not leave:
+        return False
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    return True

@@ -1,0 +1,62 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the command lines of all tools have in common: --version, layout, one line per mistake."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+import math
+import shutil
+import textwrap
+from typing import Any
+from typing import NoReturn
+
+from mecarover_serial.cli import UsageError
+from mecarover_serial.plain import printable
+from mecarover_serial.version import version_of
+
+WIDEST = 99                 # columns of a help text
+
+
+class Parser(argparse.ArgumentParser):
+    """The command line of a tool; its examples keep their lines, its description wraps."""
+
+    def __init__(self, name: str, description: str, epilog: str = '', usage: str | None = None):
+        width = min(WIDEST, shutil.get_terminal_size().columns - 2)
+        super().__init__(
+            prog=name, usage=usage, description=textwrap.fill(description, width),
+            epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter)
+        self.add_argument('--version', action=_Version, help='print the version and exit')
+
+    def error(self, message: str) -> NoReturn:
+        """Let the tool end with one line, as after every other mistake."""
+        raise UsageError(f"{message.removeprefix('argument ')}; see {self.prog} --help")
+
+
+class _Version(argparse.Action):
+    def __init__(self, option_strings: list[str], dest: str, **more: Any):
+        super().__init__(option_strings, dest, nargs=0, **more)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(version_of(parser.prog))
+        parser.exit()
+
+
+def number(kind: Callable[[str], float], least: float, most: float = math.inf, unit: str = ''
+           ) -> Callable[[str], float]:
+    """Return the type of an option: a number of this kind (int, float) within limits."""
+    what = 'a whole number' if kind is int else 'a number'
+    limits = f'from {least:.10g} to {most:.10g}'
+    if most == math.inf:
+        limits = f'of {least:.10g} or more'
+    wanted = ' '.join(filter(None, (what, limits, unit)))
+
+    def convert(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most or value == math.inf:
+            raise argparse.ArgumentTypeError(f'{printable(text)}: not possible; give {wanted}')
+        return value
+    return convert
