@@ -8,12 +8,8 @@ and the process just leaves. `cli` takes the signal over when there is something
 """
 from __future__ import annotations
 
-from collections.abc import Callable
-from importlib import import_module
 import os
-import signal
-from types import FrameType
-from typing import NoReturn
+import signal               # and nothing else: Ctrl-C in an import from here on shows a traceback
 
 COMMANDS = {
     'vel2d_bridge': 'vel2d_bridge.main',
@@ -29,15 +25,16 @@ COMMANDS = {
 }
 
 
-def __getattr__(name: str) -> Callable[[], int]:
+def __getattr__(name: str) -> object:
     if name not in COMMANDS:
         raise AttributeError(name)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:     # nohup: it is ignored
         signal.signal(signal.SIGINT, leave)
-    return lambda: int(import_module(COMMANDS[name]).main())
+    from importlib import import_module
+    return import_module(COMMANDS[name]).main
 
 
-def leave(number: int, frame: FrameType | None) -> NoReturn:
+def leave(number: int, frame: object) -> None:
     """End the process at once; a signal that ends a command is no failure."""
     os._exit(0)
 
