@@ -63,7 +63,7 @@ class Values(NamedTuple):
     voltage: str
     load: str
     unit: str
-    limits: tuple[str, ...] = ()        # of position (2), temperature and voltage (2)
+    limits: tuple[str, ...] = ()        # position (2), temperature, voltage (2)
 
 
 NOTHING = Values('', '', '', '', '')

@@ -9,7 +9,6 @@ that the gap was missing; they are counted (`merged`) and spread over the time s
 """
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict

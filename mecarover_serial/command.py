@@ -3,7 +3,7 @@
 """
 Where every command begins: `from mecarover_serial.command import dxl_dump`.
 
-From then on (no import comes before these two) Ctrl-C ends it without a traceback: while modules are imported nothing is open yet,
+From then on Ctrl-C ends it without a traceback: while modules are imported nothing is open yet,
 and the process just leaves. `cli` takes the signal over when there is something to close.
 """
 from __future__ import annotations

@@ -1,12 +1,20 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node does with its command line before ROS is even looked at."""
+"""What nodes and tools do with their command line, before ROS or a port is even looked at."""
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
 import sys
 
 from harness import Program
 import pytest
 
+from mecarover_serial.command import COMMANDS
 from mecarover_serial.parameters import split_ros_args
+
+EXECUTABLES = Path(__file__).parents[1] / 'resource/executables'
 
 BRIDGE, MONITOR = 'vel2d_bridge.main', 'dxl_monitor.start'
 
@@ -60,3 +68,33 @@ def test_a_process_that_is_refused_is_one_line():
     assert bridge.lines == [
         'vel2d_bridge: cannot start a process: Resource temporarily unavailable; raise the limit '
         'of processes (ulimit -u, TasksMax=) or end some']
+
+
+@pytest.mark.parametrize('tool', ['dxl_dump', 'dxl_monitor'])
+def test_version_with_the_commit(tool):
+    done = subprocess.run([sys.executable, '-m', COMMANDS[tool], '--version'],
+                          capture_output=True, text=True, check=True)
+    assert re.fullmatch(rf'{tool} \(mecarover_serial\) [\d.]+(, commit \w+)?\n', done.stdout)
+
+
+@pytest.mark.parametrize('tool', ['dxl_dump', 'dxl_dashboard', 'fake_mcu', 'vel2d_bridge'])
+@pytest.mark.parametrize('module', ['contextlib', 'yaml'])
+def test_ctrl_c_while_modules_are_imported_shows_no_traceback(tmp_path, tool, module):
+    """An import of it takes for ever; contextlib is among the first, yaml among the last."""
+    (tmp_path / 'sitecustomize.py').write_text(
+        'import sys, time\n'
+        'class Wait:\n'
+        '    def find_spec(self, name, path, target=None):\n'
+        f'        if name == {module!r} and "mecarover_serial.command" in sys.modules:\n'
+        '            print("waits", flush=True)\n'
+        '            time.sleep(60)\n'
+        f'sys.modules.pop({module!r}, None)\n'
+        'sys.meta_path.insert(0, Wait())\n')
+    paths = os.pathsep.join((str(tmp_path), str(EXECUTABLES.parents[1])))
+    with subprocess.Popen(
+            [sys.executable, EXECUTABLES / tool], env={**os.environ, 'PYTHONPATH': paths}, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout.readline() == 'waits\n'
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=30) == ('', '')
+        assert process.returncode == 0
