@@ -234,6 +234,9 @@ class RecordingRun(SourceRun):
             self._take(chunk, self._file.wire(chunk.bus))
             self._now = chunk.stamp
             self._next = next(self._chunks, None)
+            if self._next is None:
+                for bus in self._heard.values():
+                    bus.monitor.end(self._now)
         if self._next is not None:
             self._now = until
 
