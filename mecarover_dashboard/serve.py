@@ -26,6 +26,7 @@ from mecarover_serial.plain import plain_streams
 from mecarover_serial.plain import printable
 
 if TYPE_CHECKING:
+    from mecarover_dashboard.web_server import Player
     from mecarover_dashboard.web_server import Server
 
 NAME = 'dxl_dashboard'
@@ -53,11 +54,12 @@ def main(args: Sequence[str] | None = None) -> int:
     return COULD_NOT_RUN if server is None else run(NAME, lambda: Subscriber(server), arguments)
 
 
-def open_server(options: argparse.Namespace, source: str = '') -> Server | None:
+def open_server(options: argparse.Namespace, source: str = '',
+                player: Player | None = None) -> Server | None:
     """
     Return a server for these options, and say where it is; None: it was said why not.
 
-    source: what it shows, in words; '': ROS topics.
+    source: what it shows, in words; '': ROS topics. player: of a recording.
     """
     try:
         listener = listen(options.host, options.port)
@@ -79,7 +81,7 @@ def open_server(options: argparse.Namespace, source: str = '') -> Server | None:
     if recording is None and options.history not in (None, NONE):
         return None
     about = facts(host, port, without) | ({'source': source} if source else {})
-    return Server(listener, about, is_open, recording, options.name)
+    return Server(listener, about, is_open, recording, options.name, player)
 
 
 def open_history(wanted: str | None) -> tuple[HistoryRecorder | None, str]:

@@ -24,6 +24,7 @@ import socket
 import threading
 import time
 from typing import Any
+from typing import Protocol
 
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
@@ -33,6 +34,7 @@ from mecarover_dashboard.client import json_text
 from mecarover_dashboard.connection_limit import ConnectionLimit
 from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_dashboard.history_requests import HistoryRequests
+from mecarover_dashboard.rows import finite
 from mecarover_dashboard.state import Message
 from mecarover_dashboard.state import MOST_OF_MESSAGE
 from mecarover_dashboard.state import OVERVIEW
@@ -45,6 +47,7 @@ BEAT_S = 1.0                    # at least one event in this time: the page can 
 SEND_S = 15.0                   # a client that takes nothing for so long is given up
 MOST_CLIENTS = 50
 KEEP_ALIVE_S = 75.0             # a connection without requests is closed: aiohttp waits an hour
+_RESTART = 'restart'             # in place of a topic
 INBOX = 400                     # messages; what does not fit was overtaken anyway
 INBOX_BYTES = 64_000_000
 
@@ -82,6 +85,16 @@ class _Mistakes(logging.Filter):
         return not isinstance(error, HttpProcessingError | web.RequestPayloadError)
 
 
+class Player(Protocol):
+    """A recording that plays; all of it may be called from any thread."""
+
+    events: list[tuple[float, int, str]]        # what was found in it: s, level, text
+
+    def control(self, at_s: float | None, is_on: bool | None) -> None: ...
+
+    def state(self) -> dict[str, Any]: ...
+
+
 class Server:
     """
     Serves a State on a listening socket, in a thread of its own.
@@ -96,7 +109,8 @@ class Server:
     """
 
     def __init__(self, listener: socket.socket, facts: dict[str, Any], is_open: bool,
-                 recording: HistoryRecorder | None = None, name: str = '') -> None:
+                 recording: HistoryRecorder | None = None, name: str = '',
+                 player: Player | None = None) -> None:
         self._listener = listener
         self._is_open = is_open
         names = {'localhost', name.lower().rstrip('.')} - {''}
@@ -111,6 +125,7 @@ class Server:
         self._inbox_lock = threading.Lock()
         self._state = State()
         self._recording = recording
+        self._player = player
         self._started_s = time.monotonic()
         self._publishers: dict[str, int] = {}
         self._texts: dict[int, str] = {}        # changes since a version, of the version now
@@ -158,6 +173,13 @@ class Server:
         if (topic == OVERVIEW or not isinstance(message, bytes)) and self._loop is not None:
             with suppress(RuntimeError):                    # it has just ended
                 self._loop.call_soon_threadsafe(self._haste.set)
+
+    def restart(self) -> None:
+        """Forget all that was taken: what comes next is of another time."""
+        with self._inbox_lock:
+            self._inbox.clear()
+            self._inbox_bytes = 0
+            self._inbox.append((_RESTART, b'', 0.0))
 
     def publishers(self, counts: dict[str, int]) -> None:
         """Take how many publishers each topic has."""
@@ -208,6 +230,7 @@ class Server:
         app.router.add_get('/events', self._events)
         history = HistoryRequests(None if self._recording is None else self._recording.path)
         app.router.add_get('/metrics', self._metrics)
+        app.router.add_get('/player', self._play)
         app.router.add_get('/history/values', history.values)
         app.router.add_get('/history/events', history.events)
         for name, data in files.items():
@@ -232,7 +255,12 @@ class Server:
         state, now_s = self._state, time.monotonic()
         before = state.version
         while waiting := self._taken():
-            state.take(*waiting)
+            if waiting[0] == _RESTART:
+                before, state = -1, State(state.namespace)
+                self._state, self._boot = state, secrets.token_hex(4)
+                self._facts['boot'] = self._boot
+            else:
+                state.take(*waiting)
         state.expire(now_s)
         if self._recording is not None:
             self._recording.look(state, now_s, time.time())
@@ -266,6 +294,20 @@ class Server:
             del self._watched[id(client)]
         return client.response
 
+    async def _play(self, request: web.Request) -> web.StreamResponse:
+        """Answer what was found in a recording; a page of this machine may move it, too."""
+        if self._player is None:
+            return web.Response(status=404, text='No recording is played.\n')
+        query = request.query
+        if query:
+            if request.headers.get('Sec-Fetch-Site') != 'same-origin' \
+                    or not ipaddress.ip_address(request.remote or '::').is_loopback:
+                return web.Response(status=403, text='Only a page of this machine may do that.\n')
+            at_s = finite(query.get('at', ''))
+            self._player.control(None if at_s is None else max(0.0, at_s),
+                                 query['on'] == '1' if 'on' in query else None)
+        return web.json_response(self._player.events)
+
     async def _metrics(self, request: web.Request) -> web.StreamResponse:
         """Answer a scrape; many scrapers get the same text for a second."""
         try:
@@ -283,8 +325,10 @@ class Server:
 
     async def _stream(self, client: Client) -> None:
         await client.begin()
-        since = client.since(self._boot)
+        boot, since = self._boot, client.since(self._boot)
         while not self._ended.is_set():
+            if boot != self._boot:
+                boot, since = self._boot, 0
             pushed = self._pushed
             text = self._text(since) + client.own_text(self._state)
             since = self._state.version
@@ -308,7 +352,8 @@ class Server:
                 'up': round(now_s - self._started_s, 1), 'topics': self._state.topics(now_s),
                 'publishers': self._publishers, 'malformed': self._state.malformed,
                 'refused': self._state.refused,
-                'history': self._recording.problem if self._recording else None}
+                'history': self._recording.problem if self._recording else None,
+                'player': self._player.state() if self._player else None}
         return f'{json_text(beat)[:-1]}{"," if text else ""}{text}'
 
 

@@ -13,10 +13,11 @@ from dxl_monitor.tools.run import add_bus_options
 from dxl_monitor.tools.run import parse_run
 from dxl_monitor.tools.run import RUN
 from mecarover_dashboard import serve
+from mecarover_feed.command_line import is_of_ros
+from mecarover_feed.command_line import make_run
 from mecarover_feed.feed import conclusion
 from mecarover_feed.feed import Feed
-from mecarover_feed.source_run import is_of_ros
-from mecarover_feed.source_run import make_run
+from mecarover_feed.recording_run import RecordingRun
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool
@@ -46,10 +47,12 @@ def _run(arguments: list[str]) -> int:
         options.history = options.history or serve.NONE    # its times are not of now
     feed = Feed()
     run = make_run(NAME, options, command, feed)
-    server = serve.open_server(options, run.words)
+    server = serve.open_server(options, run.words, run if isinstance(run, RecordingRun) else None)
     if server is None:
         return COULD_NOT_RUN
     feed.out = server.take
+    if isinstance(run, RecordingRun):
+        run.restart = server.restart
     try:
         server.start()
         if not options.no_browser and _has_display():

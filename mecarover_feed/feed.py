@@ -61,6 +61,11 @@ class Feed:
         self._logs.append((bus, FindingLog()))
         self._reported = -math.inf
 
+    def clear(self) -> None:
+        """Forget all buses."""
+        self._logs.clear()
+        self._alarms = 0
+
     def turn(self, now: int) -> None:
         """Report what is due, as of a stamp; called ten times a second or more often."""
         since = time.monotonic_ns() - self._reported

@@ -11,7 +11,6 @@ import argparse
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
-from importlib.util import find_spec
 import shlex
 import sys
 import time
@@ -29,8 +28,6 @@ from dxl_monitor.port.source_name import rate_of
 from dxl_monitor.port.tap_reader import HOLD_S
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.opening import is_port
-from dxl_monitor.record.opening import open_file
 from dxl_monitor.record.recorders import Recorders
 from dxl_monitor.tools.doctor import no_data
 from dxl_monitor.tools.doctor.program import Program
@@ -38,14 +35,10 @@ from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
 from dxl_monitor.tools.run import models_of
 from mecarover_feed.feed import Feed
-from mecarover_feed.feed import REPORT_NS
-from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import printable
 
 TURN_S = 0.1
 S = 1_000_000_000
-END = 1 << 64                       # a stamp after all others
-LONGEST_PAUSE_NS = 12 * S           # in a recording: a monitor has forgotten all by then
 
 
 class HeardBus:
@@ -193,82 +186,3 @@ class ProgramRun(SourceRun):
             lambda: no_data.of_program(self._command, self._program.ports, ending))
         trouble = ending.trouble()
         return said._replace(wrong=(*said.wrong, *([trouble] if trouble else [])))
-
-
-class RecordingRun(SourceRun):
-    """A recording, played as fast as it was made, or heard at once; then until Ctrl-C."""
-
-    def __init__(self, tool: str, options: argparse.Namespace, feed: Feed, at_once: bool) -> None:
-        super().__init__(options, options.source[0], feed)
-        self._tool = tool
-        self._at_once = at_once
-        self._begin()
-        self.is_timed = self._file.is_timed
-
-    def _begin(self) -> None:
-        """Go to the first byte."""
-        self._file = open_file(self.words, self._options.baud, self._options.adapter,
-                               tool=self._tool)
-        self._chunks = filter(None, self._file.chunks())
-        self._next = next(self._chunks, None)
-        self._now = self._noted = self._next.stamp if self._next else 0
-
-    def _stamps(self) -> Iterator[int]:
-        last_s = time.monotonic()
-        while True:
-            now_s = time.monotonic()
-            self._forward(END if self._at_once else self._now + int((now_s - last_s) * S))
-            last_s = now_s
-            yield self._now
-            time.sleep(TURN_S)
-
-    def _forward(self, until: int) -> None:
-        """Hear what there is up to a stamp, and report on it as often as dxl_doctor does."""
-        while self._next is not None and self._next.stamp <= until:
-            chunk = self._next
-            if chunk.stamp - self._noted > LONGEST_PAUSE_NS:
-                self._noted = chunk.stamp
-            while chunk.stamp - self._noted >= REPORT_NS:
-                self._noted += REPORT_NS
-                self._feed.note(self._noted)
-            self._take(chunk, self._file.wire(chunk.bus))
-            self._now = chunk.stamp
-            self._next = next(self._chunks, None)
-            if self._next is None:
-                for bus in self._heard.values():
-                    bus.monitor.end(self._now)
-        if self._next is not None:
-            self._now = until
-
-    def end(self) -> Verdict:
-        self._file.close()
-        return self._verdict(lambda: no_data.of_file(self.words))
-
-
-def is_of_ros(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> bool:
-    """Tell whether a command line is about ROS topics: it names no source, and ROS is here."""
-    before = arguments[:arguments.index('--')] if '--' in arguments else arguments
-    try:
-        return '--ros-args' in before or (
-            find_spec('rclpy') is not None and not parser.parse_known_args(before)[0].source)
-    except UsageError:
-        return False            # it is raised again where it can be said
-
-
-def make_run(tool: str, options: argparse.Namespace, command: Sequence[str],
-             feed: Feed, at_once: bool = False) -> SourceRun:
-    """
-    Return the run that a command line asks for; raise UsageError, PortError or OSError.
-
-    at_once: a recording is not played but heard whole.
-    """
-    if command:
-        return ProgramRun(tool, command, options, feed)
-    files = [name for name in options.source
-             if not name.startswith('/dev/') and not is_port(name)]
-    if not files:
-        return PortsRun(options, feed)
-    if len(options.source) > 1:
-        raise UsageError(f'{files[0]}: a recording is shown alone; leave out the others')
-    return RecordingRun(tool, options, feed, at_once)
-

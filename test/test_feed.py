@@ -11,14 +11,26 @@ import subprocess
 import sys
 import termios
 from types import SimpleNamespace
+from urllib.error import HTTPError
 from urllib.request import urlopen
 
+import dashboard_page
 from harness import Program
 from harness import ROOT
+from harness import wait
 import pytest
 
 from benchmark import confusion
 from benchmark.confusion_cases import Scene
+from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import Moment
+from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.capture import Writer
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_bus import make_line
+from mecarover_fakes.faults import parse
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import PATTERNS
 from mecarover_feed.feed import Feed
 
 ARM = '1-6:STS3215'
@@ -185,3 +197,47 @@ def test_the_same_rows_in_a_terminal(tmp_path):
     with Program('', capture, '--once', '--all', '--devices', ARM, script=status) as once:
         assert once.exit_code() == 4
     assert once.said('ERROR', '003 ')
+
+
+WHY_NOT = dashboard_page.why_not()
+
+
+@pytest.mark.alone
+@pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT or 'runs')
+def test_a_recording_is_played_stopped_and_moved(tmp_path):
+    """In a browser: to a finding and back; what was found is what dxl_doctor finds."""
+    capture = tmp_path / 'arm.txt'
+    line = make_line(make_devices([ARM], confusion.MODELS, 10**6, dialect='feetech'), 10**6,
+                     'feetech', waits_in_line=False)
+    master = Master(line, PATTERNS['moving'], rate=30.0, faults=[parse('silent:3:20')])
+    with open(capture, 'wb') as file:
+        writer = Writer(file, Moment(10**12, 10**12))
+        for data, stamp, _ in confusion.chunks(master, 30 * 10**9, 0):
+            writer.take(Wire('arm', 10**6), Chunk(10**12 + stamp, 'arm', data))
+    with dashboard(str(capture), '--devices', ARM) as program, dashboard_page.browser() as browser:
+        address = 'http://' + program.wait_for('http://').split('http://')[1].split()[0]
+        page = browser.new_page()
+        page.goto(address)
+        bar = page.locator('.buses .buses .bar')
+        bar.filter(has_text='6/6').wait_for()
+        page.locator('#player option', has_text='no answer').wait_for(state='attached')
+        page.get_by_label('Go to a finding').select_option(index=1)
+        bar.filter(has_text=re.compile('Lost: 003')).wait_for()
+        assert page.get_by_role('button', name='Play').count() == 1         # it was stopped
+        slider = page.get_by_label('Time in the recording')
+        assert 19 < float(slider.input_value()) < 24
+        slider.fill('10')
+        bar.filter(has_text='6/6').wait_for()
+        assert page.locator('.servo[data-state=ok]').count() == 6
+        page.get_by_role('button', name='Play').click()
+        wait(lambda: float(slider.input_value()) > 10.3)
+        with urlopen(f'{address}/player') as answer:
+            found = json.loads(answer.read())
+        with pytest.raises(HTTPError, match='403'):                 # no other program moves it
+            urlopen(f'{address}/player?at=0')
+    said = subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', '--json',
+                           '--devices', ARM, capture], cwd=ROOT, capture_output=True, text=True)
+    logged = json.loads(said.stdout)['buses'][0]['findings']
+    assert {text.partition(': ')[2] for _, _, text in found} == {
+        one['message'] for one in logged if one['level'] != 'OK'}
+    assert program.said('dxl_dashboard: 003, STS3215: no answer')

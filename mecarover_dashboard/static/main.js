@@ -12,6 +12,7 @@ import {listenToKeys} from './keys.js';
 import {LogView} from './log.js';
 import {Overview} from './overview.js';
 import {path, readPlace, setRobot} from './place.js';
+import {Player} from './player.js';
 import {Robots} from './robots.js';
 import {Store, worst} from './store.js';
 import {Stream} from './stream.js';
@@ -24,6 +25,7 @@ const TICK_MS = 1000;          // ages go on while nothing is pushed
 const store = new Store();
 const at = (id) => document.getElementById(id);
 const main = at('main');
+const player = new Player(at('player'));
 let view = null;
 let shown = '';                // the view on the page, with its robot
 let live = true;
@@ -84,13 +86,14 @@ function showAll() {
   showTabs();
   if (!store.facts) return;
   view.update(store);
+  player.update(store.player ?? null);
   const parts = store.parts();
   const of = (isBridge) => parts.filter(({bus}) => (bus === null) === isBridge)
     .map(({state}) => state);
   pip('overview', of(false).length ? worst(of(false)) : null);
   pip('bridge', of(true).length ? worst(of(true)) : null);
   const isLive = live && parts.every(({is_known: isKnown}) => isKnown);
-  if (live) showLive(isLive ? 'ok' : 'stale', isLive ? 'live' : 'not live');
+  if (live) showLive(isLive ? 'ok' : 'stale', store.player ? 'recording' : isLive ? 'live' : 'not live');
   const wrong = parts.filter(({state}) => state !== 'ok');
   showTitle(wrong);
   showRefused();
