@@ -3,8 +3,6 @@
 """A case of the doctor made by hand: devices, incidents and counts, without any packets."""
 
 from collections import deque
-from collections.abc import Iterable
-from typing import Any
 
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import BusReport
@@ -18,10 +16,7 @@ from dxl_monitor.doctor import found_by
 from dxl_monitor.doctor import RULES
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Mark
-from dxl_monitor.doctor.case import Sample
-from dxl_monitor.doctor.rhythm import Rhythm
 from dxl_monitor.doctor.rule import Claim
-from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.model.models import Models
 from msg_defs.reports import Level
@@ -36,21 +31,18 @@ OF_THE_BUS = {'wrong_baud', 'overrun', 'noise', 'stray_bytes', 'echo', 'not_sent
               'brown_out', 'master_stopped', 'impossible_id', 'scan', 'impatient_master',
               'bus_too_slow', 'two_masters', 'latency_timer', 'jitter', 'sync_read_unsupported'}
 
-def summary(p50: float, p95: float = 0.0, count: int = 5) -> Summary:
+def summary(p50, p95=0.0, count=5):
     return Summary(count, p50, 0.0, p50, p95, p50, p95 or p50, p95 or p50)
 
 
-def seen(device: DeviceReport, registers: dict[str, int], source: str = 'r',
-         age_s: float = 0.5) -> tuple[Observed, ...]:
+def seen(device, registers, source='r', age_s=0.5):
     fields = [(device.model.by_name[name], raw) for name, raw in registers.items()]
     return tuple(Observed(field, field.decode(field.bytes_of(raw)), age_s, source)
                  for field, raw in fields)
 
 
-def device(number: int = 1, model: str = 'XL430-W250', state: str = words.CONNECTED,
-           registers: dict[str, int] | None = None, written: dict[str, int] | None = None,
-           age_s: float = 0.5, totals: dict[str, int] | None = None, delay: Summary | None = None,
-           window: dict[str, int] | None = None, **other: Any) -> DeviceReport:
+def device(number=1, model='XL430-W250', state=words.CONNECTED, registers=None, written=None,
+           age_s=0.5, totals=None, delay=None, window=None, **other):
     found = MODELS.by_name(model) if model else None
     one = DeviceReport(
         number, f'{number:03}', '', words.PROTOCOL_2, found or UNKNOWN,
@@ -61,29 +53,23 @@ def device(number: int = 1, model: str = 'XL430-W250', state: str = words.CONNEC
                         + seen(one, written or {}, 'w', age_s))
 
 
-def note(kind: Any, detail: Any, count: int, number: int = 1,
-         every_ms: float = 300.0) -> list[Incident[Any]]:
+def note(kind, detail, count, number=1, every_ms=300.0):
     """Return as many incidents of a kind, the last of them just now."""
     return [Incident(NOW - int(place * every_ms * MS), kind, number, detail)
             for place in reversed(range(count))]
 
 
-def asks(code: int, *ids: int, at: int | None = 132, size: int = 4, asked: int = 30,
-         stamps: Iterable[int] = (NOW,)) -> Cycle:
+def asks(code, *ids, at=132, size=4, asked=30, stamps=(NOW,)):
     return Cycle(code, ids, at, size, asked, 0, tuple(stamps))
 
 
 COUNTERS = dict.fromkeys(('Bytes', 'Packet Bytes', 'Packets', 'Instructions', 'Noise Bytes'), 0)
 
 
-def case(*devices: DeviceReport, notes: Iterable[Incident[Any]] = (),
-         counters: dict[str, int] | None = None, marks: dict[float, dict[str, int]] | None = None,
-         samples: dict[int, list[Sample]] | None = None, repeats: dict[int, int] | None = None,
-         rhythms: list[Rhythm] | None = None, steady: set[Any] | None = None,
-         counts: list[tuple[int, dict[int, Counts]]] | None = None, quiet_s: float = 0.0,
-         **report: Any) -> Case:
+def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=None, rhythms=None,
+         steady=None, counts=None, quiet_s=0.0, **report):
     """Return a bus of 1 MBd, heard since 60 s. marks: what was counted, by how long ago (s)."""
-    by_kind: dict[str, deque[Incident[Any]]] = {}
+    by_kind = {}
     for one in notes:
         by_kind.setdefault(one.kind, deque()).append(one)
     nothing = dict.fromkeys(Mark._fields[1:], 0)
@@ -100,18 +86,17 @@ def case(*devices: DeviceReport, notes: Iterable[Incident[Any]] = (),
     return found
 
 
-def told(rule: str, **parts: Any) -> list[Claim | Doubt]:
+def told(rule, **parts):
     """Return what a rule says of a case."""
     return found_by(RULE[rule], case(*parts.pop('devices', ()), **parts))
 
 
-def claims(rule: str, **parts: Any) -> list[Claim]:
+def claims(rule, **parts):
     """Return what a rule claims of a case, without its doubts."""
     return [one for one in told(rule, **parts) if isinstance(one, Claim)]
 
 
-def speaks_from_its_edge_on(rule: str, enough: dict[str, Any], message: str,
-                            figures: dict[str, str], too_little: list[dict[str, Any]]) -> None:
+def speaks_from_its_edge_on(rule, enough, message, figures, too_little):
     """
     Check what a rule claims of a case that is just enough, and nothing where it is too little.
 

@@ -2,15 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A monitor in simulated time, and the usual packets of Protocol 2.0 with device 1, an MX-64."""
 import struct
-from typing import Any
 
 from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import Expected
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.port.driver import LineErrors
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
@@ -29,22 +24,22 @@ class Bus:
 
     every_ms = 1.0
 
-    def __init__(self, *expected: Expected, **settings: Any) -> None:
+    def __init__(self, *expected, **settings):
         self.monitor = Monitor('arm', MODELS, Settings(devices=expected, **settings))
         self.now = 100 * SECOND
 
-    def hear(self, *chunks: bytes, every_ms: float | None = None) -> int:
+    def hear(self, *chunks, every_ms=None):
         """Return when the last of them came."""
         for chunk in chunks:
             self.now += int((every_ms or self.every_ms) * MS)
             self.monitor.feed(chunk, self.now)
         return self.now
 
-    def wait(self, seconds: float) -> None:
+    def wait(self, seconds):
         self.now += int(seconds * SECOND)
 
-    def report(self, errors: LineErrors | None = None) -> BusReport:
+    def report(self, errors=None):
         return self.monitor.report(self.now, errors)
 
-    def device(self, number: int = 1) -> DeviceReport:
+    def device(self, number=1):
         return {device.id: device for device in self.report().devices}[number]

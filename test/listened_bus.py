@@ -2,14 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated devices on a bus for a client from outside, and a monitor that listens at its tap."""
 
-from collections.abc import Sequence
 import time
 
 from harness import wait
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.listener import Listener
@@ -28,10 +24,9 @@ PATIENCE_MS = 1000                 # for a client on a machine that may be slow
 class ListenedBus:
     """A bus without a master of its own: the test is that."""
 
-    def __init__(self, entries: Sequence[str], settings: Settings, dialect: str = '2') -> None:
+    def __init__(self, entries, settings, dialect='2'):
         self.devices = make_devices(list(entries), MODELS, BAUD, moving=False, dialect=dialect)
         self.bus = FakeBus(Master(make_line(self.devices, BAUD, dialect), none), tap=True)
-        assert self.bus.tap is not None
         self.monitor = Monitor('bus', MODELS, settings, idle_is_told=True)
         self.listener = Listener(self.bus.tap.path, BAUD, self.monitor.feed,
                                  self.monitor.flush_if_idle)
@@ -39,12 +34,12 @@ class ListenedBus:
         wait(lambda: self.listener.state.is_open)
         self.bus.start()
 
-    def close(self) -> None:
+    def close(self):
         self.listener.stop()
         self.bus.stop()
 
-    def report(self) -> BusReport:
+    def report(self):
         return self.monitor.report(time.monotonic_ns())
 
-    def device(self, number: int) -> DeviceReport | None:
+    def device(self, number):
         return next((one for one in self.report().devices if one.id == number), None)

@@ -3,19 +3,16 @@
 """Framers as tests read them: chunks in, whole packets out, without what was damaged."""
 from typing import NamedTuple
 
-from msg_defs.dxl1_packet import Dxl1Framer
-from msg_defs.dxl_packet import Framer
-from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import packet_of
 from msg_defs.frame import is_good
 
 
-def packets_in(framer: Framer, chunk: bytes, stamp: int = 0) -> list[Packet]:
+def packets_in(framer, chunk, stamp=0):
     """Return the packets that this chunk completes."""
     return [packet_of(one, stamp) for one in filter(is_good, framer.frames(chunk))]
 
 
-def packets_left(framer: Framer, stamp: int = 0) -> list[Packet]:
+def packets_left(framer, stamp=0):
     """Return the packets that are found when the line is idle."""
     return [packet_of(one, stamp) for one in filter(is_good, framer.flush_frames())]
 
@@ -29,7 +26,7 @@ class Packet1(NamedTuple):
     params: bytes
 
 
-def packets_1_in(framer: Dxl1Framer, chunk: bytes | None) -> list[Packet1]:
+def packets_1_in(framer, chunk):
     """Return the packets that this chunk completes; None: the line is idle."""
     found = framer.flush_frames() if chunk is None else framer.frames(chunk)
     return [Packet1(begin, number, code, params)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rooms of the bus at their edges: limits on both sides, words of the log, bounds."""
 
-from typing import Any
 
 import pytest
 
@@ -47,7 +46,6 @@ from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
 from msg_defs.frame import EITHER_1
 from msg_defs.frame import Flaw
-from msg_defs.frame import Frame
 from msg_defs.frame import INSTRUCTION_2
 from msg_defs.frame import IS_STATUS
 
@@ -56,15 +54,15 @@ S = 1_000_000_000
 MS = 1_000_000
 
 
-def registry(*expected: Expected, baud: int = 1_000_000) -> DeviceRegistry:
+def registry(*expected, baud=1_000_000):
     return DeviceRegistry(MODELS, expected, baud, Evidence())
 
 
-def notes(one: DeviceRegistry) -> list[tuple[str, int, Any]]:
+def notes(one):
     return [(note.kind, note.device, note.detail) for note in one._evidence.incidents()]
 
 
-def test_what_a_bus_is_taken_for_where_nothing_is_said() -> None:
+def test_what_a_bus_is_taken_for_where_nothing_is_said():
     assert Settings() == (2_000_000, (), 4, 1.0, 5.0, 'auto', 0.0, 'auto')
 
 
@@ -96,7 +94,7 @@ TEXTS = [
 
 
 @pytest.mark.parametrize(('kind', 'detail', 'text'), TEXTS, ids=[text for *_, text in TEXTS])
-def test_what_happened_in_words(kind: Any, detail: Any, text: str) -> None:
+def test_what_happened_in_words(kind, detail, text):
     assert text_of(Incident(1, kind, 0, detail)) == text
     evidence = Evidence()
     evidence.note(1, kind, 0, detail)
@@ -105,7 +103,7 @@ def test_what_happened_in_words(kind: Any, detail: Any, text: str) -> None:
     assert lines == [f'000: {text}', text] * bool(text)
 
 
-def test_the_log_keeps_the_last_50_and_the_doctor_the_last_1000_and_256_waits() -> None:
+def test_the_log_keeps_the_last_50_and_the_doctor_the_last_1000_and_256_waits():
     evidence = Evidence()
     for stamp in range(1001):
         evidence.note(stamp, ev.ALERT, 1, ev.NOTHING)
@@ -120,7 +118,7 @@ def test_the_log_keeps_the_last_50_and_the_doctor_the_last_1000_and_256_waits() 
     assert [one.stamp for one in evidence.waits()] == list(range(745, 1001))
 
 
-def test_what_may_come_with_each_packet_is_kept_once_in_a_while() -> None:
+def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
     evidence = Evidence()
     stamps = (0, ev._APART_NS - 1, ev._APART_NS, 2 * ev._APART_NS - 1)
     for stamp in stamps:
@@ -136,8 +134,7 @@ def test_what_may_come_with_each_packet_is_kept_once_in_a_while() -> None:
     (INSTRUCTION_2, 2, 'cut', (ev.CUT, -1, ev.Front(2, 259))),
     (EITHER_1, 2, 'open', (ev.OPEN, 7, ev.Code(2))),
 ])
-def test_a_damaged_frame_is_noted_by_what_is_wrong(kind: int, code: int, reason: str,
-                                                   expected: tuple[Any, ...]) -> None:
+def test_a_damaged_frame_is_noted_by_what_is_wrong(kind, code, reason, expected):
     evidence = Evidence()
     flaw = Flaw(reason, length=259)
     evidence.note_damage(1, (0, 9, kind, 7, code, b'', flaw), flaw)
@@ -145,7 +142,7 @@ def test_a_damaged_frame_is_noted_by_what_is_wrong(kind: int, code: int, reason:
     assert (found.kind, found.device, found.detail) == expected
 
 
-def packet_1(number: int, size: int) -> bytes:
+def packet_1(number, size):
     """Return a packet of Protocol 1.0 with this Length."""
     rest = bytes([number, size]) + bytes(size - 1)
     return b'\xff\xff' + rest + bytes([~sum(rest) & 0xFF])
@@ -158,7 +155,7 @@ def packet_1(number: int, size: int) -> bytes:
     (packet_1(9, 2) + packet_1(8, 3), 99, [9, 8]), (packet_1(9, 2)[:-1] + b'\0', 6, []),
     (packet_1(9, 4)[:-1], 7, []), (b'\xff' + packet_1(9, 2), 6, [9]),
 ])
-def test_packets_of_protocol_1_in_noise(noise: bytes, fresh: int, devices: list[int]) -> None:
+def test_packets_of_protocol_1_in_noise(noise, fresh, devices):
     evidence = Evidence()
     evidence.look_at_noise(noise, fresh, 5)
     assert [(one.stamp, one.kind, one.device, one.detail) for one in evidence.incidents()] \
@@ -167,7 +164,7 @@ def test_packets_of_protocol_1_in_noise(noise: bytes, fresh: int, devices: list[
 
 # --- devices ---------------------------------------------------------------------------------
 
-def test_counts_of_a_window_and_their_loss() -> None:
+def test_counts_of_a_window_and_their_loss():
     before, now = Counts(answers=2, missed=1, alerts=4), Counts(answers=5, missed=2, alerts=4)
     window = now.since(before)
     assert (window.answers, window.missed, window.alerts) == (3, 1, 0)
@@ -180,7 +177,7 @@ def test_counts_of_a_window_and_their_loss() -> None:
 
 
 @pytest.mark.parametrize(('after_ns', 'is_late'), [(99_999_999, True), (100_000_000, False)])
-def test_an_answer_is_owed_for_a_tenth_of_a_second(after_ns: int, is_late: bool) -> None:
+def test_an_answer_is_owed_for_a_tenth_of_a_second(after_ns, is_late):
     device = Device(1)
     assert not device.pays(0)
     device.miss(5 * S, 5 * S, False)
@@ -193,7 +190,7 @@ def test_an_answer_is_owed_for_a_tenth_of_a_second(after_ns: int, is_late: bool)
 
 
 @pytest.mark.parametrize(('away_ms', 'is_noted'), [(49.9, False), (50, True)])
-def test_an_absence_is_noted_from_50_ms_on(away_ms: float, is_noted: bool) -> None:
+def test_an_absence_is_noted_from_50_ms_on(away_ms, is_noted):
     one = registry(Expected(4, 'XL430-W250'))
     device = one.device(4)
     one.heard(device, 0, S)
@@ -205,11 +202,11 @@ def test_an_absence_is_noted_from_50_ms_on(away_ms: float, is_noted: bool) -> No
     assert device.missed_in_a_row == 0
 
 
-def test_of_a_device_that_never_answered_no_latency_is_told() -> None:
+def test_of_a_device_that_never_answered_no_latency_is_told():
     assert Device(1).latency_report(S) == (None, None, 0.0)
 
 
-def test_an_alert_is_noted_when_it_begins_and_counted_each_time() -> None:
+def test_an_alert_is_noted_when_it_begins_and_counted_each_time():
     one = registry()
     device = one.device(4)
     for error in (0x7F, 0x80, 0x85, 0, 0x80):
@@ -218,7 +215,7 @@ def test_an_alert_is_noted_when_it_begins_and_counted_each_time() -> None:
     assert (device.counts.alerts, device.alert, device.is_unusual) == (3, True, True)
 
 
-def test_an_id_that_no_device_can_have_gets_none() -> None:
+def test_an_id_that_no_device_can_have_gets_none():
     one = registry()
     assert one.device(252).number == 252
     assert one.device(253) is one.device(255)
@@ -231,9 +228,9 @@ def test_an_id_that_no_device_can_have_gets_none() -> None:
     assert one.devices[251].table.byte(30) == 1
 
 
-def test_who_says_the_same_of_himself_again_stays_who_he_is() -> None:
+def test_who_says_the_same_of_himself_again_stays_who_he_is():
     one = registry()
-    changes: list[int] = []
+    changes = []
     one.changed = lambda: changes.append(1)
     device = one.device(4)
     for data in (b'\x24\x04\x2e', b'\x24\x04\x2e'):
@@ -253,7 +250,7 @@ def test_who_says_the_same_of_himself_again_stays_who_he_is() -> None:
     assert device.counts.pongs == 5
 
 
-def test_only_a_backup_that_is_restored_changes_a_device() -> None:
+def test_only_a_backup_that_is_restored_changes_a_device():
     one = registry(Expected(4, 'XL430-W250'))
     table = one.device(4).table
     for address in (0, 7, 8, 9, 64):
@@ -265,13 +262,13 @@ def test_only_a_backup_that_is_restored_changes_a_device() -> None:
     assert [table.byte(address) for address in (7, 8, 9, 64)] == [1, 1, None, None]
 
 
-def test_a_register_is_named_where_its_model_is_known() -> None:
+def test_a_register_is_named_where_its_model_is_known():
     one = registry(Expected(4, 'XL430-W250'))
     assert [one.register_name(number, 132) for number in (4, 5)] == ['Present Position', '132']
     assert one.register_name(4, 5000) == '5000'
 
 
-def test_an_offset_is_noted_when_it_changes() -> None:
+def test_an_offset_is_noted_when_it_changes():
     one = registry(Expected(2, 'STS3215'))
     for value in (0, 7, 7, 9):
         one.write(one.device(2), 31, bytes([value, 0]), S)
@@ -285,7 +282,7 @@ def test_an_offset_is_noted_when_it_changes() -> None:
 
 @pytest.mark.parametrize(('code', 'baud', 'moved_to'), [
     (3, 57_600, '1000000 Bd'), (3, 1_000_000, ''), (1, 1_000_000, '57600 Bd')])
-def test_where_a_device_goes_at_a_written_rate(code: int, baud: int, moved_to: str) -> None:
+def test_where_a_device_goes_at_a_written_rate(code, baud, moved_to):
     one = registry(Expected(4, 'XL430-W250'), baud=baud)
     one.write(one.device(4), 8, bytes([code]), S)
     assert one.device(4).moved_to == moved_to
@@ -294,9 +291,9 @@ def test_where_a_device_goes_at_a_written_rate(code: int, baud: int, moved_to: s
 
 
 @pytest.mark.parametrize(('other', 'number'), [('none', 9), ('dead', 9), ('alive', 4)])
-def test_an_id_is_taken_over_where_nothing_answers_to_it(other: str, number: int) -> None:
+def test_an_id_is_taken_over_where_nothing_answers_to_it(other, number):
     one = registry(Expected(4, 'XL430-W250'), Expected(9, 'XL430-W250', 'elbow'))
-    changes: list[int] = []
+    changes = []
     one.changed = lambda: changes.append(1)
     device = one.device(4)
     if other != 'none':
@@ -311,7 +308,7 @@ def test_an_id_is_taken_over_where_nothing_answers_to_it(other: str, number: int
     assert device.number == number
 
 
-def test_after_a_calibration_the_place_is_unknown_and_the_rest_is_known() -> None:
+def test_after_a_calibration_the_place_is_unknown_and_the_rest_is_known():
     one = registry(Expected(2, 'STS3215'))
     table = one.device(2).table
     table.store(31, bytes(2), S, READ)
@@ -323,7 +320,7 @@ def test_after_a_calibration_the_place_is_unknown_and_the_rest_is_known() -> Non
 
 # --- the table -------------------------------------------------------------------------------
 
-def test_a_span_that_is_long_or_one_too_many_is_put_in_place_at_once() -> None:
+def test_a_span_that_is_long_or_one_too_many_is_put_in_place_at_once():
     table = Table()
     for at in range(64):
         table.store(at, b'\1', S, READ)
@@ -338,7 +335,7 @@ def test_a_span_that_is_long_or_one_too_many_is_put_in_place_at_once() -> None:
     assert table._latest == {}
 
 
-def test_nothing_is_kept_from_the_limit_on() -> None:
+def test_nothing_is_kept_from_the_limit_on():
     table = Table()
     table.limit = 10
     table.store(8, b'\1\2\3\4', S, READ)
@@ -349,18 +346,16 @@ def test_nothing_is_kept_from_the_limit_on() -> None:
     assert [table.bytes(8, 2), table.bytes(8, 3), table.bytes(7, 2)] == [b'\1\2', None, None]
 
 
-def test_a_register_has_the_meaning_that_another_gives_it() -> None:
+def test_a_register_has_the_meaning_that_another_gives_it():
     model = MODELS.by_name('XL430-W250')
-    assert model is not None
     table, raw = Table(), model.by_name['Profile Velocity']
     assert table.in_force(raw, model) is raw           # Drive Mode was not seen
     for mode, of in ((b'\x04', 4), (b'\x01', 0), (b'\x05', 4)):
         table.store(10, mode, S, READ)
-        assert raw.cases is not None
         assert table.in_force(raw, model) is raw.cases.fields[of]
 
 
-def test_what_was_seen_is_told_in_runs() -> None:
+def test_what_was_seen_is_told_in_runs():
     table = Table()
     for at, data in ((0, b'\0'), (2, b'\1\2'), (5, b'\3')):
         table.store(at, data, S, WRITTEN)
@@ -371,8 +366,7 @@ def test_what_was_seen_is_told_in_runs() -> None:
 
 # --- who must answer -------------------------------------------------------------------------
 
-def due(level: int | None, asked: Due, write_acks: str = 'auto', acks: bool | None = None,
-        missing: int = 0, missed: int = 0) -> bool:
+def due(level, asked, write_acks='auto', acks=None, missing=0, missed=0):
     one = registry()
     device = one.device(3)
     device.return_level, device.acks = level, acks
@@ -389,11 +383,11 @@ def due(level: int | None, asked: Due, write_acks: str = 'auto', acks: bool | No
     ((2, Due.ACK, 'auto', True, 2), False), ((2, Due.ACK, 'auto', True, 2, 1), False),
     ((2, Due.ACK, 'auto', True, 2, 2), True),
 ])
-def test_whether_an_answer_had_to_come(parts: tuple[Any, ...], expected: bool) -> None:
+def test_whether_an_answer_had_to_come(parts, expected):
     assert due(*parts) is expected
 
 
-def test_the_first_miss_and_the_one_over_the_limit_are_noted() -> None:
+def test_the_first_miss_and_the_one_over_the_limit_are_noted():
     one = registry()
     plan = Plan(Request(I.READ, 3, Answers.DATA, (Access(3, 132, 4, b''),)), {})
     slot = Slot(one.device(3), Due.READ, 132, 4, take_nothing)
@@ -407,15 +401,14 @@ def test_the_first_miss_and_the_one_over_the_limit_are_noted() -> None:
 
 
 @pytest.mark.parametrize(('idle_ns', 'missed'), [(S, 0), (S + 1, 1)])
-def test_an_answer_is_given_up_behind_an_idle_line_of_more_than_a_second(
-        idle_ns: int, missed: int) -> None:
+def test_an_answer_is_given_up_behind_an_idle_line_of_more_than_a_second(idle_ns, missed):
     one = BusDecoder(MODELS)
     one.hear(encode(3, I.READ, b'\x84\0\4\0'), S)
     one.pause(S, S + idle_ns)
     assert one.registry.devices[3].counts.missed == missed
 
 
-def plan_of(*numbers: int) -> Plan:
+def plan_of(*numbers):
     return Plan(Request(I.SYNC_READ, 254, Answers.DATA, tuple(
         Access(number, 132, 4, b'') for number in numbers)), {
             number: Slot(Device(number), Due.READ, 132, 4, take_nothing) for number in numbers})
@@ -426,14 +419,13 @@ def plan_of(*numbers: int) -> Plan:
     ((1, 3), set(), (2, 3)), ((1, 2, 3), set(), (1, 1)), ((2, 3), {2}, (1, 2)),
     ((1, 2, 3), {1}, (1, 1)),
 ])
-def test_who_had_its_turn(silent: tuple[int, ...], spoke: set[int],
-                          expected: tuple[int, int]) -> None:
+def test_who_had_its_turn(silent, spoke, expected):
     plan = plan_of(1, 2, 3)
     assert plan.served([plan.slots[number] for number in silent], spoke) == expected
     assert (plan.size, plan.address) == (14, 132)
 
 
-def test_plans_are_counted_and_forgotten_without_losing_counts() -> None:
+def test_plans_are_counted_and_forgotten_without_losing_counts():
     one = registry()
     planner = Planner(one, one._evidence, lambda *_: None)
     read = (INSTRUCTION_2, 3, int(I.READ), b'\x84\0\4\0')
@@ -452,7 +444,7 @@ def test_plans_are_counted_and_forgotten_without_losing_counts() -> None:
     assert not planner.has_answer(4, 4)
 
 
-def test_an_answer_is_looked_for_in_the_first_64_plans() -> None:
+def test_an_answer_is_looked_for_in_the_first_64_plans():
     one = registry()
     planner = Planner(one, one._evidence, lambda *_: None)
     for number in range(65):
@@ -460,7 +452,7 @@ def test_an_answer_is_looked_for_in_the_first_64_plans() -> None:
     assert [planner.has_answer(number, 4) for number in (0, 63, 64)] == [True, True, False]
 
 
-def test_64_lists_of_sync_writes_are_kept() -> None:
+def test_64_lists_of_sync_writes_are_kept():
     one = registry()
     planner = Planner(one, one._evidence, lambda *_: None)
     for number, kept in ((62, 63), (63, 64), (63, 64), (64, 1)):
@@ -476,8 +468,7 @@ def test_64_lists_of_sync_writes_are_kept() -> None:
     (b'\xff\xff\xfd\xfd\xff\xff\xfd', [ev.Code(3)]), (b'\xff\xff\0\xfd', []),
 ])
 @pytest.mark.parametrize('noise', [b'', b'\0\0'])
-def test_what_a_master_did_not_stuff_is_noted(data: bytes, detail: list[ev.Code],
-                                              noise: bytes) -> None:
+def test_what_a_master_did_not_stuff_is_noted(data, detail, noise):
     one = registry()
     tracker = Tracker(one, one._evidence, 5_000, 4, 'auto')
     framer = Framer()
@@ -490,7 +481,7 @@ def test_what_a_master_did_not_stuff_is_noted(data: bytes, detail: list[ev.Code]
 
 # --- dialects and unknown devices ---------------------------------------------------------------
 
-def said(code: int, address: int = -1, length: int = 0) -> Request:
+def said(code, address=-1, length=0):
     accesses = (Access(1, address, length, b''),) if address >= 0 else ()
     return Request(code, 1, Answers.DATA, accesses)
 
@@ -505,7 +496,7 @@ def said(code: int, address: int = -1, length: int = 0) -> Request:
     ([said(0x0B)], FEETECH), ([said(2, 50, 2)] * 9, UNDECIDED), ([said(1)] * 9, UNDECIDED),
     ([said(2, 56, 2)] * 99 + [said(2, 36, 2)] * 16, FEETECH),
 ])
-def test_signs_decide_what_a_bus_speaks(requests: list[Request], dialect: Any) -> None:
+def test_signs_decide_what_a_bus_speaks(requests, dialect):
     choice = DialectChoice(MODELS)
     decided = [choice.asked(one) for one in requests]
     assert choice.dialect is dialect
@@ -519,8 +510,7 @@ def test_signs_decide_what_a_bus_speaks(requests: list[Request], dialect: Any) -
     (0, b'\x0c\0', DYNAMIXEL_1), (3, b'\x09\x03', FEETECH), (0, b'\0\0\0\x09\x03', FEETECH),
     (0, b'\x40\x01', DYNAMIXEL_1), (0, b'\x40\x02', UNDECIDED),
     (3, b'\x09', UNDECIDED), (4, b'\x09\x03', UNDECIDED), (0, b'\xf0\xf0', UNDECIDED)])
-def test_a_model_number_decides_what_a_bus_speaks(address: int, data: bytes,
-                                                  dialect: Any) -> None:
+def test_a_model_number_decides_what_a_bus_speaks(address, data, dialect):
     choice = DialectChoice(MODELS)
     assert choice.decides(said(2, address, len(data)), data) == (dialect is not UNDECIDED)
     assert choice.dialect is dialect
@@ -536,20 +526,18 @@ def test_a_model_number_decides_what_a_bus_speaks(address: int, data: bytes,
         'Present Position': {2, 4, 6, 8, 15}, 'Present Velocity': {2}, 'Present Load': {2},
         'Present Input Voltage': {1}, 'Present Temperature': {1}}),
 ])
-def test_the_places_that_tell_a_dialect_are_registers_of_it(
-        places: set[tuple[int, int]], name: str, told: dict[str, set[int]]) -> None:
+def test_the_places_that_tell_a_dialect_are_registers_of_it(places, name, told):
     model = MODELS.by_name(name)
-    assert model is not None
     assert {(model.by_address[at].name, size) for at, size in places} \
         == {(register, size) for register, sizes in told.items() for size in sizes}
     assert {at + size for at, size in places} <= {field.end for field in model.fields}
 
 
-def ping_1(number: int, noise: int = 0) -> Frame:
+def ping_1(number, noise=0):
     return 0, 6, EITHER_1, number, 1, b'', Flaw('', False, noise) if noise else None
 
 
-def test_a_new_id_is_believed_alone_or_at_its_third_sighting_within_a_second_each() -> None:
+def test_a_new_id_is_believed_alone_or_at_its_third_sighting_within_a_second_each():
     assert IdConfirmation(registry()).exists(ping_1(7), S, True)
     confirmation = IdConfirmation(registry())
     assert not confirmation.exists(ping_1(7), S, False)

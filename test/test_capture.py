@@ -31,7 +31,7 @@ NOW = Moment(1_790_000_000_123_456_000, 12_345_678_901_234)
 WIRE = Wire('ttyUSB0', 2_000_000, 1, '/dev/ttyUSB0')
 
 
-def written(*chunks: Chunk, wire: Wire = WIRE) -> bytes:
+def written(*chunks, wire=WIRE):
     file = io.BytesIO()
     writer = Writer(file, NOW)
     for chunk in chunks:
@@ -40,7 +40,7 @@ def written(*chunks: Chunk, wire: Wire = WIRE) -> bytes:
     return file.getvalue()
 
 
-def test_the_format_is_the_one_in_the_docs() -> None:
+def test_the_format_is_the_one_in_the_docs():
     assert written(Chunk(12_345_690_172_411, 'ttyUSB0', b'\xff\xff\xfd\x00\x01')) == (
         b'# dxl_capture 2 began 2026-09-21T14:13:20.123456Z at 12345.678901234\n'
         b'# bus ttyUSB0 baud 2000000 latency_timer_ms 1 port /dev/ttyUSB0\n'
@@ -50,7 +50,7 @@ def test_the_format_is_the_one_in_the_docs() -> None:
 @given(st.lists(st.builds(Chunk, st.integers(0, 2**62), st.text(
     st.characters(codec='utf-8'), min_size=1).filter(lambda name: name != '-'),
     st.binary(min_size=1, max_size=50), st.sampled_from(('', 'out', 'in')), st.none())))
-def test_what_is_written_is_read(chunks: list[Chunk]) -> None:
+def test_what_is_written_is_read(chunks):
     reader = Reader(io.BytesIO(written(*chunks)))
     chunks = [chunk._replace(bus=printable(chunk.bus)) for chunk in chunks]
     assert list(reader) == chunks
@@ -60,7 +60,7 @@ def test_what_is_written_is_read(chunks: list[Chunk]) -> None:
         assert reader.wires[chunk.bus] == WIRE._replace(name=chunk.bus)
 
 
-def test_sides_and_changes_come_back_and_old_files_stay_readable() -> None:
+def test_sides_and_changes_come_back_and_old_files_stay_readable():
     chunks = [Chunk(5, 'bus', b'\xff', 'out'), Chunk(6, 'bus', change=Change('baud', 57_600)),
               Chunk(7, 'bus', b'\x01', 'in'), Chunk(8, 'bus', b'\x02')]
     text = written(*chunks)
@@ -86,7 +86,7 @@ FAR = 400 * b'9'
     b'# dxl_capture 2 began 9999-12-31T23:59:59.999999Z at 1.0',
     b'# dxl_capture 2 began 2026-09-21T14:13:20.0Z at -1.0', b'\x1b[31mred\x1b[m',
     b'(1.0) bus ' + b'f' * (LINE_LIMIT + 1)])
-def test_impossible_lines_are_told_and_left_out(line: bytes) -> None:
+def test_impossible_lines_are_told_and_left_out(line):
     text = written(Chunk(NOW.stamp + 5, 'bus', b'\x01')) + line + b'\n' \
         + chunk_line(Chunk(NOW.stamp + 6, 'bus', b'\x02'))
     reader = Reader(lines(io.BytesIO(text)))
@@ -100,7 +100,7 @@ def test_impossible_lines_are_told_and_left_out(line: bytes) -> None:
 
 
 @pytest.mark.parametrize('cut', range(1, 39))
-def test_a_capture_that_is_cut_off_says_so(cut: int) -> None:
+def test_a_capture_that_is_cut_off_says_so(cut):
     text = written(Chunk(5, 'bus', b'\x01'), Chunk(6, 'bus', bytes(range(10))))[:-cut]
     reader = Reader(lines(io.BytesIO(text)))
     first, *rest = [chunk.data for chunk in reader]
@@ -109,7 +109,7 @@ def test_a_capture_that_is_cut_off_says_so(cut: int) -> None:
     assert len(reader.problems()) == 1
 
 
-def test_a_capture_does_not_make_buses_without_end() -> None:
+def test_a_capture_does_not_make_buses_without_end():
     text = b''.join(chunk_line(Chunk(5, f'bus{number}', b'\x01')) for number in range(1000))
     reader = Reader(lines(io.BytesIO(text)))
     assert len(list(reader)) == BUSES_LIMIT
@@ -119,7 +119,7 @@ def test_a_capture_does_not_make_buses_without_end() -> None:
 @pytest.mark.parametrize(('wall', 'boot', 'after'), [
     (-10**18, 5, 3),                                    # the clock was set back
     (60_000_000_000, 5_000_000_000, 60_000_000_007)])   # another boot: by the wall clock
-def test_the_stamps_of_a_second_capture_go_on(wall: int, boot: int, after: int) -> None:
+def test_the_stamps_of_a_second_capture_go_on(wall, boot, after):
     first = written(Chunk(NOW.stamp + 1, 'bus', b'\x01'))
     file = io.BytesIO()
     Writer(file, Moment(NOW.wall + wall, boot)).take(
@@ -128,7 +128,7 @@ def test_the_stamps_of_a_second_capture_go_on(wall: int, boot: int, after: int) 
     assert stamps == [NOW.stamp + 1, NOW.stamp + after]
 
 
-def test_nothing_is_written_to_a_port_or_over_a_file_that_is_no_capture(tmp_path) -> None:
+def test_nothing_is_written_to_a_port_or_over_a_file_that_is_no_capture(tmp_path):
     notes = tmp_path / 'notes.txt'
     notes.write_text('keep me')
     with Pty() as pty:
@@ -140,7 +140,7 @@ def test_nothing_is_written_to_a_port_or_over_a_file_that_is_no_capture(tmp_path
     assert notes.read_text() == 'keep me'
 
 
-def test_an_older_capture_may_be_overwritten(tmp_path) -> None:
+def test_an_older_capture_may_be_overwritten(tmp_path):
     path = tmp_path / 'bus.txt'
     path.write_bytes(written(Chunk(1, 'bus', b'\x01')))
     with open_new(path) as file:
@@ -148,7 +148,7 @@ def test_an_older_capture_may_be_overwritten(tmp_path) -> None:
     assert path.read_bytes() == b''
 
 
-def test_the_recorder_rotates_and_loses_nothing(tmp_path) -> None:
+def test_the_recorder_rotates_and_loses_nothing(tmp_path):
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 2000, 3, lambda: NOW)
     recorder.start()
@@ -165,7 +165,7 @@ def test_the_recorder_rotates_and_loses_nothing(tmp_path) -> None:
     assert not recorder.problem
 
 
-def test_a_capture_of_before_is_kept(tmp_path) -> None:
+def test_a_capture_of_before_is_kept(tmp_path):
     path = tmp_path / 'bus.txt'
     path.write_bytes(written(Chunk(1, 'bus', b'\x01')))
     recorder = Recorder(str(path), 10**6, 2)
@@ -174,7 +174,7 @@ def test_a_capture_of_before_is_kept(tmp_path) -> None:
     assert (tmp_path / 'bus.txt.1').read_bytes() == written(Chunk(1, 'bus', b'\x01'))
 
 
-def test_what_was_heard_is_on_the_disk_soon(tmp_path) -> None:
+def test_what_was_heard_is_on_the_disk_soon(tmp_path):
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 10**6, 2)
     recorder.start()
@@ -183,7 +183,7 @@ def test_what_was_heard_is_on_the_disk_soon(tmp_path) -> None:
     recorder.stop()
 
 
-def test_a_full_disk_ends_the_capture_and_is_told(tmp_path) -> None:
+def test_a_full_disk_ends_the_capture_and_is_told(tmp_path):
     recorder = Recorder('/dev/full', 10**6, 2)
     recorder.start()
     recorder.take(WIRE, Chunk(1, WIRE.name, b'\x01' * 5000))
@@ -193,7 +193,7 @@ def test_a_full_disk_ends_the_capture_and_is_told(tmp_path) -> None:
     recorder.stop()
 
 
-def test_a_file_that_may_not_grow_ends_the_capture(tmp_path) -> None:
+def test_a_file_that_may_not_grow_ends_the_capture(tmp_path):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     recorder = Recorder(str(tmp_path / 'bus.txt'), 10**6, 2)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
@@ -207,7 +207,7 @@ def test_a_file_that_may_not_grow_ends_the_capture(tmp_path) -> None:
     assert 'File too large' in recorder.problem
 
 
-def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch) -> None:
+def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr('dxl_monitor.record.capture_recorder.WAITING_LIMIT', 100)
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 10**6, 2, lambda: NOW)
@@ -220,7 +220,7 @@ def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch)
     assert len(list(Reader(path.open('rb')))) == 11
 
 
-def test_a_pipe_that_nobody_reads_is_refused(tmp_path) -> None:
+def test_a_pipe_that_nobody_reads_is_refused(tmp_path):
     """Opening it waits for a reader: the node never got to its ports."""
     path = tmp_path / 'pipe'
     os.mkfifo(path)
@@ -228,7 +228,7 @@ def test_a_pipe_that_nobody_reads_is_refused(tmp_path) -> None:
         Recorder(str(path), 10**6, 2)
 
 
-def test_a_pipe_is_not_rotated(tmp_path) -> None:
+def test_a_pipe_is_not_rotated(tmp_path):
     path = tmp_path / 'pipe'
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -243,7 +243,7 @@ def test_a_pipe_is_not_rotated(tmp_path) -> None:
     os.close(reader)
 
 
-def test_a_pipe_whose_reader_sleeps_does_not_hold_up_the_end(tmp_path, monkeypatch) -> None:
+def test_a_pipe_whose_reader_sleeps_does_not_hold_up_the_end(tmp_path, monkeypatch):
     monkeypatch.setattr('dxl_monitor.record.capture_recorder.STOP_S', 0.2)
     path = tmp_path / 'pipe'
     os.mkfifo(path)

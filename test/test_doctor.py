@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The doctor by itself: how claims stand, fall and hide others; docs/doctor.md has each."""
 
-from collections.abc import Iterator
 from pathlib import Path
 import re
 import struct
@@ -16,21 +15,16 @@ from heard_bus import REPLY
 import pytest
 
 from dxl_monitor import doctor as doctor_module
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor import Doctor
 from dxl_monitor.doctor import RULES
-from dxl_monitor.doctor.case import Case
-from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.case import OPTIONS
 from dxl_monitor.doctor.case import PARAMETERS
 from dxl_monitor.doctor.rule import Claim
-from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_status import bus_status
 from dxl_monitor.monitor_status import device_status
 from dxl_monitor.monitor_status import PortState
-from dxl_monitor.port.driver import LineErrors
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
@@ -44,11 +38,11 @@ S = 1_000_000_000
 class Bus(heard_bus.Bus):
     every_ms = 10.0
 
-    def told(self, errors: LineErrors | None = None) -> dict[str, Level]:
+    def told(self, errors=None):
         return {one.rule: one.level for one in self.report(errors).findings}
 
 
-def read(address: int, data: bytes, error: int = 0) -> tuple[bytes, bytes]:
+def read(address, data, error=0):
     """Return a read of device 1 and its answer."""
     return (encode(1, I.READ, struct.pack('<HH', address, len(data))),
             encode(1, STATUS, data, error=error))
@@ -56,46 +50,45 @@ def read(address: int, data: bytes, error: int = 0) -> tuple[bytes, bytes]:
 
 # --- how claims stand ------------------------------------------------------------------------
 
-def plain_report(stamp: int) -> BusReport:
+def plain_report(stamp):
     return Monitor('arm', MODELS).report(stamp)
 
 
-def with_rules(monkeypatch: pytest.MonkeyPatch, *rules: Rule) -> Doctor:
+def with_rules(monkeypatch, *rules):
     monkeypatch.setattr(doctor_module, 'RULES', rules)
     monkeypatch.setattr(doctor_module, '_RANK', {one.name: n for n, one in enumerate(rules)})
     return Doctor()
 
 
-def saying(*claims: Claim, until: int = 1 << 60) -> object:
-    def check(case: Case) -> Iterator[Found]:
+def saying(*claims, until=1 << 60):
+    def check(case):
         if case.now < until:
             yield from claims
     return check
 
 
-def rule(name: str, check: object, *explains: str, level: Level = Level.WARN,
-         holds: bool = True) -> Rule:
-    return Rule(name, level, check, explains, 0.0, holds)  # type: ignore[arg-type]
+def rule(name, check, *explains, level=Level.WARN, holds=True):
+    return Rule(name, level, check, explains, 0.0, holds)
 
 
-def names(report: BusReport) -> list[tuple[str, int | None]]:
+def names(report):
     return [(one.rule, one.device) for one in report.findings]
 
 
-def test_a_claim_outlives_its_evidence_a_little(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_claim_outlives_its_evidence_a_little(monkeypatch):
     doctor = with_rules(monkeypatch, rule('bad', saying(Claim(None, 'words'), until=2 * S)))
     seen = [bool(doctor.examine(plain_report(at * S)).findings) for at in range(1, 8)]
     assert seen == [True, True, True, True, False, False, False]
 
 
-def test_what_needs_to_last_is_told_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_needs_to_last_is_told_after_a_while(monkeypatch):
     slow = rule('bad', saying(Claim(None, 'words')))._replace(onset_s=2.0)
     doctor = with_rules(monkeypatch, slow)
     assert [bool(doctor.examine(plain_report(at * S)).findings) for at in range(1, 5)] \
         == [False, False, True, True]
 
 
-def test_a_state_ends_with_the_state(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_state_ends_with_the_state(monkeypatch):
     doctor = with_rules(monkeypatch, rule('bad', saying(Claim(None, 'words'), until=2 * S),
                                           holds=False))
     assert doctor.examine(plain_report(S)).findings
@@ -109,15 +102,14 @@ def test_a_state_ends_with_the_state(monkeypatch: pytest.MonkeyPatch) -> None:
     (Claim(5, 'a'), Claim(6, 'b'), False),
     (Claim(5, 'a', covers=(5, 6)), Claim(6, 'b'), True),
 ])
-def test_a_cause_hides_its_consequence(monkeypatch: pytest.MonkeyPatch, cause: Claim,
-                                       consequence: Claim, hidden: bool) -> None:
+def test_a_cause_hides_its_consequence(monkeypatch, cause, consequence, hidden):
     doctor = with_rules(monkeypatch, rule('effect', saying(consequence)),
                         rule('cause', saying(cause), 'effect'))
     expected = [('cause', cause.device)] + [('effect', consequence.device)] * (not hidden)
     assert sorted(names(doctor.examine(plain_report(S))), key=str) == sorted(expected, key=str)
 
 
-def test_the_worst_comes_first_and_is_the_message(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_worst_comes_first_and_is_the_message(monkeypatch):
     doctor = with_rules(monkeypatch, rule('some', saying(Claim(None, 'a warning'))),
                         rule('worse', saying(Claim(None, 'an error')), level=Level.ERROR))
     report = doctor.examine(plain_report(S))
@@ -125,7 +117,7 @@ def test_the_worst_comes_first_and_is_the_message(monkeypatch: pytest.MonkeyPatc
     assert report.message == 'an error'
 
 
-def test_advice_is_no_alarm() -> None:
+def test_advice_is_no_alarm():
     bus = Bus()
     bus.hear(PING, PONG, *read(9, b'\xfa'), *[READ, REPLY] * 5)
     device = bus.report().devices[0]
@@ -133,7 +125,7 @@ def test_advice_is_no_alarm() -> None:
     assert (device.level, device.message) == (Level.OK, 'connected')
 
 
-def test_nothing_is_left_after_a_reset() -> None:
+def test_nothing_is_left_after_a_reset():
     bus = Bus()
     bus.hear(PING, PONG, *[*read(562, b'\0')[:1], encode(1, STATUS, error=7)] * 5)
     assert 'wrong_address' in bus.told()
@@ -145,7 +137,7 @@ def test_nothing_is_left_after_a_reset() -> None:
 # --- rules that no fault of the simulated bus makes true ---------------------------------------
 
 
-def test_without_the_limit_it_cannot_tell() -> None:
+def test_without_the_limit_it_cannot_tell():
     bus = Bus()
     bus.hear(PING, encode(1, STATUS, b'\xf2\x03\x29', error=0), *read(146, b'\x60'))
     report = bus.report()          # the factory limits of this model are not known here
@@ -162,8 +154,7 @@ def test_without_the_limit_it_cannot_tell() -> None:
     (b'\x67\x12\x01', PARAMETERS,
      'connected; no model file, so its registers have no names: add one to `model_dirs`'),
 ])
-def test_a_device_whose_registers_have_no_names_says_so(identity: bytes, names: Names,
-                                                        message: str) -> None:
+def test_a_device_whose_registers_have_no_names_says_so(identity, names, message):
     bus = Bus()
     bus.monitor = Monitor('arm', MODELS, names=names)
     bus.hear(*(PING, encode(1, STATUS, identity, error=0)) * bool(identity), *[READ, REPLY] * 200)
@@ -174,7 +165,7 @@ def test_a_device_whose_registers_have_no_names_says_so(identity: bytes, names: 
                               f'set {names.devices}')
 
 
-def test_a_reboot_that_was_ordered_is_no_finding() -> None:
+def test_a_reboot_that_was_ordered_is_no_finding():
     bus = Bus()
     bus.hear(PING, PONG, *[READ, REPLY] * 20, encode(1, I.REBOOT), encode(1, STATUS, error=0))
     bus.hear(*[READ] * 10, every_ms=40)
@@ -186,7 +177,7 @@ def test_a_reboot_that_was_ordered_is_no_finding() -> None:
 
 # --- what a user sees --------------------------------------------------------------------------
 
-def test_the_robot_trace() -> None:
+def test_the_robot_trace():
     if not TRACE.is_file():
         pytest.skip('skipped: the robot trace is not here')
     data = TRACE.read_bytes()
@@ -195,7 +186,7 @@ def test_the_robot_trace() -> None:
     assert set(names(bus.report())) == {('no_answer', 101), ('turnaround', None), ('noise', None)}
 
 
-def test_findings_and_doubts_are_keys_of_their_status() -> None:
+def test_findings_and_doubts_are_keys_of_their_status():
     bus = Bus()
     pong = encode(1, STATUS, b'\xf2\x03\x29', error=0)
     bus.hear(PING, pong, *read(146, b'\x60'), READ, encode(1, STATUS, bytes(4), error=0x80))
@@ -207,13 +198,13 @@ def test_findings_and_doubts_are_keys_of_their_status() -> None:
     assert not any(key.startswith('finding.') for key in values)
 
 
-def test_the_page_has_every_rule_and_no_other() -> None:
+def test_the_page_has_every_rule_and_no_other():
     page = (DOCS / 'doctor.md').read_text(encoding='utf-8')
     rows = re.findall(r'^\| `(\w+)` ([A-Z]+)[^|]* \| [^| ][^|]* \| [^| ][^|]* \|$', page, re.M)
     assert sorted(rows) == sorted((one.name, one.level.name) for one in RULES)
 
 
-def test_rules_explain_rules() -> None:
+def test_rules_explain_rules():
     known = {one.name for one in RULES}
     assert len(known) == len(RULES)
     for one in RULES:

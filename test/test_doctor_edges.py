@@ -7,7 +7,6 @@ Each row is a case that is just enough for a rule, and the changes that make it 
 is made by hand: what a bus must say to bring it about is in test_doctor_evidence.py.
 """
 
-from typing import Any
 
 from doctor_case import asks
 from doctor_case import claims
@@ -22,8 +21,6 @@ import pytest
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import Counts
-from dxl_monitor.bus.report import Cycle
-from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.doctor.case import Sample
@@ -36,12 +33,12 @@ from msg_defs.reports import Level
 
 # --- what is just enough ---------------------------------------------------------------------
 
-def spoken(number: int = 1, **parts: Any) -> DeviceReport:
+def spoken(number=1, **parts):
     """Return a device that gave 1000 answers in 10 s."""
     return device(number, **{'window': {'answers': 1000}, 'totals': {'answers': 1000}, **parts})
 
 
-def damage(count: int, asked: int = 0, every_ms: float = 300.0) -> list[Incident[Any]]:
+def damage(count, asked=0, every_ms=300.0):
     return note(ev.DAMAGED_INSTRUCTION, ev.Front(I.READ, 7), asked) + note(
         ev.DAMAGED_STATUS, ev.Front(0x55, 8), count - asked, every_ms=every_ms)
 
@@ -58,52 +55,50 @@ GLITCHES = {10: {'glitches': 2}, 0: {'glitches': 7}}
 FAST_READ = asks(I.FAST_SYNC_READ, 1, 2, asked=3, stamps=(NOW - 2 * S,))
 
 
-def back(ms: int, number: int = 1, torque: int = -1,
-         ago_s: float = 2.5) -> list[Incident[ev.SilentFor]]:
+def back(ms, number=1, torque=-1, ago_s=2.5):
     """Return a return after so long an absence."""
     return [Incident(NOW - int(ago_s * S), ev.RETURNED, number, ev.SilentFor(ms, torque))]
 
 
-def sample(ago_s: float, goal: float | None = None, position: float | None = None,
-           tick: float | None = None, voltage: float | None = None) -> Sample:
+def sample(ago_s, goal=None, position=None, tick=None, voltage=None):
     return Sample(NOW - int(ago_s * S), goal, position, tick, voltage)
 
 
-def ticks(before: float, after: float) -> list[Sample]:
+def ticks(before, after):
     """Return Realtime Tick before an absence and 2 s later, behind it."""
     return [sample(4, tick=before), sample(2, tick=after)]
 
 
-def volts(before: float, after: float) -> list[Sample]:
+def volts(before, after):
     return [sample(4, voltage=before), sample(1, voltage=after)]
 
 
 STANDING = [sample(2.4, 1, 1), sample(2.2, 100, 200), sample(1, 120, 200)]
 
 
-def watched(at: int, every: int = S // 4) -> Cycle:
+def watched(at, every=S // 4):
     return asks(I.READ, 1, at=at, size=4, stamps=range(NOW - 3 * every, NOW + 1, every))
 
 
-def at_5(**parts: Any) -> DeviceReport:
+def at_5(**parts):
     return device(registers={'Present Position': 5}, **parts)
 
 
-def places(*positions: float) -> list[Sample]:
+def places(*positions):
     return [sample(3 - at / 2, 0, place) for at, place in enumerate(positions)]
 
 
-def both_sides(goal: float, position: float = 0) -> list[Sample]:
+def both_sides(goal, position=0):
     return [sample(3 - at / 2, goal * (-1) ** at, position * (at > 3)) for at in range(5)]
 
 
-def moves(seconds: float, goal: float, position: float) -> list[Sample]:
+def moves(seconds, goal, position):
     """Return a goal and a position that move so far in so long; the first sample is not used."""
     return [sample(seconds + 0.05, 1000, 1000), sample(seconds, 100, 200),
             sample(0, 100 + goal, 200 + position)]
 
 
-ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]]]] = [
+ENOUGH = [
     ('wrong_baud',
      {'counters': {'Bytes': 400, 'Packet Bytes': 51},
       'marks': {3: {}, 2: {'bytes': 100, 'packet_bytes': 50, 'framing': 4}, 0: {'framing': 9}}},
@@ -611,7 +606,7 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
 
 
 @pytest.mark.parametrize('row', ENOUGH, ids=[row[0] for row in ENOUGH])
-def test_a_rule_speaks_from_its_edge_on(row: tuple[Any, ...]) -> None:
+def test_a_rule_speaks_from_its_edge_on(row):
     speaks_from_its_edge_on(*row)
 
 
@@ -623,8 +618,7 @@ def test_a_rule_speaks_from_its_edge_on(row: tuple[Any, ...]) -> None:
     (1190, 46, False), (1249, 45, True), (1250, 44, True), (1250, 45, False), (1399, 44, True),
     (2000, 11, True), (2000, 12, False), (2129, 11, True), (None, 0, False), (1060, None, False),
 ])
-def test_the_firmware_from_which_on_fast_reads_are_known(number: int | None, firmware: int | None,
-                                                         is_told: bool) -> None:
+def test_the_firmware_from_which_on_fast_reads_are_known(number, firmware, is_told):
     one = device(model_number=number, firmware=firmware, totals={'answers': 9})
     assert len(claims('fast_read_unsupported', cycles=(asks(I.FAST_SYNC_READ, 1),), devices=[one],
                       counts=[(NOW - 10 * S, {1: Counts(answers=9)})])) == is_told
@@ -635,8 +629,8 @@ LEROBOT_BAUDS = {4: None, 5: 57_600, 6: 38_400, 7: 19_200, 8: None}
 
 
 @pytest.mark.parametrize('code', LEROBOT_BAUDS)
-def test_the_baud_codes_that_lerobot_reads_differently(code: int) -> None:
-    def told(model: str) -> list[str]:
+def test_the_baud_codes_that_lerobot_reads_differently(code):
+    def told(model):
         return [one.message for one in claims(
             'baud_code', devices=[device(model=model)],
             notes=note(ev.BAUD_WRITTEN, ev.Written(code), 1))]
@@ -648,13 +642,13 @@ def test_the_baud_codes_that_lerobot_reads_differently(code: int) -> None:
 
 
 @pytest.mark.parametrize('volts', [9, 63, 136])
-def test_a_voltage_within_its_limits_is_none_to_tell(volts: int) -> None:
+def test_a_voltage_within_its_limits_is_none_to_tell(volts):
     assert claims('voltage', devices=[device(registers={'Present Input Voltage': volts})]) == []
 
 
 @pytest.mark.parametrize(('volts', 'level'), [((62, 60, 138), Level.WARN),
                                               ((62, 59, 138), Level.ERROR)])
-def test_three_that_are_near_a_limit_are_the_supply(volts: tuple[int, ...], level: Level) -> None:
+def test_three_that_are_near_a_limit_are_the_supply(volts, level):
     devices = [device(number, registers={'Present Input Voltage': raw})
                for number, raw in enumerate(volts, 1)]
     assert [one.device for one in claims('voltage', devices=devices[:2])] == [1, 2]
@@ -674,11 +668,10 @@ FROM_THE_FACTORY = {
 
 
 @pytest.mark.parametrize('name', FROM_THE_FACTORY)
-def test_the_limits_from_the_factory(name: str) -> None:
+def test_the_limits_from_the_factory(name):
     model = MODELS.by_name(name)
-    assert model is not None
     assert FACTORY[model.number or 0] == FROM_THE_FACTORY[name]
 
 
-def test_the_limits_of_the_mx_of_protocol_1() -> None:
+def test_the_limits_of_the_mx_of_protocol_1():
     assert [FACTORY[number] for number in (29, 310, 320, 360)] == [(80, 6, 16)] * 4

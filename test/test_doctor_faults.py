@@ -14,7 +14,6 @@ from benchmark.baseline import saved_of
 from benchmark.confusion import examine
 from benchmark.confusion import label
 from benchmark.confusion import reports
-from benchmark.confusion import Result
 from benchmark.confusion import SIDED
 from benchmark.confusion import told
 from benchmark.confusion import WITHIN_S
@@ -29,7 +28,6 @@ from benchmark.confusion_cases import FAST_ROBOT
 from benchmark.confusion_cases import FEETECH
 from benchmark.confusion_cases import FEETECH_BEHIND
 from benchmark.confusion_cases import FEETECH_CASES
-from benchmark.confusion_cases import Key
 from benchmark.confusion_cases import Scene
 from dxl_monitor.doctor import feetech
 from dxl_monitor.doctor import RULES
@@ -59,16 +57,16 @@ PLAYED = [(family, case) for family in FAMILIES for case in family.cases]
 
 
 @cache
-def result_of(case: Case, sided: bool) -> Result:
+def result_of(case, sided):
     return examine(case, sided)
 
 
-def name_of(part: object) -> str:
-    return part.name if isinstance(part, Family) else label(part)  # type: ignore[arg-type]
+def name_of(part):
+    return part.name if isinstance(part, Family) else label(part)
 
 
 @pytest.mark.parametrize(('family', 'case'), PLAYED, ids=name_of)
-def test_a_fault_is_named_and_nothing_else(family: Family, case: Case) -> None:
+def test_a_fault_is_named_and_nothing_else(family, case):
     result = result_of(case, family.sided)
     assert set(result.told) == set(case.told)
     assert 0 <= result.after_s <= WITHIN_S
@@ -79,20 +77,20 @@ def test_a_fault_is_named_and_nothing_else(family: Family, case: Case) -> None:
 
 
 @pytest.mark.parametrize('family', FAMILIES, ids=name_of)
-def test_it_is_as_in_the_baseline(family: Family) -> None:
+def test_it_is_as_in_the_baseline(family):
     assert {label(case): fault_cells(case, result_of(case, family.sided))
             for case in family.cases} == saved_of(family.name), \
         'run: python -m benchmark.baseline --write'
 
 
 @pytest.mark.parametrize('family', FAMILIES[:3], ids=name_of)
-def test_every_fault_is_among_the_cases(family: Family) -> None:
+def test_every_fault_is_among_the_cases(family):
     faults = {case.fault.partition(':')[0] for case in family.cases}
     assert faults == {name for name, kind in KINDS.items() if family.protocol in kind.protocols}
     assert len(faults) >= ENOUGH
 
 
-def test_every_rule_has_a_fault_or_a_case_made_by_hand() -> None:
+def test_every_rule_has_a_fault_or_a_case_made_by_hand():
     played = {rule for _, case in PLAYED for rule, _ in case.told}
     assert played >= {rule.name for rule in feetech.RULES + setting_up.RULES}
     by_hand = {rule for rule, *_ in (*test_doctor_edges.ENOUGH, *test_doctor_time.ENOUGH,
@@ -113,13 +111,13 @@ HEALTHY = [
       for name in ('moving', 'sync', 'read_write', 'mixed', 'ping', 'idle'))]
 
 
-def scene_name(one: Scene | float) -> str:
+def scene_name(one):
     return f'{one.dialect} {one.pattern} {one.gather // MS} ms' if isinstance(one, Scene) \
         else f'{one:g} s'
 
 
 @pytest.mark.parametrize(('scene', 'seconds'), HEALTHY, ids=scene_name)
-def test_good_traffic_is_no_finding(scene: Scene, seconds: float) -> None:
+def test_good_traffic_is_no_finding(scene, seconds):
     """At OK there is advice, only of one broadcast Ping after the other."""
     assert {key for report in reports([], scene, seconds) for key in told(report)} \
         == ({('scan', None)} if scene.pattern == 'broadcast' else set())
@@ -131,13 +129,13 @@ BLURRED = ('silent:3', 'duplicate:3', 'baud:3', 'latched:3', 'reboot:3', 'echo',
 
 
 @pytest.mark.parametrize('name', BLURRED)
-def test_found_through_an_adapter_that_gathers_bytes(name: str) -> None:
+def test_found_through_an_adapter_that_gathers_bytes(name):
     case = next(one for one in CASES if one.fault.replace(':{at}', '').rstrip(':') == name)
     assert set(examine(case._replace(scene=case.scene._replace(gather=2 * MS))).told) \
         == set(case.told)
 
 
-PAIRS: tuple[tuple[Scene, str, str, tuple[Key, ...]], ...] = (
+PAIRS = (
     (ANSWERS_BEHIND, 'silent:3', 'latched:5', (('no_answer', 3), ('hardware_error', 5))),
     (ANSWERS_BEHIND, 'silent:3', 'hot:6', (('no_answer', 3), ('too_hot', 6))),
     (ANSWERS_BEHIND, 'silent:3', 'silent:6', (('no_answer', 3), ('no_answer', 6))),
@@ -171,23 +169,22 @@ PAIRS: tuple[tuple[Scene, str, str, tuple[Key, ...]], ...] = (
 
 
 @pytest.mark.parametrize(('scene', 'one', 'other', 'expected'), PAIRS)
-def test_two_faults_at_once_are_both_named(scene: Scene, one: str, other: str,
-                                           expected: tuple[Key, ...]) -> None:
+def test_two_faults_at_once_are_both_named(scene, one, other, expected):
     faults = [f'{fault}:2' if ':' in fault else f'{fault}::2' for fault in (one, other)]
     *_, last = reports(faults, scene, 7.0)
     assert set(told(last)) == set(expected)
 
 
-def test_a_fault_that_is_over_is_forgotten() -> None:
+def test_a_fault_that_is_over_is_forgotten():
     *_, last = reports(['noise::1:2', 'wrong_map:3:1:2'], Scene(rate=20.0), 17.0)
     assert last.findings == ()
 
 
-def test_a_dead_device_at_the_end_of_the_chain_is_no_broken_cable() -> None:
+def test_a_dead_device_at_the_end_of_the_chain_is_no_broken_cable():
     *_, last = reports(['silent:100:2'], Scene(), 7.0)
     assert told(last) == (('no_answer', 100),)
 
 
-def test_no_fast_reads_at_all() -> None:
+def test_no_fast_reads_at_all():
     *_, last = reports(['old_firmware::2'], FAST, 7.0)
     assert {rule for rule, _ in told(last)} == {'fast_read_unsupported'}

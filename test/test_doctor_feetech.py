@@ -16,18 +16,18 @@ S = 1_000 * MS
 class Bus:
     """Three STS3215; each instruction and its answer are chunks of their own."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.monitor = Monitor('arm', MODELS, Settings(
             baud=1_000_000, protocol='feetech',
             devices=tuple(Expected(number, 'STS3215') for number in (1, 2, 3))))
         self.now = 100 * S
 
-    def ask(self, number: int, code: int, params: bytes = b'', answer: bytes = b'') -> None:
+    def ask(self, number, code, params=b'', answer=b''):
         for packet in (encode(number, code, params), encode(number, 0, answer)):
             self.now += MS
             self.monitor.feed(packet, self.now)
 
-    def poll(self, seconds: float) -> None:
+    def poll(self, seconds):
         """Read positions for a while."""
         for _ in range(round(20 * seconds)):
             for number in (1, 2, 3):
@@ -36,12 +36,12 @@ class Bus:
             if _ % 20 == 0:
                 self.monitor.report(self.now)
 
-    def findings(self) -> dict[str, tuple[int | None, str]]:
+    def findings(self):
         return {one.rule: (one.device, one.message)
                 for one in self.monitor.report(self.now).findings}
 
 
-def test_nothing_is_said_of_a_well_arm() -> None:
+def test_nothing_is_said_of_a_well_arm():
     bus = Bus()
     for number in (1, 2, 3):
         bus.ask(number, 2, b'\0\2', b'\3\x0a')
@@ -54,7 +54,7 @@ def test_nothing_is_said_of_a_well_arm() -> None:
     assert not {'baud_code', 'lock', 'calibrated_twice', 'mixed_firmware'} & bus.findings().keys()
 
 
-def test_writes_to_a_locked_eeprom() -> None:
+def test_writes_to_a_locked_eeprom():
     bus = Bus()
     bus.ask(1, 2, b'\x37\1', b'\1')
     bus.poll(1)
@@ -67,7 +67,7 @@ def test_writes_to_a_locked_eeprom() -> None:
     assert 'write 0 to Lock before it' in message
 
 
-def test_a_middle_that_is_set_twice() -> None:
+def test_a_middle_that_is_set_twice():
     bus = Bus()
     bus.ask(3, 3, b'\x28\x80')
     bus.ask(3, 3, b'\x28\1')
@@ -76,7 +76,7 @@ def test_a_middle_that_is_set_twice() -> None:
     assert bus.findings()['calibrated_twice'][0] == 3
 
 
-def test_a_dip_of_the_supply_is_not_another_voltage() -> None:
+def test_a_dip_of_the_supply_is_not_another_voltage():
     bus = Bus()
     bus.ask(1, 2, b'\x0e\2', bytes((140, 40)))
     for tenths in (120, 80, 120, 80, 120):
@@ -85,7 +85,7 @@ def test_a_dip_of_the_supply_is_not_another_voltage() -> None:
         assert 'wrong_supply' not in bus.findings()
 
 
-def test_a_servo_with_the_other_byte_order() -> None:
+def test_a_servo_with_the_other_byte_order():
     bus = Bus()
     bus.ask(1, 2, b'\2\1', b'\0')
     assert 'layout' not in bus.findings()
@@ -93,7 +93,7 @@ def test_a_servo_with_the_other_byte_order() -> None:
     assert bus.findings()['layout'][0] == 2
 
 
-def test_an_id_of_253_is_a_servo() -> None:
+def test_an_id_of_253_is_a_servo():
     bus = Bus()
     for _ in range(5):
         bus.ask(253, 2, b'\x38\2', b'\0\x08')
@@ -102,7 +102,7 @@ def test_an_id_of_253_is_a_servo() -> None:
     assert 'impossible_id' not in bus.findings()
 
 
-def test_an_answer_that_lost_its_first_byte_is_counted_and_not_believed() -> None:
+def test_an_answer_that_lost_its_first_byte_is_counted_and_not_believed():
     bus = Bus()
     bus.poll(1)
     for _ in range(6):
@@ -116,14 +116,14 @@ def test_an_answer_that_lost_its_first_byte_is_counted_and_not_believed() -> Non
     assert bus.findings()['turnaround'][0] == 2
 
 
-def test_a_servo_that_is_calibrated_twice() -> None:
+def test_a_servo_that_is_calibrated_twice():
     bus = Bus()
     bus.ask(3, 0x0B)
     bus.ask(3, 0x0B)
     assert bus.findings()['calibrated_twice'][0] == 3
 
 
-def test_different_firmware_in_one_arm() -> None:
+def test_different_firmware_in_one_arm():
     bus = Bus()
     for number, minor in ((1, b'\x0a'), (2, b'\x0a'), (3, b'\x09')):
         bus.ask(number, 2, b'\0\2', b'\3' + minor)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the doctor keeps from report to report: of a silent bus, of damage."""
 
-from typing import Any
 
 from doctor_case import asks
 from doctor_case import case
@@ -14,7 +13,6 @@ import pytest
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import report as words
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor import configuration
 from dxl_monitor.doctor import damage
 from dxl_monitor.doctor import Doctor
@@ -32,25 +30,25 @@ LOST = tuple(note(ev.SOURCE_LOST, ev.Much(3), 1))
 MANY_LOST = '3 USB events or bytes were lost'
 
 
-def silent(pause_s: float = 1.0, last_byte_s: float | None = 1.0, **parts: Any) -> BusReport:
+def silent(pause_s=1.0, last_byte_s=1.0, **parts):
     """Return a report of a bus on which the master asked so long ago."""
     return case(*parts.pop('devices', ()), **{
         'asked': NOW - int(pause_s * S), 'last_byte_s': last_byte_s, **parts}).report
 
 
-def doubts(report: BusReport) -> list[str]:
+def doubts(report):
     return [one.message.partition(':')[0] for one in report.doubts]
 
 
 # --- a bus on which nothing happens any more ---------------------------------------------------
 
-def test_what_was_not_heard_is_told_of_a_bus_that_was_silent_from_the_first_report_on() -> None:
+def test_what_was_not_heard_is_told_of_a_bus_that_was_silent_from_the_first_report_on():
     assert [one[:15] for one in doubts(Doctor().examine(silent(incidents=LOST)))] \
         == [MANY_LOST[:15]]
     assert doubts(Doctor().examine(silent())) == []
 
 
-def test_the_doubts_of_a_bus_stand_while_it_is_silent() -> None:
+def test_the_doubts_of_a_bus_stand_while_it_is_silent():
     doctor = Doctor()
     unknown = device(9, '')
     first = doctor.examine(silent(0.0, devices=[unknown]))
@@ -60,7 +58,7 @@ def test_the_doubts_of_a_bus_stand_while_it_is_silent() -> None:
 
 
 @pytest.mark.parametrize(('last_byte_s', 'is_judged'), [(0.5, True), (0.51, False), (None, True)])
-def test_a_bus_is_judged_while_there_are_bytes(last_byte_s: float | None, is_judged: bool) -> None:
+def test_a_bus_is_judged_while_there_are_bytes(last_byte_s, is_judged):
     wrong = device(moved_to='57600 Bd')
     found = Doctor().examine(silent(last_byte_s=last_byte_s, devices=[wrong]))
     assert [one.rule for one in found.findings] == ['baud_moved'] * is_judged
@@ -71,7 +69,7 @@ RULES = [one for family in (configuration, damage, feetech, health, presence, se
          for one in family.RULES]
 
 
-def test_the_states_end_with_the_state() -> None:
+def test_the_states_end_with_the_state():
     assert {one.name for one in RULES if not one.holds} == {
         'baud_moved', 'id_moved', 'hardware_error', 'all_silent', 'broken_cable',
         'sync_read_stops', 'no_answer', 'master_stopped', 'scan'}
@@ -79,7 +77,7 @@ def test_the_states_end_with_the_state() -> None:
         'two_masters': 1.0, 'jitter': 3.0, 'damaged_answers': 1.0, 'wrong_supply': 3.0}
 
 
-def test_a_port_that_is_closed_hears_no_master_and_says_nothing_of_it() -> None:
+def test_a_port_that_is_closed_hears_no_master_and_says_nothing_of_it():
     doctor = Doctor()
     assert [[one.rule for one in doctor.examine(silent(30.0, 30.0, deaf=deaf)).findings]
             for deaf in (0, NOW, NOW - S, NOW - 2 * S)] == [
@@ -92,12 +90,12 @@ WRONG = bytearray(encode(3, STATUS, bytes((0, 8, 0, 0)), error=0))
 WRONG[5] ^= 4
 
 
-def noisy(count: int, seconds: float = 0.0, noise: bytes = bytes(WRONG)) -> BusReport:
+def noisy(count, seconds=0.0, noise=bytes(WRONG)):
     return case(cycles=(asks(I.READ, 3),), protocol=words.PROTOCOL_2, noise=noise,
                 counters={'Noise Bytes': count}, stamp=NOW + int(seconds * S)).report
 
 
-def test_a_wreck_is_looked_at_once_and_forgotten_after_ten_seconds() -> None:
+def test_a_wreck_is_looked_at_once_and_forgotten_after_ten_seconds():
     history = History()
     size = len(WRONG)
     assert [len(history.take(noisy(count, seconds)).wrecks) for count, seconds in (

@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The doctor's rules about time and what they are made of: edges, words, what is remembered."""
 
-from collections.abc import Callable
-from collections.abc import Iterable
-from typing import Any
 
 from doctor_case import asks
 from doctor_case import case
@@ -23,7 +20,6 @@ import pytest
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import Counts
-from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.doctor.case import History
 from dxl_monitor.doctor.case import is_waiting
@@ -52,24 +48,24 @@ from msg_defs.reports import Metric
 from msg_defs.uart import heard_at
 
 
-def waits(count: int, us: int, ago_s: float = 0.0, spoilt: bool = False) -> tuple[Wait, ...]:
+def waits(count, us, ago_s=0.0, spoilt=False):
     return (Wait(NOW - int(ago_s * S), us, 1, spoilt),) * count
 
 
-def damaged(count: int) -> list[Any]:
+def damaged(count):
     return note(ev.DAMAGED_STATUS, ev.Front(0x55, 8), count)
 
 
-def late(count: int, apart_ms: float = 3.001, number: int = 1) -> list[Any]:
+def late(count, apart_ms=3.001, number=1):
     return note(ev.LATE, ev.Lateness(100), count, number, apart_ms)
 
 
-def blurred(ms: float) -> tuple[Metric, ...]:
+def blurred(ms):
     """Return what is told of the time between two chunks."""
     return (Metric('time_between_buffers', 'ms', summary(ms)),)
 
 
-def every(gaps_ms: Iterable[float], number: int = 1, code: int = I.READ) -> Cycle:
+def every(gaps_ms, number=1, code=I.READ):
     """Return an instruction that came at these distances, the last time just now."""
     stamps = [NOW]
     for gap in gaps_ms:
@@ -79,7 +75,7 @@ def every(gaps_ms: Iterable[float], number: int = 1, code: int = I.READ) -> Cycl
 
 ANSWERS = {'totals': {'answers': 9, 'reads': 600}, 'window': {'answers': 9}}
 # One answer to a read of 4 bytes is 0.15 ms on the wire at 1 MBd.
-def apart(gap_ms: float, size: int = 4) -> tuple[Cycle, ...]:
+def apart(gap_ms, size=4):
     """Return seven reads so far from each other, five times in a second."""
     return tuple(asks(I.READ, number, size=size, stamps=[
         NOW - n * 200 * MS - number * round(gap_ms * MS) for n in reversed(range(5))])
@@ -96,7 +92,7 @@ CUT_IN = bytes(len(READ_OF_3) - 6) + READ_OF_3[-6:]            # a question that
 # As many gaps within a second as 16 ms each leave room for, most of them such.
 FULL = [NOW - sum(([16 * MS] * 42 + [11 * MS] * 28)[:n]) for n in reversed(range(71))]
 
-ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]]]] = [
+ENOUGH = [
     ('impatient_master', {'repeats': {1: I.READ, 2: I.READ, 3: I.PING}},
      'the master repeats Read at once, 3 times in 10 s: its time-out is shorter than the answers '
      'take; raise it', {'repeated': '3'}, [{'repeats': {1: I.READ, 2: I.READ}}]),
@@ -220,13 +216,13 @@ ENOUGH: list[tuple[str, dict[str, Any], str, dict[str, str], list[dict[str, Any]
 
 
 @pytest.mark.parametrize('row', ENOUGH, ids=[row[0] for row in ENOUGH])
-def test_a_rule_speaks_from_its_edge_on(row: tuple[Any, ...]) -> None:
+def test_a_rule_speaks_from_its_edge_on(row):
     speaks_from_its_edge_on(*row)
 
 
 # --- what it cannot tell ---------------------------------------------------------------------
 
-DOUBTS: list[tuple[str, dict[str, Any], int | None, str]] = [
+DOUBTS = [
     ('noise', {'notes': damaged(4)}, None,
      '4 damaged packets in 10 s are too few to find a cause'),
     ('noise', {'notes': note(ev.SOURCE_LOST, ev.Much(3), 2)}, None,
@@ -254,8 +250,7 @@ DOUBTS: list[tuple[str, dict[str, Any], int | None, str]] = [
 
 @pytest.mark.parametrize(('rule', 'parts', 'number', 'reason'), DOUBTS,
                          ids=[row[0] for row in DOUBTS])
-def test_what_cannot_be_told_is_said(rule: str, parts: dict[str, Any], number: int | None,
-                                     reason: str) -> None:
+def test_what_cannot_be_told_is_said(rule, parts, number, reason):
     assert [one for one in told(rule, **parts) if isinstance(one, Doubt)] \
         == [Doubt(number, reason)]
 
@@ -271,11 +266,11 @@ def test_what_cannot_be_told_is_said(rule: str, parts: dict[str, Any], number: i
         'Present Input Voltage': 120, **limit})]})
       for limit in ({'Max Voltage Limit': 160}, {'Min Voltage Limit': 95})),
 ])
-def test_without_a_reason_no_doubt_is_told(rule: str, parts: dict[str, Any]) -> None:
+def test_without_a_reason_no_doubt_is_told(rule, parts):
     assert told(rule, **parts) == []
 
 
-def test_what_is_noted_of_an_id_that_is_no_device_is_not_told_of_one() -> None:
+def test_what_is_noted_of_an_id_that_is_no_device_is_not_told_of_one():
     assert told('foreign_answers', notes=note(ev.UNASKED, ev.Unasked(2, 0), 3, 9)) == []
 
 
@@ -285,7 +280,7 @@ STEPS = {1: '1 s', 5: '5 s', 10: '10 s', 30: '30 s', 60: '1 min', 300: '5 min', 
          1800: '30 min', 3600: '60 min'}
 
 
-def test_a_time_is_spelt_in_steps() -> None:
+def test_a_time_is_spelt_in_steps():
     assert {step: longer_than(step) for step in STEPS} \
         == {step: f'more than {text}' for step, text in STEPS.items()}
     assert [longer_than(step - 0.1) for step in STEPS] \
@@ -306,14 +301,13 @@ def test_a_time_is_spelt_in_steps() -> None:
     (listed, (range(1, 8),), '001, 002, 003, 004, 005, 006 and 1 more'),
     (listed, ([12, 3, 4], 2), '012, 003 and 1 more'),
 ])
-def test_shares_and_ids_are_spelt_in_steps(spell: Callable[..., str], of: tuple[Any, ...],
-                                           expected: str) -> None:
+def test_shares_and_ids_are_spelt_in_steps(spell, of, expected):
     assert spell(*of) == expected
 
 
 # --- rhythms and collisions ------------------------------------------------------------------
 
-def test_how_long_the_answers_to_an_instruction_take() -> None:
+def test_how_long_the_answers_to_an_instruction_take():
     assert answer_ns(asks(I.SYNC_READ, 1, 2), 1_000_000) == 2 * 15 * 10_000
     assert answer_ns(asks(I.WRITE, 1, size=0), 1_000_000) == 11 * 10_000
     assert answer_ns(asks(I.SYNC_WRITE, 1, 2), 1_000_000) == 0
@@ -327,30 +321,30 @@ def test_how_long_the_answers_to_an_instruction_take() -> None:
     ([20, 20, 20, 25] * 5, False, False), ([20, 20, 20, 24.9] * 5, False, True),
     ([20, 20, 20, 20, 20, 20, 20, 24, 24, 16] * 2, False, True),
 ])
-def test_what_keeps_time(gaps: list[float], is_steady: bool, is_even: bool) -> None:
+def test_what_keeps_time(gaps, is_steady, is_even):
     [rhythm] = rhythms((every(gaps),), NOW, 1_000_000)
     assert (rhythm.is_steady, rhythm.is_even) == (is_steady, is_even)
 
 
-def test_times_that_run_backwards_have_no_rhythm() -> None:
+def test_times_that_run_backwards_have_no_rhythm():
     assert not rhythms((every([20.0] * 20 + [-1.0]), every([-20.0] * 20)), NOW, 1_000_000)
 
 
 @pytest.mark.parametrize(('gaps', 'other', 'locked'), [
     (20.0, 40.0, True), (20.0, 41.5, False), (20.0, 40.5, True), (20.0, 20.3, True)])
-def test_two_periods_that_fit_each_other(gaps: float, other: float, locked: bool) -> None:
+def test_two_periods_that_fit_each_other(gaps, other, locked):
     one, two = rhythms((every([gaps] * 30), every([other] * 15, 2)), NOW, 1_000_000)
     assert is_locked(two, one) == locked
 
 
-def test_what_was_seen_for_a_short_time_is_taken_to_fit() -> None:
+def test_what_was_seen_for_a_short_time_is_taken_to_fit():
     one, two = rhythms((every([20.0] * 30), every([31.0] * 12, 2)), NOW, 1_000_000)
     assert not is_locked(two, one)
     one, two = rhythms((every([20.0] * 30), every([31.0] * 5 + [93.0] * 7, 2)), NOW, 1_000_000)
     assert is_locked(two, one)
 
 
-def together(one_ms: Iterable[float], other_ms: Iterable[float]) -> bool:
+def together(one_ms, other_ms):
     """Tell of two instructions that came at these times whether one knows of the other."""
     one, other = (rhythms((asks(I.READ, number, stamps=[
         NOW - S + int(at * MS) for at in times]),), NOW, 1_000_000)[0]
@@ -358,12 +352,12 @@ def together(one_ms: Iterable[float], other_ms: Iterable[float]) -> bool:
     return is_independent(one, other)
 
 
-def spread(count: int, places: int, apart_ms: float = 40.0) -> list[float]:
+def spread(count, places, apart_ms=40.0):
     """Return times at so many places of a period of 16 ms: a part of it each."""
     return [apart_ms * 16 / 20 * n - n % 5 / 1000 + n % places + 0.5 for n in range(count)]
 
 
-def alternating(*but: int) -> list[float]:
+def alternating(*but):
     """Return 21 times with one tick between each two, but for so many."""
     return [16.0 * n + n % 15 for n in range(21 + len(but)) if n not in but]
 
@@ -379,12 +373,11 @@ TICKS = [16.0 * n for n in range(60)]
     (TICKS, [16.0 * n + n % 16 + 0.5 for n in range(40)], False),       # they alternate
     (TICKS, alternating(5, 12), False), (TICKS, alternating(5, 12, 18), True),
 ])
-def test_another_program_asks_anywhere_in_the_cycle(one: list[float], other: list[float],
-                                                    is_told: bool) -> None:
+def test_another_program_asks_anywhere_in_the_cycle(one, other, is_told):
     assert together(one, other) == is_told
 
 
-def test_a_place_in_the_cycle_is_a_share_of_that_cycle() -> None:
+def test_a_place_in_the_cycle_is_a_share_of_that_cycle():
     gaps = [gap for other in (10, 11, 12, 14, 16, 18, 21, 25, 32, 43) for gap in (16, other)] * 2
     begins = [float(sum(gaps[:n])) for n in range(40)]
     halves = [begins[n] + gaps[n] / 2 for n in range(0, 39, 2)]
@@ -392,20 +385,19 @@ def test_a_place_in_the_cycle_is_a_share_of_that_cycle() -> None:
 
 
 @pytest.mark.parametrize(('whole', 'odd', 'count'), [(9, 4, 1), (8, 5, 0)])
-def test_a_repetition_is_told_where_four_of_five_periods_are_regular(whole: int, odd: int,
-                                                                     count: int) -> None:
+def test_a_repetition_is_told_where_four_of_five_periods_are_regular(whole, odd, count):
     [rhythm] = rhythms((every([20] * (whole - 1) + [1, 19, 20] + [30] * odd),), NOW, 1_000_000)
     assert len(rhythm.repeats) == count
 
 
 @pytest.mark.parametrize(('before', 'count'), [(10, 1), (13, 0)])
-def test_what_is_repeated_came_in_time_before(before: float, count: int) -> None:
+def test_what_is_repeated_came_in_time_before(before, count):
     newest_first = [10] * 8 + [8.4, 1.6, before] + [10] * 12        # 8.4 alone is not in time
     [rhythm] = rhythms((every(newest_first),), NOW, 1_000_000)
     assert len(rhythm.repeats) == count
 
 
-def test_the_usual_period_is_a_mean_of_eight_or_more() -> None:
+def test_the_usual_period_is_a_mean_of_eight_or_more():
     [rhythm] = rhythms((every([23.0] * 2 + [21.0] * 8 + [20.0] * 30),), NOW, 1_000_000)
     stamps = rhythm.cycle.stamps
     assert rhythm.turn(stamps[0]) == pytest.approx((30 * 20 + 8 * 21) / 38 * MS)
@@ -413,24 +405,24 @@ def test_the_usual_period_is_a_mean_of_eight_or_more() -> None:
     assert rhythm.turn(stamps[30] + 1) == 0.0
 
 
-def test_two_periods_are_compared_by_the_time_in_which_both_are_known() -> None:
+def test_two_periods_are_compared_by_the_time_in_which_both_are_known():
     slow, fast = rhythms((every([40.0] * 15), every([20.0] * 30 + [20.9] * 12, 2)), NOW, 1_000_000)
     assert is_locked(slow, fast)
 
 
 @pytest.mark.parametrize(('gaps', 'has_order'), [
     ([10, 12, 14, 16, 18, 20, 22, 26], False), ([10, 12, 14, 16, 18, 20, 20, 26], True)])
-def test_jitter_has_many_different_periods(gaps: list[float], has_order: bool) -> None:
+def test_jitter_has_many_different_periods(gaps, has_order):
     [rhythm] = rhythms((every(gaps * 2),), NOW, 1_000_000)
     assert (rhythm.jitter == 0) == has_order
 
 
 @pytest.mark.parametrize(('headers', 'rate'), [(3, 1_000_000), (2, None)])
-def test_a_rate_is_told_from_three_headers_on(headers: int, rate: int | None) -> None:
+def test_a_rate_is_told_from_three_headers_on(headers, rate):
     assert likely_rate(heard_at(READ_OF_3, 2.0) * headers, 2_000_000) == rate
 
 
-def test_only_what_is_repeated_and_goes_on_is_a_rhythm() -> None:
+def test_only_what_is_repeated_and_goes_on_is_a_rhythm():
     assert len(rhythms((every([20] * 12),), NOW, 1_000_000)) == 1
     assert rhythms((every([20] * 11),), NOW, 1_000_000) == []
     assert rhythms((every([20] * 12),), NOW + 2 * S, 1_000_000) == []
@@ -446,7 +438,7 @@ def test_only_what_is_repeated_and_goes_on_is_a_rhythm() -> None:
     (b'\xf8' + READ_OF_3[1:], 1),
     (READ_OF_3[1:], 0),                                # its begin is not known
 ])
-def test_the_end_of_a_question_behind_an_answer(noise: bytes, count: int) -> None:
+def test_the_end_of_a_question_behind_an_answer(noise, count):
     cycles = (asks(I.PING, 3), asks(I.READ), asks(I.READ, 3, at=None), asks(I.READ, 3))
     assert ran_into_answers(case(cycles=cycles, noise=noise, notes=damaged(1))) == count
     assert ran_into_answers(case(cycles=cycles, noise=noise)) == 0
@@ -464,11 +456,10 @@ FRONTS = {
 
 
 @pytest.mark.parametrize('name', FRONTS)
-def test_bits_that_are_lost_from_any_instruction_are_a_collision(name: str) -> None:
+def test_bits_that_are_lost_from_any_instruction_are_a_collision(name):
     cycle, front = FRONTS[name]
 
-    def collides(front: ev.Front, count: int, others: int = 0, protocol: str = words.PROTOCOL_2,
-                 ) -> bool:
+    def collides(front, count, others=0, protocol=words.PROTOCOL_2):
         return is_collision(case(cycles=(cycle,), protocol=protocol, notes=[
             *note(ev.DAMAGED_INSTRUCTION, front, count),
             *note(ev.DAMAGED_INSTRUCTION, ev.Front(0xFF, 0xFFFF), others)]))
@@ -489,7 +480,7 @@ def test_bits_that_are_lost_from_any_instruction_are_a_collision(name: str) -> N
 CLASHES = note(ev.DAMAGED_INSTRUCTION, ev.Front(0, 2), 3)
 
 
-def two_clocks(**parts: Any) -> list[Claim | Doubt]:
+def two_clocks(**parts):
     """Return what is said of one instruction that two loops repeat."""
     found = case(**parts)
     found.clocks = [TwoClocks(NOW, asks(I.READ, 3), (
@@ -497,7 +488,7 @@ def two_clocks(**parts: Any) -> list[Claim | Doubt]:
     return list(RULE['two_masters'].check(found))
 
 
-def test_one_instruction_of_two_loops_is_two_programs_where_packets_collide() -> None:
+def test_one_instruction_of_two_loops_is_two_programs_where_packets_collide():
     words = 'Read of 003 at 132 every 20 ms and every 31 ms: two programs, or '
     assert two_clocks() == [Doubt(None, words + 'one with two timers')]
     assert two_clocks(cycles=(asks(I.READ, 3),), protocol='Dynamixel 2.0', notes=CLASHES) == [
@@ -507,8 +498,7 @@ def test_one_instruction_of_two_loops_is_two_programs_where_packets_collide() ->
 
 @pytest.mark.parametrize(('other_ms', 'blur_ms', 'is_told'), [
     (37.0, 1.0, True), (40.0, 1.0, False), (37.0, 6.6, True), (37.0, 6.7, False)])
-def test_two_rhythms_that_do_not_fit_are_two_programs(other_ms: float, blur_ms: float,
-                                                      is_told: bool) -> None:
+def test_two_rhythms_that_do_not_fit_are_two_programs(other_ms, blur_ms, is_told):
     cycles = every([20.0] * 60), every([other_ms] * 32, 2)._replace(address=None)
     found = told('two_masters', metrics=blurred(blur_ms), rhythms=rhythms(cycles, NOW, 1_000_000))
     assert [one.message for one in found if isinstance(one, Claim)] == [
@@ -525,8 +515,7 @@ UNSTEADY = [20, 20, 31, 20, 23, 43, 38, 20, 35, 26, 41, 29, 33, 37, 24, 22, 40, 
     (UNSTEADY, {'waits': waits(1, 500, 3.001)}, True), (UNSTEADY, {'metrics': blurred(6.6)}, True),
     (UNSTEADY, {'metrics': blurred(6.7)}, False),
 ])
-def test_a_cycle_that_was_regular_and_is_not(gaps: list[float], parts: dict[str, Any],
-                                             is_told: bool) -> None:
+def test_a_cycle_that_was_regular_and_is_not(gaps, parts, is_told):
     cycle = every(gaps)
     found = told('jitter', **{'rhythms': rhythms((cycle,), NOW, 1_000_000),
                               'steady': {key_of(cycle)}, **parts})
@@ -536,12 +525,12 @@ def test_a_cycle_that_was_regular_and_is_not(gaps: list[float], parts: dict[str,
 
 # --- what is remembered ----------------------------------------------------------------------
 
-def test_the_count_of_so_long_ago_is_the_newest_that_is_old_enough() -> None:
+def test_the_count_of_so_long_ago_is_the_newest_that_is_old_enough():
     found = case(marks={10: {'bytes': 1}, 2: {'bytes': 2}, 1.9: {'bytes': 3}, 0: {'bytes': 4}})
     assert [found.mark(age).bytes for age in (60, 10, 2, 1.95, 0)] == [1, 1, 2, 2, 4]
 
 
-def test_what_happened_lately_to_a_device_is_counted_from_then_on() -> None:
+def test_what_happened_lately_to_a_device_is_counted_from_then_on():
     one = device(totals={'answers': 9})
     found = case(one, counts=[(NOW - 3 * S, {1: Counts(answers=2)}),
                               (NOW - 2 * S, {1: Counts(answers=5)})])
@@ -549,7 +538,7 @@ def test_what_happened_lately_to_a_device_is_counted_from_then_on() -> None:
     assert found.lately(device(2, totals={'answers': 4}), 2).answers == 4
 
 
-def test_damage_has_gone_on_from_its_first_to_its_last() -> None:
+def test_damage_has_gone_on_from_its_first_to_its_last():
     assert case().damage_s == 0.0
     assert case(notes=note(ev.CUT, ev.Front(2, 7), 5)).damage_s == pytest.approx(1.2)
     assert case(notes=note(ev.BAD_LENGTH, ev.Length(7), 2)).damage == 2
@@ -570,23 +559,23 @@ def test_damage_has_gone_on_from_its_first_to_its_last() -> None:
     ({'state': words.ASKED, 'last_heard_s': None, 'missed_in_a_row': 9,
       'window': {'missed': 10, 'garbled': 10}}, False),
 ])
-def test_who_is_gone(parts: dict[str, Any], gone: bool) -> None:
+def test_who_is_gone(parts, gone):
     assert case(device(7, **parts)).gone == [7] * gone
 
 
-def test_who_waits_behind_another() -> None:
+def test_who_waits_behind_another():
     assert is_waiting(device(state=words.WAITING, waiting_behind=2))
     assert not is_waiting(device(state=words.WAITING))
     assert not is_waiting(device(waiting_behind=2))
 
 
-def asked_at(history: History, *pairs: tuple[float, float]) -> list[float]:
+def asked_at(history, *pairs):
     """Return how long it was quiet, by reports at s with the last instruction at s."""
     return [round(history.take(case(asked=int(asked * S), stamp=int(now * S)).report).quiet_s, 3)
             for now, asked in pairs]
 
 
-def test_a_pause_is_quiet_where_the_master_does_not_often_pause_like_that() -> None:
+def test_a_pause_is_quiet_where_the_master_does_not_often_pause_like_that():
     assert asked_at(History(), (100, 100), (100.625, 100), (100.626, 100)) == [0, 0, 0.626]
     assert asked_at(History(), (100, 0)) == [0]
     paused = History()
@@ -598,7 +587,7 @@ def test_a_pause_is_quiet_where_the_master_does_not_often_pause_like_that() -> N
         assert asked_at(paused, (102 + minute, 100.5 + minute)) == [quiet_s]
 
 
-def test_an_incident_is_taken_once_and_forgotten_after_ten_seconds() -> None:
+def test_an_incident_is_taken_once_and_forgotten_after_ten_seconds():
     history = History()
     one, two = note(ev.CUT, ev.Front(2, 7), 2)
     report = case().report
@@ -612,14 +601,13 @@ def test_an_incident_is_taken_once_and_forgotten_after_ten_seconds() -> None:
 
 @pytest.mark.parametrize(('between', 'count'), [
     ((), 1), ((NOW - 160 * MS,), 0), ((NOW - 159 * MS,), 0), ((NOW - 159 * MS + 1,), 1)])
-def test_a_repetition_with_another_question_between_is_none(between: tuple[int, ...],
-                                                            count: int) -> None:
+def test_a_repetition_with_another_question_between_is_none(between, count):
     again = every([20] * 7 + [19, 1] + [20] * 14)      # 160 ms before the last, and 159
     found = History().take(case(cycles=(again, asks(I.PING, 2, stamps=between))).report)
     assert len(found.repeats) == count
 
 
-def test_rhythms_are_looked_for_every_three_quarters_of_a_second() -> None:
+def test_rhythms_are_looked_for_every_three_quarters_of_a_second():
     history = History()
     cycles = (every([20] * 20),)
     assert [len(history.take(case(stamp=NOW + int(at * S), cycles=some).report).rhythms)
@@ -627,13 +615,13 @@ def test_rhythms_are_looked_for_every_three_quarters_of_a_second() -> None:
         == [0, 0, 1, 1, 0]
 
 
-def test_a_thousand_incidents_of_a_kind_are_kept() -> None:
+def test_a_thousand_incidents_of_a_kind_are_kept():
     many = tuple(note(ev.CUT, ev.Front(2, 7), 1001, every_ms=1.0))
     found = History().take(case(incidents=many).report)
     assert [one.stamp for one in found.incidents(ev.CUT)] == [one.stamp for one in many[1:]]
 
 
-def test_after_a_reset_the_history_begins_again() -> None:
+def test_after_a_reset_the_history_begins_again():
     history = History()
     [one] = note(ev.CUT, ev.Front(2, 7), 1)
     counted = case(counters={'Bytes': 5}, incidents=(one,)).report
@@ -642,7 +630,7 @@ def test_after_a_reset_the_history_begins_again() -> None:
     assert history.take(counted._replace(counters=COUNTERS, incidents=())).count(ev.CUT) == 0
 
 
-def test_a_mark_counts_what_the_driver_and_the_devices_did() -> None:
+def test_a_mark_counts_what_the_driver_and_the_devices_did():
     found = History().take(case(
         device(totals={'answers': 2}), device(2, totals={'answers': 3}),
         counters={'Bytes': 9, 'Packet Bytes': 8, 'Packets': 7, 'Instructions': 6},
@@ -651,7 +639,7 @@ def test_a_mark_counts_what_the_driver_and_the_devices_did() -> None:
     assert tuple(found.mark(0)) == (NOW, 9, 8, 7, 6, 5, 4, 5, 3, 30)
 
 
-def test_samples_are_those_of_the_last_ten_seconds() -> None:
+def test_samples_are_those_of_the_last_ten_seconds():
     history = History()
     moving = device(registers={'Goal Position': 9, 'Present Position': 7,
                                'Present Input Voltage': 120, 'Realtime Tick': 1500})

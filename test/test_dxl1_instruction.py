@@ -9,7 +9,6 @@ import pytest
 
 from msg_defs.dxl1_instruction import common
 from msg_defs.dxl1_instruction import common_error
-from msg_defs.dxl1_instruction import Dialect
 from msg_defs.dxl1_instruction import DIALECTS
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import error_text
@@ -36,8 +35,7 @@ from msg_defs.dxl_instruction import parse as parse_2
     (0x83, BROADCAST, b'\x1e\2\0\x10\0\1\x20\2', Answers.NONE,
      (Access(0, 30, 2, b'\x10\0'), Access(1, 30, 2, b'\x20\2'))),
 ])
-def test_both_dialects_understand(code: int, number: int, params: bytes, answers: Answers,
-                                  accesses: tuple[Access, ...]) -> None:
+def test_both_dialects_understand(code, number, params, answers, accesses):
     for dialect in DIALECTS:
         request = parse(code, number, params, dialect)
         assert (request.answers, request.accesses) == (answers, accesses)
@@ -47,7 +45,7 @@ def test_both_dialects_understand(code: int, number: int, params: bytes, answers
     assert (said.answers, said.accesses, said.malformed) == (answers, accesses, False)
 
 
-def test_what_only_one_of_them_has() -> None:
+def test_what_only_one_of_them_has():
     bulk, sync = b'\0\2\1\x1e\2\2\x24', b'\x38\2\1\2\3'
     asked = (Access(1, 30, 2, None), Access(2, 36, 2, None))
     assert parse(0x92, BROADCAST, bulk, DYNAMIXEL_1).accesses == asked
@@ -70,14 +68,14 @@ def test_what_only_one_of_them_has() -> None:
     (0x82, BROADCAST, b'\x38\2\1\1'), (0x92, BROADCAST, b'\0'), (0x92, BROADCAST, b'\1\2\1\0'),
     (0x92, BROADCAST, b'\0\2\1\0\2\1\0'), (0x0B, 1, b'\0'),
 ])
-def test_parameters_that_do_not_fit_are_malformed(code: int, number: int, params: bytes) -> None:
+def test_parameters_that_do_not_fit_are_malformed(code, number, params):
     request = parse(code, number, params)
     assert request.malformed
     assert (request.answers, request.accesses) == (Answers.NONE, ())
     assert not fits(code, number, params)
 
 
-def test_an_error_byte_is_a_set_of_flags() -> None:
+def test_an_error_byte_is_a_set_of_flags():
     assert error_text(0, FEETECH) == ''
     assert error_text(0x25, FEETECH) == 'voltage, overheating, overload'
     assert error_text(0x24, DYNAMIXEL_1) == 'overheating, overload'
@@ -90,12 +88,11 @@ def test_an_error_byte_is_a_set_of_flags() -> None:
     (0x10, DYNAMIXEL_1, 3), (0x02, DYNAMIXEL_1, 6), (0x41, DYNAMIXEL_1, 0x82),
     (0x02, FEETECH, 0x80), (0x08, FEETECH, 0x80), (0x21, FEETECH, 0x80), (0x01, UNDECIDED, 0x80),
 ])
-def test_what_refuses_an_instruction_and_what_tells_a_state(
-        error: int, dialect: Dialect, said: int) -> None:
+def test_what_refuses_an_instruction_and_what_tells_a_state(error, dialect, said):
     assert common_error(error, dialect) == said
 
 
-def test_names() -> None:
+def test_names():
     assert name_of(0x0B, FEETECH) == 'Calibrate'
     assert name_of(0x0B, DYNAMIXEL_1) == 'instruction 0x0B'
     assert [name_of(code) for code in (0x82, 0x92, 0x55)] == [
@@ -106,8 +103,7 @@ def test_names() -> None:
 @given(st.sampled_from([1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 0x82, 0x83, 0x92, 0, 0x55]),
        st.sampled_from([0, 1, 253, BROADCAST, 255]), st.binary(max_size=60),
        st.sampled_from(DIALECTS))
-def test_nothing_raises_and_2_0_says_the_same(code: int, number: int, params: bytes,
-                                              dialect: Dialect) -> None:
+def test_nothing_raises_and_2_0_says_the_same(code, number, params, dialect):
     request = parse(code, number, params, dialect)
     assert request.malformed == (code in dialect.entries
                                  and not fits(code, number, params, dialect))

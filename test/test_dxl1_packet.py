@@ -4,7 +4,6 @@
 
 
 from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
-from packets import Packet1
 from packets import packets_1_in
 import pytest
 import scservo_sdk
@@ -15,7 +14,6 @@ from msg_defs.dxl1_packet import encode
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl1_packet import MAX_FRAME
 from msg_defs.frame import EITHER_1
-from msg_defs.frame import Frame
 from msg_defs.frame import is_good
 
 # As published: the e-Manual (Protocol 1.0) and Feetech's protocol text. ID, code, parameters.
@@ -38,10 +36,10 @@ REPLY = encode(1, 0, b'\x18\x05')
 BAD_REPLY = REPLY[:-1] + bytes([REPLY[-1] ^ 1])
 
 
-def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet1], Dxl1Framer]:
+def feed(data, sizes=None):
     """Feed in chunks of these sizes, the rest at once; then flush. Checks the byte accounting."""
     framer = Dxl1Framer()
-    found: list[Packet1] = []
+    found = []
     at = 0
     for size in [*(sizes or []), len(data)]:
         found += packets_1_in(framer, data[at:at + size])
@@ -55,18 +53,18 @@ def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet1], Dx
     return found, framer
 
 
-def summary(framer: Dxl1Framer) -> tuple[int, ...]:
+def summary(framer):
     return (framer.packets, framer.crc_errors, framer.truncated, framer.bad_length,
             framer.noise_bytes)
 
 
-def damaged(frames: list[Frame]) -> list[tuple[str, int]]:
+def damaged(frames):
     return [(frame[6].reason, frame[6].noise_length) for frame in frames
             if frame[6] is not None and frame[6].reason]
 
 
 @pytest.mark.parametrize('name', VECTORS)
-def test_published_packets_both_ways(name: str) -> None:
+def test_published_packets_both_ways(name):
     text, number, code, params = VECTORS[name]
     wire = bytes.fromhex(text)
     assert encode(number, code, bytes.fromhex(params)) == wire
@@ -81,25 +79,25 @@ class Line:
 
     is_using = False
 
-    def __init__(self, received: bytes = b'') -> None:
+    def __init__(self, received=b''):
         self.received = received
         self.written = b''
 
-    def clearPort(self) -> None:
+    def clearPort(self):
         self.received = b''
 
-    def writePort(self, packet: list[int]) -> int:
+    def writePort(self, packet):
         self.written += bytes(packet)
         return len(packet)
 
-    def readPort(self, size: int) -> list[int]:
+    def readPort(self, size):
         taken, self.received = self.received[:size], self.received[size:]
         return list(taken)
 
-    def isPacketTimeout(self) -> bool:
+    def isPacketTimeout(self):
         return not self.received
 
-    def setPacketTimeout(self, size: int) -> None:
+    def setPacketTimeout(self, size):
         pass
 
 
@@ -107,20 +105,20 @@ SDKS = [Protocol1PacketHandler(), scservo_sdk.PacketHandler(0)]
 
 
 @pytest.mark.parametrize('sdk', SDKS, ids=['dynamixel-sdk', 'feetech-servo-sdk'])
-def test_what_the_sdks_write_and_read_is_what_we_mean(sdk: object) -> None:
+def test_what_the_sdks_write_and_read_is_what_we_mean(sdk):
     line = Line()
-    sdk.writeTxOnly(line, 7, 42, 3, [1, 2, 3])                         # type: ignore[attr-defined]
+    sdk.writeTxOnly(line, 7, 42, 3, [1, 2, 3])
     line.is_using = False
-    sdk.readTx(line, 253 % 252, 56, 2)                                 # type: ignore[attr-defined]
+    sdk.readTx(line, 253 % 252, 56, 2)
     assert line.written == encode(7, 3, b'\x2a\1\2\3') + encode(1, 2, b'\x38\2')
     for number, error, data in ((1, 0, b''), (250, 0x24, b'\xff\xff\xfd\xff'), (0, 1, bytes(200))):
         wire = encode(number, error, data)
-        packet, result = sdk.rxPacket(Line(b'\x00' + wire))            # type: ignore[attr-defined]
+        packet, result = sdk.rxPacket(Line(b'\x00' + wire))
         assert (bytes(packet), result) == (wire, 0)
 
 
-def test_what_is_wrong_is_said_exactly() -> None:
-    cases: list[tuple[bytes, str, tuple[int, int, int]]] = [
+def test_what_is_wrong_is_said_exactly():
+    cases = [
         (BAD_REPLY, 'crc', (1, 0, 0)),
         (REPLY[:-1], 'cut', (0, 1, 0)),
         (READ[:6] + PING, 'cut', (0, 1, 0)),
@@ -138,7 +136,7 @@ def test_what_is_wrong_is_said_exactly() -> None:
         assert end == begin + 2 + len(data)
 
 
-def test_no_broadcast_and_no_length_is_too_large() -> None:
+def test_no_broadcast_and_no_length_is_too_large():
     wire = encode(BROADCAST, 0x83, b'\x1e\x04' + bytes(range(251)))
     assert len(wire) == MAX_FRAME
     [packet], _ = feed(wire, [200])
@@ -147,7 +145,7 @@ def test_no_broadcast_and_no_length_is_too_large() -> None:
         encode(1, 3, bytes(254))
 
 
-def test_a_packet_behind_one_that_is_cut_off_comes_with_the_silence() -> None:
+def test_a_packet_behind_one_that_is_cut_off_comes_with_the_silence():
     framer = Dxl1Framer()
     assert packets_1_in(framer, encode(1, 3, bytes(100))[:9] + PING) == []
     assert [packet.code for packet in packets_1_in(framer, None)] == [1]
@@ -160,8 +158,7 @@ def test_a_packet_behind_one_that_is_cut_off_comes_with_the_silence() -> None:
     (encode(1, 0, HEADER)[:5], HEADER + b'\xfe', [], 8),
     (encode(1, 0, HEADER)[:5], encode(1, 0, HEADER)[5:] + PING, [0, 1], 0),
 ])
-def test_after_a_pause_the_next_chunk_decides(first: bytes, second: bytes, codes: list[int],
-                                              noise: int) -> None:
+def test_after_a_pause_the_next_chunk_decides(first, second, codes, noise):
     framer = Dxl1Framer()
     found = packets_1_in(framer, first)
     framer.interrupt()

@@ -12,7 +12,6 @@ import pytest
 from msg_defs.crc import crc16
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
-from msg_defs.dxl_instruction import Block
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
@@ -25,11 +24,11 @@ from msg_defs.dxl_packet import STATUS
 VECTORS = Path(__file__).parents[2] / 'shared' / 'data' / 'dxl_vectors.json'
 
 
-def words(*numbers: int) -> bytes:
+def words(*numbers):
     return struct.pack(f'<{len(numbers)}H', *numbers)
 
 
-def combined(blocks: list[Block]) -> bytes:
+def combined(blocks):
     """Build a fast reply as the devices do, each with its own CRC over all bytes before it."""
     length = 1 + sum(len(block.data) + 4 for block in blocks)
     frame = HEADER + bytes([BROADCAST]) + words(length) + bytes([STATUS])
@@ -63,9 +62,7 @@ def combined(blocks: list[Block]) -> bytes:
      Answers.NONE, (Access(1, 32, 2, b'\xa0\x00'), Access(2, 31, 1, b'\x50'))),
     (0x8B, 1, b'\x01\x02', Answers.NONE, ()),
 ])
-def test_who_is_addressed_and_who_answers(
-    instruction: int, number: int, params: bytes, answers: Answers, accesses: tuple[Access, ...],
-) -> None:
+def test_who_is_addressed_and_who_answers(instruction, number, params, answers, accesses):
     request = parse(instruction, number, params)
     assert (request.answers, request.accesses) == (answers, accesses)
     assert not request.malformed
@@ -77,21 +74,21 @@ def test_who_is_addressed_and_who_answers(
     (0x83, words(116, 0) + b'\x01'), (0x92, b''), (0x92, b'\x01\x02\x03'),
     (0x92, (b'\x01' + words(0, 1)) * 2), (0x93, b'\x01' + words(0, 9) + b'\x01'), (0x93, b''),
 ])
-def test_parameters_that_do_not_fit_are_malformed(instruction: int, params: bytes) -> None:
+def test_parameters_that_do_not_fit_are_malformed(instruction, params):
     request = parse(instruction, 1, params)
     assert request.malformed
     assert request.answers is Answers.NONE
     assert request.accesses == ()
 
 
-def test_names_and_errors_in_words() -> None:
+def test_names_and_errors_in_words():
     assert name_of(Instruction.FAST_SYNC_READ) == 'Fast Sync Read'
     assert name_of(0x8B) == 'instruction 0x8B'
     assert [error_text(error) for error in (0, 0x80, 7, 0x87, 9)] == [
         '', 'alert', 'Access', 'Access, alert', 'error 9']
 
 
-def test_published_instructions_are_understood() -> None:
+def test_published_instructions_are_understood():
     if not VECTORS.is_file():
         pytest.skip('skipped: the published vectors are not here')
     for vector in json.loads(VECTORS.read_text())['vectors']:

@@ -5,7 +5,6 @@
 import json
 from pathlib import Path
 import random
-from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,7 +17,6 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import MAX_FRAME
-from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import STATUS
 from msg_defs.dxl_packet import stuff
 from msg_defs.dxl_packet import unstuff
@@ -38,17 +36,16 @@ GARBAGE = [b'', b'\x00', b'\xff', b'\xff\xff', b'\xff\xff\xfd', b'\xff\xff\xff\x
            HEADER + b'\x01', bytes(range(250)), b'\xff' * 40]
 
 
-def vectors() -> list[dict[str, Any]]:
+def vectors():
     if not VECTORS.is_file():
         pytest.skip(NO_VECTORS)
-    found: list[dict[str, Any]] = json.loads(VECTORS.read_text())['vectors']
-    return found
+    return json.loads(VECTORS.read_text())['vectors']
 
 
-def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet], Framer]:
+def feed(data, sizes=None):
     """Feed in chunks of these sizes, the rest at once; then flush. Checks the byte accounting."""
     framer = Framer()
-    found: list[Packet] = []
+    found = []
     at = 0
     for size in [*(sizes or []), len(data)]:
         found += packets_in(framer, data[at:at + size], 0)
@@ -62,12 +59,12 @@ def feed(data: bytes, sizes: list[int] | None = None) -> tuple[list[Packet], Fra
     return found, framer
 
 
-def summary(framer: Framer) -> tuple[int, ...]:
+def summary(framer):
     return (framer.packets, framer.repaired, framer.crc_errors, framer.truncated,
             framer.bad_length, framer.noise_bytes)
 
 
-def test_vectors_decode_and_the_invalid_ones_do_not() -> None:
+def test_vectors_decode_and_the_invalid_ones_do_not():
     for vector in vectors():
         found, framer = feed(bytes.fromhex(vector['hex']))
         assert len(found) == vector['valid'], vector
@@ -83,7 +80,7 @@ def test_vectors_decode_and_the_invalid_ones_do_not() -> None:
         assert framer.noise_bytes == 0
 
 
-def test_vectors_encode_to_the_same_bytes() -> None:
+def test_vectors_encode_to_the_same_bytes():
     checked = 0
     for vector in vectors():
         wire = bytes.fromhex(vector['hex'])
@@ -96,7 +93,7 @@ def test_vectors_encode_to_the_same_bytes() -> None:
     assert checked == sum(vector['valid'] for vector in vectors())
 
 
-def test_vectors_in_any_split_with_garbage_around() -> None:
+def test_vectors_in_any_split_with_garbage_around():
     rng = random.Random(1)
     for vector in vectors():
         if not vector['valid']:
@@ -119,7 +116,7 @@ RUN = b'\xff\xff\xfd'
 BAD_REPLY = REPLY[:-1] + bytes([REPLY[-1] ^ 1])
 
 
-def test_stamps_are_those_of_the_deciding_chunk() -> None:
+def test_stamps_are_those_of_the_deciding_chunk():
     framer = Framer()
     assert packets_in(framer, READ, 5)[0].stamp == 5
     begun = encode(1, 0x03, bytes(100))[:9]
@@ -139,8 +136,7 @@ def test_stamps_are_those_of_the_deciding_chunk() -> None:
     (HEADER + b'\x01\x02\x00\x03' + bytes(20), 'length', (0, 0, 1)),
 ], ids=['crc', 'cut by silence', 'cut by a header', 'ends in FF FF FD', 'ends in FF FF', 'long',
         'short'])
-def test_what_is_wrong_is_said_exactly(
-        wire: bytes, reason: str, counts: tuple[int, int, int]) -> None:
+def test_what_is_wrong_is_said_exactly(wire, reason, counts):
     framer = Framer()
     framer.frames(PING)
     damaged = [one for one in framer.frames(wire) + framer.flush_frames() if not is_good(one)]
@@ -159,7 +155,7 @@ FAST = encode(0xFE, STATUS, HEADER + bytes(20), error=0, stuffed=False)
 
 
 @pytest.mark.parametrize('cut', range(1, len(FAST)))
-def test_a_frame_around_a_pause_is_whole(cut: int) -> None:
+def test_a_frame_around_a_pause_is_whole(cut):
     framer = Framer()
     assert packets_in(framer, FAST[:cut], 0) == []
     framer.interrupt()
@@ -167,7 +163,7 @@ def test_a_frame_around_a_pause_is_whole(cut: int) -> None:
     assert (framer.noise_bytes, framer.truncated) == (0, 0)
 
 
-def test_a_header_behind_a_pause_ends_the_frame_before_it() -> None:
+def test_a_header_behind_a_pause_ends_the_frame_before_it():
     framer = Framer()
     packets_in(framer, FAST[:20], 0)
     framer.interrupt()
@@ -175,7 +171,7 @@ def test_a_header_behind_a_pause_ends_the_frame_before_it() -> None:
     assert (framer.noise_bytes, framer.truncated, framer.pending) == (20, 1, 0)
 
 
-def test_a_frame_in_three_pieces_waits_for_the_last() -> None:
+def test_a_frame_in_three_pieces_waits_for_the_last():
     framer = Framer()
     packets_in(framer, FAST[:12], 0)
     framer.interrupt()
@@ -185,7 +181,7 @@ def test_a_frame_in_three_pieces_waits_for_the_last() -> None:
 
 @given(st.lists(st.one_of(st.none(), st.binary(max_size=12), st.sampled_from(
     [HEADER, HEADER[:2], HEADER[2:], FAST, FAST[:9], encode(1, 1)])), max_size=12))
-def test_pauses_anywhere_raise_nothing_and_lose_no_byte(pieces: list[bytes | None]) -> None:
+def test_pauses_anywhere_raise_nothing_and_lose_no_byte(pieces):
     framer = Framer()
     for piece in pieces:
         if piece is None:

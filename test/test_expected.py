@@ -23,7 +23,7 @@ from mecarover_serial.parameters import ParameterError
     ('1-2:MX-64,7:MX-106:hip', [Expected(1, 'MX-64'), Expected(2, 'MX-64'),
                                 Expected(7, 'MX-106', 'hip')]),
 ])
-def test_forms(text: str, devices: list[Expected]) -> None:
+def test_forms(text, devices):
     assert parse(text) == devices
 
 
@@ -37,7 +37,7 @@ def test_forms(text: str, devices: list[Expected]) -> None:
     ('9-3:MX-64', 'write 3-9'),
     ('1-3:MX-64:knee', 'one joint name for 3 devices'),
 ])
-def test_mistakes(text: str, words: str) -> None:
+def test_mistakes(text, words):
     with pytest.raises(ParameterError, match=words) as caught:
         parse(text)
     assert str(caught.value).startswith('devices: ')
@@ -55,11 +55,11 @@ def test_mistakes(text: str, words: str) -> None:
     ('left/knee', '', 'left/knee'),
     ('\n/1:XL-320:jaw', '\n', '1:XL-320:jaw'),
 ])
-def test_a_bus_and_a_joint_may_have_a_slash(entry: str, bus: str, device: str) -> None:
+def test_a_bus_and_a_joint_may_have_a_slash(entry, bus, device):
     assert split_bus(entry) == (bus, device)
 
 
-def test_order_is_that_of_the_cable() -> None:
+def test_order_is_that_of_the_cable():
     assert [device.id for device in parse_all(['5', '1-2', '9'])] == [5, 1, 2, 9]
 
 
@@ -67,6 +67,6 @@ def test_order_is_that_of_the_cable() -> None:
     (['1-5', '3:MX-64'], 'ID 3 is given twice'),
     (['1:MX-64:knee', '2:MX-64:knee'], 'joint knee is given twice'),
 ])
-def test_nothing_is_listed_twice(entries: list[str], words: str) -> None:
+def test_nothing_is_listed_twice(entries, words):
     with pytest.raises(ParameterError, match=words):
         parse_all(entries)

@@ -3,7 +3,6 @@
 """The simulated bus: traffic and faults on paper time, then on ptys, and its truth."""
 
 from collections import Counter
-from collections.abc import Iterator
 import itertools
 import json
 import os
@@ -12,16 +11,13 @@ import random
 import subprocess
 import sys
 import time
-from typing import Any
 
 from harness import wait
 import pytest
-from whole_truth import KnownTable
 from whole_truth import LEARNING
 from whole_truth import WholeTruth
 
 from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.model.control_table import STRUCTS
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
@@ -31,8 +27,6 @@ from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fault import Fault
 from mecarover_fakes.faults import KINDS
 from mecarover_fakes.faults import parse as parse_fault
-from mecarover_fakes.ground_truth import GroundTruth
-from mecarover_fakes.line import Burst
 from mecarover_fakes.line import Line
 from mecarover_fakes.line import MASTER
 from mecarover_fakes.line import wire_ns
@@ -54,27 +48,26 @@ DEADLINE_S = 30.0
 FAST_DEVICES = ('1-10:XL430-W250', '11-15:XM540-W270')     # two different ones
 
 
-def make_master(pattern: str = 'moving', faults: tuple[str, ...] = (), *,
-                devices: tuple[str, ...] = DEFAULT_DEVICES, baud: int = BAUD,
-                waits_in_line: bool = True, **options: Any) -> Master:
+def make_master(pattern='moving', faults=(), *, devices=DEFAULT_DEVICES, baud=BAUD,
+                waits_in_line=True, **options):
     line = Line(make_devices(list(devices), MODELS, baud), baud, waits_in_line=waits_in_line)
     return Master(line, PATTERNS[pattern], faults=[parse_fault(text) for text in faults],
                   truth=WholeTruth(line), **options)
 
 
-def tables(truth: GroundTruth) -> dict[int, KnownTable]:
+def tables(truth):
     assert isinstance(truth, WholeTruth)
     return truth.tables
 
 
-def play(master: Master, seconds: float = 3.0) -> list[Burst]:
+def play(master, seconds=3.0):
     return list(master.bursts(round(seconds * S)))
 
 
 # --- traffic -------------------------------------------------------------------------------
 
 @pytest.mark.parametrize('pattern', [name for name in PATTERNS if name != 'none'])
-def test_pattern_is_good_traffic_in_order_of_time(pattern: str) -> None:
+def test_pattern_is_good_traffic_in_order_of_time(pattern):
     master = make_master(pattern)
     bursts = play(master)
     assert all(one.end <= two.start for one, two in itertools.pairwise(bursts))
@@ -87,30 +80,30 @@ def test_pattern_is_good_traffic_in_order_of_time(pattern: str) -> None:
     assert framer.packets == truth.instructions + truth.statuses > 20
 
 
-def test_the_truth_has_every_instruction() -> None:
+def test_the_truth_has_every_instruction():
     assert set(LEARNING) == set(INSTRUCTIONS)
 
 
-def test_same_seed_same_bytes() -> None:
-    def run(seed: int) -> list[tuple[int, bytes]]:
+def test_same_seed_same_bytes():
+    def run(seed):
         master = make_master(faults=('noise', 'jitter', 'duplicate:3'), seed=seed)
         return [(burst.start, burst.data) for burst in play(master, 1.0)]
     assert run(1) == run(1) != run(2)
 
 
 @pytest.mark.parametrize('rate', [20.0, 100.0])
-def test_cycles_come_at_the_rate(rate: float) -> None:
+def test_cycles_come_at_the_rate(rate):
     bursts = play(make_master('sync', devices=('1-5:MX-64',), rate=rate), 3.0)
     reads = [burst.start for burst in bursts if burst.data[7] == 0x82]
     assert {two - one for one, two in itertools.pairwise(reads)} == {round(S / rate)}
 
 
-def test_rate_0_fills_the_line() -> None:
+def test_rate_0_fills_the_line():
     bursts = play(make_master(rate=0), 1.0)
     assert sum(len(burst.data) for burst in bursts) > 0.75 * BAUD / 10
 
 
-def test_253_devices_fit_into_packets() -> None:
+def test_253_devices_fit_into_packets():
     master = make_master('mixed', devices=('0-252:XM430-W350',), baud=4_500_000, rate=0)
     framer = Framer()
     for burst in play(master, 1.0):
@@ -120,14 +113,14 @@ def test_253_devices_fit_into_packets() -> None:
     assert {known.state for known in master.truth.known.values()} == {'connected'}
 
 
-def test_master_that_was_there_before_sends_no_ping() -> None:
+def test_master_that_was_there_before_sends_no_ping():
     bursts = play(make_master(started=True), 1.0)
     asked = Counter(burst.data[7] for burst in bursts if burst.sender == MASTER)
     assert asked[0x01] == 0
     assert asked[0x82] > 50
 
 
-def test_joints_swing_and_goals_lead() -> None:
+def test_joints_swing_and_goals_lead():
     master = make_master('sync', devices=('1:MX-106',))
     play(master, 2.0)
     known = tables(master.truth)[1]
@@ -140,7 +133,7 @@ def test_joints_swing_and_goals_lead() -> None:
     assert field.decode(raw).number == pytest.approx(motion.angle(1.99), abs=0.02)
 
 
-def test_ping_experiment_changes_the_model_each_time() -> None:
+def test_ping_experiment_changes_the_model_each_time():
     bursts = play(make_master('ping', devices=('1:MX-106',)), 0.5)
     numbers = [burst.data[9:11] for burst in bursts if burst.data[7] == 0x55 and
                len(burst.data) == 14][1:]
@@ -162,14 +155,14 @@ BLURRED_FAULTS = {
     'ping_only', 'noise', 'factory_id', 'last_id'}
 
 
-def monitored(master: Master, seconds: float, write_acks: str = 'always') -> BusReport:
+def monitored(master, seconds, write_acks='always'):
     monitor = Monitor('bus', MODELS, Settings(baud=master.line.baud, write_acks=write_acks))
     for burst in master.bursts(round(seconds * S)):
         monitor.feed(burst.data, burst.end + S)
     return monitor.report(master.now + S + LATER_NS)
 
 
-def assert_agrees(report: BusReport, truth: GroundTruth) -> None:
+def assert_agrees(report, truth):
     """Hold what the monitor reports against the truth, device by device."""
     devices = {device.id: device for device in report.devices}
     for number, known in truth.known.items():
@@ -187,14 +180,14 @@ def assert_agrees(report: BusReport, truth: GroundTruth) -> None:
 
 
 @pytest.mark.parametrize('pattern', [name for name in PATTERNS if name not in ('none', 'ping')])
-def test_monitor_knows_the_truth_of_a_pattern(pattern: str) -> None:
+def test_monitor_knows_the_truth_of_a_pattern(pattern):
     devices = FAST_DEVICES if pattern == 'fast' else DEFAULT_DEVICES
     master = make_master(pattern, devices=devices)
     assert_agrees(monitored(master, 2.0), master.truth)
 
 
 @pytest.mark.parametrize('fault', EXACT_FAULTS)
-def test_monitor_knows_the_truth_of_a_fault(fault: str) -> None:
+def test_monitor_knows_the_truth_of_a_fault(fault):
     master = make_master(faults=(fault,))
     report = monitored(master, 3.0, 'auto' if fault == 'no_ack' else 'always')
     assert_agrees(report, master.truth)
@@ -202,7 +195,7 @@ def test_monitor_knows_the_truth_of_a_fault(fault: str) -> None:
 
 @pytest.mark.parametrize('waits_in_line', [True, False])
 @pytest.mark.parametrize('fault', ['silent:5:1:1', 'old_firmware:5:1:1'])
-def test_monitor_knows_the_truth_of_cut_combined_replies(fault: str, waits_in_line: bool) -> None:
+def test_monitor_knows_the_truth_of_cut_combined_replies(fault, waits_in_line):
     master = make_master('fast', (fault,), devices=FAST_DEVICES, waits_in_line=waits_in_line)
     assert_agrees(monitored(master, 3.0), master.truth)
 
@@ -213,13 +206,13 @@ def test_monitor_knows_the_truth_of_cut_combined_replies(fault: str, waits_in_li
 KINDS_OF_2 = [name for name, kind in KINDS.items() if '2' in kind.protocols]
 
 
-def test_each_fault_is_tested_against_the_monitor_where_its_counts_are_certain() -> None:
+def test_each_fault_is_tested_against_the_monitor_where_its_counts_are_certain():
     exact = {text.split(':')[0] for text in EXACT_FAULTS} | {'old_firmware'}
     assert exact | BLURRED_FAULTS == set(KINDS_OF_2)
     assert not exact & BLURRED_FAULTS
 
 
-def test_all_field_problems_are_played() -> None:
+def test_all_field_problems_are_played():
     # 2, the Sync Read that stops at a silent device, is what `silent` leads to.
     assert {kind.cause for kind in KINDS.values()} - {0} == set(range(1, 20)) - {2}
     assert all((kind.__doc__ or '').endswith('.') and '\n' not in (kind.__doc__ or '')
@@ -227,7 +220,7 @@ def test_all_field_problems_are_played() -> None:
 
 
 @pytest.mark.parametrize('name', KINDS_OF_2)
-def test_fault_begins_and_ends(name: str) -> None:
+def test_fault_begins_and_ends(name):
     clean = [(burst.start, burst.data) for burst in play(make_master(), 0.5)
              if burst.start < 0.5 * S]
     master = make_master(faults=(f'{name}:3:0.5:0.7',))
@@ -245,7 +238,7 @@ def test_fault_begins_and_ends(name: str) -> None:
     ('silent:5:2:3.5', Fault('silent', 5, 2 * S, round(5.5 * S))),
     ('noise::1', Fault('noise', None, S)),
 ])
-def test_fault_as_a_person_writes_it(text: str, fault: Fault) -> None:
+def test_fault_as_a_person_writes_it(text, fault):
     assert parse_fault(text) == fault
 
 
@@ -255,17 +248,17 @@ def test_fault_as_a_person_writes_it(text: str, fault: Fault) -> None:
     ('silent:x', 'NAME'),
     ('silent:1:2:3:4', 'NAME'),
 ])
-def test_fault_mistakes(text: str, words: str) -> None:
+def test_fault_mistakes(text, words):
     with pytest.raises(ParameterError, match=words):
         parse_fault(text)
 
 
-def test_fault_of_a_device_that_is_not_there() -> None:
+def test_fault_of_a_device_that_is_not_there():
     with pytest.raises(ParameterError, match='no device has this ID'):
         make_master(faults=('silent:77',))
 
 
-def test_silent_device_is_known_as_such_and_comes_back() -> None:
+def test_silent_device_is_known_as_such_and_comes_back():
     master = make_master(faults=('silent:5:1:1',))
     play(master, 1.9)
     states = {number: known.state for number, known in master.truth.known.items()}
@@ -277,7 +270,7 @@ def test_silent_device_is_known_as_such_and_comes_back() -> None:
     assert master.truth.known[5].state == 'connected'
 
 
-def test_late_bytes_at_another_rate_are_garbage() -> None:
+def test_late_bytes_at_another_rate_are_garbage():
     data = bytes(range(256))
     assert heard_at(data, 1.0) == data
     assert Counter(heard_at(b'\xff\xff\xfd\x00' * 50, 1.5)) != Counter(b'\xff\xff\xfd\x00' * 50)
@@ -292,11 +285,11 @@ def test_late_bytes_at_another_rate_are_garbage() -> None:
 class Reader:
     """Reads a pty from now on."""
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path):
         self.fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         self.data = bytearray()
 
-    def take(self) -> int:
+    def take(self):
         try:
             chunk = os.read(self.fd, 65536)
         except OSError:              # nothing there, or hung up
@@ -304,21 +297,21 @@ class Reader:
         self.data += chunk
         return len(chunk)
 
-    def take_until(self, length: int) -> None:
-        def enough() -> bool:
+    def take_until(self, length):
+        def enough():
             self.take()
             return len(self.data) >= length
         wait(enough)
 
 
 @pytest.fixture
-def outlet() -> Iterator[VirtualUart]:
+def outlet():
     outlet = VirtualUart()
     yield outlet
     outlet.close()
 
 
-def test_outlet_counts_what_nobody_took_as_unheard_then_as_overrun(outlet: VirtualUart) -> None:
+def test_outlet_counts_what_nobody_took_as_unheard_then_as_overrun(outlet):
     for _ in range(100):
         outlet.write(bytes(100))
         wait(lambda: outlet.outstanding() >= min(outlet.taken, CAPACITY - 1))
@@ -335,7 +328,7 @@ def test_outlet_counts_what_nobody_took_as_unheard_then_as_overrun(outlet: Virtu
     os.close(reader.fd)
 
 
-def test_bus_in_real_time_is_the_bus_on_paper() -> None:
+def test_bus_in_real_time_is_the_bus_on_paper():
     paper = b''.join(burst.data for burst in play(make_master(), 1.0))
     bus = FakeBus(make_master(), tap=True)
     assert bus.tap is not None
@@ -355,7 +348,7 @@ def test_bus_in_real_time_is_the_bus_on_paper() -> None:
         os.close(reader.fd)
 
 
-def test_bus_paces_its_bytes() -> None:
+def test_bus_paces_its_bytes():
     # However slow the machine is, bytes never come before their time.
     seconds = 0.5
     bus = FakeBus(make_master(devices=('1-5:MX-64',), baud=57_600, rate=0))
@@ -371,7 +364,7 @@ def test_bus_paces_its_bytes() -> None:
     os.close(reader.fd)
 
 
-def test_bus_never_waits_for_its_reader() -> None:
+def test_bus_never_waits_for_its_reader():
     bus = FakeBus(make_master(rate=0))
     reader = Reader(bus.path)
     bus.start()
@@ -384,7 +377,7 @@ def test_bus_never_waits_for_its_reader() -> None:
     os.close(reader.fd)
 
 
-def test_a_machine_that_is_always_late_plays_the_bus_more_slowly(tmp_path: Path) -> None:
+def test_a_machine_that_is_always_late_plays_the_bus_more_slowly(tmp_path):
     link = tmp_path / 'bus'
     times = itertools.count(0, S // 100)               # between two looks at the clock pass 10 ms
     bus = FakeBus(make_master(rate=0), link=str(link), away=Away(0.2, 9e9),
@@ -398,7 +391,7 @@ def test_a_machine_that_is_always_late_plays_the_bus_more_slowly(tmp_path: Path)
     os.close(reader.fd)
 
 
-def test_bus_vanishes_and_comes_back(tmp_path: Path) -> None:
+def test_bus_vanishes_and_comes_back(tmp_path):
     link = tmp_path / 'bus'
     bus = FakeBus(make_master(), link=str(link), away=Away(0.3, 0.3))
     bus.start()
@@ -413,7 +406,7 @@ def test_bus_vanishes_and_comes_back(tmp_path: Path) -> None:
     os.close(reader.fd)
 
 
-def test_idle_bus_stops_at_once_and_whole() -> None:
+def test_idle_bus_stops_at_once_and_whole():
     bus = FakeBus(make_master('idle'))
     bus.start()
     wait(lambda: bus.outlet.sent > 500)
@@ -423,7 +416,7 @@ def test_idle_bus_stops_at_once_and_whole() -> None:
     assert bus.outlet.sent == bus.master.truth.bytes
 
 
-def test_simulated_master_counts_what_is_sent_to_it() -> None:
+def test_simulated_master_counts_what_is_sent_to_it():
     bus = FakeBus(make_master())
     reader = Reader(bus.path)
     os.write(reader.fd, b'never from a monitor')
@@ -435,13 +428,13 @@ def test_simulated_master_counts_what_is_sent_to_it() -> None:
 
 # --- the command ---------------------------------------------------------------------------
 
-def run_tool(*arguments: str) -> subprocess.CompletedProcess[str]:
+def run_tool(*arguments):
     return subprocess.run(
         [sys.executable, '-m', 'mecarover_fakes.fake_bus', *arguments], check=False, text=True,
         capture_output=True, timeout=60, cwd=Path(__file__).parents[1])
 
 
-def test_command_plays_tells_totals_and_truth(tmp_path: Path) -> None:
+def test_command_plays_tells_totals_and_truth(tmp_path):
     truth_file = tmp_path / 'truth.json'
     link = tmp_path / 'bus'
     result = run_tool('--link', str(link), '--devices', '1-5:MX-106', '--seconds', '0.5',
@@ -467,7 +460,7 @@ def test_command_plays_tells_totals_and_truth(tmp_path: Path) -> None:
     (('--rate', '-1'), '--rate'),
     (('--seconds', 'inf'), '--seconds'),
 ])
-def test_command_mistakes_are_one_line(arguments: tuple[str, ...], words: str) -> None:
+def test_command_mistakes_are_one_line(arguments, words):
     result = run_tool(*arguments, '--seconds', '0.1') if '--seconds' not in arguments \
         else run_tool(*arguments)
     assert result.returncode == 2
@@ -475,6 +468,6 @@ def test_command_mistakes_are_one_line(arguments: tuple[str, ...], words: str) -
     assert 'Traceback' not in result.stderr
 
 
-def test_command_lists_faults() -> None:
+def test_command_lists_faults():
     result = run_tool('--list-faults')
     assert [line.split()[0] for line in result.stdout.splitlines()] == list(KINDS)

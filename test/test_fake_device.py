@@ -8,7 +8,6 @@ from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.model.models import Models
 from mecarover_fakes.fake_servo import BOOT_NS
 from mecarover_fakes.fake_servo import FakeDevice
-from mecarover_fakes.line import Exchange
 from mecarover_fakes.line import Line
 from mecarover_fakes.line import MASTER
 from mecarover_fakes.line import mix
@@ -30,8 +29,7 @@ S = 1_000_000_000
 TORQUE, LED, GOAL, POSITION, WATCHDOG = 64, 65, 116, 132, 98
 
 
-def make(number: int = 1, name: str = 'XM430-W350', *, motion: Sine | None = None,
-         return_delay: int = 0, firmware: int = 0) -> FakeDevice:
+def make(number=1, name='XM430-W350', *, motion=None, return_delay=0, firmware=0):
     model = MODELS.by_name(name)
     assert model is not None
     device = FakeDevice(number, model, baud=BAUD, motion=motion)
@@ -40,12 +38,12 @@ def make(number: int = 1, name: str = 'XM430-W350', *, motion: Sine | None = Non
     return device
 
 
-def write(device: FakeDevice, address: int, data: bytes) -> int:
+def write(device, address, data):
     return device.execute(Instruction.WRITE, words(address) + data, 0).error
 
 
 @pytest.mark.parametrize('number', MODELS.names())
-def test_every_model_answers_for_all_its_registers_and_moves(number: int) -> None:
+def test_every_model_answers_for_all_its_registers_and_moves(number):
     model = MODELS.get(number)
     assert model is not None
     device = FakeDevice(1, model, motion=Sine(amplitude=0.5))
@@ -63,13 +61,13 @@ def test_every_model_answers_for_all_its_registers_and_moves(number: int) -> Non
         assert device.execute(Instruction.PING, b'', 0).params[:2] == number.to_bytes(2, 'little')
 
 
-def test_unknown_model_is_bare_memory() -> None:
+def test_unknown_model_is_bare_memory():
     device = FakeDevice(1, UNKNOWN)
     assert write(device, 100, b'\x01\x02') == OK
     assert device.read(100, 2, 0).params == b'\x01\x02'
 
 
-def test_refused_accesses() -> None:
+def test_refused_accesses():
     device = make()
     assert device.read(5000, 1, 0).error == ACCESS
     assert device.read(90 + 400, 1, 0).error == ACCESS          # a hole in the table
@@ -81,14 +79,14 @@ def test_refused_accesses() -> None:
     assert write(device, 9, b'\x00') == ACCESS                  # EEPROM with torque on
 
 
-def test_a_refused_write_changes_nothing() -> None:
+def test_a_refused_write_changes_nothing():
     device = make()
     before = bytes(device.image)
     assert write(device, LED, b'\x01\x00\x00\x07') != OK        # runs into a later register
     assert bytes(device.image) == before
 
 
-def test_indirect_data_is_the_register_it_points_at() -> None:
+def test_indirect_data_is_the_register_it_points_at():
     device = make()
     assert write(device, 168, words(LED)) == OK
     assert write(device, 224, b'\x01') == OK
@@ -96,7 +94,7 @@ def test_indirect_data_is_the_register_it_points_at() -> None:
     assert device.read(224, 1, 0).params == b'\x01'
 
 
-def test_goal_moves_a_device_without_motion_of_its_own() -> None:
+def test_goal_moves_a_device_without_motion_of_its_own():
     device = make()
     write(device, GOAL, (3000).to_bytes(4, 'little'))
     assert device.read(POSITION, 4, 0).params != (3000).to_bytes(4, 'little')
@@ -105,7 +103,7 @@ def test_goal_moves_a_device_without_motion_of_its_own() -> None:
     assert device.read(POSITION, 4, 0).params == (3000).to_bytes(4, 'little')
 
 
-def test_joint_stands_where_the_torque_was_cut() -> None:
+def test_joint_stands_where_the_torque_was_cut():
     device = make(motion=Sine())
     device.set('Torque Enable', 1)
     device.execute(Instruction.WRITE, words(TORQUE) + b'\x00', S)
@@ -113,7 +111,7 @@ def test_joint_stands_where_the_torque_was_cut() -> None:
     assert device.angle(9 * S) == device.angle(5 * S)
 
 
-def test_reg_write_waits_for_action() -> None:
+def test_reg_write_waits_for_action():
     device = make()
     assert device.execute(Instruction.ACTION, b'', 0).error == RESULT_FAIL
     assert device.execute(Instruction.REG_WRITE, words(LED) + b'\x01', 0).error == OK
@@ -122,7 +120,7 @@ def test_reg_write_waits_for_action() -> None:
     assert (device.image[LED], device.get('Registered Instruction')) == (1, 0)
 
 
-def test_reboot_forgets_ram_keeps_eeprom_and_is_deaf_for_a_while() -> None:
+def test_reboot_forgets_ram_keeps_eeprom_and_is_deaf_for_a_while():
     device = make()
     write(device, 20, b'\x07\x00\x00\x00')                      # Homing Offset
     write(device, TORQUE, b'\x01')
@@ -136,7 +134,7 @@ def test_reboot_forgets_ram_keeps_eeprom_and_is_deaf_for_a_while() -> None:
     assert device.hears(BAUD, S + BOOT_NS)
 
 
-def test_latched_error_keeps_the_torque_off() -> None:
+def test_latched_error_keeps_the_torque_off():
     device = make()
     device.latch(0x20, 0)
     write(device, TORQUE, b'\x01')
@@ -146,14 +144,14 @@ def test_latched_error_keeps_the_torque_off() -> None:
 
 @pytest.mark.parametrize(('option', 'number', 'baud'), [
     (b'\xff', 1, 57600), (b'\x01', 9, 57600), (b'\x02', 9, BAUD)])
-def test_factory_reset(option: bytes, number: int, baud: int) -> None:
+def test_factory_reset(option, number, baud):
     device = make(9)
     assert device.execute(Instruction.FACTORY_RESET, option, 0).error == OK
     assert (device.id, device.get('ID'), device.baud) == (number, number, baud)
     assert device.get('Return Delay Time') == 250
 
 
-def test_backup_and_restore() -> None:
+def test_backup_and_restore():
     device = make()
     write(device, 20, b'\x07\x00\x00\x00')
     assert device.execute(Instruction.CONTROL_TABLE_BACKUP, b'\x02CTRL', 0).error == RESULT_FAIL
@@ -163,7 +161,7 @@ def test_backup_and_restore() -> None:
     assert device.image[20] == 7
 
 
-def test_clear_needs_its_key_and_the_torque_off() -> None:
+def test_clear_needs_its_key_and_the_torque_off():
     device = make()
     assert device.execute(Instruction.CLEAR, b'\x01DXL"', 0).error == OK
     assert device.execute(Instruction.CLEAR, b'\x01', 0).error == RESULT_FAIL
@@ -171,7 +169,7 @@ def test_clear_needs_its_key_and_the_torque_off() -> None:
     assert device.execute(Instruction.CLEAR, b'\x01DXL"', 0).error == RESULT_FAIL
 
 
-def test_bus_watchdog_refuses_goals_until_cleared() -> None:
+def test_bus_watchdog_refuses_goals_until_cleared():
     line = Line([make()], BAUD)
     goal = words(GOAL) + bytes(4)
     line.exchange(1, Instruction.WRITE, words(TORQUE) + b'\x01', 0)
@@ -182,13 +180,13 @@ def test_bus_watchdog_refuses_goals_until_cleared() -> None:
     assert _error(line.exchange(1, Instruction.WRITE, goal, S + 2 * S // 100)) == OK
 
 
-def _error(exchange: Exchange) -> int:
+def _error(exchange):
     return exchange.answers[0].error
 
 
 # --- the line ------------------------------------------------------------------------------
 
-def test_return_delay_and_wire_time() -> None:
+def test_return_delay_and_wire_time():
     device = make(return_delay=250)
     exchange = Line([device], BAUD).exchange(1, Instruction.PING, b'', 1000)
     asked, answer = exchange.bursts
@@ -196,7 +194,7 @@ def test_return_delay_and_wire_time() -> None:
     assert (answer.start, answer.end) == (asked.end + 500_000, asked.end + 500_000 + 14 * 10_000)
 
 
-def test_broadcasts_reach_all_and_only_ping_is_answered_in_order_of_ids() -> None:
+def test_broadcasts_reach_all_and_only_ping_is_answered_in_order_of_ids():
     line = Line([make(7), make(3), make(5)], BAUD)
     assert not line.exchange(BROADCAST, Instruction.WRITE, words(LED) + b'\x01', 0).answers
     assert [device.image[LED] for device in line.chain] == [1, 1, 1]
@@ -205,7 +203,7 @@ def test_broadcasts_reach_all_and_only_ping_is_answered_in_order_of_ids() -> Non
     assert [answer.id for answer in exchange.answers] == [3, 5, 7]
 
 
-def test_sync_read_follows_the_list_and_stops_at_a_silent_device() -> None:
+def test_sync_read_follows_the_list_and_stops_at_a_silent_device():
     line = Line([make(1), make(2), make(3)], BAUD)
     ask = words(POSITION, 4) + bytes([3, 1, 2])
     assert _ids(line.exchange(BROADCAST, Instruction.SYNC_READ, ask, 0)) == [3, 1, 2]
@@ -217,12 +215,12 @@ def test_sync_read_follows_the_list_and_stops_at_a_silent_device() -> None:
     assert _ids(line.exchange(BROADCAST, Instruction.SYNC_READ, ask, 0)) == [3, 2]
 
 
-def _ids(exchange: Exchange) -> list[int]:
+def _ids(exchange):
     return [answer.id for answer in exchange.answers]
 
 
 @pytest.mark.parametrize('silent', [None, 1, 2, 3])
-def test_combined_reply_is_cut_at_a_silent_device(silent: int | None) -> None:
+def test_combined_reply_is_cut_at_a_silent_device(silent):
     line = Line([make(1), make(2), make(3)], BAUD)
     for device in line.chain:
         device.silent = device.id == silent
@@ -236,7 +234,7 @@ def test_combined_reply_is_cut_at_a_silent_device(silent: int | None) -> None:
     assert len(reply) == (8 + 8 * heard if heard else 0)
 
 
-def test_firmware_without_fast_reads() -> None:
+def test_firmware_without_fast_reads():
     ask = words(POSITION, 4) + b'\x01'
     for device, answers in ((make(), 1), (make(firmware=44), 0), (make(name='MX-106'), 0)):
         line = Line([device], BAUD)
@@ -244,7 +242,7 @@ def test_firmware_without_fast_reads() -> None:
         assert len(exchange.answers) == answers
 
 
-def test_written_id_and_baud_take_effect_behind_the_acknowledgement() -> None:
+def test_written_id_and_baud_take_effect_behind_the_acknowledgement():
     line = Line([make(1)], BAUD)
     exchange = line.exchange(1, Instruction.WRITE, words(7) + b'\x09', 0)
     assert exchange.answers[0].id == 1
@@ -253,7 +251,7 @@ def test_written_id_and_baud_take_effect_behind_the_acknowledgement() -> None:
     assert not line.exchange(9, Instruction.PING, b'', 0).answers
 
 
-def test_two_devices_with_one_id_run_into_each_other() -> None:
+def test_two_devices_with_one_id_run_into_each_other():
     line = Line([make(1), make(1, 'MX-106')], BAUD)
     exchange = line.exchange(1, Instruction.PING, b'', 0)
     mixed = mix(exchange.bursts, BAUD)
@@ -264,7 +262,7 @@ def test_two_devices_with_one_id_run_into_each_other() -> None:
     assert len(mix(line.exchange(1, Instruction.PING, b'', 0).bursts, BAUD)) == 3
 
 
-def test_malformed_and_unknown_instructions_are_refused_by_the_device() -> None:
+def test_malformed_and_unknown_instructions_are_refused_by_the_device():
     line = Line([make()], BAUD)
     for code, params in ((Instruction.READ, b'\x00'), (0x77, b''), (Instruction.WRITE, b'\x41')):
         exchange = line.exchange(1, code, params, 0)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """CONTRIBUTING.md, "How to add": one of each kind is added by its steps in a copy of the code."""
 
-from collections.abc import Callable
 from pathlib import Path
 import re
 import shutil
@@ -24,7 +23,7 @@ fields:
 """
 
 
-def section(kind: str) -> str:
+def section(kind):
     """Return what CONTRIBUTING.md says about adding one of this kind."""
     text = (ROOT / 'CONTRIBUTING.md').read_text()
     [found] = re.findall(rf'### {re.escape(kind)}[^\n]*\n(.*?)(?=\n##)', text, re.DOTALL)
@@ -34,7 +33,7 @@ def section(kind: str) -> str:
 class Copy:
     """A copy of the code. change() takes a file that the section names, no other."""
 
-    def __init__(self, folder: Path, kind: str) -> None:
+    def __init__(self, folder, kind):
         self.folder = folder
         self.section = section(kind)
         for name in PACKAGES:
@@ -42,7 +41,7 @@ class Copy:
                             ignore=shutil.ignore_patterns('__pycache__', '*.png', 'corpus'))
         shutil.copy(ROOT / 'pyproject.toml', folder)
 
-    def change(self, path: str, *edits: tuple[str, str], named: str = '') -> None:
+    def change(self, path, *edits, named=''):
         """Put text in front of an anchor that stands in the file once; a file may be new."""
         assert f'`{named or path}`' in self.section, path
         file = self.folder / path
@@ -55,14 +54,14 @@ class Copy:
             text = text.replace(anchor, insertion + anchor)
         file.write_text(text)
 
-    def run(self, *arguments: str) -> str:
+    def run(self, *arguments):
         """Run Python in the copy; return what it prints."""
         done = subprocess.run([sys.executable, *arguments], cwd=self.folder, text=True,
                               capture_output=True, check=False, timeout=60)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout.strip()
 
-    def passes(self, file: str, tests: str, least: int = 1) -> None:
+    def passes(self, file, tests, least=1):
         """Run those tests of a file in the copy that have such a name."""
         said = self.run('-m', 'pytest', '-q', '-p', 'no:cacheprovider', f'test/{file}',
                         '-k', tests)
@@ -71,18 +70,18 @@ class Copy:
 
 
 @pytest.fixture
-def copy(tmp_path: Path) -> Callable[[str], Copy]:
+def copy(tmp_path):
     return lambda kind: Copy(tmp_path, kind)
 
 
 @pytest.mark.parametrize('kind', [
     'a model', 'an instruction', 'a finding', 'a value in a status', 'a USB adapter family',
     'a topic', 'a source of bytes', 'a live source'])
-def test_each_list_is_short(kind: str) -> None:
+def test_each_list_is_short(kind):
     assert 0 < len(section(kind).strip().splitlines()) <= MOST_LINES
 
 
-def test_a_model(copy: Callable[[str], Copy]) -> None:
+def test_a_model(copy):
     code = copy('a model')
     code.change('dxl_monitor/model/files/gripper.yaml', ('', GRIPPER),
                 named='dxl_monitor/model/files/NAME.yaml')
@@ -93,7 +92,7 @@ print(model.name, [field.name for field in model.fields])
 """) == "Gripper ['Model Number', 'Present Position']"
 
 
-def test_an_instruction(copy: Callable[[str], Copy]) -> None:
+def test_an_instruction(copy):
     code = copy('an instruction')
     code.change('msg_defs/dxl_instruction.py',
                 ('    STATUS = 0x55\n', '    HOME = 0x21\n'),
@@ -171,7 +170,7 @@ for _ in range(3000):
 """) == ''
 
 
-def test_a_finding(copy: Callable[[str], Copy]) -> None:
+def test_a_finding(copy):
     code = copy('a finding')
     code.change('dxl_monitor/doctor/health.py',
                 ('RULES = (', """\
@@ -205,7 +204,7 @@ for device in report.devices:
 """).splitlines() == ['it has no joint name; give it one', 'None']
 
 
-def test_a_value_in_a_status(copy: Callable[[str], Copy]) -> None:
+def test_a_value_in_a_status(copy):
     code = copy('a value in a status')
     code.change('dxl_monitor/monitor_status.py', (
         "        ('Missed in a Row',", '        (keys.ERRORS, str(len(device.errors))),\n'))
@@ -236,7 +235,7 @@ print(row['errors'], b'"Kinds of errors"' in _files()['figures.js'])
 """) == '0 True'
 
 
-def test_a_usb_adapter_family(copy: Callable[[str], Copy]) -> None:
+def test_a_usb_adapter_family(copy):
     code = copy('a USB adapter family')
     code.change('dxl_monitor/port/adapters.py', ('# All that is understood.', """\
 class Xr21(Adapter):
@@ -265,7 +264,7 @@ class Xr21(Adapter):
     code.passes('test_usb.py', 'family or xr21 or descriptors', 20)
 
 
-def test_a_topic(copy: Callable[[str], Copy]) -> None:
+def test_a_topic(copy):
     code = copy('a topic')
     code.change('dxl_monitor/monitor.py', (
         "                  ('error_rate', 'Hz'", "                  ('look_rate', 'Hz', 3.0),\n"))
@@ -284,7 +283,7 @@ print(metric_status('dxl_monitor', metric).name, metric.value)
 """) == 'dxl_monitor: timing/look_rate 3.0'
 
 
-def test_a_source(copy: Callable[[str], Copy]) -> None:
+def test_a_source(copy):
     code = copy('a source of bytes')
     code.change('dxl_monitor/record/source.py', ('class File(', """\
 class Hex(Source):
@@ -307,7 +306,7 @@ class Hex(Source):
     assert 'Ping' in said
 
 
-def test_a_live_source(copy: Callable[[str], Copy]) -> None:
+def test_a_live_source(copy):
     code = copy('a live source, for node and tools')
     code.change('dxl_monitor/port/hex_listener.py', ('', """\
 import time

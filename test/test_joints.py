@@ -28,11 +28,11 @@ RATE = 100                         # the master's cycle, Hz
 READ = encode(1, I.READ, struct.pack('<HH', 126, 10))
 
 
-def answer(current: int, velocity: int, position: int) -> bytes:
+def answer(current, velocity, position):
     return encode(1, STATUS, struct.pack('<hii', current, velocity, position), error=0)
 
 
-def test_values_in_si_units_with_the_stamp_of_their_bytes() -> None:
+def test_values_in_si_units_with_the_stamp_of_their_bytes():
     bus = Bus(Expected(1, 'MX-106', 'knee'))
     stamp = bus.hear(READ, answer(100, -10, 3072))
     joints, at = bus.monitor.joints(0)
@@ -44,7 +44,7 @@ def test_values_in_si_units_with_the_stamp_of_their_bytes() -> None:
     assert joint.effort == pytest.approx(100 * 0.00336 * 1.615)
 
 
-def test_nothing_is_told_twice() -> None:
+def test_nothing_is_told_twice():
     bus = Bus(Expected(1, 'MX-106'))
     bus.hear(READ, answer(0, 0, 2048))
     _, stamp = bus.monitor.joints(0)
@@ -61,14 +61,13 @@ def test_nothing_is_told_twice() -> None:
     ('MX-106', I.WRITE, struct.pack('<Hi', 116, 3000), b'', ()),    # what the master writes
     ('MX-106', I.WRITE, struct.pack('<Hi', 132, 3000), b'', ()),
     ('BitFoot', I.READ, struct.pack('<HH', 36, 16), bytes(16), ())])       # has no position
-def test_only_positions_that_were_read(model: str, code: int, params: bytes, data: bytes,
-                                       joints: tuple[Joint, ...]) -> None:
+def test_only_positions_that_were_read(model, code, params, data, joints):
     bus = Bus(Expected(1, model))
     stamp = bus.hear(encode(1, code, params), encode(1, STATUS, data, error=0))
     assert bus.monitor.joints(0) == (joints, stamp if joints else 0)
 
 
-def test_no_effort_without_a_torque_constant() -> None:
+def test_no_effort_without_a_torque_constant():
     bus = Bus(Expected(1, 'XW540-H260'))
     assert MODELS.by_name('XW540-H260').torque_constant is None
     bus.hear(READ, answer(100, 0, 2048))
@@ -77,7 +76,7 @@ def test_no_effort_without_a_torque_constant() -> None:
     assert joint.velocity == 0
 
 
-def test_an_unknown_device_is_no_joint_until_it_is_known() -> None:
+def test_an_unknown_device_is_no_joint_until_it_is_known():
     bus = Bus()
     bus.hear(READ, answer(0, 0, 2048))
     assert bus.monitor.joints(0) == ((), 0)
@@ -90,7 +89,7 @@ def test_an_unknown_device_is_no_joint_until_it_is_known() -> None:
 
 @pytest.mark.parametrize('fault', ['', 'silent:3:1:1', 'noise:2:1:1', 'drop:2:1:1'])
 @pytest.mark.parametrize('rate', [20, 200])
-def test_a_sine_is_followed_within_a_tick_whatever_is_lost(fault: str, rate: float) -> None:
+def test_a_sine_is_followed_within_a_tick_whatever_is_lost(fault, rate):
     """A position is the truth of a moment at most a cycle before its stamp, to the encoder."""
     ids = range(1, 7)
     devices = make_devices(['1-6:MX-106'], MODELS, BAUD)

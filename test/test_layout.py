@@ -3,15 +3,12 @@
 """The registers of a device of unknown model: over all models, and on a bus."""
 
 from collections import Counter
-from collections.abc import Callable
 
 from heard_bus import Bus
 from heard_bus import PONG
 import pytest
 
 from dxl_monitor.model import layout
-from dxl_monitor.model.control_table import Field
-from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.models import Models
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
@@ -25,26 +22,26 @@ PROGRAMS = {
               'Present Load', 'Present Input Voltage', 'Present Temperature'),
     'sets up': ('ID', 'Baud Rate', 'Return Delay Time', 'Operating Mode', 'Torque Enable', 'Lock',
                 'Max Position Limit', 'Min Position Limit', 'Goal Position')}
-LEFT_OUT: dict[str, Callable[[Model, Model], bool]] = {
+LEFT_OUT = {
     'nothing': lambda one, model: False,
     'model': lambda one, model: one is model,
     'table': lambda one, model: one.file == model.file,
 }
 
 
-def kind(field: Field) -> tuple[object, ...]:
+def kind(field):
     return (field.name, field.size if field.name in layout.POSITIONS else field.type,
             field.size == 1 or field.byte_order)
 
 
-def named(model: Model, program: str, left_out: str) -> Counter[str]:
+def named(model, program, left_out):
     """Return how many registers got a name; which are named wrongly, in a table of the others."""
     tables = [one for one in SERVOS if one.protocol == model.protocol
               and not LEFT_OUT[left_out](one, model)]
     used = [(field.at, field.size) for name in PROGRAMS[program]
             if (field := model.by_name.get(name))]
     found = layout.agreed(tables, used)
-    result: Counter[str] = Counter()
+    result = Counter()
     for at, _ in used:
         truth, said = model.by_address[at], found.by_address.get(at)
         if said is None:
@@ -61,7 +58,7 @@ def named(model: Model, program: str, left_out: str) -> Counter[str]:
 
 @pytest.mark.parametrize(('left_out', 'least'), [('nothing', 0.5), ('model', 0.5), ('table', 0.2)])
 def test_no_register_is_named_wrongly(left_out, least):
-    total: Counter[str] = Counter()
+    total = Counter()
     for model in SERVOS:
         for program in PROGRAMS:
             total += named(model, program, left_out)
@@ -86,7 +83,7 @@ def test_a_use_says_which_registers_those_are(protocol, used, name, position):
     assert (found.name, said.key if said else '') == (name, position)
 
 
-def asked(*used: tuple[int, bytes | int]) -> list[bytes]:
+def asked(*used):
     """Return what is said where these are written, or so many bytes of zeros are read."""
     said = []
     for at, what in used:
@@ -100,7 +97,7 @@ def asked(*used: tuple[int, bytes | int]) -> list[bytes]:
 MOVES = asked((64, b'\1'), (116, bytes(4)), (132, 4))
 
 
-def names(bus: Bus) -> tuple[str, list[str]]:
+def names(bus):
     device = bus.device()
     return device.model_name, [one.field.key for one in device.observed]
 

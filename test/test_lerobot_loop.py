@@ -32,7 +32,7 @@ IDS = range(1, 7)
 READ = Ask(0xFE, 0x82, bytes((56, 0, 2, 0, *IDS)), True)
 
 
-def write(step: int) -> Ask:
+def write(step):
     where = (2000 + step % 500).to_bytes(2, 'little')
     return Ask(0xFE, 0x83, bytes((42, 0, 2, 0)) + b''.join(
         bytes([one]) + where for one in IDS), True)
@@ -40,7 +40,7 @@ def write(step: int) -> Ask:
 
 @pytest.mark.parametrize(('protocol', 'has_sides'), [
     ('auto', False), ('auto', True), ('feetech', False), ('feetech', True)])
-def test_an_so_101_on_the_move(protocol: str, has_sides: bool) -> None:
+def test_an_so_101_on_the_move(protocol, has_sides):
     devices = make_devices(['1-6:STS3215'], MODELS, BAUD, moving=False, dialect='feetech')
     master = Master(make_line(devices, BAUD, 'feetech', waits_in_line=False), none)
     monitor = Monitor('arm', MODELS, Settings(baud=BAUD, protocol=protocol))

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The listening port thread on real ptys and sockets: complete, read-only, found again, quick."""
 
-from collections.abc import Iterator
 import os
 from pathlib import Path
 import socket
@@ -27,44 +26,43 @@ pytestmark = pytest.mark.alone
 DEADLINE_S = 20.0
 
 
-def _wait_longer(found: list[int], than: int) -> None:
+def _wait_longer(found, than):
     wait(lambda: len(found) > than)
 
 
 class Ear:
     """A tap, and what it hands on."""
 
-    def __init__(self, port: str, baud: int = 2_000_000) -> None:
-        self.chunks: list[tuple[bytes, int]] = []
-        self.idle: list[int] = []
+    def __init__(self, port, baud=2_000_000):
+        self.chunks = []
+        self.idle = []
         self.listener = Listener(
             port, baud, lambda chunk, stamp: self.chunks.append((chunk, stamp)), self.idle.append)
         self.listener.start()
 
     @property
-    def data(self) -> bytes:
+    def data(self):
         return b''.join(chunk for chunk, _ in self.chunks)
 
-    def wait_open(self) -> None:
+    def wait_open(self):
         wait(lambda: self.listener.state.is_open)
 
 
 @pytest.fixture
-def cable(tmp_path: Path) -> Iterator[Pty]:
+def cable(tmp_path):
     with Pty(str(tmp_path / 'bus')) as pty:
         yield pty
 
 
 @pytest.fixture
-def ear(cable: Pty) -> Iterator[Ear]:
+def ear(cable):
     ear = Ear(str(cable.link))
     ear.wait_open()
     yield ear
     ear.listener.stop()
 
 
-def test_hands_on_every_byte_in_order_with_growing_stamps(
-        cable: Pty, ear: Ear) -> None:
+def test_hands_on_every_byte_in_order_with_growing_stamps(cable, ear):
     sent = b''
     for part in range(100):
         data = bytes([part]) * (1 + part % 7)
@@ -81,8 +79,7 @@ def test_hands_on_every_byte_in_order_with_growing_stamps(
     assert counters.openings == 1
 
 
-def test_tells_that_the_line_is_idle_and_how_far_it_listened(
-        cable: Pty, ear: Ear) -> None:
+def test_tells_that_the_line_is_idle_and_how_far_it_listened(cable, ear):
     for _ in range(3):
         os.write(cable.master, b'x')
         _wait_longer(ear.idle, len(ear.idle) + 1)
@@ -92,8 +89,8 @@ def test_tells_that_the_line_is_idle_and_how_far_it_listened(
     assert ear.idle == sorted(ear.idle)
 
 
-def test_idle_time_covers_latency_timer_and_slow_rates(tmp_path: Path) -> None:
-    def listening(baud: int, latency: int | None) -> Listener:
+def test_idle_time_covers_latency_timer_and_slow_rates(tmp_path):
+    def listening(baud, latency):
         listener = Listener(str(tmp_path / 'absent'), baud, lambda chunk, stamp: None)
         listener.latency_timer_ms = latency
         return listener
@@ -102,7 +99,7 @@ def test_idle_time_covers_latency_timer_and_slow_rates(tmp_path: Path) -> None:
     assert listening(1200, None).idle_s == pytest.approx(200 / 1200)
 
 
-def test_descriptor_is_read_only(cable: Pty, ear: Ear) -> None:
+def test_descriptor_is_read_only(cable, ear):
     device = os.stat(cable.path).st_rdev
     own = {cable.master, cable._slave}
     flags = []
@@ -120,7 +117,7 @@ def test_descriptor_is_read_only(cable: Pty, ear: Ear) -> None:
     assert all(int(flag, 8) & os.O_ACCMODE == os.O_RDONLY for flag in flags)
 
 
-def test_sends_nothing(cable: Pty, ear: Ear) -> None:
+def test_sends_nothing(cable, ear):
     os.write(cable.master, b'hello')
     wait(lambda: ear.data)
     ear.listener.stop()
@@ -130,7 +127,7 @@ def test_sends_nothing(cable: Pty, ear: Ear) -> None:
 
 
 @pytest.mark.parametrize('baud', [57_600, 1_000_000, 2_000_000, 4_500_000, 1_234_567])
-def test_takes_any_rate(cable: Pty, baud: int) -> None:
+def test_takes_any_rate(cable, baud):
     ear = Ear(str(cable.link), baud)
     try:
         ear.wait_open()
@@ -140,7 +137,7 @@ def test_takes_any_rate(cable: Pty, baud: int) -> None:
         ear.listener.stop()
 
 
-def test_is_lost_and_found_ten_times(tmp_path: Path) -> None:
+def test_is_lost_and_found_ten_times(tmp_path):
     link = str(tmp_path / 'bus')
     before = len(os.listdir('/proc/self/fd'))
     ear = Ear(link)
@@ -155,16 +152,16 @@ def test_is_lost_and_found_ten_times(tmp_path: Path) -> None:
     assert len(os.listdir('/proc/self/fd')) == before
 
 
-def test_no_mistake_ends_the_listening(cable: Pty) -> None:
+def test_no_mistake_ends_the_listening(cable):
     """Not one of ours either: the port is opened again."""
     mistakes = [TypeError('expected str, not NoneType')]
 
-    def feed(chunk: bytes, stamp: int) -> None:
+    def feed(chunk, stamp):
         if mistakes:
             raise mistakes.pop()
         heard.append(chunk)
 
-    heard: list[bytes] = []
+    heard = []
     listener = Listener(str(cable.link), 2_000_000, feed)
     listener.start()
     wait(lambda: listener.state.is_open)
@@ -175,7 +172,7 @@ def test_no_mistake_ends_the_listening(cable: Pty) -> None:
     listener.stop()
 
 
-def _plug_in_and_out(link: str, ear: Ear, byte: bytes) -> None:
+def _plug_in_and_out(link, ear, byte):
     with Pty(link) as cable:
         ear.wait_open()
         os.write(cable.master, byte)
@@ -183,8 +180,8 @@ def _plug_in_and_out(link: str, ear: Ear, byte: bytes) -> None:
     wait(lambda: not ear.listener.state.is_open)
 
 
-def test_stops_at_once_whatever_it_is_doing(tmp_path: Path) -> None:
-    def stopping_s(ear: Ear) -> float:
+def test_stops_at_once_whatever_it_is_doing(tmp_path):
+    def stopping_s(ear):
         begin = time.monotonic()
         ear.listener.stop()
         return time.monotonic() - begin
@@ -199,12 +196,12 @@ def test_stops_at_once_whatever_it_is_doing(tmp_path: Path) -> None:
     assert not [one for one in threading.enumerate() if one.name.startswith('listener')]
 
 
-def test_stop_may_come_before_the_start_is_through(tmp_path: Path) -> None:
+def test_stop_may_come_before_the_start_is_through(tmp_path):
     for _ in range(20):
         Ear(str(tmp_path / 'absent')).listener.stop()
 
 
-def test_hears_a_socket() -> None:
+def test_hears_a_socket():
     with socket.create_server(('127.0.0.1', 0)) as server:
         ear = Ear(f'socket://127.0.0.1:{server.getsockname()[1]}')
         connection, _ = server.accept()
@@ -219,14 +216,14 @@ def test_hears_a_socket() -> None:
     ear.listener.stop()
 
 
-def test_hears_a_port_without_descriptor() -> None:
+def test_hears_a_port_without_descriptor():
     ear = Ear('loop://')
     ear.wait_open()
     assert ear.listener.counters.line_errors is None
     ear.listener.stop()
 
 
-def test_hears_a_terminal_server_and_finds_it_again(cable: Pty) -> None:
+def test_hears_a_terminal_server_and_finds_it_again(cable):
     with TerminalServer(cable.path) as server:
         ear = Ear(server.url, 1_000_000)
         for opening in (1, 2):
@@ -240,14 +237,14 @@ def test_hears_a_terminal_server_and_finds_it_again(cable: Pty) -> None:
         ear.listener.stop()
 
 
-def test_names_a_mistake_in_the_url() -> None:
+def test_names_a_mistake_in_the_url():
     ear = Ear('nonsense://somewhere')
     wait(lambda: ear.listener.state.kind == 'url')
     assert 'nonsense' in ear.listener.state.text
     ear.listener.stop()
 
 
-def test_a_pty_has_no_low_latency_and_counts_no_errors(cable: Pty, ear: Ear) -> None:
+def test_a_pty_has_no_low_latency_and_counts_no_errors(cable, ear):
     assert line_errors(cable.master) is None
     assert not set_low_latency(cable.master)
     assert not ear.listener.low_latency
@@ -255,7 +252,7 @@ def test_a_pty_has_no_low_latency_and_counts_no_errors(cable: Pty, ear: Ear) -> 
     assert ear.listener.counters.line_errors is None
 
 
-def test_latency_timer_of_an_ftdi_adapter_is_lowered_where_allowed(tmp_path: Path) -> None:
+def test_latency_timer_of_an_ftdi_adapter_is_lowered_where_allowed(tmp_path):
     folder = tmp_path / 'class/tty/ttyUSB7/device'
     folder.mkdir(parents=True)
     (folder / 'latency_timer').write_text('16\n')
@@ -263,14 +260,14 @@ def test_latency_timer_of_an_ftdi_adapter_is_lowered_where_allowed(tmp_path: Pat
     assert latency_timer_ms('/dev/ttyUSB8', tmp_path) is None
 
 
-def test_line_errors_count_from_the_opening_on() -> None:
+def test_line_errors_count_from_the_opening_on():
     begin = LineErrors(overrun=5, frame=2)
     assert LineErrors(overrun=7, frame=2).since(begin) == LineErrors(overrun=2)
     assert LineErrors().since(begin) == LineErrors()            # another adapter came
     assert LineErrors(overrun=1) + LineErrors(overrun=2, breaks=1) == LineErrors(3, 0, 0, 0, 1)
 
 
-def test_lost_port_is_set_up_anew_at_its_rate(tmp_path: Path) -> None:
+def test_lost_port_is_set_up_anew_at_its_rate(tmp_path):
     link = str(tmp_path / 'bus')
     ear = Ear(link, 1_000_000)
     for _ in range(2):

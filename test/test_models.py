@@ -10,7 +10,6 @@ import shutil
 import statistics
 import subprocess
 import sys
-from typing import Any
 
 import pytest
 
@@ -18,7 +17,6 @@ from dxl_monitor.bus.table import READ
 from dxl_monitor.bus.table import Table
 from dxl_monitor.model.checked_yaml import ModelError
 from dxl_monitor.model.checked_yaml import read_yaml
-from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.file import FIELD_KEYS
 from dxl_monitor.model.layers import FILE_KEYS
 from dxl_monitor.model.layers import model_key
@@ -32,7 +30,7 @@ MODELS = Models()
 X330 = (1190, 1200, 1210, 1220, 1230, 1240)
 
 
-def load(number: int, firmware: int | None = None) -> Model:
+def load(number, firmware=None):
     model = MODELS.get(number, firmware)
     assert model is not None, MODELS.problems
     return model
@@ -45,12 +43,12 @@ NAME = re.compile(r'[A-Z0-9][\w.\-/]*( ([A-Z0-9][\w.\-]*|\([A-Z]\w*\)))*')
 UNITS = {'', 'rad', 'rad/s', 'rad/s^2', 'A', 'V', 'V/s', '°C', '%', 's', 'Hz', 'bit/s'}
 
 
-def test_the_built_in_files_have_no_mistake() -> None:
+def test_the_built_in_files_have_no_mistake():
     assert check_models(BUILT_IN) == []
 
 
 @pytest.mark.parametrize(('number', 'firmware'), TABLES)
-def test_a_table_is_sound(number: int, firmware: int | None) -> None:
+def test_a_table_is_sound(number, firmware):
     model = load(number, firmware)
     assert model_key(model.number or 0, model.protocol) == number
     assert model.source
@@ -67,7 +65,7 @@ def test_a_table_is_sound(number: int, firmware: int | None) -> None:
 
 
 @pytest.mark.parametrize('number', sorted(NUMBERS_2 - PARTS))
-def test_common_registers_are_where_they_belong(number: int) -> None:
+def test_common_registers_are_where_they_belong(number):
     model = load(number)
     assert model.by_name['Model Number'].at == 0
     small = number in (350, 0xABBA, 0xAFFE, 0xBAFF)
@@ -81,7 +79,7 @@ def test_common_registers_are_where_they_belong(number: int) -> None:
         assert model.by_name['Present Position'].type == 'i32'
 
 
-def shared(first: Model, second: Model) -> list[str]:
+def shared(first, second):
     return [field.name for field in first.fields if field.name in second.by_name]
 
 
@@ -97,7 +95,7 @@ def shared(first: Model, second: Model) -> list[str]:
         'Present Position', 'Position Trajectory'}),
     ('YM070-210-M001', 'YM080-230-A099', set()),
 ])
-def test_families_agree(one: str, other: str, apart: set[str]) -> None:
+def test_families_agree(one, other, apart):
     first, second = MODELS.by_name(one), MODELS.by_name(other)
     assert first and second
     names = shared(first, second)
@@ -106,13 +104,13 @@ def test_families_agree(one: str, other: str, apart: set[str]) -> None:
     assert different == apart
 
 
-def _meaning(model: Model, name: str) -> tuple[object, ...]:
+def _meaning(model, name):
     field = model.by_name[name]
     return (field.at, field.type, field.access, field.memory, field.unit, field.scale,
             field.offset, field.enum, field.flags)
 
 
-def test_signs_are_as_the_quantities_are() -> None:
+def test_signs_are_as_the_quantities_are():
     for number in NUMBERS_2:
         for field in load(number).fields:
             quantity = re.sub(r'^(Motor\d|Swerve DXL\d) ', '', field.name)
@@ -134,19 +132,19 @@ MISTAKEN = {('xc335_t332.model', 224 + 2 * n) for n in range(1, 28)} | {
     ('ffw_g10_rcu.model', 101), ('ffw_g10_rcu.model', 102)}
 
 
-def source_rows(file: str) -> list[tuple[int, int, str]]:
+def source_rows(file):
     table = (SOURCE / file).read_text(encoding='utf-8-sig').split('[control table]')[1]
     rows = [line.split('\t') for line in table.splitlines() if line[:1].isdigit()]
     return [(int(at), int(size), name) for at, size, name in rows]
 
 
-def spelled(name: str) -> str:
+def spelled(name):
     for wrong, right in SPELLING:
         name = name.replace(wrong, right)
     return name.casefold()
 
 
-def test_every_register_of_the_makers_tables_is_in_ours() -> None:
+def test_every_register_of_the_makers_tables_is_in_ours():
     if not SOURCE.is_dir():
         pytest.skip(f"skipped: no makers' tables at {SOURCE}")
     index = (SOURCE / 'INDEX.tsv').read_text().splitlines()
@@ -171,13 +169,13 @@ fields:
 """
 
 
-def write(folder: Path, text: str, name: str = 'device.yaml') -> Path:
+def write(folder, text, name='device.yaml'):
     folder.mkdir(exist_ok=True)
     (folder / name).write_text(text, encoding='utf-8')
     return folder
 
 
-def test_a_folder_of_the_users_wins_number_by_number(tmp_path: Path) -> None:
+def test_a_folder_of_the_users_wins_number_by_number(tmp_path):
     first = write(tmp_path / 'a', GOOD.replace('4660: Gripper', '321: Mine'))
     second = write(tmp_path / 'b', GOOD.replace('4660: Gripper', '321: Other, 9: Nine'))
     models = Models([first, second])
@@ -186,10 +184,9 @@ def test_a_folder_of_the_users_wins_number_by_number(tmp_path: Path) -> None:
     assert models.by_name('mine') is models.get(321)
 
 
-def test_names_are_found_as_people_write_them() -> None:
+def test_names_are_found_as_people_write_them():
     for name in ('XM430-W350', 'xm430_w350', 'xm430w350'):
         model = MODELS.by_name(name)
-        assert model is not None
         assert model.number == 1020
     assert MODELS.by_name('XM431-W350') is None
     assert MODELS.closest('XM431-W350') == 'XM430-W350'
@@ -198,19 +195,18 @@ def test_names_are_found_as_people_write_them() -> None:
 
 @pytest.mark.parametrize(('firmware', 'count', 'data'), [
     (None, 28, 224), (53, 28, 224), (52, 20, 208), (46, 20, 208), (0, 20, 208)])
-def test_the_firmware_picks_the_table(firmware: int | None, count: int, data: int) -> None:
+def test_the_firmware_picks_the_table(firmware, count, data):
     model = load(1200, firmware)
     assert [(i.data, i.size) for i in model.indirect] == [(data, count)]
     assert model.by_name['Indirect Data 1'].at == data
 
 
-def test_unquoted_on_and_off_are_words(tmp_path: Path) -> None:
+def test_unquoted_on_and_off_are_words(tmp_path):
     model = Models([write(tmp_path, GOOD)]).get(4660)
-    assert model is not None
     assert model.by_name['Mode'].decode(b'\0').text == 'off'
 
 
-def test_a_file_that_goes_wrong_later_counts_as_unknown(tmp_path: Path) -> None:
+def test_a_file_that_goes_wrong_later_counts_as_unknown(tmp_path):
     models = Models([write(tmp_path, GOOD)])
     write(tmp_path, 'model_numbers: {4660: Gripper}\nfields: 3\n')
     assert models.get(4660) is None
@@ -254,8 +250,7 @@ def test_a_file_that_goes_wrong_later_counts_as_unknown(tmp_path: Path) -> None:
     ('4660: Gripper', '70000: Gripper', 'device.yaml: number in model_numbers is 70000'),
     ('model_numbers: {4660: Gripper}\n', '', 'device.yaml: no model_numbers'),
 ])
-def test_a_mistake_is_named_with_file_field_and_reason(tmp_path: Path, old: str, new: str,
-                                                       words: str) -> None:
+def test_a_mistake_is_named_with_file_field_and_reason(tmp_path, old, new, words):
     assert old in GOOD
     folder = write(tmp_path, GOOD.replace(old, new, 1))
     problems = check_models(folder)
@@ -269,7 +264,7 @@ def test_a_mistake_is_named_with_file_field_and_reason(tmp_path: Path, old: str,
 
 
 
-def levels(opening: str, innermost: str, closing: str, count: int) -> str:
+def levels(opening, innermost, closing, count):
     return count * opening + innermost + count * closing
 
 
@@ -313,7 +308,7 @@ REPEATS = levels("{repeat: 4096, step: 1, prefix: 'B {n}', fields: [",
     (GOOD + ''.join(f"  - {{at: {n}, name: 'C{n} {{n}}', type: u8, repeat: 4096}}\n"
                     for n in range(300)), 'with this one more than 65536 fields'),
 ])
-def test_no_file_takes_the_process_or_its_time(tmp_path: Path, text: str, words: str) -> None:
+def test_no_file_takes_the_process_or_its_time(tmp_path, text, words):
     """Written as latin-1, so that one of them is no UTF-8."""
     (tmp_path / 'device.yaml').write_bytes(text.encode('latin-1'))
     problems = check_models(tmp_path)
@@ -323,7 +318,7 @@ def test_no_file_takes_the_process_or_its_time(tmp_path: Path, text: str, words:
         Models([tmp_path])
 
 
-def test_what_is_no_file_is_told_at_once(tmp_path: Path) -> None:
+def test_what_is_no_file_is_told_at_once(tmp_path):
     os.mkfifo(tmp_path / 'pipe.yaml')
     (tmp_path / 'folder.yaml').mkdir()
     assert [problem.partition('.yaml: ')[2] for problem in check_models(tmp_path)] == [
@@ -331,30 +326,29 @@ def test_what_is_no_file_is_told_at_once(tmp_path: Path) -> None:
         'cannot be read: not a file; check the file and its permissions']
 
 
-def test_files_in_files_without_end_are_told(tmp_path: Path) -> None:
+def test_files_in_files_without_end_are_told(tmp_path):
     for n in range(400):
         write(tmp_path, f'include: [_{n + 1}]\n', f'_{n}.yaml')
     assert '21 files include one another; ' in check_models(tmp_path)[0]
 
 
-def test_files_that_include_each_other_are_told(tmp_path: Path) -> None:
+def test_files_that_include_each_other_are_told(tmp_path):
     for one, other in ('ab', 'ba'):
         write(tmp_path, GOOD.replace('4660', str(ord(one))) + f'  - {{include: {other}}}\n',
               f'{one}.yaml')
     assert 'includes itself; break the circle' in check_models(tmp_path)[0]
 
 
-def test_a_folder_that_is_none_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_is_none_is_told(tmp_path):
     assert 'No such file' in check_models(tmp_path / 'none')[0]
     assert 'no model files' in check_models(tmp_path)[0]
     with pytest.raises(ModelError, match='no model files'):
         Models([tmp_path])
 
 
-def test_a_model_of_the_users_may_include_a_built_in_one(tmp_path: Path) -> None:
+def test_a_model_of_the_users_may_include_a_built_in_one(tmp_path):
     write(tmp_path, 'model_numbers: {5000: Mine}\ninclude: [_x, _x_load]\nwithout: [LED]\n')
     model = Models([tmp_path]).get(5000)
-    assert model is not None
     assert 'LED' not in model.by_name
     assert model.by_name['Present Load'].unit == '%'
 
@@ -369,13 +363,12 @@ print(time.process_time() - start)
 
 
 @pytest.mark.parametrize('copies', [0, 20])
-def test_loading_reads_no_file_before_it_is_asked_for(copies: int, tmp_path: Path,
-                                                      monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loading_reads_no_file_before_it_is_asked_for(copies, tmp_path, monkeypatch):
     for n in range(copies):
         write(tmp_path, GOOD.replace('4660', str(30_000 + n)), f'device_{n}.yaml')
-    parsed: list[Path] = []
+    parsed = []
 
-    def read(path: Path) -> Any:
+    def read(path):
         parsed.append(path)
         return read_yaml(path)
 
@@ -387,7 +380,7 @@ def test_loading_reads_no_file_before_it_is_asked_for(copies: int, tmp_path: Pat
         'x430.yaml', '_x.yaml', '_words.yaml', '_x_current.yaml', '_x_backup.yaml'}
 
 
-def test_loading_is_cheap_however_many_models_there_are(tmp_path: Path) -> None:
+def test_loading_is_cheap_however_many_models_there_are(tmp_path):
     """Ratio, not seconds: ten times the built-in models must not cost twice as much."""
     shutil.copytree(BUILT_IN.parents[1], tmp_path / 'dxl_monitor',
                     ignore=shutil.ignore_patterns('__pycache__'))
@@ -400,7 +393,7 @@ def test_loading_is_cheap_however_many_models_there_are(tmp_path: Path) -> None:
     assert cost(tmp_path) < 8 * few
 
 
-def cost(folder: Path) -> float:
+def cost(folder):
     return statistics.median(float(subprocess.run(
         [sys.executable, '-c', COST], cwd=folder, check=True, capture_output=True,
         text=True).stdout) for _ in range(3))
@@ -408,17 +401,16 @@ def cost(folder: Path) -> float:
 
 # ---- docs/models.md -----------------------------------------------------------------------------
 
-def block(title: str) -> str:
+def block(title):
     found = re.search(rf'{title}\n\n```\w*\n(.*?)```', DOCS.read_text(encoding='utf-8'), re.DOTALL)
     assert found
     return found[1]
 
 
-def test_the_worked_example_works(tmp_path: Path) -> None:
+def test_the_worked_example_works(tmp_path):
     write(tmp_path, block('Save this as `my_models/gripper.yaml`:'))
     assert check_models(tmp_path) == []
     model = Models([tmp_path]).get(0x1234)
-    assert model is not None
     table = Table()
     table.store(20, bytes.fromhex('02 09'), 1, READ)
     table.store(24, bytes.fromhex('72 10 a2 fe 00 00 48 41 00 00 00 00'), 1, READ)
@@ -426,7 +418,7 @@ def test_the_worked_example_works(tmp_path: Path) -> None:
     assert shown == block('the monitor shows:').splitlines()
 
 
-def test_the_docs_name_every_file_and_every_key() -> None:
+def test_the_docs_name_every_file_and_every_key():
     text = DOCS.read_text(encoding='utf-8')
     for path in BUILT_IN.glob('[!_]*.yaml'):
         assert f'`{path.stem}`' in text

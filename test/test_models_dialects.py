@@ -2,15 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Model files of Protocol 1.0 and Feetech: against their sources, and what they decode."""
 
-from pathlib import Path
 import struct
-from typing import Any
 
 import pytest
 
 from dxl_monitor.model.checked_yaml import ModelError
 from dxl_monitor.model.checked_yaml import read_yaml
-from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.layers import model_key
 from dxl_monitor.model.models import BUILT_IN
 from dxl_monitor.model.models import check_models
@@ -57,13 +54,13 @@ WORKBENCH = {
     'Punch': (48, 2)}
 
 
-def named(name: str) -> Model:
+def named(name):
     model = MODELS.by_name(name)
     assert model is not None, name
     return model
 
 
-def shown(name: str, field: str, raw: bytes) -> str:
+def shown(name, field, raw):
     return named(name).by_name[field].decode(raw).text
 
 
@@ -71,19 +68,18 @@ def shown(name: str, field: str, raw: bytes) -> str:
     ('STS3215', LEROBOT_STS), ('STS3250', LEROBOT_STS), ('SM8512BL', LEROBOT_STS),
     ('SCS0009', LEROBOT_SCS), ('SCS15', LEROBOT_SCS),
     *((name, WORKBENCH) for name in FAMILIES['1'])])
-def test_every_register_of_the_sources_is_where_they_have_it(
-        name: str, rows: dict[str, tuple[int, int]]) -> None:
+def test_every_register_of_the_sources_is_where_they_have_it(name, rows):
     model = named(name)
     assert {field: (model.by_name[field].at, model.by_name[field].size) for field in rows} == rows
 
 
 @pytest.mark.parametrize('protocol', FAMILIES)
-def test_each_family_says_what_it_speaks(protocol: str) -> None:
+def test_each_family_says_what_it_speaks(protocol):
     assert {named(name).protocol for name in FAMILIES[protocol]} == {protocol}
     assert named('XM430-W350').protocol == '2'
 
 
-def test_model_numbers_are_those_of_the_sources() -> None:
+def test_model_numbers_are_those_of_the_sources():
     lerobot = {'STS3215': 777, 'STS3250': 2825, 'SM8512BL': 11272, 'HLS3625': 3338,
                'HLS3930': 4106, 'HLS3950': 4618}
     assert {name: named(name).number for name in lerobot} == lerobot
@@ -96,14 +92,13 @@ def test_model_numbers_are_those_of_the_sources() -> None:
     assert {name: named(name).number for name in robotis} == robotis
 
 
-def test_the_numbers_of_two_makers_are_kept_apart() -> None:
+def test_the_numbers_of_two_makers_are_kept_apart():
     dynamixel, feetech = MODELS.get(261), MODELS.get(model_key(261, 'feetech'))
-    assert dynamixel is not None and feetech is not None
     assert (dynamixel.name, feetech.name) == ('HX5-D20-RL', 'SCS0002')
     assert dynamixel.number == feetech.number == 261
 
 
-def test_a_sign_stands_apart_from_the_magnitude() -> None:
+def test_a_sign_stands_apart_from_the_magnitude():
     assert shown('STS3215', 'Present Position', b'\x00\x08') == '0'
     assert shown('STS3215', 'Present Position', b'\x01\x80') == '-3.14313'     # -1 step
     assert shown('STS3215', 'Homing Offset', struct.pack('<H', 1 << 11 | 1024)) == '-1.5708'
@@ -113,7 +108,7 @@ def test_a_sign_stands_apart_from_the_magnitude() -> None:
     assert shown('AX-12A', 'Present Velocity', struct.pack('<H', 100)) == '1.1624'
 
 
-def test_the_high_byte_comes_first_in_the_scs_series() -> None:
+def test_the_high_byte_comes_first_in_the_scs_series():
     for name in ('SCS0009', 'SCS15'):
         fields = named(name).by_name
         assert {fields[one].byte_order for one in ('Goal Position', 'Present Load')} == {'big'}
@@ -127,15 +122,14 @@ def test_the_high_byte_comes_first_in_the_scs_series() -> None:
     assert shown('STS3215', 'Present Load', b'\x02\x01') == '25.8'
 
 
-def test_the_speed_of_an_sts_is_no_number_as_long_as_its_unit_is_unknown() -> None:
+def test_the_speed_of_an_sts_is_no_number_as_long_as_its_unit_is_unknown():
     field = named('STS3215').by_name['Present Velocity']
     assert field.unit == ''
-    assert field.cases is not None
     assert field.cases.fields[4].decode(b'\xe8\x83').text == '-1.53398'
     assert field.cases.fields[0].decode(b'\x14\x00').text == '1.534'
 
 
-def test_feetech_wins_where_lerobot_has_other_baud_rates() -> None:
+def test_feetech_wins_where_lerobot_has_other_baud_rates():
     field = named('STS3215').by_name['Baud Rate']
     assert [field.decode(bytes([code])).number for code in range(8)] == [
         1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400]
@@ -143,16 +137,16 @@ def test_feetech_wins_where_lerobot_has_other_baud_rates() -> None:
     assert '57600, 38400' in text and 'LeRobot' in text
 
 
-def test_error_flags_in_words() -> None:
+def test_error_flags_in_words():
     assert shown('STS3215', 'Hardware Error Status', b'\x25') == 'voltage, overheating, overload'
     assert shown('AX-12A', 'Hardware Error Status', b'\x24') == 'overheating, overload'
 
 
-def test_each_row_is_from_two_sources_or_says_so() -> None:
+def test_each_row_is_from_two_sources_or_says_so():
     marked = 0
     for path in sorted(BUILT_IN.glob('*')):
         raw = read_yaml(path)
-        rows: list[dict[str, Any]] = raw.get('fields', [])
+        rows = raw.get('fields', [])
         marked += sum(row.get('source') == 'single' for row in rows)
         if path.name.startswith(('_feetech', 'feetech', '_dxl1', 'ax_', 'ex_', '_mx_1')):
             assert ';' in raw['source'], f'{path.name}: name two sources'
@@ -165,20 +159,19 @@ def test_each_row_is_from_two_sources_or_says_so() -> None:
     ('fields: [{at: 0, name: A, type: u8, source: twice}]\n',
      "A: source is 'twice'; use one of single"),
 ])
-def test_mistakes_are_named(tmp_path: Path, text: str, reason: str) -> None:
+def test_mistakes_are_named(tmp_path, text, reason):
     (tmp_path / 'a.yaml').write_text(f'model_numbers: {{9: A}}\n{text}')
     with pytest.raises(ModelError, match=r'a\.yaml: ') as caught:
         Models([tmp_path])
     assert reason in str(caught.value)
 
 
-def test_a_folder_of_the_users_may_hold_a_feetech_servo(tmp_path: Path) -> None:
+def test_a_folder_of_the_users_may_hold_a_feetech_servo(tmp_path):
     """Found by the quick look at its numbers and by the whole file; the number is Feetech's."""
     for numbers in ('model_numbers: {777: Mine}', 'model_numbers:\n  777: Mine'):
         (tmp_path / 'a.yaml').write_text(f'{numbers}\nprotocol: feetech\ninclude: _feetech_sts\n')
         assert check_models(tmp_path) == []
         models = Models([tmp_path])
         model = models.get(model_key(777, 'feetech'))
-        assert model is not None
         assert (model.name, model.number, model.protocol) == ('Mine', 777, 'feetech')
         assert models.get(777) is None

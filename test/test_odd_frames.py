@@ -27,7 +27,7 @@ START = {'1.0': b''.join(encode_1(1, 1) + encode_1(1, 0) for _ in range(3)),
          '2.0': encode(1, 1) + encode(1, 0x55, b'\x37\1\x29', 0)}
 
 
-def bare(number: int, code: int) -> bytes:
+def bare(number, code):
     """Return a packet of 2.0 with nothing after its instruction."""
     frame = HEADER + bytes((number, 3, 0, code))
     return frame + crc16(frame).to_bytes(2, 'little')
@@ -46,7 +46,7 @@ ODD = {
 
 
 @pytest.mark.parametrize('name', ODD)
-def test_an_odd_packet_ends_nothing_and_each_byte_is_counted(name: str) -> None:
+def test_an_odd_packet_ends_nothing_and_each_byte_is_counted(name):
     family, odd = ODD[name]
     for protocol in PROTOCOLS:
         for side in (UNKNOWN, OUT, IN):
@@ -63,7 +63,7 @@ def test_an_odd_packet_ends_nothing_and_each_byte_is_counted(name: str) -> None:
 
 @pytest.mark.parametrize('options', [[], ['--json'], ['--summary'], ['--stats']],
                          ids=lambda options: ' '.join(options) or 'lines')
-def test_odd_packets_are_shown(options: list[str], tmp_path: Path) -> None:
+def test_odd_packets_are_shown(options, tmp_path):
     file = tmp_path / 'odd.bin'
     file.write_bytes(b''.join(START[family] + odd for family, odd in ODD.values()))
     done = subprocess.run(

@@ -8,7 +8,6 @@ The keys of what is known: `kinds` of the incidents, the newest `note`, the numb
 `goal`, other bytes as ADDRESS:SIZE.
 """
 
-from typing import Any
 
 import pytest
 from tracked_bus import Bus
@@ -39,7 +38,7 @@ from msg_defs.dxl_packet import STATUS
 
 IDLE, SILENCE = b'idle', b'silence'      # the line is idle for a moment, for a second
 
-HEARD: dict[str, list[Any]] = {
+HEARD = {
     'the answer to a read goes into the table': [
         (read(1), reply(1, b'\x01\x02\x03\x04')),
         {'position 1': b'\x01\x02\x03\x04', 'answers 1': 1}],
@@ -254,7 +253,7 @@ HEARD: dict[str, list[Any]] = {
 }
 
 
-def known(bus: Bus, key: str) -> Any:
+def known(bus, key):
     what, *numbers = key.split()
     if not numbers:
         return {'kinds': bus.kinds(), 'devices': sorted(bus.registry.devices),
@@ -263,7 +262,7 @@ def known(bus: Bus, key: str) -> Any:
     return found if len(found) > 1 else found[0]
 
 
-def known_of(bus: Bus, what: str, number: int) -> Any:
+def known_of(bus, what, number):
     place = {'position': f'{POSITION}:4', 'goal': f'{GOAL}:4'}.get(what, what)
     if ':' in place:
         at, size = map(int, place.split(':'))
@@ -275,7 +274,7 @@ def known_of(bus: Bus, what: str, number: int) -> Any:
 
 
 @pytest.mark.parametrize('name', HEARD)
-def test_what_is_heard_and_known(name: str) -> None:
+def test_what_is_heard_and_known(name):
     first, *others = HEARD[name]
     is_expected = isinstance(first[0], Expected)
     bus = Bus(*first) if is_expected else Bus()

@@ -15,7 +15,6 @@ from dxl_monitor.model.models import Models
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.tools.doctor.examination import Examination
-from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
 from msg_defs.dxl1_packet import encode
 from msg_defs.event import BAUD
@@ -38,25 +37,25 @@ SIX = (1, 2, 3, 4, 5, 6)
 class Script:
     """What a program does with its port, in ms; the tap reports it."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 1000.0
-        self.chunks: list[Chunk] = []
+        self.chunks = []
         self.change(BAUD, 1_000_000)
         self.change(UNREAD, 0)
 
-    def change(self, what: str, value: int, after: float = 0.0) -> None:
+    def change(self, what, value, after=0.0):
         self.now += after
         self.chunks.append(Chunk(int(self.now * MS), 'arm', change=Change(what, value)))
 
-    def write(self, packet: bytes, after: float = 2.0) -> None:
+    def write(self, packet, after=2.0):
         self.now += after
         self.chunks.append(Chunk(int(self.now * MS), 'arm', packet, OUT))
 
-    def read(self, packet: bytes, after: float = 1.5) -> None:
+    def read(self, packet, after=1.5):
         self.now += after
         self.chunks.append(Chunk(int(self.now * MS), 'arm', packet, IN))
 
-    def ping(self, number: int, *, answers: bool = True) -> None:
+    def ping(self, number, *, answers=True):
         self.write(encode(number, PING, b''))
         if answers:
             self.read(encode(number, 0, b''))
@@ -65,19 +64,19 @@ class Script:
         else:
             self.now += 50
 
-    def ask(self, number: int, answer: bytes | None = b'\x00\x08', wait: float = 36.0) -> None:
+    def ask(self, number, answer=b'\x00\x08', wait=36.0):
         self.write(encode(number, READ, PLACE))
         if answer is not None:
             self.read(encode(number, 0, answer))
         else:
             self.now += wait
 
-    def end(self, unread: int = 0, after: float = 0.0) -> None:
+    def end(self, unread=0, after=0.0):
         self.change(UNREAD, unread, after)
         self.change(CLOSED, 1)
 
 
-def verdict_of(program: Script, failed: str = '') -> Verdict:
+def verdict_of(program, failed=''):
     examination = Examination(MODELS)
     for chunk in program.chunks:
         examination.take(chunk, WIRE)
@@ -85,14 +84,14 @@ def verdict_of(program: Script, failed: str = '') -> Verdict:
     return verdict('x', examination.buses(True), 1.0, True)
 
 
-def told(program: Script, failed: str = '') -> tuple[set[tuple[str, str]], list[str]]:
+def told(program, failed=''):
     """Return what is wrong, at WARN or worse, and what is unknown."""
     said = verdict_of(program, failed)
     return ({(one.rule, one.who[:3]) for one in said.wrong if one.level > Level.OK},
             list(said.unknown))
 
 
-def handshake(*absent: int) -> Script:
+def handshake(*absent):
     """Return LeRobot at its start: it pings all, then raises if one is missing."""
     program = Script()
     for number in SIX:
@@ -101,7 +100,7 @@ def handshake(*absent: int) -> Script:
 
 
 @pytest.mark.parametrize('absent', [(6,), (3,), (2, 3, 4, 5, 6), (1, 6)], ids=str)
-def test_who_is_missing_at_the_start_is_named(absent: tuple[int, ...]) -> None:
+def test_who_is_missing_at_the_start_is_named(absent):
     program = handshake(*absent)
     program.end()
     who = {f'{number:03}' for number in absent}
@@ -110,14 +109,14 @@ def test_who_is_missing_at_the_start_is_named(absent: tuple[int, ...]) -> None:
         {('no_answer', who.pop())} if len(absent) == 1 else {('no_answer', f'{min(absent):03}')})
 
 
-def test_nobody_at_all_is_no_single_servo() -> None:
+def test_nobody_at_all_is_no_single_servo():
     program = handshake(*SIX)
     program.end()
     assert told(program, RAISED)[0] == {('all_silent', 'the')}
 
 
 @pytest.mark.parametrize('failed', [FAILED, RAISED])
-def test_a_servo_on_which_a_program_ends(failed: str) -> None:
+def test_a_servo_on_which_a_program_ends(failed):
     program = handshake()
     for _ in range(20):
         for number in SIX:
@@ -129,7 +128,7 @@ def test_a_servo_on_which_a_program_ends(failed: str) -> None:
 
 
 @pytest.mark.parametrize(('wait', 'unread'), [(3.0, 0), (36.0, 8), (36.0, 2)])
-def test_a_question_that_had_no_time_accuses_none(wait: float, unread: int) -> None:
+def test_a_question_that_had_no_time_accuses_none(wait, unread):
     program = handshake()
     program.ask(3, None, wait)
     program.end(unread)
@@ -138,7 +137,7 @@ def test_a_question_that_had_no_time_accuses_none(wait: float, unread: int) -> N
     assert any('whether this answers is unknown' in text for text in unknown)
 
 
-def test_an_answer_that_was_thrown_away_is_none_that_did_not_come() -> None:
+def test_an_answer_that_was_thrown_away_is_none_that_did_not_come():
     program = handshake()
     program.ask(3, None)
     program.change(PURGED, 1)
@@ -146,7 +145,7 @@ def test_an_answer_that_was_thrown_away_is_none_that_did_not_come() -> None:
     assert told(program, RAISED)[0] == set()
 
 
-def test_an_answer_that_was_damaged_at_the_end() -> None:
+def test_an_answer_that_was_damaged_at_the_end():
     program = handshake()
     for _ in range(20):
         program.ask(1)
@@ -157,7 +156,7 @@ def test_an_answer_that_was_damaged_at_the_end() -> None:
 
 
 @pytest.mark.parametrize('which', [2, 6])
-def test_a_ping_whose_answer_was_damaged_at_the_start(which: int) -> None:
+def test_a_ping_whose_answer_was_damaged_at_the_start(which):
     """LeRobot counts that servo as missing; the answer is there, and it is not whole."""
     program = Script()
     for number in SIX:
@@ -168,11 +167,11 @@ def test_a_ping_whose_answer_was_damaged_at_the_start(which: int) -> None:
     assert told(program, RAISED)[0] == {('damaged_answers', f'{which:03}')}
 
 
-def group(*answers: bytes) -> bytes:
+def group(*answers):
     return b''.join(answers)
 
 
-def test_answers_that_are_read_after_the_next_question_accuse_none() -> None:
+def test_answers_that_are_read_after_the_next_question_accuse_none():
     """Servo 3 is damaged; the program stops reading there and does not clear its input."""
     ask = encode(0xFE, SYNC_READ, PLACE + bytes(SIX))
     whole = [encode(number, 0, b'\x00\x08') for number in SIX]
@@ -194,7 +193,7 @@ def test_answers_that_are_read_after_the_next_question_accuse_none() -> None:
     assert {who for _, who in wrong} <= {'003', 'the'}
 
 
-def test_a_program_that_is_always_one_answer_behind_is_no_silent_bus() -> None:
+def test_a_program_that_is_always_one_answer_behind_is_no_silent_bus():
     program = handshake()
     for turn in range(120):
         number = SIX[turn % 6]
@@ -207,7 +206,7 @@ def test_a_program_that_is_always_one_answer_behind_is_no_silent_bus() -> None:
     assert told(program)[0] == set()
 
 
-def test_a_program_that_reads_long_after_it_asked_misses_nothing() -> None:
+def test_a_program_that_reads_long_after_it_asked_misses_nothing():
     program = handshake()
     for turn in range(12):
         program.ask(SIX[turn % 6], None, 2500.0)
@@ -219,8 +218,7 @@ def test_a_program_that_reads_long_after_it_asked_misses_nothing() -> None:
 @pytest.mark.parametrize(('late', 'pause', 'rules'), [
     (15.6, 0.5, {('latency_timer', 'the')}), (1.2, 15.467, set()), (1.2, 15.0, set())],
     ids=['a timer of 16 ms', 'a loop at 60 Hz', 'it sleeps for 15 ms'])
-def test_a_period_that_a_program_makes_is_no_latency(
-        late: float, pause: float, rules: set[tuple[str, str]]) -> None:
+def test_a_period_that_a_program_makes_is_no_latency(late, pause, rules):
     program = handshake()
     for turn in range(300):
         program.write(encode(SIX[turn % 6], READ, PLACE), after=pause)
@@ -231,7 +229,7 @@ def test_a_period_that_a_program_makes_is_no_latency(
 
 # --- healthy programs that look like a fault, and the fault beside them ----------------------
 
-def test_a_search_over_some_ids_and_rates_accuses_none() -> None:
+def test_a_search_over_some_ids_and_rates_accuses_none():
     program = Script()
     for rate in (1_000_000, 500_000, 250_000, 128_000, 115_200):
         program.change(BAUD, rate)
@@ -242,7 +240,7 @@ def test_a_search_over_some_ids_and_rates_accuses_none() -> None:
 
 
 @pytest.mark.parametrize('rates', [3, 6])
-def test_a_program_to_which_not_one_byte_comes_back(rates: int) -> None:
+def test_a_program_to_which_not_one_byte_comes_back(rates):
     program = Script()
     for rate in range(rates):
         program.change(BAUD, 1_000_000 // (1 + rate))
@@ -252,7 +250,7 @@ def test_a_program_to_which_not_one_byte_comes_back(rates: int) -> None:
     assert 'baud rate and protocol' in verdict_of(program).wrong[0].message
 
 
-def test_broadcast_pings_faster_than_their_answers_are_no_noise() -> None:
+def test_broadcast_pings_faster_than_their_answers_are_no_noise():
     program = handshake()
     for turn in range(8):
         program.write(encode(0xFE, PING, b''), after=300.0)
@@ -261,7 +259,7 @@ def test_broadcast_pings_faster_than_their_answers_are_no_noise() -> None:
     assert 'noise' not in {rule for rule, _ in told(program)[0]}
 
 
-def test_a_program_that_rests_is_not_at_fault() -> None:
+def test_a_program_that_rests_is_not_at_fault():
     program = handshake()
     for turn in range(400):
         program.ask(SIX[turn % 6])
@@ -270,7 +268,7 @@ def test_a_program_that_rests_is_not_at_fault() -> None:
     assert told(program)[0] == set()
 
 
-def test_a_program_that_writes_all_the_time_and_reads_nothing() -> None:
+def test_a_program_that_writes_all_the_time_and_reads_nothing():
     program = handshake()
     for turn in range(300):
         if turn:
@@ -280,7 +278,7 @@ def test_a_program_that_writes_all_the_time_and_reads_nothing() -> None:
     assert told(program)[0] == set()
 
 
-def test_an_error_bit_of_feetech_is_what_is_now() -> None:
+def test_an_error_bit_of_feetech_is_what_is_now():
     program = handshake()
     for turn in range(300):
         number = SIX[turn % 6]
@@ -293,7 +291,7 @@ def test_an_error_bit_of_feetech_is_what_is_now() -> None:
     assert 'Reboot' not in entry.message
 
 
-def test_an_answer_that_is_read_long_after_it_was_due_is_no_other_masters() -> None:
+def test_an_answer_that_is_read_long_after_it_was_due_is_no_other_masters():
     program = handshake()
     for _ in range(12):
         program.ask(4, None, 36.0)
@@ -304,7 +302,7 @@ def test_an_answer_that_is_read_long_after_it_was_due_is_no_other_masters() -> N
     assert 'foreign_answers' not in {rule for rule, _ in told(program)[0]}
 
 
-def test_a_program_that_tries_many_rates_has_none() -> None:
+def test_a_program_that_tries_many_rates_has_none():
     program = handshake()
     for rate in (57_600, 115_200, 500_000, 250_000):
         program.change(BAUD, rate, 50)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The process that reads for a listener: complete, ended with the node, replaced, done without."""
 
-from collections.abc import Iterator
 import os
 from pathlib import Path
 import random
@@ -29,13 +28,13 @@ MS = 1_000_000
 
 
 @pytest.fixture
-def cable() -> Iterator[Pty]:
+def cable():
     with Pty() as pty:
         yield pty
 
 
 @pytest.fixture
-def ear(cable: Pty) -> Iterator[Ear]:
+def ear(cable):
     ear = Ear(cable.path)
     wait(lambda: ear.listener.reader_pid)
     yield ear
@@ -43,22 +42,21 @@ def ear(cable: Pty) -> Iterator[Ear]:
         ear.listener.stop()
 
 
-def send(cable: Pty, data: bytes) -> None:
+def send(cable, data):
     """Write all of it; a pty takes 17 KiB at a time."""
     while data:
         select.select([], [cable.master], [])
         data = data[os.write(cable.master, data):]
 
 
-def pid_of(ear: Ear) -> int:
+def pid_of(ear):
     wait(lambda: ear.listener.reader_pid)
-    assert ear.listener.reader_pid is not None
     return ear.listener.reader_pid
 
 
 @pytest.mark.parametrize('in_thread', [False, True], ids=['process', 'thread'])
-def test_equal_bytes_in_equal_order(cable: Pty, in_thread: bool) -> None:
-    chunks: list[tuple[bytes, int]] = []
+def test_equal_bytes_in_equal_order(cable, in_thread):
+    chunks = []
     listener = Listener(cable.path, 2_000_000, lambda *chunk: chunks.append(chunk),
                         in_thread=in_thread)
     listener.start()
@@ -73,7 +71,7 @@ def test_equal_bytes_in_equal_order(cable: Pty, in_thread: bool) -> None:
     assert listener.counters.reads == len(chunks)
 
 
-def test_only_the_process_reads_and_nobody_can_write(cable: Pty, ear: Ear) -> None:
+def test_only_the_process_reads_and_nobody_can_write(cable, ear):
     pid = pid_of(ear)
     wait(lambda: 'dxl_reader' in Path(f'/proc/{pid}/comm').read_text())
     name, fds = f'/proc/{pid}/comm', Path(f'/proc/{pid}/fd')    # still open while it is written
@@ -88,14 +86,14 @@ def test_only_the_process_reads_and_nobody_can_write(cable: Pty, ear: Ear) -> No
         cable.path, 'pipe', os.devnull}, 'it holds what is none of its business'
 
 
-def test_ends_at_once_with_its_listener(cable: Pty, ear: Ear) -> None:
+def test_ends_at_once_with_its_listener(cable, ear):
     pid = pid_of(ear)
     ear.listener.stop()
     assert not is_alive(pid)
     assert not [one for one in threading.enumerate() if one.name.startswith('listener')]
 
 
-def test_ends_when_nobody_takes_what_it_says(cable: Pty) -> None:
+def test_ends_when_nobody_takes_what_it_says(cable):
     """A reader that waits for room in its pipe must not outlive the listener, nor hold it up."""
     entered, leave = threading.Event(), threading.Event()
     listener = Listener(cable.path, 2_000_000, lambda *_: entered.set() or leave.wait(20.0))
@@ -112,7 +110,7 @@ def test_ends_when_nobody_takes_what_it_says(cable: Pty) -> None:
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_leaves_endings_to_the_node(cable: Pty, ear: Ear, number: int) -> None:
+def test_leaves_endings_to_the_node(cable, ear, number):
     pid = pid_of(ear)
     send(cable, b'ready')
     wait(lambda: ear.data)
@@ -122,7 +120,7 @@ def test_leaves_endings_to_the_node(cable: Pty, ear: Ear, number: int) -> None:
     assert ear.listener.reader_pid == pid
 
 
-def test_a_killed_one_is_replaced_and_nothing_lost(cable: Pty, ear: Ear) -> None:
+def test_a_killed_one_is_replaced_and_nothing_lost(cable, ear):
     sent = b''
     for round_ in range(3):
         sent += bytes([round_]) * 500
@@ -135,24 +133,23 @@ def test_a_killed_one_is_replaced_and_nothing_lost(cable: Pty, ear: Ear) -> None
     assert ear.listener.counters.openings == 1
 
 
-def _wait_for_bytes(ear: Ear, count: int) -> None:
+def _wait_for_bytes(ear, count):
     wait(lambda: len(ear.data) == count)
 
 
-def _kill_reader(ear: Ear) -> None:
+def _kill_reader(ear):
     pid = pid_of(ear)
     os.kill(pid, signal.SIGKILL)
     wait(lambda: ear.listener.reader_pid not in (pid, None))
 
 
-def test_none_is_left_when_the_node_is_killed(cable: Pty) -> None:
+def test_none_is_left_when_the_node_is_killed(cable):
     program = ('import sys, time; from dxl_monitor.port.listener import Listener\n'
                f'listener = Listener({cable.path!r}, 2000000, lambda *_: None); listener.start()\n'
                'while not listener.reader_pid: time.sleep(0.01)\n'
                'print(listener.reader_pid, flush=True); time.sleep(100)')
     with subprocess.Popen([sys.executable, '-c', program], text=True, stdout=subprocess.PIPE,
                           cwd=Path(__file__).parents[1]) as node:
-        assert node.stdout is not None
         pid = int(node.stdout.readline())
         assert is_alive(pid)
         node.kill()
@@ -161,8 +158,7 @@ def test_none_is_left_when_the_node_is_killed(cable: Pty) -> None:
 
 @pytest.mark.parametrize(('program', 'reason'), [
     ('/does/not/exist', 'No such file or directory'), ('/bin/false', 'it ends at once')])
-def test_without_a_process_the_thread_reads_and_says_so(
-        cable: Pty, monkeypatch: pytest.MonkeyPatch, program: str, reason: str) -> None:
+def test_without_a_process_the_thread_reads_and_says_so(cable, monkeypatch, program, reason):
     monkeypatch.setattr(reader_process.sys, 'executable', program)
     ear = Ear(cable.path)
     wait(lambda: 'read by the node itself' in ear.listener.state.text)
@@ -174,7 +170,7 @@ def test_without_a_process_the_thread_reads_and_says_so(
     ear.listener.stop()
 
 
-def test_few_descriptors_are_no_end_and_none_is_lost(cable: Pty) -> None:
+def test_few_descriptors_are_no_end_and_none_is_lost(cable):
     """Without enough descriptors it listens, or says why it does not."""
     before = len(os.listdir('/proc/self/fd'))
     found = {_state_with_descriptors(cable, spare) for spare in range(18)}
@@ -182,11 +178,11 @@ def test_few_descriptors_are_no_end_and_none_is_lost(cable: Pty) -> None:
     assert len(os.listdir('/proc/self/fd')) == before
 
 
-def _state_with_descriptors(cable: Pty, spare: int) -> str:
+def _state_with_descriptors(cable, spare):
     """Return how a listener gets on that can open so many more descriptors."""
     listener = Listener(cable.path, 2_000_000, lambda chunk, stamp: None)
 
-    def state() -> str:
+    def state():
         if listener.reader_pid:
             return 'process'
         if listener.state.is_open:
@@ -209,44 +205,44 @@ def _state_with_descriptors(cable: Pty, spare: int) -> str:
 class Line:
     """A line on a clock of its own: a script of (time to wait in ns, bytes)."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, script: list[tuple[int, bytes]]) -> None:
+    def __init__(self, monkeypatch, script):
         self.now = 0
         self.due = 0
         self.waits = 0
         self.script = script
-        self.heard: list[tuple[bytes, int]] = []
-        self.idle: list[int] = []
+        self.heard = []
+        self.idle = []
         monkeypatch.setattr(reader, 'time', self)
         self.due = script[0][0]
 
-    def monotonic_ns(self) -> int:
+    def monotonic_ns(self):
         return self.now
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         self.now += round(seconds * 1e9)
 
-    def wait(self, seconds: float) -> bool:
+    def wait(self, seconds):
         self.waits += 1
         end = self.now + round(seconds * 1e9)
         is_ready = bool(self.script) and self.due <= end
         self.now = max(self.now, self.due) if is_ready else end
         return is_ready
 
-    def read(self) -> bytes:
+    def read(self):
         data = b''
         while self.script and self.due <= self.now:
             data += self.script.pop(0)[1]
             self.due += self.script[0][0] if self.script else 0
         return data
 
-    def run(self, byte_ns: float = 0.0) -> reader.Loop:
+    def run(self, byte_ns=0.0):
         loop = reader.Loop(self.wait, self.read, lambda *chunk: self.heard.append(chunk),
                            self.idle.append, idle_s=0.02, byte_ns=byte_ns)
         loop.run(lambda: not self.script and bool(self.idle))
         return loop
 
 
-def test_a_busy_line_is_let_gather_and_a_pause_ends_that(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_busy_line_is_let_gather_and_a_pause_ends_that(monkeypatch):
     line = Line(monkeypatch, [(50 * MS, b'a'), (5 * MS, b'b'), (MS, b'c'), (MS // 2, b'd')])
     loop = line.run()
     assert line.heard == [(b'a', 50 * MS), (b'b', 55 * MS), (b'cd', 57 * MS)]
@@ -254,7 +250,7 @@ def test_a_busy_line_is_let_gather_and_a_pause_ends_that(monkeypatch: pytest.Mon
     assert loop.largest_gap == 0                # it never came late
 
 
-def test_a_line_without_pauses_is_let_gather_for_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_line_without_pauses_is_let_gather_for_longer(monkeypatch):
     full = [(MS, b'f' * 100)] * 20              # 1 MBd: 100 bytes take 1 ms
     line = Line(monkeypatch, [(50 * MS, b'a'), *full, (2 * MS, b'b'), (5 * MS, b'c')])
     line.run(10_000)
@@ -265,31 +261,31 @@ def test_a_line_without_pauses_is_let_gather_for_longer(monkeypatch: pytest.Monk
     assert line.heard[-2:] == [(b'b', 74 * MS), (b'c', 77 * MS)]    # a pause: for 1 ms again
 
 
-def test_how_long_bytes_may_gather_is_a_question_of_the_rate() -> None:
-    def longest_s(baud: int) -> float:
+def test_how_long_bytes_may_gather_is_a_question_of_the_rate():
+    def longest_s(baud):
         return reader.Loop(bool, bytes, print, print, idle_s=0.02, byte_ns=1e10 / baud)._longest_s
     assert longest_s(1_000_000) == 0.004
     assert longest_s(4_500_000) * 450_000 == pytest.approx(1536)    # a driver has 4096
 
 
-def test_the_largest_gap_counts_only_while_bytes_waited(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_largest_gap_counts_only_while_bytes_waited(monkeypatch):
     line = Line(monkeypatch, [(50 * MS, b'a'), (MS, b'b'), (MS, b'c')])
     line.heard = Late(line)
     assert line.run().largest_gap == 8 * MS
 
 
-def test_how_long_nothing_came_is_said_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_how_long_nothing_came_is_said_again_and_again(monkeypatch):
     line = Line(monkeypatch, [(50 * MS, b'a'), (700 * MS, b'b')])
     line.run()
     assert line.idle == [70 * MS, 320 * MS, 570 * MS]
 
 
-def test_after_a_freeze_it_says_no_more_than_it_knows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_freeze_it_says_no_more_than_it_knows(monkeypatch):
     """Stopped behind a wait in vain: what came since is unknown."""
     line = Line(monkeypatch, [(50 * MS, b'a'), (1000 * MS, b'b')])
     wait = line.wait
 
-    def and_freeze(seconds: float) -> bool:
+    def and_freeze(seconds):
         is_ready = wait(seconds)
         line.now += 0 if is_ready else 5000 * MS
         return is_ready
@@ -302,11 +298,11 @@ def test_after_a_freeze_it_says_no_more_than_it_knows(monkeypatch: pytest.Monkey
 class Late(list):
     """A caller that takes 8 ms for its first chunk."""
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line):
         super().__init__()
         self.line = line
 
-    def append(self, chunk: tuple[bytes, int]) -> None:
+    def append(self, chunk):
         if not self:
             self.line.now += 8 * MS
         super().append(chunk)

@@ -13,7 +13,6 @@ from harness import wait
 import pytest
 
 from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.listener import Listener
@@ -37,7 +36,7 @@ BAUD = 1_000_000
 WIRE = Wire('bus', BAUD)
 
 
-def run(*faults: str, seconds: float = 4, seed: int = 1) -> list[tuple[bytes, int]]:
+def run(*faults, seconds=4, seed=1):
     """Return what a tap would hear of a simulated run: chunks of any size, and stamps."""
     line = Line(make_devices(['1-4:MX-64', '5:XL430-W250', '6:BitFoot'], MODELS, BAUD), BAUD)
     master = Master(line, PATTERNS['mixed'], rate=50, faults=[parse(text) for text in faults])
@@ -57,7 +56,7 @@ def run(*faults: str, seconds: float = 4, seed: int = 1) -> list[tuple[bytes, in
     return [*chunks, (waiting, SECOND + burst.end)] if waiting else chunks
 
 
-def listen(chunks, models: Models = MODELS) -> BusReport:
+def listen(chunks, models=MODELS):
     monitor = Monitor('bus', models, Settings(baud=BAUD), clock=lambda: 0)
     stamp = 0
     for data, stamp in chunks:
@@ -65,7 +64,7 @@ def listen(chunks, models: Models = MODELS) -> BusReport:
     return monitor.report(stamp + 2 * SECOND)
 
 
-def capture(chunks) -> bytes:
+def capture(chunks):
     file = io.BytesIO()
     writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
     for data, stamp in chunks:
@@ -77,7 +76,7 @@ def capture(chunks) -> bytes:
     (), ('silent:3:1:1', 'flip:2:2:1'), ('latched:4:1:2', 'wrong_map:2:1:1'),
     ('reboot:1:2:1', 'glitch:3:0:3', 'header:5:1:1'),
 ], ids=lambda faults: '+'.join(faults) or 'none')
-def test_a_captured_run_replayed_gives_the_same_report(faults) -> None:
+def test_a_captured_run_replayed_gives_the_same_report(faults):
     chunks = run(*faults)
     live = listen(chunks)
     again = listen((chunk.data, chunk.stamp) for chunk in Reader(io.BytesIO(capture(chunks))))
@@ -86,7 +85,7 @@ def test_a_captured_run_replayed_gives_the_same_report(faults) -> None:
     assert bool(live.findings) == bool(faults) or not faults
 
 
-def judged(report: BusReport):
+def judged(report):
     """Return what a report says apart from times: counts, tables, states, causes."""
     return (
         {name: count for name, count in report.counters.items() if name != 'Pending Bytes'},
@@ -99,27 +98,27 @@ def judged(report: BusReport):
 class Ear:
     """A listener and a monitor on a port, as the node has them."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         self.monitor = Monitor('bus', MODELS, Settings(baud=BAUD))
         self._last = 0
         self.listener = Listener(str(path), BAUD, self._hear, self.monitor.flush_if_idle)
 
-    def _hear(self, data: bytes, stamp: int) -> None:
+    def _hear(self, data, stamp):
         self._last = stamp
         self.monitor.feed(data, stamp)
 
-    def __enter__(self) -> 'Ear':
+    def __enter__(self):
         self.listener.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self.listener.stop()
 
-    def report(self, later: int = 2 * SECOND) -> BusReport:
+    def report(self, later=2 * SECOND):
         return self.monitor.report(self._last + later)
 
 
-def test_the_monitor_on_a_replay_reports_what_it_reported_live(tmp_path) -> None:
+def test_the_monitor_on_a_replay_reports_what_it_reported_live(tmp_path):
     chunks = run('silent:3:0.5:0.5', seconds=1.5)
     path, link = tmp_path / 'bus.txt', tmp_path / 'bus'
     path.write_bytes(capture(chunks))
@@ -137,7 +136,7 @@ def test_the_monitor_on_a_replay_reports_what_it_reported_live(tmp_path) -> None
     assert not link.is_symlink()
 
 
-def test_faster_and_again_and_again(tmp_path) -> None:
+def test_faster_and_again_and_again(tmp_path):
     chunks = run(seconds=1)
     path, link = tmp_path / 'bus.txt', tmp_path / 'bus'
     path.write_bytes(capture(chunks))
@@ -151,7 +150,7 @@ def test_faster_and_again_and_again(tmp_path) -> None:
     assert 'Traceback' not in replay.text
 
 
-def test_every_bus_has_its_pty(tmp_path) -> None:
+def test_every_bus_has_its_pty(tmp_path):
     path, link = tmp_path / 'two.txt', tmp_path / 'bus'
     file = io.BytesIO()
     writer = Writer(file, Moment(1, 1))
@@ -168,7 +167,7 @@ def test_every_bus_has_its_pty(tmp_path) -> None:
         assert replay.exit_code() == 0
 
 
-def test_raw_bytes_play_at_the_speed_of_the_wire(tmp_path) -> None:
+def test_raw_bytes_play_at_the_speed_of_the_wire(tmp_path):
     chunks = run(seconds=0.5)
     path, link = tmp_path / 'bus.bin', tmp_path / 'bus'
     path.write_bytes(b''.join(data for data, _ in chunks))
@@ -197,7 +196,7 @@ def test_raw_bytes_play_at_the_speed_of_the_wire(tmp_path) -> None:
     (['setup.py'],
      'setup.py: a text file, not a recording; write: dxl_tap arm -- python setup.py', 2),
 ])
-def test_mistakes_are_one_line(tmp_path, arguments, line, code) -> None:
+def test_mistakes_are_one_line(tmp_path, arguments, line, code):
     names = {'capture': str(tmp_path / 'bus.txt'), 'empty': str(tmp_path / 'empty.txt'),
              'pipe': str(tmp_path / 'pipe')}
     Path(names['capture']).write_bytes(capture(run(seconds=0.1)))
@@ -209,7 +208,7 @@ def test_mistakes_are_one_line(tmp_path, arguments, line, code) -> None:
     assert said.startswith(f'dxl_replay: {line.format(**names)}')     # the name of the command
 
 
-def test_a_file_in_the_place_of_the_link_stays(tmp_path) -> None:
+def test_a_file_in_the_place_of_the_link_stays(tmp_path):
     path, link = tmp_path / 'bus.txt', tmp_path / 'notes'
     path.write_bytes(capture(run(seconds=0.1)))
     link.write_text('keep me')

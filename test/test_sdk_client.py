@@ -7,10 +7,7 @@ dynamixel-sdk is an oracle from outside: what the client is told is right for th
 what the monitor then knows is what the client was told, for every register touched.
 """
 
-from collections.abc import Callable
-from collections.abc import Iterator
 import time
-from typing import Any
 
 from harness import wait
 from listened_bus import BAUD
@@ -22,7 +19,6 @@ import pytest
 
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.bus.report import DeviceReport
 
 try:
     import dynamixel_sdk as sdk
@@ -43,17 +39,17 @@ TORQUE, LED, GOAL_VELOCITY, GOAL, POSITION, VOLTAGE = 64, 65, 104, 116, 132, 144
 class Bench(ListenedBus):
     """Simulated devices, the official client on the bus, a monitor on the tap."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__(ENTRIES, Settings(BAUD, tuple(parse_all(ENTRIES))))
         self.port = sdk.PortHandler(self.bus.path)
         assert self.port.setBaudRate(BAUD)
         self.client = sdk.PacketHandler(2.0)
 
-    def close(self) -> None:
+    def close(self):
         self.port.closePort()
         super().close()
 
-    def retry(self, ask: Callable[[], tuple[Any, ...]]) -> tuple[Any, ...]:
+    def retry(self, ask):
         """Ask again as long as the client times out: this machine may be slow."""
         deadline = time.monotonic() + DEADLINE_S
         while True:
@@ -61,28 +57,25 @@ class Bench(ListenedBus):
             if answer[-2] == sdk.COMM_SUCCESS or time.monotonic() > deadline:
                 return answer
 
-    def read(self, number: int, address: int, size: int) -> tuple[bytes, int]:
+    def read(self, number, address, size):
         data, result, error = self.retry(
             lambda: self.client.readTxRx(self.port, number, address, size))
         assert result == sdk.COMM_SUCCESS
         return bytes(data), error
 
-    def write(self, number: int, address: int, data: bytes) -> int:
+    def write(self, number, address, data):
         result, error = self.retry(
             lambda: self.client.writeTxRx(self.port, number, address, len(data), list(data)))
         assert result == sdk.COMM_SUCCESS
         return int(error)
 
-    def device(self, number: int) -> DeviceReport:
+    def device(self, number):
         """Return what the monitor says once it has heard all that was on the bus."""
         tap = self.bus.tap
-        assert tap is not None
         wait(lambda: self.listener.counters.bytes == tap.taken)
-        found = super().device(number)
-        assert found is not None
-        return found
+        return super().device(number)
 
-    def known(self, number: int, address: int, size: int) -> bytes:
+    def known(self, number, address, size):
         """Return the bytes of a register as the monitor knows it, b'' if it does not."""
         device = self.device(number)
         for value in device.observed:
@@ -94,7 +87,7 @@ class Bench(ListenedBus):
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def bench(monkeypatch):
     # The client waits 34 ms, and takes what is answered later for the answer to its next question.
     monkeypatch.setattr(sdk.port_handler, 'LATENCY_TIMER', PATIENCE_MS / 2)
     bench = Bench()
@@ -102,16 +95,16 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     bench.close()
 
 
-def test_ping(bench: Bench) -> None:
+def test_ping(bench):
     for number, model in ((1, 1060), (4, 1120), (6, 321), (101, 0xAFFE)):
-        answer = bench.retry(lambda one=number: bench.client.ping(bench.port, one))  # type: ignore[misc]
+        answer = bench.retry(lambda one=number: bench.client.ping(bench.port, one))
         assert answer == (model, sdk.COMM_SUCCESS, 0)
         device = bench.device(number)
         assert (device.model_number, device.state) == (model, 'connected')
     assert bench.client.ping(bench.port, 77)[1] == sdk.COMM_RX_TIMEOUT
 
 
-def test_broadcast_ping(bench: Bench) -> None:
+def test_broadcast_ping(bench):
     found, result = bench.client.broadcastPing(bench.port)
     assert result == sdk.COMM_SUCCESS
     assert set(found) == {*SERVOS, 101}
@@ -120,9 +113,8 @@ def test_broadcast_ping(bench: Bench) -> None:
         assert (device.model_number, device.firmware) == (model, firmware)
 
 
-def test_read_every_register(bench: Bench) -> None:
+def test_read_every_register(bench):
     model = MODELS.by_name('XL430-W250')
-    assert model is not None
     told = {}
     for field in model.fields:
         if field.at < 168:               # behind: indirect addresses
@@ -135,7 +127,7 @@ def test_read_every_register(bench: Bench) -> None:
     assert known == told
 
 
-def test_write_is_obeyed_and_known(bench: Bench) -> None:
+def test_write_is_obeyed_and_known(bench):
     goal = (3000).to_bytes(4, 'little')
     assert bench.write(4, TORQUE, b'\x01') == 0
     assert bench.write(4, GOAL, goal) == 0
@@ -144,7 +136,7 @@ def test_write_is_obeyed_and_known(bench: Bench) -> None:
     assert bench.known(4, POSITION, 4) == goal
 
 
-def test_refused_write_is_not_known(bench: Bench) -> None:
+def test_refused_write_is_not_known(bench):
     assert bench.read(1, 9, 1) == (b'\x00', 0)
     assert bench.write(1, TORQUE, b'\x01') == 0
     assert bench.write(1, 9, b'\x07') == ACCESS      # EEPROM with torque on
@@ -154,7 +146,7 @@ def test_refused_write_is_not_known(bench: Bench) -> None:
     assert bench.device(1).last_error == ''
 
 
-def test_registered_write_waits_for_action(bench: Bench) -> None:
+def test_registered_write_waits_for_action(bench):
     assert bench.read(1, LED, 1) == (b'\x00', 0)
     assert bench.retry(lambda: bench.client.regWriteTxRx(bench.port, 1, LED, 1, [1])) == (0, 0)
     assert bench.known(1, LED, 1) == b'\x00'
@@ -163,7 +155,7 @@ def test_registered_write_waits_for_action(bench: Bench) -> None:
     assert bench.read(1, LED, 1) == (b'\x01', 0)
 
 
-def test_header_in_unstuffed_data(bench: Bench) -> None:
+def test_header_in_unstuffed_data(bench):
     # The Python SDK does not stuff what it sends, and it loses bytes of what it receives.
     data = b'\xff\xff\xfd\x00'
     assert bench.write(1, GOAL_VELOCITY, data) == 0
@@ -171,18 +163,18 @@ def test_header_in_unstuffed_data(bench: Bench) -> None:
     assert bench.read(1, GOAL_VELOCITY, 4) == (data, 0)
 
 
-def _group(bench: Bench, kind: str, *arguments: Any) -> Any:
+def _group(bench, kind, *arguments):
     return getattr(sdk, kind)(bench.port, bench.client, *arguments)
 
 
-def _succeed(ask: Callable[[], int]) -> None:
+def _succeed(ask):
     deadline = time.monotonic() + DEADLINE_S
     while ask() != sdk.COMM_SUCCESS:
         assert time.monotonic() < deadline
 
 
 @pytest.mark.parametrize(('method', 'ids'), [('txRxPacket', SERVOS), ('fastSyncRead', FAST)])
-def test_sync_write_and_sync_read(bench: Bench, method: str, ids: tuple[int, ...]) -> None:
+def test_sync_write_and_sync_read(bench, method, ids):
     for number in ids:
         assert bench.write(number, TORQUE, b'\x01') == 0
     writer = _group(bench, 'GroupSyncWrite', GOAL, 4)
@@ -200,7 +192,7 @@ def test_sync_write_and_sync_read(bench: Bench, method: str, ids: tuple[int, ...
 
 
 @pytest.mark.parametrize(('method', 'ids'), [('txRxPacket', SERVOS), ('fastBulkRead', FAST)])
-def test_bulk_write_and_bulk_read(bench: Bench, method: str, ids: tuple[int, ...]) -> None:
+def test_bulk_write_and_bulk_read(bench, method, ids):
     places = {number: (LED, 1) if number % 2 else (VOLTAGE, 2) for number in ids}
     writer = _group(bench, 'GroupBulkWrite')
     for number in ids:
@@ -216,7 +208,7 @@ def test_bulk_write_and_bulk_read(bench: Bench, method: str, ids: tuple[int, ...
         assert bench.known(number, address, size) == told.to_bytes(size, 'little')
 
 
-def test_reboot(bench: Bench) -> None:
+def test_reboot(bench):
     assert bench.write(2, TORQUE, b'\x01') == 0
     assert bench.read(2, 20, 4)[1] == 0
     assert bench.known(2, TORQUE, 1) == b'\x01'
@@ -227,7 +219,7 @@ def test_reboot(bench: Bench) -> None:
     assert bench.known(2, TORQUE, 1) == b'\x00'
 
 
-def test_factory_reset(bench: Bench) -> None:
+def test_factory_reset(bench):
     assert bench.read(3, 9, 1) == (b'\x00', 0)
     keep_id_and_baud = 0x02
     result, error = bench.client.factoryReset(bench.port, 3, keep_id_and_baud)
@@ -237,7 +229,7 @@ def test_factory_reset(bench: Bench) -> None:
     assert bench.known(3, 9, 1) == b'\xfa'
 
 
-def test_new_id_is_followed(bench: Bench) -> None:
+def test_new_id_is_followed(bench):
     assert bench.write(3, 7, b'\x21') == 0
     assert bench.read(0x21, 7, 1) == (b'\x21', 0)
     assert bench.known(0x21, 7, 1) == b'\x21'

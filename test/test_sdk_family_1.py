@@ -8,9 +8,7 @@ outside: what they are told is right for the servo, and the monitor then knows w
 GroupBulkRead of dynamixel-sdk 4.1.0 ends in a TypeError with protocol 1.0: not used here.
 """
 
-from collections.abc import Iterator
 import time
-from typing import Any
 
 from harness import wait
 from listened_bus import BAUD
@@ -43,21 +41,21 @@ SO_101 = (1, 2, 3, 4, 5, 6)
 class Bench(ListenedBus):
     """Simulated servos of one dialect on a bus, a monitor on the tap."""
 
-    def __init__(self, dialect: str, *entries: str) -> None:
+    def __init__(self, dialect, *entries):
         super().__init__(entries, Settings(BAUD), dialect)
 
-    def shown(self, number: int) -> dict[str, str]:
+    def shown(self, number):
         device = self.device(number)
         return {} if device is None else {one.field.name: one.value.text
                                           for one in device.observed}
 
-    def knows(self, number: int, **fields: str) -> None:
+    def knows(self, number, **fields):
         """Wait until the monitor shows this of a servo; underscores stand for spaces."""
         want = {name.replace('_', ' '): value for name, value in fields.items()}
         wait(lambda: want.items() <= self.shown(number).items())
 
 
-def sdk(module: Any, version: float, bench: Bench) -> tuple[Any, Any]:
+def sdk(module, version, bench):
     """Return the port and the packet handler of an SDK, patient with a slow machine."""
     port = module.PortHandler(bench.bus.path)
     assert port.setBaudRate(BAUD)
@@ -66,13 +64,13 @@ def sdk(module: Any, version: float, bench: Bench) -> tuple[Any, Any]:
 
 
 @pytest.fixture
-def so_101() -> Iterator[Bench]:
+def so_101():
     bench = Bench('feetech', '1-6:STS3215')
     yield bench
     bench.close()
 
 
-def test_feetech_sdk(so_101: Bench) -> None:
+def test_feetech_sdk(so_101):
     port, client = sdk(scservo_sdk, 0, so_101)
     for number in SO_101:
         assert client.ping(port, number) == (777, 0, 0)
@@ -93,7 +91,7 @@ def test_feetech_sdk(so_101: Bench) -> None:
     assert so_101.monitor.decoder.choice.dialect.name == 'Feetech'
 
 
-def test_a_loop_as_lerobot_has_it(so_101: Bench) -> None:
+def test_a_loop_as_lerobot_has_it(so_101):
     """Sync Read of two bytes at 56, Sync Write of two at 42, and the books of the fake."""
     port, client = sdk(scservo_sdk, 0, so_101)
     read = scservo_sdk.GroupSyncRead(port, client, 56, 2)
@@ -121,7 +119,7 @@ def test_a_loop_as_lerobot_has_it(so_101: Bench) -> None:
         assert (device.totals.answers, device.totals.writes) == (100, 100)
 
 
-def test_dynamixel_sdk_with_protocol_1() -> None:
+def test_dynamixel_sdk_with_protocol_1():
     bench = Bench('dxl1', '1:AX-12A', '2:MX-28(1.0)', '7:RX-64')
     port, client = sdk(dynamixel_sdk, 1.0, bench)
     for number, model in ((1, 12), (2, 29), (7, 64)):
@@ -149,7 +147,7 @@ def test_dynamixel_sdk_with_protocol_1() -> None:
 
 
 @needs_rustypot
-def test_rustypot_with_feetech(so_101: Bench) -> None:
+def test_rustypot_with_feetech(so_101):
     client = rustypot.Sts3215PyController(so_101.bus.path, BAUD, 1.0)
     assert client.ping(4)
     client.write_goal_position(4, 0.5)
@@ -164,7 +162,7 @@ def test_rustypot_with_feetech(so_101: Bench) -> None:
 
 
 @needs_rustypot
-def test_rustypot_reads_a_big_endian_servo() -> None:
+def test_rustypot_reads_a_big_endian_servo():
     bench = Bench('feetech', '9:SCS0009')
     client = rustypot.Scs0009PyController(bench.bus.path, BAUD, 1.0)
     client.write_goal_position(9, 0.7)
@@ -177,7 +175,7 @@ def test_rustypot_reads_a_big_endian_servo() -> None:
 
 
 @needs_rustypot
-def test_rustypot_with_protocol_1() -> None:
+def test_rustypot_with_protocol_1():
     bench = Bench('dxl1', '5:AX-12A')
     client = rustypot.AxPyController(bench.bus.path, BAUD, 1.0)
     assert client.ping(5)

@@ -6,27 +6,23 @@ import struct
 
 import pytest
 
-from dxl_monitor.bus.table import Observed
 from dxl_monitor.bus.table import READ
 from dxl_monitor.bus.table import Table
 from dxl_monitor.bus.table import WRITTEN
-from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.models import Models
 
 SECOND = 10**9
 
 
-def servo(name: str = 'MX-106', firmware: int | None = None) -> Model:
-    model = Models().by_name(name, firmware)
-    assert model is not None
-    return model
+def servo(name='MX-106', firmware=None):
+    return Models().by_name(name, firmware)
 
 
-def seen(table: Table, model: Model, now: int = 0) -> dict[str, Observed]:
+def seen(table, model, now=0):
     return {observed.field.name: observed for observed in table.observed(model, now)}
 
 
-def test_value_age_and_source() -> None:
+def test_value_age_and_source():
     table, model = Table(), servo()
     table.store(132, struct.pack('<i', 3072), 2 * SECOND, READ)
     table.store(116, struct.pack('<i', 1024), 3 * SECOND, WRITTEN)
@@ -38,7 +34,7 @@ def test_value_age_and_source() -> None:
 
 
 @pytest.mark.parametrize('missing', range(4))
-def test_a_half_observed_value_is_never_shown(missing: int) -> None:
+def test_a_half_observed_value_is_never_shown(missing):
     table, model = Table(), servo()
     for n in range(4):
         if n != missing:
@@ -49,7 +45,7 @@ def test_a_half_observed_value_is_never_shown(missing: int) -> None:
     assert list(seen(table, model)) == ['Present Position']
 
 
-def test_the_age_is_that_of_the_oldest_byte_and_one_written_byte_makes_it_written() -> None:
+def test_the_age_is_that_of_the_oldest_byte_and_one_written_byte_makes_it_written():
     table, model = Table(), servo()
     table.store(132, b'\0\0\0\0', 1 * SECOND, READ)
     table.store(133, b'\1', 4 * SECOND, WRITTEN)
@@ -57,7 +53,7 @@ def test_the_age_is_that_of_the_oldest_byte_and_one_written_byte_makes_it_writte
     assert (position.age_s, position.source, position.value.raw) == (4.0, 'w', 256)
 
 
-def point(table: Table, model: Model, first: int, targets: list[int], stamp: int) -> None:
+def point(table, model, first, targets, stamp):
     address = model.by_name[f'Indirect Address {first}'].at
     table.store(address, struct.pack(f'<{len(targets)}H', *targets), stamp, WRITTEN)
 
@@ -66,8 +62,7 @@ def point(table: Table, model: Model, first: int, targets: list[int], stamp: int
     ('MX-106', None, 1, 224), ('MX-106', None, 29, 634), ('XM430-W350', None, 5, 228),
     ('XL330-M288', 53, 1, 224), ('XL330-M288', 52, 1, 208), ('XL330-M288', None, 1, 224),
     ('PH54-200-S500', None, 65, 698), ('YM070-210-R051', None, 3, 636)])
-def test_an_indirect_read_shows_under_the_real_name(name: str, firmware: int | None, first: int,
-                                                    data: int) -> None:
+def test_an_indirect_read_shows_under_the_real_name(name, firmware, first, data):
     table, model = Table(), servo(name, firmware)
     register = model.by_name['Present Position']
     point(table, model, first, list(range(register.at, register.end)), 1)
@@ -80,14 +75,14 @@ def test_an_indirect_read_shows_under_the_real_name(name: str, firmware: int | N
     assert table.observed_of(model, ('Present Position',), 5 * SECOND)[0] == position
 
 
-def test_indirect_data_stay_raw_while_it_is_unknown_where_they_point() -> None:
+def test_indirect_data_stay_raw_while_it_is_unknown_where_they_point():
     table, model = Table(), servo()
     table.store(224, b'\x05\x06', 1, READ)
     assert {name: o.value.text for name, o in seen(table, model).items()} == {
         'Indirect Data 1': '5', 'Indirect Data 2': '6'}
 
 
-def test_indirect_data_older_than_their_address_are_not_taken_for_its_target() -> None:
+def test_indirect_data_older_than_their_address_are_not_taken_for_its_target():
     table, model = Table(), servo()
     point(table, model, 1, [146], 1)
     table.store(224, b'\x2a', 2, READ)
@@ -96,11 +91,10 @@ def test_indirect_data_older_than_their_address_are_not_taken_for_its_target() -
     assert table.observed_of(model, ('LED',), 0)[0] is None
     table.store(224, b'\x01', 4, READ)
     led = table.observed_of(model, ('LED',), 0)[0]
-    assert led is not None
     assert led.value.text == 'on'
 
 
-def test_of_direct_and_indirect_the_newer_one_counts() -> None:
+def test_of_direct_and_indirect_the_newer_one_counts():
     table, model = Table(), servo()
     point(table, model, 1, [146], 1)
     table.store(224, b'\x2a', 2, READ)
@@ -111,7 +105,7 @@ def test_of_direct_and_indirect_the_newer_one_counts() -> None:
     assert table.byte(146) == 43        # unresolved
 
 
-def test_indirect_goes_one_level() -> None:
+def test_indirect_goes_one_level():
     table, model = Table(), servo()
     point(table, model, 1, [225, 146], 1)       # data 1 -> data 2 -> temperature
     table.store(224, b'\x2a', 2, READ)

@@ -4,12 +4,12 @@
 from rigs import texts
 
 
-def test_every_text_was_read() -> None:
+def test_every_text_was_read():
     found = texts.differences()
     assert found == [], 'python -m rigs.texts --write, then read each line with -, and mark it +'
 
 
-def test_a_new_text_is_seen() -> None:
+def test_a_new_text_is_seen():
     source = '''"""A docstring."""
 help = 'a text of several words'
 said = {'a key of a dict': f'{port.name}: not open ({error!r}); {len(ports)} ports'}

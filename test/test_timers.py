@@ -12,12 +12,12 @@ from dxl_monitor.timers import Timers
 
 
 @pytest.fixture
-def timers(monkeypatch: pytest.MonkeyPatch) -> Timers:
+def timers(monkeypatch):
     monkeypatch.setattr(module, 'time', SimpleNamespace(monotonic=lambda: 10.0))
     return Timers()
 
 
-def test_a_call_comes_each_period_and_is_not_made_up_for(timers: Timers) -> None:
+def test_a_call_comes_each_period_and_is_not_made_up_for(timers):
     called = []
     timers.add(1.0, lambda: called.append(now))
     for now in (10.9, 11.0, 11.9, 12.1, 12.9, 13.0, 19.5, 19.6, 20.4, 20.5):
@@ -25,10 +25,10 @@ def test_a_call_comes_each_period_and_is_not_made_up_for(timers: Timers) -> None
     assert called == [11.0, 12.1, 13.0, 19.5, 20.5]
 
 
-def test_a_call_may_change_its_period(timers: Timers) -> None:
+def test_a_call_may_change_its_period(timers):
     called = []
 
-    def call() -> None:
+    def call():
         called.append(now)
         one.period_s = 0.25
 
@@ -38,8 +38,8 @@ def test_a_call_may_change_its_period(timers: Timers) -> None:
     assert called == [11.0, 11.25, 11.5]
 
 
-def test_a_mistake_is_raised_where_somebody_checks() -> None:
-    def call() -> None:
+def test_a_mistake_is_raised_where_somebody_checks():
+    def call():
         raise ZeroDivisionError
 
     timers = Timers()
@@ -52,11 +52,11 @@ def test_a_mistake_is_raised_where_somebody_checks() -> None:
     timers.stop()
 
 
-def test_who_checks_waits_for_a_call_that_goes_on_and_none_comes_after_the_stop() -> None:
+def test_who_checks_waits_for_a_call_that_goes_on_and_none_comes_after_the_stop():
     entered, leave = Event(), Event()
     called = []
 
-    def call() -> None:
+    def call():
         called.append(timers._turning.locked())     # check() would have to wait
         entered.set()
         leave.wait(20.0)

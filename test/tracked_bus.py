@@ -4,11 +4,8 @@
 
 import struct
 
-from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.evidence import Evidence
-from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.registry import DeviceRegistry
-from dxl_monitor.bus.report import Counts
 from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.model.models import Models
 from fuzz.script import fast_reply as combined
@@ -25,78 +22,77 @@ POSITION = 132
 GOAL = 116
 
 
-def words(*numbers: int) -> bytes:
+def words(*numbers):
     return struct.pack(f'<{len(numbers)}H', *numbers)
 
 
-def damaged(packet: bytes) -> bytes:
+def damaged(packet):
     return packet[:-1] + bytes([packet[-1] ^ 1])
 
 
 class Bus:
     """A bus as a tracker hears it: a chunk for each packet, 1 ms after the last."""
 
-    def __init__(self, *expected: Expected, write_acks: str = 'auto',
-                 models: Models = MODELS) -> None:
+    def __init__(self, *expected, write_acks='auto', models=MODELS):
         self.evidence = Evidence()
         self.registry = DeviceRegistry(models, expected, 2_000_000, self.evidence)
         self.tracker = Tracker(self.registry, self.evidence, BYTE_NS, 4, write_acks)
         self.framer = Framer()
         self.now = 1_000_000_000
 
-    def hear(self, *packets: bytes, gap_ns: int = 1_000_000) -> None:
+    def hear(self, *packets, gap_ns=1_000_000):
         for packet in packets:
             self.now += gap_ns
             frames = self.framer.frames(packet)
             self.tracker.track(frames, self.now, self.framer.bytes)
 
-    def idle(self) -> None:
+    def idle(self):
         self.tracker.track(self.framer.flush_frames(), self.now, self.framer.bytes)
 
-    def device(self, number: int) -> Device:
+    def device(self, number):
         device = self.registry.devices[number]
         self.registry.resolve(device)
         return device
 
-    def counts(self, number: int) -> Counts:
+    def counts(self, number):
         return self.device(number).counts
 
-    def known(self, number: int, address: int, size: int = 4) -> bytes | None:
+    def known(self, number, address, size=4):
         return self.registry.devices[number].table.bytes(address, size)
 
-    def kinds(self) -> list[str]:
+    def kinds(self):
         return [incident.kind for incident in self.evidence.incidents()]
 
 
-def ping(number: int) -> bytes:
+def ping(number):
     return encode(number, I.PING)
 
 
-def pong(number: int, model: int = MX_64, firmware: int = 41) -> bytes:
+def pong(number, model=MX_64, firmware=41):
     return encode(number, STATUS, words(model) + bytes([firmware]), error=0)
 
 
-def read(number: int, address: int = POSITION, length: int = 4) -> bytes:
+def read(number, address=POSITION, length=4):
     return encode(number, I.READ, words(address, length))
 
 
-def reply(number: int, data: bytes = b'', error: int = 0) -> bytes:
+def reply(number, data=b'', error=0):
     return encode(number, STATUS, data, error=error)
 
 
-def write(number: int, address: int, data: bytes) -> bytes:
+def write(number, address, data):
     return encode(number, I.WRITE, words(address) + data)
 
 
-def sync_read(*numbers: int, address: int = POSITION, length: int = 4) -> bytes:
+def sync_read(*numbers, address=POSITION, length=4):
     return encode(BROADCAST, I.SYNC_READ, words(address, length) + bytes(numbers))
 
 
-def fast_read(*numbers: int, length: int = 4) -> bytes:
+def fast_read(*numbers, length=4):
     return encode(BROADCAST, I.FAST_SYNC_READ, words(POSITION, length) + bytes(numbers))
 
 
-def fast_reply(blocks: dict[int, bytes], errors: dict[int, int] | None = None) -> bytes:
+def fast_reply(blocks, errors=None):
     return combined([((errors or {}).get(number, 0), number, data)
                      for number, data in blocks.items()])
 
@@ -108,5 +104,5 @@ FILLED = (ping(1), pong(1), read(1), reply(1, b'pppp'), write(1, GOAL, b'gggg'),
           read(1, 7, 4), reply(1, b'\x01\x03\xfa\x00'))
 
 
-def notes(bus: Bus) -> list[tuple[int, str, int, tuple[int, ...]]]:
+def notes(bus):
     return [(one.stamp, one.kind, one.device, one.detail) for one in bus.evidence.incidents()]
