@@ -3,7 +3,6 @@
 """Run the benchmarks: a table to the terminal, all figures to a JSON file if asked."""
 
 import argparse
-from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,7 +12,6 @@ import sys
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 from rigs.harness import as_json
-from rigs.harness import Figure
 from rigs.harness import machine
 from rigs.harness import Options
 from rigs.harness import table
@@ -30,7 +28,7 @@ class Failed(OSError):
     """A figure that must not be: exit code 1."""
 
 
-def main(arguments: Sequence[str]) -> None:
+def main(arguments):
     options = _parser().parse_args(arguments)
     if options.trace is not None and not options.trace.is_file():
         raise UsageError(f'--trace: {options.trace} is not a file; give the raw bytes of a bus')
@@ -41,14 +39,14 @@ def main(arguments: Sequence[str]) -> None:
                        settle_s=options.settle, asked_rounds=options.rounds,
                        soak_minutes=options.soak or 0.0, load_minutes=options.load or 0.0)
     print(', '.join(f'{key}: {value}' for key, value in machine().items()), flush=True)
-    figures: list[Figure] = []
+    figures = []
     for section in _sections(options):
         figures += _run(section, settings)
     if options.json is not None:
         options.json.write_text(as_json(figures, _command(arguments)) + '\n')
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser():
     parser = argparse.ArgumentParser(prog='scripts/bench', description=(
         'Measure the nodes and what they are made of; docs/benchmarks.md explains each figure.'))
     parser.add_argument('--json', type=Path, metavar='FILE', help='write all figures to FILE')
@@ -70,27 +68,27 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _sections(options: argparse.Namespace) -> Sequence[str]:
+def _sections(options):
     alone = [name for name in ALONE if getattr(options, name)]
     if alone:
         return [*alone, *(options.only or ())]
     return options.only or PLAIN
 
 
-def _run(section: str, settings: Options) -> list[Figure]:
+def _run(section, settings):
     if section in NEEDS_ROS and find_spec('rclpy') is None:
         print(f'{section}: skipped: no rclpy here; source ROS 2 first', file=sys.stderr)
         return []
     print(f'{section} ...', file=sys.stderr)
     module = import_module(f'{RIGS.get(section, "benchmark")}.{section}')
-    figures: list[Figure] = module.run(settings)
+    figures = module.run(settings)
     print(table(figures), flush=True)
     if found := getattr(module, 'problems', lambda figures: [])(figures):
         raise Failed(f'{section}: ' + '\n'.join(found))
     return figures
 
 
-def _command(arguments: Sequence[str]) -> str:
+def _command(arguments):
     """Return the command as typed, without anybody's folders."""
     return shlex.join(['scripts/bench', *(Path(part).name for part in arguments)])
 

@@ -11,8 +11,6 @@ usage: python -m benchmark.against COMMIT [--pairs N] [--trace FILE] [--only TEX
 """
 
 import argparse
-from collections.abc import Iterator
-from collections.abc import Sequence
 from contextlib import contextmanager
 from contextlib import ExitStack
 from functools import partial
@@ -27,7 +25,6 @@ import subprocess
 import sys
 import tarfile
 from tempfile import TemporaryDirectory
-from typing import Any
 from typing import NamedTuple
 
 from benchmark.parsing import CHUNKS
@@ -81,35 +78,35 @@ class Case(NamedTuple):
 class Worker:
     """A process that measures with the code of one commit."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self._process = subprocess.Popen(
             [sys.executable, '-c', WORKER], cwd=folder, text=True, stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, env={**os.environ, 'PYTHONPATH': str(folder)})
         self._hear()
 
-    def us(self, case: Case) -> float:
+    def us(self, case):
         """Return the CPU time per packet, in us."""
         assert self._process.stdin is not None
         print(json.dumps([str(case.file), *case[1:]]), file=self._process.stdin, flush=True)
         return float(self._hear())
 
-    def _hear(self) -> Any:
+    def _hear(self):
         assert self._process.stdout is not None
         for line in self._process.stdout:
             return json.loads(line)
         raise ChildProcessError('a measuring process ended early; its error stands above')
 
-    def __enter__(self) -> 'Worker':
+    def __enter__(self):
         return self
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, *error):
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait()
 
 
 @contextmanager
-def checked_out(commit: str) -> Iterator[Path]:
+def checked_out(commit):
     """Have the files of a commit in a folder for a while."""
     packed = subprocess.run(['git', 'archive', '--format=tar', commit], cwd=REPOSITORY,
                             capture_output=True, check=False)
@@ -122,7 +119,7 @@ def checked_out(commit: str) -> Iterator[Path]:
         yield Path(folder)
 
 
-def bound(ratios: Sequence[float]) -> float:
+def bound(ratios):
     """
     Return the lower 95 % bound of the median of these ratios.
 
@@ -133,9 +130,9 @@ def bound(ratios: Sequence[float]) -> float:
     return sorted(ratios)[max(0, rank - 1)]
 
 
-def compare(old: Path, cases: dict[str, Case], pairs: int) -> Iterator[str]:
+def compare(old, cases, pairs):
     """Measure, and yield a line of the table for each case."""
-    taken: dict[str, dict[str, list[float]]] = {
+    taken = {
         name: {OLD: [], AGAIN: [], NEW: []} for name in cases}
     rng = random.Random(1)
     with ExitStack() as stack:
@@ -154,7 +151,7 @@ def compare(old: Path, cases: dict[str, Case], pairs: int) -> Iterator[str]:
                f'{median(new):9.3f}{bound(new):9.3f}{median(again):11.3f}{bound(again):9.3f}')
 
 
-def main(arguments: Sequence[str]) -> None:
+def main(arguments):
     options = _parser().parse_args(arguments)
     if options.trace is not None and not options.trace.is_file():
         raise UsageError(f'--trace: {options.trace} is not a file; give the raw bytes of a bus')
@@ -168,7 +165,7 @@ def main(arguments: Sequence[str]) -> None:
             print(line, flush=True)
 
 
-def _cases(folder: Path, only: str, trace: Path | None) -> dict[str, Case]:
+def _cases(folder, only, trace):
     """Return the rows of parsing and parsing_1 with this text in their name; write the bytes."""
     make = {kind: partial(packets, kind) for kind in KINDS}
     make |= {f'{kind}, {told}': partial(packets_1, kind)
@@ -186,7 +183,7 @@ def _cases(folder: Path, only: str, trace: Path | None) -> dict[str, Case]:
     return cases
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser():
     parser = argparse.ArgumentParser(prog='python -m benchmark.against', description=(
         'Compare the CPU time of parsing with that of an older commit (docs/benchmarks.md).'))
     parser.add_argument('commit', help='what git calls it, e.g. 7820283')

@@ -14,10 +14,6 @@ one came first, and the verdict (rigs/bus/score.py). docs/doctor_results.md expl
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
-from collections.abc import Iterable
-from collections.abc import Iterator
-from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -27,18 +23,15 @@ import sys
 
 from benchmark import confusion
 from benchmark import damage
-from benchmark.confusion_cases import Case
 from benchmark.confusion_cases import CASES
 from benchmark.confusion_cases import DXL1_CASES
 from benchmark.confusion_cases import FEETECH_CASES
 from docs.sample import sample
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor.examination import TRAFFIC_S
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from rigs.bus import score
 from rigs.bus.field import PLAYED
-from rigs.bus.scene import Scene
 from rigs.bus.score import SCENES
 from rigs.bus.score import spell
 from rigs.bus.wrecked import KINDS
@@ -46,22 +39,25 @@ from rigs.bus.wrecked import KINDS
 FOLDER = Path(__file__).resolve().parents[1] / 'test' / 'baseline'
 DOCTOR = FOLDER / 'doctor.tsv'
 VERDICTS = (score.RIGHT, score.VAGUE, score.SILENT, score.WRONG)
-Cells = tuple[str, ...]            # expected, told, after, verdict
 
 
-def fault_cells(case: Case, result: confusion.Result) -> Cells:
-    """Return the cells of a fault of fake_bus: right is the one cause, and nothing else."""
+def fault_cells(case, result):
+    """
+    Return expected, told, after, verdict of a fault of fake_bus.
+
+    Right is the one cause, and nothing else.
+    """
     is_right = set(result.told) == set(case.told)
     return (spell(case.told), spell(result.told) or score.NOTHING, f'{result.after_s:.1f}',
             score.RIGHT if is_right else score.WRONG)
 
 
-def field_cells(scene: Scene) -> Cells:
+def field_cells(scene):
     """Return the cells of a case that people had: the screen of dxl_doctor counts."""
     rig = scene.rig(score.SEED)
     log = FindingLog()
 
-    def heard() -> Iterator[tuple[BusReport, float | None]]:
+    def heard():
         for report, since in score.reports(scene, rig):
             if since is None or since <= TRAFFIC_S:
                 log.take(report)
@@ -72,26 +68,25 @@ def field_cells(scene: Scene) -> Cells:
         told=told, verdict=score.verdict_of(scene, told, bool(result.false))))
 
 
-def _faults(cases: Iterable[Case], has_sides: bool = False) -> dict[str, Callable[[], Cells]]:
-    def play(case: Case) -> Cells:
+def _faults(cases, has_sides=False):
+    def play(case):
         return fault_cells(case, confusion.examine(case, has_sides))
     return {confusion.label(case): partial(play, case) for case in cases}
 
 
-def _scenes(play: Callable[[Scene], Cells],
-            scenes: Iterable[Scene]) -> dict[str, Callable[[], Cells]]:
+def _scenes(play, scenes):
     return {scene.name: partial(play, scene) for scene in scenes}
 
 
-def scene_cells(scene: Scene) -> Cells:
+def scene_cells(scene):
     return score.cells(score.judge(scene))
 
 
-def _damage(seeds: tuple[int, ...]) -> dict[str, Callable[[], Cells]]:
+def _damage(seeds):
     return {kind.name: partial(damage.cells, number, seeds) for number, kind in enumerate(KINDS)}
 
 
-FAMILIES: Mapping[str, Mapping[str, Callable[[], Cells]]] = {
+FAMILIES = {
     'Protocol 2.0': _faults(CASES),
     'Protocol 2.0, sides known': _faults(confusion.SIDED, has_sides=True),
     'Feetech': _faults(FEETECH_CASES),
@@ -104,34 +99,33 @@ FAMILIES: Mapping[str, Mapping[str, Callable[[], Cells]]] = {
 }
 
 
-def errors() -> str:
+def errors():
     """Return the error texts that dxl_doctor --explain knows, each with its findings."""
     return ''.join(f'{one.text}\t{" ".join(one.findings)}\n' for one in explain.explanations())
 
 
 TEXTS = {'errors.tsv': errors, 'registers.txt': sample}
-Rows = dict[tuple[str, str], Cells]        # family and case
 
 
-def saved() -> Rows:
+def saved():
     """Return the rows of the file."""
     rows = (line.split('\t') for line in DOCTOR.read_text(encoding='utf-8').splitlines())
     return {(family, case): tuple(cells) for family, case, *cells in rows}
 
 
-def saved_of(family: str) -> dict[str, Cells]:
+def saved_of(family):
     """Return the rows of a family by their case."""
     return {case: cells for (name, case), cells in saved().items() if name == family}
 
 
-def scores(rows: Rows) -> list[str]:
+def scores(rows):
     """Return the table of docs/doctor_results.md: the verdicts of each family."""
     return [_score(family, [cells for (name, _), cells in rows.items() if name == family])
             for family in FAMILIES if any(name == family for name, _ in rows)]
 
 
-def _score(family: str, rows: list[Cells]) -> str:
-    counts: Counter[str] = Counter()
+def _score(family, rows):
+    counts = Counter()
     for *_, verdict in rows:
         for number, word in re.findall(r'(\d*) ?([a-z]+)', verdict):
             counts[word] += int(number or 1)
@@ -140,12 +134,12 @@ def _score(family: str, rows: list[Cells]) -> str:
                        f'{median(after):.1f} s |' if after else '|'))
 
 
-def _play(place: tuple[str, str]) -> Cells:
+def _play(place):
     family, case = place
     return FAMILIES[family][case]()
 
 
-def main(words: list[str]) -> int:
+def main(words):
     """Play cases, print them, and compare them with the file or write them."""
     names = [word for word in words if word != '--write']
     places = [(family, case) for family, cases in FAMILIES.items() for case in cases]
@@ -168,7 +162,7 @@ def main(words: list[str]) -> int:
     return 0
 
 
-def _lines(rows: Rows) -> list[str]:
+def _lines(rows):
     return ['\t'.join((*place, *cells)) for place, cells in rows.items()]
 
 

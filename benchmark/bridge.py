@@ -28,10 +28,8 @@ from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
 from rigs.harness import Child
 from rigs.harness import Figure
-from rigs.harness import Options
 from rigs.harness import quantile
 from rigs.harness import ros_environment
-from rigs.harness import Usage
 from rigs.harness import usage
 
 SECTION = 'bridge: Twist published to frame received'
@@ -44,10 +42,8 @@ SHARE = 0.25                    # a plan gets this share of the seconds of an ex
 TOPICS = {'bridge': 'cmd_vel', 'floor': 'bench_cmd_vel'}
 DISCOVERY_S = 30.0
 
-Round = dict[tuple[int, int], dict[str, list[float]]]    # plan: node: latencies in ms
 
-
-def run(options: Options) -> list[Figure]:
+def run(options):
     env = ros_environment()
     with ExitStack() as stack:
         ptys = {name: stack.enter_context(Pty()) for name in TOPICS}
@@ -62,7 +58,7 @@ def run(options: Options) -> list[Figure]:
         receiver.wait_for_all(DISCOVERY_S)
         receiver.take(1.0)      # the first ones are slow
         before = {name: usage(node.pid) for name, node in nodes.items()}
-        rounds: list[Round] = [{} for _ in range(options.rounds)]
+        rounds = [{} for _ in range(options.rounds)]
         for one in rounds:
             for plan in PLANS:
                 publisher.tell(plan)
@@ -75,7 +71,7 @@ def run(options: Options) -> list[Figure]:
 class Receiver:
     """Reads the frames of several ptys and notes how long each new command took."""
 
-    def __init__(self, masters: dict[str, int]) -> None:
+    def __init__(self, masters):
         self._names = {master: name for name, master in masters.items()}
         self._poll = select.poll()
         for master in self._names:
@@ -83,7 +79,7 @@ class Receiver:
         self._buffers = dict.fromkeys(self._names, b'')
         self._last = dict.fromkeys(self._names, 0.0)
 
-    def wait_for_all(self, seconds: float) -> None:
+    def wait_for_all(self, seconds):
         """Wait until a command has come through every node."""
         deadline = time.monotonic() + seconds
         while not all(self._last.values()):
@@ -92,9 +88,9 @@ class Receiver:
                 raise TimeoutError(f'{silent[0]}: no command came through in {seconds:g} s')
             self.take(0.2)
 
-    def take(self, seconds: float) -> dict[str, list[float]]:
+    def take(self, seconds):
         """Return the latencies in ms, by node, of the commands that came in this time."""
-        latencies: dict[str, list[float]] = {name: [] for name in self._names.values()}
+        latencies = {name: [] for name in self._names.values()}
         deadline = time.monotonic() + seconds
         while (left := deadline - time.monotonic()) > 0:
             for master, _ in self._poll.poll(left * 1000):
@@ -103,7 +99,7 @@ class Receiver:
                 latencies[self._names[master]] += self._new_commands(master, now)
         return latencies
 
-    def _new_commands(self, master: int, now: float) -> list[float]:
+    def _new_commands(self, master, now):
         """Pass over stops and what is only sent again."""
         new = []
         while len(self._buffers[master]) >= FRAME_SIZE:
@@ -116,11 +112,11 @@ class Receiver:
         return new
 
 
-def section_of(rate: int, jitter: int) -> str:
+def section_of(rate, jitter):
     return f'{SECTION}, {rate} Hz' + (f', {jitter} ms jitter' if jitter else '')
 
 
-def _figures(rounds: list[Round]) -> list[Figure]:
+def _figures(rounds):
     figures = []
     for plan in PLANS:
         rate, jitter = plan
@@ -142,13 +138,12 @@ def _figures(rounds: list[Round]) -> list[Figure]:
     return figures
 
 
-def _points(latencies: list[float]) -> dict[str, float]:
+def _points(latencies):
     return {'min': min(latencies), 'median': quantile(latencies, 0.5),
             'p99': quantile(latencies, 0.99), 'max': max(latencies)}
 
 
-def _cpu_figures(rounds: list[Round], before: dict[str, Usage],
-                 after: dict[str, Usage]) -> list[Figure]:
+def _cpu_figures(rounds, before, after):
     """Return the CPU time per frame: of all that the process does, resends and reports too."""
     return [Figure(SECTION, f'{name}, CPU', 'ms/frame', [
         1000 * (after[name].cpu_s - before[name].cpu_s)
@@ -156,7 +151,7 @@ def _cpu_figures(rounds: list[Round], before: dict[str, Usage],
         for name in TOPICS]
 
 
-def publish() -> None:
+def publish():
     """Be the publishing process: commands to each node in turn, by the plan heard last."""
     node = rclpy.create_node('bench_publisher')
     publishers = [node.create_publisher(Twist, topic, 1) for topic in TOPICS.values()]
@@ -176,11 +171,11 @@ def publish() -> None:
             publisher.publish(twist)
 
 
-def floor(port: str) -> None:
+def floor(port):
     """Be the floor: what has to happen and nothing else."""
     fd = os.open(port, os.O_WRONLY | os.O_NOCTTY)
 
-    def write(message: Twist) -> None:
+    def write(message):
         os.write(fd, encode(Vel2d(message.linear.x, message.linear.y, message.angular.z)))
 
     node = rclpy.create_node('bench_floor')

@@ -11,11 +11,8 @@ usage: python -m benchmark.calls [--list TEXT]
 
 import argparse
 from collections import Counter
-from collections.abc import Callable
-from collections.abc import Sequence
 from pathlib import Path
 import sys
-from types import FrameType
 from typing import NamedTuple
 
 from benchmark.traffic import BAUD
@@ -40,22 +37,22 @@ class Calls(NamedTuple):
     made: tuple[tuple[str, str], ...]
 
     @property
-    def files(self) -> list[str]:
+    def files(self):
         """Return the files in order, each as often as a call goes from another one into it."""
         names = [file for file, _ in self.made]
         return [name for before, name in zip(['', *names], names, strict=False) if name != before]
 
-    def __str__(self) -> str:
+    def __str__(self):
         files = self.files
         return (f'{len(self.made):5} calls {len(files) - 1:5} changes {len(set(files)):5} files '
                 f'{len(files) - len(set(files)):5} back')
 
 
-def calls_of(function: Callable[[], object]) -> Calls:
+def calls_of(function):
     """Return what a call leads to."""
-    made: list[tuple[str, str]] = []
+    made = []
 
-    def hook(frame: FrameType, event: str, _: object) -> None:
+    def hook(frame, event, _):
         path = Path(frame.f_code.co_filename)
         if event == 'call' and path.is_relative_to(REPOSITORY) and path != Path(__file__):
             made.append((path.relative_to(REPOSITORY).as_posix(), frame.f_code.co_name))
@@ -68,11 +65,11 @@ def calls_of(function: Callable[[], object]) -> Calls:
     return Calls(tuple(made))
 
 
-def of_packets(pieces: Sequence[bytes], settings: Settings) -> Counter[Calls]:
+def of_packets(pieces, settings):
     """Return the calls of each packet, and how many have the same; the monitor is warm."""
     monitor = Monitor('bus', Models(), settings)
     now = 1_000_000_000
-    found: Counter[Calls] = Counter()
+    found = Counter()
     for number, piece in enumerate(pieces):
         now += GAP_NS + len(piece) * 10_000_000_000 // settings.baud
         if number < KNOWN_AFTER:
@@ -82,7 +79,7 @@ def of_packets(pieces: Sequence[bytes], settings: Settings) -> Counter[Calls]:
     return found
 
 
-def of_a_report() -> Calls:
+def of_a_report():
     """Return the calls of one report of a bus with one device."""
     monitor = Monitor('bus', Models(), Settings(baud=BAUD))
     pieces = packets('read/write', KNOWN_AFTER, ('1:MX-64',))
@@ -93,7 +90,7 @@ def of_a_report() -> Calls:
     return calls_of(lambda: monitor.report(now + 500_000_000))
 
 
-def main(arguments: Sequence[str]) -> None:
+def main(arguments):
     options = _parser().parse_args(arguments)
     count = KNOWN_AFTER + COUNTED
     rows = {
@@ -112,13 +109,13 @@ def main(arguments: Sequence[str]) -> None:
     _list('report of one device', report, options.list)
 
 
-def _list(name: str, calls: Calls, wanted: str | None) -> None:
+def _list(name, calls, wanted):
     if wanted is not None and wanted in name:
         for file, function in calls.made:
             print(f'    {file:{NAME_WIDTH}} {function}')
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser():
     parser = argparse.ArgumentParser(prog='python -m benchmark.calls', description=(
         'Count the calls and the changes of file of one packet, and of one report.'))
     parser.add_argument('--list', metavar='TEXT', help='list the calls of rows with this in '

@@ -10,24 +10,19 @@ results. `python -m benchmark.baseline` plays all cases.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from operator import itemgetter
 from typing import NamedTuple
 
-from benchmark.confusion_cases import Case
 from benchmark.confusion_cases import CASES
 from benchmark.confusion_cases import Key
-from benchmark.confusion_cases import Scene
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import Finding
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import parse
-from mecarover_fakes.line import Burst
 from mecarover_fakes.line import wire_ns
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
@@ -56,8 +51,7 @@ SIDED = tuple(case for case in CASES if case.told[:1] not in (
     (('wrong_baud', None),), (('latency_timer', None),)))
 
 
-def reports(faults: list[str], scene: Scene, seconds: float, has_sides: bool = False,
-            silence_s: float = 0.0) -> Iterator[BusReport]:
+def reports(faults, scene, seconds, has_sides=False, silence_s=0.0):
     """
     Yield the reports of a monitor on a simulated bus, two per second of its time.
 
@@ -82,14 +76,14 @@ def reports(faults: list[str], scene: Scene, seconds: float, has_sides: bool = F
         report_at += REPORT_NS
 
 
-def own_port(master: Master, end: int) -> list[tuple[bytes, int, str]]:
+def own_port(master, end):
     """Return what the port of the master writes and reads, in order of time."""
     told = [(stamp, side, data) for burst in master.bursts(end)
             for stamp, side, data in by_sides(burst, master.line.baud)]
     return [(data, stamp, side) for stamp, side, data in sorted(told, key=itemgetter(0))]
 
 
-def by_sides(burst: Burst, baud: int) -> Iterator[tuple[int, str, bytes]]:
+def by_sides(burst, baud):
     """
     Yield (time, side, bytes) of a burst as the master's own port has it.
 
@@ -104,7 +98,7 @@ def by_sides(burst: Burst, baud: int) -> Iterator[tuple[int, str, bytes]]:
         yield burst.end, IN, heard
 
 
-def chunks(master: Master, end: int, gather: int) -> Iterator[tuple[bytes, int, str]]:
+def chunks(master, end, gather):
     """Yield the bursts as an adapter hands them over: each at once, or some time's together."""
     gathered, due = b'', 0
     for burst in master.bursts(end):
@@ -120,16 +114,16 @@ def chunks(master: Master, end: int, gather: int) -> Iterator[tuple[bytes, int, 
         yield gathered, due, UNKNOWN
 
 
-def told(report: BusReport) -> tuple[Key, ...]:
+def told(report):
     """Return what a report claims, without the words."""
     return tuple((finding.rule, finding.device) for finding in report.findings)
 
 
-def examine(case: Case, has_sides: bool = False) -> Result:
+def examine(case, has_sides=False):
     """Play a fault and see what is told."""
     at = ONSET_S if '{at}' in case.fault else 0.0
-    first: dict[Key, float] = {}
-    findings: tuple[Finding, ...] = ()
+    first = {}
+    findings = ()
     for report in reports([case.fault.format(at=at)], case.scene, at + WITHIN_S, has_sides):
         findings = report.findings
         for key in told(report):
@@ -138,7 +132,7 @@ def examine(case: Case, has_sides: bool = False) -> Result:
                   max((first[key] for key in case.told if key in first), default=-1.0), findings)
 
 
-def label(case: Case) -> str:
+def label(case):
     """Return the name of a case, as in test/baseline."""
     name = case.fault.replace(':{at}', '').removesuffix(':0').rstrip(':')
     return f'{name} ({case.about})' if case.about else name

@@ -38,7 +38,7 @@ class Case(NamedTuple):
 ANSWERS_BEHIND = Scene(waits_in_line=False)
 FAST = Scene(devices=FAST_ROBOT)
 # In all three protocols, each on the usual scene of its protocol.
-IN_ALL: tuple[Case, ...] = (
+IN_ALL = (
     Case('cable:1:{at}', (('all_silent', None),)),
     Case('duplicate:3:{at}', (('duplicate_id', 3),)),
     Case('baud:3:{at}', (('baud_moved', 3),)),

@@ -11,18 +11,15 @@ seeds below. The equipment (rigs/bus/uart.py) shares nothing with what it judges
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from itertools import product
 
 from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor import bits
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from rigs.bus import wrecked
 from rigs.bus.ear import FULL_SPEED
 from rigs.bus.wire import S
-from rigs.bus.wrecked import Kind
 from rigs.bus.wrecked import KINDS
 from rigs.bus.wrecked import PROGRAMS
 from rigs.bus.wrecked import scene_of
@@ -36,10 +33,8 @@ _LOOKS = {bits.CLOCK: wrecked.CLOCK, bits.LEVEL: wrecked.LEVEL, bits.PWM: wrecke
 _RULES = {'turnaround': wrecked.TURN, 'stray_bytes': wrecked.STRAY}
 _MODELS = Models()
 
-Run = tuple[int, int, int]         # kind, program, seed
 
-
-def told(report: BusReport) -> str:
+def told(report):
     """Return what a report says the damage looks like."""
     for finding in report.findings:
         said = dict(finding.evidence).get('looks like', '')
@@ -50,7 +45,7 @@ def told(report: BusReport) -> str:
                 wrecked.NOTHING)
 
 
-def run(one: Run) -> str:
+def run(one):
     """Return what is said at the end of a run."""
     kind, program, seed = one
     scene = scene_of(KINDS[kind], PROGRAMS[program][1], seed)
@@ -64,26 +59,26 @@ def run(one: Run) -> str:
     return told(report)
 
 
-def cells(number: int, seeds: Sequence[int]) -> tuple[str, str, str, str]:
+def cells(number, seeds):
     """Return what is right of one kind, what was said of its runs, '', and how many are right."""
     kind = KINDS[number]
     said = Counter(run((number, program, seed))
                    for program, seed in product(range(len(PROGRAMS)), seeds))
-    score: Counter[str] = Counter()
+    score = Counter()
     for word, count in said.items():
         score[_verdict(word, kind)] += count
     return (' or '.join(_right(kind)), _spell(said), '', _spell(score))
 
 
-def _spell(counts: Counter[str]) -> str:
+def _spell(counts):
     return ', '.join(f'{count} {word}' for word, count in sorted(counts.items()))
 
 
-def _right(kind: Kind) -> tuple[str, ...]:
+def _right(kind):
     return kind.right or (wrecked.NOTHING,)
 
 
-def _verdict(word: str, kind: Kind) -> str:
+def _verdict(word, kind):
     if word in _right(kind):
         return 'right'
     return 'silent' if word == wrecked.NOTHING else 'wrong'

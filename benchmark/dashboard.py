@@ -8,17 +8,13 @@ listens to the stream that a page gets. One servo after the other falls silent, 
 moment of cycles and reports, and comes back.
 """
 
-from collections.abc import Callable
-from collections.abc import Sequence
 from contextlib import ExitStack
-from http.client import HTTPResponse
 import json
 from pathlib import Path
 import random
 import sys
 from tempfile import TemporaryDirectory
 import time
-from typing import Any
 from urllib.request import urlopen
 
 from dxl_monitor.model.models import Models
@@ -30,7 +26,6 @@ from mecarover_fakes.traffic import PATTERNS
 from msg_defs.reports import Level
 from rigs.harness import Child
 from rigs.harness import Figure
-from rigs.harness import Options
 from rigs.harness import ros_environment
 from rigs.harness import say
 
@@ -43,10 +38,8 @@ START_S = 30.0                  # until the nodes have found each other and all 
 DEADLINE_S = 10.0               # for each change after that
 ALLOWED_S = 0.5                 # at the median
 
-Row = dict[str, Any]
 
-
-def run(options: Options) -> list[Figure]:
+def run(options):
     rng = random.Random(1)
     env = ros_environment()
     with ExitStack() as stack:
@@ -76,29 +69,28 @@ def run(options: Options) -> list[Figure]:
     return [Figure(SECTION, 'a silent servo', 's', took, f'at most {ALLOWED_S:g} at the median')]
 
 
-def problems(figures: Sequence[Figure]) -> list[str]:
+def problems(figures):
     """Return what must not be."""
     return [f'{one.name}: red after {one.median:.2f} s at the median, {ALLOWED_S:g} is allowed'
             for one in figures if one.median > ALLOWED_S]
 
 
-def _is_well(row: Row) -> bool:
+def _is_well(row):
     return bool(row['level'] == Level.OK)
 
 
-def _is_red(row: Row) -> bool:
+def _is_red(row):
     return bool(row['level'] == Level.ERROR)
 
 
 class Page:
     """What a page knows of the devices."""
 
-    def __init__(self, stream: HTTPResponse) -> None:
+    def __init__(self, stream):
         self._stream = stream
-        self._rows: dict[int, Row] = {}
+        self._rows = {}
 
-    def wait(self, device: int, is_so: Callable[[Row], bool],
-             seconds: float = DEADLINE_S) -> float:
+    def wait(self, device, is_so, seconds=DEADLINE_S):
         """Return when something is so of a device (monotonic s)."""
         now_s = time.monotonic()
         deadline = now_s + seconds
@@ -111,15 +103,15 @@ class Page:
                     self._rows[row['id']] = row
         return now_s
 
-    def _event(self) -> Row:
+    def _event(self):
         """Return the next server-sent event."""
         for line in self._stream:
             if line.startswith(b'data: '):
-                return json.loads(line.removeprefix(b'data: '))  # type: ignore[no-any-return]
+                return json.loads(line.removeprefix(b'data: '))
         raise ConnectionError('dxl_dashboard: ended; run it alone to see why')
 
 
-def _play(link: str) -> None:
+def _play(link):
     """Be the bus; lines of JSON say which device is silent."""
     devices = {one.id: one for one in make_devices([ENTRY], Models(), BAUD)}
     line = Line(list(devices.values()), BAUD, waits_in_line=False)

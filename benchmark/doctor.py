@@ -7,13 +7,11 @@ What the doctor costs: its CPU time beside that of all else the monitor does, at
 memory. The monitor as a process does more than that: it reads, builds messages and publishes.
 """
 
-from collections.abc import Sequence
 from functools import partial
 import time
 
 from benchmark.confusion import chunks
 from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.doctor import Doctor
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
@@ -24,18 +22,17 @@ from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from rigs.harness import Figure
 from rigs.harness import interleaved
-from rigs.harness import Options
 
 S = 1_000_000_000
 BAUD = 2_000_000
 ROBOT = ('1-20:MX-106', '100:Rhoban DXL Board')
 SECONDS, QUICK_SECONDS = 20, 5
-CASES: dict[str, tuple[str, ...]] = {
+CASES = {
     'a healthy bus': (), 'a bus full of noise': ('noise::0',)}
 _CORE_MS = 1000.0                  # ms of CPU time in a second
 
 
-def run(options: Options) -> list[Figure]:
+def run(options):
     """Measure on a healthy bus and on one that gives the doctor a lot to look at."""
     models = Models()
     seconds = QUICK_SECONDS if options.quick else SECONDS
@@ -53,7 +50,7 @@ def run(options: Options) -> list[Figure]:
     return figures
 
 
-def _costs(models: Models, faults: Sequence[str], seconds: int) -> tuple[float, float]:
+def _costs(models, faults, seconds):
     """Return ms of CPU per second of bus time: of the doctor, and of all else."""
     traffic = list(chunks(_master(models, faults), seconds * S, S // 500))
     monitor = Monitor('bus', models, Settings(baud=BAUD))
@@ -69,7 +66,7 @@ def _costs(models: Models, faults: Sequence[str], seconds: int) -> tuple[float, 
     return clock.spent / 1e6 / seconds, (spent - clock.spent) / 1e6 / seconds
 
 
-def _master(models: Models, faults: Sequence[str]) -> Master:
+def _master(models, faults):
     line = Line(make_devices(list(ROBOT), models, BAUD), BAUD)
     return Master(line, PATTERNS['moving'], rate=0, gap=0,
                   faults=[parse(fault) for fault in faults])
@@ -78,12 +75,12 @@ def _master(models: Models, faults: Sequence[str]) -> Master:
 class Stopwatch(Doctor):
     """A doctor that keeps its own time; takes the place of a monitor's."""
 
-    def __init__(self, monitor: Monitor) -> None:
+    def __init__(self, monitor):
         super().__init__()
         self.spent = 0             # ns
         monitor.doctor = self
 
-    def examine(self, report: BusReport) -> BusReport:
+    def examine(self, report):
         """Do as any doctor does."""
         start = time.process_time_ns()
         result = super().examine(report)

@@ -14,7 +14,7 @@ from rigs.harness import say
 QUIET_S = 0.5
 
 
-def main(source: str, baud: str) -> None:
+def main(source, baud):
     monitor = Monitor('bus', Models(), Settings(baud=int(baud)), idle_is_told=True)
     listener = listener_on(source, int(baud), monitor.feed, monitor.flush_if_idle,
                            on_change=monitor.change, on_pieces=monitor.feed_pieces)

@@ -7,7 +7,6 @@ The two loads above 2 MBd take a fifth of the time, two of such buses in one nod
 readers have the same traffic for as long: a pause of the machine meets them as often.
 """
 
-from benchmark.monitored import Run
 from benchmark.monitored import several_through_node
 from benchmark.monitored import several_through_readers
 from benchmark.monitored import through_node
@@ -16,7 +15,6 @@ from benchmark.node_cost import ALL_TOPICS
 from benchmark.node_cost import LOADS
 from benchmark.traffic import BAUD
 from rigs.harness import Figure
-from rigs.harness import Options
 
 SECTION = 'dxl_monitor for minutes'
 TWO = 'two buses of 450 kB/s'
@@ -24,7 +22,7 @@ TWO_BUSES = (LOADS['450 kB/s, 20 devices'][0],) * 2
 SETTLE_S = 30.0                 # until every window and cache is full
 
 
-def run(options: Options) -> list[Figure]:
+def run(options):
     figures = []
     for name, (traffic, _) in LOADS.items():
         seconds = 60 * options.load_minutes / (1 if traffic.baud == BAUD else 5)
@@ -42,20 +40,20 @@ def run(options: Options) -> list[Figure]:
     return figures
 
 
-def _bus_figures(name: str, node: Run, bare: Run) -> list[Figure]:
+def _bus_figures(name, node, bare):
     return [_figure(name, 'bytes', node.sent, 'B', bare, f'{bare.sent}'),
             _figure(name, 'overrun', node.overrun, 'B', bare, f'{bare.overrun}, wanted: 0'),
             _figure(name, 'longest gap between reads', node.longest_gap_ms, 'ms', bare,
                     f'{bare.longest_gap_ms:.1f}')]
 
 
-def _node_figures(name: str, node: Run, bare: Run) -> list[Figure]:
+def _node_figures(name, node, bare):
     return [_figure(name, 'CPU', 100 * node.cpu, '% of a core', bare, f'{100 * bare.cpu:.1f}'),
             _figure(name, 'resident memory', node.resident_mb, 'MB', bare,
                     f'{bare.resident_mb:.1f}'),
             _figure(name, 'growth of it', node.growth_mb, 'MB', bare, f'{bare.growth_mb:.1f}')]
 
 
-def _figure(name: str, what: str, value: float, unit: str, bare: Run, beside: str) -> Figure:
+def _figure(name, what, value, unit, bare, beside):
     return Figure(SECTION, f'{name}: {what}', unit, [value],
                   f'bare reader for {bare.seconds:.0f} s: {beside}')

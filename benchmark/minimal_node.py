@@ -16,7 +16,7 @@ TOPIC = 'bench_diagnostics'
 PERIOD_S = 0.02
 
 
-def main(port: str) -> None:
+def main(port):
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)      # SIGTERM just ends it
     node = rclpy.create_node('bench_minimal')
     publisher = node.create_publisher(DiagnosticArray, TOPIC, 10)

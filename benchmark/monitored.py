@@ -7,12 +7,10 @@ Every run has processes of its own: writer, node or reader, and this one, which 
 dxl/timing. What is said about the node is what the node says about itself on that topic.
 """
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 import os
 from pathlib import Path
 import time
-from typing import Any
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -61,13 +59,12 @@ class Run(NamedTuple):
     metrics: Metrics
 
 
-def through_reader(traffic: Traffic, seconds: float, settle_s: float = SETTLE_S) -> Run:
+def through_reader(traffic, seconds, settle_s=SETTLE_S):
     """Measure what the bare reader makes of the traffic."""
     return several_through_readers([traffic], seconds, settle_s)[0]
 
 
-def several_through_readers(buses: Sequence[Traffic], seconds: float,
-                            settle_s: float = SETTLE_S) -> list[Run]:
+def several_through_readers(buses, seconds, settle_s=SETTLE_S):
     """Measure bare readers, one for each bus, all at the same time."""
     with ExitStack() as stack:
         writers, ports = _writers(stack, buses)
@@ -88,15 +85,13 @@ def several_through_readers(buses: Sequence[Traffic], seconds: float,
     return [_run(*one, {}) for one in zip(results, before, after, longest, strict=True)]
 
 
-def through_node(traffic: Traffic, seconds: float, *parameters: str, module: str = NODE,
-                 settle_s: float = SETTLE_S) -> Run:
+def through_node(traffic, seconds, *parameters, module=NODE, settle_s=SETTLE_S):
     """Measure what the node makes of the traffic; parameters as 'name:=value'."""
     return several_through_node([traffic], seconds, *parameters, module=module,
                                 settle_s=settle_s)[0]
 
 
-def several_through_node(buses: Sequence[Traffic], seconds: float, *parameters: str,
-                         module: str = NODE, settle_s: float = SETTLE_S) -> list[Run]:
+def several_through_node(buses, seconds, *parameters, module=NODE, settle_s=SETTLE_S):
     """Measure one node that hears all buses: a run for each; CPU and memory are the node's."""
     env = ros_environment()
     os.environ.update(env)
@@ -126,12 +121,12 @@ def several_through_node(buses: Sequence[Traffic], seconds: float, *parameters: 
             for result, one in zip(results, found, strict=True)]
 
 
-def _of_bus(name: str, metrics: Metrics) -> Metrics:
+def _of_bus(name, metrics):
     return {key.removeprefix(f'{name}/'): values for key, values in metrics.items()
             if key.startswith(f'{name}/')}
 
 
-def _writers(stack: ExitStack, buses: Sequence[Traffic]) -> tuple[list[Child], list[str]]:
+def _writers(stack, buses):
     """Return a writer for each bus, and their ports."""
     writers = [stack.enter_context(Child('benchmark.writer')) for _ in buses]
     for writer, traffic in zip(writers, buses, strict=True):
@@ -139,7 +134,7 @@ def _writers(stack: ExitStack, buses: Sequence[Traffic]) -> tuple[list[Child], l
     return writers, [writer.hear()['port'] for writer in writers]
 
 
-def _begin(writers: Sequence[Child], seconds: float, settle_s: float) -> None:
+def _begin(writers, seconds, settle_s):
     """Have them write, and return when what they write is measured."""
     for writer in writers:
         writer.tell({'settle': settle_s, 'seconds': seconds})
@@ -147,8 +142,7 @@ def _begin(writers: Sequence[Child], seconds: float, settle_s: float) -> None:
         writer.hear()
 
 
-def _run(result: dict[str, Any], before: Any, after: Any, longest_gap_ms: float,
-         metrics: Metrics) -> Run:
+def _run(result, before, after, longest_gap_ms, metrics):
     seconds = result['seconds']
     return Run(seconds, result['sent'], result['taken'], result['overrun'] + result['unheard'],
                result['gap_us'], (after.cpu_s - before.cpu_s) / seconds,
@@ -159,7 +153,7 @@ def _run(result: dict[str, Any], before: Any, after: Any, longest_gap_ms: float,
 class _Subscriber:
     """Hears dxl/timing."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self._node = rclpy.create_node('bench_listener')
         self._node.create_subscription(DiagnosticArray, 'dxl/timing', self._hear, QUEUE_DEPTH)
         for topic in ('dxl/diagnostics', '/diagnostics'):       # somebody listens, unread
@@ -167,19 +161,19 @@ class _Subscriber:
                 DiagnosticArray, topic, lambda message: None, QUEUE_DEPTH, raw=True)
         self._service = self._node.create_client(Trigger, '/dxl_monitor/reset_statistics')
         self._stamp = 0         # the last message's: those in the queue may be old
-        self._metrics: Metrics = {}
+        self._metrics = {}
 
-    def _hear(self, array: DiagnosticArray) -> None:
+    def _hear(self, array):
         self._stamp = array.header.stamp.sec * 1_000_000_000 + array.header.stamp.nanosec
         for status in array.status:
             self._metrics[status.name.removeprefix(PREFIX)] = {
                 pair.key: float(pair.value) for pair in status.values if _is_number(pair.value)}
 
-    def wait(self, seconds: float) -> None:
+    def wait(self, seconds):
         """Wait until the node says something."""
         self.figures(0, seconds)
 
-    def figures(self, since: int, seconds: float = 10.0) -> Metrics:
+    def figures(self, since, seconds=10.0):
         """Return what the node says after a moment (ns since the epoch)."""
         deadline = time.monotonic() + seconds
         while self._stamp <= since:
@@ -189,13 +183,13 @@ class _Subscriber:
             rclpy.spin_once(self._node, timeout_sec=0.1)
         return self._metrics
 
-    def reset(self) -> None:
+    def reset(self):
         """Let the statistics of the node start at 0."""
         done = self._service.call_async(Trigger.Request())
         rclpy.spin_until_future_complete(self._node, done, timeout_sec=10.0)
 
 
-def _is_number(text: str) -> bool:
+def _is_number(text):
     try:
         float(text)
     except ValueError:

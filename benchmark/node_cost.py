@@ -8,11 +8,9 @@ loses too is the machine's doing, not the node's. So has the node with a thread 
 of a process: what the process is for.
 """
 
-from collections.abc import Callable
 from functools import partial
 from statistics import median
 
-from benchmark.monitored import Run
 from benchmark.monitored import THREAD_NODE
 from benchmark.monitored import through_node
 from benchmark.monitored import through_reader
@@ -20,7 +18,6 @@ from benchmark.monitored import Traffic
 from benchmark.traffic import FULL_BUS
 from rigs.harness import Figure
 from rigs.harness import interleaved
-from rigs.harness import Options
 
 SECTION = 'dxl_monitor as a process'
 ALL_TOPICS = ('joint_state_rate:=10.0',)
@@ -34,10 +31,10 @@ LOADS = {
 }
 
 
-def run(options: Options) -> list[Figure]:
+def run(options):
     figures = []
     for name, (traffic, wanted) in LOADS.items():
-        cases: dict[str, Callable[[], Run]] = {
+        cases = {
             'node': partial(through_node, traffic, options.seconds, *ALL_TOPICS),
             'thread': partial(through_node, traffic, options.seconds, *ALL_TOPICS,
                               module=THREAD_NODE),
@@ -47,8 +44,8 @@ def run(options: Options) -> list[Figure]:
     return figures
 
 
-def _figures(name: str, wanted: str, runs: dict[str, list[Run]]) -> list[Figure]:
-    def figure(what: str, unit: str, of: Callable[[Run], float], beside: str = '') -> Figure:
+def _figures(name, wanted, runs):
+    def figure(what, unit, of, beside=''):
         values = {case: [of(one) for one in taken] for case, taken in runs.items()}
         others = (f'bare reader {median(values["reader"]):.3g}, '
                   f'reading in a thread {median(values["thread"]):.3g}')

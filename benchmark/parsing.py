@@ -8,8 +8,6 @@ tables, timing statistics. `rxPacket` of dynamixel-sdk only parses, and only sta
 the statuses of the same traffic, out of memory. CPU time per packet; cases take turns.
 """
 
-from collections.abc import Callable
-from collections.abc import Sequence
 from functools import partial
 from statistics import median
 import time
@@ -28,7 +26,6 @@ from msg_defs.dxl_packet import Framer
 from msg_defs.frame import IS_STATUS
 from rigs.harness import Figure
 from rigs.harness import interleaved
-from rigs.harness import Options
 
 CHUNKS = (4096, 64)
 QUICK_PACKETS = 5_000
@@ -43,20 +40,20 @@ class Memory:
 
     is_using = False
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data):
         self._data = data
         self._at = 0
 
-    def readPort(self, length: int) -> bytes:
+    def readPort(self, length):
         at = self._at
         self._at = at + length
         return self._data[at:at + length]
 
-    def isPacketTimeout(self) -> bool:
+    def isPacketTimeout(self):
         return True
 
 
-def run(options: Options) -> list[Figure]:
+def run(options):
     """Measure every kind of traffic, the trace too where there is one."""
     count = QUICK_PACKETS if options.quick else FULL_PACKETS
     traffic = {kind: packets(kind, count) for kind in KINDS}
@@ -68,12 +65,12 @@ def run(options: Options) -> list[Figure]:
     return figures
 
 
-def measure(kind: str, pieces: Sequence[bytes], rounds: int) -> list[Figure]:
+def measure(kind, pieces, rounds):
     """Return the figures of one kind of traffic: us per packet, and times the client's rate."""
     data = b''.join(pieces)
     statuses = _statuses(data)[:SDK_PACKETS]
     models = Models()
-    cases: dict[str, Callable[[], float]] = {
+    cases = {
         f'monitor, chunks of {size}': partial(monitor_us, models, cut(data, size))
         for size in CHUNKS}
     cases[f'framing alone, chunks of {CHUNKS[0]}'] = partial(
@@ -84,7 +81,7 @@ def measure(kind: str, pieces: Sequence[bytes], rounds: int) -> list[Figure]:
     return _figures(kind, results, 8 * len(data) / _packet_count(data))
 
 
-def monitor_us(models: Models, chunks: Sequence[bytes], settings: Settings = SETTINGS) -> float:
+def monitor_us(models, chunks, settings=SETTINGS):
     """Return the CPU time per packet of a fresh monitor, in us."""
     monitor = Monitor('bus', models, settings)
     byte_ns = 10 * 10**9 // settings.baud
@@ -101,7 +98,7 @@ def monitor_us(models: Models, chunks: Sequence[bytes], settings: Settings = SET
     return spent / 1000 / monitor.report(stamps[-1]).counters['Packets']
 
 
-def framing_us(chunks: Sequence[bytes]) -> float:
+def framing_us(chunks):
     """Return the CPU time per packet of a fresh framer, in us."""
     framer = Framer()
     start = time.process_time_ns()
@@ -110,7 +107,7 @@ def framing_us(chunks: Sequence[bytes]) -> float:
     return (time.process_time_ns() - start) / 1000 / framer.packets
 
 
-def sdk_us(statuses: Sequence[bytes]) -> float:
+def sdk_us(statuses):
     """Return the CPU time per status of the official client's parser, in us."""
     handler = Protocol2PacketHandler()
     port = Memory(b''.join(statuses))
@@ -120,7 +117,7 @@ def sdk_us(statuses: Sequence[bytes]) -> float:
     return (time.process_time_ns() - start) / 1000 / len(statuses)
 
 
-def _figures(kind: str, results: dict[str, list[float]], bits: float) -> list[Figure]:
+def _figures(kind, results, bits):
     section = f'parsing: {kind}'
     figures = []
     for name, values in results.items():
@@ -134,18 +131,18 @@ def _figures(kind: str, results: dict[str, list[float]], bits: float) -> list[Fi
     return figures
 
 
-def cut(data: bytes, size: int) -> list[bytes]:
+def cut(data, size):
     """Return data in chunks of a size."""
     return [data[at:at + size] for at in range(0, len(data), size)]
 
 
-def _packet_count(data: bytes) -> int:
+def _packet_count(data):
     framer = Framer()
     framer.frames(data)
     return framer.packets
 
 
-def _statuses(data: bytes) -> list[bytes]:
+def _statuses(data):
     """Return the whole statuses that the client could take: not repaired, no fast replies."""
     framer = Framer()
     return [data[begin:end] for begin, end, kind, number, _, _, flaw in framer.frames(data)

@@ -8,11 +8,8 @@ dynamixel-sdk: `rxPacket` alone, on the statuses of the same traffic. The monito
 protocol, or finds it out (`auto`). CPU time per packet; cases take turns.
 """
 
-from collections.abc import Callable
-from collections.abc import Sequence
 from functools import partial
 import time
-from typing import Any
 
 from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
 from scservo_sdk.protocol_packet_handler import protocol_packet_handler
@@ -31,27 +28,26 @@ from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from rigs.harness import Figure
 from rigs.harness import interleaved
-from rigs.harness import Options
 
 CLIENTS = {'Feetech': ('feetech', 'feetech-servo-sdk', protocol_packet_handler),
            'Protocol 1.0': ('1', 'dynamixel-sdk', Protocol1PacketHandler)}
 LAST_ERROR = 0x7F                  # what the clients take for a status
 
 
-def run(options: Options) -> list[Figure]:
+def run(options):
     """Measure both dialects."""
     count = QUICK_PACKETS if options.quick else FULL_PACKETS
     return [figure for kind in KINDS_1
             for figure in measure(kind, packets_1(kind, count), options.rounds)]
 
 
-def measure(kind: str, pieces: Sequence[bytes], rounds: int) -> list[Figure]:
+def measure(kind, pieces, rounds):
     """Return the figures of one dialect: us per packet, and times the client's rate."""
     protocol, client, handler = CLIENTS[kind]
     data = b''.join(pieces)
     statuses = [one for one in pieces if one[2] <= 252 and one[4] <= LAST_ERROR][:SDK_PACKETS]
     models = Models()
-    cases: dict[str, Callable[[], float]] = {
+    cases = {
         f'monitor, {told}, chunks of {size}': partial(
             monitor_us, models, cut(data, size), Settings(baud=BAUD_1, protocol=told))
         for told in (protocol, 'auto') for size in CHUNKS}
@@ -67,7 +63,7 @@ def measure(kind: str, pieces: Sequence[bytes], rounds: int) -> list[Figure]:
     return figures
 
 
-def client_us(handler: Callable[[], Any], statuses: Sequence[bytes]) -> float:
+def client_us(handler, statuses):
     """Return the CPU time per status of a client's parser, in us."""
     parser = handler()
     port = Memory(b''.join(statuses))

@@ -10,7 +10,7 @@ import time
 from rigs.harness import say
 
 
-def main(port: str) -> None:
+def main(port):
     """Read until told to report (any line); the first line starts the count again."""
     fd = os.open(port, os.O_RDONLY | os.O_NOCTTY)
     poll = select.poll()

@@ -8,7 +8,6 @@ dxl/diagnostics in another process, discovery included, at the default publish_r
 imported is compiled beforehand, as an installation has it.
 """
 
-from collections.abc import Callable
 from functools import partial
 import os
 import select
@@ -16,7 +15,6 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 import rclpy
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from benchmark.minimal_node import TOPIC
@@ -24,7 +22,6 @@ from mecarover_serial.pty import Pty
 from rigs.harness import Child
 from rigs.harness import Figure
 from rigs.harness import interleaved
-from rigs.harness import Options
 from rigs.harness import ros_environment
 
 SECTION = 'from the start of a process'
@@ -33,7 +30,7 @@ WANTED = 'wanted: at most 0.3'
 BRIDGE, MONITOR, MINIMAL = 'vel2d_bridge.main', 'dxl_monitor.start', 'benchmark.minimal_node'
 
 
-def run(options: Options) -> list[Figure]:
+def run(options):
     env = ros_environment()
     env.pop('PYTHONDONTWRITEBYTECODE', None)
     os.environ.update(env)
@@ -42,7 +39,7 @@ def run(options: Options) -> list[Figure]:
         listener = rclpy.create_node('bench_listener')
         to_frame = partial(_to_frame, env)
         to_message = partial(_to_message, env, listener)
-        cases: dict[str, Callable[[], float]] = {
+        cases = {
             'bridge, first frame': partial(to_frame, BRIDGE, '--ros-args', '-p', 'port:={port}'),
             'minimal node, first frame': partial(to_frame, MINIMAL, '{port}'),
             'monitor, first dxl/diagnostics': partial(
@@ -63,7 +60,7 @@ def run(options: Options) -> list[Figure]:
     return figures
 
 
-def _to_frame(env: dict[str, str], module: str, *arguments: str) -> float:
+def _to_frame(env, module, *arguments):
     """Return the seconds until the first byte is at the other end."""
     with Pty() as pty:
         begin = time.monotonic()
@@ -73,10 +70,9 @@ def _to_frame(env: dict[str, str], module: str, *arguments: str) -> float:
             return time.monotonic() - begin
 
 
-def _to_message(env: dict[str, str], listener: Node, topic: str, module: str,
-                *arguments: str) -> float:
+def _to_message(env, listener, topic, module, *arguments):
     """Return the seconds until the first message on a topic is here."""
-    came: list[float] = []
+    came = []
     subscription = listener.create_subscription(
         DiagnosticArray, topic, lambda message: came.append(time.monotonic()), 10)
     with Pty() as pty:

@@ -24,7 +24,6 @@ from mecarover_serial.pty import Pty
 from rigs.harness import Child
 from rigs.harness import Figure
 from rigs.harness import interleaved
-from rigs.harness import Options
 
 CALLS = 200                        # in a turn, each kind: less than a pty has room for
 ROUNDS = 50
@@ -33,7 +32,7 @@ PLAIN, ALONE, HEARD, TRACED = (
 WANTED = 'wanted: at most 10 at the median'
 
 
-def run(options: Options) -> list[Figure]:
+def run(options):
     """Time the calls; a figure has the median of each turn."""
     rounds = options.asked_rounds or (5 if options.quick else ROUNDS)
     with tempfile.TemporaryDirectory() as folder, patch.dict(
@@ -56,25 +55,25 @@ def run(options: Options) -> list[Figure]:
     return [figure for call in ('write', 'read') for figure in _figures(call, turns)]
 
 
-def _master(stack: ExitStack, env: dict[str, str] | None, *under: str) -> tuple[Child, Pty]:
+def _master(stack, env, *under):
     pty = stack.enter_context(Pty())
     master = stack.enter_context(Child(*under, 'benchmark.tap_master', pty.path, env=env))
     master.hear()
     return master, pty
 
 
-def _turn(master: Child, pty: Pty) -> dict[str, float]:
+def _turn(master, pty):
     """Have a master write and read; return the median times (us) of both."""
     os.write(pty.master, PACKET * CALLS)
     master.tell(CALLS)
-    times: dict[str, float] = master.hear()
+    times = master.hear()
     with suppress(BlockingIOError):
         while os.read(pty.master, 65_536):
             pass
     return times
 
 
-def _figures(call: str, turns: dict[str, list[dict[str, float]]]) -> list[Figure]:
+def _figures(call, turns):
     section = f'tap: one {call} of {len(PACKET)} bytes through pyserial'
     times = {name: [one[call] for one in ones] for name, ones in turns.items()}
     return [Figure(section, name, 'us', values) for name, values in times.items()] + [

@@ -13,7 +13,7 @@ from rigs.harness import say
 PACKET = bytes.fromhex('fffffd0001030001194e')
 
 
-def main(path: str) -> None:
+def main(path):
     """For each number that comes write and read so many packets; say the median times (us)."""
     with serial.Serial(path, 1_000_000, timeout=5.0) as port:
         say({'open': True})
@@ -21,7 +21,7 @@ def main(path: str) -> None:
             say(_calls(port, int(line)))
 
 
-def _calls(port: serial.Serial, count: int) -> dict[str, float]:
+def _calls(port, count):
     wrote, got = [], []
     for _ in range(count):
         before = perf_counter_ns()

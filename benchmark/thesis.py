@@ -12,13 +12,11 @@ so the time per buffer stands there as measured and scaled to 4096 bytes.
 import sys
 from typing import NamedTuple
 
-from benchmark.monitored import Run
 from benchmark.monitored import through_node
 from benchmark.monitored import through_reader
 from benchmark.monitored import Traffic
 from benchmark.traffic import TRACE
 from rigs.harness import Figure
-from rigs.harness import Options
 
 SECTION = 'the six experiments of the thesis'
 BUFFER = 4096
@@ -46,7 +44,7 @@ THESIS = {
 }
 
 
-def run(options: Options) -> list[Figure]:
+def run(options):
     if options.trace is None:
         print(f'{SECTION}: the two with the trace are left out; give the raw bytes of a bus: '
               '--trace FILE', file=sys.stderr)
@@ -61,7 +59,7 @@ def run(options: Options) -> list[Figure]:
     return figures
 
 
-def row_of(node: Run) -> Row:
+def row_of(node):
     """Return the figures of a run as the thesis gives them."""
     per_buffer, between, size = (node.metrics[name] for name in (
         'time_per_buffer', 'time_between_buffers', 'bytes_per_buffer'))
@@ -72,14 +70,14 @@ def row_of(node: Run) -> Row:
         8000 * size['since start mean (B)'] / per_buffer['since start mean (ms)'])
 
 
-def _name(kind: str, gap_us: int) -> str:
+def _name(kind, gap_us):
     return f'{kind}, {gap_us} us' if gap_us else f'{kind}, no delay'
 
 
-def _figures(name: str, row: Row, thesis: Row, node: Run, reader: Run) -> list[Figure]:
+def _figures(name, row, thesis, node, reader):
     scale = BUFFER / node.metrics['bytes_per_buffer']['since start mean (B)']
 
-    def figure(what: str, value: float, unit: str, beside: str = '') -> Figure:
+    def figure(what, value, unit, beside=''):
         return Figure(SECTION, f'{name}: {what}', unit, [value], beside)
 
     return [

@@ -9,7 +9,6 @@ nearly every packet is different, as with a robot that moves.
 """
 
 from itertools import islice
-from pathlib import Path
 
 from dxl_monitor.model.models import Models
 from mecarover_fakes.fake_bus import make_devices
@@ -34,12 +33,12 @@ KINDS_1 = {'Feetech': ('feetech', ('1-6:STS3215',)),
 LONGEST = 256                   # piece of a trace: no packet on that robot is longer
 
 
-def packets(kind: str, count: int = PACKETS, devices: tuple[str, ...] = ()) -> list[bytes]:
+def packets(kind, count=PACKETS, devices=()):
     """Return the first packets of a kind of traffic; without devices, of a robot that knows it."""
     devices = devices or (FAST_ROBOT if kind == FAST else ROBOT)
     line = Line(make_devices(list(devices), Models(), BAUD), BAUD)
     master = Master(line, PATTERNS[KINDS[kind]], rate=0, gap=0)
-    pieces: list[bytes] = []
+    pieces = []
     for burst in master.bursts():
         if burst.data.startswith(HEADER):
             pieces.append(burst.data)
@@ -50,7 +49,7 @@ def packets(kind: str, count: int = PACKETS, devices: tuple[str, ...] = ()) -> l
     return pieces[:count]
 
 
-def packets_1(kind: str, count: int = PACKETS) -> list[bytes]:
+def packets_1(kind, count=PACKETS):
     """Return the first packets of a robot of the 1.0 family that moves."""
     dialect, devices = KINDS_1[kind]
     line = make_line(make_devices(list(devices), Models(), BAUD_1, dialect=dialect), BAUD_1,
@@ -59,7 +58,7 @@ def packets_1(kind: str, count: int = PACKETS) -> list[bytes]:
     return [burst.data for burst in islice(bursts, count)]
 
 
-def trace_packets(path: Path) -> list[bytes]:
+def trace_packets(path):
     """Cut a trace in front of each header, and where for long there is none."""
     first, *others = path.read_bytes().split(HEADER)
     return [piece[at:at + LONGEST] for piece in (first, *(HEADER + other for other in others))

@@ -10,9 +10,6 @@ are a process each, as in the node; the monitor takes what comes, nothing is pub
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 import socket
@@ -23,7 +20,6 @@ from typing import NamedTuple
 from benchmark.traffic import ROBOT
 from dxl_monitor.model.models import Models
 from mecarover_fakes.fake_bus import make_devices
-from mecarover_fakes.line import Burst
 from mecarover_fakes.line import Line
 from mecarover_fakes.line import MASTER
 from mecarover_fakes.master import Master
@@ -33,7 +29,6 @@ from mecarover_fakes.virtual_uart import VirtualUart
 from rigs.harness import Child
 from rigs.harness import Figure
 from rigs.harness import interleaved
-from rigs.harness import Options
 from rigs.harness import usage
 
 S = 1_000_000_000
@@ -52,11 +47,11 @@ class Run(NamedTuple):
     lost: int
 
     @property
-    def cpu_per_byte(self) -> float:
+    def cpu_per_byte(self):
         return self.cpu / (self.sent - self.lost)
 
 
-def run(options: Options) -> list[Figure]:
+def run(options):
     """Play the stream both ways, one round after the other."""
     seconds = min(options.seconds, 5.0)
     bursts = list(_master().bursts(round(seconds * S)))
@@ -77,12 +72,12 @@ def run(options: Options) -> list[Figure]:
                    [usb.cpu_per_byte / tty.cpu_per_byte for usb, tty in pairs])]
 
 
-def _master() -> Master:
+def _master():
     return Master(Line(make_devices(list(ROBOT), Models(), BAUD), BAUD), PATTERNS['moving'],
                   rate=0, gap=0)
 
 
-def through_tty(bursts: Sequence[Burst], seconds: float) -> Run:
+def through_tty(bursts, seconds):
     outlet = VirtualUart()
     try:
         with Child('benchmark.heard', outlet.path, str(BAUD)) as listener:
@@ -93,7 +88,7 @@ def through_tty(bursts: Sequence[Burst], seconds: float) -> Run:
         outlet.close()
 
 
-def through_usb(bursts: Sequence[Burst], seconds: float) -> Run:
+def through_usb(bursts, seconds):
     with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX) as door:
         path = Path(folder, 'usb')
         door.bind(str(path))
@@ -110,8 +105,7 @@ def through_usb(bursts: Sequence[Burst], seconds: float) -> Run:
                                 sum(len(burst.data) for burst in bursts), time.time_ns, begin)
 
 
-def _transfers(bursts: Sequence[Burst], adapter: FakeAdapter) -> Iterator[
-        tuple[int, Callable[[bytes, int], bytes], bytes]]:
+def _transfers(bursts, adapter):
     """Yield what crosses USB: answers gathered up to a full transfer or the latency timer."""
     held, began, ended = b'', 0, 0
     for burst in bursts:
@@ -129,9 +123,7 @@ def _transfers(bursts: Sequence[Burst], adapter: FakeAdapter) -> Iterator[
         yield ended, adapter.received, held
 
 
-def _measure(listener: Child, rows: Sequence[tuple[int, bytes]],
-             write: Callable[[bytes], object], seconds: float, sent: int,
-             clock: Callable[[], int], begin: int | None = None) -> Run:
+def _measure(listener, rows, write, seconds, sent, clock, begin=None):
     """Play rows of (when in ns, what) at their pace; return what the listener made of it."""
     listener.hear()
     begin = clock() if begin is None else begin

@@ -8,13 +8,11 @@ Without a gap it hands over each millisecond what a UART would have received by 
 writes packet by packet and waits busily, because a sleep of 100 us takes 150 to 200.
 """
 
-from collections.abc import Iterator
 from itertools import cycle
 import json
 from pathlib import Path
 import sys
 import time
-from typing import Any
 
 from benchmark.traffic import packets
 from benchmark.traffic import TRACE
@@ -28,7 +26,7 @@ TICK_S = 0.001
 LATE_BYTES = 2048               # when this process is later than that, the bus stands still
 
 
-def steady(outlet: VirtualUart, traffic: list[bytes], baud: int) -> Iterator[int]:
+def steady(outlet, traffic, baud):
     """Write without gaps; yield how long nothing was written (ns), after each write."""
     stream = b''.join(traffic)
     before = time.monotonic_ns()
@@ -46,7 +44,7 @@ def steady(outlet: VirtualUart, traffic: list[bytes], baud: int) -> Iterator[int
         before = now
 
 
-def spaced(outlet: VirtualUart, traffic: list[bytes], baud: int, gap: int) -> Iterator[int]:
+def spaced(outlet, traffic, baud, gap):
     """Write packet by packet; yield the gap that there really was on the line (ns)."""
     end = time.monotonic_ns()
     for packet in cycle(traffic):
@@ -58,7 +56,7 @@ def spaced(outlet: VirtualUart, traffic: list[bytes], baud: int, gap: int) -> It
         end = now + wire_ns(len(packet), baud)
 
 
-def _write_for(seconds: float, gaps: Iterator[int]) -> tuple[float, list[int]]:
+def _write_for(seconds, gaps):
     begin = time.monotonic_ns()
     end = begin + round(seconds * 1e9)
     taken = []
@@ -69,8 +67,8 @@ def _write_for(seconds: float, gaps: Iterator[int]) -> tuple[float, list[int]]:
     raise AssertionError('traffic is endless')
 
 
-def main() -> None:
-    order: dict[str, Any] = json.loads(sys.stdin.readline())
+def main():
+    order = json.loads(sys.stdin.readline())
     traffic = trace_packets(Path(order['trace'])) if order['kind'] == TRACE else \
         packets(order['kind'], devices=tuple(order['devices']))
     outlet = VirtualUart()

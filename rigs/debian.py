@@ -3,9 +3,6 @@
 """What a Debian of the rigs is built with: packages, wheels for its Python, a cache."""
 from __future__ import annotations
 
-from collections.abc import Callable
-from collections.abc import Iterable
-from collections.abc import Sequence
 from contextlib import suppress
 import hashlib
 from importlib import metadata
@@ -29,7 +26,7 @@ class Missing(Exception):
     """What this machine lacks to build or run it: one line with the remedy."""
 
 
-def check_tools(tools: dict[str, str]) -> None:
+def check_tools(tools):
     """Raise Missing unless all these programs are here; tools: program to Debian package."""
     missing = [package for tool, package in tools.items()
                if shutil.which(tool, path=f'{os.environ["PATH"]}:/usr/sbin:/sbin') is None]
@@ -40,7 +37,7 @@ def check_tools(tools: dict[str, str]) -> None:
                       f'sudo apt install --no-install-recommends {" ".join(missing)}')
 
 
-def kept(name: str, content: Iterable[str], build: Callable[[Path, Path], None]) -> Path:
+def kept(name, content, build):
     """
     Return the folder of the cache in which `build` made what `content` describes, once.
 
@@ -64,7 +61,7 @@ def kept(name: str, content: Iterable[str], build: Callable[[Path, Path], None])
     return place
 
 
-def requirements(extras: Sequence[str]) -> list[str]:
+def requirements(extras):
     """Return what the package requires, with these extras of setup.py."""
     found = []
     for line in metadata.requires('mecarover_serial') or ():
@@ -74,14 +71,14 @@ def requirements(extras: Sequence[str]) -> list[str]:
     return found
 
 
-def wheels_for(machine: str) -> list[str]:
+def wheels_for(machine):
     """Return pip's options for wheels of that Debian's Python."""
     platforms = [f'--platform=manylinux_2_{minor}_{machine}' for minor in GLIBC]
     return ['--only-binary=:all:', f'--python-version={PYTHON}', '--implementation=cp',
             *platforms, f'--platform=manylinux2014_{machine}']
 
 
-def do(*command: str) -> None:
+def do(*command):
     """Run it in a process group of its own, and end the whole group when this is ended."""
     path = f'{os.environ["PATH"]}:/usr/sbin:/sbin'
     with subprocess.Popen(command, env={**os.environ, 'PATH': path},
@@ -92,12 +89,12 @@ def do(*command: str) -> None:
             _end(process)
             raise
     if code:
-        what: Sequence[str] = command[:1] if command[0] != sys.executable else ('pip',)
+        what = command[:1] if command[0] != sys.executable else ('pip',)
         raise Missing(f'{" ".join(what)} ended with {code}; the lines above say why. '
                       'Building it needs a network')
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _end(process):
     """End a group: mmdebstrap unmounts and removes what it made when it is asked to end."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with suppress(ProcessLookupError):

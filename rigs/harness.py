@@ -7,8 +7,6 @@ A machine that others use too is fast at one moment and slow at the next. So cas
 compared take turns, and a figure is the median of its rounds beside the smallest and the largest.
 """
 
-from collections.abc import Callable
-from collections.abc import Mapping
 from collections.abc import Sequence
 from contextlib import suppress
 import json
@@ -20,8 +18,6 @@ import random
 from statistics import median
 import subprocess
 import sys
-from types import TracebackType
-from typing import Any
 from typing import NamedTuple
 from typing import TypeVar
 
@@ -44,7 +40,7 @@ class Options(NamedTuple):
     asked_rounds: int | None = None     # else what is usual
 
     @property
-    def rounds(self) -> int:
+    def rounds(self):
         return self.asked_rounds or (3 if self.quick else 9)
 
 
@@ -58,15 +54,14 @@ class Figure(NamedTuple):
     beside: str = ''
 
     @property
-    def median(self) -> float:
+    def median(self):
         return median(self.values)
 
 
-def interleaved(cases: Mapping[str, Callable[[], Result]], rounds: int,
-                seed: int = 1) -> dict[str, list[Result]]:
+def interleaved(cases, rounds, seed=1):
     """Run every case once per round, in a new order each time; return the results by case."""
     rng = random.Random(seed)
-    results: dict[str, list[Result]] = {name: [] for name in cases}
+    results = {name: [] for name in cases}
     order = list(cases)
     for _ in range(rounds):
         rng.shuffle(order)
@@ -75,12 +70,12 @@ def interleaved(cases: Mapping[str, Callable[[], Result]], rounds: int,
     return results
 
 
-def quantile(values: Sequence[float], share: float) -> float:
+def quantile(values, share):
     """Return the value of nearest rank."""
     return sorted(values)[max(1, ceil(share * len(values))) - 1]
 
 
-def table(figures: Sequence[Figure]) -> str:
+def table(figures):
     """Lay figures out for a terminal, one section after the other."""
     rows = [(figure.name, f'{figure.median:.4g}', figure.unit,
              f'({min(figure.values):.4g} to {max(figure.values):.4g})', figure.beside)
@@ -99,7 +94,7 @@ def table(figures: Sequence[Figure]) -> str:
     return '\n'.join(lines)
 
 
-def as_json(figures: Sequence[Figure], command: str) -> str:
+def as_json(figures, command):
     return json.dumps({
         'command': command,
         'machine': machine(),
@@ -111,7 +106,7 @@ def as_json(figures: Sequence[Figure], command: str) -> str:
     }, indent=1)
 
 
-def machine() -> dict[str, str]:
+def machine():
     """Describe the machine without naming it or its owner."""
     return {
         'cpu': _cpu_name(),
@@ -123,7 +118,7 @@ def machine() -> dict[str, str]:
     }
 
 
-def _cpu_name() -> str:
+def _cpu_name():
     text = Path('/proc/cpuinfo').read_text()
     for key in ('model name', 'Model'):         # x86-64, Raspberry Pi
         for line in text.splitlines():
@@ -139,11 +134,11 @@ class Usage(NamedTuple):
     wake_ups: int                       # voluntary context switches, of all threads
     resident_mb: float                  # what they share counts for each
 
-    def __add__(self, other: tuple[float, ...]) -> 'Usage':  # type: ignore[override]
+    def __add__(self, other):
         return Usage(*(mine + its for mine, its in zip(self, other, strict=True)))
 
 
-def usage(pid: int) -> Usage:
+def usage(pid):
     """Return what a process and its living children have taken so far."""
     fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
     tasks = list(Path(f'/proc/{pid}/task').iterdir())
@@ -153,9 +148,9 @@ def usage(pid: int) -> Usage:
     return sum(map(usage, children(pid)), own)
 
 
-def children(pid: int) -> list[int]:
+def children(pid):
     """Return the children of all threads of a process, none of one that has ended."""
-    found: list[int] = []
+    found = []
     with suppress(FileNotFoundError):
         for task in Path(f'/proc/{pid}/task').iterdir():
             with suppress(OSError):                # a thread that ends while we look
@@ -163,18 +158,18 @@ def children(pid: int) -> list[int]:
     return found
 
 
-def family(pid: int) -> list[int]:
+def family(pid):
     """Return a process and its descendants, without zombies, which have a folder too."""
     return [pid] * is_alive(pid) + [one for child in children(pid) for one in family(child)]
 
 
-def own_mb(pids: Sequence[int]) -> float:
+def own_mb(pids):
     """Return the memory that processes have filled; of a file's, the kernel takes pages back."""
     return sum(_status(Path(f'/proc/{pid}/status'), key)
                for pid in pids for key in ('RssAnon', 'VmSwap')) / 1024
 
 
-def state(pid: int) -> str:
+def state(pid):
     """Return the state of a process as ps shows it, as T for stopped; '' if it is gone."""
     try:
         return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0]
@@ -182,19 +177,19 @@ def state(pid: int) -> str:
         return ''
 
 
-def is_alive(pid: int) -> bool:
+def is_alive(pid):
     """Tell whether a process runs; one that only waits for its parent to look is over."""
     return state(pid) not in ('', 'Z', 'X')
 
 
-def _status(path: Path, key: str) -> int:
+def _status(path, key):
     for line in path.read_text().splitlines():
         if line.startswith(f'{key}:'):
             return int(line.split()[1])
     return 0
 
 
-def ros_environment() -> dict[str, str]:
+def ros_environment():
     """Return an environment in which the nodes of this run meet no others."""
     return {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
             'ROS_DOMAIN_ID': str(random.SystemRandom().choice(BENCHMARKS)),
@@ -209,8 +204,7 @@ class Child:
     Leaving the context ends it: SIGTERM, and SIGKILL after 5 s.
     """
 
-    def __init__(self, module: str, *arguments: str, env: Mapping[str, str] | None = None,
-                 quiet: bool = False) -> None:
+    def __init__(self, module, *arguments, env=None, quiet=False):
         self._module = module
         self._process = subprocess.Popen(
             [sys.executable, '-u', '-m', module, *arguments], cwd=REPOSITORY,
@@ -219,41 +213,40 @@ class Child:
             start_new_session=True)         # Ctrl-C is for this process, which ends its children
         self.pid = self._process.pid
 
-    def hear(self) -> Any:
+    def hear(self):
         """Return the next line of JSON that the child says, decoded."""
         while not (line := self.line()).startswith(('{', '[')):
             pass
         return json.loads(line)
 
-    def line(self) -> str:
+    def line(self):
         """Return the next line that the child says."""
         assert self._process.stdout is not None
         if line := self._process.stdout.readline():
             return line
         raise ChildProcessError(f'python -m {self._module}: ended early; run it alone to see why')
 
-    def tell(self, thing: object) -> None:
+    def tell(self, thing):
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(thing) + '\n')
         self._process.stdin.flush()
 
-    def signal(self, number: int) -> None:
+    def signal(self, number):
         """Send a signal; one that has ended gets none."""
         self._process.send_signal(number)
 
     @property
-    def end(self) -> str:
+    def end(self):
         """How it ended: 'signal 9', 'exit code 0'; '' while it runs."""
         code = self._process.poll()
         if code is None:
             return ''
         return f'signal {-code}' if code < 0 else f'exit code {code}'
 
-    def __enter__(self) -> 'Child':
+    def __enter__(self):
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, kind, error, trace):
         self._process.terminate()
         try:
             self._process.wait(5.0)
@@ -265,6 +258,6 @@ class Child:
                 stream.close()
 
 
-def say(thing: object) -> None:
+def say(thing):
     """Say one thing to the process that started this one (see Child.hear)."""
     print(json.dumps(thing), flush=True)

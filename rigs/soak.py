@@ -10,7 +10,6 @@ code 1); what went wrong is said in a line when it does.
 """
 
 from collections import Counter
-from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 import math
@@ -32,7 +31,6 @@ from rigs.cable import Cable
 from rigs.harness import Child
 from rigs.harness import family
 from rigs.harness import Figure
-from rigs.harness import Options
 from rigs.harness import own_mb
 from rigs.harness import ros_environment
 from rigs.running_mcu import RunningMcu
@@ -70,7 +68,7 @@ class Sample(NamedTuple):
     threads: int
 
 
-def run(options: Options) -> list[Figure]:
+def run(options):
     env = ros_environment()
     os.environ.update(env)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -81,7 +79,7 @@ def run(options: Options) -> list[Figure]:
         rclpy.try_shutdown()
 
 
-def problems(figures: list[Figure]) -> list[str]:
+def problems(figures):
     """Return what exceeds LIMITS or does not come to LEAST."""
     found = []
     for one in figures:
@@ -96,7 +94,7 @@ def problems(figures: list[Figure]) -> list[str]:
 class _Soak:
     """The processes, the fakes, and what happens to them."""
 
-    def __init__(self, stack: ExitStack, env: dict[str, str]) -> None:
+    def __init__(self, stack, env):
         folder = Path(stack.enter_context(TemporaryDirectory()))
         self._chance = random.Random(SEED)
         self._mcu = stack.enter_context(RunningMcu(str(folder / 'mcu')).running())
@@ -119,12 +117,12 @@ class _Soak:
         stack.callback(self._watch.stop)
         self._driver = Driver(self._watch.node, self._mcu, self._machine, self._complain)
         stack.callback(self._driver.stop)
-        self._wrong: Counter[str] = Counter()
+        self._wrong = Counter()
         self._lock = threading.Lock()
         self._faults = self._quiets = 0
-        self._samples: list[list[Sample]] = []
+        self._samples = []
 
-    def run(self, seconds: float) -> list[Figure]:
+    def run(self, seconds):
         if not self._waited(lambda: not self._watch.not_well(0), START_S):
             raise TimeoutError('soak: the nodes are not well from the start; run them alone: '
                                + '; '.join(self._ends() or self._watch.not_well(0)))
@@ -145,27 +143,27 @@ class _Soak:
             self._complain('nodes ended', line)
         return self._figures(time.monotonic() - begin_s)
 
-    def _complain(self, kind: str, line: str) -> None:
+    def _complain(self, kind, line):
         with self._lock:                # the driver complains, too
             self._wrong[kind] += 1
             print(f'soak: {line} ({kind}; at {time.monotonic():.1f} s; last fault: '
                   f'{self._driver.last_fault})', file=sys.stderr, flush=True)
 
-    def _ends(self) -> list[str]:
+    def _ends(self):
         return [f'{name}: ended with {node.end}'
                 for name, node in zip(NODES, self._nodes, strict=True) if node.end]
 
-    def _waited(self, condition: Callable[[], bool], seconds: float) -> bool:
+    def _waited(self, condition, seconds):
         """Wait for a condition, but not for a node that has ended."""
         return self._machine.waited(lambda: bool(self._ends()) or condition(), seconds) \
             and condition()
 
-    def _strike(self) -> None:
+    def _strike(self):
         """Let one fault happen for up to a second, and wait until its traces are gone."""
         self._faults += 1
         at = self._chance.randrange(2)
         cable, node = self._cables[at], self._nodes[at]
-        faults: dict[str, Callable[[], object]] = {
+        faults = {
             'drop': partial(cable.damage, drop=0.3), 'flip': partial(cable.damage, flip=0.3),
             'delay': partial(cable.damage, delay_s=0.1), 'stall': cable.stall,
             'flood': partial(cable.flood, 0.5), 'cut': cable.cut,
@@ -183,7 +181,7 @@ class _Soak:
         time.sleep(FAULT_S)
         self._driver.is_hindered = False
 
-    def _quiet(self) -> None:
+    def _quiet(self):
         """Let it run undisturbed until all is heard and all devices answer."""
         begin, watch = time.time_ns(), self._watch
         is_heard = self._waited(lambda: not watch.silent(begin), ANSWER_S)
@@ -200,7 +198,7 @@ class _Soak:
         self._sample()
         self._quiets += 1
 
-    def _sample(self) -> None:
+    def _sample(self):
         """Measure the nodes, each with its other processes."""
         sample = []
         for node in self._nodes:
@@ -213,10 +211,10 @@ class _Soak:
                 return
         self._samples.append(sample)
 
-    def _figures(self, seconds: float) -> list[Figure]:
+    def _figures(self, seconds):
         """Return what was measured, what grew, and how often what went wrong."""
         driver = self._driver
-        rows: dict[str, tuple[float, str]] = {
+        rows = {
             'faults': (self._faults, f'in {seconds:.0f} s'), 'quiet times': (self._quiets, ''),
             'bytes to the monitor': (self._cables[1].carried, 'B'),
             'drives': (driver.drives, ''), 'stops': (driver.stops, ''),
@@ -235,7 +233,7 @@ class _Soak:
                 for name, (value, unit) in rows.items()]
 
 
-def growth(values: list[float]) -> float:
+def growth(values):
     """Return how much more the last third has than the first; NaN, a problem, for nothing."""
     if not values:
         return math.nan
@@ -243,7 +241,7 @@ def growth(values: list[float]) -> float:
     return statistics.median(values[-third:]) - statistics.median(values[:third])
 
 
-def _bound(name: str) -> str:
+def _bound(name):
     if name in LIMITS:
         return f'at most {LIMITS[name]:g}'
     return f'at least {LEAST[name]:g}' if name in LEAST else ''

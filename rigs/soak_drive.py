@@ -2,18 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver of the soak: commands in spells; the rover must move, and must stop."""
 
-from collections.abc import Callable
 import threading
 import time
-from typing import Any
 
 from geometry_msgs.msg import Twist
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 
-from mecarover_fakes.fake_mcu import FakeMcu
 from rigs.soak_watch import BRIDGE
-from rigs.soak_watch import Machine
 
 SPEED = 0.3
 DRIVE_S, REST_S = 2.0, 1.5
@@ -25,8 +21,7 @@ LATE_S = 0.5
 class Driver:
     """Publishes commands in spells, and watches how the rover obeys."""
 
-    def __init__(self, node: Any, mcu: FakeMcu, machine: Machine,
-                 complain: Callable[[str, str], None]) -> None:
+    def __init__(self, node, mcu, machine, complain):
         self.is_hindered = False        # a fault may delay a drive or a stop beyond its bound
         self.last_fault = 'none'
         self.drives = self.stops = self.made_up = 0
@@ -40,24 +35,24 @@ class Driver:
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._run, name='driver')
 
-    def start(self) -> None:
+    def start(self):
         self._thread.start()
 
-    def stop(self) -> None:
+    def stop(self):
         self._done.set()
         if self._thread.is_alive():
             self._thread.join()
 
-    def is_heard(self) -> bool:
+    def is_heard(self):
         """Return whether somebody takes the commands."""
         return bool(self._publisher.get_subscription_count())
 
-    def _run(self) -> None:
+    def _run(self):
         while not self._done.is_set():
             if self._drive():
                 self._rest()
 
-    def _drive(self) -> bool:
+    def _drive(self):
         """Send commands; the rover must move. Return whether it did."""
         message = Twist()
         message.linear.x = SPEED
@@ -78,7 +73,7 @@ class Driver:
                                f'{MOVE_S:g} s of commands; {self._mcu.totals()}')
         return has_moved
 
-    def _rest(self) -> None:
+    def _rest(self):
         """Say nothing; the rover must stop, and stay so."""
         last_s, held_s = time.monotonic(), self._machine.held_s()
         stopped_s = None
@@ -103,7 +98,7 @@ class Driver:
             self._complain('stops too late', f'{BRIDGE}: no stop within {taken_s:.3f} s; '
                            f'{self._mcu.totals()}')
 
-    def _look(self) -> None:
+    def _look(self):
         arrivals = self._mcu.receiver.arrivals
         while arrivals:
             velocity = arrivals.popleft().velocity

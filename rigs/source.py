@@ -8,7 +8,7 @@ import subprocess
 ROOT = Path(__file__).parents[1]
 
 
-def copy_source(target: Path) -> None:
+def copy_source(target):
     """Copy what git knows of this clone, and what it would add, to a folder."""
     names = subprocess.run(
         ['git', '-C', str(ROOT), 'ls-files', '-z', '--cached', '--others', '--exclude-standard'],

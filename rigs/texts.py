@@ -12,7 +12,6 @@ place counts. The words of makers in model files are not ours.
 """
 import argparse
 import ast
-from collections.abc import Iterator
 from html import unescape
 from pathlib import Path
 import random
@@ -36,12 +35,12 @@ JS_VALUE = re.compile(r'\$\{((?:[^{}`]|`[^`]*`)*)\}')
 QUOTED = {'text', 'also', 'says', 'source', 'name', 'expr'}     # YAML keys with words of others
 
 
-def place(value: str) -> str:
+def place(value):
     """Return a place for a value in a text, named after the last name in its expression."""
     return f'{{{(re.findall(r"[A-Za-z_][A-Za-z_0-9]*", value) or ["value"])[-1]}}}'
 
 
-def python_texts(node: ast.AST) -> Iterator[str]:
+def python_texts(node):
     """Yield the strings of a module, f-strings as one: no docstrings, keys only of figures."""
     if isinstance(node, ast.Call) and ast.unparse(node.func) == 'Claim':
         for one in ast.walk(node):
@@ -60,14 +59,14 @@ def python_texts(node: ast.AST) -> Iterator[str]:
             yield from python_texts(child)
 
 
-def module_texts(source: str) -> Iterator[str]:
+def module_texts(source):
     """Yield the texts of a Python file, its docstring where the program prints that."""
     if '__doc__' in source:
         yield ast.get_docstring(ast.parse(source)) or ''
     yield from python_texts(ast.parse(source))
 
 
-def script_texts(source: str) -> Iterator[str]:
+def script_texts(source):
     """Yield the strings of a JavaScript file, those within templates too."""
     for found in JS.finditer(source):
         for inner in JS_VALUE.findall(found[3] or ''):
@@ -75,7 +74,7 @@ def script_texts(source: str) -> Iterator[str]:
         yield JS_VALUE.sub(lambda one: place(one[1]), next(filter(None, found.groups()), ''))
 
 
-def yaml_texts(node: object) -> Iterator[str]:
+def yaml_texts(node):
     """Yield the strings of a YAML document, but for the words of others."""
     if isinstance(node, str):
         yield node
@@ -93,12 +92,12 @@ READERS = {
     '': lambda source: re.findall(r'\b(?:echo|fail|printf)\b[^"\n]*"((?:[^"\\]|\\.)*)"', source)}
 
 
-def is_text(text: str) -> bool:
+def is_text(text):
     """Tell whether a string is a text, and no name, pattern or query."""
     return bool(WORDS.search(text)) and not NO_TEXT.search(text)
 
 
-def all_texts() -> list[tuple[str, str]]:
+def all_texts():
     """Return (file, text) in the order of the files, each text once for its file."""
     files = sorted(path for name in PLACES for path in (ROOT / name).rglob('*')
                    if path.is_file() and path.suffix in READERS and path.parent.name != 'files')
@@ -108,12 +107,12 @@ def all_texts() -> list[tuple[str, str]]:
         if is_text(text)))
 
 
-def key(file: str, text: str) -> tuple[str, str]:
+def key(file, text):
     """Return what makes a text the same: the names of the places do not count."""
     return file, re.sub(r'\{\w+\}', '{}', text)
 
 
-def marks() -> dict[tuple[str, str], str]:
+def marks():
     """Return the marks of the list, by key."""
     found, file = {}, ''
     for line in LIST.read_text('utf-8').splitlines():
@@ -124,14 +123,14 @@ def marks() -> dict[tuple[str, str], str]:
     return found
 
 
-def differences() -> list[str]:
+def differences():
     """Return a line for each text that is new or not read, and for each that is gone."""
     known, now = marks(), {key(*one): one for one in all_texts()}
     return [f'{file}: not read: {text}' for one, (file, text) in now.items()
             if known.get(one) != '+'] + [': gone: '.join(one) for one in known.keys() - now.keys()]
 
 
-def main() -> int:
+def main():
     """Print differences or a draw, or write the list."""
     parser = argparse.ArgumentParser(usage=__doc__)
     parser.add_argument('--write', action='store_true')

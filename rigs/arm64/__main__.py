@@ -23,7 +23,7 @@ PYTEST = ('python3', '-m', 'pytest', '-n', '2', '--dist', 'loadfile', '--no-load
           '-p', 'no:cacheprovider', '-m', 'not ros')
 
 
-def main(options: list[str]) -> int:
+def main(options):
     try:
         place = root()
     except Missing as error:
@@ -39,7 +39,7 @@ def main(options: list[str]) -> int:
         return enter(place, Path(folder), *PYTEST, *left_out, *options)
 
 
-def place_source(folder: Path) -> None:
+def place_source(folder):
     """Put this clone there, and what pip makes of it: the names of its tools."""
     copy_source(folder / 'src')
     copy_source(folder / 'package')
@@ -48,7 +48,7 @@ def place_source(folder: Path) -> None:
                    check=True)
 
 
-def enter(place: Path, folder: Path, *command: str) -> int:
+def enter(place, folder, *command):
     """Run a command in the root, where the source is; return its exit code."""
     return subprocess.run(['unshare', '--user', '--map-root-user', '--mount', 'sh', str(ENTER),
                            str(place), str(folder), *command]).returncode

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which tests cannot hold in the root, each with the reason; a real arm64 machine has no such."""
 
-LEFT_OUT: dict[str, list[str]] = {
+LEFT_OUT = {
     'qemu-user has no TCSETS2, and tcgetattr reads a rate of 1000000 back as 0': [
         'test/test_listener.py::test_takes_any_rate[4500000]',
         'test/test_listener.py::test_takes_any_rate[1234567]',

@@ -33,19 +33,19 @@ USERS = 'root:x:0:0:root:/root:/bin/bash\n'
 GROUPS = 'root:x:0:\ntty:x:5:\ndialout:x:20:\n'
 
 
-def root() -> Path:
+def root():
     """Return the root folder; build it where there is none."""
     check_tools(TOOLS)
     content = (SUITE, PYTHON, *PACKAGES, *_libraries(), *SOURCES_ONLY, USERS, GROUPS)
     return kept('arm64', content, _build) / 'root'
 
 
-def _libraries() -> list[str]:
+def _libraries():
     wanted = requirements(['test'])
     return [*requirements([]), *(one for one in wanted if one.startswith(TESTED_WITH)), 'wheel']
 
 
-def _build(work: Path, made: Path) -> None:
+def _build(work, made):
     tar = work / 'root.tar'
     do('mmdebstrap', '--quiet', '--arch=arm64', '--variant=extract',
        f'--include={",".join(PACKAGES)}', SUITE, str(tar))

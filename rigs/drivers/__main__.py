@@ -16,7 +16,7 @@ from rigs.debian import Missing
 from rigs.drivers.image import image
 
 
-def main(options: list[str]) -> int:
+def main(options):
     # Ended from outside, it takes along what it started, as after Ctrl-C.
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)

@@ -3,11 +3,7 @@
 """Three ways to have a serial port in the guest, each with the driver that a robot would use."""
 from __future__ import annotations
 
-from pathlib import Path
-
-from rigs.drivers.guest import Guest
 from rigs.drivers.guest import INSIDE
-from rigs.drivers.guest import Unit
 from rigs.drivers.lead import Lead
 
 
@@ -17,38 +13,38 @@ class Adapter:
     path = ''
     driver = ''
 
-    def __init__(self, guest: Guest, fake: str, *, gather: bool) -> None:
-        self.lead: Lead | None = None
+    def __init__(self, guest, fake, *, gather):
+        self.lead = None
         self.handed = 0             # bytes that came to the fake, over all leads until now
         self._guest = guest
         self._fake = fake
         self._gather = gather
 
-    def __enter__(self) -> Adapter:
+    def __enter__(self):
         self.plug()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self.unplug()
 
-    def plug(self) -> None:
+    def plug(self):
         """Plug it in, and wait until udev has given it its name and its rights."""
         raise NotImplementedError
 
-    def unplug(self) -> None:
+    def unplug(self):
         """Pull it out; the bytes on their way are lost."""
         raise NotImplementedError
 
-    def _connect(self, socket: Path) -> None:
+    def _connect(self, socket):
         self.lead = Lead(socket, self._fake, gather=self._gather)
 
-    def _disconnect(self) -> None:
+    def _disconnect(self):
         if self.lead is not None:
             self.lead.__exit__()
             self.handed += self.lead.handed
         self.lead = None
 
-    def _wait_node(self) -> None:
+    def _wait_node(self):
         self._guest.wait(f'[ "$(stat -Lc %G {self.path})" = dialout ]')
 
 
@@ -57,18 +53,17 @@ class Ftdi(Adapter):
 
     driver = 'ftdi_sio'
 
-    def __init__(self, guest: Guest, fake: str, *, gather: bool, serial: str = 'FT4TFSGE',
-                 name: str = '') -> None:
+    def __init__(self, guest, fake, *, gather, serial='FT4TFSGE', name=''):
         super().__init__(guest, fake, gather=gather)
         self._serial = serial
         self._name = name or serial
         self.path = f'/dev/serial/by-id/usb-QEMU_QEMU_USB_SERIAL_{serial}-if00-port0'
 
-    def plug(self) -> None:
+    def plug(self):
         self._connect(self._guest.plug(self._name, serial=self._serial))
         self._wait_node()
 
-    def unplug(self) -> None:
+    def unplug(self):
         self._disconnect()
         self._guest.unplug(self._name)
 
@@ -79,12 +74,12 @@ class Uart(Adapter):
     driver = 'serial'
     path = '/dev/ttyS2'         # the first name without a UART; it is there before and after
 
-    def plug(self) -> None:
+    def plug(self):
         self._connect(self._guest.plug('card', 'pci-serial'))
         self._guest.wait('[ "$(cat /sys/class/tty/ttyS2/type)" != 0 ]')
         self._wait_node()
 
-    def unplug(self) -> None:
+    def unplug(self):
         self._disconnect()
         self._guest.unplug('card')
 
@@ -95,11 +90,11 @@ class Acm(Adapter):
     driver = 'cdc_acm'
     path = '/dev/ttyACM0'
 
-    def __init__(self, guest: Guest, fake: str, *, gather: bool) -> None:
+    def __init__(self, guest, fake, *, gather):
         super().__init__(guest, fake, gather=gather)
-        self.board: Unit | None = None
+        self.board = None
 
-    def plug(self) -> None:
+    def plug(self):
         self._guest.run('modprobe g_serial')
         self._connect(self._guest.gadget)
         self._wait_node()
@@ -107,7 +102,7 @@ class Acm(Adapter):
             'board', f'python {INSIDE}/relay.py /dev/ttyGS0 /dev/virtio-ports/gadget')
         self.board.wait_for('carrying')
 
-    def unplug(self) -> None:
+    def unplug(self):
         if self.board is not None:          # as long as it has its port open, the module stays
             self.board.signal('KILL')
             self.board.stop()

@@ -6,18 +6,15 @@ from __future__ import annotations
 import time
 
 from rigs.drivers.adapters import Acm
-from rigs.drivers.guest import Guest
-from rigs.drivers.rover import Record
 from rigs.drivers.rover import rover_on
 
 HANG_S = 25.0
 
 
-def test_a_board_that_hangs_for_25_s_is_told_before_it_revives(
-        guest: Guest, record_property: Record) -> None:
+def test_a_board_that_hangs_for_25_s_is_told_before_it_revives(guest, record_property):
     with rover_on(Acm, guest) as rover:
         rover.drive()
-        board = rover.adapter.board         # type: ignore[attr-defined]
+        board = rover.adapter.board
         begin = time.monotonic()
         board.signal('STOP')
         rover.bridge.wait_for('takes no data', timeout_s=HANG_S)

@@ -7,8 +7,6 @@ From its dry run, over an unplugging, kill -9 and a reboot, to what an uninstall
 """
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 
 from dxl_monitor.model.models import Models
@@ -17,9 +15,7 @@ from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
-from rigs.drivers.adapters import Adapter
 from rigs.drivers.adapters import Ftdi
-from rigs.drivers.guest import Guest
 from rigs.drivers.guest import INSIDE
 from rigs.drivers.guest import SOURCE
 from rigs.drivers.guest import Unit
@@ -54,7 +50,7 @@ while True:
 
 
 @pytest.fixture(scope='module')
-def bus(guest: Guest) -> Iterator[Adapter]:
+def bus(guest):
     """Plug an adapter in; three devices answer a master at its far end, once in a second."""
     devices = make_devices(['1-3:MX-64'], Models(), BAUD)
     fake = FakeBus(Master(Line(devices, BAUD), PATTERNS['moving'], rate=1.0))
@@ -65,7 +61,7 @@ def bus(guest: Guest) -> Iterator[Adapter]:
 
 
 @pytest.fixture(scope='module')
-def mcu(guest: Guest) -> Iterator[Mcu]:
+def mcu(guest):
     """Put an MCU at the far end of the UART."""
     mcu = Mcu()
     with mcu.running(), Lead(guest.uart, mcu.path, gather=True):
@@ -73,13 +69,13 @@ def mcu(guest: Guest) -> Iterator[Mcu]:
 
 
 @pytest.fixture(scope='module')
-def wanted(guest: Guest, request: pytest.FixtureRequest) -> bool:
+def wanted(guest, request):
     """Tell whether the services are to run."""
     return guest.has_kvm or bool(request.config.getoption('--services'))
 
 
 @pytest.fixture(scope='module')
-def installed(guest: Guest, bus: Adapter, mcu: Mcu, wanted: bool) -> str:
+def installed(guest, bus, mcu, wanted):
     """Install as robot, where a login was on the UART; return what the installer said."""
     if not guest.has_kvm:
         for service in SERVICES:
@@ -98,29 +94,27 @@ def installed(guest: Guest, bus: Adapter, mcu: Mcu, wanted: bool) -> str:
 
 
 @pytest.fixture(scope='module')
-def services(guest: Guest, installed: str, wanted: bool) -> None:
+def services(guest, installed, wanted):
     """Wait until what the installer started runs."""
     if not wanted:
         pytest.skip('without KVM the services start in minutes; --services runs this')
     wait_started(guest)
 
 
-def wait_started(guest: Guest) -> None:
+def wait_started(guest):
     """Wait until the ports are open and the page shows what the monitor hears."""
     for service, said in OPEN.items():
         Unit(guest, service).wait_for(said, timeout_s=START_S)
     guest.run('python3 -', stdin=ON_PAGE, timeout_s=START_S)
 
 
-def test_the_installer_ends_a_login_and_gives_the_port_back_to_its_group(
-        guest: Guest, installed: str) -> None:
+def test_the_installer_ends_a_login_and_gives_the_port_back_to_its_group(guest, installed):
     assert f'systemctl disable --now {GETTY}' in installed
     assert guest.run(f'systemctl is-active {GETTY}', check=False).code
     assert guest.run(f'stat -c %G /dev/{TTY}').out == 'dialout\n'
 
 
-def test_the_names_of_the_ports_come_with_the_rules_and_with_each_plug(
-        guest: Guest, installed: str, bus: Adapter) -> None:
+def test_the_names_of_the_ports_come_with_the_rules_and_with_each_plug(guest, installed, bus):
     assert guest.run('readlink -f /dev/mecarover_mcu').out == f'/dev/{TTY}\n'
     guest.wait('test -e /dev/mecarover_dxl')
     bus.unplug()
@@ -131,28 +125,25 @@ def test_the_names_of_the_ports_come_with_the_rules_and_with_each_plug(
     guest.wait(f'grep -qx 1 /sys/class/tty/{tty}/device/latency_timer')
 
 
-def test_systemd_accepts_the_units_and_starts_them_at_boot(guest: Guest, installed: str) -> None:
+def test_systemd_accepts_the_units_and_starts_them_at_boot(guest, installed):
     for unit in SERVICES:
         assert guest.run(f'systemctl is-enabled {unit}').out == 'enabled\n'
         guest.run(f'systemd-analyze verify --man=no /etc/systemd/system/{unit}.service')
 
 
-def test_the_installer_starts_the_bridge_which_stops_the_rover_first(
-        guest: Guest, services: None, mcu: Mcu) -> None:
+def test_the_installer_starts_the_bridge_which_stops_the_rover_first(guest, services, mcu):
     guest.until(lambda: mcu.set_points)
     assert all(point.is_stop for point in mcu.set_points)
 
 
-def test_the_installer_starts_the_page_which_shows_what_the_monitor_hears(
-        guest: Guest, services: None) -> None:
+def test_the_installer_starts_the_page_which_shows_what_the_monitor_hears(guest, services):
     assert guest.run('stat -c %U /var/lib/mecarover_dashboard').out == 'robot\n'
     for service in SERVICES:
         assert guest.run(f'systemctl show -P ActiveState,SubState {service}').out.split() == [
             'active', 'running']
 
 
-def test_the_monitors_service_outlives_its_adapter(
-        guest: Guest, services: None, bus: Adapter) -> None:
+def test_the_monitors_service_outlives_its_adapter(guest, services, bus):
     monitor = Unit(guest, 'dxl_monitor')
     before = monitor.pid()
     bus.unplug()
@@ -162,8 +153,8 @@ def test_the_monitors_service_outlives_its_adapter(
     assert monitor.pid() == before
 
 
-def test_what_is_killed_systemd_starts_again_and_the_rover_stops_and_drives_on(
-        guest: Guest, services: None, mcu: Mcu) -> None:
+def test_what_is_killed_systemd_starts_again_and_the_rover_stops_and_drives_on(guest, services,
+                                                                               mcu):
     units = [Unit(guest, service) for service in SERVICES]
     before = [unit.pid() for unit in units]
     planner = guest.start('planner', f'env -u {WITHOUT_ROS} python {INSIDE}/commands.py', 'robot')
@@ -181,7 +172,7 @@ def test_what_is_killed_systemd_starts_again_and_the_rover_stops_and_drives_on(
         assert guest.run(f'systemctl show -P NRestarts {unit.name}').out == '1\n'
 
 
-def test_after_a_reboot_all_services_are_back(guest: Guest, services: None, mcu: Mcu) -> None:
+def test_after_a_reboot_all_services_are_back(guest, services, mcu):
     known = len(mcu.set_points)
     guest.reboot()
     wait_started(guest)
@@ -192,8 +183,7 @@ def test_after_a_reboot_all_services_are_back(guest: Guest, services: None, mcu:
     assert guest.run(f'systemctl is-active {GETTY}', check=False).code
 
 
-def test_an_uninstall_says_what_stays_and_its_commands_undo_that(
-        guest: Guest, installed: str) -> None:
+def test_an_uninstall_says_what_stays_and_its_commands_undo_that(guest, installed):
     said = guest.run(f'{INSTALLER} --uninstall --yes', 'robot', timeout_s=200).out
     assert 'latency timer' in said
     for service in SERVICES:

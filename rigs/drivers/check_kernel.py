@@ -3,16 +3,12 @@
 """What port.py and the monitor take for granted of a driver, asked of each driver."""
 from __future__ import annotations
 
-from collections.abc import Iterator
 import json
-from typing import Any
 
 import pytest
 
-from rigs.drivers.adapters import Adapter
 from rigs.drivers.adapters import Ftdi
 from rigs.drivers.adapters import KINDS
-from rigs.drivers.guest import Guest
 from rigs.drivers.guest import INSIDE
 from rigs.drivers.lead import Mcu
 
@@ -20,8 +16,9 @@ ANOTHER = 'set a rate that the adapter supports'
 
 
 @pytest.mark.parametrize('kind', KINDS, ids=lambda kind: kind.driver)
-def test_hupcl_exclusive_opening_pending_bytes_and_error_counters_are_as_the_nodes_assume(
-        guest: Guest, kind: type[Adapter], record_property: Any) -> None:
+def test_hupcl_exclusive_opening_pending_bytes_and_error_counters_are_as_the_nodes_assume(guest,
+                                                                                          kind,
+                                                                                          record_property):
     mcu = Mcu()
     with mcu.running(), kind(guest, mcu.path, gather=True) as adapter:
         facts = json.loads(guest.run(f'python {INSIDE}/facts.py {adapter.path}', 'robot').out)
@@ -34,14 +31,13 @@ def test_hupcl_exclusive_opening_pending_bytes_and_error_counters_are_as_the_nod
 
 
 @pytest.fixture
-def ftdi(guest: Guest) -> Iterator[Adapter]:
+def ftdi(guest):
     mcu = Mcu()
     with mcu.running(), Ftdi(guest, mcu.path, gather=False) as adapter:
         yield adapter
 
 
-def test_a_user_of_dialout_sets_the_latency_timer_without_a_udev_rule(
-        guest: Guest, ftdi: Adapter) -> None:
+def test_a_user_of_dialout_sets_the_latency_timer_without_a_udev_rule(guest, ftdi):
     timer = f'/sys/class/tty/$(basename $(readlink -f {ftdi.path}))/device/latency_timer'
     guest.run(f'echo 16 > {timer}')         # as FTDI adapters come; QEMU's comes with 0
     guest.run(f'python {INSIDE}/facts.py {ftdi.path}', 'robot')
@@ -52,7 +48,6 @@ def test_a_user_of_dialout_sets_the_latency_timer_without_a_udev_rule(
     (3_000_000, 'open'),
     (4_000_000, f'the driver sets 9600 baud, not the 4000000 that was asked for; {ANOTHER}'),
 ], ids=('3000000', '4000000'))
-def test_a_rate_is_taken_or_refused_without_guessing_a_ceiling(
-        guest: Guest, ftdi: Adapter, baud: int, told: str) -> None:
+def test_a_rate_is_taken_or_refused_without_guessing_a_ceiling(guest, ftdi, baud, told):
     said = guest.run(f'python {INSIDE}/look.py {ftdi.path} {baud}', 'robot', check=False).out
     assert said.removeprefix(f'{ftdi.path}: ') == told + '\n'

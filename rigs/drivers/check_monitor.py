@@ -3,12 +3,10 @@
 """A bus is heard on adapters of its own: all of it, and the right one in each place."""
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import contextmanager
 from contextlib import ExitStack
 import json
 import time
-from typing import Any
 
 import pytest
 
@@ -19,10 +17,7 @@ from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from rigs.drivers.adapters import Acm
-from rigs.drivers.adapters import Adapter
 from rigs.drivers.adapters import Ftdi
-from rigs.drivers.guest import Guest
-from rigs.drivers.guest import Unit
 
 BAUD = 2_000_000
 SECONDS = 10.0
@@ -33,7 +28,7 @@ START_S = 200.0
 
 
 @contextmanager
-def bus_of(devices: str, rate: float) -> Iterator[FakeBus]:
+def bus_of(devices, rate):
     bus = FakeBus(Master(Line(make_devices([devices], Models(), BAUD), BAUD),
                          PATTERNS['moving'], rate=rate))
     try:
@@ -42,7 +37,7 @@ def bus_of(devices: str, rate: float) -> Iterator[FakeBus]:
         bus.stop()
 
 
-def listen(guest: Guest, port: str, *options: str) -> Unit:
+def listen(guest, port, *options):
     """Start dxl_dump on a port of the guest, as robot, and wait until it has it open."""
     dump = guest.start('dump', f'dxl_dump {port} {" ".join(options)}', 'robot')
     guest.wait(f'ls -l /proc/*/fd 2>/dev/null | grep -q "$(readlink -f {port})$"',
@@ -51,8 +46,7 @@ def listen(guest: Guest, port: str, *options: str) -> Unit:
 
 
 @pytest.mark.parametrize('kind', (Ftdi, Acm), ids=lambda kind: kind.driver)
-def test_every_byte_of_19_devices_at_2000000_baud_is_heard(
-        guest: Guest, kind: type[Adapter], record_property: Any) -> None:
+def test_every_byte_of_19_devices_at_2000000_baud_is_heard(guest, kind, record_property):
     with bus_of('1-19:MX-64', CYCLES_PER_S) as bus, kind(guest, bus.path, gather=False) as adapter:
         dump = listen(guest, adapter.path, '--summary')
         bus.start(SECONDS)
@@ -70,13 +64,13 @@ def test_every_byte_of_19_devices_at_2000000_baud_is_heard(
     record_property('figure', f'{heard["bytes"]} bytes in {SECONDS:.0f} s')
 
 
-def heard_ids(dump: Unit) -> set[int]:
+def heard_ids(dump):
     """Return which devices answered, as this dump lists them."""
     packets = [json.loads(line) for line in dump.log().splitlines() if line.startswith('{')]
     return {one['id'] for one in packets if one['instruction'] == 'Status'}
 
 
-def test_two_adapters_that_change_places_stay_the_bus_that_they_are(guest: Guest) -> None:
+def test_two_adapters_that_change_places_stay_the_bus_that_they_are(guest):
     with ExitStack() as stack:
         buses = [stack.enter_context(bus_of(devices, FEW_CYCLES_PER_S))
                  for devices in ('1-3:MX-64', '11-13:MX-64')]
@@ -86,7 +80,7 @@ def test_two_adapters_that_change_places_stay_the_bus_that_they_are(guest: Guest
         for bus in buses:
             bus.start()
         for dump, wanted in zip(dumps, ({1, 2, 3}, {11, 12, 13}), strict=True):
-            guest.until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)  # type: ignore[misc]
+            guest.until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)
         before = guest.run(f'readlink -f {left.path} {right.path}').out.split()
         left.unplug()
         right.unplug()
@@ -96,19 +90,18 @@ def test_two_adapters_that_change_places_stay_the_bus_that_they_are(guest: Guest
         known = [len(dump.log()) for dump in dumps]
         for dump, length in zip(dumps, known, strict=True):
             dump.wait_for('the port is open again')
-            guest.until(lambda dump=dump, length=length: len(dump.log()) > length + 2000)  # type: ignore[misc]
+            guest.until(lambda dump=dump, length=length: len(dump.log()) > length + 2000)
         assert [heard_ids(dump) for dump in dumps] == [{1, 2, 3}, {11, 12, 13}]
         for dump in dumps:
             dump.stop()
 
 
-def test_two_adapters_with_one_serial_number_are_told_apart_by_their_sockets(
-        guest: Guest) -> None:
+def test_two_adapters_with_one_serial_number_are_told_apart_by_their_sockets(guest):
     sockets = '/dev/serial/by-path'
     with ExitStack() as stack:
         buses = [stack.enter_context(bus_of(devices, FEW_CYCLES_PER_S))
                  for devices in ('1-3:MX-64', '11-13:MX-64')]
-        places: list[str] = []
+        places = []
         for bus, name in zip(buses, ('first', 'second'), strict=True):
             stack.enter_context(Ftdi(guest, bus.path, gather=False, serial='FTSAME', name=name))
             guest.wait(f'[ $(ls {sockets} | grep -c -- -usb-) = {len(places) + 1} ]')
@@ -118,5 +111,5 @@ def test_two_adapters_with_one_serial_number_are_told_apart_by_their_sockets(
         for bus in buses:
             bus.start()
         for dump, wanted in zip(dumps, ({1, 2, 3}, {11, 12, 13}), strict=True):
-            guest.until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)  # type: ignore[misc]
+            guest.until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)
             dump.stop()

@@ -3,9 +3,7 @@
 """A bus is heard without a second adapter while dynamixel-sdk drives it: usbmon and a tap."""
 from __future__ import annotations
 
-from collections.abc import Iterator
 import json
-from typing import Any
 
 import pytest
 
@@ -16,10 +14,8 @@ from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import none
 from rigs.drivers.adapters import Acm
-from rigs.drivers.adapters import Adapter
 from rigs.drivers.adapters import Ftdi
 from rigs.drivers.adapters import KINDS
-from rigs.drivers.guest import Guest
 from rigs.drivers.guest import SOURCE
 from rigs.drivers.image import VENV
 
@@ -44,7 +40,7 @@ SAID = [part for servo in (1, 2, 3) for part in (
 
 
 @pytest.fixture
-def bus() -> Iterator[FakeBus]:
+def bus():
     devices = make_devices(['1-3:MX-106'], Models(), BAUD, moving=False)
     bus = FakeBus(Master(Line(devices, BAUD), none))
     bus.start()
@@ -52,8 +48,7 @@ def bus() -> Iterator[FakeBus]:
     bus.stop()
 
 
-def test_the_installer_lets_the_service_alone_read_usbmon_and_takes_that_back(
-        guest: Guest, bus: FakeBus) -> None:
+def test_the_installer_lets_the_service_alone_read_usbmon_and_takes_that_back(guest, bus):
     monitors = 'stat -c "%U %G %a" /dev/usbmon1'
     with Ftdi(guest, bus.path, gather=False, serial='FTUSBMON') as adapter:
         guest.run(f'{INSTALLER} --bus {adapter.path} --usbmon --yes', 'robot', timeout_s=300)
@@ -72,8 +67,8 @@ def test_the_installer_lets_the_service_alone_read_usbmon_and_takes_that_back(
 
 
 @pytest.mark.parametrize('kind', (Ftdi, Acm), ids=lambda kind: kind.driver)
-def test_usbmon_shows_every_packet_of_a_master_and_follows_its_adapter(
-        guest: Guest, bus: FakeBus, kind: type[Adapter], record_property: Any) -> None:
+def test_usbmon_shows_every_packet_of_a_master_and_follows_its_adapter(guest, bus, kind,
+                                                                       record_property):
     guest.run('modprobe -r usbmon', check=False)
     with kind(guest, bus.path, gather=False) as adapter:
         path = guest.run(f'readlink -f {adapter.path}').out.strip()
@@ -100,8 +95,9 @@ def test_usbmon_shows_every_packet_of_a_master_and_follows_its_adapter(
 
 @pytest.mark.parametrize('by', ['tap', 'strace'])
 @pytest.mark.parametrize('kind', KINDS, ids=lambda kind: kind.driver)
-def test_a_tap_shows_every_packet_of_a_master_and_follows_it_to_its_next_start(
-        guest: Guest, bus: FakeBus, kind: type[Adapter], by: str, record_property: Any) -> None:
+def test_a_tap_shows_every_packet_of_a_master_and_follows_it_to_its_next_start(guest, bus, kind,
+                                                                               by,
+                                                                               record_property):
     guest.run('sysctl -q kernel.yama.ptrace_scope=1')          # as Ubuntu has it
     dump = guest.start('dump', f'dxl_dump tap:{TAP} --json --full', 'robot')
     guest.wait(f'ls /tmp/mecarover_serial-*/{TAP}.*', timeout_s=200)
@@ -118,7 +114,7 @@ def test_a_tap_shows_every_packet_of_a_master_and_follows_it_to_its_next_start(
     record_property('figure', f'{both_sides(log, 2)} packets, both sides')
 
 
-def both_sides(log: str, times: int) -> int:
+def both_sides(log, times):
     """Hold that a dump shows what the master and the servos said; return how many packets."""
     packets = [json.loads(line) for line in log.splitlines() if line.startswith('{')]
     assert [(one['side'], one['instruction'], one['id']) for one in packets] == times * SAID

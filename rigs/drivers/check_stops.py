@@ -3,39 +3,33 @@
 """Every way in which the bridge, its node apart, stops the rover: 8250, ftdi_sio, cdc_acm."""
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
-
 import pytest
 
 from rigs.drivers.adapters import KINDS
-from rigs.drivers.guest import Guest
-from rigs.drivers.rover import Record
-from rigs.drivers.rover import Rover
 from rigs.drivers.rover import rover_on
 
 REPLUGS = 10
 
 
 @pytest.fixture(scope='module', params=KINDS, ids=lambda kind: kind.driver)
-def rover(request: Any, guest: Guest) -> Iterator[Rover]:
+def rover(request, guest):
     with rover_on(request.param, guest) as rover:
         yield rover
 
 
-def test_the_rover_stops_when_the_commands_end(rover: Rover, record_property: Record) -> None:
+def test_the_rover_stops_when_the_commands_end(rover, record_property):
     stop_by(rover, 'USR1', record_property)
     rover.bridge.signal('USR2')
     rover.drive()
 
 
-def test_the_rover_stops_when_the_bridge_is_frozen(rover: Rover, record_property: Record) -> None:
+def test_the_rover_stops_when_the_bridge_is_frozen(rover, record_property):
     stop_by(rover, 'STOP', record_property)
     rover.bridge.signal('CONT')
     rover.drive()
 
 
-def stop_by(rover: Rover, signal: str, record_property: Record) -> None:
+def stop_by(rover, signal, record_property):
     """Drive, send the bridge a signal, and see the rover stop and stand."""
     rover.drive()
     rover.bridge.signal(signal)
@@ -43,8 +37,7 @@ def stop_by(rover: Rover, signal: str, record_property: Record) -> None:
     assert rover.stands(1)
 
 
-def test_the_rover_stops_first_each_time_that_the_cable_is_back(
-        rover: Rover, record_property: Record) -> None:
+def test_the_rover_stops_first_each_time_that_the_cable_is_back(rover, record_property):
     for _ in range(REPLUGS):
         rover.drive()
         rover.adapter.unplug()
@@ -52,18 +45,17 @@ def test_the_rover_stops_first_each_time_that_the_cable_is_back(
         known = len(rover.mcu.set_points)
         rover.adapter.plug()
         rover.guest.until(
-            lambda known=known: len(rover.mcu.set_points) > known)     # type: ignore[misc]
+            lambda known=known: len(rover.mcu.set_points) > known)
         assert rover.mcu.set_points[known].is_stop
     rover.drive()
     record_property('figure', f'{REPLUGS} times')
 
 
-def test_the_rover_stops_when_the_bridge_is_killed(rover: Rover, record_property: Record) -> None:
+def test_the_rover_stops_when_the_bridge_is_killed(rover, record_property):
     stop_by(rover, 'KILL', record_property)
 
 
-def test_the_rover_stops_when_the_bridge_is_ended(
-        rover: Rover, record_property: Record) -> None:
+def test_the_rover_stops_when_the_bridge_is_ended(rover, record_property):
     rover.drive()
     rover.bridge.signal('TERM')
     rover.stopped(record_property)

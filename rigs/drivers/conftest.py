@@ -3,12 +3,10 @@
 """One guest for all checks, with the package of this clone in it; and the table at the end."""
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 import subprocess
 import sys
 import tarfile
-from typing import Any
 
 import pytest
 
@@ -24,13 +22,13 @@ COMPILED = 'compiled'               # the folders in it, as -i of compileall tak
 GUEST = pytest.StashKey[str]()
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
+def pytest_addoption(parser):
     parser.addoption('--services', action='store_true',
                      help='run the checks of the three services without KVM too (20 minutes)')
 
 
 @pytest.fixture(scope='session')
-def guest(tmp_path_factory: pytest.TempPathFactory, request: Any) -> Iterator[Guest]:
+def guest(tmp_path_factory, request):
     """Boot the guest, with this clone installed in it."""
     folder = tmp_path_factory.mktemp('guest')
     pack(folder)
@@ -47,7 +45,7 @@ def guest(tmp_path_factory: pytest.TempPathFactory, request: Any) -> Iterator[Gu
         guest.close()
 
 
-def pack(folder: Path) -> None:
+def pack(folder):
     """Put what git knows of this clone where the guest sees it, and what pip makes of that."""
     source = folder / 'source'
     copy_source(source)
@@ -69,12 +67,12 @@ def pack(folder: Path) -> None:
         for path in (made / place).glob('site-packages/*/__init__.py')))
 
 
-def install(guest: Guest) -> None:
+def install(guest):
     guest.run(f'tar -C {VENV} --no-same-owner -xf {SHARED}/{PACKAGE} && '
               f'python -m compileall -q -i {SHARED}/{COMPILED}', timeout_s=600)
 
 
-def pytest_terminal_summary(terminalreporter: Any) -> None:
+def pytest_terminal_summary(terminalreporter):
     """Name each check as the sentence that it shows."""
     terminalreporter.section('checks on real drivers')
     terminalreporter.line(terminalreporter.config.stash.get(GUEST, 'guest: did not boot'))
@@ -86,7 +84,7 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
                                       f'{_sentence(report.nodeid)}' + (figure and f': {figure}'))
 
 
-def _sentence(node: str) -> str:
+def _sentence(node):
     """Return what the name of a check says, with its parameters."""
     name, _, parameters = node.rpartition('::')[2].removeprefix('test_').partition('[')
     return name.replace('_', ' ') + (f' ({parameters.rstrip("]")})' if parameters else '')

@@ -9,7 +9,6 @@ starts programs; systemd keeps those that go on, as units with a log.
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable
 from contextlib import suppress
 import os
 from pathlib import Path
@@ -19,7 +18,6 @@ import subprocess
 import time
 from typing import NamedTuple
 
-from rigs.drivers.image import Image
 from rigs.drivers.image import VENV
 from rigs.drivers.json_socket import JsonSocket
 from rigs.drivers.json_socket import Refused
@@ -42,7 +40,7 @@ UNPROTECTED = ' mitigations=off'
 WITHOUT_ROS = '_ROS_WHEELS_BOOTSTRAP_COMPLETE'
 
 
-def can_use_kvm() -> bool:
+def can_use_kvm():
     """Tell whether the processor may run the guest; /dev/kvm can be there without that."""
     return os.access(KVM, os.R_OK | os.W_OK) \
         and bool({'svm', 'vmx'} & set(Path('/proc/cpuinfo').read_text().split()))
@@ -63,7 +61,7 @@ class Failed(AssertionError):
 class Guest:
     """A machine that was booted from `image`; `shared` is a folder that it sees at SHARED."""
 
-    def __init__(self, image: Image, shared: Path) -> None:
+    def __init__(self, image, shared):
         self.has_kvm = can_use_kvm()
         self._folder = shared
         shared.chmod(0o755)                 # its users in the guest are not ours
@@ -77,7 +75,7 @@ class Guest:
         self._qmp.ask('qmp_capabilities')
         self._agent = self._connect('agent')
 
-    def _options(self, image: Image) -> list[str]:
+    def _options(self, image):
         folder = self._folder
         accelerator = ['-accel', 'kvm', '-cpu', 'host'] if self.has_kvm else EMULATED
         kernel_line = KERNEL_LINE if self.has_kvm else KERNEL_LINE + UNPROTECTED
@@ -99,7 +97,7 @@ class Guest:
             '-chardev', f'socket,id=uart,path={folder}/uart,server=on,wait=off',
             '-device', 'isa-serial,chardev=uart,index=1']
 
-    def _connect(self, name: str) -> JsonSocket:
+    def _connect(self, name):
         deadline = time.monotonic() + 30
         while True:
             with suppress(OSError):             # not there yet, or not listening yet
@@ -111,7 +109,7 @@ class Guest:
 
     # Booting
 
-    def wait_boot(self) -> float:
+    def wait_boot(self):
         """Wait until all units of the boot were started; return the seconds since QEMU began."""
         deadline = time.monotonic() + BOOT_S
         while not self._agent.synchronise():
@@ -122,7 +120,7 @@ class Guest:
         self.run(f'mkdir -p {SHARED} && mount -t 9p -o trans=virtio,ro shared {SHARED}')
         return time.monotonic() - self._begin
 
-    def reboot(self) -> None:
+    def reboot(self):
         """Boot again, as after `reboot`; what was written stays."""
         with suppress(TimeoutError, Refused):
             self._agent.ask('guest-shutdown', {'mode': 'reboot'}, timeout_s=2.0)
@@ -131,7 +129,7 @@ class Guest:
         self._agent = self._connect('agent')
         self.wait_boot()
 
-    def close(self) -> None:
+    def close(self):
         """Switch it off."""
         with suppress(Refused, OSError):
             self._qmp.ask('quit')
@@ -139,11 +137,11 @@ class Guest:
 
     # Waiting
 
-    def clock(self) -> float:
+    def clock(self):
         """Return seconds of a clock that stands while this machine lets the guest not run."""
         return time.monotonic() - self._held_up_s()
 
-    def _held_up_s(self) -> float:
+    def _held_up_s(self):
         """Return how long the virtual CPU was ready to run and another program ran."""
         for task in Path(f'/proc/{self._process.pid}/task').iterdir():
             with suppress(OSError):
@@ -151,7 +149,7 @@ class Guest:
                     return int((task / 'schedstat').read_text().split()[1]) / 1e9
         return 0.0
 
-    def until(self, condition: Callable[[], object], timeout_s: float = 60.0) -> None:
+    def until(self, condition, timeout_s=60.0):
         """Wait for something on this machine."""
         deadline = self.clock() + timeout_s
         while not condition():
@@ -161,8 +159,7 @@ class Guest:
 
     # Programs inside
 
-    def run(self, command: str, user: str = 'root', *, check: bool = True,
-            timeout_s: float = 60.0, stdin: str = '') -> Done:
+    def run(self, command, user='root', *, check=True, timeout_s=60.0, stdin=''):
         """Run a line of shell and wait for its end; `check`: raise Failed if that is not 0."""
         inner = ['timeout', '-k', '2', str(HELD_UP * timeout_s), 'env', f'PATH={PATH}',
                  f'{WITHOUT_ROS}=1', 'LANG=C.UTF-8', f'HOME={self._home(user)}',
@@ -186,7 +183,7 @@ class Guest:
             raise Failed(f'{command}: ended with {done.code}\n{done.out}{done.err}')
         return done
 
-    def start(self, name: str, command: str, user: str = 'root') -> Unit:
+    def start(self, name, command, user='root'):
         """Start a line of shell as a unit of systemd that goes on, NAME and a number."""
         self._started += 1
         name = f'{name}-{self._started}'
@@ -197,10 +194,10 @@ class Guest:
         return Unit(self, name)
 
     @staticmethod
-    def _home(user: str) -> str:
+    def _home(user):
         return '/root' if user == 'root' else f'/home/{user}'
 
-    def wait(self, command: str, user: str = 'root', timeout_s: float = 60.0) -> Done:
+    def wait(self, command, user='root', timeout_s=60.0):
         """Run a line of shell again and again until it succeeds."""
         deadline = self.clock() + timeout_s
         while (done := self.run(command, user, check=False)).code:
@@ -211,7 +208,7 @@ class Guest:
 
     # Adapters
 
-    def plug(self, name: str, driver: str = 'usb-serial', **properties: str | bool) -> Path:
+    def plug(self, name, driver='usb-serial', **properties):
         """Plug an adapter in; return the socket on which its far end is, open for one client."""
         path = self._folder / f'{name}.line'
         if driver == 'usb-serial':          # else it is plugged in when a client comes
@@ -223,19 +220,19 @@ class Guest:
                                      **properties})
         return path
 
-    def unplug(self, name: str) -> None:
+    def unplug(self, name):
         """Pull it out; returns when it is gone for the guest."""
         self._qmp.ask('device_del', {'id': f'plug-{name}'})
         self._qmp.wait_event('DEVICE_DELETED', f'plug-{name}')
         self._qmp.ask('chardev-remove', {'id': name})
 
     @property
-    def uart(self) -> Path:
+    def uart(self):
         """The socket behind the 16550 at ttyS1."""
         return self._folder / 'uart'
 
     @property
-    def gadget(self) -> Path:
+    def gadget(self):
         """The socket behind /dev/virtio-ports/gadget, for what a gadget sends and takes."""
         return self._folder / 'gadget'
 
@@ -243,14 +240,14 @@ class Guest:
 class Unit:
     """A unit of systemd in the guest."""
 
-    def __init__(self, guest: Guest, name: str) -> None:
+    def __init__(self, guest, name):
         self.name = name
         self._guest = guest
 
-    def log(self) -> str:
+    def log(self):
         return self._guest.run(f'journalctl -q -b -u {self.name} -o cat --no-pager').out
 
-    def wait_for(self, *parts: str, times: int = 1, timeout_s: float = 60.0) -> str:
+    def wait_for(self, *parts, times=1, timeout_s=60.0):
         """Wait for so many lines of this boot's log with `parts` in order; return the last."""
         pattern = '.*'.join(re.sub(r'([][.*^$\\])', r'\\\1', part) for part in parts)
         # One program that follows the log: asking again and again is dear where it is emulated.
@@ -261,15 +258,15 @@ class Unit:
         except Failed as error:
             raise Failed(f'{self.name}: {error}\n{self.log()}') from None
 
-    def signal(self, name: str, whom: str = 'main') -> None:
+    def signal(self, name, whom='main'):
         self._guest.run(f'systemctl kill -s {name} --kill-whom={whom} {self.name}')
 
-    def pid(self) -> str:
+    def pid(self):
         """Return the ID of its main process, '0' while there is none."""
         return self._guest.run(f'systemctl show -P MainPID {self.name}').out.strip()
 
-    def is_active(self) -> bool:
+    def is_active(self):
         return self._guest.run(f'systemctl is-active -q {self.name}', check=False).code == 0
 
-    def stop(self) -> None:
+    def stop(self):
         self._guest.run(f'systemctl stop {self.name}', check=False)

@@ -62,7 +62,7 @@ class Image(NamedTuple):
     initrd: Path
 
 
-def image() -> Image:
+def image():
     """Return the image of today's key; build it where there is none."""
     check_tools(TOOLS)
     content = (SUITE, PYTHON, SIZE, *PACKAGES, SETTLE, *_libraries(), *SOURCES_ONLY)
@@ -70,12 +70,12 @@ def image() -> Image:
     return Image(place / 'disk', place / 'vmlinuz', place / 'initrd.img')
 
 
-def _libraries() -> list[str]:
+def _libraries():
     """Return what pip shall install there: the package's requirements, without the package."""
     return [*requirements(EXTRAS), *ALSO]
 
 
-def _build(work: Path, made: Path) -> None:
+def _build(work, made):
     wheels = work / 'wheels'
     _fetch(wheels)
     tar = work / 'root.tar'
@@ -97,7 +97,7 @@ def _build(work: Path, made: Path) -> None:
         shutil.copy(source, made / name)
 
 
-def _fetch(wheels: Path) -> None:
+def _fetch(wheels):
     """Put the libraries there, as wheels for the Python of the guest."""
     do(*PIP, 'wheel', '--no-deps', '-w', str(wheels), *SOURCES_ONLY)
     do(*PIP, 'download', *wheels_for('x86_64'), f'--find-links={wheels}', '-d', str(wheels),

@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 import random
 import socket
-from typing import Any
 
 _READ_SIZE = 65_536
 _SYNC_S = 2.0
@@ -21,14 +19,13 @@ class Refused(Exception):
 class JsonSocket:
     """One socket; `ask` waits for the answer. QEMU's events are kept in `events`."""
 
-    def __init__(self, path: Path) -> None:
-        self.events: list[dict[str, Any]] = []
+    def __init__(self, path):
+        self.events = []
         self._socket = socket.socket(socket.AF_UNIX)
         self._socket.connect(str(path))
         self._buffer = b''
 
-    def ask(self, command: str, arguments: dict[str, Any] | None = None,
-            timeout_s: float = ANSWER_S) -> Any:
+    def ask(self, command, arguments=None, timeout_s=ANSWER_S):
         """Return what is answered; raise Refused, or TimeoutError."""
         self._send(command, arguments or {})
         while True:
@@ -39,8 +36,7 @@ class JsonSocket:
                 return answer['return']
             self._keep(answer)
 
-    def wait_event(self, name: str, device: str | None = None,
-                   timeout_s: float = ANSWER_S) -> None:
+    def wait_event(self, name, device=None, timeout_s=ANSWER_S):
         """Wait for an event of QEMU (of a device), one that came before included; forget it."""
         while True:
             for event in self.events:
@@ -49,7 +45,7 @@ class JsonSocket:
                     return
             self._keep(self._next(timeout_s))
 
-    def synchronise(self) -> bool:
+    def synchronise(self):
         """Tell whether the agent answers now; what it answered to older questions is dropped."""
         number = random.getrandbits(31)
         try:
@@ -60,18 +56,18 @@ class JsonSocket:
             return False
         return True
 
-    def close(self) -> None:
+    def close(self):
         self._socket.close()
 
-    def _keep(self, answer: dict[str, Any]) -> None:
+    def _keep(self, answer):
         if 'event' in answer:
             self.events.append(answer)
 
-    def _send(self, command: str, arguments: dict[str, Any]) -> None:
+    def _send(self, command, arguments):
         self._socket.sendall(json.dumps({'execute': command, 'arguments': arguments}).encode()
                              + b'\n')
 
-    def _next(self, timeout_s: float) -> dict[str, Any]:
+    def _next(self, timeout_s):
         self._socket.settimeout(timeout_s)
         while b'\n' not in self._buffer:
             chunk = self._socket.recv(_READ_SIZE)
@@ -79,5 +75,4 @@ class JsonSocket:
                 raise Refused('the machine has ended')
             self._buffer += chunk
         line, self._buffer = self._buffer.split(b'\n', 1)
-        answer: dict[str, Any] = json.loads(line.lstrip(b'\xff'))
-        return answer
+        return json.loads(line.lstrip(b'\xff'))

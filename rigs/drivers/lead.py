@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 import os
-from pathlib import Path
 import select
 import socket
 import threading
@@ -28,7 +27,7 @@ class Lead:
     a frame on in portions.
     """
 
-    def __init__(self, adapter: Path, fake: str, *, gather: bool = False) -> None:
+    def __init__(self, adapter, fake, *, gather=False):
         self._gather = gather
         self._adapter = socket.socket(socket.AF_UNIX)
         self._adapter.connect(str(adapter))
@@ -42,16 +41,16 @@ class Lead:
         self._thread = threading.Thread(target=self._run, name='lead')
         self._thread.start()
 
-    def __enter__(self) -> Lead:
+    def __enter__(self):
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self._done.set()
         self._thread.join()
         self._adapter.close()
         os.close(self._fake)
 
-    def _run(self) -> None:
+    def _run(self):
         while not self._done.is_set():
             wait_s = TURN_S if self._held else 0.05
             adapter = self._adapter.fileno()
@@ -63,7 +62,7 @@ class Lead:
             if self._held and time.monotonic() - self._held_at > IDLE_S:
                 self._hand_on()
 
-    def _from_guest(self) -> bool:
+    def _from_guest(self):
         """Take what the guest sent; False: the adapter was pulled out."""
         try:
             chunk = self._adapter.recv(READ_SIZE)
@@ -77,12 +76,12 @@ class Lead:
             self._hand_on()
         return True
 
-    def _hand_on(self) -> None:
+    def _hand_on(self):
         with suppress(OSError):
             self.handed += os.write(self._fake, self._held)
         self._held = b''
 
-    def _to_guest(self) -> None:
+    def _to_guest(self):
         with suppress(OSError):
             chunk = os.read(self._fake, READ_SIZE)
             self._adapter.setblocking(True)
@@ -93,13 +92,13 @@ class Lead:
 class Mcu(RunningMcu):
     """A fake MCU at the end of a cable."""
 
-    def has_taken(self, handed: int) -> bool:
+    def has_taken(self, handed):
         """Tell whether all of the bytes that were handed on are taken, its queue empty."""
         totals = self.receiver.totals
         return (totals.received >= handed
                 and len(self.set_points) >= totals.frames - totals.queue_full)
 
     @property
-    def drives(self) -> bool:
+    def drives(self):
         """Whether the wheels turn now."""
         return bool(self.set_points) and not self.set_points[-1].is_stop

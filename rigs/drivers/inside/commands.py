@@ -10,7 +10,7 @@ from rclpy.executors import ExternalShutdownException
 PERIOD_S = 0.1
 
 
-def main() -> None:
+def main():
     rclpy.init()
     node = rclpy.create_node('planner')
     publisher = node.create_publisher(Twist, 'cmd_vel', 1)

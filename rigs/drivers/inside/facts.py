@@ -21,7 +21,7 @@ BAUD = 115_200
 WRITTEN = 2000
 
 
-def main(path: str) -> None:
+def main(path):
     port = open_port(path, BAUD)
     fd = port.fd
     assert fd is not None
@@ -41,7 +41,7 @@ def main(path: str) -> None:
     print(json.dumps(facts))
 
 
-def second(path: str) -> str:
+def second(path):
     """Open it a second time, past the lock that pyserial users keep: TIOCEXCL alone decides."""
     try:
         os.close(os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
@@ -50,12 +50,12 @@ def second(path: str) -> str:
     return 'opened'
 
 
-def timer(path: str) -> str:
+def timer(path):
     file = Path('/sys/class/tty', os.path.basename(os.path.realpath(path)), 'device/latency_timer')
     return file.read_text().strip() if file.exists() else ''
 
 
-def read_only(path: str, close: object) -> str:
+def read_only(path, close):
     """Open it as the monitor does, and try to write."""
     close()                                                     # type: ignore[operator]
     port = open_port(path, BAUD, read_only=True)

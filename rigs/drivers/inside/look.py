@@ -12,7 +12,7 @@ from mecarover_serial.port_error import PortError
 from mecarover_serial.preflight import warnings
 
 
-def main(port: str, baud: str = '115200', mode: str = '') -> int:
+def main(port, baud='115200', mode=''):
     opened = None
     try:
         if not mode:

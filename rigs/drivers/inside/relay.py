@@ -11,7 +11,7 @@ import sys
 import tty
 
 
-def main(board: str, far: str) -> None:
+def main(board, far):
     ends = [os.open(path, os.O_RDWR | os.O_NOCTTY) for path in (board, far)]
     tty.setraw(ends[0])
     print('carrying', flush=True)

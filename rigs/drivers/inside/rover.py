@@ -20,7 +20,7 @@ PERIOD_S = 0.04
 FORWARD = Vel2d(0.2, 0.0, 0.0)
 
 
-def main(port: str) -> int:
+def main(port):
     deadman = Deadman()
     wanted = {'drive', 'live'}
     for number, change in ((signal.SIGUSR1, lambda: wanted.discard('drive')),
