@@ -3,7 +3,11 @@
 """A case of the doctor made by hand: devices, incidents and counts, without any packets."""
 
 from collections import deque
+from pathlib import Path
 
+import yaml
+
+from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import Counts
@@ -11,14 +15,17 @@ from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import ReplyLatency
+from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.doctor import found_by
 from dxl_monitor.doctor import RULES
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Mark
+from dxl_monitor.doctor.case import Sample
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.model.models import Models
+from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.reports import Level
 from msg_defs.timing import Summary
 
@@ -53,9 +60,9 @@ def device(number=1, model='XL430-W250', state=words.CONNECTED, registers=None, 
                         + seen(one, written or {}, 'w', age_s))
 
 
-def note(kind, detail, count, number=1, every_ms=300.0):
-    """Return as many incidents of a kind, the last of them just now."""
-    return [Incident(NOW - int(place * every_ms * MS), kind, number, detail)
+def note(kind, detail, count, number=1, every_ms=300.0, ago_s=0.0):
+    """Return as many incidents of a kind, the last of them so long ago."""
+    return [Incident(NOW - int(ago_s * S) - int(place * every_ms * MS), kind, number, detail)
             for place in reversed(range(count))]
 
 
@@ -111,3 +118,61 @@ def speaks_from_its_edge_on(rule, enough, message, figures, too_little):
     assert (claim.device, claim.level, claim.covers) == tuple(of.values())
     for less in too_little:
         assert claims(rule, **{**enough, **less}) == [], less
+
+
+# --- cases in a file -------------------------------------------------------------------------
+
+KINDS = {str(kind): kind for kind in vars(ev).values() if isinstance(kind, ev.IncidentKind)}
+DETAILS = {frozenset(detail._fields): detail for detail in vars(ev).values()
+           if isinstance(detail, type) and issubclass(detail, tuple)}
+SPOKEN = {'window': {'answers': 1000}, 'totals': {'answers': 1000}}
+SILENT = {'state': words.DISCONNECTED, 'missed_in_a_row': 9, 'last_heard_s': 1.6,
+          'window': {'missed': 9}}
+
+
+def cases_of(file):
+    """Yield the rows of a file, as speaks_from_its_edge_on takes them."""
+    rows = yaml.safe_load(Path(__file__).with_name(file).read_text(encoding='utf-8'))
+    for row in rows:
+        rule, says, figures = row.pop('rule'), row.pop('says'), row.pop('figures', {})
+        too_little = [_parts(less) for less in row.pop('too little', ())]
+        yield rule, _parts(row), says, figures, too_little
+
+
+def _parts(raw):
+    """Return the parts of a case as they are in Python."""
+    return {key.removesuffix('_ago_ns'): NOW - value if key.endswith('_ago_ns')
+            else _READ.get(key, lambda value: value)(value) for key, value in raw.items()}
+
+
+def _device(id=0, spoken=0, silent=0, **parts):
+    usual = SPOKEN if spoken else SILENT if silent else {}
+    return device(id or spoken or silent, **{**usual, **parts})
+
+
+def _notes(what, times=1, device=1, every_ms=300.0, ago_s=0.0, **detail):
+    if 'instruction' in detail:
+        detail['instruction'] = I[detail['instruction']]
+    return note(KINDS[what], DETAILS[frozenset(detail)](**detail), times, device, every_ms, ago_s)
+
+
+def _cycle(ids, ago_ns=(0,), **parts):
+    return asks(I[parts.pop('asks')], *ids, stamps=[NOW - ago for ago in ago_ns], **parts)
+
+
+def _sample(ago_s, goal=None, position=None, tick=None, voltage=None):
+    return Sample(NOW - int(ago_s * S), goal, position, tick, voltage)
+
+
+_READ = {
+    'covers': tuple, 'scanned': tuple, 'chain': tuple, 'level': Level.__getitem__,
+    'devices': lambda rows: [_device(**row) for row in rows],
+    'notes': lambda rows: [one for row in rows for one in _notes(**row)],
+    'cycles': lambda rows: tuple(_cycle(**row) for row in rows),
+    'waits': lambda rows: tuple(Wait(NOW, row['us'], row['device'], row.get('spoilt', False))
+                                for row in rows),
+    'samples': lambda of: {number: [_sample(*row) for row in rows]
+                           for number, rows in of.items()},
+    'counts': lambda rows: [(NOW - ago, {number: Counts(**counts)
+                                         for number, counts in of.items()}) for ago, of in rows],
+}

@@ -184,9 +184,12 @@ def _nameless(case: Case, device: DeviceReport) -> Found | None:
 """), named='dxl_monitor/doctor/FAMILY.py')
     code.change('docs/doctor.md', (
         '| `watchdog` ', '| `nameless` WARN | no joint name | name it in `devices` |\n'))
-    code.change('test/test_doctor_edges.py', ("    ('baud_moved',", """\
-    ('nameless', {'devices': [device()]}, 'it has no joint name; give it one', {},
-     [{'devices': [device(joint='knee')]}]),
+    code.change('test/doctor_edges.yaml', ('- rule: baud_moved', """\
+- rule: nameless
+  devices: [{id: 1}]
+  says: it has no joint name; give it one
+  too little:
+  - devices: [{id: 1, joint: knee}]
 """))
     code.passes('test_doctor_edges.py', 'nameless')
     code.passes('test_doctor_faults.py', 'every_rule')
