@@ -147,6 +147,8 @@ def _parts(raw):
 
 def _device(id=0, spoken=0, silent=0, **parts):
     usual = SPOKEN if spoken else SILENT if silent else {}
+    if 'delay' in parts:
+        parts['delay'] = summary(*parts['delay'])
     return device(id or spoken or silent, **{**usual, **parts})
 
 
@@ -160,6 +162,10 @@ def _cycle(ids, ago_ns=(0,), **parts):
     return asks(I[parts.pop('asks')], *ids, stamps=[NOW - ago for ago in ago_ns], **parts)
 
 
+def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False):
+    return [Wait(NOW - int(ago_s * S), us, device, spoilt)] * times
+
+
 def _sample(ago_s, goal=None, position=None, tick=None, voltage=None):
     return Sample(NOW - int(ago_s * S), goal, position, tick, voltage)
 
@@ -169,8 +175,7 @@ _READ = {
     'devices': lambda rows: [_device(**row) for row in rows],
     'notes': lambda rows: [one for row in rows for one in _notes(**row)],
     'cycles': lambda rows: tuple(_cycle(**row) for row in rows),
-    'waits': lambda rows: tuple(Wait(NOW, row['us'], row['device'], row.get('spoilt', False))
-                                for row in rows),
+    'waits': lambda rows: tuple(one for row in rows for one in _waits(**row)),
     'samples': lambda of: {number: [_sample(*row) for row in rows]
                            for number, rows in of.items()},
     'counts': lambda rows: [(NOW - ago, {number: Counts(**counts)

@@ -43,7 +43,6 @@ from dxl_monitor.doctor.two_timers import PeriodicTimer
 from dxl_monitor.port.driver import LineErrors
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
-from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.uart import heard_at
 
@@ -93,30 +92,6 @@ CUT_IN = bytes(len(READ_OF_3) - 6) + READ_OF_3[-6:]            # a question that
 FULL = [NOW - sum(([16 * MS] * 42 + [11 * MS] * 28)[:n]) for n in reversed(range(71))]
 
 ENOUGH = [
-    ('impatient_master', {'repeats': {1: I.READ, 2: I.READ, 3: I.PING}},
-     'the master repeats Read at once, 3 times in 10 s: its time-out is shorter than the answers '
-     'take; raise it', {'repeated': '3'}, [{'repeats': {1: I.READ, 2: I.READ}}]),
-    ('impatient_master', {'notes': [one for number in (1, 2) for one in note(
-        ev.ANSWERED_AGAIN, ev.Code(I.READ), 2, number, 100 + number)]
-        + note(ev.DAMAGED_INSTRUCTION, ev.Front(2, 7), 1)},
-     'the master repeats Read at once, 3 times in 10 s: its time-out is shorter than the answers '
-     'take; raise it', {'repeated': '3'},
-     [{'notes': note(ev.ANSWERED_AGAIN, ev.Code(I.READ), 4)},
-      {'notes': [one for number in (1, 2) for one in note(
-          ev.ANSWERED_AGAIN, ev.Code(I.READ), 2, number, 100 + number)]
-          + note(ev.DAMAGED_INSTRUCTION, ev.Front(2, 7), 2)}]),
-    ('impatient_master', {'notes': note(ev.ANSWERED_AGAIN, ev.Code(I.READ), 3)
-                          + note(ev.ANSWERED_AGAIN, ev.Code(I.READ), 2, 2)
-                          + note(ev.DAMAGED_INSTRUCTION, ev.Front(2, 7), 2)},
-     'the master repeats Read at once, 4 times in 10 s: its time-out is shorter than the answers '
-     'take; raise it', {'repeated': '4'}, []),
-    ('impatient_master', {'devices': [device(**ANSWERS)], 'waits': waits(10, 499, 3.0),
-                          'notes': damaged(3)},
-     'the master does not wait for answers and sends during them: it gives up within 500 us, '
-     'before a servo with factory settings answers; raise its time-out',
-     {'given up at once': '10'},
-     [{'waits': waits(10, 500)}, {'waits': waits(9, 499)}, {'waits': waits(10, 499, 3.001)},
-      {'waits': waits(10, 499, spoilt=True)}, {'notes': damaged(2)}, {'devices': [device()]}]),
     ('impatient_master', {'devices': [device(1), device(2, acks=False)], 'cycles': (
         HANDFUL._replace(stamps=tuple(UNPACED.stamps[n] - 2 * MS for n in range(3))), UNPACED),
         'waits': tuple(Wait(UNPACED.stamps[n] + 500_000, 500, 2, True) for n in range(3))},
@@ -147,45 +122,6 @@ ENOUGH = [
      [{'noise': b''}, {'notes': [*note(ev.TOO_LONG, ev.Sizes(1, 2), 1), *damaged(1),
                                  *note(ev.REPEATED, ev.Again(I.READ, 1680), 3)]},
       {'notes': [*damaged(1), *note(ev.REPEATED, ev.Again(I.READ, 1679), 3)]}]),
-    ('late_answers', {'notes': late(3), 'waits': waits(1, 95_000)},
-     'answers after the master gave up, during the next instruction: lower its Return Delay Time '
-     'or raise the time-out', {'late answers': '3', 'waits': '95.0 ms'},
-     [{'notes': late(2)}, {'notes': late(3, 3.0)}, {'waits': waits(1, 49)}]),
-    ('wrong_length', {'whom': 3,
-      'devices': [device(3)], 'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 3, 3)},
-     'answers 2 bytes to a read of 4: its firmware is at fault, or a second device has its ID; '
-     'update it, then unplug it and ping its ID', {'answers': '3'},
-     [{'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 2, 3)},
-      {'notes': note(ev.WRONG_SIZE, ev.Sizes(2, 4), 3, 3) + late(1, number=3)}]),
-    ('bus_too_slow', {'level': Level.OK,
-      'counters': {'Bytes': 225_100},
-                      'marks': {4: {'bytes': 9}, 3: {'bytes': 99}, 0: {}}},
-     'the line is busy for more than 75 % of the time: no room for a retry; raise the baud rate, '
-     'or read less', {'load (%)': '75', 'bytes per second': '75000'},
-     [{'counters': {'Bytes': 225_099}}, {'baud': 2_000_000}, {'marks': {0.9: {}, 0: {}}}]),
-    ('bus_too_slow', {'level': Level.OK,
-      'counters': {'Bytes': 90_000}, 'marks': {1: {}, 0: {}}},
-     'the line is busy for more than 75 % of the time: no room for a retry; raise the baud rate, '
-     'or read less', {'load (%)': '90', 'bytes per second': '90000'}, []),
-    *(('bus_too_slow', {'level': Level.WARN, 'counters': {'Bytes': 90_000},
-                        'marks': {1: {}, 0: {}}, **harm},
-       'the line is busy for more than 75 % of the time: no room for a retry; raise the baud '
-       'rate, or read less', {'load (%)': '90', 'bytes per second': '90000'}, [])
-      for harm in ({'notes': damaged(1)}, {'devices': [device(window={'missed': 1})]})),
-    ('two_masters', {'notes': note(ev.FOREIGN, ev.Code(2), 3)},
-     'the master received 3 instructions that it did not send: another program uses this bus; '
-     'stop one', {'instructions': '3'}, [{'notes': note(ev.FOREIGN, ev.Code(2), 2)}]),
-    ('return_delay', {'devices': [device(delay=summary(0.41, 0.55), **ANSWERS)]},
-     'waits 0.4 ms before each answer (reply latency): write 0 to Return Delay Time, which saves '
-     '4 ms of bus time per second', {'delay (ms)': '0.41', 'read': 'measured'},
-     [{'devices': [device(delay=summary(0.39, 0.5))]}, {'devices': [device(delay=summary(0.71))]},
-      {'devices': [device(delay=summary(0.41, 0.57))]},
-      {'devices': [device(delay=summary(0.41, 0.55, 4))]}]),
-    ('return_delay', {'devices': [device(registers={'Return Delay Time': 250}, **ANSWERS)]},
-     'waits 0.5 ms before each answer (Return Delay Time): write 0 to Return Delay Time, which '
-     'saves 5 ms of bus time per second', {'delay (ms)': '0.50', 'read': 'yes'},
-     [{'devices': [device(registers={'Return Delay Time': 199}, **ANSWERS)]},
-      {'devices': [device(registers={'Return Delay Time': 0}, delay=summary(0.5))]}]),
     ('latency_timer', {'cycles': (asks(I.READ, 1, stamps=FULL[::2]),
                                   asks(I.READ, 2, stamps=FULL[1::2]))},
      "most instructions come 16 ms after the previous answer: the latency timer of the master's "
