@@ -3,6 +3,7 @@
 """The doctor against every fault of the simulated bus: named, and nothing else; two at a time."""
 
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -17,7 +18,6 @@ from benchmark.confusion import reports
 from benchmark.confusion import SIDED
 from benchmark.confusion import told
 from benchmark.confusion import WITHIN_S
-from benchmark.confusion_cases import ANSWERS_BEHIND
 from benchmark.confusion_cases import Case
 from benchmark.confusion_cases import CASES
 from benchmark.confusion_cases import DXL1
@@ -28,7 +28,10 @@ from benchmark.confusion_cases import FAST_ROBOT
 from benchmark.confusion_cases import FEETECH
 from benchmark.confusion_cases import FEETECH_BEHIND
 from benchmark.confusion_cases import FEETECH_CASES
+from benchmark.confusion_cases import keys_of
+from benchmark.confusion_cases import rows_of
 from benchmark.confusion_cases import Scene
+from benchmark.confusion_cases import SCENES
 from dxl_monitor.doctor import feetech
 from dxl_monitor.doctor import RULES
 from dxl_monitor.doctor import setting_up
@@ -135,44 +138,14 @@ def test_found_through_an_adapter_that_gathers_bytes(name):
         == set(case.told)
 
 
-PAIRS = (
-    (ANSWERS_BEHIND, 'silent:3', 'latched:5', (('no_answer', 3), ('hardware_error', 5))),
-    (ANSWERS_BEHIND, 'silent:3', 'hot:6', (('no_answer', 3), ('too_hot', 6))),
-    (ANSWERS_BEHIND, 'silent:3', 'silent:6', (('no_answer', 3), ('no_answer', 6))),
-    (ANSWERS_BEHIND, 'silent:3', 'wrong_map:5', (('no_answer', 3), ('wrong_address', 5))),
-    (ANSWERS_BEHIND, 'silent:3', 'glitch', (('no_answer', 3), ('stray_bytes', None))),
-    (ANSWERS_BEHIND, 'duplicate:3', 'latched:5', (('duplicate_id', 3), ('hardware_error', 5))),
-    (ANSWERS_BEHIND, 'duplicate:3', 'low_voltage:6', (('duplicate_id', 3), ('voltage', 6))),
-    (ANSWERS_BEHIND, 'baud:3', 'eeprom:5', (('baud_moved', 3), ('eeprom_locked', 5))),
-    (ANSWERS_BEHIND, 'baud:3', 'hot:5', (('baud_moved', 3), ('too_hot', 5))),
-    (ANSWERS_BEHIND, 'reboot:3', 'latched:5', (('rebooted', 3), ('hardware_error', 5))),
-    (ANSWERS_BEHIND, 'header:3', 'wrong_map:5', (('turnaround', 3), ('wrong_address', 5))),
-    (ANSWERS_BEHIND, 'noise', 'latched:5', (('noise', None), ('hardware_error', 5))),
-    (ANSWERS_BEHIND, 'noise', 'protocol1', (('noise', None), ('protocol_1', None))),
-    (ANSWERS_BEHIND, 'two_masters', 'hot:5', (('two_masters', None), ('too_hot', 5))),
-    (ANSWERS_BEHIND, 'latency', 'latched:3', (('latency_timer', None), ('hardware_error', 3))),
-    (ANSWERS_BEHIND, 'overload', 'low_voltage:3', (('bus_too_slow', None), ('voltage', 3))),
-    # The loop was not seen to keep time before both began, so of that nothing is said.
-    (ANSWERS_BEHIND, 'jitter', 'eeprom_wear:3', (('eeprom_wear', 3),)),
-    (ANSWERS_BEHIND, 'unstuffed', 'no_ack:3', (('unstuffed', None), ('no_acks', 3))),
-    (ANSWERS_BEHIND, 'glitch', 'wrong_map:3', (('stray_bytes', None), ('wrong_address', 3))),
-    (ANSWERS_BEHIND, 'echo', 'hot:3', (('echo', None), ('too_hot', 3))),
-    (ANSWERS_BEHIND, 'late:3', 'latched:6', (('late_answers', 3), ('hardware_error', 6))),
-    (ANSWERS_BEHIND, 'foreign:3', 'hot:5', (('foreign_answers', 3), ('too_hot', 5))),
-    (FEETECH_BEHIND, 'silent:3', 'high_supply:5', (('no_answer', 3), ('wrong_supply', 5))),
-    (FEETECH, 'layout:3', 'hot:5', (('layout', 3), ('too_hot', 5))),
-    (FEETECH, 'latched:3', 'high_supply:5', (('hardware_error', 3), ('wrong_supply', 5))),
-    (FEETECH, 'glitch', 'offset:5', (('stray_bytes', None), ('calibrated_twice', 5))),
-    (DXL1, 'silent:3', 'latched:5', (('no_answer', 3), ('hardware_error', 5))),
-    (DXL1, 'header:3', 'wrong_map:5', (('turnaround', 3), ('layout', 5))),
-)
+PAIRS = rows_of(Path(__file__).with_name('fault_pairs.tsv'))
 
 
-@pytest.mark.parametrize(('scene', 'one', 'other', 'expected'), PAIRS)
-def test_two_faults_at_once_are_both_named(scene, one, other, expected):
+@pytest.mark.parametrize(('scene', 'one', 'other', 'said'), PAIRS)
+def test_two_faults_at_once_are_both_named(scene, one, other, said):
     faults = [f'{fault}:2' if ':' in fault else f'{fault}::2' for fault in (one, other)]
-    *_, last = reports(faults, scene, 7.0)
-    assert set(told(last)) == set(expected)
+    *_, last = reports(faults, SCENES[scene], 7.0)
+    assert set(told(last)) == set(keys_of(said))
 
 
 def test_a_fault_that_is_over_is_forgotten():
