@@ -4,13 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import contextmanager
 import threading
-from typing import Any
 
 from mecarover_fakes.fake_mcu import FakeMcu
-from mecarover_fakes.receiver import SetPoint
 
 PUMP_S = 0.01
 
@@ -18,35 +15,35 @@ PUMP_S = 0.01
 class RunningMcu(FakeMcu):
     """A fake MCU that keeps every set-point it takes; `running` pumps it in a thread."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
+    def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
-        self.set_points: list[SetPoint] = []
+        self.set_points = []
         self._lock = threading.RLock()               # the thread pumps, the test unplugs
 
-    def pump(self, timeout_s: float) -> list[SetPoint]:
+    def pump(self, timeout_s):
         with self._lock:
             taken = super().pump(timeout_s)
         self.set_points += taken
         return taken
 
-    def say(self, text: bytes) -> None:
+    def say(self, text):
         with self._lock:
             super().say(text)
 
-    def vanish(self) -> None:
+    def vanish(self):
         with self._lock:
             super().vanish()
 
-    def come_back(self) -> None:
+    def come_back(self):
         with self._lock:
             super().come_back()
 
     @contextmanager
-    def running(self) -> Iterator[RunningMcu]:
+    def running(self):
         """Pump in a thread; leaving ends it and closes the pty."""
         done = threading.Event()
 
-        def loop() -> None:
+        def loop():
             while not done.is_set():
                 self.pump(PUMP_S)
 

@@ -17,8 +17,6 @@ from dataclasses import field
 from mecarover_fakes.ground_truth import good_answers
 from mecarover_fakes.ground_truth import GroundTruth
 from mecarover_fakes.line import Answer
-from mecarover_fakes.line import Exchange
-from mecarover_fakes.line import Line
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import Request
@@ -34,7 +32,7 @@ class KnownTable:
     table: dict[int, int] = field(default_factory=dict)
     registered: tuple[int, bytes] | None = None
 
-    def store(self, address: int, data: bytes) -> None:
+    def store(self, address, data):
         """Note bytes of the control table."""
         self.table.update(enumerate(data, address))
 
@@ -42,28 +40,28 @@ class KnownTable:
 class WholeTruth(GroundTruth):
     """The counts, and what can be known of the control tables."""
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line):
         super().__init__()
         self._line = line
-        self.tables: dict[int, KnownTable] = defaultdict(KnownTable)
+        self.tables = defaultdict(KnownTable)
 
-    def take(self, exchange: Exchange) -> None:
+    def take(self, exchange):
         super().take(exchange)
         damaged = [burst.start for burst in exchange.bursts if not burst.intact]
         if exchange.bursts[0].intact:
             self._learn(exchange.request, [answer for answer in good_answers(exchange)
                                            if not damaged or answer.burst.start < min(damaged)])
 
-    def _learn(self, request: Request, answers: list[Answer]) -> None:
+    def _learn(self, request, answers):
         learn = LEARNING.get(request.instruction, WholeTruth._learn_nothing)
         good = [answer for answer in answers if not answer.error & ~ALERT]
         if learn in _FROM_ANSWERS or good == answers:
             learn(self, request, good)
 
-    def _learn_nothing(self, request: Request, answers: list[Answer]) -> None:
+    def _learn_nothing(self, request, answers):
         pass
 
-    def _learn_model(self, request: Request, answers: list[Answer]) -> None:
+    def _learn_model(self, request, answers):
         """Note what a Ping says; with another model nothing known before holds."""
         for answer in answers:
             if len(answer.params) != 3:
@@ -80,31 +78,31 @@ class WholeTruth(GroundTruth):
                     and (field := device.field('Firmware Version')) is not None:
                 known.store(field.at, answer.params[2:])
 
-    def _learn_read(self, request: Request, answers: list[Answer]) -> None:
+    def _learn_read(self, request, answers):
         accesses = {access.id: access for access in request.accesses}
         for answer in answers:
             access = accesses.get(answer.id)
             if access and len(answer.params) == access.length:
                 self.tables[answer.id].store(access.address, answer.params)
 
-    def _learn_write(self, request: Request, answers: list[Answer]) -> None:
+    def _learn_write(self, request, answers):
         for access in request.accesses:
             for number in self._meant(access.id):
                 self._store_written(number, access.address, access.data or b'')
 
-    def _learn_reg_write(self, request: Request, answers: list[Answer]) -> None:
+    def _learn_reg_write(self, request, answers):
         for access in request.accesses:
             for number in self._meant(access.id):
                 self.tables[number].registered = access.address, access.data or b''
 
-    def _learn_action(self, request: Request, answers: list[Answer]) -> None:
+    def _learn_action(self, request, answers):
         for number in self._meant(request.id):
             known = self.tables[number]
             if known.registered is not None:
                 self._store_written(number, *known.registered)
                 known.registered = None
 
-    def _learn_restart(self, request: Request, answers: list[Answer]) -> None:
+    def _learn_restart(self, request, answers):
         """Forget what is in RAM; of a Factory Reset, everything."""
         for number in self._meant(request.id):
             known, device = self.tables[number], self._line.at(number)
@@ -113,10 +111,10 @@ class WholeTruth(GroundTruth):
             known.registered = None
             known.table = {at: byte for at, byte in known.table.items() if at in kept}
 
-    def _meant(self, number: int) -> list[int]:
+    def _meant(self, number):
         return [*{*self.known, *self.tables}] if number == BROADCAST else [number]
 
-    def _store_written(self, number: int, address: int, data: bytes) -> None:
+    def _store_written(self, number, address, data):
         self.tables[number].store(address, data)
         if self._line.at(number) is not None:
             return
@@ -131,7 +129,7 @@ class WholeTruth(GroundTruth):
 
 _Learn = Callable[[WholeTruth, Request, list[Answer]], None]
 _READ, _WRITE = WholeTruth._learn_read, WholeTruth._learn_write
-LEARNING: dict[int, _Learn] = {      # a row for each instruction
+LEARNING = {      # a row for each instruction
     Instruction.PING: WholeTruth._learn_model,
     Instruction.READ: _READ,
     Instruction.SYNC_READ: _READ,
