@@ -327,21 +327,6 @@ def _answers(dashboard):
         return False
 
 
-@pytest.mark.parametrize(('options', 'code', 'words'), [
-    (['--port', 'x'], 2, '--port: x: not possible; give a whole number from 0 to 65535; see '),
-    (['--port', '70000'], 2, '70000: not possible'), (['--nonsense'], 2, '--nonsense; see '),
-    (['--host', '203.0.113.9'], 1, 'not an address of this machine'),
-    (['--host', 'a..b'], 1, 'a..b:8420: not a name; '),
-    (['--host', 'no.such.host.invalid'], 1, 'no.such.host.invalid:8420: ')])
-def test_mistakes_are_one_line(options, code, words):
-    with Program('mecarover_dashboard.serve', *options) as program:
-        assert program.exit_code() == code
-    assert words in program.text
-    assert 'Traceback' not in program.text
-    if code == 1:
-        assert len(program.lines) == 1
-
-
 def test_a_port_in_use_is_one_line_with_a_remedy():
     with Dashboard() as dashboard, \
             Program('mecarover_dashboard.serve', '--port', str(dashboard.port)) as program:

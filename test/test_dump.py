@@ -3,7 +3,6 @@
 """dxl_dump: what it lists, counts, shows, filters and records; and how it ends."""
 from contextlib import suppress
 import fcntl
-import gzip
 import json
 import os
 from pathlib import Path
@@ -536,46 +535,6 @@ def test_a_terminal_without_umlauts_gets_question_marks(recorded, tmp_path):
 
 
 # --- mistakes -------------------------------------------------------------------------------
-
-@pytest.mark.parametrize(('arguments', 'code', 'line'), [
-    ([], 2, 'SOURCE: none given; '),
-    (['/does/not/exist'], 1, '/does/not/exist: no such file or port; '),
-    (['/dev/ttyNONE0'], 1, '/dev/ttyNONE0: is not there; '),
-    (['loop://?x=y'], 1, 'loop://?x=y: not a URL that pyserial knows '),
-    (['/dev/null'], 1, '/dev/null: a device, but not a serial port; '),
-    (['/'], 2, '/: a directory; '),
-    (['-', '--id', 'knee'], 2, "'knee': not an ID; "),
-    (['-', '--id', '9-3'], 2, "'9-3': not an ID; "),
-    (['-', '--id', '0-999999999999'], 2, "'0-999999999999': not an ID; "),
-    (['-', '--instruction', '999'], 2, "'999': not an instruction; "),
-    (['-', '--instruction', 'sing'], 2, "'sing': not an instruction; use one of ping, read, "),
-    (['-', '--devices', '300'], 2, "devices: '300': an ID is at most 253; "),
-    (['-', '--devices', '1:MX-107'], 2, "devices: no model is called 'MX-107'; did you mean "),
-    (['-', '--model-dirs', '/does/not/exist'], 2, 'model_dirs: /does/not/exist: '),
-    (['-', '-w', '/does/not/exist/x'], 2, 'capture: /does/not/exist/x: No such file'),
-    (['-', '-w', '-', '--json'], 2, '-w -: the capture goes to stdout, '),
-    (['-', '-b', '0'], 2, '--baud: 0: not possible; '),
-    (['-', '-b', '9' * 4000], 2, '9: not possible; give a whole number from 1 to 100000000 Bd'),
-    (['-', '--count', '0'], 2, '--count: 0: not possible; '),
-    (['-', '--seconds', 'nan'], 2, '--seconds: nan: not possible; '),
-    (['-', '--devices', '1:MX-106:\x1b'], 2, "--devices '1:MX-106:\\x1b': control codes; "),
-    (['{packed}'], 2, '{packed}: compressed with gzip; unpack it first'),
-    (['setup.py'], 2,
-     'setup.py: a text file, not a recording; write: dxl_tap arm -- python setup.py'),
-    (['README.md'], 2, 'README.md: a text file, not a recording; give a pcap file, raw bytes or '),
-    (['--check-models', '/does/not/exist'], 1, '/does/not/exist: No such file'),
-    (['-w', 'x', 'run', '--', 'lerobot-record', '--fps=30'], 2, 'run: dxl_dump starts no program; '
-     'write: dxl_tap arm -- lerobot-record --fps=30, and dxl_dump tap:arm in another terminal'),
-    (['run', 'my x.py', '--new'], 2, 'run: dxl_dump starts no program; write: dxl_tap arm -- '
-     "python 'my x.py' --new, and "),
-    (['run'], 2, 'run: dxl_dump starts no program; write: dxl_tap arm -- python my_script.py, '),
-])
-def test_mistakes_are_one_line(tmp_path, arguments, code, line):
-    packed = tmp_path / 'bus.txt.gz'
-    packed.write_bytes(gzip.compress(b'# dxl_capture 1 '))
-    arguments = [text.format(packed=packed) for text in arguments]
-    [said] = dump(*arguments, code=code).splitlines()
-    assert said.startswith(f'dxl_dump: {line.format(packed=packed)}')
 
 
 def test_a_recording_may_be_called_run(tmp_path, recorded):

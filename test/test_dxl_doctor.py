@@ -239,30 +239,6 @@ def test_a_file_without_a_byte(tmp_path):
     assert 'no byte of a bus' in ' '.join(done.stdout.split())
 
 
-@pytest.mark.parametrize(('arguments', 'code', 'words'), [
-    ((), 2, 'SOURCE: none given'),
-    (('run',), 2, 'goes after --'),
-    (('setup.py', '--report', '/no/such/folder/x'), 2, 'cannot write to'),
-    (('/dev/null', '--', 'python'), 2, 'goes after --'),
-    (('setup.py',), 2, 'not a recording; write: dxl_doctor run -- python setup.py'),
-    (('--devices', '1', 'run', 'python', 'my x.py'), 2,
-     "-- is missing in front of the program; write dxl_doctor --devices 1 run -- python 'my x.py'"
-     ),
-    (('x', '--seconds', '0'), 2, '--seconds'),
-    (('no_such_file',), 1, 'no such file or port'),
-    (('/dev/ttyNONE0',), 1, 'is not there'),
-    (('run', '--', 'no_such_program'), 1, 'check the name of the program'),
-    (('run', '--', 'no_such.py', '1'), 1, 'directory; write python no_such.py'),
-    (('run', 'my.py', '-v'), 2, 'write dxl_doctor run -- python my.py -v'),
-])
-def test_a_mistake_is_one_line(arguments, code, words):
-    done = doctor(*arguments)
-    assert (done.returncode, done.stdout) == (code, '')
-    assert done.stderr.count('\n') == 1
-    assert done.stderr.startswith('dxl_doctor: ')
-    assert words in done.stderr
-
-
 def test_a_port_that_is_lost_is_told_by_the_doctor(tmp_path):
     link = tmp_path / 'bus'
     with Pty(str(link)) as pty:

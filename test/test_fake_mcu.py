@@ -158,18 +158,6 @@ def test_tool_for_people():
     assert (process.returncode, err) == (0, '')
 
 
-def test_tool_refuses_in_one_line(tmp_path):
-    occupied = tmp_path / 'file'
-    occupied.write_text('mine')
-    for arguments, code in ((['--link', str(occupied)], 1), (['--vanish', 'soon'], 2)):
-        process = tool(*arguments)
-        out, err = process.communicate(timeout=10)
-        assert (process.returncode, out) == (code, '')
-        assert err.startswith('fake_mcu: ')
-        assert len(err.splitlines()) == 1
-    assert occupied.read_text() == 'mine'
-
-
 def test_it_says_which_frames_it_refuses():
     both = b'crc mismatch!\r\ninsufficient bytes received\r\n'
     for talks in (True, False):

@@ -335,17 +335,6 @@ def test_names_of_sources():
         'ttyUSB0', 'ttyUSB0', '1-1.2', 'arm', 'ttyUSB1', 'host:1']
 
 
-@pytest.mark.parametrize(('name', 'words'), [
-    ('usb:/dev/ttyUSB77', 'usb:/dev/ttyUSB77: is not there; plug the adapter in'),
-    ('usb:', 'is not there'), ('tap:', 'cannot be the name of a tap'),
-    ('tap:a b', 'cannot be the name of a tap')])
-def test_wrong_names_are_one_line(name, words):
-    done = dump(name, '--seconds', '1')
-    assert done.returncode == 1
-    assert words in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-
-
 # --- files -------------------------------------------------------------------------------------
 
 

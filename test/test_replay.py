@@ -3,7 +3,6 @@
 """A run that was captured and is replayed leads to what it led to live."""
 import io
 import os
-from pathlib import Path
 import random
 import signal
 import stat
@@ -177,35 +176,6 @@ def test_raw_bytes_play_at_the_speed_of_the_wire(tmp_path):
             replay.wait_for('played')
             wait(lambda: ear.listener.counters.bytes == path.stat().st_size)
             assert ear.report().counters['Noise Bytes'] == 0
-
-
-@pytest.mark.parametrize(('arguments', 'line', 'code'), [
-    (['/does/not/exist'], '/does/not/exist: No such file or directory', 1),
-    (['/'], '/: a directory; ', 2),
-    (['{capture}', '--speed', '-1'], '--speed -1: not possible; ', 2),
-    (['{capture}', '--bus', 'arm'], '--bus arm: not in this capture; there are: bus', 2),
-    (['{capture}', '--link', '/does/not/exist/x'], '/does/not/exist/x: cannot be made', 1),
-    (['{empty}'], '{empty}: it holds no bytes; ', 2),
-    (['{capture}', '--speed', '1e-320'], '--speed 9.99989e-321: not possible; ', 2),
-    (['{capture}', '-b', '0'], '--baud: 0: not possible; ', 2),
-    (['{capture}', '-b', '-5'], '--baud: -5: not possible; ', 2),
-    (['/dev/zero'], '/dev/zero: not a file, ', 2),
-    (['{pipe}'], '{pipe}: not a file, ', 2),
-    (['run', '--', 'python', 'x.py'], 'run: dxl_replay starts no program; write: dxl_tap arm -- '
-     'python x.py, and dxl_dump tap:arm -w bus.txt in another terminal, to play bus.txt', 2),
-    (['setup.py'],
-     'setup.py: a text file, not a recording; write: dxl_tap arm -- python setup.py', 2),
-])
-def test_mistakes_are_one_line(tmp_path, arguments, line, code):
-    names = {'capture': str(tmp_path / 'bus.txt'), 'empty': str(tmp_path / 'empty.txt'),
-             'pipe': str(tmp_path / 'pipe')}
-    Path(names['capture']).write_bytes(capture(run(seconds=0.1)))
-    Path(names['empty']).write_bytes(capture([]))
-    os.mkfifo(names['pipe'])
-    with Program(REPLAY, *(text.format(**names) for text in arguments)) as replay:
-        assert replay.exit_code() == code
-    [said] = replay.lines
-    assert said.startswith(f'dxl_replay: {line.format(**names)}')     # the name of the command
 
 
 def test_a_file_in_the_place_of_the_link_stays(tmp_path):

@@ -139,14 +139,6 @@ def test_on_a_terminal_it_draws_in_place_and_cuts_no_line():
     assert re.search(r'rows 1 to 10 of \d+; a larger window shows more', rows[-1])
 
 
-@pytest.mark.parametrize('arguments', [['--wait', '0'], ['--wait', 'x'], ['--often']])
-def test_wrong_usage(arguments):
-    done = subprocess.run([sys.executable, '-m', 'mecarover_dashboard.terminal', *arguments],
-                          cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 2
-    assert 'Traceback' not in done.stderr
-
-
 @pytest.mark.ros
 @pytest.mark.alone
 def test_once_for_scripts(ros, tmp_path):

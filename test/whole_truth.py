@@ -10,16 +10,13 @@ after a good instruction, with nothing damaged between the two.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import field
 
 from mecarover_fakes.ground_truth import good_answers
 from mecarover_fakes.ground_truth import GroundTruth
-from mecarover_fakes.line import Answer
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Instruction
-from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_packet import BROADCAST
 
 
@@ -127,7 +124,6 @@ class WholeTruth(GroundTruth):
                 return
 
 
-_Learn = Callable[[WholeTruth, Request, list[Answer]], None]
 _READ, _WRITE = WholeTruth._learn_read, WholeTruth._learn_write
 LEARNING = {      # a row for each instruction
     Instruction.PING: WholeTruth._learn_model,

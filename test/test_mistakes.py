@@ -1,0 +1,49 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a user types wrong: one line on stderr with the thing, the reason and the remedy."""
+import gzip
+import os
+from pathlib import Path
+import shlex
+import subprocess
+import sys
+
+from harness import DEADLINE_S
+from harness import ROOT
+import pytest
+
+MODULES = {
+    'dxl_dump': 'dxl_monitor.tools.dxl_dump', 'dxl_doctor': 'dxl_monitor.tools.dxl_doctor',
+    'dxl_replay': 'dxl_monitor.tools.replay', 'dxl_dashboard': 'mecarover_dashboard.serve',
+    'mecarover_status': 'mecarover_dashboard.terminal', 'fake_bus': 'mecarover_fakes.fake_bus',
+    'fake_mcu': 'mecarover_fakes.fake_mcu',
+}
+CAPTURE = '# dxl_capture 2 began 2026-09-21T14:13:20.000000Z at 1.000000000\n'
+ROWS = [line.split('\t') for line in Path(__file__).with_name('mistakes.tsv').read_text(
+    encoding='utf-8').splitlines() if line[0] != '#']
+
+
+@pytest.fixture
+def names(tmp_path):
+    """Return what the words in braces in mistakes.tsv are."""
+    (tmp_path / 'packed').write_bytes(gzip.compress(b'# dxl_capture 1 '))
+    (tmp_path / 'empty').write_text(CAPTURE)
+    (tmp_path / 'capture').write_text(
+        f'{CAPTURE}# bus bus baud 2000000 latency_timer_ms 0 port \n(1.000000000) bus ff\n')
+    os.mkfifo(tmp_path / 'pipe')
+    return {'long': '9' * 4000, 'escape': '\x1b', **{
+        name: tmp_path / name for name in ('packed', 'empty', 'capture', 'pipe')}}
+
+
+@pytest.mark.parametrize(('program', 'typed', 'code', 'said'), ROWS)
+def test_a_mistake_is_one_line(program, typed, code, said, names):
+    before = names['capture'].read_bytes()
+    done = subprocess.run(
+        [sys.executable, '-m', MODULES[program],
+         *(word.format(**names) for word in shlex.split(typed))], cwd=ROOT, text=True,
+        stdin=subprocess.DEVNULL, capture_output=True, timeout=DEADLINE_S, check=False)
+    assert (done.returncode, done.stdout) == (int(code), '')
+    *usage, line = done.stderr.splitlines()
+    assert ''.join(usage).startswith('usage: ' * said.startswith('error: '))
+    assert line.startswith(f'{program}: {said.format(**names)}')
+    assert names['capture'].read_bytes() == before
