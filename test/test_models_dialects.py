@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Model files of Protocol 1.0 and Feetech: against their sources, and what they decode."""
 
+from collections import defaultdict
+from pathlib import Path
 import struct
 
 import pytest
@@ -17,41 +19,11 @@ MODELS = Models()
 FAMILIES = {'1': ('AX-12A', 'RX-64', 'EX-106+', 'MX-12W', 'MX-28(1.0)', 'MX-64(1.0)'),
             'feetech': ('STS3215', 'STS3250', 'SM8512BL', 'SCS0009', 'SCS15', 'HLS3625')}
 
-# (address, size) by the names of LeRobot's tables (7427f31), checked against Feetech's own SDK
-# where that has the register; names that we spell as Dynamixel does stand in `aliases` too.
-LEROBOT_STS = {
-    'Firmware Major Version': (0, 1), 'Firmware Minor Version': (1, 1), 'Model Number': (3, 2),
-    'ID': (5, 1), 'Baud Rate': (6, 1), 'Return Delay Time': (7, 1),
-    'Response Status Level': (8, 1), 'Min Position Limit': (9, 2), 'Max Position Limit': (11, 2),
-    'Max Temperature Limit': (13, 1), 'Max Voltage Limit': (14, 1), 'Min Voltage Limit': (15, 1),
-    'Max Torque Limit': (16, 2), 'Phase': (18, 1), 'Unloading Condition': (19, 1),
-    'LED Alarm Condition': (20, 1), 'P Coefficient': (21, 1), 'D Coefficient': (22, 1),
-    'I Coefficient': (23, 1), 'Minimum Startup Force': (24, 2), 'CW Dead Zone': (26, 1),
-    'CCW Dead Zone': (27, 1), 'Protection Current': (28, 2), 'Angular Resolution': (30, 1),
-    'Homing Offset': (31, 2), 'Operating Mode': (33, 1), 'Protective Torque': (34, 1),
-    'Protection Time': (35, 1), 'Overload Torque': (36, 1), 'Torque Enable': (40, 1),
-    'Acceleration': (41, 1), 'Goal Position': (42, 2), 'Goal Time': (44, 2),
-    'Goal Velocity': (46, 2), 'Torque Limit': (48, 2), 'Lock': (55, 1),
-    'Present Position': (56, 2), 'Present Velocity': (58, 2), 'Present Load': (60, 2),
-    'Present Voltage': (62, 1), 'Present Temperature': (63, 1), 'Status': (65, 1),
-    'Moving': (66, 1), 'Present Current': (69, 2)}
-LEROBOT_SCS = {
-    'Model Number': (3, 2), 'Min Position Limit': (9, 2), 'Max Torque Limit': (16, 2),
-    'CCW Dead Zone': (27, 1), 'Protective Torque': (37, 1), 'Protection Time': (38, 1),
-    'Torque Enable': (40, 1), 'Goal Position': (42, 2), 'Goal Velocity': (46, 2), 'Lock': (48, 1),
-    'Present Position': (56, 2), 'Present Load': (60, 2), 'Present Voltage': (62, 1),
-    'Status': (65, 1), 'Moving': (66, 1)}
-# dynamixel-workbench (2eb370f) and rustypot (c79239a): what all of them have, and what MX has.
-WORKBENCH = {
-    'Model Number': (0, 2), 'Firmware Version': (2, 1), 'ID': (3, 1), 'Baud Rate': (4, 1),
-    'Return Delay Time': (5, 1), 'CW Angle Limit': (6, 2), 'CCW Angle Limit': (8, 2),
-    'Temperature Limit': (11, 1), 'Min Voltage Limit': (12, 1), 'Max Voltage Limit': (13, 1),
-    'Max Torque': (14, 2), 'Status Return Level': (16, 1), 'Alarm LED': (17, 1),
-    'Shutdown': (18, 1), 'Torque Enable': (24, 1), 'LED': (25, 1), 'Goal Position': (30, 2),
-    'Moving Speed': (32, 2), 'Torque Limit': (34, 2), 'Present Position': (36, 2),
-    'Present Speed': (38, 2), 'Present Load': (40, 2), 'Present Voltage': (42, 1),
-    'Present Temperature': (43, 1), 'Registered': (44, 1), 'Moving': (46, 1), 'Lock': (47, 1),
-    'Punch': (48, 2)}
+SOURCES = defaultdict(dict)
+for line in Path(__file__).with_name('register_sources.tsv').read_text().splitlines():
+    if line[0] != '#':
+        source, register, at, size = line.split('\t')
+        SOURCES[source][register] = int(at), int(size)
 
 
 def named(name):
@@ -64,12 +36,12 @@ def shown(name, field, raw):
     return named(name).by_name[field].decode(raw).text
 
 
-@pytest.mark.parametrize(('name', 'rows'), [
-    ('STS3215', LEROBOT_STS), ('STS3250', LEROBOT_STS), ('SM8512BL', LEROBOT_STS),
-    ('SCS0009', LEROBOT_SCS), ('SCS15', LEROBOT_SCS),
-    *((name, WORKBENCH) for name in FAMILIES['1'])])
-def test_every_register_of_the_sources_is_where_they_have_it(name, rows):
-    model = named(name)
+@pytest.mark.parametrize(('name', 'source'), [
+    ('STS3215', 'LeRobot STS'), ('STS3250', 'LeRobot STS'), ('SM8512BL', 'LeRobot STS'),
+    ('SCS0009', 'LeRobot SCS'), ('SCS15', 'LeRobot SCS'),
+    *((name, 'workbench MX') for name in FAMILIES['1'])])
+def test_every_register_of_the_sources_is_where_they_have_it(name, source):
+    model, rows = named(name), SOURCES[source]
     assert {field: (model.by_name[field].at, model.by_name[field].size) for field in rows} == rows
 
 
