@@ -5,6 +5,7 @@
 
 from doctor_case import asks
 from doctor_case import case
+from doctor_case import cases_of
 from doctor_case import COUNTERS
 from doctor_case import device
 from doctor_case import MS
@@ -158,52 +159,22 @@ def test_a_rule_speaks_from_its_edge_on(row):
 
 # --- what it cannot tell ---------------------------------------------------------------------
 
-DOUBTS = [
-    ('noise', {'notes': damaged(4)}, None,
-     '4 damaged packets in 10 s are too few to find a cause'),
-    ('noise', {'notes': note(ev.SOURCE_LOST, ev.Much(3), 2)}, None,
-     '6 USB events or bytes were lost: lost data looks like silence; take other devices off this '
-     'USB bus'),
-    ('models', {'devices': [device(9, ''), device(8, '', last_heard_s=None)],
-                'started': NOW - 3 * S}, None,
-     '009: model not known, so registers have no names and some causes cannot be found; set '
-     '`devices`, or let the master Ping'),
-    ('no_answer', {'devices': [device(3, state=words.EXPECTED, last_heard_s=None)]}, 3,
-     'in `devices`, but the master never asks it'),
-    ('late_answers', {'notes': late(3, number=2), 'waits': waits(1, 49)}, 2,
-     'the next instruction comes during its answers: two programs, or one that does not wait'),
-    ('too_hot', {'devices': [device(4, 'MX-106', model_number=9, registers={
-        'Present Temperature': 99})]}, None, '004: Temperature Limit never read'),
-    ('voltage', {'devices': [device(4, 'MX-106', model_number=9, registers={
-        'Present Input Voltage': 99})]}, None, '004: voltage limits never read'),
-    ('wrong_supply', {'devices': [device(4, 'STS3215', registers={
-        'Present Input Voltage': 99})]}, None,
-     '004: Max Voltage Limit never read, so it is unknown whether they fit the supply'),
-    ('never_written', {'devices': [device(5, totals={'reads': 20}, window={'answers': 1})]}, 5,
-     'read but never written, like all others: this master may only monitor'),
-]
+DOUBTS = [*cases_of('doctor_doubts.yaml')]
 
 
-@pytest.mark.parametrize(('rule', 'parts', 'number', 'reason'), DOUBTS,
-                         ids=[row[0] for row in DOUBTS])
-def test_what_cannot_be_told_is_said(rule, parts, number, reason):
-    assert [one for one in told(rule, **parts) if isinstance(one, Doubt)] \
-        == [Doubt(number, reason)]
+@pytest.mark.parametrize('row', DOUBTS, ids=[row[0] for row in DOUBTS])
+def test_what_cannot_be_told_is_said(row):
+    rule, parts, reason, _, too_little = row
+    found = {name: part for name, part in parts.items() if name != 'whom'}
+    assert [one for one in told(rule, **found) if isinstance(one, Doubt)] \
+        == [Doubt(parts.get('whom'), reason)]
+    for less in too_little:
+        assert told(rule, **{**found, **less}) == [], less
 
 
-@pytest.mark.parametrize(('rule', 'parts'), [
-    ('noise', {}), ('models', {'devices': [device(9, '')], 'started': NOW - 3 * S + 1}),
-    ('models', {'devices': [device(9)]}),
-    ('no_answer', {'devices': [device(3, state=words.EXPECTED)]}),
-    ('no_answer', {'devices': [device(3, state=words.EXPECTED, last_heard_s=None,
-                                      window={'missed': 1})]}),
-    ('return_delay', {'devices': [device(registers={'Return Delay Time': 0}, **ANSWERS)]}),
-    *(('voltage', {'devices': [device(4, 'MX-106', model_number=9, registers={
-        'Present Input Voltage': 120, **limit})]})
-      for limit in ({'Max Voltage Limit': 160}, {'Min Voltage Limit': 95})),
-])
-def test_without_a_reason_no_doubt_is_told(rule, parts):
-    assert told(rule, **parts) == []
+def test_a_return_delay_that_is_read_as_none_is_not_doubted():
+    one = device(registers={'Return Delay Time': 0}, **ANSWERS)
+    assert told('return_delay', devices=[one]) == []
 
 
 def test_what_is_noted_of_an_id_that_is_no_device_is_not_told_of_one():
