@@ -7,6 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
+from rigs.tables import rows_of
+
 ROBOT = ('1-5:MX-106', '6-8:MX-64', '100:Rhoban DXL Board')
 FAST_ROBOT = ('1-5:XL430-W250', '6-8:XM540-W270')
 ARM = ('1-5:STS3215', '6-8:STS3250')
@@ -49,14 +51,6 @@ SCENES = {
     'feetech each': FEETECH._replace(pattern='registered', rate=20.0),
     'dxl1': DXL1, 'dxl1 bulk': DXL1_BULK, 'dxl1 slow': DXL1._replace(rate=20.0),
 }
-
-
-def rows_of(path):
-    """Return the rows of a file, with so many columns as its last comment names."""
-    comments, rows = [], []
-    for line in path.read_text(encoding='utf-8').splitlines():
-        (comments if line[0] == '#' else rows).append(line.split('\t'))
-    return [row + [''] * (len(comments[-1]) - len(row)) for row in rows]
 
 
 def keys_of(said):

@@ -19,11 +19,9 @@ from statistics import median
 import subprocess
 import sys
 from typing import NamedTuple
-from typing import TypeVar
 
 from mecarover_serial.ros_domain import BENCHMARKS
 
-Result = TypeVar('Result')
 REPOSITORY = Path(__file__).resolve().parents[1]
 _TICKS = os.sysconf('SC_CLK_TCK')
 

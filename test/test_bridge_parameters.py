@@ -27,7 +27,6 @@ from vel2d_bridge.bridge_settings import PARAMETERS
 
 pytestmark = pytest.mark.ros
 NODE = '/vel2d_bridge'
-LINK = 'vel2d_bridge: link'
 CONFIG = ROOT / 'config' / 'bridge.yaml'
 # Root may open any file; without this capability it has to obey as everybody else.
 OBEDIENT = ('setpriv', '--bounding-set=-dac_override') if os.geteuid() == 0 else ()

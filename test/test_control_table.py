@@ -17,11 +17,11 @@ from dxl_monitor.model.control_table import number_text
 from dxl_monitor.model.control_table import Span
 from dxl_monitor.model.control_table import STRUCTS
 from dxl_monitor.model.models import Models
+from rigs.tables import rows_of
 
 MODELS = Models()
 
-SPOTS = [line.split('\t') for line in Path(__file__).with_name('register_texts.tsv').read_text(
-    encoding='utf-8').splitlines() if line[0] != '#']
+SPOTS = rows_of(Path(__file__).with_name('register_texts.tsv'))
 
 
 def named(name):

@@ -29,7 +29,6 @@ from benchmark.confusion_cases import FEETECH
 from benchmark.confusion_cases import FEETECH_BEHIND
 from benchmark.confusion_cases import FEETECH_CASES
 from benchmark.confusion_cases import keys_of
-from benchmark.confusion_cases import rows_of
 from benchmark.confusion_cases import Scene
 from benchmark.confusion_cases import SCENES
 from dxl_monitor.doctor import feetech
@@ -38,6 +37,7 @@ from dxl_monitor.doctor import setting_up
 from mecarover_fakes.faults import KINDS
 from mecarover_fakes.traffic import FAMILY_1
 from mecarover_fakes.traffic import PATTERNS
+from rigs.tables import rows_of
 
 LONG = 140                         # characters of a line that one reads at a glance
 ENOUGH = 25                        # faults of each protocol

@@ -56,10 +56,6 @@ def damaged(count):
     return note(ev.DAMAGED_STATUS, ev.Front(0x55, 8), count)
 
 
-def late(count, apart_ms=3.001, number=1):
-    return note(ev.LATE, ev.Lateness(100), count, number, apart_ms)
-
-
 def blurred(ms):
     """Return what is told of the time between two chunks."""
     return (Metric('time_between_buffers', 'ms', summary(ms)),)

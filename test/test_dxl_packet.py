@@ -26,7 +26,6 @@ from msg_defs.frame import is_good
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data'
 VECTORS = DATA / 'dxl_vectors.json'
-TRACE = DATA / 'bus_trace_head.bin'
 NO_VECTORS = 'skipped: the published vectors are not here'
 
 PING = encode(1, 0x01)

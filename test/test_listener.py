@@ -23,7 +23,6 @@ from mecarover_serial.pty import Pty
 
 pytestmark = pytest.mark.alone
 
-DEADLINE_S = 20.0
 
 
 def _wait_longer(found, than):

@@ -12,6 +12,8 @@ from harness import DEADLINE_S
 from harness import ROOT
 import pytest
 
+from rigs.tables import rows_of
+
 MODULES = {
     'dxl_dump': 'dxl_monitor.tools.dxl_dump', 'dxl_doctor': 'dxl_monitor.tools.dxl_doctor',
     'dxl_replay': 'dxl_monitor.tools.replay', 'dxl_dashboard': 'mecarover_dashboard.serve',
@@ -19,8 +21,7 @@ MODULES = {
     'fake_mcu': 'mecarover_fakes.fake_mcu',
 }
 CAPTURE = '# dxl_capture 2 began 2026-09-21T14:13:20.000000Z at 1.000000000\n'
-ROWS = [line.split('\t') for line in Path(__file__).with_name('mistakes.tsv').read_text(
-    encoding='utf-8').splitlines() if line[0] != '#']
+ROWS = rows_of(Path(__file__).with_name('mistakes.tsv'))
 
 
 @pytest.fixture

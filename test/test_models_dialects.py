@@ -14,16 +14,15 @@ from dxl_monitor.model.layers import model_key
 from dxl_monitor.model.models import BUILT_IN
 from dxl_monitor.model.models import check_models
 from dxl_monitor.model.models import Models
+from rigs.tables import rows_of
 
 MODELS = Models()
 FAMILIES = {'1': ('AX-12A', 'RX-64', 'EX-106+', 'MX-12W', 'MX-28(1.0)', 'MX-64(1.0)'),
             'feetech': ('STS3215', 'STS3250', 'SM8512BL', 'SCS0009', 'SCS15', 'HLS3625')}
 
 SOURCES = defaultdict(dict)
-for line in Path(__file__).with_name('register_sources.tsv').read_text().splitlines():
-    if line[0] != '#':
-        source, register, at, size = line.split('\t')
-        SOURCES[source][register] = int(at), int(size)
+for source, register, at, size in rows_of(Path(__file__).with_name('register_sources.tsv')):
+    SOURCES[source][register] = int(at), int(size)
 
 
 def named(name):

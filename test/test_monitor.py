@@ -3,7 +3,6 @@
 """A bus over time: states, levels and words, rates, idle lines; against the simulated truth."""
 
 from itertools import pairwise
-from pathlib import Path
 import struct
 
 from heard_bus import Bus
@@ -33,7 +32,6 @@ from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.reports import Level
 
-TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
 POSITIONS = encode(BROADCAST, I.SYNC_READ, struct.pack('<HH', 132, 4) + b'\x01\x02\x03')
 
 
