@@ -90,9 +90,9 @@ def test_ctrl_c_while_modules_are_imported_shows_no_traceback(tmp_path, tool, mo
         '            time.sleep(60)\n'
         f'sys.modules.pop({module!r}, None)\n'
         'sys.meta_path.insert(0, Wait())\n')
-    paths = os.pathsep.join((str(tmp_path), str(EXECUTABLES.parents[1])))
+    places = {'PYTHONPATH': os.pathsep.join((str(tmp_path), str(EXECUTABLES.parents[1])))}
     with subprocess.Popen(
-            [sys.executable, EXECUTABLES / tool], env={**os.environ, 'PYTHONPATH': paths}, text=True,
+            [sys.executable, EXECUTABLES / tool], env={**os.environ, **places}, text=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout.readline() == 'waits\n'
         process.send_signal(signal.SIGINT)
