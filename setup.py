@@ -3,6 +3,7 @@
 """The package for colcon (ament_python) and for pip; both end with a working `ros2 run`."""
 from glob import glob
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import find_packages
 from setuptools import setup
@@ -13,16 +14,27 @@ DASHBOARD = ['aiohttp>=3.9', 'prometheus-client>=0.16']
 MCAP = ['rosbags>=0.10.5']
 DOCS = ['sphinx>=7']
 
+# Resolved: colcon --symlink-install runs a link to this file in its build folder.
+HERE = Path(__file__).resolve().parent
+PACKAGE = ElementTree.parse(HERE / 'package.xml').getroot()     # the home of version and names
+
 setup(
     name=NAME,
-    version='0.1.0',
-    description='ROS 2 nodes that drive a rover over a UART and listen to a Dynamixel bus',
-    # Resolved: colcon --symlink-install runs a link to this file in its build folder.
-    long_description=Path(__file__).resolve().with_name('README.md').read_text('utf-8'),
+    version=PACKAGE.findtext('version'),
+    description='Finds what is wrong with a bus of Dynamixel or Feetech servos, without ever '
+                'sending, and drives a rover from ROS 2',
+    long_description=(HERE / 'README.md').read_text('utf-8'),
     long_description_content_type='text/markdown',
-    maintainer='The mecarover_serial authors',
-    maintainer_email='authors@mecarover.invalid',
+    maintainer=PACKAGE.findtext('maintainer'),
+    maintainer_email=PACKAGE.find('maintainer').get('email'),
+    project_urls={url.get('type'): url.text for url in PACKAGE.findall('url')},
     license='Apache-2.0',
+    keywords='dynamixel feetech servo bus monitor diagnostics ros2 lerobot serial robot',
+    classifiers=[
+        'Development Status :: 4 - Beta', 'Intended Audience :: Developers',
+        'Intended Audience :: Science/Research', 'Operating System :: POSIX :: Linux',
+        'Programming Language :: Python :: 3',
+        'Topic :: Scientific/Engineering', 'Topic :: System :: Hardware'],
     python_requires='>=3.10',
     packages=find_packages(include=[
         'msg_defs', NAME, 'vel2d_bridge*', 'dxl_monitor*', 'mecarover_dashboard',
@@ -38,6 +50,11 @@ setup(
         # A wheel ignores setup.cfg's install_scripts: these files are what `ros2 run` finds
         # after `pip install`. colcon puts its own entry points of the same names there.
         ('lib/' + NAME, sorted(glob('resource/executables/*'))),
+        # Made by scripts/release.
+        ('share/man/man1', sorted(glob('resource/generated/man/*'))),
+        ('share/bash-completion/completions', sorted(glob('resource/generated/bash/*'))),
+        ('share/zsh/site-functions', sorted(glob('resource/generated/zsh/*'))),
+        ('share/fish/vendor_completions.d', sorted(glob('resource/generated/fish/*'))),
     ],
     install_requires=['setuptools', 'pyserial>=3.5', 'PyYAML', 'crcmod-plus'],
     extras_require={
@@ -50,6 +67,7 @@ setup(
                  'rustypot==1.13.1; platform_machine == "x86_64"', 'axe-playwright-python',
                  *DOCS, *DASHBOARD, *MCAP, 'mcap>=1.2'],
         'docs': DOCS,
+        'release': ['build', 'twine', 'shtab>=1.8', 'argparse-manpage>=4', 'bloom', *DASHBOARD],
         'mutation': ['mutmut>=3.8'],        # which changes to the core no test notices
     },
     entry_points={'console_scripts': [
