@@ -329,7 +329,7 @@ def _no_answer(case: Case) -> Iterator[Found]:
     yield from _at_the_end(case)
     for device in case.report.devices:
         if device.state == words.EXPECTED and device.last_heard_s is None \
-                and not device.window.asked:
+                and not (device.window.asked or device.window.not_served):
             yield Doubt(device.id, f'in {case.names.devices}, but the master never asks it')
 
 
