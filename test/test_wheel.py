@@ -6,6 +6,7 @@ The wheel in a clean Python without ROS: what it needs, what a person sees who r
 It installs what the wheel declares, as a person does, so it needs a package index.
 """
 
+from importlib import metadata
 import json
 import os
 from pathlib import Path
@@ -23,7 +24,7 @@ from dxl_monitor.tools.doctor.issue_report import CAPTURE
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone]
 KEEP_OUT = ('.venv', '.git', '.*_cache', '.hypothesis', 'build', '*.egg-info', '__pycache__')
-DECLARED = {NAME, 'crcmod-plus', 'pyserial', 'PyYAML', 'setuptools', 'pip'}
+DECLARED = {NAME, 'dxl-doctor', 'crcmod-plus', 'pyserial', 'PyYAML', 'setuptools', 'pip'}
 SERVOS = ('1:XL430-W250', '2:XL430-W250', '3:XL430-W250')
 # A first program of somebody's own: it asks three servos for their position, and prints it.
 SCRIPT = """\
@@ -68,12 +69,11 @@ def home(tmp_path_factory):
     shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*KEEP_OUT))
     home = tmp_path_factory.mktemp('home')
     pip = [sys.executable, '-m', 'pip', '--quiet', '--disable-pip-version-check']
-    subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', home, '.'],
-                   cwd=tree, check=True)
-    [wheel] = home.glob('*.whl')
+    subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', home, '.',
+                    './packaging/dxl-doctor'], cwd=tree, check=True)
     subprocess.run([sys.executable, '-m', 'venv', home / 'venv'], check=True)
     subprocess.run([home / 'venv/bin/pip', '--quiet', '--disable-pip-version-check', 'install',
-                    wheel], check=True)
+                    *home.glob('*.whl')], check=True)
     return home
 
 
@@ -96,6 +96,12 @@ def test_it_brings_no_more_than_it_declares(home):
     done = run(home, 'python', '-m', 'pip', 'list', '--format', 'json')
     assert {one['name'].replace('-', '_').lower() for one in json.loads(done.stdout)} \
         <= {name.replace('-', '_').lower() for name in DECLARED}
+
+
+def test_the_name_to_type_has_the_version_of_the_package(home):
+    done = run(home, 'dxl-doctor', '--version')
+    assert done.stdout == f'dxl_doctor ({NAME}) {metadata.version(NAME)}\n'
+    assert (home / f'dxl_doctor-{metadata.version(NAME)}-py3-none-any.whl').exists()
 
 
 @pytest.mark.parametrize('module', ['dxl_monitor.tools.dxl_doctor', 'dxl_monitor.tools.dxl_dump',

@@ -43,8 +43,8 @@ REST_S = 1.0                       # for what the relay heard last
 _PYTHON = re.compile(r'(python|pypy)[\d.]*w?(\.exe)?')
 _SCRIPT = re.compile(rb"#!.*(python|pypy)|#!/bin/sh\n'''exec'")
 _PACKAGE = 'mecarover_serial'
-_DEVELOPER = re.compile(r'extra == .(test|docs|fuzz|mutation)\b')
-_TOOLS = {_PACKAGE, 'pip', 'setuptools', 'wheel'}
+_DEVELOPER = re.compile(r'extra == .(test|docs|fuzz|mutation|release)\b')
+_TOOLS = {_PACKAGE, 'dxl_doctor', 'pip', 'setuptools', 'wheel'}     # dxl-doctor: packaging/
 
 
 class StartedProgram:
