@@ -21,6 +21,7 @@ import pytest
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import Counts
 from dxl_monitor.doctor.health import FACTORY
+from dxl_monitor.model.control_table import Model
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.reports import Level
 
@@ -97,6 +98,12 @@ def test_the_baud_codes_that_lerobot_reads_differently(code):
     assert [f' {LEROBOT_BAUDS[code]} in LeRobot' in one for one in found] \
         == [True] * (LEROBOT_BAUDS[code] is not None)
     assert told('XL430-W250') == []
+
+
+def test_a_servo_that_proves_to_be_of_another_model_has_no_baud_code(caplog):
+    other = device()._replace(model=Model(None, 'unknown', protocol='feetech'))
+    assert claims('baud_code', devices=[other], notes=note(ev.BAUD_WRITTEN, ev.Written(5), 1)) == []
+    assert caplog.messages == []
 
 
 @pytest.mark.parametrize('volts', [9, 63, 136])

@@ -29,9 +29,9 @@ _OF_LOCK = {'1': ('ignores it', 'switch its power off and on to unlock it'),
 def _baud_code(case: Case, device: DeviceReport) -> Found | None:
     code = case.incidents(ev.BAUD_WRITTEN, device.id)[-1].detail.value
     taken_for = LEROBOT_BAUDS.get(code)
-    if taken_for is None:
+    field = device.model.by_name.get('Baud Rate')      # the servo may prove to be another one
+    if taken_for is None or field is None:
         return None
-    field = device.model.by_name['Baud Rate']
     meant = field.decode(field.bytes_of(code)).text
     return Claim(device.id, f'Baud Rate {code} was written: that is {meant} for Feetech and '
                  f'{taken_for} in LeRobot; look for the servo at {meant} Bd',
