@@ -102,7 +102,8 @@ def test_the_baud_codes_that_lerobot_reads_differently(code):
 
 def test_a_servo_that_proves_to_be_of_another_model_has_no_baud_code(caplog):
     other = device()._replace(model=Model(None, 'unknown', protocol='feetech'))
-    assert claims('baud_code', devices=[other], notes=note(ev.BAUD_WRITTEN, ev.Written(5), 1)) == []
+    notes = note(ev.BAUD_WRITTEN, ev.Written(5), 1)
+    assert claims('baud_code', devices=[other], notes=notes) == []
     assert caplog.messages == []
 
 
