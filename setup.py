@@ -3,6 +3,7 @@
 """The package for colcon (ament_python) and for pip; both end with a working `ros2 run`."""
 from glob import glob
 from pathlib import Path
+import re
 from xml.etree import ElementTree
 
 from setuptools import find_packages
@@ -17,17 +18,20 @@ DOCS = ['sphinx>=7']
 # Resolved: colcon --symlink-install runs a link to this file in its build folder.
 HERE = Path(__file__).resolve().parent
 PACKAGE = ElementTree.parse(HERE / 'package.xml').getroot()     # the home of version and names
+SITE = {url.get('type'): url.text for url in PACKAGE.findall('url')}
 
 setup(
     name=NAME,
     version=PACKAGE.findtext('version'),
     description='Finds what is wrong with a bus of Dynamixel or Feetech servos, without ever '
                 'sending, and drives a rover from ROS 2',
-    long_description=(HERE / 'README.md').read_text('utf-8'),
+    # An index has no other files: its links and pictures lead to the repository.
+    long_description=re.sub(r'\]\((?!http|#)', f"]({SITE['repository']}/raw/main/",
+                            (HERE / 'README.md').read_text('utf-8')),
     long_description_content_type='text/markdown',
     maintainer=PACKAGE.findtext('maintainer'),
     maintainer_email=PACKAGE.find('maintainer').get('email'),
-    project_urls={url.get('type'): url.text for url in PACKAGE.findall('url')},
+    project_urls=SITE,
     license='Apache-2.0',
     keywords='dynamixel feetech servo bus monitor diagnostics ros2 lerobot serial robot',
     classifiers=[
