@@ -21,6 +21,7 @@ from dxl_monitor.doctor import found_by
 from dxl_monitor.doctor import RULES
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Mark
+from dxl_monitor.doctor.case import mark_of
 from dxl_monitor.doctor.case import Sample
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.model.control_table import UNKNOWN
@@ -83,9 +84,10 @@ def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=No
     told = BusReport(
         'arm', NOW, NOW - 60 * S, 1_000_000, Level.OK, 'ok', tuple(devices),
         COUNTERS | (counters or {}), {}, (), (), (), (), (), b'', 0.01, {})._replace(**report)
+    now = mark_of(told)._asdict()
     found = Case(
         told, by_kind,
-        deque(Mark(NOW - int(age * S), **{**nothing, **values})
+        deque(Mark(**{**(nothing if age else now), 'stamp': NOW - int(age * S), **values})
               for age, values in sorted((marks or {10: {}, 0: {}}).items(), reverse=True)),
         {number: deque(some) for number, some in (samples or {}).items()}, repeats or {},
         rhythms or [], deque(counts or [(NOW - 10 * S, {})]), steady or set())

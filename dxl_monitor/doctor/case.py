@@ -9,6 +9,9 @@ rests on anything older than the window.
 
 from collections import defaultdict
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import field
 from functools import cached_property
 from typing import Any
 from typing import NamedTuple
@@ -96,53 +99,50 @@ class Sample(NamedTuple):
     voltage: float | None          # V
 
 
+@dataclass(eq=False)
 class Case:
     """One bus at one moment, with its last ten seconds."""
 
-    def __init__(self, report: BusReport, seen: dict[str, deque[Incident[Any]]],
-                 marks: deque[Mark], samples: dict[int, deque[Sample]], repeats: dict[int, int],
-                 rhythms: list[Rhythm], counts: deque[Counted], steady: set[Key]) -> None:
-        self.report = report
-        self.now = report.stamp
-        self.names = PARAMETERS
-        self.quiet_s = 0.0             # since the last instruction, where that is unusual
-        self.wrecks: list[Wreck] = []  # damaged packets that are recognised
-        self.steady = steady           # instructions that kept time, once
-        self.clocks: list[TwoClocks] = []      # instructions that two loops repeat
-        self.highest: dict[int, float] = {}    # V that each device measured, since the start
-        self._counts = counts
-        self.marks = marks
-        self.samples = samples
-        self.repeats = repeats         # stamp and instruction: asked again at once
-        self.rhythms = rhythms         # what the master repeats, most frequent first
-        self._seen = seen
-        self._by_device: dict[str, defaultdict[int, list[Incident[Any]]]] = {}
+    report: BusReport
+    seen: dict[str, deque[Incident[Any]]]
+    marks: deque[Mark]
+    samples: dict[int, deque[Sample]]
+    repeats: dict[int, int]            # stamp and instruction: asked again at once
+    rhythms: list[Rhythm]              # what the master repeats, most frequent first
+    counts: deque[Counted]
+    steady: set[Key]                   # instructions that kept time, once
+    names: Names = PARAMETERS
+    quiet_s: float = 0.0               # since the last instruction, where that is unusual
+    wrecks: Sequence[Wreck] = ()       # damaged packets that are recognised
+    clocks: Sequence[TwoClocks] = ()   # instructions that two loops repeat
+    highest: dict[int, float] = field(default_factory=dict)    # V of each device, since the start
+
+    @property
+    def now(self) -> int:
+        return self.report.stamp
 
     def incidents(self, kind: IncidentKind[D], device: int | None = None) -> list[Incident[D]]:
         """Return the incidents of a kind in the window, those of one device or all."""
         if device is None:
-            return list(self._seen.get(kind, ()))
-        return self._of(kind).get(device, [])
+            return list(self.seen.get(kind, ()))
+        return self._by_device.get((kind, device), [])
 
-    def count(self, kind: str, device: int | None = None) -> int:
+    def count(self, kind: IncidentKind[Any], device: int | None = None) -> int:
         """Return how many incidents of a kind there were in the window."""
-        if device is None:
-            return len(self._seen.get(kind, ()))
-        return len(self._of(kind).get(device, ())) if kind in self._seen else 0
+        return len(self.incidents(kind, device))
 
-    def _of(self, kind: str) -> dict[int, list[Incident[Any]]]:
-        """Return the incidents of a kind by device; sorted once, and only where asked for."""
-        found = self._by_device.get(kind)
-        if found is None:
-            found = self._by_device[kind] = defaultdict(list)
-            for one in self._seen.get(kind, ()):
-                found[one.device].append(one)
+    @cached_property
+    def _by_device(self) -> defaultdict[tuple[str, int], list[Incident[Any]]]:
+        found: defaultdict[tuple[str, int], list[Incident[Any]]] = defaultdict(list)
+        for many in self.seen.values():
+            for one in many:
+                found[one.kind, one.device].append(one)
         return found
 
     @cached_property
     def kinds(self) -> set[str]:
         """The kinds of incidents in the window."""
-        return {kind for kind, many in self._seen.items() if many}
+        return {kind for kind, many in self.seen.items() if many}
 
     @cached_property
     def protocols(self) -> set[str]:
@@ -157,7 +157,7 @@ class Case:
     @cached_property
     def damage_s(self) -> float:
         """For how long the damage has gone on, s."""
-        stamps = [one.stamp for kind in _DAMAGE for one in self._seen.get(kind, ())]
+        stamps = [one.stamp for kind in _DAMAGE for one in self.seen.get(kind, ())]
         return (max(stamps) - min(stamps)) / S if stamps else 0.0
 
     def looks_like(self, device: int | None = None) -> dict[str, str]:
@@ -198,8 +198,8 @@ class Case:
     def lately(self, device: DeviceReport, seconds: float) -> Counts:
         """Return what happened to a device since so long ago, or since it is known."""
         before = self.now - int(seconds * S)
-        past = next((counts for stamp, counts in reversed(self._counts) if stamp <= before),
-                    self._counts[0][1])
+        past = next((counts for stamp, counts in reversed(self.counts) if stamp <= before),
+                    self.counts[0][1])
         return device.totals.since(past.get(device.id, Counts()))
 
     def mark(self, seconds: float) -> Mark:
@@ -212,9 +212,9 @@ class Case:
             found = mark
         return found
 
-    def counted(self, name: str) -> int:
-        """Return how much a count of a Mark grew in the window."""
-        return int(getattr(self.mark(0), name) - getattr(self.mark(10), name))
+    def counted(self, name: str, seconds: float = 10.0) -> int:
+        """Return how much a count of a Mark grew in so long a time."""
+        return int(getattr(self.mark(0), name) - getattr(self.mark(seconds), name))
 
     @property
     def heard_s(self) -> float:
@@ -284,7 +284,7 @@ class History:
 
     def take(self, report: BusReport) -> Case:
         """Remember a report; return it with what belongs to it."""
-        mark = _mark(report)
+        mark = mark_of(report)
         if self._marks and mark.bytes < self._marks[-1].bytes:
             self.clear()
         self._take_incidents(report.incidents)
@@ -303,12 +303,9 @@ class History:
             self._steady |= {key_of(one.cycle) for one in self._rhythms[1] if one.is_even}
             self._look_for_clocks(report, before)
         case = Case(report, self._seen, self._marks, self._samples, self._repeats,
-                    self._rhythms[1], self._counts, self._steady)
-        case.names = self._names
-        case.clocks = list(self._clocks.values())
-        case.highest = self._highest
-        case.quiet_s = self._quiet_s(report)
-        case.wrecks = self._recognised(report, before)
+                    self._rhythms[1], self._counts, self._steady, self._names,
+                    self._quiet_s(report), self._recognised(report, before),
+                    [*self._clocks.values()], self._highest)
         self._sample(case, before)
         for rhythm in case.rhythms if fresh else ():
             self._repeats.update(
@@ -385,7 +382,7 @@ class History:
                 samples.popleft()
 
 
-def _mark(report: BusReport) -> Mark:
+def mark_of(report: BusReport) -> Mark:
     counters, errors = report.counters, report.line_errors
     return Mark(report.stamp, counters['Bytes'], counters['Packet Bytes'], counters['Packets'],
                 counters['Instructions'],

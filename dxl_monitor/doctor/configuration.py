@@ -262,9 +262,9 @@ def _scan(case: Case) -> Iterator[Found]:
     stamps = [stamp for cycle in case.report.cycles for stamp in cycle.stamps
               if stamp > case.now - PINGS_NS
               and cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,)]
-    pings, asked = len(stamps), case.mark(10).instructions
-    if pings >= SCANS or (pings >= FEW and case.damage >= FEW and pings > MOSTLY * (
-            case.report.counters['Instructions'] - asked)):
+    pings = len(stamps)
+    if pings >= SCANS or (pings >= FEW and case.damage >= FEW and pings > MOSTLY * case.counted(
+            'instructions')):
         collide = case.damage >= FEW
         yield Claim(None, 'the master sends broadcast Pings without a '
                           f"pause{', and the answers collide' if collide else ''}: let it wait "

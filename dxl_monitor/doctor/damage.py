@@ -55,9 +55,8 @@ NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and che
 
 
 def _wrong_baud(case: Case) -> Iterator[Found]:
-    report, before = case.report, case.mark(2.0)
-    got = report.counters['Bytes'] - before.bytes
-    good = report.counters['Packet Bytes'] - before.packet_bytes
+    report = case.report
+    got, good, errors = (case.counted(name, 2.0) for name in ('bytes', 'packet_bytes', 'framing'))
     if not report.baud:                # it is still to be learned
         return
     load = _load(case)
@@ -70,7 +69,6 @@ def _wrong_baud(case: Case) -> Iterator[Found]:
     rate = likely_rate(report.noise, report.baud)
     remedy = f'the bytes look like {rate} Bd: set {case.names.bauds} to it' if rate \
         else f'the right rate is unknown: set {case.names.bauds} to the rate of the bus'
-    errors = case.mark(0).framing - before.framing
     yield Claim(None, f'{got} bytes, but no packets at {report.baud} Bd: {remedy}',
                 {'bytes': got, 'framing errors': errors})
 
@@ -109,7 +107,7 @@ def _overrun(case: Case) -> Iterator[Found]:
 
 
 def _noise(case: Case) -> Iterator[Found]:
-    packets = case.report.counters['Packets'] - case.mark(10).packets
+    packets = case.counted('packets')
     if case.damage < SOME or case.damage < NOISY * packets or case.damage_s < ONSET_S:
         return
     hit = [device.id for device in case.report.devices if device.window.spoilt]
@@ -242,7 +240,7 @@ def _spoken(device: DeviceReport) -> int:
 
 def _stray_bytes(case: Case) -> Iterator[Found]:
     stray = case.counted('glitches')
-    packets = case.report.counters['Packets'] - case.mark(10).packets
+    packets = case.counted('packets')
     if stray >= SOME and stray > GLITCHY * packets:
         yield Claim(None, f'one or two stray bytes before {share(stray, packets)} of the packets: '
                           'driver enable switches late or the line floats; add bias resistors',
@@ -267,10 +265,9 @@ def _echo(case: Case) -> Iterator[Found]:
 
 def _echoes(case: Case, seconds: float) -> int:
     """Return how many instructions came back, where most of them do; else 0."""
-    now, before = case.mark(0), case.mark(seconds)
-    heard_back = now.echoes - before.echoes
-    asked = now.instructions - before.instructions
-    return heard_back if heard_back >= SOME and heard_back > 0.5 * asked else 0
+    heard_back = case.counted('echoes', seconds)
+    is_usual = heard_back > 0.5 * case.counted('instructions', seconds)
+    return heard_back if heard_back >= SOME and is_usual else 0
 
 
 def _foreign_answers(case: Case, device: DeviceReport) -> Found | None:

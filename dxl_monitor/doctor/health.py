@@ -86,12 +86,6 @@ def is_watched(case: Case, device: DeviceReport, place: Observed) -> bool:
                for one in case.report.cycles)
 
 
-def _known(case: Case, device: DeviceReport, name: str) -> float | None:
-    """Return the value of a register that does not change by itself."""
-    seen = case.values[device.id].get(name)
-    return None if seen is None else seen.value.number
-
-
 def latched(device: DeviceReport) -> Claim | None:
     """Return the hardware error of a device, by its alert bit."""
     if not device.alert or not device.window.alerts:
@@ -121,9 +115,9 @@ def is_off(torque: Observed | None) -> bool:
 def limit_of(case: Case, device: DeviceReport, name: str,
              factory: str) -> tuple[float | None, str]:
     """Return a limit and where it is from: the device, or its model's factory values."""
-    own = _known(case, device, name)
-    if own is not None:
-        return own, ''
+    seen = case.values[device.id].get(name)
+    if seen is not None and seen.value.number is not None:
+        return seen.value.number, ''
     values = FACTORY.get(device.model_number or -1)
     return (None, '') if values is None else (getattr(values, factory), ' from the factory')
 
@@ -138,18 +132,17 @@ def _too_hot(case: Case) -> Iterator[Found]:
         if limit is None and device.model.number is not None:
             unknown.append(device.id)
         elif limit is not None and temperature >= limit - NEAR_DEGREES:
-            yield _hot_claim(device, temperature, limit, source)
+            is_above = temperature >= limit
+            yield Claim(device.id, f'{"above" if is_above else "near"} its shutdown limit of '
+                        f'{limit:.0f} °C{source}: reduce load or holding torque, let it cool',
+                        {'temperature (°C)': f'{temperature:.0f}', 'limit (°C)': f'{limit:.0f}'},
+                        _level(is_above))
     if unknown:
         yield Doubt(None, f'{listed(unknown, 3)}: Temperature Limit never read')
 
 
-def _hot_claim(device: DeviceReport, temperature: float, limit: float, source: str) -> Claim:
-    level = Level.ERROR if temperature >= limit else Level.WARN
-    what = 'above' if level is Level.ERROR else 'near'
-    return Claim(device.id, f'{what} its shutdown limit of {limit:.0f} °C{source}: reduce load or '
-                 'holding torque, let it cool',
-                 {'temperature (°C)': f'{temperature:.0f}', 'limit (°C)': f'{limit:.0f}'},
-                 level)
+def _level(is_beyond: bool) -> Level:
+    return Level.ERROR if is_beyond else Level.WARN
 
 
 def _voltage(case: Case) -> Iterator[Found]:
@@ -164,29 +157,26 @@ def _voltage(case: Case) -> Iterator[Found]:
         if low is None and high is None and device.model.number is not None:
             unknown.append(device.id)
         if low is not None and volts < low + NEAR_VOLTS:
-            found.append(_low_claim(device, volts, low, source))
+            found.append(_supply(device, volts, volts < low, f'below its limit of {low:.1f} V'
+                                 f'{source}: charge the battery, check cable gauge and the load '
+                                 'on the chain'))
         elif high is not None and volts > high - NEAR_VOLTS:
-            found.append(_high_claim(device, volts, high, source))
+            found.append(_supply(device, volts, volts > high, f'above its limit of {high:.1f} V'
+                                 f'{source}: lower the supply, or let it absorb the braking '
+                                 'current'))
     yield from found
     if len(found) >= FEW:
-        worst = Level.ERROR if any(one.level is Level.ERROR for one in found) else Level.WARN
         yield Claim(None, f'{len(found)} devices near or beyond a voltage limit: the supply is '
                           'the cause; measure it, charge the battery, check cable gauge',
-                    {'devices': in_full([one.device for one in found if one.device])}, worst)
+                    {'devices': in_full([one.device for one in found if one.device])},
+                    _level(any(one.level is Level.ERROR for one in found)))
     if unknown:
         yield Doubt(None, f'{listed(unknown, 3)}: voltage limits never read')
 
 
-def _low_claim(device: DeviceReport, volts: float, low: float, source: str) -> Claim:
-    return Claim(device.id, f'its supply is near or below its limit of {low:.1f} V{source}: '
-                 'charge the battery, check cable gauge and the load on the chain',
-                 {'voltage (V)': f'{volts:.1f}'}, Level.ERROR if volts < low else Level.WARN)
-
-
-def _high_claim(device: DeviceReport, volts: float, high: float, source: str) -> Claim:
-    return Claim(device.id, f'its supply is near or above its limit of {high:.1f} V{source}: '
-                 'lower the supply, or let it absorb the braking current',
-                 {'voltage (V)': f'{volts:.1f}'}, Level.ERROR if volts > high else Level.WARN)
+def _supply(device: DeviceReport, volts: float, is_beyond: bool, where: str) -> Claim:
+    return Claim(device.id, f'its supply is near or {where}', {'voltage (V)': f'{volts:.1f}'},
+                 _level(is_beyond))
 
 
 def _watchdog(case: Case, device: DeviceReport) -> Found | None:

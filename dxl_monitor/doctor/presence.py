@@ -49,9 +49,7 @@ _OF_THE_MASTER = ", and that the program uses the servos' baud rate and protocol
 
 
 def _all_silent(case: Case) -> Iterator[Found]:
-    before = case.mark(GONE_S)
-    asked = case.report.counters['Instructions'] - before.instructions
-    heard = sum(device.totals.answers for device in case.report.devices) - before.answers
+    asked, heard = case.counted('instructions', GONE_S), case.counted('answers', GONE_S)
     missing = [device.id for device in case.report.devices
                if device.missed_in_a_row or is_waiting(device)]
     figures = {'instructions': asked}
@@ -242,15 +240,22 @@ def _stands(samples: list[Sample]) -> bool:
     samples = samples[1:]
     if len(samples) < 2 or samples[-1].stamp - samples[0].stamp < STOPPED_S * S:
         return False
-    goals = [one.goal for one in samples if one.goal is not None]
-    positions = [one.position for one in samples if one.position is not None]
-    return bool(goals and positions) and max(goals) - min(goals) >= MOVES \
-        and max(positions) - min(positions) <= STANDS
+    return _way([one.goal for one in samples]) >= MOVES \
+        and 0 <= _way([one.position for one in samples]) <= STANDS
+
+
+def _way(places: list[float | None]) -> float:
+    """Return how far apart places are; -1 where none is known."""
+    known = [place for place in places if place is not None]
+    return max(known) - min(known) if known else -1.0
+
+
+def _lately(case: Case, number: int) -> list[Sample]:
+    return [one for one in case.samples.get(number, ()) if one.stamp > case.now - FOLLOW_S * S]
 
 
 def _torque_off(case: Case, device: DeviceReport) -> Found | None:
-    samples = [one for one in case.samples.get(device.id, ())
-               if one.stamp > case.now - FOLLOW_S * S]
+    samples = _lately(case, device.id)
     place = case.values[device.id].get('Present Position')
     if place is None or place.source != 'r' or place.age_s > STOPPED_S or not _stands(samples):
         return None
@@ -266,7 +271,7 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
     if torque is not None and torque.value.raw and not _absences(case, device.id):
         return None                    # it is on, so something holds it, or it is where it can be
     if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not any(
-            _follows([one for one in case.samples[other] if one.stamp > case.now - FOLLOW_S * S])
+            _way([one.position for one in _lately(case, other)]) >= MOVES
             for other in case.samples if other != device.id):
         return None
     return Claim(device.id, 'its goal changes but the joint does not move, others follow: its '
@@ -279,11 +284,6 @@ def _is_ignored(samples: list[Sample], least: float) -> bool:
             if one.goal is not None and one.position is not None]
     return _stands(samples) and min(sum(way > least for way in ways),
                                     sum(way < -least for way in ways)) > 1
-
-
-def _follows(samples: list[Sample]) -> bool:
-    positions = [one.position for one in samples if one.position is not None]
-    return len(positions) > 1 and max(positions) - min(positions) >= MOVES
 
 
 def _dip(case: Case, number: int) -> str:

@@ -19,7 +19,6 @@ from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
-from dxl_monitor.model.control_table import Field
 from dxl_monitor.model.control_table import Model
 from msg_defs.dxl_instruction import name_of
 from msg_defs.reports import Level
@@ -65,18 +64,17 @@ def _clashes(case: Case, device: DeviceReport) -> bool:
 def _wrong_supply(case: Case) -> Iterator[Found]:
     high, low, unknown = [], [], []
     for device in case.report.devices:
-        volts = _volts(case, device)
-        if volts is None:
+        volts = fresh(case, device, 'Present Input Voltage')
+        if device.model.protocol not in FAMILY_1 or volts is None or volts < ALIVE_VOLTS:
             continue
-        limit = _maximum(case, device)
-        if limit is None and device.model.number is not None:
-            unknown.append(device.id)
-        if limit is None:
-            continue
-        if volts > BEYOND * limit:
+        limit, is_of_model = limit_of(case, device, 'Max Voltage Limit', 'high')
+        if limit is None or (is_of_model and device.model.protocol != '1'):
+            unknown += [device.id] * (device.model.number is not None)
+        elif volts > BEYOND * limit:
             high.append((device, volts, limit))
-        elif limit >= FOR_12_V and _minimum(case, device) <= volts \
-                and max(volts, case.highest.get(device.id, 0.0)) < WEAK:      # else it sags
+        # What was higher before, or is below the lowest, is a supply that sags.
+        elif limit >= FOR_12_V and max(volts, case.highest.get(device.id, 0.0)) < WEAK \
+                and volts >= (limit_of(case, device, 'Min Voltage Limit', 'low')[0] or 0.0):
             low.append((device, volts, limit))
     yield from _supply_claims(high, 'far above its limit of {limit:.1f} V: a servo for a lower '
                               'voltage{others}; switch off, and check which servos these are',
@@ -99,23 +97,6 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
                     {'voltage (V)': f'{volts:.1f}',
                      'limit (V)': f'{limit:.1f}',
                      'devices': in_full(ids)}, level, covers=ids)
-
-
-def _volts(case: Case, device: DeviceReport) -> float | None:
-    volts = fresh(case, device, 'Present Input Voltage')
-    return None if device.model.protocol not in FAMILY_1 or volts is None \
-        or volts < ALIVE_VOLTS else volts
-
-
-def _maximum(case: Case, device: DeviceReport) -> float | None:
-    """Return Max Voltage Limit: its own, or that of its model from the factory."""
-    limit, is_of_model = limit_of(case, device, 'Max Voltage Limit', 'high')
-    return None if is_of_model and device.model.protocol != '1' else limit
-
-
-def _minimum(case: Case, device: DeviceReport) -> float:
-    """Return Min Voltage Limit, where it is known: below it the supply has sagged."""
-    return limit_of(case, device, 'Min Voltage Limit', 'low')[0] or ALIVE_VOLTS
 
 
 def _layout(case: Case, device: DeviceReport) -> Found | None:
@@ -144,15 +125,11 @@ def _unfit(model: Model, begin: int, length: int) -> str:
     elsewhere = f' ({_ELSEWHERE[begin]})' if begin in _ELSEWHERE else ''
     for field in fields:
         if any(field.at < edge < field.end for edge in (begin, end)):
-            return f'which cuts {_spelt(field)}{elsewhere}'
+            return f'which cuts {field.name} ({field.at}, {field.size} bytes){elsewhere}'
     if length <= DUMP and begin < TABLE_END \
             and not any(field.at < end and field.end > begin for field in fields):
         return f'where {model.name} has no register{elsewhere}'
     return ''
-
-
-def _spelt(field: Field) -> str:
-    return f'{field.name} ({field.at}, {field.size} bytes)'
 
 
 RULES = (

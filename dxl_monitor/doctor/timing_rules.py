@@ -267,9 +267,8 @@ def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
 
 
 def _bus_too_slow(case: Case) -> Iterator[Found]:
-    before = case.mark(LOAD_S)
-    seconds = (case.now - before.stamp) / S
-    got = case.report.counters['Bytes'] - before.bytes
+    seconds = (case.now - case.mark(LOAD_S).stamp) / S
+    got = case.counted('bytes', LOAD_S)
     if seconds < 1.0:
         return
     load = 100 * got * byte_ns(case.report.baud) / S / seconds
