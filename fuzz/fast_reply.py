@@ -69,11 +69,11 @@ def bus_holds(accesses, blocks, body):
     devices = monitor.decoder.registry.devices
     assert set(devices) == {one.id for one in accesses}
     for error, number, data in blocks:
-        known = [(AT, data)] if data and not error & 0x7F else []
-        assert devices[number].table.known() == known
+        known = bytes(AT) + data if data and not error & 0x7F else b''
+        assert devices[number].table._settle().data == known
         assert devices[number].counts.answers == 1
     for one in accesses[len(blocks):]:
-        assert not devices[one.id].table.known()
+        assert not devices[one.id].table._settle().data
         assert not devices[one.id].counts.answers
 
 

@@ -64,7 +64,7 @@ def flood():
 def run(bursts):
     """Feed bursts of chunks, each at one stamp; return what does not hang on the chunks."""
     decoder = BusDecoder(MODELS)
-    decoder.framer = framer = Watched()
+    decoder.framers[''] = framer = Watched()
     monitor = Monitor('bus', MODELS, decoder=decoder)
     now = 1_000_000_000
     total = 0
@@ -86,7 +86,9 @@ def run(bursts):
     assert all(len(one._settle().data) <= TABLE_END for one in tables.values())
     return report.counters, report.kinds, [
         (device.id, device.model_name, device.state, device.totals, device.errors,
-         tables[device.id].known()) for device in report.devices]
+         *(bytes(part) for part in (tables[device.id]._settle().data,
+                                    tables[device.id]._settle().sources)))
+        for device in report.devices]
 
 
 def kept(monitor):

@@ -82,7 +82,7 @@ def main():
 def run(make, size, chance):
     """Feed so many bytes in chunks of all sizes; return how many, the devices, more memory."""
     decoder = BusDecoder(Models(), Settings(baud=10**10 // BYTE_NS))
-    monitor, framer = Monitor('bus', Models(), decoder=decoder), decoder.framer
+    monitor, framer = Monitor('bus', Models(), decoder=decoder), decoder.framers['']
     total, memory = 0, None
     while total < size:
         block = make(chance)

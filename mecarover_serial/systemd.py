@@ -34,9 +34,6 @@ class Systemd:
     def stopping(self) -> None:
         self._tell('STOPPING=1')
 
-    def close(self) -> None:
-        self._socket.close()
-
     def _tell(self, state: str) -> None:
         if self._address:
             with suppress(OSError):

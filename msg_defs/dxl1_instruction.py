@@ -116,12 +116,6 @@ _RESETS = {DYNAMIXEL_1.protocol: RESET_ALL}
 DIALECTS = (DYNAMIXEL_1, FEETECH, UNDECIDED)
 
 
-def name_of(code: int, dialect: Dialect = UNDECIDED) -> str:
-    """Return 'Sync Write', or 'instruction 0x20' for what the dialect does not know."""
-    entry = dialect.entries.get(code)
-    return entry.name if entry is not None else f'instruction 0x{code:02X}'
-
-
 def error_text(error: int, dialect: Dialect) -> str:
     """Return the error byte of a status in words: 'voltage, overload'; '' for 0."""
     return ', '.join(dialect.errors.get(bit, f'error bit {bit}')

@@ -346,7 +346,7 @@ def test_three_behind_each_other_are_proof_and_none_of_them_is_lost():
     bus.ask(encode(1, 2, b'\x38\2'))
     assert counters(bus) == (40, 40, 0, 0, 5, 3)
     assert bus.devices()[1].totals.answers == 2
-    assert bus.monitor.decoder.framer.pending == 0        # nothing is held back from now on
+    assert bus.monitor.decoder.framers[''].pending == 0        # nothing is held back from now on
 
 
 TORN = (encode(0xFE, 0x82, b'\x38\2\1\2\4\5\6\x19'),     # it lost a byte, and took one too many

@@ -15,7 +15,6 @@ from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import error_text
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl1_instruction import fits
-from msg_defs.dxl1_instruction import name_of
 from msg_defs.dxl1_instruction import parse
 from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl1_packet import BROADCAST

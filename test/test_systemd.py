@@ -19,7 +19,7 @@ def test_the_manager_hears_every_state(tmp_path, is_abstract):
         systemd.alive()
         systemd.stopping()
         assert [manager.recv(100) for _ in range(3)] == [b'READY=1', b'WATCHDOG=1', b'STOPPING=1']
-        systemd.close()
+        systemd._socket.close()
 
 
 def test_without_a_manager_nothing_happens(tmp_path):
@@ -28,7 +28,7 @@ def test_without_a_manager_nothing_happens(tmp_path):
         systemd.ready()
         systemd.alive()
         assert systemd.watchdog_s is None
-        systemd.close()
+        systemd._socket.close()
 
 
 @pytest.mark.parametrize('environment, seconds', [

@@ -55,7 +55,7 @@ def test_who_answers_what_nobody_here_understands_is_not_unasked(asked, unasked)
     bus.hear(asked, reply(1, b'aaaa'))
     assert bus.evidence.counts[ev.UNASKED] == unasked
     assert bus.device(1).heard == bus.now
-    assert bus.registry.devices[1].table.known() == []
+    assert not bus.registry.devices[1].table._settle().data
 
 
 def test_what_is_not_understood_is_noted_once_and_counted_each_time():

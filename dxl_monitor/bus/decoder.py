@@ -97,15 +97,6 @@ class BusDecoder:
             return MixedFramer(self.detector, bool(side), side)
         return Framer() if self.classifier is None else dxl1_packet.Dxl1Framer()
 
-    @property
-    def framer(self) -> AnyFramer:
-        """The classifier for bytes from an unknown side."""
-        return self.framers[UNKNOWN]
-
-    @framer.setter
-    def framer(self, framer: AnyFramer) -> None:
-        self.framers[UNKNOWN] = framer
-
     def hear(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
         """
         Take a chunk. Each side has a framer of its own, so an order of chunks is one of frames.

@@ -24,7 +24,6 @@ from msg_defs.dxl_packet import STATUS
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
 from msg_defs.frame import IS_STATUS
-from msg_defs.frame import OPEN as OPEN_FRAME
 
 NO_DEVICE = -1
 Register = Callable[[int, int], str]        # what a device calls the register at an address
@@ -70,13 +69,6 @@ class Refusal(NamedTuple):
     error: int
 
 
-class Unasked(NamedTuple):
-    """An answer to nothing: the instruction that was pending, the error byte of the answer."""
-
-    instruction: int
-    error: int
-
-
 class Again(NamedTuple):
     """An instruction, so many us after the first one (an echo: 0)."""
 
@@ -110,13 +102,6 @@ class Much(NamedTuple):
     number: int
 
 
-class ModelNumbers(NamedTuple):
-    """Model Number before, and now."""
-
-    before: int
-    now: int
-
-
 class Offsets(NamedTuple):
     """Homing Offset of Feetech, raw: now, and before."""
 
@@ -146,17 +131,14 @@ REFUSED = IncidentKind[Refusal]('refused')
 ALERT = IncidentKind[Nothing]('alert')                        # it began
 SECOND_ANSWER = IncidentKind[Code]('second answer')           # already answered by this ID
 ANSWERED_AGAIN = IncidentKind[Code]('answered again')         # after damage that hid another
-UNASKED = IncidentKind[Unasked]('unasked answer')
+UNASKED = IncidentKind[Nothing]('unasked answer')
 LATE = IncidentKind[Lateness]('late answer')
 TOO_LONG = IncidentKind[Sizes]('noise too long')              # for all answers that were due
 WRONG_SIZE = IncidentKind[Sizes]('wrong size')
 FAST_CUT = IncidentKind[Sizes]('fast reply cut')
 REPEATED = IncidentKind[Again]('repeated')
 UNSTUFFED = IncidentKind[Code]('unstuffed')                   # FF FF FD without its FD
-MODEL = IncidentKind[ModelNumbers]('model changed')
-ID_WRITTEN = IncidentKind[Written]('ID written')
 BAUD_WRITTEN = IncidentKind[Written]('Baud Rate written')     # the code
-OPEN = IncidentKind[Code]('undecided packet')                 # an instruction or a status (1.0)
 CALIBRATED = IncidentKind[Nothing]('calibrated')              # the position became the middle
 OFFSET_WRITTEN = IncidentKind[Offsets]('offset written')       # Homing Offset of Feetech
 REBOOTED = IncidentKind[Nothing]('rebooted')
@@ -232,13 +214,11 @@ class Evidence:
         """Note a damaged frame, or one of which it is open what it is."""
         _, _, kind, number, code, _, _ = frame
         code = STATUS if kind == IS_STATUS else code
-        if flaw.reason == OPEN_FRAME:
-            self.note(stamp, OPEN, number, Code(code))
-        elif flaw.reason == 'length':
+        if flaw.reason == 'length':
             self.note(stamp, BAD_LENGTH, NO_DEVICE, Length(flaw.length))
         elif flaw.reason == 'cut':
             self.note(stamp, CUT, NO_DEVICE, Front(code, flaw.length))
-        else:
+        elif flaw.reason == 'crc':                 # else it is undecided
             self.note(stamp, DAMAGED_STATUS if kind == IS_STATUS else DAMAGED_INSTRUCTION, number,
                       Front(code, flaw.length))
 

@@ -72,7 +72,7 @@ class DeviceRegistry:
         self._renamed: dict[int, int] = {}     # IDs that were changed: the new ones
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.changed: Callable[[], None] = lambda: None
-        self._followers = {'ID': self._follow_id, 'Baud Rate': self._follow_baud,
+        self._followers = {'ID': self._renumber, 'Baud Rate': self._follow_baud,
                            RETURN_LEVEL: self._follow_return_level,
                            OFFSET: self._follow_offset, TORQUE: self._follow_torque}
         for entry in expected:
@@ -145,8 +145,6 @@ class DeviceRegistry:
         firmware = device.identity[2] if len(device.identity) > 2 else None
         stamp = device.identity_stamp
         if device.model_number not in (None, number):
-            self._evidence.note(stamp, ev.MODEL, device.number,
-                                ev.ModelNumbers(device.model_number or 0, number))
             device.forget_return_level()
         device.model_number = number
         device.firmware = firmware
@@ -287,10 +285,6 @@ class DeviceRegistry:
         for name, value in device.special_values(address, data):
             if alone or name != 'ID':
                 self._followers[name](device, value, stamp)
-
-    def _follow_id(self, device: Device, value: int, stamp: int) -> None:
-        self._evidence.note(stamp, ev.ID_WRITTEN, device.number, ev.Written(value))
-        self._renumber(device, value, stamp)
 
     def _follow_baud(self, device: Device, value: int, stamp: int) -> None:
         self._evidence.note(stamp, ev.BAUD_WRITTEN, device.number, ev.Written(value))

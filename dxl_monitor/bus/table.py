@@ -143,17 +143,6 @@ class Table:
         end = address + size
         return bytes(image.data[address:end]) if image.knows(address, end) else None
 
-    def known(self) -> list[tuple[int, Data]]:
-        """Return what was seen as (address, data) runs: all there is without a model."""
-        image = self._settle()
-        runs = bytes(min(source, 1) for source in image.sources).split(b'\0')
-        found, at = [], 0
-        for run in runs:
-            if run:
-                found.append((at, bytes(image.data[at:at + len(run)])))
-            at += len(run) + 1
-        return found
-
     def observed(self, model: Model, now_ns: int) -> list[Observed]:
         """
         Every field of `model` that is wholly known, in order of address.

@@ -304,7 +304,7 @@ class Tracker:
         elif number in plan.slots:
             self._note(stamp, ev.SECOND_ANSWER, number, ev.Code(request.instruction))
         else:
-            self._note(stamp, ev.UNASKED, number, ev.Unasked(request.instruction, error))
+            self._note(stamp, ev.UNASKED, number, ev.NOTHING)
 
     def _flawed(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""

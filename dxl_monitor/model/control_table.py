@@ -197,14 +197,6 @@ class Indirect(NamedTuple):
     size: int
 
 
-class FieldGroup(NamedTuple):
-    """A named range that holds other fields; it has no value of its own."""
-
-    at: int
-    size: int
-    name: str
-
-
 @dataclass(slots=True, eq=False, repr=False)
 class Model:
     """
@@ -222,9 +214,7 @@ class Model:
     _: KW_ONLY
     indirect: tuple[Indirect, ...] = ()
     aliases: Mapping[str, str] = field(default_factory=dict)
-    blocks: tuple[FieldGroup, ...] = ()
     torque_constant: float | None = None
-    source: str = ''
     file: str = ''
     protocol: str = '2'
     indirect_from: int = field(init=False)
@@ -241,12 +231,6 @@ class Model:
     def __repr__(self) -> str:
         return f'Model({self.number}, {self.name!r}, {len(self.fields)} fields)'
 
-    def decode(self, address: int, data: bytes) -> list[tuple[Field, Value]]:
-        """Return the fields that lie wholly within `data`, the bytes from `address` on."""
-        end = address + len(data)
-        at = (self.by_address.get(here) for here in range(address, end))
-        return [(field, field.decode(data[field.at - address:field.end - address]))
-                for field in at if field is not None and field.end <= end]
 
 
 UNKNOWN = Model(None, 'unknown')

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-One model file: entries -> fields, indirect ranges and blocks, each mistake named.
+One model file: entries -> fields, indirect ranges, each mistake named.
 
 The form is described in docs/models.md. Laying included files under each other is not done here
 (models.py), reading YAML neither (checked_yaml.py).
@@ -27,7 +27,6 @@ from dxl_monitor.model.control_table import ACCESS
 from dxl_monitor.model.control_table import Bits
 from dxl_monitor.model.control_table import Cases
 from dxl_monitor.model.control_table import Field
-from dxl_monitor.model.control_table import FieldGroup
 from dxl_monitor.model.control_table import Indirect
 from dxl_monitor.model.control_table import MEMORY
 from dxl_monitor.model.control_table import Span
@@ -269,18 +268,6 @@ def build_indirect(raw: Any, path: Path) -> tuple[tuple[Indirect, ...], list[Fie
                                 memory=memory))
             fields.append(Field(data + i, f'Indirect Data {n}', 'u8', access='rw', memory='ram'))
     return tuple(ranges), fields
-
-
-def build_blocks(raw: Any, path: Path) -> tuple[FieldGroup, ...]:
-    """Named ranges that hold other fields."""
-    blocks = []
-    check = Check(path, 'blocks')
-    for entry in check.sequence(raw, 'blocks'):
-        check.mapping(entry, {'at', 'size', 'name'})
-        at = check.integer(entry.get('at'), 'at', 0, ADDRESS_END - 1)
-        size = check.integer(entry.get('size'), 'size', 1, ADDRESS_END - at)
-        blocks.append(FieldGroup(at, size, check.text(entry.get('name'), 'name')))
-    return tuple(blocks)
 
 
 def _label(entry: Any) -> str:

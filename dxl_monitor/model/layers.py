@@ -4,7 +4,7 @@
 Layers: model files laid over the files they include, and over them the firmware variants.
 
 A field replaces an included one of the same name; `without` takes included ones away; `indirect`
-replaces the included ranges; words, aliases and blocks add up. Each file is parsed once.
+replaces the included ranges; words and aliases add up. Each file is parsed once.
 """
 
 from __future__ import annotations
@@ -22,11 +22,9 @@ from dxl_monitor.model.checked_yaml import ModelError
 from dxl_monitor.model.checked_yaml import read_yaml
 from dxl_monitor.model.control_table import BYTE_ORDERS
 from dxl_monitor.model.control_table import Field
-from dxl_monitor.model.control_table import FieldGroup
 from dxl_monitor.model.control_table import Indirect
 from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.control_table import PROTOCOLS
-from dxl_monitor.model.file import build_blocks
 from dxl_monitor.model.file import build_fields
 from dxl_monitor.model.file import build_indirect
 from dxl_monitor.model.file import Context
@@ -64,8 +62,6 @@ class Layer(NamedTuple):
     indirect: tuple[Indirect, ...] = ()
     indirect_fields: tuple[Field, ...] = ()
     aliases: dict[str, str] = {}
-    blocks: tuple[FieldGroup, ...] = ()
-    source: str = ''
 
     def over(self, below: Layer) -> Layer:
         """Lay this over `below`; aliases of what is no longer there go too."""
@@ -74,8 +70,7 @@ class Layer(NamedTuple):
         names = fields.keys() | {field.name for field in indirect.indirect_fields}
         aliases = {alias: name for alias, name in below.aliases.items() if name in names}
         return Layer(fields, {**below.words, **self.words}, indirect.indirect,
-                     indirect.indirect_fields, {**aliases, **self.aliases},
-                     below.blocks + self.blocks, self.source or below.source)
+                     indirect.indirect_fields, {**aliases, **self.aliases})
 
     def all_fields(self) -> tuple[Field, ...]:
         """By address, those of the indirect ranges included."""
@@ -145,8 +140,8 @@ class Layers:
                                                      'restart after changing model files')
         layer = self._whole_layer(definition, number, variant)
         return Model(number & NUMBER_MASK, definition.numbers[number], layer.all_fields(),
-                     indirect=layer.indirect, aliases=layer.aliases, blocks=layer.blocks,
-                     source=layer.source, file=str(path), protocol=definition.protocol,
+                     indirect=layer.indirect, aliases=layer.aliases, file=str(path),
+                     protocol=definition.protocol,
                      torque_constant=definition.torque_constants.get(number & NUMBER_MASK))
 
     def _whole_layer(self, definition: Definition, number: int, variant: int | None) -> Layer:
@@ -198,8 +193,7 @@ class Layers:
         words = {**below.words, **raw.get('words', {})}
         own = self._own_fields(raw, words, path, above)
         indirect, indirect_fields = build_indirect(raw.get('indirect', []), path)
-        top = Layer(own, words, indirect, tuple(indirect_fields), raw.get('aliases', {}),
-                    build_blocks(raw.get('blocks', []), path), str(raw.get('source', '')))
+        top = Layer(own, words, indirect, tuple(indirect_fields), raw.get('aliases', {}))
         return top.over(below._replace(fields=self._without(raw, below, path)))
 
     def _own_fields(self, raw: dict[str, Any], words: dict[str, Any], path: Path,
