@@ -160,14 +160,14 @@ def headline(metric: Metric) -> float | None:
     return figure if figure is not None and isfinite(figure) else None
 
 
-def metric_status(node: str, metric: Metric, hardware_id: str = '') -> Status:
+def metric_status(node: str, metric: Metric) -> Status:
     """Return the status of one metric: '<node>: timing/[<bus>/][<device>/]<name>'."""
     values = numbers([(f'value ({metric.unit})', metric.value)])
     values += _figures('', metric.unit, metric.window)
     values += _figures('since start ', metric.unit, metric.total)
     values += metric.notes
     name = status_name(node, 'timing', metric.bus, metric.device, metric.name)
-    return Status(name, Level.OK, _headline_text(metric), hardware_id, values)
+    return Status(name, Level.OK, _headline_text(metric), '', values)
 
 
 def _figures(prefix: str, unit: str, summary: Summary | None) -> list[tuple[str, str]]:

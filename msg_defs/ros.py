@@ -49,6 +49,7 @@ QUEUE_DEPTH = 10                # publishers: reliable, keep last
 # at each time it wakes. Of those with plain figures there are many.
 _NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 _LEVELS = {level: bytes([level]) for level in Level}    # DiagnosticStatus.level is a byte string
+_WINDOW_NS = 10_000_000_000        # of the figures
 _LAST_TIME = ((1 << 31) - 1) * 1_000_000_000          # the sec of a Time is an int32
 _UNSAFE = re.compile('[\0\ud800-\udfff]')
 
@@ -214,7 +215,7 @@ class TimingPublisher:
     """
 
     def __init__(self, node: Any, prefix: str, topics: str = HEADLINE,
-                 buses: Sequence[str] = (), window_s: float = 10.0) -> None:
+                 buses: Sequence[str] = ()) -> None:
         self._topics = topics
         if topics == ALL and statistics_msgs is None:
             node.get_logger().warning('timing_topics: all needs statistics_msgs, which is not '
@@ -222,7 +223,6 @@ class TimingPublisher:
         self._node = node
         self._prefix = prefix
         self._buses = topic_names(buses)
-        self._window_ns = int(window_s * 1e9)
         self._arrays = DiagnosticArrays()
         self._publishers: dict[str, Any] = {}
 
@@ -234,7 +234,7 @@ class TimingPublisher:
         statuses = [metric_status(name, metric) for metric in metrics]
         for array in self._arrays.build(statuses, stamp):
             self._publisher(DiagnosticArray, 'timing').publish(array)
-        start = to_time(now_ros - self._window_ns)
+        start = to_time(now_ros - _WINDOW_NS)
         for metric in metrics:
             if not metric.device:
                 self._publish_headline(metric)

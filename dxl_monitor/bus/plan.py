@@ -123,15 +123,15 @@ class Plan:
     __slots__ = ('asked', 'begin', 'counted', 'fast_reply', 'first', 'missed', 'oddities',
                  'request', 'slots', 'stamps')
 
-    def __init__(self, request: Request, slots: dict[int, Slot], begin: Begin | None = None,
-                 oddities: tuple[str, ...] = ()) -> None:
+    def __init__(self, request: Request, slots: dict[int, Slot],
+                 begin: Begin | None = None) -> None:
         self.request = request
         self.slots = slots
         self.first = next((slot.device for slot in slots.values()), None)
         self.fast_reply = FastReply(request.accesses, slots) if BROADCAST in slots and all(
             access.id in slots for access in request.accesses) else None
         self.begin = begin
-        self.oddities = oddities
+        self.oddities: tuple[str, ...] = ()
         self.asked = 0
         self.counted = 0                   # how many of them the devices' counts include
         self.missed = 0

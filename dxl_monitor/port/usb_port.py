@@ -63,18 +63,13 @@ class Place(NamedTuple):
 
 
 class UsbPort:
-    """
-    The port at one place. Give it every event of the bus, or those of its device.
+    """The port at one place. Give it every event of the bus, or those of its device."""
 
-    reads_interrupts: the interrupt endpoint is this port's own, and no other's.
-    """
-
-    def __init__(self, place: Place, adapter: Adapter, reads_interrupts: bool = True) -> None:
+    def __init__(self, place: Place, adapter: Adapter) -> None:
         self.place = place
         self.adapter = adapter
         self._bus, self._device = place.bus, place.device
         self._bulk = {place.bulk_in | INPUT: IN, place.bulk_out: OUT} if place.bulk_in else None
-        self._reads_interrupts = reads_interrupts
         self._setups: dict[int, bytes] = {}            # control transfers under way
         self._sizes: dict[int, int] = {}               # data on their way to the adapter
         self._kinds = _kinds(place)
@@ -171,7 +166,7 @@ class UsbPort:
 
     def _interrupt(self, event: UsbEvent) -> list[Change]:
         changes = self._end_words(event)
-        if self._reads_interrupts and event.is_input:
+        if event.is_input:
             changes += self.adapter.interrupt(event.data)
         return changes
 

@@ -128,9 +128,8 @@ class Records:
     `skipped` counts these bytes.
     """
 
-    def __init__(self, order: str = '<') -> None:
+    def __init__(self) -> None:
         self.skipped = 0
-        self._order = order
         self._rest = b''
 
     @property
@@ -148,7 +147,7 @@ class Records:
         """
         data = self._rest + piece if self._rest else piece
         at = 0
-        unpack = _HEADERS[self._order].unpack_from
+        unpack = _HEADERS['<'].unpack_from
         last = len(data) - HEADER_SIZE
         while at <= last:
             if skim is not None and (at := skim(data, at)) > last:
@@ -167,12 +166,9 @@ class Records:
         self._rest = data[at:]
 
 
-def kept_size(data: bytes, at: int = 0, order: str = '<') -> int | None:
-    """Return how many bytes belong to the header at this place; None where there is none."""
-    if len(data) - at < HEADER_SIZE:
-        return None
-    fields = _HEADERS[order].unpack_from(data, at)
-    return int(fields[12]) if _is_header(fields) else None
+def is_record(data: bytes) -> bool:
+    """Tell whether an event may begin so."""
+    return len(data) >= HEADER_SIZE and _is_header(_HEADERS['<'].unpack_from(data))
 
 
 def _is_header(fields: tuple[Any, ...]) -> bool:

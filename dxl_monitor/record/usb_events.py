@@ -16,7 +16,7 @@ from typing import BinaryIO
 from dxl_monitor.port.usbmon import decode
 from dxl_monitor.port.usbmon import decode_usbpcap
 from dxl_monitor.port.usbmon import HEADER_SIZE
-from dxl_monitor.port.usbmon import kept_size
+from dxl_monitor.port.usbmon import is_record
 from dxl_monitor.port.usbmon import OLD_HEADER_SIZE
 from dxl_monitor.port.usbmon import Records
 from dxl_monitor.port.usbmon import UsbEvent
@@ -33,7 +33,7 @@ READ_SIZE = 1 << 16
 
 def is_usb(head: bytes) -> bool:
     """Tell whether a file that begins so (64 bytes, or all of it) holds USB events."""
-    return is_pcap(head) or kept_size(head) is not None
+    return is_pcap(head) or is_record(head)
 
 
 def may_be_usb(head: bytes) -> bool:
