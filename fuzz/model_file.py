@@ -144,7 +144,6 @@ def is_a_table(model):
     assert all(first.end <= second.at for first, second in pairwise(model.fields))
     assert all(field.cases.by in names for field in model.fields if field.cases)
     assert set(model.aliases.values()) <= set(names)
-    assert all(0 <= one.at < one.at + one.size <= 0x10000 for one in model.blocks)
     for one in model.indirect:
         assert 0 <= one.address <= 0x10000 - 2 * one.size
         assert 0 <= one.data <= 0x10000 - one.size

@@ -16,7 +16,6 @@ import select
 import signal
 import time
 import tty
-from types import TracebackType
 from typing import NamedTuple
 
 from mecarover_serial.cli import UsageError
@@ -107,6 +106,5 @@ class Pty:
     def __enter__(self) -> Pty:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

@@ -58,15 +58,6 @@ class Dxl1Framer(StreamFramer):
     header = HEADER
     has_other = True               # whether some frame of the last chunk is of the 1.0 family
 
-    @property
-    def noise_ahead(self) -> int:
-        """Bytes of noise in front of the next frame."""
-        return self._noise_length
-
-    @noise_ahead.setter
-    def noise_ahead(self, count: int) -> None:
-        self._noise_length = count
-
     def lacks(self) -> int:
         """Return how many bytes the frame that waits for its end lacks, 0 if none waits."""
         data = self._buffer
@@ -89,7 +80,7 @@ class Dxl1Framer(StreamFramer):
         found: list[Frame] = []
         take = found.append
         damaged = 0
-        noisy = self._noise_length
+        noisy = self.noise_length
         done = 0                   # everything in front of it is decided
         wanted = 0                 # as many bytes are needed to go on
         mark = find(HEADER)
@@ -127,8 +118,8 @@ class Dxl1Framer(StreamFramer):
     def _flaw(self, noise: bytes) -> Flaw:
         """Return what is unusual about a good frame: noise in front of it."""
         self._give_up(noise)
-        flaw = ahead(False, self._noise_length)
-        self._noise_length = 0
+        flaw = ahead(False, self.noise_length)
+        self.noise_length = 0
         return flaw
 
     def _damaged(self, data: bytes, base: int, done: int, mark: int) -> Frame:
@@ -146,7 +137,7 @@ class Dxl1Framer(StreamFramer):
             self.crc_errors += 1
             reason = 'crc'
         begin = base + mark
-        flaw = Flaw(reason, noise_length=self._noise_length + mark - done, length=length)
+        flaw = Flaw(reason, noise_length=self.noise_length + mark - done, length=length)
         return (begin, begin + 2 + len(body), EITHER_1, body[0], body[2] if len(body) > 2 else 0,
                 body, flaw)
 

@@ -107,8 +107,8 @@ class _First(Framer):
             self.repaired += 1
         if gap:
             self._give_up(gap)
-        flaw = ahead(is_repaired, self._noise_length)
-        self._noise_length = 0
+        flaw = ahead(is_repaired, self.noise_length)
+        self.noise_length = 0
         return flaw
 
     def _keep(self, data: bytes, done: int, undecided: int) -> None:
@@ -326,7 +326,7 @@ class MixedFramer:
     def _look(self, at: int, data: Data) -> list[Frame]:
         """Return what is in a gap, or ends in it."""
         self._shift = at - self._second.bytes
-        self._second.noise_ahead = self._first.noise_ahead
+        self._second.noise_length = self._first.noise_ahead
         return self._moved(self._second.frames(data))
 
     def _merged(self, found: list[Frame], runs: list[_Run]) -> list[Frame]:
@@ -380,12 +380,12 @@ class MixedFramer:
         """Decide what is left of a gap: a packet of 2.0 follows, or silence."""
         if not self._is_open:
             return []
-        self._second.noise_ahead = self._first.noise_ahead
+        self._second.noise_length = self._first.noise_ahead
         return self._moved(self._second.flush_frames())
 
     def _moved(self, frames: list[Frame]) -> list[Frame]:
         """Return frames of the second framer as they stand in the stream."""
-        self._first.noise_ahead = self._second.noise_ahead
+        self._first.noise_ahead = self._second.noise_length
         self._is_open = self._second.pending > 0
         if not frames:
             return frames

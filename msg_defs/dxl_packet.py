@@ -99,8 +99,9 @@ class StreamFramer:
     A protocol adds its header, _scan() and _ends_in(). stamp: of the chunk that comes next.
     """
 
-    __slots__ = ('_buffer', '_is_interrupted', '_noise_length', '_wanted', 'bad_length', 'bytes',
-                 'crc_errors', 'noise', 'noise_bytes', 'packets', 'repaired', 'stamp', 'truncated')
+    __slots__ = ('_buffer', '_is_interrupted', '_wanted', 'bad_length', 'bytes', 'crc_errors',
+                 'noise', 'noise_bytes', 'noise_length', 'packets', 'repaired', 'stamp',
+                 'truncated')
     header = b''                   # how a whole frame begins
 
     def __init__(self) -> None:
@@ -116,7 +117,7 @@ class StreamFramer:
         self._buffer = b''         # not decided yet, at most one frame
         self._wanted = 0           # bytes in the buffer before it is worth looking again
         self._is_interrupted = False       # a pause followed what is in the buffer
-        self._noise_length = 0     # the run in front of the next frame
+        self.noise_length = 0     # the run in front of the next frame
 
     @property
     def pending(self) -> int:
@@ -173,7 +174,7 @@ class StreamFramer:
         if noise:
             size = len(noise)
             self.noise_bytes += size
-            self._noise_length += size
+            self.noise_length += size
             self.noise = (self.noise + noise)[-NOISE_KEPT:]
 
 
@@ -202,7 +203,7 @@ class Framer(StreamFramer):
         header = base - 1          # from the second FF of a header to the offset of the first
         found: list[Frame] = []
         damaged = 0
-        noisy = self._noise_length
+        noisy = self.noise_length
         is_usual = True
         done = 0                   # everything in front of it is decided
         wanted = 0                 # as many bytes are needed to go on
@@ -251,8 +252,8 @@ class Framer(StreamFramer):
         repaired = mark == done or data[mark - 1] != 0xFF
         self.repaired += repaired
         self._give_up(data[done:max(done, mark - 1)])
-        flaw = ahead(repaired, self._noise_length)
-        self._noise_length = 0
+        flaw = ahead(repaired, self.noise_length)
+        self.noise_length = 0
         return flaw
 
     def _damaged(self, data: bytes, base: int, done: int, mark: int, length: int) -> Frame:
@@ -271,7 +272,7 @@ class Framer(StreamFramer):
             self.crc_errors += 1
             reason = 'crc'
         begin = base + mark - 1
-        flaw = Flaw(reason, noise_length=self._noise_length + mark - 1 - done, length=length)
+        flaw = Flaw(reason, noise_length=self.noise_length + mark - 1 - done, length=length)
         return (begin, begin + 4 + len(body), IS_STATUS if code == STATUS else INSTRUCTION_2,
                 body[0], code, body, flaw)
 

@@ -106,15 +106,15 @@ def test_the_log_keeps_the_last_50_and_the_doctor_the_last_1000_and_256_waits():
     evidence = Evidence()
     for stamp in range(1001):
         evidence.note(stamp, ev.ALERT, 1, ev.NOTHING)
-        evidence.note_wait(Wait(stamp, 1, 1, False))
+        evidence.waits.append(Wait(stamp, 1, 1, False))
     assert [evidence.errors(lambda *_: '')[at].stamp for at in (0, -1)] == [951, 1000]
     assert len(evidence.errors(lambda *_: '')) == 50
-    assert len(evidence.incidents()) == 1000 and evidence.incidents()[0].stamp == 1
+    assert len(evidence.incidents) == 1000 and evidence.incidents[0].stamp == 1
     assert evidence.counts[ev.ALERT] == evidence.noted == 1001
     assert [one.stamp for one in evidence.newest(2)] == [999, 1000]
     assert len(evidence.newest(2000)) == 1000
     assert evidence.newest(0) == ()
-    assert [one.stamp for one in evidence.waits()] == list(range(745, 1001))
+    assert [one.stamp for one in evidence.waits] == list(range(745, 1001))
 
 
 def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
@@ -122,7 +122,7 @@ def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
     stamps = (0, ev._APART_NS - 1, ev._APART_NS, 2 * ev._APART_NS - 1)
     for stamp in stamps:
         evidence.note_often(stamp, ev.PROTOCOL_1, 1, ev.Code(2))
-    assert [one.stamp for one in evidence.incidents()] == [0, ev._APART_NS]
+    assert [one.stamp for one in evidence.incidents] == [0, ev._APART_NS]
     assert evidence.counts[ev.PROTOCOL_1] == 4
 
 
@@ -131,12 +131,13 @@ def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
     (IS_STATUS, 9, 'crc', (ev.DAMAGED_STATUS, 7, ev.Front(0x55, 259))),
     (INSTRUCTION_2, 2, 'length', (ev.BAD_LENGTH, -1, ev.Length(259))),
     (INSTRUCTION_2, 2, 'cut', (ev.CUT, -1, ev.Front(2, 259))),
+    (EITHER_1, 2, 'open', (ev.OPEN, 7, ev.Code(2))),
 ])
 def test_a_damaged_frame_is_noted_by_what_is_wrong(kind, code, reason, expected):
     evidence = Evidence()
     flaw = Flaw(reason, length=259)
     evidence.note_damage(1, (0, 9, kind, 7, code, b'', flaw), flaw)
-    [found] = evidence.incidents()
+    [found] = evidence.incidents
     assert (found.kind, found.device, found.detail) == expected
 
 
@@ -156,7 +157,7 @@ def packet_1(number, size):
 def test_packets_of_protocol_1_in_noise(noise, fresh, devices):
     evidence = Evidence()
     evidence.look_at_noise(noise, fresh, 5)
-    assert [(one.stamp, one.kind, one.device, one.detail) for one in evidence.incidents()] \
+    assert [(one.stamp, one.kind, one.device, one.detail) for one in evidence.incidents] \
         == [(5, ev.PROTOCOL_1, number, ev.Code(0)) for number in devices]
 
 
@@ -393,7 +394,7 @@ def test_the_first_miss_and_the_one_over_the_limit_are_noted():
             OpenQuestion(plan, [slot], set(), False), turn, turn)
     assert notes(one) == [(ev.MISSED, 3, ev.Unanswered(I.READ, 132)),
                           (ev.DISCONNECTED, 3, ev.Much(5))]
-    assert [note.stamp for note in one._evidence.incidents()] == [0, 4]
+    assert [note.stamp for note in one._evidence.incidents] == [0, 4]
     assert (plan.missed, one.device(3).counts.data_missed) == (7, 7)
 
 

@@ -191,7 +191,7 @@ def test_every_byte_of_a_program(kind, request):
         assert done.returncode == code
         assert done.stderr.count('\n') == 1
         assert 'is heard through strace' in done.stderr
-        told = listen(reader, lambda told: reader.programs == 0 and closed(1)(told))
+        told = listen(reader, lambda told: not reader.programs and closed(1)(told))
         told += reader.rest()
         assert heard(told, sent.OUT, path) == far.got != b''
         assert heard(told, sent.IN, path) == far.sent

@@ -386,7 +386,7 @@ def test_queue_is_bounded_and_what_is_lost_is_told():
         del sender._send
         import time
         time.sleep(0.1)
-        while sender.queue or any(one.is_behind for one in sender._readers.values()):
+        while sender.queue or any(one.pending for one in sender._readers.values()):
             time.sleep(0.1)
     """
     with TapReader('robot') as reader, program(script) as child:

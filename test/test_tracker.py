@@ -351,7 +351,7 @@ def test_what_an_answer_is_worth_is_noted_exactly():
     bus.hear(read(1), reply(1, b'1234'), reply(1, b'1234'))
     assert notes(bus)[-1][1:] == (ev.SECOND_ANSWER, 1, (I.READ,))
     bus.hear(reply(7, b'1234', error=3))
-    assert notes(bus)[-1][1:] == (ev.UNASKED, 7, (I.READ, 3))
+    assert notes(bus)[-1][1:] == (ev.UNASKED, 7, ())
     bus.hear(read(1), ping(2), reply(1, b'1234'))
     assert [kind for _, kind, _, _ in notes(bus)][-2:] == [ev.MISSED, ev.LATE]
 

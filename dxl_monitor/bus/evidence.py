@@ -24,6 +24,7 @@ from msg_defs.dxl_packet import STATUS
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
 from msg_defs.frame import IS_STATUS
+from msg_defs.frame import OPEN as OPEN_FRAME
 
 NO_DEVICE = -1
 Register = Callable[[int, int], str]        # what a device calls the register at an address
@@ -139,6 +140,7 @@ FAST_CUT = IncidentKind[Sizes]('fast reply cut')
 REPEATED = IncidentKind[Again]('repeated')
 UNSTUFFED = IncidentKind[Code]('unstuffed')                   # FF FF FD without its FD
 BAUD_WRITTEN = IncidentKind[Written]('Baud Rate written')     # the code
+OPEN = IncidentKind[Code]('undecided packet')                 # an instruction or a status (1.0)
 CALIBRATED = IncidentKind[Nothing]('calibrated')              # the position became the middle
 OFFSET_WRITTEN = IncidentKind[Offsets]('offset written')       # Homing Offset of Feetech
 REBOOTED = IncidentKind[Nothing]('rebooted')
@@ -187,16 +189,16 @@ class Evidence:
     """What was noted on one bus."""
 
     def __init__(self) -> None:
-        self._incidents: deque[Incident[Any]] = deque(maxlen=_KEPT)
+        self.incidents: deque[Incident[Any]] = deque(maxlen=_KEPT)
         self._errors: deque[Incident[Any]] = deque(maxlen=_ERRORS_KEPT)
-        self._waits: deque[Wait] = deque(maxlen=_WAITS_KEPT)
+        self.waits: deque[Wait] = deque(maxlen=_WAITS_KEPT)
         self.counts: Counter[str] = Counter()          # by kind, since start
         self._kept: dict[str, int] = {}                # stamp of the last that note_often() kept
         self.noted = 0                                 # incidents so far
 
     def note(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
         incident = Incident(stamp, kind, device, detail)
-        self._incidents.append(incident)
+        self.incidents.append(incident)
         self.counts[kind] += 1
         self.noted += 1
         if kind in _TEXTS:
@@ -214,17 +216,15 @@ class Evidence:
         """Note a damaged frame, or one of which it is open what it is."""
         _, _, kind, number, code, _, _ = frame
         code = STATUS if kind == IS_STATUS else code
-        if flaw.reason == 'length':
+        if flaw.reason == OPEN_FRAME:
+            self.note(stamp, OPEN, number, Code(code))
+        elif flaw.reason == 'length':
             self.note(stamp, BAD_LENGTH, NO_DEVICE, Length(flaw.length))
         elif flaw.reason == 'cut':
             self.note(stamp, CUT, NO_DEVICE, Front(code, flaw.length))
-        elif flaw.reason == 'crc':                 # else it is undecided
+        else:
             self.note(stamp, DAMAGED_STATUS if kind == IS_STATUS else DAMAGED_INSTRUCTION, number,
                       Front(code, flaw.length))
-
-    def note_wait(self, wait: Wait) -> None:
-        """Keep how long the master waited for an answer before it went on."""
-        self._waits.append(wait)
 
     def look_at_noise(self, noise: bytes, fresh: int, stamp: int) -> None:
         """Look for packets of Protocol 1.0 that end in the last `fresh` bytes of noise."""
@@ -234,14 +234,8 @@ class Evidence:
 
     def newest(self, count: int) -> tuple[Incident[Any], ...]:
         """Return the last incidents, oldest first."""
-        count = min(count, len(self._incidents))
-        return tuple(self._incidents[index] for index in range(-count, 0))
-
-    def incidents(self) -> tuple[Incident[Any], ...]:
-        return tuple(self._incidents)
-
-    def waits(self) -> tuple[Wait, ...]:
-        return tuple(self._waits)
+        count = min(count, len(self.incidents))
+        return tuple(self.incidents[index] for index in range(-count, 0))
 
     def errors(self, register: Register) -> tuple[Error, ...]:
         """Return the error log, the oldest line first."""

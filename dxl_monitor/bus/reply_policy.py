@@ -69,7 +69,7 @@ class ReplyPolicy:
         """
         plan, due, spoke, is_spoilt = question
         if us >= 0:
-            self._evidence.note_wait(Wait(now, us, due[0].device.number, is_spoilt))
+            self._evidence.waits.append(Wait(now, us, due[0].device.number, is_spoilt))
         served, behind = plan.served(due, spoke)
         for slot in due[:served]:
             self._miss(plan, slot, now, stamp, is_spoilt or slot.device.number in spoke)

@@ -18,7 +18,6 @@ import os
 import select
 import subprocess
 import sys
-from types import TracebackType
 from typing import NamedTuple
 
 from dxl_monitor.port import reader
@@ -93,8 +92,7 @@ class ReaderProcess:
     def __enter__(self) -> ReaderProcess:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.end()
 
     def end(self) -> str:

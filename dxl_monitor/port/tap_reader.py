@@ -134,7 +134,7 @@ class TapReader:
 
     def __init__(self, name: str, wake: int | None = None) -> None:
         self._secret = ''
-        self._programs: dict[int, _Connection] = {}
+        self.programs: dict[int, _Connection] = {}
         self._held: list[tuple[int, int, TapRecord]] = []
         self._count = 0
         self._wake = wake
@@ -146,10 +146,6 @@ class TapReader:
         self._path = os.path.join(place, f'{name}.{secrets.token_hex(4)}{sent.SUFFIX}')
         self._listener = self._listen()
         self._listener.setblocking(False)
-
-    @property
-    def programs(self) -> int:
-        return len(self._programs)
 
     def _listen(self) -> socket.socket:
         if hasattr(socket, 'AF_UNIX'):
@@ -194,11 +190,11 @@ class TapReader:
             due_s = (self._held[0][0] - time.monotonic_ns()) / 1e9 + HOLD_S
             seconds = min(seconds, max(0.0, due_s))
         listener = self._listener.fileno()
-        watched = [listener, *self._programs, *(() if self._wake is None else (self._wake,))]
+        watched = [listener, *self.programs, *(() if self._wake is None else (self._wake,))]
         for fd in readable(watched, seconds):
             if fd == listener:
                 self._accept()
-            elif fd in self._programs:
+            elif fd in self.programs:
                 self._read(fd)
         return self._due(time.monotonic_ns() - int(HOLD_S * 1e9))
 
@@ -215,14 +211,14 @@ class TapReader:
     def _accept(self) -> None:
         with suppress(OSError):
             connection, _ = self._listener.accept()
-            if len(self._programs) >= CONNECTIONS_LIMIT:
+            if len(self.programs) >= CONNECTIONS_LIMIT:
                 connection.close()
                 return
             connection.setblocking(False)
-            self._programs[connection.fileno()] = _Connection(connection, self._secret)
+            self.programs[connection.fileno()] = _Connection(connection, self._secret)
 
     def _read(self, number: int) -> None:
-        program = self._programs[number]
+        program = self.programs[number]
         try:
             data = program.socket.recv(_READ_SIZE)
             for record in program.records(data):
@@ -236,7 +232,7 @@ class TapReader:
             for port in program.ports.values():        # it ended without closing them
                 self._hold(TapRecord(now, port, sent.CLOSED, b'', 0))
             program.socket.close()
-            del self._programs[number]
+            del self.programs[number]
 
     def _hold(self, record: TapRecord) -> None:
         """Keep a record until its turn; one from the future would be kept for as long."""
@@ -246,7 +242,7 @@ class TapReader:
 
     def close(self) -> None:
         """Stop to listen; the programs go on."""
-        for program in self._programs.values():
+        for program in self.programs.values():
             program.socket.close()
         self._listener.close()
         with suppress(OSError):

@@ -88,32 +88,28 @@ class _TapPeer:
         self._socket.setblocking(False)
         hello = json.dumps({'pid': os.getpid(), 'program': sys.argv[0] if sys.argv else '',
                             'secret': secret}).encode()
-        self._pending = bytearray(record(HELLO, 0, time.monotonic_ns(), hello))
+        self.pending = bytearray(record(HELLO, 0, time.monotonic_ns(), hello))
         self._lost = 0
 
     def send(self, records: list[bytes]) -> bool:
         """Send what it takes without waiting; return whether it is still there."""
-        if len(self._pending) > PENDING_LIMIT:
+        if len(self.pending) > PENDING_LIMIT:
             self._lost += len(records)
         else:
             if self._lost:
-                self._pending += record(LOST, 0, time.monotonic_ns(), NUMBER.pack(self._lost))
+                self.pending += record(LOST, 0, time.monotonic_ns(), NUMBER.pack(self._lost))
                 self._lost = 0
-            self._pending += b''.join(records)
+            self.pending += b''.join(records)
         try:
-            while self._pending:
-                sent = self._socket.send(self._pending[:65_536], _NO_SIGNAL)
-                del self._pending[:sent]
+            while self.pending:
+                sent = self._socket.send(self.pending[:65_536], _NO_SIGNAL)
+                del self.pending[:sent]
         except (BlockingIOError, InterruptedError):
             pass
         except OSError:
             self._socket.close()
             return False
         return True
-
-    @property
-    def is_behind(self) -> bool:
-        return bool(self._pending)
 
 
 class Sender:
@@ -209,7 +205,7 @@ class Sender:
             if self._is_ending:
                 until = min(until, time.monotonic() + END_S)
                 if time.monotonic() >= until or not (
-                        self.queue or any(one.is_behind for one in self._readers.values())):
+                        self.queue or any(one.pending for one in self._readers.values())):
                     return
             time.sleep(POLL_S if not self._is_ending else POLL_S / 10)
 

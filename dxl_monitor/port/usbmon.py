@@ -130,12 +130,7 @@ class Records:
 
     def __init__(self) -> None:
         self.skipped = 0
-        self._rest = b''
-
-    @property
-    def pending(self) -> int:
-        """Bytes that wait for the end of their event."""
-        return len(self._rest)
+        self.rest = b''            # of an event that is not whole yet
 
     def events(self, piece: bytes,
                skim: Callable[[bytes, int], int] | None = None) -> Iterator[UsbEvent]:
@@ -145,7 +140,7 @@ class Records:
         skim: takes the events at a place that it can take faster, and returns where the first one
         begins that it leaves.
         """
-        data = self._rest + piece if self._rest else piece
+        data = self.rest + piece if self.rest else piece
         at = 0
         unpack = _HEADERS['<'].unpack_from
         last = len(data) - HEADER_SIZE
@@ -163,7 +158,7 @@ class Records:
                 break
             at = end
             yield _event(fields, data[begin:end])
-        self._rest = data[at:]
+        self.rest = data[at:]
 
 
 def is_record(data: bytes) -> bool:

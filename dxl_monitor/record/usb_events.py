@@ -81,7 +81,7 @@ class UsbEvents:
             yield from records.events(piece)
         if records.skipped:
             self.problems.append(f'{records.skipped} bytes are not USB events and were left out')
-        if records.pending:
+        if records.rest:
             self.problems.append('it ends within an event: cut off, or still being written')
 
 
