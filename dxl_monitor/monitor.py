@@ -38,6 +38,7 @@ from dxl_monitor.model.layout import Layouts
 from dxl_monitor.model.layout import NOWHERE
 from dxl_monitor.model.models import Models
 from dxl_monitor.port.driver import LineErrors
+from dxl_monitor.record.capture import Chunk
 from mecarover_serial.internal_fault import survive
 from msg_defs.event import BREAK
 from msg_defs.event import Change
@@ -159,6 +160,13 @@ class Monitor:
                 before = self._line_errors or LineErrors()
                 self._line_errors = before._replace(
                     **{field: getattr(before, field) + change.value})
+
+    def take(self, chunk: Chunk) -> None:
+        """Take what a source gives, bytes or a change."""
+        if chunk.change is None:
+            self.feed(chunk.data, chunk.stamp, chunk.side)
+        else:
+            self.change(chunk.change, chunk.stamp)
 
     def end(self, now: int, failed: str = '') -> None:
         """

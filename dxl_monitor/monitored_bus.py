@@ -19,6 +19,7 @@ from dxl_monitor.port.listener import TAKE_EVERY_S
 from dxl_monitor.port.listeners import listener_on
 from dxl_monitor.port.reader import NAME as READER_NAME
 from dxl_monitor.port.source_name import is_live
+from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.recorders import Recorders
 from mecarover_serial.inspection import Inspection
@@ -54,12 +55,14 @@ class MonitoredBus:
                     self.bus.port)
 
     def _record_and_feed(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        self._recorders.take(self._wire, chunk, stamp, side)
-        self.monitor.feed(chunk, stamp, side)
+        self._take(Chunk(stamp, self.bus.name, chunk, side))
 
     def _change(self, change: Change, stamp: int) -> None:
-        self._recorders.change(self._wire, change, stamp)
-        self.monitor.change(change, stamp)
+        self._take(Chunk(stamp, self.bus.name, change=change))
+
+    def _take(self, chunk: Chunk) -> None:
+        self._recorders.take(self._wire, chunk)
+        self.monitor.take(chunk)
 
     def is_late(self, now: int) -> bool:
         """Return whether a report must wait, because what came is still to be read."""

@@ -50,12 +50,6 @@ class HeardBus:
         self.monitor = Monitor(printable(wire.name), models, settings, idle_is_told=True,
                                names=OPTIONS)
 
-    def take(self, chunk: Chunk) -> None:
-        if chunk.change is None:
-            self.monitor.feed(chunk.data, chunk.stamp, chunk.side)
-        else:
-            self.monitor.change(chunk.change, chunk.stamp)
-
     def is_late(self, now: int) -> bool:
         return False
 
@@ -102,7 +96,7 @@ class SourceRun:
         if bus is None:
             bus = self._heard[chunk.bus] = HeardBus(wire, self._models, self._options)
             self._feed.add(bus)
-        bus.take(chunk)
+        bus.monitor.take(chunk)
 
     def end(self) -> Verdict:
         """Close the sources; return what dxl_doctor says of the run."""

@@ -9,12 +9,10 @@ from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture_recorder import Recorder
 from dxl_monitor.record.flight_recorder import FlightRecorder
-from msg_defs.event import Change
-from msg_defs.event import UNKNOWN
 
 
 class Recorders:
-    """Those that are not None. take and change may be called from any thread."""
+    """Those that are not None. take may be called from any thread."""
 
     def __init__(self, capture: Recorder | None, flight: FlightRecorder | None) -> None:
         self.flight = flight
@@ -36,13 +34,7 @@ class Recorders:
         """Return what each does, for a status."""
         return [(name, one.words) for name, one in self._all.items()]
 
-    def take(self, wire: Wire, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        self._record(wire, Chunk(stamp, wire.name, data, side))
-
-    def change(self, wire: Wire, change: Change, stamp: int) -> None:
-        self._record(wire, Chunk(stamp, wire.name, change=change))
-
-    def _record(self, wire: Wire, chunk: Chunk) -> None:
+    def take(self, wire: Wire, chunk: Chunk) -> None:
         for one in self._all.values():
             one.take(wire, chunk)
 

@@ -41,6 +41,7 @@ from dxl_monitor.tools.doctor.verdict import as_json
 from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
+from dxl_monitor.tools.dump.screen import has_colours
 from dxl_monitor.tools.run import add_bus_options
 from dxl_monitor.tools.run import models_of
 from dxl_monitor.tools.run import parse_run
@@ -121,13 +122,13 @@ def _check(options: argparse.Namespace) -> None:
                          'python my_script.py')
 
 
-def _open(options: argparse.Namespace, command: Sequence[str]) -> Source | Program:
+def _open(options: argparse.Namespace, command: Sequence[str]) -> Source:
     if not command:
         return open_source('dxl_doctor', options.source, options.baud, options.adapter)
     return Program(command, options.by, sys.stderr.fileno() if options.json else None)
 
 
-def _listen(source: Source | Program, examination: Examination, limit_s: float | None) -> float:
+def _listen(source: Source, examination: Examination, limit_s: float | None) -> float:
     """Listen until there is enough; return for how long (s): of the file, or by the clock."""
     began_s = time.monotonic()
     is_over = True
@@ -152,7 +153,7 @@ def _listen(source: Source | Program, examination: Examination, limit_s: float |
     return time.monotonic() - began_s if source.is_live else examination.seconds
 
 
-def _has_enough(source: Source | Program, examination: Examination, now_s: float,
+def _has_enough(source: Source, examination: Examination, now_s: float,
                 limit_s: float | None) -> bool:
     """Tell whether to end; now_s: since the start."""
     if not source.is_live:
@@ -195,7 +196,7 @@ class _Progress:
             on_screen(sys.stderr, '\r\033[K')
 
 
-def _why_quiet(name: str, source: Source | Program, command: Sequence[str]) -> list[str]:
+def _why_quiet(name: str, source: Source, command: Sequence[str]) -> list[str]:
     if isinstance(source, Program):
         return no_data.of_program(command, source.ports, source.ending)
     return no_data.reasons(name, source.is_live)
@@ -207,12 +208,10 @@ def _show(said: Verdict, for_programs: dict[str, Any], options: argparse.Namespa
         return
     if options.source == RUN:
         print()                        # the program may have left a line without an end
-    colours = (sys.stdout.isatty() and not os.environ.get('NO_COLOR')
-               and os.environ.get('TERM') != 'dumb')
-    print('\n'.join(screen(said, colours)))
+    print('\n'.join(screen(said, has_colours())))
 
 
-def _write_report(source: Source | Program, examination: Examination, seconds: float,
+def _write_report(source: Source, examination: Examination, seconds: float,
                   options: argparse.Namespace, command: Sequence[str]) -> None:
     ports = source.ports if isinstance(source, Program) else \
         [port for port in [machine.device(options.source)] if port]

@@ -11,6 +11,7 @@ import sys
 from dxl_monitor.model.models import check_models
 from dxl_monitor.model.models import model_files
 from dxl_monitor.tools.dump.packet_lines import TIMES
+from dxl_monitor.tools.dump.screen import has_colours
 from dxl_monitor.tools.dump.session import CAPTURE
 from dxl_monitor.tools.dump.session import FORMATS
 from dxl_monitor.tools.dump.session import MCAP
@@ -56,7 +57,7 @@ def _run(arguments: list[str]) -> int:
     options.ids = _ids(options.id)
     options.about = _ids(options.about)
     options.instructions = _instructions(options.instruction)
-    options.colours = _has_colours(options.color)
+    options.colours = has_colours(options.color)
     options.format = options.format or _format(options.write)
     with Session(options) as session:
         session.run()

@@ -50,13 +50,12 @@ class Examination:
         self._due = self._due or chunk.stamp + REPORT_NS
         self.window.take(chunk, wire)
         monitor = self._monitors.get(chunk.bus) or self._begin(chunk.bus, wire)
+        monitor.take(chunk)
         if chunk.change is not None:
-            monitor.change(chunk.change, chunk.stamp)
             return
         self.first = self.first or chunk.stamp
         self.last = chunk.stamp
         self.bytes += len(chunk.data)
-        monitor.feed(chunk.data, chunk.stamp, chunk.side)
 
     def _begin(self, bus: str, wire: Wire) -> Monitor:
         settings = settings_of(bus, wire, self._devices, self._protocol)

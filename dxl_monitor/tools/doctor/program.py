@@ -27,6 +27,7 @@ from dxl_monitor.port.tap_sender import ENDED
 from dxl_monitor.port.tap_sender import OPENED
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.source import Source
 from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor.verdict import Trouble
 from dxl_monitor.tools.start_program import StartedProgram
@@ -81,14 +82,14 @@ class Ending(NamedTuple):
         return [f'the program ended with exit code {self.code}: {error}']
 
 
-class Program:
+class Program(Source):
     """A running program; OSError when it cannot be started."""
 
     is_live = True
-    is_timed = True
 
     def __init__(self, command: Sequence[str], by: str = '', output: int | None = None,
                  tool: str = 'dxl_doctor') -> None:
+        super().__init__()
         name = f'doctor-{secrets.token_hex(4)}'
         self._ending = Ending()
         self.ports: list[str] = []
@@ -152,10 +153,6 @@ class Program:
     def wire(self, bus: str) -> Wire:
         """Return what is known of a bus: its rate comes with its opening."""
         return Wire(bus, 0)
-
-    def problems(self) -> list[str]:
-        """Return what a person should know at the end."""
-        return []
 
     def close(self) -> None:
         """Wait for the program, and stop to listen."""

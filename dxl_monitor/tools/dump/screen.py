@@ -3,7 +3,9 @@
 """What dxl_dump shows in place: a Screen, and the line about a bus."""
 
 from collections.abc import Sequence
+import os
 import shutil
+import sys
 from typing import TextIO
 
 from dxl_monitor.bus.report import BusReport
@@ -17,6 +19,13 @@ from msg_defs.reports import Level
 
 PLAIN_WIDTH = 160                  # where there is no terminal
 COLOURS = {Level.WARN: YELLOW, Level.ERROR: RED, Level.STALE: DIM}
+
+
+def has_colours(wish: str = 'auto') -> bool:
+    """Tell whether to print colours; wish: 'always', 'never', or where it is a terminal."""
+    return wish == 'always' or (
+        wish == 'auto' and sys.stdout.isatty() and not os.environ.get('NO_COLOR')
+        and os.environ.get('TERM') != 'dumb')
 
 
 class Screen:

@@ -125,13 +125,10 @@ class Session:
         if self._file is not None and self._packets is None:
             self._record(self._file, chunk)
         monitor = self._monitors.get(chunk.bus) or self._new_monitor(chunk.bus)
-        if chunk.change is None:
-            monitor.feed(chunk.data, chunk.stamp, chunk.side)
-        else:
-            monitor.change(chunk.change, chunk.stamp)
-            if self._packets is not None:
-                self._packets.change(chunk.bus, chunk.change, chunk.stamp,
-                                     self._listings[chunk.bus])
+        monitor.take(chunk)
+        if chunk.change is not None and self._packets is not None:
+            self._packets.change(chunk.bus, chunk.change, chunk.stamp,
+                                 self._listings[chunk.bus])
         if self._packets is not None:
             self._record_packets(self._packets, chunk.stamp)
         if self._mcap is not None:
