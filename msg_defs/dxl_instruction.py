@@ -8,6 +8,7 @@ in them raises: what does not fit its instruction is marked malformed.
 """
 
 from collections.abc import Callable
+from collections.abc import Mapping
 from enum import Enum
 from enum import IntEnum
 from functools import partial
@@ -53,7 +54,8 @@ ERROR = 'error'
 STORE = 'store'
 RESTORE = 'restore'
 RESET_ALL = 'all'
-RESET_OPTIONS = {0xFF: RESET_ALL, 0x01: 'all except ID', 0x02: 'all except ID and Baud Rate'}
+RESET_OPTIONS = {b'\xff': RESET_ALL, b'\x01': 'all except ID',
+                 b'\x02': 'all except ID and Baud Rate'}
 # By the key bytes alone: clients disagree about the byte in front of them.
 CLEAR_KEYS = {b'\x44\x58\x4c\x22': MULTI_TURN, b'\x45\x52\x43\x4c': ERROR}
 BACKUP_OPTIONS = {b'\x01CTRL': STORE, b'\x02CTRL': RESTORE}
@@ -100,12 +102,14 @@ class Kind(NamedTuple):
 
     parse: instruction, ID, parameters to a Request. is_to_many: its parameters list the devices,
     and it is sent to the broadcast ID alone. key_size: how many of its parameters tell one from
-    another where the rest is data to write; None: all.
+    another where the rest is data to write; None: all. options: what it may do, by the parameters
+    at a place.
     """
 
     parse: Parse
     is_to_many: bool = False
-    has_option: bool = False
+    options: Mapping[bytes, str] = {}
+    options_at: slice = slice(None)
     key_size: int | None = None
 
 
@@ -137,7 +141,9 @@ def parse(instruction: int, id: int, params: bytes) -> Request:
         return Request(instruction, id, Answers.NONE)
     if id != BROADCAST and kind.is_to_many:
         return _malformed(instruction, id)
-    return kind.parse(instruction, id, params)
+    request = kind.parse(instruction, id, params)
+    option = kind.options.get(params[kind.options_at])
+    return request._replace(option=option) if option else request
 
 
 def split_combined(body: bytes, accesses: tuple[Access, ...]) -> list[Block]:
@@ -230,25 +236,6 @@ def _command(instruction: int, id: int, params: bytes) -> Request:
     return Request(instruction, id, _acknowledged(id))
 
 
-def _with_option(option: Callable[[bytes], str]) -> Parse:
-    """Return the parser of a command with parameters that say which of several things to do."""
-    def parse_command(instruction: int, id: int, params: bytes) -> Request:
-        return Request(instruction, id, _acknowledged(id), option=option(params))
-    return parse_command
-
-
-def _reset_option(params: bytes) -> str:
-    return RESET_OPTIONS.get(params[0], '') if params else ''
-
-
-def _clear_option(params: bytes) -> str:
-    return CLEAR_KEYS.get(params[1:5], '')
-
-
-def _backup_option(params: bytes) -> str:
-    return BACKUP_OPTIONS.get(params, '')
-
-
 def _sync_read(answers: Answers, instruction: int, id: int, params: bytes) -> Request:
     if len(params) < 5 or len(set(params[4:])) != len(params) - 4:
         return _malformed(instruction, id)
@@ -289,10 +276,10 @@ KINDS: dict[int, Kind] = {
     Instruction.WRITE: Kind(_write, key_size=2),
     Instruction.REG_WRITE: Kind(_write, key_size=2),
     Instruction.ACTION: Kind(_command),
-    Instruction.FACTORY_RESET: Kind(_with_option(_reset_option), has_option=True),
+    Instruction.FACTORY_RESET: Kind(_command, options=RESET_OPTIONS, options_at=slice(1)),
     Instruction.REBOOT: Kind(_command),
-    Instruction.CLEAR: Kind(_with_option(_clear_option), has_option=True),
-    Instruction.CONTROL_TABLE_BACKUP: Kind(_with_option(_backup_option), has_option=True),
+    Instruction.CLEAR: Kind(_command, options=CLEAR_KEYS, options_at=slice(1, 5)),
+    Instruction.CONTROL_TABLE_BACKUP: Kind(_command, options=BACKUP_OPTIONS),
     Instruction.SYNC_READ: Kind(partial(_sync_read, Answers.LISTED), is_to_many=True),
     Instruction.SYNC_WRITE: Kind(_sync_write, is_to_many=True, key_size=4),
     Instruction.FAST_SYNC_READ: Kind(partial(_sync_read, Answers.COMBINED), is_to_many=True),

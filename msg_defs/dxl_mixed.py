@@ -219,7 +219,7 @@ class MixedFramer:
         return self._second.noise if self.claimed else self._first.noise
 
     @property
-    def noise_ahead(self) -> int:
+    def noise_length(self) -> int:
         """Bytes of noise since the last good frame of either family."""
         return self._first.noise_ahead
 
@@ -293,7 +293,7 @@ class MixedFramer:
                 is_one = detector.proves(Candidate(self, frame, self.stamp, self.bytes, self.side))
             if not is_one:
                 found[at] = begin, end, UNPROVEN_1, number, code, content, flaw
-        if detector.streak and self.noise_ahead > GLITCH:
+        if detector.streak and self.noise_length > GLITCH:
             detector.reject()
         return found
 

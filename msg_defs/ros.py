@@ -49,7 +49,7 @@ QUEUE_DEPTH = 10                # publishers: reliable, keep last
 # at each time it wakes. Of those with plain figures there are many.
 _NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 _LEVELS = {level: bytes([level]) for level in Level}    # DiagnosticStatus.level is a byte string
-_WINDOW_NS = 10_000_000_000        # of the figures
+_WINDOW_NS = 10_000_000_000        # figures are of so long a time
 _LAST_TIME = ((1 << 31) - 1) * 1_000_000_000          # the sec of a Time is an int32
 _UNSAFE = re.compile('[\0\ud800-\udfff]')
 

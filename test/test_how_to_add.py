@@ -144,7 +144,7 @@ from dxl_monitor.bus.expected import Expected
 from mecarover_fakes.dxl1_servo import Servo1
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from msg_defs.dxl1_instruction import DYNAMIXEL_1, name_of
+from msg_defs.dxl1_instruction import DYNAMIXEL_1, UNDECIDED
 from msg_defs.dxl1_packet import encode
 models = Models()
 bus = Monitor('', models, Settings(1_000_000, (Expected(1, 'AX-12A'),), protocol='1'))
@@ -155,7 +155,8 @@ def ask(stamp, instruction, wire=b'', params=b''):
     bus.feed(encode(1, servo.error_byte(reply.error), reply.params), stamp + 300_000)
     return [one.field.name for one in bus.report(stamp + 300_000_000).devices[0].observed]
 first = ask(10**11, 2, bytes((36, 2)), bytes((36, 0, 2, 0)))
-print(first, name_of(0x21, DYNAMIXEL_1), name_of(0x21), ask(10**11 + 10**9, 0x21))
+names = [one.entries[0x21].name for one in (DYNAMIXEL_1, UNDECIDED)]
+print(first, *names, ask(10**11 + 10**9, 0x21))
 """) == "['Present Position'] Home Home []"
 
 
@@ -319,7 +320,7 @@ from dxl_monitor.port.listener import Listener
 
 class HexListener(Listener):
     def _listen_once(self) -> None:
-        self._say_open()
+        self._say_open('open')
         self._hear(bytes.fromhex(self.port.removeprefix('hex:')), time.monotonic_ns())
         while not self._stopping:
             self._pause(1.0)

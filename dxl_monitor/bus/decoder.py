@@ -186,17 +186,18 @@ class BusDecoder:
         elif what == PURGED and value & 1:
             self.tracker.unread.purge(stamp)
         elif what in (CLOSED, GONE, LOST):
-            for side, framer in self.framers.items():
-                self._flush(side, framer, stamp)
-            self._settle()
-            self.tracker.lose_track(stamp, value if what == LOST else 0)
+            self._end(stamp, value if what == LOST else 0)
 
-    def _set_baud(self, baud: int, stamp: int) -> None:
-        """Begin on a new wire: what was on the other one is over, and no damage here."""
+    def _end(self, stamp: int, lost: int = 0) -> None:
+        """Take what is left as whole; what comes now has nothing to do with it."""
         for side, framer in self.framers.items():
             self._flush(side, framer, stamp)
         self._settle()
-        self.tracker.lose_track(stamp, 0)
+        self.tracker.lose_track(stamp, lost)
+
+    def _set_baud(self, baud: int, stamp: int) -> None:
+        """Begin on a new wire: what was on the other one is over, and no damage here."""
+        self._end(stamp)
         self.settings = self.settings._replace(baud=baud)
         self.byte_ns = self.tracker.byte_ns = byte_ns(baud)
         if self.classifier is not None:

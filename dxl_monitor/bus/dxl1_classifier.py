@@ -208,7 +208,7 @@ class Dxl1Classifier:
         parts: list[Part | None] = []
         held = self._unconfirmed
         if held is not None and not held.framer.pending:
-            self._add(parts, self._met(held, not held.framer.noise_ahead), *held[2:])
+            self._add(parts, self._met(held, not held.framer.noise_length), *held[2:])
         return parts
 
     def _met(self, held: _Waiting, is_next: bool) -> Frame:

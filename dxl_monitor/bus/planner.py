@@ -301,4 +301,4 @@ class Planner:
 
 def _arguments(request: Request) -> tuple[str, ...]:
     kind = KINDS.get(request.instruction)
-    return (request.option,) if kind is not None and kind.has_option else ()
+    return (request.option,) if kind is not None and kind.options else ()

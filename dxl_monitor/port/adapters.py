@@ -28,6 +28,7 @@ _COMMUNICATION_DATA = 0x0A         # class of an interface
 _USUAL_RATES = (9600, 19_200, 38_400, 57_600, 76_800, 115_200, 128_000, 222_222, 230_400, 250_000,
                 460_800, 500_000, 921_600, 1_000_000, 1_500_000, 2_000_000, 2_250_000, 2_500_000,
                 3_000_000, 4_000_000, 4_500_000, 6_000_000, 10_500_000)
+_ERRORS = ((0x02, OVERRUN), (0x04, PARITY), (0x08, FRAMING), (0x10, BREAK))    # FTDI, CP210x
 _NEAR = 0.025                      # 4.5 MBd of an FT232H are 4.571 MBd
 
 
@@ -58,6 +59,12 @@ def usual_rate(rate: float) -> int:
     """Return the rate that was meant by one that a divider makes."""
     near = min(_USUAL_RATES, key=lambda one: abs(one - rate))
     return near if abs(near - rate) <= _NEAR * near else round(rate)
+
+
+def _lines(value: int) -> list[Change]:
+    """Return the modem lines that a request sets: which in the high byte, how in the low one."""
+    return [Change(what, value >> bit & 1) for bit, what in ((0, DTR), (1, RTS))
+            if value >> 8 >> bit & 1]
 
 
 class Adapter:
@@ -117,7 +124,6 @@ class Ftdi(Adapter):
     name = 'FTDI'
     IDLE_SIZE = _STATUS_SIZE = 2
     MULTI = (0x0500, 0x0700, 0x0800, 0x2800, 0x2900, 0x3300)
-    _ERRORS = ((0x02, OVERRUN), (0x04, PARITY), (0x08, FRAMING), (0x10, BREAK))
     _EIGHTHS = (0, 3, 2, 4, 1, 5, 6, 7)       # by the code in bits 14 to 16 of the divisor
 
     @classmethod
@@ -145,7 +151,7 @@ class Ftdi(Adapter):
     def _line(self, packet: bytes) -> list[Change]:
         if len(packet) <= self._STATUS_SIZE or not packet[1] & 0x1E:
             return []
-        return [Change(what, 1) for bit, what in self._ERRORS if packet[1] & bit]
+        return [Change(what, 1) for bit, what in _ERRORS if packet[1] & bit]
 
     def control(self, setup: Setup, data: bytes) -> list[Change]:
         kind, request, value, _ = setup
@@ -154,8 +160,7 @@ class Ftdi(Adapter):
         if request == 0 and value in (1, 2):
             return [Change(PURGED, value)]
         if request == 1:
-            return [Change(what, value >> bit & 1) for bit, what in ((0, DTR), (1, RTS))
-                    if value >> 8 >> bit & 1]
+            return _lines(value)
         if request == 3:
             return [Change(BAUD, self._baud(setup))]
         return [Change(LATENCY_TIMER, value & 0xFF)] if request == 9 else []
@@ -250,7 +255,6 @@ class Cp210x(Adapter):
     """
 
     name = 'CP210x'
-    _ERRORS = ((0x02, OVERRUN), (0x04, PARITY), (0x08, FRAMING), (0x10, BREAK))
     _SIZES = (2, 4, 3, 3)          # bytes of each message after ESC
 
     @classmethod
@@ -275,8 +279,7 @@ class Cp210x(Adapter):
         if request == 0x01 and value:
             return [Change(BAUD, usual_rate(3_686_400 / value))]
         if request == 0x07:
-            return [Change(what, value >> bit & 1) for bit, what in ((0, DTR), (1, RTS))
-                    if value >> 8 >> bit & 1]
+            return _lines(value)
         if request == 0x12:
             return [Change(PURGED, (1 if value & 0x0A else 0) | (2 if value & 0x05 else 0))]
         if request == 0x15:
@@ -303,7 +306,7 @@ class Cp210x(Adapter):
             if kind == 0 or kind >= len(self._SIZES):      # itself, or no escape at all
                 found.append(self._escape)
             elif kind == 1:
-                changes += [Change(what, 1) for bit, what in self._ERRORS if data[mark + 2] & bit]
+                changes += [Change(what, 1) for bit, what in _ERRORS if data[mark + 2] & bit]
                 found.append(data[mark + 3:at])
         self._rest = b''
         return b''.join(found) + data[at:], changes

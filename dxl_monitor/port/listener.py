@@ -225,6 +225,7 @@ class Listener:
                 if process.wait():
                     for record in process.records():
                         was_ready = True
+                        self._largest_gap = max(self._largest_gap, record.largest_gap)
                         take(record)
                     time.sleep(self._take_every_s)
         finally:
@@ -232,7 +233,6 @@ class Listener:
         return was_ready
 
     def _take(self, port: Port, record: Record) -> None:
-        self._largest_gap = max(self._largest_gap, record.largest_gap)
         if record.kind == reader.CHUNK:
             self._hear(record.data, record.stamp)
         elif record.kind == reader.IDLE:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import os
 import time
-from typing import Any
 
 from dxl_monitor.port import tap_sender as sent
 from dxl_monitor.port.listener import Listener
@@ -30,9 +29,7 @@ class TapListener(Listener):
     the ports that the program opened as well.
     """
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self.others: set[str] = set()
+    others: frozenset[str] = frozenset()
 
     def problems(self) -> list[str]:
         if not self.others:
@@ -76,7 +73,7 @@ class TapListener(Listener):
             self._say_open(f'listening to {record.port}')
         if record.kind == sent.OPENED and record.port != self._heard_port \
                 and len(self.others) <= _NAMED:
-            self.others.add(record.port)
+            self.others |= {record.port}
         if record.port and record.port != self._heard_port:
             return
         change = record.change

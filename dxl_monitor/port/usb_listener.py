@@ -15,7 +15,6 @@ import os
 import socket
 import stat
 import time
-from typing import Any
 
 from dxl_monitor.port import reader
 from dxl_monitor.port.listener import Listener
@@ -44,10 +43,8 @@ _AT_ONCE_NS = 100_000               # two clocks were read without a pause betwe
 class UsbListener(Listener):
     """A listener on one adapter; dropped: events that the kernel had no room for."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self.dropped = 0
-        self._place: Place | None = None           # None: a stream says itself what is there
+    dropped = 0
+    _place: Place | None = None            # None: a stream says itself what is there
 
     def problems(self) -> list[str]:
         return [f'the kernel dropped {self.dropped} USB events: there is too much other traffic '
@@ -93,7 +90,6 @@ class UsbListener(Listener):
                                               'start it again'))
 
     def _take_record(self, record: Record) -> None:
-        self._largest_gap = max(self._largest_gap, record.largest_gap)
         if record.kind == reader.CHUNK:
             self._take_events(record.data, record.stamp)
         elif record.kind == reader.DROPPED:

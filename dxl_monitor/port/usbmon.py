@@ -130,7 +130,7 @@ class Records:
 
     def __init__(self) -> None:
         self.skipped = 0
-        self.rest = b''            # of an event that is not whole yet
+        self.rest = b''            # begin of an event
 
     def events(self, piece: bytes,
                skim: Callable[[bytes, int], int] | None = None) -> Iterator[UsbEvent]:

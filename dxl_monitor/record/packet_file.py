@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from collections.abc import Sequence
-from io import BufferedReader
 from io import BytesIO
 from pathlib import Path
 import struct
@@ -103,9 +102,8 @@ def is_packet_file(path: str | Path) -> bool:
 class PacketFile(File):
     """Such a file as a source; baud overrides what it says."""
 
-    def __init__(self, name: str, file: BufferedReader, baud: int | None) -> None:
-        super().__init__(name, file, baud)
-        self._packets = PcapReader(file)
+    def _begin(self) -> None:
+        self._packets = PcapReader(self._file)
 
     def chunks(self) -> Iterator[Chunk | None]:
         """Yield each packet as a chunk; its stamp is of the last byte, or for OUT of the first."""

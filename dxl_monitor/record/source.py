@@ -68,6 +68,10 @@ class File(Source):
         self._file = file
         self._baud = baud
         self.total = os.fstat(file.fileno()).st_size if file.seekable() else 0
+        self._begin()
+
+    def _begin(self) -> None:
+        """Say what is known before the first chunk."""
 
     @property
     def _bus(self) -> str:
@@ -83,9 +87,8 @@ class File(Source):
 class CaptureFile(File):
     """A capture."""
 
-    def __init__(self, name: str, file: BufferedReader, baud: int | None) -> None:
-        super().__init__(name, file, baud)
-        self._reader = Reader(lines(file))
+    def _begin(self) -> None:
+        self._reader = Reader(lines(self._file))
         self.wires = self._reader.wires
 
     def chunks(self) -> Iterator[Chunk | None]:
@@ -107,9 +110,8 @@ class RawFile(File):
     is_timed = False
     read_size = READ_SIZE
 
-    def __init__(self, name: str, file: BufferedReader, baud: int | None) -> None:
-        super().__init__(name, file, baud)
-        self.wires[self._bus] = Wire(self._bus, baud or DEFAULT_BAUD, port=name)
+    def _begin(self) -> None:
+        self.wires[self._bus] = Wire(self._bus, self._baud or DEFAULT_BAUD, port=self._name)
 
     def chunks(self) -> Iterator[Chunk | None]:
         [(name, baud, *_)] = self.wires.values()

@@ -75,41 +75,37 @@ def _check_models(folder: str) -> int:
     return DONE
 
 
-def _ids(entries: Sequence[str] | None) -> frozenset[int] | None:
-    """Return the IDs of '7,11-13' given once or more; None for all."""
-    if entries is None:
-        return None
-    found: set[int] = set()
-    for text in ','.join(entries).split(','):
-        first, dash, last = text.strip().partition('-')
-        try:
-            ids = range(int(first), int(last if dash else first) + 1)
-        except ValueError:
-            ids = range(0)
-        if not ids or not 0 <= ids[0] <= ids[-1] <= HIGHEST_ID:
-            raise UsageError(f'{text!r}: not an ID; write e.g. 7 or 7,11-13, or 254 for broadcasts'
-                             )
-        found.update(ids)
-    return frozenset(found)
+def _listed(entries: Sequence[str] | None,
+            read: Callable[[str], Iterable[int]]) -> frozenset[int] | None:
+    """Return the numbers of '7,11-13' given once or more; None for all."""
+    return None if entries is None else frozenset(
+        number for text in ','.join(entries).split(',') for number in read(text))
 
 
-def _instructions(entries: Sequence[str] | None) -> frozenset[int] | None:
-    """Return the codes of 'write,sync_read,0x83'; None for all."""
-    if entries is None:
-        return None
+def _ids(text: str) -> range:
+    """Return the IDs of '7' or '11-13'."""
+    first, dash, last = text.strip().partition('-')
+    try:
+        ids = range(int(first), int(last if dash else first) + 1)
+    except ValueError:
+        ids = range(0)
+    if not ids or not 0 <= ids[0] <= ids[-1] <= HIGHEST_ID:
+        raise UsageError(f'{text!r}: not an ID; write e.g. 7 or 7,11-13, or 254 for broadcasts')
+    return ids
+
+
+def _code(text: str) -> tuple[int]:
+    """Return the code of 'write', 'sync_read' or '0x83'."""
     codes = {name.casefold().replace(' ', '_'): code for code, name in NAMES.items()}
-    found: set[int] = set()
-    for text in ','.join(entries).split(','):
-        name = text.strip().casefold().replace(' ', '_').replace('-', '_')
-        try:
-            code = codes[name] if name in codes else int(name, 0)
-        except ValueError:
-            code = -1
-        if not 0 <= code <= 0xFF:
-            raise UsageError(f"{text!r}: not an instruction; use one of {', '.join(codes)}, or a "
-                             'code like 0x83')
-        found.add(code)
-    return frozenset(found)
+    name = text.strip().casefold().replace(' ', '_').replace('-', '_')
+    try:
+        code = codes[name] if name in codes else int(name, 0)
+    except ValueError:
+        code = -1
+    if not 0 <= code <= 0xFF:
+        raise UsageError(f"{text!r}: not an instruction; use one of {', '.join(codes)}, or a code "
+                         'like 0x83')
+    return (code,)
 
 
 def _format(name: str | None) -> str:

@@ -19,7 +19,6 @@ from dxl_monitor.tools.dump.decode import PingAnswer
 from dxl_monitor.tools.dump.listing import DAMAGED
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.listing import MISSED
-from dxl_monitor.tools.dump.listing import NOISE
 from dxl_monitor.tools.dump.text_format import answer_words
 from dxl_monitor.tools.dump.text_format import damaged_words
 from dxl_monitor.tools.dump.text_format import missed_words
@@ -28,7 +27,6 @@ from dxl_monitor.tools.dump.text_format import packet_name
 from dxl_monitor.tools.dump.text_format import request_words
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_packet import BROADCAST
-from msg_defs.dxl_packet import Packet
 from msg_defs.frame import OPEN
 
 WIDE = 110                         # columns, from which on there is room for bus and joint
@@ -66,8 +64,7 @@ class Lines:
     def line(self, bus: str, stamp: int, entry: Entry, parts: Sequence[Part],
              identity: PingAnswer | None) -> str:
         """Return the line of an entry; stamp in ns, as the time is to be shown."""
-        mark, colour, number, name, words = _SHOWN.get(entry.kind, _packet)(
-            entry, parts, identity)
+        mark, colour, number, name, words = _shown(entry, parts, identity)
         is_wide = self.width is None or self.width >= WIDE
         model = _model(entry.device, is_wide)
         self._model_width = max(self._model_width, len(model))
@@ -115,42 +112,27 @@ def delta_text(delta_us: float) -> str:
 Shown = tuple[str, str, str, str, str]         # mark, colour, ID, instruction, words
 
 
-def _packet(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
-    packet = entry.packet
+def _shown(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
+    packet, device = entry.packet, entry.device
+    if entry.kind == MISSED:
+        number = '' if device is None else f'{device.number:03}'
+        return '!', RED, number, 'missed', missed_words(entry)
+    if entry.kind == DAMAGED:
+        number = f'{entry.data[0]:03}' if entry.data else ''
+        mark = ('?', YELLOW, number, 'undecided') if entry.reason == OPEN \
+            else ('!', RED, number, 'damaged')
+        return *mark, damaged_words(entry)
     if packet is None:
-        return '?', RED, '', '', ''
+        return '!', YELLOW, '', 'noise', noise_words(entry)
     number = 'all' if packet.id == BROADCAST else f'{packet.id:03}'
     name = packet_name(packet) + ('*' if packet.repaired else '')
     if packet.error is None:
         colour = YELLOW if entry.request.malformed else CYAN
         return '>', colour, number, name, request_words(entry, parts)
-    return ('<', _status_colour(entry, packet, parts), number, name,
-            answer_words(entry, parts, identity))
-
-
-def _status_colour(entry: Entry, packet: Packet, parts: Sequence[Part]) -> str:
-    if (packet.error or 0) & ~ALERT or any(part.error & ~ALERT for part in parts):
-        return RED
-    return YELLOW if packet.error or entry.notes else GREEN
-
-
-def _missed(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
-    number = '' if entry.device is None else f'{entry.device.number:03}'
-    return '!', RED, number, 'missed', missed_words(entry)
-
-
-def _damaged(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
-    number = f'{entry.data[0]:03}' if entry.data else ''
-    if entry.reason == OPEN:
-        return '?', YELLOW, number, 'undecided', damaged_words(entry)
-    return '!', RED, number, 'damaged', damaged_words(entry)
-
-
-def _noise(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
-    return '!', YELLOW, '', 'noise', noise_words(entry)
-
-
-_SHOWN = {MISSED: _missed, DAMAGED: _damaged, NOISE: _noise}
+    errors = [packet.error, *(part.error for part in parts)]
+    colour = RED if any(error & ~ALERT for error in errors) \
+        else YELLOW if packet.error or entry.notes else GREEN
+    return '<', colour, number, name, answer_words(entry, parts, identity)
 
 
 def _model(device: Device | None, is_wide: bool) -> str:
