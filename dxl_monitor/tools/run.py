@@ -78,7 +78,8 @@ def add_bus_options(parser: argparse.ArgumentParser, runs: bool = True) -> None:
         add('--by', choices=WAYS, default='', help=BY)
     add('-b', '--baud', type=BAUD, help='baud rate of the bus, if the source does not know it')
     add('--protocol', choices=PROTOCOLS, default=DEFAULTS.protocol,
-        help='protocol of the bus, if the traffic does not show it')
+        help='protocol of the bus: auto, 2, 1 (Dynamixel) or feetech (default: auto, learned '
+             'from the traffic)')
     add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')
     add('--devices', action='append', metavar='ID:MODEL:JOINT', default=[],
         help="devices on the bus, in the order along the cable, e.g. '1-6:XL430-W250'")
