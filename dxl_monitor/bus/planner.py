@@ -23,7 +23,6 @@ from dxl_monitor.bus.plan import Action
 from dxl_monitor.bus.plan import Begin
 from dxl_monitor.bus.plan import combined_slot
 from dxl_monitor.bus.plan import Due
-from dxl_monitor.bus.plan import Effect
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.plan import Take
@@ -230,19 +229,14 @@ class Planner:
         if request.id != BROADCAST:
             device = self._registry.device(request.id)
             if request.accesses:
-                return partial(self._defer_write, action, device, request.accesses[0].address)
-            return partial(self._defer_command, action, device, _arguments(request))
+                address = request.accesses[0].address
+                return lambda params, stamp: (
+                    action, (device, address, params[_ADDRESS_SIZE:], stamp))
+            arguments = _arguments(request)
+            return lambda _, stamp: (action, (device, *arguments, stamp))
         if request.accesses:
             return partial(self._write_all, action, request.accesses[0].address)
         return partial(self._command_all, action, request)
-
-    def _defer_write(self, action: Action, device: Device, address: int, params: bytes,
-                     stamp: int) -> Effect:
-        return action, (device, address, params[_ADDRESS_SIZE:], stamp)
-
-    def _defer_command(self, action: Action, device: Device, arguments: tuple[str, ...],
-                       params: bytes, stamp: int) -> Effect:
-        return action, (device, *arguments, stamp)
 
     def _sync_write(self, params: bytes, stamp: int) -> None:
         """Write to many. Robots send this most of all, so it is not parsed each time."""

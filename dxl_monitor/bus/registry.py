@@ -73,7 +73,7 @@ class DeviceRegistry:
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.changed: Callable[[], None] = lambda: None
         self._followers = {'ID': self._renumber, 'Baud Rate': self._follow_baud,
-                           RETURN_LEVEL: self._follow_return_level,
+                           RETURN_LEVEL: lambda device, level, _: device.set_return_level(level),
                            OFFSET: self._follow_offset, TORQUE: self._follow_torque}
         for entry in expected:
             device = self.devices[entry.id] = Device(entry.id, entry.joint, expected=True)
@@ -291,9 +291,6 @@ class DeviceRegistry:
         field = device.model.by_name['Baud Rate']
         baud = int(field.decode(field.bytes_of(value)).number or 0)
         self._moved(device, baud, f'{baud} Bd' if baud else f'an unknown baud rate (code {value})')
-
-    def _follow_return_level(self, device: Device, value: int, stamp: int) -> None:
-        device.set_return_level(value)
 
     def _follow_offset(self, device: Device, value: int, stamp: int) -> None:
         before = self._offsets.get(device, 0)

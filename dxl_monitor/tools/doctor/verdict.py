@@ -22,6 +22,7 @@ from dxl_monitor.doctor.states import LISTED_AS
 from dxl_monitor.doctor.states import RATES
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.finding_log import Logged
+from dxl_monitor.tools.dump.text_format import spans
 from mecarover_serial.plain import printable
 from msg_defs.reports import Level
 
@@ -30,6 +31,7 @@ PORTS_NAMED = 2
 LOAD_NS = 2_000_000_000             # the load of a shorter time says nothing
 _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
 _NEEDS_TIMES = frozenset(rule.name for rule in timing_rules.RULES)
+ID = '{:03}'
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
 
 
@@ -144,7 +146,7 @@ def _heard(bus: BusSummary) -> list[DeviceGroup]:
     for kind, many in groupby(bus.report.devices, key=_kind):
         devices = list(many)
         place = f'{bus.name}/' if bus.name else ''
-        who = ', '.join(f'{place}{span}' for span in _spans(devices))
+        who = ', '.join(f'{place}{span}' for span in spans((one.id for one in devices), ID))
         if len(devices) == 1 and devices[0].joint:
             who = f'{place}{devices[0].name}'
         found.append(DeviceGroup(printable(who), printable(kind[0]), kind[1]))
@@ -155,17 +157,6 @@ def _kind(device: DeviceReport) -> tuple[str, Level]:
     firmware = f', firmware {device.firmware}' if device.firmware is not None else ''
     model = 'model unknown' if device.model_name == 'unknown' else device.model_name
     return f'{model}{firmware}: {LISTED_AS.get(device.state, device.state)}', device.level
-
-
-def _spans(devices: Sequence[DeviceReport]) -> list[str]:
-    """Spell the IDs of devices one after the other: '001-003', '005'."""
-    runs: list[list[int]] = []
-    for device in devices:
-        if runs and runs[-1][-1] == device.id - 1:
-            runs[-1].append(device.id)
-        else:
-            runs.append([device.id])
-    return [f'{run[0]:03}' if len(run) == 1 else f'{run[0]:03}-{run[-1]:03}' for run in runs]
 
 
 # --- wrong ---------------------------------------------------------------------------------------
@@ -200,8 +191,8 @@ def _entry(bus: BusSummary, alike: Sequence[Logged]) -> Trouble:
     if len(alike) > 1:
         numbers = {one.finding.device for one in alike}
         place = f'{bus.name}/' if bus.name else ''
-        who = ', '.join(place + span for span in _spans(
-            [device for device in bus.report.devices if device.id in numbers]))
+        who = ', '.join(place + span for span in spans(
+            (device.id for device in bus.report.devices if device.id in numbers), ID))
     return Trouble(first.level, who, first.rule, printable(first.message), _evidence(alike[0]))
 
 

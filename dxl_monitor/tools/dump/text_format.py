@@ -32,15 +32,15 @@ _REASONS = {
 FLAWS = {'crc': 'wrong CRC', 'cut': 'ends too early', 'length': 'impossible Length'}
 
 
-def ids_text(ids: Iterable[int]) -> str:
-    """Return '1-20, 22': runs of IDs in the order given."""
+def spans(ids: Iterable[int], spelt: str = '{}') -> list[str]:
+    """Return '1-20', '22': runs of IDs in the order given."""
     runs: list[list[int]] = []
     for number in ids:
         if runs and number == runs[-1][-1] + 1:
             runs[-1][1:] = [number]
         else:
             runs.append([number])
-    return ', '.join('-'.join(map(str, run)) for run in runs)
+    return ['-'.join(map(spelt.format, run)) for run in runs]
 
 
 def error_words(error: int) -> str:
@@ -134,7 +134,7 @@ def _grouped(parts: Sequence[Part], with_ids: bool) -> str:
 
 def _asked(parts: Sequence[Part], with_ids: bool) -> str:
     one = parts[0]
-    front = f'{ids_text(part.id for part in parts)}: ' if with_ids else ''
+    front = ', '.join(spans(part.id for part in parts)) + ': ' if with_ids else ''
     place = f'{one.length} at {one.address}'
     if not one.fields:
         return f'{front}{place}'
