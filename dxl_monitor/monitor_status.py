@@ -22,6 +22,7 @@ from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import number
 from msg_defs.reports import numbers
+from msg_defs.reports import Pairs
 from msg_defs.reports import PORT_CLOSED
 from msg_defs.reports import PORT_OPEN
 from msg_defs.reports import Status
@@ -97,7 +98,7 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
                   hardware_id(node, bus or port.port), values)
 
 
-def _models(devices: Iterable[DeviceReport]) -> list[tuple[str, str]]:
+def _models(devices: Iterable[DeviceReport]) -> Pairs:
     """Spell who is on the bus: IDs, model and model number, '001-018 MX-106 (321), 019 ...'."""
     spans: list[tuple[int, int, str]] = []
     for device in devices:
@@ -113,7 +114,7 @@ def _models(devices: Iterable[DeviceReport]) -> list[tuple[str, str]]:
     return [('Models', text)] if text else []
 
 
-def _latency(device: DeviceReport) -> list[tuple[str, str]]:
+def _latency(device: DeviceReport) -> Pairs:
     """Spell the reply latency; a figure only where the chunks resolve it."""
     window = device.latency.window
     return numbers([
@@ -123,14 +124,14 @@ def _latency(device: DeviceReport) -> list[tuple[str, str]]:
     ])
 
 
-def _findings(findings: Iterable[Finding]) -> list[tuple[str, str]]:
+def _findings(findings: Iterable[Finding]) -> Pairs:
     """Spell findings, and after each one how bad it is: a rule may be a warning or an error."""
     return [pair for finding in findings for pair in (
         (keys.FINDING + finding.rule, finding.message),
         (keys.SEVERITY + finding.rule, finding.level.name.lower()))]
 
 
-def _doubts(doubts: Iterable[Finding]) -> list[tuple[str, str]]:
+def _doubts(doubts: Iterable[Finding]) -> Pairs:
     """Spell what the doctor cannot tell: one line for each rule, for the bus and its devices."""
     by_rule: dict[str, list[str]] = {}
     for doubt in doubts:
@@ -141,7 +142,7 @@ def _doubts(doubts: Iterable[Finding]) -> list[tuple[str, str]]:
         for rule, reasons in by_rule.items()]
 
 
-def _table(device: DeviceReport) -> list[tuple[str, str]]:
+def _table(device: DeviceReport) -> Pairs:
     """Spell every observed field, then when and how each was seen."""
     values = []
     seen = {}
@@ -154,14 +155,14 @@ def _table(device: DeviceReport) -> list[tuple[str, str]]:
             (keys.OBSERVED, json.dumps(seen, separators=(',', ':')))]
 
 
-def _running(report: BusReport) -> list[tuple[str, str]]:
+def _running(report: BusReport) -> Pairs:
     """Spell how old the times of the errors are, so that a reader can date them."""
     if not report.started:
         return []
     return [(keys.RUNNING, number(round((report.stamp - report.started) / 1e9, 1)))]
 
 
-def _errors(report: BusReport) -> list[tuple[str, str]]:
+def _errors(report: BusReport) -> Pairs:
     """Spell the last errors, the newest first, with their time since start."""
     return [(f'{keys.ERROR}{index:02}',
              f'{(error.stamp - report.started) / 1e9:.3f} s: {error.text}')

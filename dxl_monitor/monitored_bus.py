@@ -25,6 +25,7 @@ from dxl_monitor.record.recorders import Recorders
 from mecarover_serial.inspection import Inspection
 from msg_defs.event import Change
 from msg_defs.event import UNKNOWN
+from msg_defs.reports import Pairs
 
 BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s late at most
 PATIENCE_NS = 2_500_000_000     # longer is not a freeze: its reader hangs; a dashboard waits 4 s
@@ -38,7 +39,7 @@ class MonitoredBus:
         self.bus = bus
         self.monitor = Monitor(bus.label, models, bus.settings, idle_is_told=True, names=names)
         self._behind_since = 0
-        self._known_adapter: tuple[int, list[tuple[str, str]]] = (0, [])
+        self._known_adapter: tuple[int, Pairs] = (0, [])
         self._recorders = recorders
         self._inspection = None if is_live(bus.port) else Inspection(bus.port, [READER_NAME])
         self.listener = listener_on(
@@ -113,7 +114,7 @@ class MonitoredBus:
         self._inspection.look(self.listener.counters.openings, time.monotonic())
         return self._inspection.complaints
 
-    def _adapter(self, openings: int) -> list[tuple[str, str]]:
+    def _adapter(self, openings: int) -> Pairs:
         """Return what the adapter says of itself; another one may be there after each opening."""
         if self._known_adapter[0] != openings:
             self._known_adapter = openings, adapter(self.bus.port)

@@ -17,6 +17,7 @@ from struct import Struct
 from typing import NamedTuple
 
 from mecarover_serial.plain import printable
+from msg_defs.reports import Pairs
 
 TEXT_LIMIT = 500            # characters of one text that reach the page
 PAIRS_LIMIT = 4096          # in a status: the longest control table has a few hundred
@@ -49,7 +50,7 @@ class RawStatus(NamedTuple):
     def size(self) -> int:
         return len(self.data)
 
-    def pairs(self, first: int | None = None, limit: int = TEXT_LIMIT) -> list[tuple[str, str]]:
+    def pairs(self, first: int | None = None, limit: int = TEXT_LIMIT) -> Pairs:
         """Return the first so many (key, value) pairs, by default all, long texts cut."""
         count = self.count if first is None else min(first, self.count)
         texts = iter(_Cursor(self.data, self.at).texts(2 * count, limit))
@@ -85,7 +86,7 @@ class HandedStatus(NamedTuple):
     def size(self) -> int:
         return _BYTES_OF_PAIR * len(self.values)
 
-    def pairs(self, first: int | None = None, limit: int = TEXT_LIMIT) -> list[tuple[str, str]]:
+    def pairs(self, first: int | None = None, limit: int = TEXT_LIMIT) -> Pairs:
         """Return the first so many (key, value) pairs, by default all, long texts cut."""
         return [(handed(key, limit), handed(value, limit)) for key, value in self.values[:first]]
 

@@ -20,6 +20,7 @@ from msg_defs.reports import CONNECTED
 from msg_defs.reports import Level
 from msg_defs.reports import namespace_of
 from msg_defs.reports import number
+from msg_defs.reports import Pairs
 from msg_defs.reports import PORT_CLOSED
 
 Row = dict[str, Any]
@@ -72,7 +73,7 @@ NOTHING = Values('', '', '', '', '')
 class RegisterTable(NamedTuple):
     """What is known of one device: facts and counters, then its fields."""
 
-    facts: list[tuple[str, str]]
+    facts: Pairs
     fields: list[FieldRow]
 
 
@@ -150,7 +151,7 @@ def _device(status: AnyStatus, rest: str) -> Row:
          for found in [values.get(one.key, '')]}
 
 
-def _head(status: AnyStatus) -> list[tuple[str, str]]:
+def _head(status: AnyStatus) -> Pairs:
     """Return the pairs in front of the table, with all findings, however many there are."""
     most = HEAD
     pairs = status.pairs(most)
@@ -160,7 +161,7 @@ def _head(status: AnyStatus) -> list[tuple[str, str]]:
     return pairs
 
 
-def _is_open(pairs: list[tuple[str, str]]) -> bool:
+def _is_open(pairs: Pairs) -> bool:
     """Tell whether the port of a bus or bridge is open, as far as that is said."""
     return dict(pairs).get(keys.STATE) != PORT_CLOSED
 
@@ -191,7 +192,7 @@ def _timing(status: AnyStatus, rest: str) -> Row:
 _MAKERS = {'devices': _device, 'buses': _bus, 'bridge': _bridge, 'timing': _timing}
 
 
-def _findings(pairs: list[tuple[str, str]],
+def _findings(pairs: Pairs,
               prefix: str = keys.FINDING) -> list[tuple[str, str, str]]:
     """Return (rule, message, severity) of each; 'warn' where no severity is given."""
     severities = {key.removeprefix(keys.SEVERITY): value for key, value in pairs
@@ -217,7 +218,7 @@ def _dated(line: str, started_s: float | None) -> tuple[float | None, str]:
     return round(started_s + float(found[1]), 2), found[2]
 
 
-def figures(values: list[tuple[str, str]]) -> list[float | None]:
+def figures(values: Pairs) -> list[float | None]:
     """Return what of a metric is plotted: [p50, p95, max] of the window, or [value]."""
     by_name = {key.partition(' (')[0]: value for key, value in values}
     names = _FIGURES if 'p50' in by_name else ('value',)
@@ -245,7 +246,7 @@ def table(status: AnyStatus, arrived_s: float,
     pairs = status.pairs(limit=_OBSERVED_LIMIT)
     seen = _seen(dict(pairs).get(keys.OBSERVED, ''))
     old = {field.key: field.seen for field in before.fields} if before else {}
-    facts: list[tuple[str, str]] = []
+    facts: Pairs = []
     fields: list[FieldRow] = []
     for at, (key, value) in enumerate(status.pairs()):
         name = key if key in seen else key.rpartition(' (')[0]

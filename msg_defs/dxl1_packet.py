@@ -17,6 +17,7 @@ from msg_defs.frame import ahead
 from msg_defs.frame import EITHER_1
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
+from msg_defs.frame import Frames
 from msg_defs.frame import is_good
 
 HEADER = b'\xff\xff'
@@ -73,11 +74,11 @@ class Dxl1Framer(StreamFramer):
         end = data[3] + 4 if len(data) > 3 else MAX_FRAME
         return len(data) >= end and sum(data[2:end]) & 0xFF == 0xFF
 
-    def _scan(self, data: bytes, final: bool) -> list[Frame]:
+    def _scan(self, data: bytes, final: bool) -> Frames:
         find = data.find
         size = len(data)
         base = self.bytes - size
-        found: list[Frame] = []
+        found: Frames = []
         take = found.append
         damaged = 0
         noisy = self.noise_length

@@ -21,6 +21,7 @@ from msg_defs.frame import ahead
 from msg_defs.frame import EITHER_1
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
+from msg_defs.frame import Frames
 from msg_defs.frame import GLITCH
 from msg_defs.frame import is_good
 from msg_defs.frame import UNPROVEN_1
@@ -42,7 +43,7 @@ class _Run(NamedTuple):
     """What the framer of the 1.0 family made of one gap."""
 
     at: int                        # where the gap begins in the stream
-    frames: list[Frame]
+    frames: Frames
     noise_ahead: int               # bytes of noise after the last good one
 
 
@@ -79,13 +80,13 @@ class _First(Framer):
         """Return so many of the bytes that may begin a packet."""
         return self._buffer[:size]
 
-    def drop(self, size: int) -> list[Frame]:
+    def drop(self, size: int) -> Frames:
         """Give so many of these up: they belong to another packet. Return what follows."""
         data = self._buffer
         self._give_up(data[:size])
         return self._scan(data[size:], False)
 
-    def _cut_off(self, chunk: bytes) -> list[Frame]:
+    def _cut_off(self, chunk: bytes) -> Frames:
         # Of a frame that waits and of what follows a pause, either may be of the other family.
         if not self.is_shared or not chunk.startswith(dxl1_packet.HEADER) \
                 or self._ends_in(chunk):
@@ -240,7 +241,7 @@ class MixedFramer:
         self._first.interrupt()
         self._second.interrupt()
 
-    def frames(self, chunk: Data) -> list[Frame]:
+    def frames(self, chunk: Data) -> Frames:
         """Return what this chunk completes, in the order of the wire."""
         first = self._first
         is_proven = bool(self._detector.proven)
@@ -260,7 +261,7 @@ class MixedFramer:
                 found = self._mixed(found)
         return self._believed(found) if self.has_other else found
 
-    def flush_frames(self) -> list[Frame]:
+    def flush_frames(self) -> Frames:
         """Decide what is left, because the line is idle."""
         self._look_closely()
         found = self._first.flush_frames()
@@ -275,7 +276,7 @@ class MixedFramer:
         """Have each gap looked at, if any may belong to a packet of the 1.0 family."""
         self._first.is_looking = self._is_open or bool(self._detector.proven)
 
-    def _believed(self, found: list[Frame]) -> list[Frame]:
+    def _believed(self, found: Frames) -> Frames:
         """Mark the frames of the 1.0 family that are no packets, as far as that is known."""
         detector = self._detector
         detector.proof = []
@@ -297,7 +298,7 @@ class MixedFramer:
             detector.reject()
         return found
 
-    def _mixed(self, found: list[Frame]) -> list[Frame]:
+    def _mixed(self, found: Frames) -> Frames:
         """Put the frames of the other family where they were, in front of those of 2.0."""
         runs = self._runs()
         mixed = self._merged(found, runs) if self.has_other or self.claimed else found
@@ -323,15 +324,15 @@ class MixedFramer:
         first.gaps.clear()
         return runs
 
-    def _look(self, at: int, data: Data) -> list[Frame]:
+    def _look(self, at: int, data: Data) -> Frames:
         """Return what is in a gap, or ends in it."""
         self._shift = at - self._second.bytes
         self._second.noise_length = self._first.noise_ahead
         return self._moved(self._second.frames(data))
 
-    def _merged(self, found: list[Frame], runs: list[_Run]) -> list[Frame]:
+    def _merged(self, found: Frames, runs: list[_Run]) -> Frames:
         """Put what was in the gaps in front of the packets of 2.0 that ended them."""
-        mixed: list[Frame] = []
+        mixed: Frames = []
         left = iter(runs)
         run = next(left, None)
         for frame in found:
@@ -351,7 +352,7 @@ class MixedFramer:
             run = next(left, None)
         return mixed
 
-    def _completed(self) -> list[Frame]:
+    def _completed(self) -> Frames:
         """Decide a packet whose last bytes might begin one of 2.0, if its sum is right."""
         first, second = self._first, self._second
         first.is_looking = True
@@ -361,7 +362,7 @@ class MixedFramer:
             return []
         return self._look(first.bytes - first.pending, tail) + self._mixed(first.drop(lacks))
 
-    def _without_data(self, mixed: list[Frame]) -> list[Frame]:
+    def _without_data(self, mixed: Frames) -> Frames:
         """Leave out what only looks like a damaged packet of 2.0: the data of another packet."""
         if not self.claimed or not any(frame[2] < EITHER_1 for frame in mixed):
             return mixed
@@ -376,14 +377,14 @@ class MixedFramer:
                 kept.append(frame)
         return kept
 
-    def _end(self) -> list[Frame]:
+    def _end(self) -> Frames:
         """Decide what is left of a gap: a packet of 2.0 follows, or silence."""
         if not self._is_open:
             return []
         self._second.noise_length = self._first.noise_ahead
         return self._moved(self._second.flush_frames())
 
-    def _moved(self, frames: list[Frame]) -> list[Frame]:
+    def _moved(self, frames: Frames) -> Frames:
         """Return frames of the second framer as they stand in the stream."""
         self._first.noise_ahead = self._second.noise_length
         self._is_open = self._second.pending > 0

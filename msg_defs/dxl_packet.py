@@ -20,6 +20,7 @@ from msg_defs.crc import CRC16_TABLE
 from msg_defs.frame import ahead
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
+from msg_defs.frame import Frames
 from msg_defs.frame import INSTRUCTION_2
 from msg_defs.frame import IS_STATUS
 
@@ -129,7 +130,7 @@ class StreamFramer:
         """Bytes that belong to a packet."""
         return self.bytes - self.noise_bytes - len(self._buffer)
 
-    def frames(self, chunk: bytes) -> list[Frame]:
+    def frames(self, chunk: bytes) -> Frames:
         """Return what this chunk completes; damaged frames are among it, with a flaw."""
         if self._is_interrupted and chunk:
             return self._cut_off(chunk) + StreamFramer.frames(self, chunk)
@@ -150,19 +151,19 @@ class StreamFramer:
         """
         self._is_interrupted = bool(self._buffer)
 
-    def _cut_off(self, chunk: bytes) -> list[Frame]:
+    def _cut_off(self, chunk: bytes) -> Frames:
         """Decide what is pending, if this chunk after a pause does not go on with it."""
         self._is_interrupted = False
         if not chunk.startswith(self.header) or self._ends_in(chunk):
             return []
         return self._scan(self._buffer, True)
 
-    def flush_frames(self) -> list[Frame]:
+    def flush_frames(self) -> Frames:
         """Decide what is left, because the line is idle; as frames()."""
         self._is_interrupted = False
         return self._scan(self._buffer, True)
 
-    def _scan(self, data: bytes, final: bool) -> list[Frame]:
+    def _scan(self, data: bytes, final: bool) -> Frames:
         """Return the frames in the buffer and what follows it; final: no more will come."""
         raise NotImplementedError
 
@@ -195,13 +196,13 @@ class Framer(StreamFramer):
         return mark + 8 < end <= len(data) \
             and body_crc(data[mark + 3:end - 2]) == data[end - 2] | data[end - 1] << 8
 
-    def _scan(self, data: bytes, final: bool) -> list[Frame]:
+    def _scan(self, data: bytes, final: bool) -> Frames:
         find = data.find
         crc_of = bare_crc16
         size = len(data)
         base = self.bytes - size
         header = base - 1          # from the second FF of a header to the offset of the first
-        found: list[Frame] = []
+        found: Frames = []
         damaged = 0
         noisy = self.noise_length
         is_usual = True

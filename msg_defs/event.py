@@ -34,3 +34,6 @@ class Change(NamedTuple):
 
     what: str
     value: int
+
+
+Changes = list[Change]

@@ -46,6 +46,7 @@ def ahead(repaired: bool, noise_length: int, unstuffed: bool = False) -> Flaw:
 # data: the parameters without stuffing; in a damaged frame its bytes from the ID on.
 # flaw: None for a good frame directly after the last one.
 Frame = tuple[int, int, int, int, int, bytes, Flaw | None]
+Frames = list[Frame]
 
 
 def is_good(frame: Frame) -> bool:

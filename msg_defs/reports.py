@@ -29,6 +29,9 @@ class Level(IntEnum):
     STALE = 3
 
 
+Pairs = list[tuple[str, str]]      # keys and values, in order
+
+
 class Status(NamedTuple):
     """One diagnostic_msgs/DiagnosticStatus."""
 
@@ -36,7 +39,7 @@ class Status(NamedTuple):
     level: Level
     message: str
     hardware_id: str
-    values: list[tuple[str, str]]
+    values: Pairs
 
 
 class Metric(NamedTuple):
@@ -91,7 +94,7 @@ def number(value: float) -> str:
     return text.rstrip('0').rstrip('.') if '.' in text else text
 
 
-def numbers(pairs: Iterable[tuple[str, float | None]]) -> list[tuple[str, str]]:
+def numbers(pairs: Iterable[tuple[str, float | None]]) -> Pairs:
     """Spell the values of key-value pairs; what is None, NaN or infinite is left out."""
     return [(key, number(value)) for key, value in pairs
             if value is not None and isfinite(value)]
@@ -170,7 +173,7 @@ def metric_status(node: str, metric: Metric) -> Status:
     return Status(name, Level.OK, _headline_text(metric), '', values)
 
 
-def _figures(prefix: str, unit: str, summary: Summary | None) -> list[tuple[str, str]]:
+def _figures(prefix: str, unit: str, summary: Summary | None) -> Pairs:
     if summary is None:
         return []
     return numbers([

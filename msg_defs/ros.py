@@ -31,6 +31,7 @@ from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
 from msg_defs.reports import OFF
+from msg_defs.reports import Pairs
 from msg_defs.reports import Status
 from msg_defs.reports import topic_names
 from msg_defs.reports import unit_name
@@ -116,7 +117,7 @@ class DiagnosticArrays:
     """
 
     def __init__(self) -> None:
-        self._kept: dict[tuple[str, str], tuple[DiagnosticStatus, list[tuple[str, str]]]] = {}
+        self._kept: dict[tuple[str, str], tuple[DiagnosticStatus, Pairs]] = {}
 
     def build(self, statuses: Sequence[Status], stamp: Time) -> Iterator[DiagnosticArray]:
         """Yield the messages of a report, a slice in each."""
@@ -149,7 +150,7 @@ def _size(status: Status) -> int:
 
 
 def _set_values(
-        messages: list[KeyValue], before: list[tuple[str, str]],
+        messages: list[KeyValue], before: Pairs,
         after: Sequence[tuple[str, str]]) -> None:
     del messages[len(after):]
     for message, old, new in zip(messages, before, after, strict=False):

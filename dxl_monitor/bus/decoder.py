@@ -37,7 +37,7 @@ from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import UNKNOWN
 from msg_defs.event import UNREAD
-from msg_defs.frame import Frame
+from msg_defs.frame import Frames
 from msg_defs.uart import byte_ns
 from msg_defs.uart import idle_s
 
@@ -129,7 +129,7 @@ class BusDecoder:
         framer.stamp = stamp
         self._read(framer, framer.flush_frames(), stamp, side)
 
-    def _read(self, framer: AnyFramer, frames: list[Frame], stamp: int, side: str) -> None:
+    def _read(self, framer: AnyFramer, frames: Frames, stamp: int, side: str) -> None:
         """Hand on what a framer found, once it is known what it means."""
         if self.classifier is None:
             self.take(frames, stamp, framer.bytes, side)
@@ -143,7 +143,7 @@ class BusDecoder:
             else:
                 self.take(*part)
 
-    def take(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
+    def take(self, frames: Frames, stamp: int, received: int, side: str = UNKNOWN) -> None:
         """Take what a framer found in the chunk of this stamp, which ends at offset received."""
         self.tracker.track(frames, stamp, received, side)
 

@@ -39,6 +39,7 @@ from msg_defs.event import OUT
 from msg_defs.frame import EITHER_1
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
+from msg_defs.frame import Frames
 from msg_defs.frame import GLITCH
 from msg_defs.frame import INSTRUCTION_1
 from msg_defs.frame import IS_STATUS
@@ -51,7 +52,7 @@ MEANINGS_KEPT = 1024
 
 AnyFramer = Framer | MixedFramer | dxl1_packet.Dxl1Framer
 # What BusDecoder.take() takes: frames, the stamp of their chunk, the offset after it, its side.
-Part = tuple[list[Frame], int, int, str]
+Part = tuple[Frames, int, int, str]
 Said = tuple[int, int, bytes]              # ID, code and parameters of a packet
 # What an instruction is: its kind and parameters in common form; who answers with how much.
 Meaning = tuple[int, bytes, Request, dict[int, int]]
@@ -101,7 +102,7 @@ class Dxl1Classifier:
         self._meanings: dict[Said, Meaning] = {}
         self._noise_seen: Counter[AnyFramer] = Counter()       # bytes of it, by framer
 
-    def read(self, framer: AnyFramer, frames: list[Frame], stamp: int,
+    def read(self, framer: AnyFramer, frames: Frames, stamp: int,
              side: str) -> list[Part | None]:
         """
         Return the frames of a chunk with their meaning, as BusDecoder.take() takes them.
@@ -109,7 +110,7 @@ class Dxl1Classifier:
         None among them: the dialect is known from here on.
         """
         parts: list[Part | None] = []
-        found: list[Frame] = []
+        found: Frames = []
         received = framer.bytes
         detector = self._detector
         devices = self._registry.devices
@@ -149,8 +150,8 @@ class Dxl1Classifier:
             self._add(parts, self._meaning(*one[1:]), *one[2:])
         return detector.proving
 
-    def _cut(self, parts: list[Part | None], found: list[Frame], stamp: int, received: int,
-             side: str) -> list[Frame]:
+    def _cut(self, parts: list[Part | None], found: Frames, stamp: int, received: int,
+             side: str) -> Frames:
         """Say that the dialect is known: before the question that decided it, after the answer."""
         self._has_decided = False
         kept = [] if found[-1][2] == IS_STATUS else [found.pop()]
@@ -188,7 +189,7 @@ class Dxl1Classifier:
     # --- does this ID exist? --------------------------------------------------------------------
 
     def _resolve(self, framer: AnyFramer, flaw: Flaw | None, parts: list[Part | None],
-                 found: list[Frame]) -> None:
+                 found: Frames) -> None:
         """Decide on the packet that waits, for another frame has come."""
         held = self._unconfirmed
         if held is None:

@@ -39,6 +39,7 @@ from msg_defs.event import IN
 from msg_defs.event import UNKNOWN
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
+from msg_defs.frame import Frames
 from msg_defs.frame import GLITCH
 from msg_defs.frame import INSTRUCTION_2
 from msg_defs.frame import IS_STATUS
@@ -76,7 +77,7 @@ class Tracker:
         self._given_up = _NO_SLOTS             # the statuses to the one before that did not come
         self.unread = Unread(registry, evidence, self._policy)
 
-    def track(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
+    def track(self, frames: Frames, stamp: int, received: int, side: str = UNKNOWN) -> None:
         """
         Take the frames of one chunk; received is the stream offset after the chunk.
 

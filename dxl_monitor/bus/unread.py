@@ -19,7 +19,7 @@ from dxl_monitor.bus.reply_policy import OpenQuestion
 from dxl_monitor.bus.reply_policy import ReplyPolicy
 from dxl_monitor.bus.table import READ
 from msg_defs.dxl_instruction import ALERT
-from msg_defs.frame import Frame
+from msg_defs.frame import Frames
 
 AROUND = 11                        # bytes of a status without its data
 READ_LATE_NS = 10_000_000_000
@@ -54,7 +54,7 @@ class Unread:
         """Take note that the program threw away what it had received."""
         self.until, self.left, self._purged = 0, _NOTHING, stamp
 
-    def take(self, frames: list[Frame], stamp: int, received: int) -> list[Frame]:
+    def take(self, frames: Frames, stamp: int, received: int) -> Frames:
         """Take the answers that are old; return the other frames."""
         _, due, spoke, is_spoilt = self.left
         rest = []

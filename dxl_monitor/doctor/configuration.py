@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import BusReport
@@ -15,6 +14,7 @@ from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
@@ -141,7 +141,7 @@ def _no_acks(case: Case, device: DeviceReport) -> Found | None:
                  'use Sync Write or level 2')
 
 
-def _fast_reads(case: Case) -> Iterator[Found]:
+def _fast_reads(case: Case) -> Claims:
     """Look at the first device of each fast read that never gave its part of one."""
     known = set()
     for cycle in case.report.cycles:
@@ -171,7 +171,7 @@ def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
                  {'fast reads': cycle.asked}, covers=tuple(after))
 
 
-def _sync_reads(case: Case) -> Iterator[Found]:
+def _sync_reads(case: Case) -> Claims:
     """Look for Sync Reads in Protocol 1.0 of Dynamixel, where other instructions are answered."""
     if case.report.protocol != DYNAMIXEL_1.name or case.count(ev.UNASKED):
         return
@@ -193,7 +193,7 @@ def _lacks_fast_reads(device: DeviceReport) -> bool:
     return device.firmware < since
 
 
-def _unstuffed(case: Case) -> Iterator[Found]:
+def _unstuffed(case: Case) -> Claims:
     notes = case.incidents(ev.UNSTUFFED)
     if notes:
         last = notes[-1]
@@ -229,7 +229,7 @@ def _refusals(case: Case, device: DeviceReport) -> Found | None:
     return None
 
 
-def _master_stopped(case: Case) -> Iterator[Found]:
+def _master_stopped(case: Case) -> Claims:
     report = case.report
     if case.quiet_s < STOPPED_S or (report.last_byte_s or 0.0) < STOPPED_S \
             or report.stamp - report.deaf < STOPPED_S * S:
@@ -243,7 +243,7 @@ def _master_stopped(case: Case) -> Iterator[Found]:
                 Level.OK if case.quiet_s < RESTED_S else None)
 
 
-def _impossible_id(case: Case) -> Iterator[Found]:
+def _impossible_id(case: Case) -> Claims:
     for cycle in case.report.cycles:
         number = next(iter(cycle.ids), None)
         reads_all = number == BROADCAST and cycle.instruction == Instruction.READ
@@ -258,7 +258,7 @@ def _impossible_id(case: Case) -> Iterator[Found]:
             return
 
 
-def _scan(case: Case) -> Iterator[Found]:
+def _scan(case: Case) -> Claims:
     stamps = [stamp for cycle in case.report.cycles for stamp in cycle.stamps
               if stamp > case.now - PINGS_NS
               and cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,)]
@@ -277,7 +277,7 @@ def _scan(case: Case) -> Iterator[Found]:
                     {'without an answer': listed(case.report.scanned)})
 
 
-def _models(case: Case) -> Iterator[Found]:
+def _models(case: Case) -> Claims:
     found: dict[str, list[int]] = {}
     for device in case.report.devices:
         if device.model.number is None and device.last_heard_s is not None:

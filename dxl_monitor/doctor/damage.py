@@ -15,6 +15,7 @@ from dxl_monitor.doctor.collision import ran_into_answers
 from dxl_monitor.doctor.rate import likely_rate
 from dxl_monitor.doctor.rule import about
 from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import in_full
@@ -54,7 +55,7 @@ NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and che
               'servo bus and that D+ and D- are not swapped')
 
 
-def _wrong_baud(case: Case) -> Iterator[Found]:
+def _wrong_baud(case: Case) -> Claims:
     report = case.report
     got, good, errors = (case.counted(name, 2.0) for name in ('bytes', 'packet_bytes', 'framing'))
     if not report.baud:                # it is still to be learned
@@ -98,7 +99,7 @@ def _id_moved(case: Case, device: DeviceReport) -> Found | None:
                  f'{device.id:03}: use the new ID in the program')
 
 
-def _overrun(case: Case) -> Iterator[Found]:
+def _overrun(case: Case) -> Claims:
     lost = case.counted('overruns')
     if lost > 0:
         yield Claim(None, f'this computer lost bytes {lost} times, so packets seem missing or '
@@ -106,7 +107,7 @@ def _overrun(case: Case) -> Iterator[Found]:
                     {'overruns': lost})
 
 
-def _noise(case: Case) -> Iterator[Found]:
+def _noise(case: Case) -> Claims:
     packets = case.counted('packets')
     if case.damage < SOME or case.damage < NOISY * packets or case.damage_s < ONSET_S:
         return
@@ -142,7 +143,7 @@ def _most_hit(case: Case) -> DeviceReport | None:
     return worst
 
 
-def _damaged_answers(case: Case) -> Iterator[Found]:
+def _damaged_answers(case: Case) -> Claims:
     worst = _most_hit(case)
     last = case.last_wait
     for device in case.report.devices if case.report.failed and worst is None else ():
@@ -200,7 +201,7 @@ def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
         and again >= MOSTLY * case.damage and not any(one.window.spoilt for one in others)
 
 
-def _turnaround(case: Case) -> Iterator[Found]:
+def _turnaround(case: Case) -> Claims:
     touched = [device for device in case.report.devices if _first_bytes(device)]
     hit = [device for device in touched if _first_bytes(device) > FEW
            and _first_bytes(device) > HEADERS * device.window.answers
@@ -238,7 +239,7 @@ def _spoken(device: DeviceReport) -> int:
     return device.window.answers + device.window.beheaded
 
 
-def _stray_bytes(case: Case) -> Iterator[Found]:
+def _stray_bytes(case: Case) -> Claims:
     stray = case.counted('glitches')
     packets = case.counted('packets')
     if stray >= SOME and stray > GLITCHY * packets:
@@ -247,7 +248,7 @@ def _stray_bytes(case: Case) -> Iterator[Found]:
                     {'packets': stray})
 
 
-def _echo(case: Case) -> Iterator[Found]:
+def _echo(case: Case) -> Claims:
     if case.report.has_sides:          # what it says twice it says itself
         heard_back = max(_echoes(case, seconds) for seconds in ECHO_S)
         if heard_back:
@@ -279,7 +280,7 @@ def _foreign_answers(case: Case, device: DeviceReport) -> Found | None:
                  {'answers': unasked})
 
 
-def _protocol_1(case: Case) -> Iterator[Found]:
+def _protocol_1(case: Case) -> Claims:
     if case.count(ev.PROTOCOL_1) <= 1:
         return
     answered = [device for device in case.report.devices if device.window.answers]
@@ -309,7 +310,7 @@ def source_lost(case: Case) -> Iterator[Doubt]:
                           'take other devices off this USB bus')
 
 
-def _not_sent(case: Case) -> Iterator[Found]:
+def _not_sent(case: Case) -> Claims:
     """Count instructions that the adapter's driver gave back: only a source with sides knows."""
     count = case.count(ev.NOT_SENT)
     if count >= FEW:
@@ -320,7 +321,7 @@ def _not_sent(case: Case) -> Iterator[Found]:
                     {'instructions': count, 'to': in_full(asked)})
 
 
-def _elsewhere(case: Case) -> Iterator[Found]:
+def _elsewhere(case: Case) -> Claims:
     """Say where frames are damaged too rarely for a claim, or were not heard at all."""
     yield from _noise(case)
     yield from source_lost(case)

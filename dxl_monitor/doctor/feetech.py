@@ -5,12 +5,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import FAMILY_1
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
@@ -67,7 +67,7 @@ def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
                  'again', {'now, before': f'{last.detail.now}, {last.detail.before}'})
 
 
-def _mixed_firmware(case: Case) -> Iterator[Found]:
+def _mixed_firmware(case: Case) -> Claims:
     by_model: defaultdict[str, dict[int, str]] = defaultdict(dict)
     for device in case.report.devices:
         if device.model.protocol == FEETECH:

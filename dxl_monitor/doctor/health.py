@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from operator import ne
 from operator import sub
 from typing import NamedTuple
@@ -15,6 +14,7 @@ from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import in_full
@@ -122,7 +122,7 @@ def limit_of(case: Case, device: DeviceReport, name: str,
     return (None, '') if values is None else (getattr(values, factory), ' from the factory')
 
 
-def _too_hot(case: Case) -> Iterator[Found]:
+def _too_hot(case: Case) -> Claims:
     unknown = []
     for device in case.report.devices:
         temperature = fresh(case, device, 'Present Temperature')
@@ -145,7 +145,7 @@ def _level(is_beyond: bool) -> Level:
     return Level.ERROR if is_beyond else Level.WARN
 
 
-def _voltage(case: Case) -> Iterator[Found]:
+def _voltage(case: Case) -> Claims:
     unknown = []
     found = []
     for device in case.report.devices:

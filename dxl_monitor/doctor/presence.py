@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from statistics import median
 
@@ -21,6 +20,7 @@ from dxl_monitor.doctor.health import is_off
 from dxl_monitor.doctor.health import is_watched
 from dxl_monitor.doctor.rule import about
 from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import in_full
@@ -48,7 +48,7 @@ LOSS = 0.01
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate and protocol"
 
 
-def _all_silent(case: Case) -> Iterator[Found]:
+def _all_silent(case: Case) -> Claims:
     asked, heard = case.counted('instructions', GONE_S), case.counted('answers', GONE_S)
     missing = [device.id for device in case.report.devices
                if device.missed_in_a_row or is_waiting(device)]
@@ -77,7 +77,7 @@ def _waits_for_one(case: Case, missing: list[int]) -> bool:
         for device in map(case.devices.__getitem__, missing))
 
 
-def _gone(case: Case, blocking: bool) -> Iterator[Found]:
+def _gone(case: Case, blocking: bool) -> Claims:
     for number in case.gone:
         after = [device.id for device in case.report.devices
                   if device.waiting_behind == number and is_waiting(device)]
@@ -85,7 +85,7 @@ def _gone(case: Case, blocking: bool) -> Iterator[Found]:
             yield _claim_blocking(case, number, after) if after else _claim_gone(case, number)
 
 
-def _at_the_end(case: Case) -> Iterator[Found]:
+def _at_the_end(case: Case) -> Claims:
     """Look at the question on which a program ended by itself, with an error."""
     for one in case.incidents(ev.LEFT_OPEN):
         yield Doubt(one.device, f'the program ended {one.detail.us / 1000:.0f} ms after it asked: '
@@ -126,7 +126,7 @@ def _waiting(case: Case, number: int) -> dict[str, str]:
     return {'wait per request (ms)': f'{median(waits) / 1000:.1f}'} if waits else {}
 
 
-def _broken_cable(case: Case) -> Iterator[Found]:
+def _broken_cable(case: Case) -> Claims:
     chain = [number for number in case.report.chain if number in case.devices]
     tail = 0
     while tail < len(chain) and _cut_off(case, chain[-1 - tail]):
@@ -190,7 +190,7 @@ def _rebooted(case: Case, device: DeviceReport) -> Found | None:
     return None
 
 
-def _brown_out(case: Case) -> Iterator[Found]:
+def _brown_out(case: Case) -> Claims:
     absences = _absences(case)
     if not absences:
         return
@@ -324,7 +324,7 @@ def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
                   'missed': f'{lost} of {window.asked}'})
 
 
-def _no_answer(case: Case) -> Iterator[Found]:
+def _no_answer(case: Case) -> Claims:
     yield from _gone(case, False)
     yield from _at_the_end(case)
     for device in case.report.devices:

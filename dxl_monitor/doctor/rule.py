@@ -9,6 +9,7 @@ of time before the case: how long a claim lasts is the Doctor's.
 
 from collections.abc import Callable
 from collections.abc import Iterable
+from collections.abc import Iterator
 from collections.abc import Mapping
 from math import log
 from typing import Any
@@ -47,6 +48,7 @@ _PERCENT = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
 _SECONDS = (1, 5, 10, 30, 60, 300, 600, 1800, 3600)
 
 Found = Claim | Doubt
+Claims = Iterator[Found]
 
 
 class Rule(NamedTuple):

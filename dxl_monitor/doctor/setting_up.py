@@ -13,6 +13,7 @@ from dxl_monitor.doctor.health import ALIVE_VOLTS
 from dxl_monitor.doctor.health import fresh
 from dxl_monitor.doctor.health import limit_of
 from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import FAMILY_1
 from dxl_monitor.doctor.rule import Found
@@ -41,7 +42,7 @@ _ELSEWHERE = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX and 
               116: 'Goal Position of X', 132: 'Present Position of X'}
 
 
-def _factory_id(case: Case) -> Iterator[Found]:
+def _factory_id(case: Case) -> Claims:
     first = case.devices.get(FACTORY_ID)
     absent = [device.id for device in case.report.devices if device is not first
               and device.last_heard_s is None and device.missed_in_a_row >= FEW]
@@ -61,7 +62,7 @@ def _clashes(case: Case, device: DeviceReport) -> bool:
         window.spoilt >= FEW and window.spoilt >= CLASHES * window.asked)
 
 
-def _wrong_supply(case: Case) -> Iterator[Found]:
+def _wrong_supply(case: Case) -> Claims:
     high, low, unknown = [], [], []
     for device in case.report.devices:
         volts = fresh(case, device, 'Present Input Voltage')

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterator
 from itertools import pairwise
 from operator import attrgetter
 from statistics import median
@@ -32,6 +31,7 @@ from dxl_monitor.doctor.rhythm import is_multiple
 from dxl_monitor.doctor.rhythm import Rhythm
 from dxl_monitor.doctor.rhythm import WRITES
 from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import Rule
@@ -69,7 +69,7 @@ MANY = 10                          # vain waits
 SOON_US = 500                      # Return Delay Time as from the factory (e-Manual)
 
 
-def _impatient(case: Case) -> Iterator[Found]:
+def _impatient(case: Case) -> Claims:
     again = Counter(case.repeats.values())
     again.update(one.detail.instruction for one in _hidden_repeats(case))
     again.update(one.detail.instruction for one in _repeats_into_answers(case))
@@ -156,7 +156,7 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
     return first
 
 
-def _late_answers(case: Case) -> Iterator[Found]:
+def _late_answers(case: Case) -> Claims:
     late = case.incidents(ev.LATE)
     first: Counter[int] = Counter()
     before = 0
@@ -198,7 +198,7 @@ def _wait(case: Case) -> str:
     return f'{median(waits) / 1000:.1f} ms' if waits else 'unknown'
 
 
-def _latency_timer(case: Case) -> Iterator[Found]:
+def _latency_timer(case: Case) -> Claims:
     answers = [answer_ns(cycle, case.report.baud) for cycle in case.report.cycles]
     answered = sum(len(cycle.stamps) - bisect_right(cycle.stamps, case.now - S)
                    for cycle, answer in zip(case.report.cycles, answers, strict=True) if answer)
@@ -238,7 +238,7 @@ def _is_latent(gap: int, answer: float) -> bool:
     return any(LATENCY_MS[0] <= rest / MS <= LATENCY_MS[1] for rest in (gap, gap - answer))
 
 
-def _return_delay(case: Case) -> Iterator[Found]:
+def _return_delay(case: Case) -> Claims:
     for device in case.report.devices:
         register = case.values[device.id].get('Return Delay Time')
         delay_ms = register.value.number * 1000 if register and register.value.number is not None \
@@ -266,7 +266,7 @@ def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
                  {'delay (ms)': f'{known:.2f}', 'read': 'yes' if delay_ms else 'measured'})
 
 
-def _bus_too_slow(case: Case) -> Iterator[Found]:
+def _bus_too_slow(case: Case) -> Claims:
     seconds = (case.now - case.mark(LOAD_S).stamp) / S
     got = case.counted('bytes', LOAD_S)
     if seconds < 1.0:
@@ -282,7 +282,7 @@ def _bus_too_slow(case: Case) -> Iterator[Found]:
                     Level.WARN if harm else Level.OK)
 
 
-def _two_masters(case: Case) -> Iterator[Found]:
+def _two_masters(case: Case) -> Claims:
     foreign = case.count(ev.FOREIGN)
     if foreign >= FOREIGN_ENOUGH:
         yield Claim(None, f'the master received {foreign} instructions that it did not send: '
@@ -330,7 +330,7 @@ def _words(cycle: Cycle, period: float) -> str:
     return f'{name_of(cycle.instruction)} of {whom}{at} every {period / MS:.0f} ms'
 
 
-def _jitter(case: Case) -> Iterator[Found]:
+def _jitter(case: Case) -> Claims:
     rhythms = case.rhythms
     if not rhythms or case.waits(WAITED_S):
         return

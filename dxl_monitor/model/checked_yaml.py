@@ -30,6 +30,7 @@ NODES_LIMIT = 60_000         # values, what aliases stand for counted each time;
 DEPTH_LIMIT = 50             # libyaml calls itself for each level: too many kill the process
 TOLD = 1000                  # characters of a part of a message, at most
 NUMBER_END = 1e100           # beyond every register, and not infinite as a float
+Raw = dict[str, Any]               # what a file says of one thing, by key
 
 
 class ModelError(Exception):

@@ -23,6 +23,7 @@ from typing import NamedTuple
 from dxl_monitor.model.checked_yaml import Check
 from dxl_monitor.model.checked_yaml import describe
 from dxl_monitor.model.checked_yaml import ModelError
+from dxl_monitor.model.checked_yaml import Raw
 from dxl_monitor.model.control_table import ACCESS
 from dxl_monitor.model.control_table import Bits
 from dxl_monitor.model.control_table import Cases
@@ -93,7 +94,7 @@ def _try_entry(entry: Any, context: Context) -> list[Field]:
         return []
 
 
-def _build_group(entry: dict[str, Any], check: Check, context: Context) -> Iterator[Field]:
+def _build_group(entry: Raw, check: Check, context: Context) -> Iterator[Field]:
     shift = check.integer(entry.get('shift', 0), 'shift', 0, ADDRESS_END - 1)
     prefix = check.text(entry['prefix'], 'prefix') + ' ' if 'prefix' in entry else ''
     fields = [*context.included(check.text(entry['include'], 'include'))] \
@@ -103,7 +104,7 @@ def _build_group(entry: dict[str, Any], check: Check, context: Context) -> Itera
                            for field in fields], check, context.room)
 
 
-def _repeat(entry: dict[str, Any], fields: list[Field], check: Check,
+def _repeat(entry: Raw, fields: list[Field], check: Check,
             room: Room) -> Iterator[Field]:
     count = check.integer(entry.get('repeat', 1), 'repeat', 1, REPEAT_LIMIT)
     room.take(fields, count, check)
@@ -130,13 +131,13 @@ def _moved(field: Field, by: int, rename: Callable[[str], str], check: Check) ->
     return field.moved(by, rename)
 
 
-def _build_field(raw: dict[str, Any], check: Check, context: Context) -> Field:
+def _build_field(raw: Raw, check: Check, context: Context) -> Field:
     words = context.words
     for key in ('at', 'name', 'type'):
         if key not in raw:
             raise check.error(f'no {key}', f'add {key}: to the field')
     type_ = check.choice(raw['type'], 'type', TYPES)
-    fixed: dict[str, Any] = {
+    fixed: Raw = {
         'at': check.integer(raw['at'], 'at', 0, ADDRESS_END - STRUCTS[type_].size),
         'name': check.text(raw['name'], 'name'), 'type': type_,
         'access': check.choice(raw.get('access', ''), 'access', ('', *ACCESS)),
@@ -147,7 +148,7 @@ def _build_field(raw: dict[str, Any], check: Check, context: Context) -> Field:
                  cases=_cases(raw, fixed, check, words))
 
 
-def _cases(raw: dict[str, Any], fixed: dict[str, Any], check: Check,
+def _cases(raw: Raw, fixed: Raw, check: Check,
            words: Mapping[str, Any]) -> Cases | None:
     given = {'by', 'cases'} & raw.keys()
     if not given:
@@ -164,10 +165,10 @@ def _cases(raw: dict[str, Any], fixed: dict[str, Any], check: Check,
     return Cases(check.text(raw['by'], 'by'), mask, fields)
 
 
-def _meaning(raw: dict[str, Any], check: Check, words: Mapping[str, Any],
-             type_: str) -> dict[str, Any]:
+def _meaning(raw: Raw, check: Check, words: Mapping[str, Any],
+             type_: str) -> Raw:
     bits = 8 * STRUCTS[type_].size
-    more: dict[str, Any] = {}
+    more: Raw = {}
     if 'unit' in raw:
         more['unit'] = check.text(raw['unit'], 'unit')
     if 'enum' in raw:
@@ -187,7 +188,7 @@ def _meaning(raw: dict[str, Any], check: Check, words: Mapping[str, Any],
     return more
 
 
-def _check_meaning(more: dict[str, Any], check: Check, type_: str) -> None:
+def _check_meaning(more: Raw, check: Check, type_: str) -> None:
     given = more.keys() - {'unit', 'spans', 'offset'}
     if type_[0] == 'f' and given - {'scale'}:
         raise check.error(f'{", ".join(sorted(given))} with type {type_}', 'use an integer type')

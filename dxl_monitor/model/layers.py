@@ -19,6 +19,7 @@ from typing import NamedTuple
 from dxl_monitor.model.checked_yaml import Check
 from dxl_monitor.model.checked_yaml import describe
 from dxl_monitor.model.checked_yaml import ModelError
+from dxl_monitor.model.checked_yaml import Raw
 from dxl_monitor.model.checked_yaml import read_yaml
 from dxl_monitor.model.control_table import BYTE_ORDERS
 from dxl_monitor.model.control_table import Field
@@ -51,14 +52,14 @@ class Definition(NamedTuple):
     numbers: dict[int, str]
     torque_constants: dict[int, float]
     protocol: str
-    raw: dict[str, Any]
+    raw: Raw
 
 
 class Layer(NamedTuple):
     """A file with all it includes."""
 
     fields: dict[str, Field] = {}
-    words: dict[str, Any] = {}
+    words: Raw = {}
     indirect: tuple[Indirect, ...] = ()
     indirect_fields: tuple[Field, ...] = ()
     aliases: dict[str, str] = {}
@@ -187,7 +188,7 @@ class Layers:
         raise check.error(f'no file {name}.yaml', f'put it into {self._folders[0]}, or correct '
                           'the name (without .yaml)')
 
-    def _lay(self, raw: dict[str, Any], below: Layer, path: Path,
+    def _lay(self, raw: Raw, below: Layer, path: Path,
              above: tuple[Path, ...]) -> Layer:
         """`raw` laid over `below`; mistakes in single fields go to report."""
         words = {**below.words, **raw.get('words', {})}
@@ -196,7 +197,7 @@ class Layers:
         top = Layer(own, words, indirect, tuple(indirect_fields), raw.get('aliases', {}))
         return top.over(below._replace(fields=self._without(raw, below, path)))
 
-    def _own_fields(self, raw: dict[str, Any], words: dict[str, Any], path: Path,
+    def _own_fields(self, raw: Raw, words: Raw, path: Path,
                     above: tuple[Path, ...]) -> dict[str, Field]:
         def included(name: str) -> Iterable[Field]:
             found = self._find(Check(path, 'include'), name)
@@ -212,7 +213,7 @@ class Layers:
             own[field.name] = field
         return own
 
-    def _without(self, raw: dict[str, Any], below: Layer, path: Path) -> dict[str, Field]:
+    def _without(self, raw: Raw, below: Layer, path: Path) -> dict[str, Field]:
         check = Check(path, 'without')
         names = dict.fromkeys(check.text(name, 'name')
                               for name in check.sequence(raw.get('without', []), 'without'))
@@ -265,7 +266,7 @@ def _outline(path: Path) -> Definition:
     return Definition(path, keys, _torque_constants(raw, path), protocol, raw)
 
 
-def _torque_constants(raw: dict[str, Any], path: Path) -> dict[int, float]:
+def _torque_constants(raw: Raw, path: Path) -> dict[int, float]:
     check = Check(path, 'torque_constants')
     return {number: check.number(constant, str(number))
             for number, constant in raw.get('torque_constants', {}).items()}

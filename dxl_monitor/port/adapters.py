@@ -14,6 +14,7 @@ from typing import NamedTuple
 from msg_defs.event import BAUD
 from msg_defs.event import BREAK
 from msg_defs.event import Change
+from msg_defs.event import Changes
 from msg_defs.event import DTR
 from msg_defs.event import FRAMING
 from msg_defs.event import LATENCY_TIMER
@@ -61,7 +62,7 @@ def usual_rate(rate: float) -> int:
     return near if abs(near - rate) <= _NEAR * near else round(rate)
 
 
-def _lines(value: int) -> list[Change]:
+def _lines(value: int) -> Changes:
     """Return the modem lines that a request sets: which in the high byte, how in the low one."""
     return [Change(what, value >> bit & 1) for bit, what in ((0, DTR), (1, RTS))
             if value >> 8 >> bit & 1]
@@ -92,7 +93,7 @@ class Adapter:
         self.packet_size = packet_size
         self.is_multi = is_multi
 
-    def received(self, data: bytes) -> tuple[bytes, list[Change]]:
+    def received(self, data: bytes) -> tuple[bytes, Changes]:
         """Return the bytes of the line in one transfer to the host, and what else it says."""
         return data, []
 
@@ -104,11 +105,11 @@ class Adapter:
         """Return the bytes of the line in one transfer from the host."""
         return data
 
-    def control(self, setup: Setup, data: bytes) -> list[Change]:
+    def control(self, setup: Setup, data: bytes) -> Changes:
         """Return what a control transfer sets; data: what went with it in either direction."""
         return []
 
-    def interrupt(self, data: bytes) -> list[Change]:
+    def interrupt(self, data: bytes) -> Changes:
         """Return what a transfer of the interrupt endpoint says."""
         return []
 
@@ -134,7 +135,7 @@ class Ftdi(Adapter):
     def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
         return setup.kind == _VENDOR_OUT and setup.request in (3, 9) and setup.target & 0xFF < 8
 
-    def received(self, data: bytes) -> tuple[bytes, list[Change]]:
+    def received(self, data: bytes) -> tuple[bytes, Changes]:
         size = self.packet_size
         if len(data) <= size:
             return data[self._STATUS_SIZE:], self._line(data)
@@ -148,12 +149,12 @@ class Ftdi(Adapter):
             return None
         return data[self._STATUS_SIZE:]
 
-    def _line(self, packet: bytes) -> list[Change]:
+    def _line(self, packet: bytes) -> Changes:
         if len(packet) <= self._STATUS_SIZE or not packet[1] & 0x1E:
             return []
         return [Change(what, 1) for bit, what in _ERRORS if packet[1] & bit]
 
-    def control(self, setup: Setup, data: bytes) -> list[Change]:
+    def control(self, setup: Setup, data: bytes) -> Changes:
         kind, request, value, _ = setup
         if kind != _VENDOR_OUT:
             return []
@@ -194,7 +195,7 @@ class CdcAcm(Adapter):
         super().__init__(packet_size, is_multi)
         self._rest = b''           # begin of a notice that is longer than a packet
 
-    def control(self, setup: Setup, data: bytes) -> list[Change]:
+    def control(self, setup: Setup, data: bytes) -> Changes:
         if setup.kind != _CLASS_OUT:
             return []
         if setup.request == 0x20 and len(data) >= 7:
@@ -203,7 +204,7 @@ class CdcAcm(Adapter):
             return [Change(DTR, setup.value & 1), Change(RTS, setup.value >> 1 & 1)]
         return []
 
-    def interrupt(self, data: bytes) -> list[Change]:
+    def interrupt(self, data: bytes) -> Changes:
         # Boards with an endpoint of 8 bytes cut the 10 bytes of a notice; Linux joins them too.
         if data[:2] != self._NOTICE:
             data = self._rest + data
@@ -234,7 +235,7 @@ class Ch341(Adapter):
     def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
         return setup[:3] == (_VENDOR_OUT, cls._WRITE_REGISTER, cls._DIVISOR)
 
-    def control(self, setup: Setup, data: bytes) -> list[Change]:
+    def control(self, setup: Setup, data: bytes) -> Changes:
         kind, request, value, target = setup
         if kind != _VENDOR_OUT:
             return []
@@ -270,7 +271,7 @@ class Cp210x(Adapter):
         self._escape = b''
         self._rest = b''           # begin of an escape that is not all here
 
-    def control(self, setup: Setup, data: bytes) -> list[Change]:
+    def control(self, setup: Setup, data: bytes) -> Changes:
         kind, request, value, _ = setup
         if kind != _VENDOR_INTERFACE_OUT:
             return []
@@ -289,12 +290,12 @@ class Cp210x(Adapter):
     def bare(self, data: bytes) -> bytes | None:
         return None if self._escape else data
 
-    def received(self, data: bytes) -> tuple[bytes, list[Change]]:
+    def received(self, data: bytes) -> tuple[bytes, Changes]:
         if not self._escape:
             return data, []
         data = self._rest + data
         found: list[bytes] = []
-        changes: list[Change] = []
+        changes: Changes = []
         at = 0
         while (mark := data.find(self._escape, at)) >= 0:
             found.append(data[at:mark])

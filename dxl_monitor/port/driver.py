@@ -15,6 +15,8 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
+from msg_defs.reports import Pairs
+
 TIOCGSERIAL = 0x541E
 TIOCSSERIAL = 0x541F
 TIOCGICOUNT = 0x545D
@@ -69,7 +71,7 @@ def set_low_latency(fd: int) -> bool:
     return False
 
 
-def adapter(path: str, root: Path = SYS) -> list[tuple[str, str]]:
+def adapter(path: str, root: Path = SYS) -> Pairs:
     """Return what a USB adapter says of itself, 'Adapter' and 'Adapter Serial Number'."""
     tty = os.path.basename(os.path.realpath(path))
     device = Path(os.path.realpath(root / 'class/tty' / tty / 'device'))

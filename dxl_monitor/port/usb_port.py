@@ -26,6 +26,7 @@ from dxl_monitor.port.usbmon import UNPLUGGED
 from dxl_monitor.port.usbmon import UsbEvent
 from dxl_monitor.port.usbmon import what_key
 from msg_defs.event import Change
+from msg_defs.event import Changes
 from msg_defs.event import CLOSED
 from msg_defs.event import GONE
 from msg_defs.event import IN
@@ -45,7 +46,7 @@ class Heard(NamedTuple):
     stamp: int
     side: str
     data: bytes
-    changes: list[Change]
+    changes: Changes
 
 
 class Place(NamedTuple):
@@ -143,17 +144,17 @@ class UsbPort:
         return self._heard(event, [Change(NOT_SENT, missing)] * is_lost + self._end_words(event))
 
     @staticmethod
-    def _cut(event: UsbEvent) -> list[Change]:
+    def _cut(event: UsbEvent) -> Changes:
         missing = event.size - len(event.data)
         return [Change(LOST, missing)] if missing > 0 else []
 
     @staticmethod
-    def _end_words(event: UsbEvent) -> list[Change]:
+    def _end_words(event: UsbEvent) -> Changes:
         if event.status in UNPLUGGED[:1]:
             return [Change(GONE, 1)]
         return [Change(CLOSED, 1)] if event.status in KILLED else []
 
-    def _control(self, event: UsbEvent) -> list[Change]:
+    def _control(self, event: UsbEvent) -> Changes:
         """Join a control transfer: the setup comes first, what the device answers at the end."""
         if event.setup:
             _remember(self._setups, event.number, event.setup)
@@ -164,14 +165,14 @@ class UsbPort:
             return []
         return self.adapter.control(Setup.of(packet), event.data)
 
-    def _interrupt(self, event: UsbEvent) -> list[Change]:
+    def _interrupt(self, event: UsbEvent) -> Changes:
         changes = self._end_words(event)
         if event.is_input:
             changes += self.adapter.interrupt(event.data)
         return changes
 
     @staticmethod
-    def _heard(event: UsbEvent, changes: list[Change]) -> Heard | None:
+    def _heard(event: UsbEvent, changes: Changes) -> Heard | None:
         return Heard(event.stamp, UNKNOWN, b'', changes) if changes else None
 
 

@@ -9,6 +9,7 @@ from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture_recorder import Recorder
 from dxl_monitor.record.flight_recorder import FlightRecorder
+from msg_defs.reports import Pairs
 
 
 class Recorders:
@@ -30,7 +31,7 @@ class Recorders:
     def problem(self) -> str:
         return '; '.join(one.problem for one in self._all.values() if one.problem)
 
-    def values(self) -> list[tuple[str, str]]:
+    def values(self) -> Pairs:
         """Return what each does, for a status."""
         return [(name, one.words) for name, one in self._all.items()]
 

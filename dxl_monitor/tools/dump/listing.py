@@ -34,6 +34,7 @@ from msg_defs.dxl_packet import STATUS
 from msg_defs.event import UNKNOWN
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
+from msg_defs.frame import Frames
 from msg_defs.frame import GLITCH
 from msg_defs.frame import IS_STATUS
 from msg_defs.uart import BITS_PER_BYTE
@@ -127,7 +128,7 @@ class Listing(BusDecoder):
         for side, tape in self._tapes.items():
             yield side, tape.cut(_ALL, _ALL)[0]
 
-    def take(self, frames: list[Frame], stamp: int, received: int, side: str = UNKNOWN) -> None:
+    def take(self, frames: Frames, stamp: int, received: int, side: str = UNKNOWN) -> None:
         for number, frame in enumerate(frames):
             begin, flaw = frame[0], frame[6]
             self._newest = max(self._newest, self._began(begin, stamp, received))
