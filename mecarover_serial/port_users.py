@@ -39,7 +39,7 @@ def _holders(path: str, root: Path) -> Iterator[PortUser]:
         device = os.stat(path).st_rdev
     except OSError:
         device = 0
-    name = os.path.basename(os.path.realpath(path))
+    name = tty_of(path)
     for process in (root / 'proc').glob('[0-9]*'):
         if int(process.name) == os.getpid():
             continue
@@ -83,6 +83,11 @@ def _has_made(process: Path, device: int) -> bool:
         return False
     index = f'tty-index:\t{os.minor(device)}'
     return any(index in file_text(entry).splitlines() for entry in (process / 'fdinfo').glob('*'))
+
+
+def tty_of(path: str | Path) -> str:
+    """Return the name that the kernel has for a port: ttyUSB0, whatever links lead to it."""
+    return os.path.basename(os.path.realpath(path))
 
 
 def file_text(path: Path) -> str:

@@ -23,6 +23,7 @@ from mecarover_serial.port_users import file_text
 from mecarover_serial.port_users import holders
 from mecarover_serial.port_users import PTYS
 from mecarover_serial.port_users import ROOT
+from mecarover_serial.port_users import tty_of
 
 _FOREIGN = {stat.S_IFDIR: 'a directory', stat.S_IFREG: 'a file', stat.S_IFBLK: 'a disk',
             stat.S_IFIFO: 'a pipe', stat.S_IFSOCK: 'a socket'}
@@ -62,7 +63,7 @@ def warnings(path: str, root: Path = ROOT, ours: Sequence[str] = ()) -> list[Rea
 
     `ours` are names of processes that share the port with us on purpose.
     """
-    name = os.path.basename(os.path.realpath(path))
+    name = tty_of(path)
     found = []
     if name in _consoles(root):
         found.append(Reason(
@@ -127,7 +128,7 @@ def _wrong_kind(path: str, root: Path) -> Reason | None:
     known = root / 'sys/dev/char' / number          # but for ptys, which sysfs does not list
     if known.exists() and (known / 'subsystem').resolve().name != 'tty':
         return _not_a_port('a device, but not a serial port')
-    name = os.path.basename(os.path.realpath(path))
+    name = tty_of(path)
     if _SCREENS.fullmatch(name):
         return _not_a_port('a text console, not a serial port')
     if file_text(root / 'sys/class/tty' / name / 'type').strip() == '0':     # PORT_UNKNOWN
@@ -218,5 +219,5 @@ def _consoles(root: Path) -> set[str]:
     names = {line.split()[0] for line in file_text(root / 'proc/consoles').splitlines() if line}
     names |= set(re.findall(r'console=(\w+)', file_text(root / 'proc/cmdline')))
     if 'serial0' in names:
-        names.add(os.path.basename(os.path.realpath(root / 'dev/serial0')))
+        names.add(tty_of(root / 'dev/serial0'))
     return names

@@ -15,6 +15,7 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
+from mecarover_serial.port_users import tty_of
 from msg_defs.reports import Pairs
 
 TIOCGSERIAL = 0x541E
@@ -73,7 +74,7 @@ def set_low_latency(fd: int) -> bool:
 
 def adapter(path: str, root: Path = SYS) -> Pairs:
     """Return what a USB adapter says of itself, 'Adapter' and 'Adapter Serial Number'."""
-    tty = os.path.basename(os.path.realpath(path))
+    tty = tty_of(path)
     device = Path(os.path.realpath(root / 'class/tty' / tty / 'device'))
     usb = next((one for one in (device, *device.parents) if (one / 'idVendor').exists()), None)
     if usb is None:
@@ -91,7 +92,7 @@ def latency_timer_ms(path: str, root: Path = SYS) -> int | None:
 
     At 16 ms, the driver's default, an adapter hides every delay on the bus below that.
     """
-    file = root / 'class/tty' / os.path.basename(os.path.realpath(path)) / 'device/latency_timer'
+    file = root / 'class/tty' / tty_of(path) / 'device/latency_timer'
     with suppress(OSError):
         file.write_text('1')
     try:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-import os
 from pathlib import Path
 import re
 from typing import NamedTuple
@@ -73,7 +72,7 @@ def _interface(name: str, root: Path) -> Path:
         if not (devices / name).is_dir():
             raise _absent(name)
         return _data_interface((devices / name).resolve(), 0)
-    tty = root / 'class/tty' / os.path.basename(os.path.realpath(name))
+    tty = root / 'class/tty' / tty_of(name)
     if not tty.exists():
         raise _absent(name)
     place = (tty / 'device').resolve()

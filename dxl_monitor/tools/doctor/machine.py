@@ -23,6 +23,8 @@ import socket
 
 from serial.tools import list_ports
 
+from mecarover_serial.port_users import tty_of
+
 _PACKAGES = ('mecarover_serial', 'pyserial', 'crcmod-plus', 'dynamixel-sdk', 'feetech-servo-sdk',
              'lerobot', 'pypot')
 _SYS = Path('/sys')
@@ -52,7 +54,7 @@ def plain_name(source: str, is_program: bool) -> str:
     port = device(source)
     if port:
         prefix = 'usb:' if source.startswith('usb:') else ''
-        return prefix + os.path.basename(os.path.realpath(port))
+        return prefix + tty_of(port)
     for kind in ('tap:', 'usb:'):
         if source.startswith(kind):
             return kind
