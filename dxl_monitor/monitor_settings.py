@@ -60,7 +60,7 @@ PARAMETERS = (
               'MB', 1.0, 1e6),
     Parameter('protocols', ['auto'], 'protocol of each bus, or one for all: 2 (Dynamixel Protocol '
               '2.0), 1 (Protocol 1.0), feetech, or auto, which learns it from the traffic',
-              element=str),
+              choices=PROTOCOLS, element=str),
     Parameter('write_acks', 'auto', 'whether devices acknowledge writes; auto learns it from the '
               'traffic', choices=('auto', 'always', 'never')),
     TIMING_PARAMETER,
@@ -98,7 +98,7 @@ def make_recorders(values: dict[str, Any]) -> Recorders:
 
 def buses(values: dict[str, Any], models: Models) -> list[Bus]:
     """Return the buses that the parameters describe; raise ParameterError when they disagree."""
-    ports, bauds = values['ports'], values['bauds']
+    ports = values['ports']
     if not ports:
         raise ParameterError('ports: none given; set e.g. ports:=/dev/ttyUSB0')
     for port in ports:
@@ -106,12 +106,8 @@ def buses(values: dict[str, Any], models: Models) -> list[Bus]:
             raise ParameterError(f'ports: {port!r} is the name of one port; write a list: '
                                  f'ports:="{port.split(",")}"')
     refuse_twice('ports:', ports)
-    if len(bauds) == 1:
-        bauds = bauds * len(ports)
-    if len(bauds) != len(ports):
-        raise ParameterError(f'bauds: {len(bauds)} rates for {len(ports)} ports; '
-                             'give one per port, or one for all')
-    protocols = _protocols(values['protocols'], len(ports))
+    bauds, protocols = (_one_each(name, values[name], len(ports))
+                        for name in ('bauds', 'protocols'))
     for port, baud in zip(ports, bauds, strict=True):
         if not baud and not has_sides(port):
             raise ParameterError(f'bauds: 0 for {port}, but only usb: and tap: can learn the '
@@ -126,13 +122,11 @@ def buses(values: dict[str, Any], models: Models) -> list[Bus]:
             names, ports, bauds, protocols, strict=True)]
 
 
-def _protocols(given: Sequence[str], count: int) -> list[str]:
-    for one in given:
-        if one not in PROTOCOLS:
-            raise ParameterError(f'protocols: {one!r}; use one of {", ".join(PROTOCOLS)}')
+def _one_each(name: str, given: Sequence[Any], count: int) -> list[Any]:
+    """Return a value for each port."""
     if len(given) not in (1, count):
-        raise ParameterError(f'protocols: {len(given)} for {count} ports; give one per port, or '
-                             'one for all')
+        raise ParameterError(f'{name}: {len(given)} for {count} ports; give one per port, or one '
+                             'for all')
     return list(given) * (count if len(given) == 1 else 1)
 
 

@@ -277,7 +277,7 @@ def test_every_ending_signal_ends_it_well(tmp_path, heard, again, number):
 
 
 @pytest.mark.parametrize(('parameters', 'line'), [
-    ({'bauds': '[9600,9600,9600]'}, 'bauds: 3 rates for 1 ports; '),
+    ({'bauds': '[9600,9600,9600]'}, 'bauds: 3 for 1 ports; '),
     ({'bauds': '5000000'}, 'bauds: 5000000 is not possible; set an integer list in bit/s '),
     ({'names': '[a,b]'}, 'names: 2 names for 1 ports; '),
     ({'devices': '[254]'}, "devices: '254': an ID is at most 253; "),
