@@ -48,7 +48,6 @@ from msg_defs.event import OUT
 from msg_defs.event import OVERRUN
 from msg_defs.event import PARITY
 from msg_defs.event import UNKNOWN
-from msg_defs.reports import Joint
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.timing import Series
@@ -190,10 +189,6 @@ class Monitor:
             self._listen_until(now)
             self._flush_if_idle(now)
 
-    def expect_delay(self, latency_timer_ms: float) -> None:
-        """Say how long the adapter may keep bytes back (ms)."""
-        self.decoder.expect_delay(latency_timer_ms)
-
     def reset_statistics(self, now: int) -> None:
         """Start all counts and statistics at 0; what is known of the devices stays."""
         with self._lock:
@@ -248,12 +243,11 @@ class Monitor:
 
     def joints(self, since: int) -> Joints:
         """Return what was read of joints after the stamp `since`, without a whole report."""
-        found = [one for device in self._by_id() if (one := self._fresh(device, since))]
+        found = []
+        for device in self._by_id():
+            with self._lock:
+                found += [one for one in [fresh(device, since)] if one is not None]
         return Joints(tuple(joint for joint, _ in found), max((at for _, at in found), default=0))
-
-    def _fresh(self, device: Device, since: int) -> tuple[Joint, int] | None:
-        with self._lock:
-            return fresh(device, since)
 
     def _by_id(self) -> list[Device]:
         """Return the devices known now; the lock is free while somebody goes through them."""

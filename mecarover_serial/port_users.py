@@ -86,7 +86,7 @@ def _has_made(process: Path, device: int) -> bool:
 
 
 def tty_of(path: str | Path) -> str:
-    """Return the name that the kernel has for a port: ttyUSB0, whatever links lead to it."""
+    """Return the name that the kernel has for a port, as ttyUSB0; links are followed."""
     return os.path.basename(os.path.realpath(path))
 
 

@@ -58,7 +58,7 @@ def registry(*expected, baud=1_000_000):
 
 
 def notes(one):
-    return [(note.kind, note.device, note.detail) for note in one._evidence.incidents()]
+    return [(note.kind, note.device, note.detail) for note in one._evidence.incidents]
 
 
 def test_what_a_bus_is_taken_for_where_nothing_is_said():
@@ -351,15 +351,6 @@ def test_a_register_has_the_meaning_that_another_gives_it():
     for mode, of in ((b'\x04', 4), (b'\x01', 0), (b'\x05', 4)):
         table.store(10, mode, S, READ)
         assert table.in_force(raw, model) is raw.cases.fields[of]
-
-
-def test_what_was_seen_is_told_in_runs():
-    table = Table()
-    for at, data in ((0, b'\0'), (2, b'\1\2'), (5, b'\3')):
-        table.store(at, data, S, WRITTEN)
-    assert table.known() == [(0, b'\0'), (2, b'\1\2'), (5, b'\3')]
-    table.clear()
-    assert table.known() == []
 
 
 # --- who must answer -------------------------------------------------------------------------

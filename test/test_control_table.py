@@ -100,11 +100,3 @@ def test_the_text_says_the_number_within_the_resolution_of_the_register():
                 coarse = max(abs(field.scale), abs(value.number) * 1e-5)
                 assert abs(float(value.text) - value.number) <= coarse / 2, field
                 assert 'e' not in value.text
-
-
-def test_decode_takes_the_fields_that_are_whole():
-    model = named('MX-106')
-    data = bytes(range(12))
-    assert [field.name for field, _ in model.decode(126, data)] == [
-        'Present Current', 'Present Velocity', 'Present Position']
-    assert [field.name for field, _ in model.decode(127, data[:5])] == ['Present Velocity']

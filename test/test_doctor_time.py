@@ -174,7 +174,7 @@ def test_a_return_delay_that_is_read_as_none_is_not_doubted():
 
 
 def test_what_is_noted_of_an_id_that_is_no_device_is_not_told_of_one():
-    assert told('foreign_answers', notes=note(ev.UNASKED, ev.Unasked(2, 0), 3, 9)) == []
+    assert told('foreign_answers', notes=note(ev.UNASKED, ev.NOTHING, 3, 9)) == []
 
 
 # --- words -----------------------------------------------------------------------------------

@@ -330,7 +330,7 @@ def test_one_right_sum_makes_no_device():
     bus = Bus()
     for _ in range(4000):
         bus.say(b'\0\xff\xff' + chance.randbytes(40), after_ms=1)
-    framer = bus.monitor.decoder.framer
+    framer = bus.monitor.decoder.framers['']
     assert framer._second.packets > 10             # right by chance
     assert bus.report().devices == ()
     assert bus.report().counters['Packets'] == 0
@@ -404,7 +404,7 @@ def test_a_new_servo_is_found_where_a_stray_byte_is_ahead_of_each_packet():
 
 
 def packets_of_2_0(bus):
-    framer = bus.monitor.decoder.framer
+    framer = bus.monitor.decoder.framers['']
     assert framer.claimed == 0
     return framer._first.packets
 

@@ -118,7 +118,7 @@ def test_an_instruction(copy):
     code.change('fuzz/instruction.py', ('OPTIONS = {', 'ACKNOWLEDGED += (0x21,)\n'))
     code.change('msg_defs/dxl1_instruction.py', (
         "             0x92: DialectInstruction('Bulk Read'",
-        "             0x21: DialectInstruction('Home', Layout.NOTHING, Answers.ACK),\n"))
+        "             0x21: DialectInstruction('Home', ParamLayout.NOTHING, Answers.ACK),\n"))
     assert code.run('-c', """
 from dxl_monitor.bus.decoder import BusDecoder
 from mecarover_fakes.fake_servo import FakeDevice

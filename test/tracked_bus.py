@@ -61,7 +61,7 @@ class Bus:
         return self.registry.devices[number].table.bytes(address, size)
 
     def kinds(self):
-        return [incident.kind for incident in self.evidence.incidents()]
+        return [incident.kind for incident in self.evidence.incidents]
 
 
 def ping(number):
@@ -105,4 +105,4 @@ FILLED = (ping(1), pong(1), read(1), reply(1, b'pppp'), write(1, GOAL, b'gggg'),
 
 
 def notes(bus):
-    return [(one.stamp, one.kind, one.device, one.detail) for one in bus.evidence.incidents()]
+    return [(one.stamp, one.kind, one.device, one.detail) for one in bus.evidence.incidents]

@@ -116,7 +116,6 @@ class Counts:
     eeprom_writes: int = 0
     spoilt: int = 0                # missed answers with damage or noise in their place
     beheaded: int = 0              # answers that only their first byte was missing of (1.0)
-    glitches: int = 0              # answers with a byte or two of noise in front
     model_changes: int = 0         # how often it said to be another model
     garbled: int = 0               # damage where its answer was due
     fast_answers: int = 0          # its parts of fast replies

@@ -324,8 +324,6 @@ class Tracker:
             self._happened(pairing.NOISE_IN if side == IN else pairing.NOISE)
         elif noise:
             self._evidence.counts[ev.GLITCH] += 1
-            if device is not None:
-                device.counts.glitches += 1
         if is_repaired and device is not None:
             device.counts.repaired += 1
             self._spoke.add(device.number)     # whether the others understood it, is not known

@@ -22,6 +22,7 @@ from dxl_monitor.port.driver import SYS
 from dxl_monitor.port.usb_port import Place
 from mecarover_serial.port_error import PortError
 from mecarover_serial.port_error import Reason
+from mecarover_serial.port_users import tty_of
 from msg_defs.event import IN
 from msg_defs.event import OUT
 

@@ -3,6 +3,8 @@
 """dxl_dump: what happens on a Dynamixel bus, in the terminal; from a port, a capture or bytes."""
 from __future__ import annotations
 
+from collections.abc import Callable
+from collections.abc import Iterable
 from collections.abc import Sequence
 import os
 from pathlib import Path
@@ -54,9 +56,9 @@ def _run(arguments: list[str]) -> int:
         return _check_models(options.check_models)
     if options.source is None:
         raise UsageError('SOURCE: none given; name a port, a capture or a file, or - for stdin')
-    options.ids = _ids(options.id)
-    options.about = _ids(options.about)
-    options.instructions = _instructions(options.instruction)
+    options.ids = _listed(options.id, _ids)
+    options.about = _listed(options.about, _ids)
+    options.instructions = _listed(options.instruction, _code)
     options.colours = has_colours(options.color)
     options.format = options.format or _format(options.write)
     with Session(options) as session:
@@ -115,13 +117,6 @@ def _format(name: str | None) -> str:
         raise UsageError(f'-w {name}: cannot write {ending}; give a name that ends in .pcapng, or '
                          '--format capture')
     return {'.pcapng': PCAPNG, '.mcap': MCAP}.get(ending, CAPTURE)
-
-
-def _has_colours(wish: str) -> bool:
-    if wish != 'auto':
-        return wish == 'always'
-    return (sys.stdout.isatty() and not os.environ.get('NO_COLOR')
-            and os.environ.get('TERM') != 'dumb')
 
 
 def _parser() -> Parser:

@@ -76,7 +76,8 @@ def add_bus_options(parser: argparse.ArgumentParser, runs: bool = True) -> None:
     add = parser.add_argument
     if runs:
         add('--by', choices=WAYS, default='', help=BY)
-    add('-b', '--baud', type=BAUD, help='baud rate of the bus, if the source does not know it')
+    add('-b', '--baud', type=BAUD, help='baud rate of the bus (default: that of the source, else '
+        '2000000)')
     add('--protocol', choices=PROTOCOLS, default=DEFAULTS.protocol,
         help='protocol of the bus: auto, 2, 1 (Dynamixel) or feetech (default: auto, learned '
              'from the traffic)')
