@@ -58,7 +58,7 @@ class Doctor:
     def __init__(self, settings: Settings = DEFAULTS, names: Names = PARAMETERS) -> None:
         self._settings, self._names = settings, names
         self._history = History(names)
-        self._standing: dict[_Key, tuple[Claim, int]] = {}
+        self._standing: dict[_Key, tuple[Rule, Claim, int]] = {}
         self._since: dict[_Key, int] = {}          # claimed without a break
         self._doubts: tuple[Finding, ...] = ()
 
@@ -68,7 +68,9 @@ class Doctor:
         case = self._history.take(report)
         if case.quiet_s and (report.last_byte_s or 0.0) > HUSH_S:
             findings = self._last_told(case)
-            return _with(case, findings, self._doubts or _lost_from(case))
+            return _with(case, findings, self._doubts or tuple(
+                Finding('noise', Level.OK, found.device, found.reason)
+                for found in damage.source_lost(case)))
         doubts: list[Finding] = []
         since: dict[_Key, int] = {}
         for rule in RULES:
@@ -77,12 +79,13 @@ class Doctor:
                     key = rule.name, found.device
                     since[key] = self._since.get(key, case.now)
                     if found.is_certain or case.now - since[key] >= rule.onset_s * S:
-                        self._standing[key] = found, case.now
+                        self._standing[key] = rule, found, case.now
                 else:
                     doubts.append(Finding(rule.name, Level.OK, found.device, found.reason))
         self._since = since
-        self._standing = {key: (claim, stamp) for key, (claim, stamp) in self._standing.items()
-                          if 0 <= case.now - stamp <= _hold_ns(key[0])}
+        self._standing = {
+            key: (rule, claim, stamp) for key, (rule, claim, stamp) in self._standing.items()
+            if 0 <= case.now - stamp <= (HOLD_NS if rule.holds else 0)}
         findings = self._told()
         claimed = {(finding.rule, finding.device) for finding in findings}
         self._doubts = tuple(one for one in doubts if (one.rule, one.device) not in claimed)
@@ -92,17 +95,20 @@ class Doctor:
         """Return what was known when the master asked last: nothing new can be judged."""
         self._standing.pop((configuration.STOPPED, None), None)    # the port may be closed
         for name in _AT_REST:
-            for found in found_by(RULES[_RANK[name]], case):
+            rule = RULES[_RANK[name]]
+            for found in found_by(rule, case):
                 if isinstance(found, Claim):
-                    self._standing[name, found.device] = found, case.now
+                    self._standing[name, found.device] = rule, found, case.now
         return self._told()
 
     def _told(self) -> tuple[Finding, ...]:
         """Return the standing claims that no other accounts for, the worst first."""
-        claims = {key: claim for key, (claim, _) in self._standing.items()}
-        findings = [_finding(RULES[_RANK[name]], claim) for (name, _), claim in claims.items()
-                    if not any(_explains(other, by, name, claim)
-                               for (other, _), by in claims.items())]
+        claims = self._standing.values()
+        findings = [
+            Finding(rule.name, rule.level if claim.level is None else claim.level, claim.device,
+                    claim.message, claim.evidence)
+            for rule, claim, _ in claims
+            if not any(_explains(other, by, rule.name, claim) for other, by, _ in claims)]
         return tuple(sorted(findings, key=lambda one: (-one.level, _RANK[one.rule])))
 
 
@@ -131,29 +137,14 @@ def _whom(rule: Rule, case: Case) -> Iterator[DeviceReport]:
             yield device
 
 
-def _lost_from(case: Case) -> tuple[Finding, ...]:
-    """Return what is unknown of a bus that fell silent before the first report."""
-    return tuple(Finding('noise', Level.OK, found.device, found.reason)
-                 for found in damage.source_lost(case))
-
-
-def _hold_ns(name: str) -> int:
-    return HOLD_NS if RULES[_RANK[name]].holds else 0
-
-
-def _explains(rule: str, by: Claim, name: str, claim: Claim) -> bool:
+def _explains(rule: Rule, by: Claim, name: str, claim: Claim) -> bool:
     """Tell whether one claim accounts for another."""
-    if name not in RULES[_RANK[rule]].explains or by is claim:
+    if name not in rule.explains or by is claim:
         return False
-    if rule == name:                   # the bus has it, so its devices do; not the reverse
+    if rule.name == name:                   # the bus has it, so its devices do; not the reverse
         return by.device is None
     return by.device is None or claim.device is None or claim.device == by.device \
         or claim.device in by.covers
-
-
-def _finding(rule: Rule, claim: Claim) -> Finding:
-    level = rule.level if claim.level is None else claim.level
-    return Finding(rule.name, level, claim.device, claim.message, claim.evidence)
 
 
 def _with(case: Case, findings: tuple[Finding, ...],

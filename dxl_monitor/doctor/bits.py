@@ -123,11 +123,15 @@ def _nearest(noise: bytes, at: int, due: Sequence[Shape]) -> Shape | None:
         got = noise[at:at + len(known)]
         if len(got) < len(known):
             continue
-        wrong = (int.from_bytes(got, 'big') ^ int.from_bytes(known, 'big')).bit_count()
-        share = wrong / (8 * len(known))
+        share = wrong_bits(got, known) / (8 * len(known))
         if share < least:
             best, least = shape, share
     return best
+
+
+def wrong_bits(got: bytes, sent: bytes) -> int:
+    """Return in how many bits two texts of one length differ."""
+    return (int.from_bytes(got, 'big') ^ int.from_bytes(sent, 'big')).bit_count()
 
 
 def _wreck(got: bytes, shape: Shape) -> Wreck | None:

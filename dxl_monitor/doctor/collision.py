@@ -13,6 +13,7 @@ from __future__ import annotations
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import PROTOCOL_2
+from dxl_monitor.doctor.bits import wrong_bits
 from dxl_monitor.doctor.case import Case
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import BROADCAST
@@ -77,14 +78,9 @@ def ran_into_answers(case: Case) -> int:
         at = noise.find(packet[-TAIL:]) if packet else -1
         while at >= 0:
             begin = at + TAIL - len(packet)
-            found += begin >= 0 and _wrong(noise[begin:at], packet) > FLIPPED
+            found += begin >= 0 and wrong_bits(noise[begin:at], packet[:-TAIL]) > FLIPPED
             at = noise.find(packet[-TAIL:], at + TAIL)
     return found
-
-
-def _wrong(got: bytes, packet: bytes) -> int:
-    """Return how many bits of the front of a packet are wrong."""
-    return (int.from_bytes(got, 'big') ^ int.from_bytes(packet[:len(got)], 'big')).bit_count()
 
 
 def _question(cycle: Cycle) -> bytes:

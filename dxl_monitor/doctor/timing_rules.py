@@ -167,20 +167,17 @@ def _late_answers(case: Case) -> Claims:
     for number, count in first.most_common(1):
         if count < FEW:
             return
-        if _is_cut_short(case):
+        waits = [one.us for one in case.waits(LATE_S) if not one.is_spoilt]
+        if waits and median(waits) < NO_WAIT_US:       # none was given up
             yield Doubt(number, 'the next instruction comes during its answers: two programs, or '
                         'one that does not wait')
         else:
+            known = [one.us for one in case.report.waits]
             yield Claim(number, 'answers after the master gave up, during the next instruction: '
                         'lower its Return Delay Time or raise the time-out',
-                        {'late answers': count, 'waits': _wait(case)},
+                        {'late answers': count, 'waits': f'{median(known) / 1000:.1f} ms'
+                            if known else 'unknown'},
                         covers=tuple(case.devices))
-
-
-def _is_cut_short(case: Case) -> bool:
-    """Tell whether questions came as no wait for an answer ends, so that none was given up."""
-    waits = [one.us for one in case.waits(LATE_S) if not one.is_spoilt]
-    return bool(waits) and median(waits) < NO_WAIT_US
 
 
 def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
@@ -191,11 +188,6 @@ def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
     return Claim(device.id, f'answers {size} bytes to a read of {asked}: its firmware is at '
                  'fault, or a second device has its ID; update it, then unplug it and ping its ID',
                  {'answers': len(wrong)})
-
-
-def _wait(case: Case) -> str:
-    waits = [one.us for one in case.report.waits]
-    return f'{median(waits) / 1000:.1f} ms' if waits else 'unknown'
 
 
 def _latency_timer(case: Case) -> Claims:
@@ -214,7 +206,8 @@ def _latency_timer(case: Case) -> Claims:
             if answer or is_coarse]
     if len(gaps) > SLOW_PER_S:
         return
-    latent = [(kinds, gap) for kinds, gap, answer in gaps if _is_latent(gap, answer)]
+    latent = [(kinds, gap) for kinds, gap, answer in gaps if any(
+        LATENCY_MS[0] <= rest / MS <= LATENCY_MS[1] for rest in (gap, gap - answer))]
     if is_coarse and all(abs(gap - GRID_NS) < GRID_NS // 1000 for _, gap in latent):
         return
     if case.report.has_sides and not any(
@@ -232,10 +225,6 @@ def _latency_timer(case: Case) -> Claims:
         yield Claim(None, 'most instructions come 16 ms after the previous answer: the latency '
                           "timer of the master's adapter; set it to 1 ms",
                     {'16 ms later': f'{len(slow)} of {len(gaps)}'})
-
-
-def _is_latent(gap: int, answer: float) -> bool:
-    return any(LATENCY_MS[0] <= rest / MS <= LATENCY_MS[1] for rest in (gap, gap - answer))
 
 
 def _return_delay(case: Case) -> Claims:

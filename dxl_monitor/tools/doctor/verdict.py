@@ -114,12 +114,8 @@ def verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: 
                                        *_head(buses, seconds, is_timed)),
                    tuple(one for bus in buses for one in _heard(bus)),
                    tuple(sorted(wrong, key=lambda entry: -entry.level)), tuple(unknown),
-                   tuple(quiet), _protocol(buses))
-
-
-def _protocol(buses: Sequence[BusSummary]) -> str:
-    said = {bus.report.protocol: None for bus in buses if bus.report.protocol}
-    return ' and '.join(said)
+                   tuple(quiet), ' and '.join(dict.fromkeys(
+                       bus.report.protocol for bus in buses if bus.report.protocol)))
 
 
 def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[str, ...]:
