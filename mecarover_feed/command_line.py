@@ -38,7 +38,7 @@ def make_run(tool: str, options: argparse.Namespace, command: Sequence[str],
     files = [name for name in options.source
              if not name.startswith('/dev/') and not is_port(name)]
     if not files:
-        return PortsRun(options, feed)
+        return PortsRun(tool, options, feed)
     if len(options.source) > 1:
         raise UsageError(f'{files[0]}: a recording is shown alone; leave out the others')
     return RecordingRun(tool, options, feed, at_once)

@@ -112,8 +112,9 @@ class SourceRun:
 class PortsRun(SourceRun):
     """Ports of this machine, until Ctrl-C; one that is lost is opened again."""
 
-    def __init__(self, options: argparse.Namespace, feed: Feed) -> None:
+    def __init__(self, tool: str, options: argparse.Namespace, feed: Feed) -> None:
         super().__init__(options, ', '.join(options.source), feed)
+        self._tool = tool
         given = {one.name: one.default for one in PARAMETERS} | {
             'ports': options.source, 'devices': options.devices,
             'protocols': [options.protocol],
@@ -139,13 +140,16 @@ class PortsRun(SourceRun):
             words = '' if state.is_open else state.text
             if words != self._said.get(bus.bus.port, ''):
                 self._said[bus.bus.port] = words
-                print(words or f'{bus.bus.port}: the port is open again', file=sys.stderr)
+                again = f'{bus.bus.port}: the port is open again'
+                print(f'{self._tool}: {words or again}', file=sys.stderr)
 
     def end(self) -> Verdict:
         self._feed.report(time.monotonic_ns())
+        closed = [text for text in self._said.values() if text]
         for bus in self._ports:
             bus.listener.stop()
-        return self._verdict(lambda: no_data.reasons(self._options.source[0], is_live=True))
+        return self._verdict(
+            lambda: closed or no_data.reasons(self._options.source[0], is_live=True))
 
 
 class ProgramRun(SourceRun):

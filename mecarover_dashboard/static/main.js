@@ -77,7 +77,8 @@ function showTabs() {
     const to = link.dataset.view;
     set(link, 'href', path(...to === 'overview' ? [] : [to]));
     set(link, 'aria-current', to === tab ? 'page' : null);
-    link.hidden = name === 'robots' || (to === 'bridge' && Boolean(store.facts?.source));
+    link.hidden = name === 'robots' || (to === 'bridge' && Boolean(store.facts?.source))
+      || (to === 'history' && Boolean(store.player));
   }
   say(at('robot'), robot || (robot === null || store.robots().length < 2 ? '' : 'no namespace'));
 }
