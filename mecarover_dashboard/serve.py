@@ -26,7 +26,7 @@ from mecarover_serial.plain import plain_streams
 from mecarover_serial.plain import printable
 
 if TYPE_CHECKING:
-    from mecarover_dashboard.web_server import Player
+    from mecarover_dashboard.web_server import RecordingPlayer
     from mecarover_dashboard.web_server import Server
 
 NAME = 'dxl_dashboard'
@@ -55,7 +55,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def open_server(options: argparse.Namespace, source: str = '',
-                player: Player | None = None) -> Server | None:
+                player: RecordingPlayer | None = None) -> Server | None:
     """
     Return a server for these options, and say where it is; None: it was said why not.
 

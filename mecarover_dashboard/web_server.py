@@ -85,7 +85,7 @@ class _Mistakes(logging.Filter):
         return not isinstance(error, HttpProcessingError | web.RequestPayloadError)
 
 
-class Player(Protocol):
+class RecordingPlayer(Protocol):
     """A recording that plays; all of it may be called from any thread."""
 
     events: list[tuple[float, int, str]]        # what was found in it: s, level, text
@@ -110,7 +110,7 @@ class Server:
 
     def __init__(self, listener: socket.socket, facts: dict[str, Any], is_open: bool,
                  recording: HistoryRecorder | None = None, name: str = '',
-                 player: Player | None = None) -> None:
+                 player: RecordingPlayer | None = None) -> None:
         self._listener = listener
         self._is_open = is_open
         names = {'localhost', name.lower().rstrip('.')} - {''}

@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """dxl_dashboard without ROS: a program, a port and a recording on the page, as dxl_doctor says."""
+from contextlib import ExitStack
 import fcntl
 import json
 import os
@@ -115,14 +116,15 @@ def test_a_program_is_shown_while_it_runs_and_judged_at_its_end(tmp_path):
 @pytest.mark.alone
 def test_a_port_may_go_and_come_again(tmp_path):
     link = tmp_path / 'bus'
-    with Program('mecarover_fakes.fake_bus', '--link', str(link), *BUS, '--vanish', '4:3') as fake:
-        fake.wait_for('6 devices')
-        with dashboard(str(link), '-b', '1000000', '--devices', ARM) as program:
+    with ExitStack() as stack:
+        with Program('mecarover_fakes.fake_bus', '--link', str(link), *BUS) as fake:
+            fake.wait_for('6 devices')
+            program = stack.enter_context(dashboard(str(link), '-b', '1000000', '--devices', ARM))
             devices(program, lambda rows: len(rows) == 6 and rows[6]['live'])
-            lost = program.wait_for(f'{link}: ')
+        lost = program.wait_for(f'{link}: ')
+        with Program('mecarover_fakes.fake_bus', '--link', str(link), *BUS):
             program.wait_for(f'{link}: the port is open again')
-            found, _ = devices(program, lambda rows: len(rows) == 6 and rows[6]['live'])
-            assert {row['level'] for row in found.values()} == {0}
+            devices(program, lambda rows: [row['level'] for row in rows.values()] == 6 * [0])
     assert ';' in lost                                          # its remedy
     assert program.said('dxl_dashboard: ', 'STS3215')
 

@@ -94,7 +94,8 @@ function showAll() {
   pip('overview', of(false).length ? worst(of(false)) : null);
   pip('bridge', of(true).length ? worst(of(true)) : null);
   const isLive = live && parts.every(({is_known: isKnown}) => isKnown);
-  if (live) showLive(isLive ? 'ok' : 'stale', store.player ? 'recording' : isLive ? 'live' : 'not live');
+  const words = store.player ? 'recording' : isLive ? 'live' : 'not live';
+  if (live) showLive(isLive ? 'ok' : 'stale', words);
   const wrong = parts.filter(({state}) => state !== 'ok');
   showTitle(wrong);
   showRefused();

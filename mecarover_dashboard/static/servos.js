@@ -26,7 +26,8 @@ const MEASURES = {
   },
   load: ([, , load, , , , , , , , unit], most) => {
     const at = share(load, -most, most);
-    return {text: `${unit === 'A' ? load.toFixed(2) : figure(load, 2)} ${unit}`, from: Math.min(at, 0.5), to: Math.max(at, 0.5)};
+    return {text: `${unit === 'A' ? load.toFixed(2) : figure(load, 2)} ${unit}`,
+      from: Math.min(at, 0.5), to: Math.max(at, 0.5)};
   },
   temperature: ([temperature, , , , , , , limit]) => ({text: `${figure(temperature, 3)} \u00b0C`,
     from: 0, to: share(temperature, COLD, limit || HOT)}),

@@ -68,7 +68,8 @@ export class Store {
       for (const section of SECTIONS) this[section].clear();
       this.facts = event.facts;
     }
-    for (const name of ['topics', 'publishers', 'malformed', 'refused', 'up', 'history', 'player']) {
+    for (const name of ['topics', 'publishers', 'malformed', 'refused', 'up', 'history',
+      'player']) {
       this[name] = event[name];
     }
     for (const section of SECTIONS) {
