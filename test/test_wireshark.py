@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """The dissector for Wireshark agrees with dxl_dump --json, packet by packet."""
+import os
 from pathlib import Path
 import re
 import shutil
@@ -135,3 +136,33 @@ def test_an_answer_that_did_not_come_is_named_at_its_instruction(tmp_path):
     assert answers
     for one in answers:
         assert one['frame.number'][0] in by_number[one['request_in'][0]]['response_in']
+
+
+@needs_tshark
+@pytest.mark.parametrize('name', ['healthy', 'acm', 'missing'])
+def test_a_serial_adapter_that_usbmon_recorded(name):
+    """ftdi_sio and cdc_acm, straight from the file; a transfer may hold several packets."""
+    path = Path(__file__).parent / 'usbmon' / f'{name}.pcap'
+    theirs, ours = dissected(path), objects(path)
+    for field, wanted in (('id', 'id'), ('instruction', 'code'), ('address', 'address')):
+        said = [part[wanted] for one in ours for part in (
+            one.get('registers', []) if wanted == 'address' else [one])]
+        assert numbers(text for one in theirs for text in one[field]) == said
+    assert [text for one in theirs for text in one['params']] == [
+        one['params'] for one in ours if one['params']]
+    assert {text for one in theirs for text in one['missing']} == (
+        {'7'} if name == 'missing' else set())
+    assert sum(len(one['request_in']) for one in theirs) == sum(
+        one['error'] is not None for one in ours)
+
+
+@needs_tshark
+def test_the_colours_are_taken(tmp_path):
+    shutil.copy(WIRESHARK / 'colorfilters', tmp_path)
+    done = subprocess.run(
+        ['tshark', '--color', '-2', '-X', f'lua_script:{WIRESHARK / "servobus.lua"}', '-r',
+         Path(__file__).parent / 'usbmon/missing.pcap', '-T', 'fields', '-e',
+         'frame.coloring_rule.name'], capture_output=True, text=True, check=True,
+        env={**os.environ, 'WIRESHARK_CONFIG_DIR': str(tmp_path)})
+    assert {*done.stdout.splitlines()} == {
+        '', 'servo bus: instruction', 'servo bus: answer', 'servo bus: no answer'}

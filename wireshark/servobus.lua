@@ -2,7 +2,8 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 --
 -- Wireshark dissector of servo buses: Dynamixel Protocol 2.0 and 1.0, Feetech. For files that
--- dxl_dump -w FILE.pcapng writes. Wireshark 4.0 (Lua 5.2) or newer. Install: docs/dump.md.
+-- dxl_dump -w FILE.pcapng writes, and what usbmon recorded of a serial adapter on USB.
+-- Wireshark 4.0 (Lua 5.2) or newer. Install: docs/dump.md.
 --
 -- Wireshark calls it once for each packet in order, then again in any order: what it learns
 -- (models, which answer belongs to which instruction) it learns the first time.
@@ -66,9 +67,11 @@ local direction = Field.new('frame.packet_flags_direction')
 local interface = Field.new('frame.interface_id')
 
 local links, missing, packets, pending, models = {}, {}, {}, {}, {}
+local streams, found_on_usb, is_ftdi = {}, {}, {}      -- USB: bytes that wait, packets by frame
 
 function servobus.init()
     links, missing, packets, pending, models = {}, {}, {}, {}, {}
+    streams, found_on_usb, is_ftdi = {}, {}, {}
 end
 
 -- --- bytes ----------------------------------------------------------------------------------
@@ -208,8 +211,8 @@ local MUST_ANSWER = {[READ] = true, [SYNC_READ] = true, [BULK_READ] = true,
                      [FAST_SYNC_READ] = true, [FAST_BULK_READ] = true}
 
 --- Who may answer, and who has to: {left = {[id] = access or true}, must = {...}}.
-local function expectation(packet, number, time)
-    local waiting = {frame = number, time = time, code = packet.code, left = {}, must = {},
+local function expectation(packet, key, number, time)
+    local waiting = {key = key, frame = number, time = time, code = packet.code, left = {}, must = {},
                      accesses = packet.accesses}
     local must = MUST_ANSWER[packet.code]
     if packet.id ~= BROADCAST or must then
@@ -356,17 +359,17 @@ local function name_of(packet, family)
 end
 
 --- On the first pass: what a packet belongs to.
-local function track(packet, bus, number, time)
+local function track(packet, bus, key, number, time)
     local waiting = pending[bus]
     if not packet.is_status then
         if waiting then
             for id in pairs(waiting.must) do
-                missing[waiting.frame] = missing[waiting.frame] or {}
-                table.insert(missing[waiting.frame], id)
+                missing[waiting.key] = missing[waiting.key] or {}
+                table.insert(missing[waiting.key], id)
             end
         end
         packet.accesses = accesses_of(packet)
-        pending[bus] = expectation(packet, number, time)
+        pending[bus] = expectation(packet, key, number, time)
         return
     end
     if not waiting then return end
@@ -384,8 +387,8 @@ local function track(packet, bus, number, time)
     end
     waiting.left[packet.id], waiting.must[packet.id] = nil, nil
     packet.request, packet.ms = waiting.frame, 1000 * (time - waiting.time)
-    links[waiting.frame] = links[waiting.frame] or {}
-    table.insert(links[waiting.frame], number)
+    links[waiting.key] = links[waiting.key] or {}
+    table.insert(links[waiting.key], number)
     local p = packet.params
     if packet.is_pong and packet.protocol == '2' and p:len() == 3 then
         models[bus .. ' ' .. packet.id] = u16(p, 0)
@@ -404,7 +407,7 @@ local function dissect_noise(tvb, pinfo, tree, why)
     branch:add_proto_expert_info(why == 'no packet' and experts.noise or experts.damaged, why)
 end
 
-local function show(packet, bus, tvb, pinfo, tree)
+local function show(packet, bus, key, tvb, pinfo, tree)
     local family = family_of(packet)
     local name, words = name_of(packet, family), packet.is_status and error_words(packet, family)
     local info = packet.id == BROADCAST and name or ('%s %03d'):format(name, packet.id)
@@ -460,10 +463,10 @@ local function show(packet, bus, tvb, pinfo, tree)
         branch:add(fields.time, packet.ms):set_generated()
         info = info .. (', %.3f ms'):format(packet.ms)
     end
-    for _, frame in ipairs(links[pinfo.number] or {}) do
+    for _, frame in ipairs(links[key] or {}) do
         branch:add(fields.response, frame):set_generated()
     end
-    for _, id in ipairs(missing[pinfo.number] or {}) do
+    for _, id in ipairs(missing[key] or {}) do
         branch:add(fields.missing, id):set_generated()
         local text = ('no answer from %03d'):format(id)
         branch:add_proto_expert_info(experts.missing, text)
@@ -476,32 +479,105 @@ local function show(packet, bus, tvb, pinfo, tree)
         or packet.id == BROADCAST and 'all' or ('%03d'):format(packet.id)
 end
 
-function servobus.dissector(tvb, pinfo, tree)
-    if tvb:len() == 0 then
-        pinfo.cols.protocol = 'servobus'
-        pinfo.cols.info = 'event: see the comment'
-        return 0
-    end
-    local bus = tostring(interface() and interface().value or 0)
-    if not pinfo.visited or packets[pinfo.number] == nil then
+--- `key`: of the packet; its frame, and which one of that it is.
+local function dissect(tvb, bus, way, key, pinfo, tree)
+    if not pinfo.visited or packets[key] == nil then
         local bytes, packet, why = tvb:bytes(), nil, 'no packet'
-        local way = direction() and direction().value
         local whole, missing_bytes = whole_2(bytes)
         if whole then
             packet, why = parse_2(whole, missing_bytes)
         elseif tvb:len() > 1 and tvb(0, 2):uint() == 0xFFFF then
             packet, why = parse_1(bytes, way, pending[bus])
         end
-        if packet then track(packet, bus, pinfo.number, pinfo.rel_ts) end
-        packets[pinfo.number] = packet or why
+        if packet then track(packet, bus, key, pinfo.number, pinfo.rel_ts) end
+        packets[key] = packet or why
     end
-    local packet = packets[pinfo.number]
+    local packet = packets[key]
     if type(packet) == 'string' then
         dissect_noise(tvb, pinfo, tree, packet)
     else
-        show(packet, bus, tvb, pinfo, tree)
+        show(packet, bus, key, tvb, pinfo, tree)
     end
+end
+
+function servobus.dissector(tvb, pinfo, tree)
+    if tvb:len() == 0 then
+        pinfo.cols.protocol = 'servobus'
+        pinfo.cols.info = 'event: see the comment'
+        return 0
+    end
+    dissect(tvb, tostring(interface() and interface().value or 0),
+        direction() and direction().value, pinfo.number, pinfo, tree)
     return tvb:len()
 end
 
 DissectorTable.get('wtap_encap'):add(wtap.USER0, servobus)
+
+-- --- a serial adapter on USB ----------------------------------------------------------------
+
+local SUBMITTED, COMPLETED, BULK, CONTROL = 0x53, 0x43, 3, 2       -- of usbmon: 'S', 'C'
+local FTDI, DESCRIPTOR = 0x0403, '\18\1'
+
+--- What an adapter of FTDI sent, without the two bytes of state that begin each packet of USB.
+local function without_state(text)
+    local size, found = text:byte(1) and bit.band(text:byte(1), 2) ~= 0 and 512 or 64, {}
+    for at = 1, #text, size do found[#found + 1] = text:sub(at + 2, at + size - 1) end
+    return table.concat(found)
+end
+
+--- The whole packets in the bytes of one side, and the bytes that are left. Others are passed over.
+local function cut(text, way)
+    local found, at = {}, 1
+    while true do
+        at = text:find('\255\255', at, true)
+        if not at then return found, text:sub(-1) == '\255' and '\255' or '' end
+        local is_2 = text:sub(at + 2, at + 3) == '\253\0'
+        if #text < at + (is_2 and 6 or 3) then return found, text:sub(at) end
+        local size = is_2 and 7 + text:byte(at + 5) + 256 * text:byte(at + 6)
+            or 4 + text:byte(at + 3)
+        local bytes = ByteArray.new(text:sub(at, at + size - 1), true)
+        if size <= 1031 and #text < at + size - 1 then return found, text:sub(at) end
+        if is_2 and parse_2(bytes, 0) or not is_2 and parse_1(bytes, way) then
+            found[#found + 1] = bytes
+            at = at + size
+        else
+            at = at + 1
+        end
+    end
+end
+
+local function look(tvb, pinfo, tree, header)
+    local kind, transfer, endpoint = tvb(8, 1):uint(), tvb(9, 1):uint(), tvb(10, 1):uint()
+    local is_in = endpoint >= 0x80
+    local text = tvb(header):bytes():raw()
+    local bus = ('usb %d.%d'):format(tvb(12, 2):le_uint(), tvb(11, 1):uint())
+    if #text == 0 or kind ~= (is_in and COMPLETED or SUBMITTED) then return end
+    if transfer == CONTROL and #text >= 18 and text:sub(1, 2) == DESCRIPTOR then
+        is_ftdi[bus] = tvb(header + 8, 2):le_uint() == FTDI
+    end
+    if transfer ~= BULK then return end
+    local way = is_in and INBOUND or OUTBOUND
+    if found_on_usb[pinfo.number] == nil then
+        if is_ftdi[bus] == nil and is_in then      -- it was plugged in before: by an empty answer
+            is_ftdi[bus] = #text == 2 and bit.band(text:byte(1), 0x0F) ~= 0 or nil
+        end
+        if is_ftdi[bus] and is_in then text = without_state(text) end
+        local side = bus .. ' ' .. way
+        found_on_usb[pinfo.number], streams[side] = cut((streams[side] or '') .. text, way)
+    end
+    for which, bytes in ipairs(found_on_usb[pinfo.number]) do
+        dissect(bytes:tvb('Packet on the bus'), bus, way, pinfo.number .. '.' .. which, pinfo, tree)
+    end
+end
+
+local link_types = DissectorTable.get('wtap_encap')
+for encap, header in pairs({[wtap.USB_LINUX] = 48, [wtap.USB_LINUX_MMAPPED] = 64}) do
+    local usb = link_types:get_dissector(encap)
+    local both = Proto('servobus_usb' .. header, 'Servo bus on USB, header of ' .. header)
+    function both.dissector(tvb, pinfo, tree)
+        usb:call(tvb, pinfo, tree)
+        if tvb:len() > header then look(tvb, pinfo, tree, header) end
+        return tvb:len()
+    end
+    link_types:add(encap, both)
+end
