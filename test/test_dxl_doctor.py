@@ -271,13 +271,19 @@ print('done')
 
 
 @pytest.mark.alone
-def test_a_program_is_run_and_its_dead_servo_named(meeting_place):
-    done = doctor('run', '--', sys.executable, '-c', DIALOGUE,
+def test_a_program_is_run_and_its_dead_servo_named(meeting_place, tmp_path):
+    flights = tmp_path / 'faults'
+    done = doctor('--flight-recorder', flights, 'run', '--', sys.executable, '-c', DIALOGUE,
                   env={'XDG_RUNTIME_DIR': meeting_place, 'PYTHONPATH': str(ROOT)})
     assert done.stdout.startswith('done\n')            # what it prints is left alone
     assert '1000000 baud' in done.stdout
     assert 'error, 002: no answer' in done.stdout
     assert done.returncode == ERROR
+    [flight] = flights.glob('*.txt')
+    assert f'flight recorder: wrote {flight}' in done.stderr
+    assert 'error, 002: no answer' in doctor(flight).stdout
+    refused = doctor('--flight-recorder', flights, flight)
+    assert refused.returncode == 2 and 'is a recording already; leave it out' in refused.stderr
 
 
 RAISES = """

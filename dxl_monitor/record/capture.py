@@ -38,6 +38,7 @@ from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 
 MAGIC = b'# dxl_capture '            # a number follows: 1 is 2 without sides and changes
+ENDED = 'ended at '                # begins the remark at the end of a recording
 VERSIONS = (b'1', b'2')
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _WALL = '%Y-%m-%dT%H:%M:%S.%f'
@@ -145,6 +146,7 @@ class Reader:
         self.first_bad_line = 0
         self.first_bad_text = ''
         self.is_cut = False
+        self.ended = 0             # stamp, 0: unknown
         self._lines = lines
         self._names: dict[bytes, str] = {}
         self._shift = 0
@@ -212,6 +214,8 @@ class Reader:
                 if since < self._last - _SECOND:       # the wall-clock was set back
                     since = self._last
                 self._shift = _bounded(since) - now.stamp
+        elif line.startswith(f'# {ENDED}'.encode()):
+            self.ended = _bounded(_stamp(words[2]) + self._shift)
         elif words[:1] == [b'bus']:
             name = self._name(words[1])
             facts = dict(zip(words[2::2], words[3::2], strict=False))

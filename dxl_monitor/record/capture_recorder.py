@@ -17,6 +17,7 @@ import time
 
 from dxl_monitor.record.capture import check_new
 from dxl_monitor.record.capture import Chunk
+from dxl_monitor.record.capture import ENDED
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import open_new
 from dxl_monitor.record.capture import seconds
@@ -106,6 +107,7 @@ class Recorder:
             while not self._is_stopping.wait(FLUSH_S):
                 self._write()
             self._write()
+            self._writer.remark(f'{ENDED}{seconds(self._now().stamp)}')
         except (OSError, ParameterError) as error:
             reason = error.strerror if isinstance(error, OSError) else None
             self.problem = (f'capture stopped: {self.path}: {reason or error}; make room and '

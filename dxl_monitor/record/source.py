@@ -28,12 +28,13 @@ class Source:
     What all sources have in common, and a silent one.
 
     began: a moment on the wall-clock and on that of the stamps (wall 0: unknown). is_timed: the
-    stamps are of a clock; else they count bytes at the baud rate. total: bytes, 0: unknown.
+    stamps are of a clock; else they count bytes at the baud rate. total: bytes, 0: unknown. ended:
+    stamp of the end of a recording, 0: unknown.
     """
 
     is_live = False
     is_timed = True
-    total = 0
+    total = ended = 0
 
     def __init__(self) -> None:
         self.began = Moment(0, 0)
@@ -95,6 +96,7 @@ class CaptureFile(File):
         for chunk in self._reader:
             self.began = self._reader.began
             yield chunk
+        self.ended = self._reader.ended
 
     def wire(self, bus: str) -> Wire:
         wire = super().wire(bus)

@@ -18,6 +18,7 @@ from dxl_monitor.bus.decoder import PROTOCOLS
 from dxl_monitor.model.models import Models
 from dxl_monitor.port.source_name import DEFAULT_BAUD
 from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.flight_recorder import FlightRecorder
 from dxl_monitor.record.opening import open_source
 from dxl_monitor.record.source import Source
 from dxl_monitor.tools.doctor import explain
@@ -51,11 +52,13 @@ from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 from mecarover_serial.command_line import number
 from mecarover_serial.command_line import Parser
+from mecarover_serial.parameters import ParameterError
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import plain
 from mecarover_serial.plain import printable
 
 PROGRESS_S = 1.0
+FLIGHT_SIZE = 1_000_000_000        # bytes of the folder
 EXAMPLES = """examples:
   dxl_doctor run -- python my_script.py         a Python program, or any other (Linux: strace)
   dxl_doctor usb:/dev/ttyUSB0                   a program that runs already (Linux, root)
@@ -81,12 +84,15 @@ def _run(arguments: list[str]) -> int:
     if stored is not None:
         return _retell(stored, models, options)
     check_report(options.report)
-    examination = Examination(models, options.devices, options.protocol)
+    flight = _flight(options)
+    examination = Examination(models, options.devices, options.protocol, flight)
     source = _open(options, command)
     try:
         seconds = _listen(source, examination, options.seconds)
     finally:
         source.close()
+        if flight is not None:
+            flight.stop()
     buses = examination.buses(source.is_timed)
     why = [] if examination.bytes else _why_quiet(options.source, source, command)
     if isinstance(source, Program):
@@ -100,7 +106,7 @@ def _run(arguments: list[str]) -> int:
     _show(said, as_json(said, buses, seconds) | more, options)
     if options.report:
         _write_report(source, examination, seconds, options, command)
-    for problem in source.problems():
+    for problem in [*source.problems(), *([flight.words] if flight is not None else [])]:
         print(f'dxl_doctor: {printable(problem)}', file=sys.stderr)
     return said.code
 
@@ -120,6 +126,18 @@ def _check(options: argparse.Namespace) -> None:
     if options.source is None:
         raise UsageError('SOURCE: none given; name a port, a file, or write dxl_doctor run -- '
                          'python my_script.py')
+
+
+def _flight(options: argparse.Namespace) -> FlightRecorder | None:
+    if not options.flight_recorder:
+        return None
+    if os.path.isfile(options.source):
+        raise UsageError(f'--flight-recorder: {options.source} is a recording already; leave it '
+                         'out')
+    try:
+        return FlightRecorder(options.flight_recorder, FLIGHT_SIZE, 1)
+    except ParameterError as error:
+        raise UsageError(f'--{error}'.replace('_', '-', 1)) from error
 
 
 def _open(options: argparse.Namespace, command: Sequence[str]) -> Source:
@@ -149,7 +167,12 @@ def _listen(source: Source, examination: Examination, limit_s: float | None) -> 
     failed = ''
     if isinstance(source, Program):
         is_over, failed = True, source.ending.failed
-    examination.finish(examination.last if is_over else time.monotonic_ns(), is_over, failed)
+    ended = source.ended if is_over else 0
+    if ended > examination.last:               # a recording that went on in silence
+        examination.pass_time(ended)
+        examination.finish(ended, is_over=False)
+    else:
+        examination.finish(examination.last if is_over else time.monotonic_ns(), is_over, failed)
     return time.monotonic() - began_s if source.is_live else examination.seconds
 
 
@@ -268,6 +291,8 @@ def _parser() -> Parser:
         help='a port, usb:PORT, tap:NAME, a recording; or run, with a command after --')
     add_bus_options(parser)
     add('--seconds', type=number(float, 0.1), metavar='S', help='listen for S seconds')
+    add('--flight-recorder', metavar='DIR',
+        help='folder for recordings of faults: 60 s before each new finding and 30 s after it')
     add('--report', metavar='FILE', help='write a report to attach to an issue')
     add('--with-host', action='store_true',
         help='put host, user, serial number and command line into it')

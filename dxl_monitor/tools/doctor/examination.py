@@ -17,6 +17,7 @@ from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_settings import settings_of
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.flight_recorder import FlightRecorder
 from dxl_monitor.tools.doctor.error_window import ErrorWindow
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.verdict import BusSummary
@@ -33,11 +34,12 @@ class Examination:
     """What was heard so far; stamps are monotonic ns."""
 
     def __init__(self, models: Models, devices: Sequence[str] = (),
-                 protocol: str = DEFAULTS.protocol) -> None:
+                 protocol: str = DEFAULTS.protocol, flight: FlightRecorder | None = None) -> None:
         self.bytes = 0
         self.first = self.last = 0             # stamps of chunks; 0: none yet
         self.window = ErrorWindow()
         self._models = models
+        self._flight = flight
         self._devices = devices
         self._protocol = protocol
         self._monitors: dict[str, Monitor] = {}
@@ -49,6 +51,8 @@ class Examination:
         self.pass_time(chunk.stamp)
         self._due = self._due or chunk.stamp + REPORT_NS
         self.window.take(chunk, wire)
+        if self._flight is not None:
+            self._flight.take(wire, chunk)
         monitor = self._monitors.get(chunk.bus) or self._begin(chunk.bus, wire)
         monitor.take(chunk)
         if chunk.change is not None:
@@ -76,6 +80,8 @@ class Examination:
         for bus, monitor in self._monitors.items():
             report = monitor.report(now)
             self._logs[bus].take(report)
+            if self._flight is not None:
+                self._flight.look(bus, report)
             if report.findings and not self.window.first_error and any(
                     finding.level > Level.OK for finding in report.findings):
                 self.window.first_error = now
