@@ -62,12 +62,13 @@ class PacketWriter:
                 (_NAME, wire.name.encode()), (_ABOUT, wire.port.encode()),
                 (_SPEED, wire.baud.to_bytes(8, 'little')), (_RESOLUTION, _NS_RESOLUTION)))
         size = len(data)
-        body = struct.pack('<IIIII', number, stamp >> 32, stamp & 0xFFFFFFFF, size, size)
-        body += _padded(data)
-        if comments or side:
-            body += _options(*((_COMMENT, text.encode()) for text in comments),
-                             (_FLAGS, _FLAG[side].to_bytes(4, 'little')))
-        self._block(_PACKET, body)
+        rest = bytes(-size % 4) + (_options(
+            *((_COMMENT, text.encode()) for text in comments),
+            (_FLAGS, _FLAG[side].to_bytes(4, 'little'))) if comments else _FLAG_ALONE[side])
+        length = _PACKET_SIZE + size + len(rest)
+        self._file.write(_PACKET_HEAD.pack(
+            _PACKET, length, number, stamp >> 32, stamp & 0xFFFFFFFF, size, size)
+            + data + rest + length.to_bytes(4, 'little'))
 
     @staticmethod
     def comment(change: Change) -> str:
@@ -86,6 +87,12 @@ def _options(*options: tuple[int, bytes]) -> bytes:
 
 def _padded(data: bytes) -> bytes:
     return data + bytes(-len(data) % 4)
+
+
+_PACKET_HEAD = struct.Struct('<IIIIIII')
+_PACKET_SIZE = _PACKET_HEAD.size + 4   # of a block without bytes and options
+_FLAG_ALONE = {side: _options((_FLAGS, flag.to_bytes(4, 'little'))) if side else b''
+               for side, flag in _FLAG.items()}
 
 
 def holds_packets(begin: bytes) -> bool:

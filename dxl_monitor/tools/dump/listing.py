@@ -88,9 +88,14 @@ class _Tape:
 
     def cut(self, begin: int, end: int) -> tuple[bytes, bytes]:
         """Return what is before a frame, and the frame (stream offsets); both are over then."""
-        first, last = (max(0, at - self._begin) for at in (begin, end))
-        before, wire = bytes(self._data[:first]), bytes(self._data[first:last])
-        del self._data[:last]
+        data, first, last = self._data, begin - self._begin, end - self._begin
+        if first == 0 and last == len(data):   # a chunk that is a packet
+            self._data = bytearray()
+            self._begin = end
+            return b'', bytes(data)
+        first, last = max(0, first), max(0, last)
+        before, wire = bytes(data[:first]), bytes(data[first:last])
+        del data[:last]
         self._begin += len(before) + len(wire)
         return before, wire
 
@@ -100,12 +105,15 @@ class Listing(BusDecoder):
     A decoder that hands its entries to `on_entry`.
 
     is_timed: False for bytes without a time of their own; they are taken as sent without a pause.
+    is_plain: only the bytes of packets are wanted, not what they say: that takes half of the time.
     """
 
     def __init__(self, models: Models, on_entry: Callable[[Entry], object],
-                 settings: Settings = DEFAULTS, is_timed: bool = True) -> None:
+                 settings: Settings = DEFAULTS, is_timed: bool = True,
+                 is_plain: bool = False) -> None:
         super().__init__(models, settings)
         self._is_timed = is_timed
+        self._is_plain = is_plain
         self._on_entry = on_entry
         self._newest = 0                       # stamp of the last entry
         self._noise_told = 0
@@ -166,7 +174,7 @@ class Listing(BusDecoder):
         if flaw is not None and flaw.noise_length > GLITCH and not self._is_told:
             self._on_entry(Entry(NOISE, self._newest, length=flaw.noise_length, side=side))
         self._is_told = False
-        before = self.evidence.noted
+        noted = self.evidence.noted
         plan = self.tracker.pending
         if frame[2] == IS_STATUS:
             super().take([frame], stamp, received, side)
@@ -174,7 +182,11 @@ class Listing(BusDecoder):
             counts = _missed(plan)
             super().take([frame], stamp, received, side)
             self._tell_missed(plan, counts, self._newest)
-        self._heard(frame, self.evidence.newest(self.evidence.noted - before), side)
+        if self._is_plain:
+            before, wire = self._tapes[side].cut(frame[0], frame[1])
+            self._on_entry(Entry(PACKET, self._newest, side=side, wire=wire, before=before))
+        else:
+            self._heard(frame, self.evidence.newest(self.evidence.noted - noted), side)
 
     def _heard(self, frame: Frame, incidents: tuple[Incident[Any], ...], side: str) -> None:
         packet = packet_of(frame, self._newest)
@@ -199,8 +211,11 @@ class Listing(BusDecoder):
 
     def _tell_much_noise(self, has_frames: bool, stamp: int, side: str) -> None:
         """Report noise without any packet after it, as at a wrong baud rate."""
-        noise = self.total('noise_bytes')
         if has_frames:
+            self._noise_told = -1
+            return
+        noise = self.total('noise_bytes')
+        if self._noise_told < 0:
             self._noise_told = noise
         elif noise - self._noise_told > NOISE_TOLD:
             end = self.framers[side].bytes - NOISE_TOLD // 2       # the rest may become a packet

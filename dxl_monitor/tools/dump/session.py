@@ -145,7 +145,7 @@ class Session:
         listing = None
         if self._lists or self._packets is not None:
             listing = Listing(self._models, lambda entry: show(entry), settings,
-                              self._source.is_timed)
+                              self._source.is_timed, is_plain=not self._lists)
             show = partial(self._entry, bus, Interpreter(listing))
             self._listings[bus] = listing
         monitor = Monitor(shown, self._models, settings, decoder=listing,
