@@ -25,6 +25,8 @@ from dxl_monitor.monitor_status import device_status
 from dxl_monitor.monitor_status import PortState
 from mecarover_serial.parameters import Parameter
 from msg_defs.dxl_packet import encode
+from msg_defs.event import IN
+from msg_defs.event import OUT
 from msg_defs.mcu_report import McuReport
 from msg_defs.reports import Metric
 from msg_defs.reports import unit_name
@@ -179,6 +181,12 @@ METRICS = {
     'packet_rate': '',
     'error_rate': 'damaged packets',
     'bus_load': 'wire time at 10 bits per byte',
+    'cycle': 'from an instruction to its next repetition; it and its parts are known only where '
+             'the source knows who sent what',
+    'cycle_wire': 'bytes on the wire',
+    'cycle_device': 'before answers that came: device, adapter and its latency timer',
+    'cycle_waiting': 'for answers that did not come',
+    'cycle_program': 'all else, without what strace takes',
     'reply_latency': 'end of the instruction to start of the answer',
 }
 
@@ -282,9 +290,9 @@ def _monitor() -> tuple[list[str], list[str], Sequence[Metric], Sequence[Metric]
     """Return keys of a bus and of a device, and their metrics, after a Ping and its answer."""
     monitor = Monitor('', Models(), Settings())
     for count in range(20):
-        monitor.feed(encode(11, 0x01), (2 * count + 1) * 10**6)
-        monitor.feed(encode(11, 0x55, b'\x40\x01\x2d', error=0), (2 * count + 2) * 10**6)
-    report = monitor.report(5 * 10**7)
+        monitor.feed(encode(11, 0x01), (2 * count + 1) * 10**8, OUT)
+        monitor.feed(encode(11, 0x55, b'\x40\x01\x2d', error=0), (2 * count + 2) * 10**8, IN)
+    report = monitor.report(5 * 10**9)
     bus = bus_status('', '', report, PortState('port', '', ()), False)
     device = device_status('', '', report.devices[0], (), False)
     keys = [key for key, _ in bus.values if not key.startswith('Devices ')]

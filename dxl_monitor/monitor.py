@@ -196,8 +196,7 @@ class Monitor:
             for device in self._registry.devices.values():
                 device.reset_statistics()
         with self._examining:
-            # The old one compares with what was counted before.
-            self.doctor = Doctor(self.settings, self._names)
+            self.doctor = Doctor(self.settings, self._names)   # the old one remembers old counts
 
     def report(self, now: int, line_errors: LineErrors | None = None,
                is_listening: bool = True) -> BusReport:
@@ -224,7 +223,7 @@ class Monitor:
         with self._examining:
             return self.doctor.examine(bus._replace(
                 devices=devices, line_errors=line_errors or self._line_errors,
-                metrics=self._metrics(now, bus.rates)))
+                cycle=self.decoder.cycle(now), metrics=self._metrics(now, bus.rates)))
 
     def _device_report(self, device: Device, now: int) -> DeviceReport:
         with self._lock:
@@ -279,9 +278,9 @@ class Monitor:
         self._base = self._counters()
         self._base['Bytes'] -= self._base.pop('Pending Bytes')     # these are counted again
         self._ticks: deque[tuple[int, Activity]] = deque(maxlen=WINDOW_S)
-        self._time_per_buffer = Series(WINDOW_S)
-        self._time_between = Series(WINDOW_S)
+        self._time_per_buffer, self._time_between = Series(WINDOW_S), Series(WINDOW_S)
         self._buffer_size = Series(WINDOW_S)
+        self.decoder.clock.reset()
 
     def _listen_until(self, now: int) -> None:
         if self._listened and now - self._listened > DEAF_NS:
@@ -311,8 +310,7 @@ class Monitor:
         if not self._next_tick or now - self._next_tick > WINDOW_S * TICK_NS:
             self._next_tick = now
         self._next_tick += TICK_NS
-        if not self._started:
-            self._started = now
+        self._started = self._started or now
         for device in self._registry.devices.values():
             device.tick()
         said = self.decoder
@@ -320,6 +318,7 @@ class Monitor:
         if self._ticks and noise_bytes != self._noise_seen:
             self._evidence.look_at_noise(said.noise, noise_bytes - self._noise_seen, now)
         self._noise_seen = noise_bytes
+        said.clock.choose(self._tracker.planner.known.values(), now)
         self._ticks.append((now, self._activity()))
 
     def _activity(self) -> Activity:
@@ -387,6 +386,7 @@ class Monitor:
             values.append(('bus_load', '%', rates['bytes'] * self.decoder.byte_ns / 1e7))
         return (*(Metric(name, unit, one.summary(now), one.total(), bus=self.name)
                   for name, unit, one in series),
+                *self.decoder.clock.metrics(now, self.name),
                 *(Metric(name, unit, value=value, bus=self.name) for name, unit, value in values))
 
 

@@ -258,7 +258,7 @@ def running(graph, node, complete):
 def test_policy_allows_what_a_running_node_uses_and_little_more(
         graph, tmp_path, node, link, fake):
     publish, subscribe, reply = policy(node)
-    optional = {name for name in publish if '/statistics/' in name} | {
+    optional = {name for name in publish if '/statistics/' in name or '/cycle' in name} | {
         '/vel2d/timing/callback_to_write_ms', '/vel2d/timing/command_period_ms',
         '/vel2d/timing/stamp_age_ms', '/dxl/joint_states', '/clock'}
     with Program(*fake, '--link', str(tmp_path / 'port')), \

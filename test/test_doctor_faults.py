@@ -98,7 +98,7 @@ def test_every_rule_has_a_fault_or_a_case_made_by_hand():
     assert played >= {rule.name for rule in feetech.RULES + setting_up.RULES}
     by_hand = {rule for rule, *_ in (*test_doctor_edges.ENOUGH, *test_doctor_time.ENOUGH,
                                      *test_doctor_time.DOUBTS)}
-    assert {rule.name for rule in RULES} - played - by_hand == set()
+    assert {rule.name for rule in RULES} - played - by_hand == {'cycle_time'}  # test_cycle_time.py
 
 
 SLOW = {'read_write': 4.0, 'mixed': 10.0, 'bulk': 20.0, 'registered': 20.0}

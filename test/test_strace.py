@@ -38,6 +38,7 @@ from dxl_monitor.port.tap_reader import TapReader
 from msg_defs.event import BAUD
 from msg_defs.event import CLOSED
 from msg_defs.event import DTR
+from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
 from msg_defs.event import LOST
 from msg_defs.event import OUT
@@ -90,7 +91,8 @@ def test_a_recorded_program():
     found = events(RECORDED, ahead=-FIRST)
     assert {one.port for one in found} == {'/dev/pts/0'}
     assert [(one.what, one.data or one.value) for one in found] == [
-        (OPENED, 0), (BAUD, 38400), (PURGED, 1), (BAUD, 57600), (BAUD, 1500000), (OUT, b'hello'),
+        (OPENED, 0), (BAUD, 38400), (PURGED, 1), (BAUD, 57600), (BAUD, 1500000), (GAVE_UP, 594),
+        (OUT, b'hello'),
         (IN, b'hello'), (OUT, b'ab\xff\xfe'), (IN, b'ab\xff\xfe'), (PURGED, 1), (OUT, b'more'),
         (IN, b'more'), (OUT, b'child'), (IN, b'child'), (OUT, b'x'), (CLOSED, 0)]
     stamps = [one.stamp for one in found]

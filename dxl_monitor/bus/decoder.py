@@ -9,6 +9,9 @@ It joins the framer, the tracker and the registry. No lock and no clock: Monitor
 from operator import attrgetter
 from typing import NamedTuple
 
+from dxl_monitor.bus.cycle_time import CycleClock
+from dxl_monitor.bus.cycle_time import NO_RATE
+from dxl_monitor.bus.cycle_time import NO_SIDES
 from dxl_monitor.bus.dialect import DialectChoice
 from dxl_monitor.bus.dxl1_classifier import AnyFramer
 from dxl_monitor.bus.dxl1_classifier import Dxl1Classifier
@@ -17,7 +20,9 @@ from dxl_monitor.bus.dxl1_classifier import SLOW_NS
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
 from dxl_monitor.bus.registry import DeviceRegistry
+from dxl_monitor.bus.report import CycleTimes
 from dxl_monitor.bus.report import PROTOCOL_2
+from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.model.models import Models
 from msg_defs import dxl1_packet
@@ -28,6 +33,7 @@ from msg_defs.dxl_packet import REASONS
 from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
+from msg_defs.event import GAVE_UP
 from msg_defs.event import GONE
 from msg_defs.event import IN
 from msg_defs.event import LATENCY_TIMER
@@ -35,6 +41,7 @@ from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
+from msg_defs.event import TRACED
 from msg_defs.event import UNKNOWN
 from msg_defs.event import UNREAD
 from msg_defs.frame import Frames
@@ -73,6 +80,7 @@ class BusDecoder:
         self.byte_ns = byte_ns(settings.baud)
         self._last_in = 0                     # stamp of the last bytes to the master, if known
         self.evidence = Evidence()
+        self.clock = CycleClock()
         self.registry = DeviceRegistry(models, settings.devices, settings.baud, self.evidence)
         self.choice = DialectChoice(models, settings.protocol)
         self.choice.expect(device.dialect for device in self.registry.devices.values())
@@ -107,17 +115,28 @@ class BusDecoder:
         if framer is None:
             framer = self.framers[side] = self._new_framer(side)
         if side:
+            wire_ns = len(chunk) * self.byte_ns
             if side == OUT:
                 self._turn(stamp)
-                stamp += int(len(chunk) * self.byte_ns)
+                awaited, wait = self.tracker.slots, self._last_wait()
+                stamp += int(wire_ns)
             else:
                 self._last_in = stamp
+                self.clock.answer(stamp, wire_ns)
         framer.stamp = stamp
         frames = framer.frames(chunk)
         if framer.has_other:
             self._read(framer, frames, stamp, side)
         else:
             self.take(frames, stamp, framer.bytes, side)
+        if side == OUT:
+            began = stamp - int(wire_ns)
+            self.clock.write(began, wire_ns, awaited, self._last_wait() is not wait)
+            if self.tracker.asked == stamp:
+                self.clock.ask(self.tracker.pending, began, wire_ns)
+
+    def _last_wait(self) -> Wait | None:
+        return self.evidence.waits[-1] if self.evidence.waits else None
 
     def _turn(self, stamp: int) -> None:
         """Decide an answer that stopped on its way, before what the master says next is taken."""
@@ -185,6 +204,10 @@ class BusDecoder:
             self.tracker.unread.say(value and received + value, stamp)
         elif what == PURGED and value & 1:
             self.tracker.unread.purge(stamp)
+        elif what == GAVE_UP:
+            self.clock.give_up(1000 * value)
+        elif what == TRACED:
+            self.clock.trace(1000 * value)
         elif what in (CLOSED, GONE, LOST):
             self._end(stamp, value if what == LOST else 0)
 
@@ -194,6 +217,7 @@ class BusDecoder:
             self._flush(side, framer, stamp)
         self._settle()
         self.tracker.lose_track(stamp, lost)
+        self.clock.interrupt()
 
     def _set_baud(self, baud: int, stamp: int) -> None:
         """Begin on a new wire: what was on the other one is over, and no damage here."""
@@ -219,6 +243,11 @@ class BusDecoder:
     def is_answered(self) -> bool:
         """Whether anything came to the master; True where its side is not known."""
         return OUT not in self.framers or IN in self.framers
+
+    def cycle(self, now: int) -> CycleTimes | None:
+        """Return where the time of the master's cycle goes; None without a cycle."""
+        unknown = NO_SIDES if OUT not in self.framers else '' if self.byte_ns else NO_RATE
+        return self.clock.times(now, unknown)
 
     def total(self, counter: str) -> int:
         """Return a counter of the framers, over all sides."""

@@ -214,6 +214,24 @@ class Cycle(NamedTuple):
     stamps: tuple[int, ...]        # the last 64, monotonic ns
 
 
+class CycleTimes(NamedTuple):
+    """
+    The mean cycle of the last 10 s, in ms: cycle is the sum of the others.
+
+    waiting: by device that did not answer; tracer: what strace adds. unknown: why there are no
+    parts, '' where there are; is_blurred: waiting includes what the program did after it gave up.
+    """
+
+    cycle: float
+    wire: float = 0.0
+    device: float = 0.0
+    program: float = 0.0
+    tracer: float = 0.0
+    waiting: tuple[tuple[int, float], ...] = ()
+    is_blurred: bool = False
+    unknown: str = ''
+
+
 class BusReport(NamedTuple):
     """
     One bus at one moment.
@@ -250,6 +268,7 @@ class BusReport(NamedTuple):
     is_answered: bool = True                    # something came to the master, as far as known
     failed: str = ''                            # how the program that asks ended, if by an error
     line_errors: LineErrors | None = None       # since start, where the driver counts them
+    cycle: CycleTimes | None = None             # where a cycle's time goes
     deaf: int = 0                               # stamp of the last report without an open port
     findings: tuple[Finding, ...] = ()
     doubts: tuple[Finding, ...] = ()            # what the doctor cannot tell, and why

@@ -54,8 +54,8 @@ class Tracker:
 
     __slots__ = (
         '_asked', '_deferred', '_evidence', '_given_up', '_known', '_last', '_noise', '_note',
-        '_policy', '_registry', '_slots', '_spoke', '_state', '_unresolved', 'byte_ns', 'pending',
-        'planner', 'unread')
+        '_policy', '_registry', '_spoke', '_state', '_unresolved', 'byte_ns', 'pending', 'planner',
+        'slots', 'unread')
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, byte_ns: float,
                  missed_limit: int, write_acks: str) -> None:
@@ -71,7 +71,7 @@ class Tracker:
         self._last = _NOTHING                  # its kind, ID, code and parameters
         self._asked = (0, 0, 0)                # its end, the end of its chunk, the stamp
         self._deferred: Effect | None = None   # what it does once it is accepted
-        self._slots: dict[int, Slot] = {}      # the statuses that are still to come
+        self.slots: dict[int, Slot] = {}      # the statuses that are still to come
         self._unresolved = False               # no status yet: the first one gives a latency
         self._spoke: set[int] = set()          # the devices that answered it with damage
         self._given_up = _NO_SLOTS             # the statuses to the one before that did not come
@@ -85,7 +85,7 @@ class Tracker:
         """
         if side == IN and self.unread.until:
             frames = self.unread.take(frames, stamp, received)
-        slots = self._slots
+        slots = self.slots
         for frame in frames:
             begin, end, kind, number, code, data, flaw = frame
             if flaw is not None and self._flawed(frame, flaw, stamp, side):
@@ -132,8 +132,8 @@ class Tracker:
         if lost:
             self._note(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Much(lost))
         elif self.pending is not NO_PLAN:
-            self._slots.pop(BROADCAST, None)
-            self.unread.left = self._question([*self._slots.values()])
+            self.slots.pop(BROADCAST, None)
+            self.unread.left = self._question([*self.slots.values()])
         self._forget()
         self._state = pairing.DOUBTFUL
 
@@ -146,15 +146,15 @@ class Tracker:
 
     def _forget(self) -> None:
         self.pending = NO_PLAN
-        self._slots = {}
+        self.slots = {}
         self._given_up = _NO_SLOTS
         self._deferred = None
 
     def settle(self, stamp: int) -> None:
         """Give up waiting: the line is idle for longer than any answer takes."""
-        if self._slots or self._deferred is not None:
+        if self.slots or self._deferred is not None:
             self._close(_NOTHING, 0, 0, stamp)
-        self.pending, self._slots = NO_PLAN, {}
+        self.pending, self.slots = NO_PLAN, {}
 
     @property
     def asked(self) -> int:
@@ -163,7 +163,7 @@ class Tracker:
 
     def _instruct(self, said: Said, flaw: Flaw | None, begin: int, end: int, received: int,
                   stamp: int) -> dict[int, Slot]:
-        if self._slots or self._deferred is not None:
+        if self.slots or self._deferred is not None:
             self._close(said, begin, received, stamp)
         else:
             self._given_up = _NO_SLOTS
@@ -179,7 +179,7 @@ class Tracker:
             self._deferred = plan.begin(said[3], stamp)
         self._asked = end, received, stamp
         self._unresolved, self._state = True, pairing.SURE
-        self._slots = slots = plan.slots.copy()
+        self.slots = slots = plan.slots.copy()
         return slots
 
     def _unusual(self, slot: Slot, number: int, error: int, data: bytes, stamp: int) -> None:
@@ -194,7 +194,7 @@ class Tracker:
     def _take_whole(self, error: int, data: bytes, stamp: int) -> bool:
         """Take a fast reply of which every part holds; leave any other as it is."""
         reply = self.pending.fast_reply
-        if reply is None or len(self._slots) != len(reply.slots):
+        if reply is None or len(self.slots) != len(reply.slots):
             return False
         fields = reply.read(fast_wire(error, data))
         if not fields:
@@ -210,7 +210,7 @@ class Tracker:
                 device.heard = stamp
                 device.last_error = 0
                 slot.take(slot.span, data, stamp, READ)
-        self._slots.clear()
+        self.slots.clear()
         return True
 
     def _answer(self, slot: Slot, error: int, data: bytes, stamp: int) -> None:
@@ -258,17 +258,17 @@ class Tracker:
         blocks = split_combined(body, accesses)        # each part that holds proves itself
         there = max(len(blocks), blocks_in(body, accesses))
         for block in blocks:
-            slot = self._slots.pop(block.id, None)
+            slot = self.slots.pop(block.id, None)
             if slot is not None:
                 slot.device.counts.fast_answers += 1
                 self._answer(slot, block.error, block.data, stamp)
         if len(blocks) < there:
             damaged, unknown = self.pending.failed(there, blocks[-1].id if blocks else -1,
-                                                 self._slots)
+                                                 self.slots)
             for slot in damaged:
                 self._speak_damaged(slot)
             for number in unknown:
-                del self._slots[number]
+                del self.slots[number]
         if there < len(accesses) and self._state < pairing.SPOILT:
             self._note(stamp, ev.FAST_CUT, accesses[there].id, ev.Sizes(there, len(accesses)))
         return len(blocks) == there < len(accesses)
@@ -278,8 +278,8 @@ class Tracker:
         if number > self._registry.highest:
             self._note(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
             return
-        if self._slots and self._deferred and self._registry.renames(self._deferred, number):
-            self._answer(self._slots.popitem()[1], error, data, stamp)
+        if self.slots and self._deferred and self._registry.renames(self._deferred, number):
+            self._answer(self.slots.popitem()[1], error, data, stamp)
             return
         device = self._registry.device(number)
         self._registry.heard(device, error, stamp)
@@ -341,8 +341,8 @@ class Tracker:
         """Note a damaged frame; return what happened to the pairing: mostly `damage`."""
         _, _, kind, number, code, data, _ = frame
         is_status = kind == IS_STATUS
-        if is_status and number == BROADCAST and BROADCAST in self._slots:
-            del self._slots[BROADCAST]
+        if is_status and number == BROADCAST and BROADCAST in self.slots:
+            del self.slots[BROADCAST]
             if self._combined(data, stamp):    # nothing is damaged: the next one is silent
                 return pairing.BROKE_OFF
         self._evidence.note_damage(stamp, frame, flaw)
@@ -351,8 +351,8 @@ class Tracker:
         slot = self.pending.slots.get(number) if is_status else None
         if slot is not None:
             self._speak_damaged(slot)
-        elif self._slots and (is_status or code not in NAMES):
-            self._speak_damaged(next(iter(self._slots.values())), 0)           # it is its turn
+        elif self.slots and (is_status or code not in NAMES):
+            self._speak_damaged(next(iter(self.slots.values())), 0)           # it is its turn
         return damage
 
     def _speak_damaged(self, slot: Slot, surely: int = 1) -> None:
@@ -364,7 +364,7 @@ class Tracker:
 
     def _close(self, following: Said, began: int, received: int, stamp: int) -> None:
         """End the pending instruction; following: the next one, which began there."""
-        slots = self._given_up = self._slots
+        slots = self._given_up = self.slots
         slots.pop(BROADCAST, None)
         due = [slot for slot in slots.values() if self._policy.is_due(slot)]
         question = self._question(due)

@@ -137,7 +137,7 @@ RULES = (
     Rule('factory_id', Level.ERROR, _factory_id,
          ('duplicate_id', 'damaged_answers', 'noise', 'no_answer', 'sync_read_stops',
           'broken_cable', 'all_silent', 'missed_answers', 'stray_bytes', 'turnaround', 'dropout',
-          'foreign_answers', 'wrong_length', 'late_answers', 'jitter')),
+          'foreign_answers', 'wrong_length', 'late_answers', 'jitter', 'cycle_time')),
     Rule('wrong_supply', Level.ERROR, _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
          onset_s=ONSET_S, protocols=FAMILY_1),
     Rule('layout', Level.WARN, _layout, ('wrong_address',), each=True, protocols=FAMILY_1,

@@ -23,6 +23,7 @@ from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import key_of
 from dxl_monitor.doctor.collision import is_collision
 from dxl_monitor.doctor.collision import ran_into_answers
+from dxl_monitor.doctor.cycle_rule import cycle_time
 from dxl_monitor.doctor.rhythm import answer_ns
 from dxl_monitor.doctor.rhythm import AT_ONCE_NS
 from dxl_monitor.doctor.rhythm import is_independent
@@ -350,10 +351,12 @@ RULES = (
           'no_acks')),
     Rule('late_answers', Level.WARN, _late_answers,
          ('duplicate_id', 'missed_answers', 'dropout', 'jitter', 'damaged_answers', 'noise',
-          'foreign_answers', 'turnaround', 'stray_bytes')),
+          'foreign_answers', 'turnaround', 'stray_bytes', 'cycle_time')),
     Rule('wrong_length', Level.WARN, _wrong_length, each=True, noted=(ev.WRONG_SIZE,)),
-    Rule('latency_timer', Level.WARN, _latency_timer, ('jitter',)),
-    Rule('bus_too_slow', Level.WARN, _bus_too_slow, ('jitter', 'two_masters', 'impatient_master')),
-    Rule('jitter', Level.WARN, _jitter, onset_s=JITTER_ONSET_S),
-    Rule('return_delay', Level.OK, _return_delay),
+    Rule('latency_timer', Level.WARN, _latency_timer, ('jitter', 'cycle_time')),
+    Rule('bus_too_slow', Level.WARN, _bus_too_slow,
+         ('jitter', 'two_masters', 'impatient_master', 'cycle_time')),
+    Rule('jitter', Level.WARN, _jitter, ('cycle_time',), onset_s=JITTER_ONSET_S),
+    Rule('return_delay', Level.OK, _return_delay, ('cycle_time',)),
+    Rule('cycle_time', Level.OK, cycle_time, onset_s=1.0),
 )

@@ -20,18 +20,23 @@ from typing import NamedTuple
 from msg_defs.event import BAUD
 from msg_defs.event import CLOSED
 from msg_defs.event import DTR
+from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
 from msg_defs.event import LOST
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import RTS
+from msg_defs.event import TRACED
 
 OPENED = 'opened'
 PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
+AT_ONCE_NS = 200_000               # between two calls: strace, not the program
+TRACED_NS = 500_000                # strace took so long: worth an event
 LATE_NS = 20_000_000               # a write that takes longer has the time before its end
 DATA_LIMIT = 65_536                # bytes that strace prints of a call
 _WRITES = frozenset(('write', 'pwrite64', 'writev', 'pwritev', 'pwritev2'))
 _READS = frozenset(('read', 'pread64', 'readv', 'preadv', 'preadv2'))
+_WAITS = frozenset(('poll', 'ppoll', 'select', 'pselect6'))
 _UNSEEN = frozenset(('splice', 'sendfile', 'copy_file_range'))      # strace prints no bytes
 _OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3', 'fcntl', 'ioctl')
 # -DDD: the program stays the child of who starts it; strace is out of the terminal's reach.
@@ -39,7 +44,7 @@ _OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3',
 OPTIONS = ('-DDD', '-f', '-I1', '-q', '-y', '-v', '-xx', '-X', 'raw', '-s', str(DATA_LIMIT),
            '--absolute-timestamps=format:unix,precision:ns', '--relative-timestamps=ns',
            '--syscall-times=ns', '-e', 'signal=none', '-e', 'trace=' + ','.join(
-               f'?{name}' for name in (*sorted(_WRITES | _READS | _UNSEEN), *_OTHERS)))
+               f'?{name}' for name in (*sorted(_WRITES | _READS | _WAITS | _UNSEEN), *_OTHERS)))
 
 _LINE = re.compile(rb' *(\d+) +(\d+)\.(\d{9}) \(\+ +(\d+)\.(\d{9})\) (.*)')
 _CALL = re.compile(rb'(\w+)\((.*)\)\s+= (-?\d+)(?:<([^>]*)>(?:\(deleted\))?)?(?: [^<].*?)?'
@@ -53,7 +58,7 @@ _RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios)
           if re.fullmatch(r'B[1-9]\d*', name)}
 _CBAUD, _BOTHER = 0o10017, 0o10000
 # Requests of ioctl, as on x86, ARM and RISC-V.
-_TCFLSH, _TIOCSSERIAL = 0x540B, 0x541F
+_TCFLSH, _TIOCSSERIAL, _FIONREAD = 0x540B, 0x541F, 0x541B
 _ASKED = frozenset((0x5401, 0x802C542A))               # TCGETS, TCGETS2
 _SETTINGS = _ASKED | {0x5402, 0x5403, 0x5404, 0x402C542B, 0x402C542C, 0x402C542D}
 _SET_AND_FLUSH = frozenset((0x5404, 0x402C542D))
@@ -81,6 +86,10 @@ class StraceParser:
         self._rates: dict[str, int] = {}                       # by port, not said yet
         self._odd_rates: set[str] = set()                      # ports with a divisor of their own
         self._unfinished: dict[int, bytes] = {}                # a call by thread
+        self._looked: dict[str, tuple[int, int]] = {}          # by port: for bytes, when, result
+        self._ended: dict[int, int] = {}                       # the last call, by thread
+        self._resume = 0.0                                     # ns from a call to the next one
+        self._traced: dict[str, int] = {}                      # ns by port, since its last write
         self._rest = b''
         self._now = 0
 
@@ -117,6 +126,12 @@ class StraceParser:
     def _call(self, found: re.Match[bytes], thread: int, begin: int,
               end: int) -> Iterator[PortEvent]:
         name, arguments, result = found[1].decode(), found[2], int(found[3])
+        gap = begin - self._ended.get(thread, 0)
+        self._ended[thread] = end
+        if gap < AT_ONCE_NS:
+            self._resume += (gap - self._resume) / (2 if gap < self._resume else 64)
+        if name in _WAITS and result >= 0:
+            self._looked.update((_text(path), (end, result)) for _, path in _FD.findall(arguments))
         yield from self._hold(_text(found[4] or b''), thread, result, end)
         first = _FD.match(arguments)
         port = '' if first is None else _text(first[2])
@@ -126,22 +141,45 @@ class StraceParser:
             yield from self._release(port, {(self._process(thread), int(first[1]))}, begin)
             return
         yield from self._hold(port, thread, int(first[1]), begin)
-        if result < 0:
-            return
-        if name == 'ioctl':
+        if name == 'ioctl' and result >= 0:
             with suppress(ValueError):         # numbers that are none
                 yield from self._ioctl(port, arguments, end)
-        elif name in _UNSEEN and result:
+        elif name in _UNSEEN and result > 0:
             yield PortEvent(end, port, LOST, value=1)
-        elif name in _WRITES or name in _READS:
-            data = b''.join(map(_bytes, _STRING.findall(arguments)))[:result]
-            is_out = name in _WRITES
-            stamp = max(begin, end - LATE_NS) if is_out else end
-            if data:
-                yield from self._rate(port, stamp)
-                yield PortEvent(stamp, port, OUT if is_out else IN, data)
-            if len(data) < result:
-                yield PortEvent(stamp, port, LOST, value=result - len(data))
+        elif name in _WRITES and result >= 0:
+            yield from self._rate(port, max(begin, end - LATE_NS))
+            yield from self._write(port, max(begin, end - LATE_NS))
+            yield from self._transfer(port, OUT, arguments, result, max(begin, end - LATE_NS))
+        elif name in _READS and result > 0:
+            yield from self._rate(port, end)
+            yield from self._transfer(port, IN, arguments, result, self._arrived(port, begin, end))
+        elif name in _READS:                   # also -1: EAGAIN
+            self._looked[port] = end, 0
+
+    def _arrived(self, port: str, begin: int, end: int) -> int:
+        """Return when the bytes of a read were there: after a wait for them at its end."""
+        ready, result = self._looked.pop(port, (0, 0))
+        if not result or begin - ready > AT_ONCE_NS:
+            return end
+        self._traced[port] = self._traced.get(port, 0) + end - ready
+        return ready
+
+    def _write(self, port: str, stamp: int) -> Iterator[PortEvent]:
+        """Say what the program did before a write: looked for bytes in vain, waited for strace."""
+        looked, result = self._looked.pop(port, (0, 1))
+        if not result:
+            yield PortEvent(stamp, port, GAVE_UP, value=max(0, stamp - looked) // 1000)
+        self._traced[port] = self._traced.get(port, 0) + int(self._resume)
+        if self._traced[port] >= TRACED_NS:
+            yield PortEvent(stamp, port, TRACED, value=self._traced.pop(port) // 1000)
+
+    def _transfer(self, port: str, side: str, arguments: bytes, size: int,
+                  stamp: int) -> Iterator[PortEvent]:
+        data = b''.join(map(_bytes, _STRING.findall(arguments)))[:size]
+        if data:
+            yield PortEvent(stamp, port, side, data)
+        if len(data) < size:
+            yield PortEvent(stamp, port, LOST, value=size - len(data))
 
     def _ioctl(self, port: str, arguments: bytes, stamp: int) -> Iterator[PortEvent]:
         _, text, argument = arguments.split(b', ', 2)
@@ -156,6 +194,8 @@ class StraceParser:
             yield PortEvent(stamp, port, PURGED, value=1)
         elif request == _TCFLSH:
             yield PortEvent(stamp, port, PURGED, value=int(argument, 0) + 1)
+        elif request == _FIONREAD and argument == b'[0]':
+            self._looked[port] = stamp, 0
         elif request == _TIOCSSERIAL:          # 38400 may mean any rate from now on
             self._odd_rates.add(port)
         elif request in _MODEM:
@@ -188,6 +228,7 @@ class StraceParser:
     def _end(self, thread: int) -> Iterator[PortEvent]:
         """Take note of the end of a thread; with the first of a process its ports are closed."""
         self._unfinished.pop(thread, None)
+        self._ended.pop(thread, None)
         if self._processes.pop(thread, thread) == thread:
             for port, holders in self._holders.items():
                 yield from self._release(

@@ -23,7 +23,8 @@ from msg_defs import event
 
 _READ_SIZE = 1 << 16
 _KINDS = {event.OUT: sent.OUT, event.IN: sent.IN, event.PURGED: sent.PURGED,
-          event.LOST: sent.LOST, event.DTR: sent.DTR, event.RTS: sent.RTS}
+          event.LOST: sent.LOST, event.DTR: sent.DTR, event.RTS: sent.RTS,
+          event.GAVE_UP: sent.GAVE_UP, event.TRACED: sent.TRACED}
 
 
 class _Relay:

@@ -14,10 +14,11 @@ from contextlib import suppress
 import json
 import os
 import sys
+import time
 from typing import Any
 
 # Kinds of records, as in tap_sender.py, which is not importable by name here.
-OUT, IN, PURGED, NOT_SENT, UNREAD, ENDED = 3, 4, 6, 7, 9, 10
+OUT, IN, PURGED, NOT_SENT, UNREAD, ENDED, GAVE_UP = 3, 4, 6, 7, 9, 10, 13
 
 _PORT = '_mecarover_tap_port'                  # attribute of an open Serial: its number
 _PLAIN = (bytes, bytearray, memoryview, list, tuple)
@@ -25,19 +26,22 @@ _MODULES = ('serial.serialposix', 'serial.serialwin32', 'serial.serialcli')
 _HANDLERS = 'serial.urlhandler.protocol_'
 _TEXT_LIMIT = 2000                             # characters of an error
 _LEFT = '_mecarover_tap_left'                  # and how much it had not read, last time
+_VAIN = '_mecarover_tap_vain'                  # when it last looked for bytes in vain, ns
 _Method = Callable[..., Any]
 
 
 def _wrap_read(sender: Any, original: _Method) -> _Method:
-    put = sender.put
+    put, now = sender.put, time.monotonic_ns
 
     def read(self: Any, *args: Any, **kwargs: Any) -> Any:
         data = original(self, *args, **kwargs)
-        if data:
-            try:                               # noqa: SIM105 - a `with` costs more on this path
+        try:
+            if data:
                 put(IN, getattr(self, _PORT), bytes(data))
-            except Exception:
-                pass
+            is_short = not data or (self._timeout and len(data) < (args[0] if args else 1))
+            self.__dict__[_VAIN] = now() if is_short else 0
+        except Exception:
+            pass
         return data
     return read
 
@@ -52,6 +56,9 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
             if waiting or getattr(self, _LEFT):
                 setattr(self, _LEFT, waiting)
                 sender.number(UNREAD, getattr(self, _PORT), waiting)
+            vain = self.__dict__.pop(_VAIN, 0)
+            if vain:
+                sender.number(GAVE_UP, getattr(self, _PORT), (time.monotonic_ns() - vain) // 1000)
         except Exception:
             pass
         try:

@@ -27,12 +27,14 @@ from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
 from msg_defs.event import DTR
+from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
 from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import RTS
+from msg_defs.event import TRACED
 from msg_defs.event import UNREAD
 
 HOLD_S = 0.06                              # three times what a sender lets gather
@@ -43,7 +45,8 @@ _NAME_OF_PORT = 1000                       # characters
 _NAME_CHARACTERS = frozenset('abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-')
 _SIDES = {sent.OUT: OUT, sent.IN: IN}
 _CHANGES = {sent.BAUD: BAUD, sent.PURGED: PURGED, sent.NOT_SENT: NOT_SENT, sent.LOST: LOST,
-            sent.UNREAD: UNREAD, sent.CLOSED: CLOSED, sent.DTR: DTR, sent.RTS: RTS}
+            sent.UNREAD: UNREAD, sent.CLOSED: CLOSED, sent.DTR: DTR, sent.RTS: RTS,
+            sent.GAVE_UP: GAVE_UP, sent.TRACED: TRACED}
 _NAME_LIMIT = 40                           # the path of a Unix socket has 107 characters
 _READ_SIZE = 1 << 16
 TOO_LONG = ('the path of the socket is too long; set XDG_RUNTIME_DIR to a shorter folder, for the '
@@ -95,7 +98,7 @@ class _Connection:
         at = 0
         while len(data) - at >= sent.HEAD.size:
             kind, number, stamp, size = sent.HEAD.unpack_from(data, at)
-            if kind > sent.RTS or size > SIZE_LIMIT or stamp < 0:
+            if kind > sent.TRACED or size > SIZE_LIMIT or stamp < 0:
                 raise ValueError(kind)
             begin = at + sent.HEAD.size
             if begin + size > len(data):

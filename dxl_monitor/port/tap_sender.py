@@ -33,7 +33,7 @@ SUFFIX = '.tap'                            # ends the name of a listener's socke
 # A record: its kind, the number of the port, a stamp (ns, monotonic), the size of what follows.
 HEAD = struct.Struct('<BHqI')
 (HELLO, OPENED, CLOSED, OUT, IN, BAUD, PURGED, NOT_SENT, LOST, UNREAD, ENDED, DTR,
- RTS) = range(13)
+ RTS, GAVE_UP, TRACED) = range(15)
 NUMBER = struct.Struct('<q')               # what follows the others
 
 QUEUE_LIMIT = 20_000                       # records that wait for the thread

@@ -25,6 +25,7 @@ WIDTH, HEIGHT = 80, 23             # the shell takes one of the 24 lines
 IN_FULL = 3                        # findings
 _HEARD_LINES = 5
 _UNKNOWN_LINES = 3
+_CYCLES = 2
 _INDENT = '    '
 
 
@@ -36,10 +37,11 @@ def screen(said: Verdict, colours: bool = False, width: int = WIDTH,
         return [*head, '', 'Nothing was heard:', *_bullets(said.quiet, width)]
     wrong = _wrong(said.wrong, colours, width)
     unknown = _unknown(said.unknown, width)
-    room = height - len(head) - len(wrong) - 3
+    cycles = [fit(f'  {one}', width) for one in said.cycles[:_CYCLES]]
+    room = height - len(head) - len(wrong) - len(cycles) - 3
     unknown = unknown[:max(0, room - 1)] if room > 3 else []
     heard = _heard(said, width, max(1, min(_HEARD_LINES, room - len(unknown))))
-    return [*head, '', *heard, '', *wrong, *unknown]
+    return [*head, '', *heard, *cycles, '', *wrong, *unknown]
 
 
 def _head(said: Verdict, width: int) -> str:

@@ -28,6 +28,7 @@ from msg_defs.reports import Level
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
 PORTS_NAMED = 2
+SMALL = 0.005                      # share of a cycle that is not worth a word
 LOAD_NS = 2_000_000_000             # the load of a shorter time says nothing
 _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
 _NEEDS_TIMES = frozenset(rule.name for rule in timing_rules.RULES)
@@ -63,6 +64,7 @@ class Verdict(NamedTuple):
     unknown: tuple[str, ...]
     quiet: tuple[str, ...]
     protocol: str = ''             # what the buses speak, in words; '' unheard
+    cycles: tuple[str, ...] = ()   # where the time of a cycle goes
 
     @property
     def code(self) -> int:
@@ -115,7 +117,25 @@ def verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: 
                    tuple(one for bus in buses for one in _heard(bus)),
                    tuple(sorted(wrong, key=lambda entry: -entry.level)), tuple(unknown),
                    tuple(quiet), ' and '.join(dict.fromkeys(
-                       bus.report.protocol for bus in buses if bus.report.protocol)))
+                       bus.report.protocol for bus in buses if bus.report.protocol)),
+                   tuple(_cycle(bus) for bus in buses if is_timed and bus.report.cycle))
+
+
+def _cycle(bus: BusSummary) -> str:
+    times, place = bus.report.cycle, f'{bus.name}: ' if bus.name else ''
+    assert times is not None
+    parts = sorted([('program', times.program), ('devices', times.device), ('wire', times.wire),
+                    ('strace', times.tracer),
+                    *((f'waiting for {number:03}', ms) for number, ms in times.waiting)],
+                   key=lambda part: -part[1])
+    shown = ', '.join(f'{name} {_ms(ms)}' for name, ms in parts if ms > SMALL * times.cycle)
+    shown += ' (waiting and program are not known apart)' if times.is_blurred else ''
+    return f'{place}{_ms(times.cycle)} ms a cycle' + (
+        f'; its parts are unknown: {times.unknown}' if times.unknown else f': {shown}')
+
+
+def _ms(value: float) -> str:
+    return f'{value:.2g}' if value < 10 else f'{value:.0f}'
 
 
 def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[str, ...]:
@@ -211,6 +231,7 @@ def as_json(said: Verdict, buses: Sequence[BusSummary], seconds: float) -> dict[
             'protocol': bus.report.protocol,
             'level': bus.report.level.name, 'message': bus.report.message,
             'counters': bus.report.counters,
+            'cycle': bus.report.cycle and bus.report.cycle._asdict(),
             'devices': [_device_json(device) for device in bus.report.devices],
             'findings': [_finding_json(one, bus) for one in bus.logged]} for bus in buses]}
 

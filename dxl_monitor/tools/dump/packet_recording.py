@@ -24,8 +24,10 @@ from dxl_monitor.tools.dump.text_format import FLAWS
 from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
+from msg_defs.event import GAVE_UP
 from msg_defs.event import GONE
 from msg_defs.event import LOST
+from msg_defs.event import TRACED
 from msg_defs.event import UNREAD
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
@@ -58,7 +60,7 @@ class PacketRecording:
 
     def change(self, bus: str, change: Change, stamp: int, listing: Listing) -> None:
         """Write what happened besides bytes; what a packet lacks then will not come."""
-        if change.what == UNREAD:
+        if change.what in (UNREAD, GAVE_UP, TRACED):
             self._comments[bus].append(PacketWriter.comment(change))
             return
         if change.what in (BAUD, CLOSED, GONE, LOST):
@@ -88,6 +90,6 @@ class PacketRecording:
 
     def _write(self, bus: str, stamp: int, data: bytes, side: str, comments: list[str]) -> None:
         began = self._began()
-        waiting = self._comments.pop(bus, [])
+        comments = [*self._comments.pop(bus), *comments] if bus in self._comments else comments
         self._writer.write(self._wire(bus), max(0, stamp - began.stamp + began.wall), data, side,
-                           [*waiting, *comments])
+                           comments)
