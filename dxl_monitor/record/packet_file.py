@@ -90,7 +90,7 @@ def _padded(data: bytes) -> bytes:
 
 
 _PACKET_HEAD = struct.Struct('<IIIIIII')
-_PACKET_SIZE = _PACKET_HEAD.size + 4   # of a block that is empty
+_PACKET_SIZE = _PACKET_HEAD.size + 4   # the block, without a packet
 _FLAG_ALONE = {side: _options((_FLAGS, flag.to_bytes(4, 'little'))) if side else b''
                for side, flag in _FLAG.items()}
 
