@@ -17,8 +17,6 @@ import math
 from typing import Any
 from typing import NamedTuple
 
-import yaml
-
 from msg_defs.reports import HEADLINE
 from msg_defs.reports import number
 from msg_defs.reports import TIMING_TOPICS
@@ -137,6 +135,7 @@ def typed(arguments: Sequence[str], node: str) -> dict[str, Any]:
 def _parsed(text: str) -> Any:
     with suppress(ValueError):          # 1e-3 is a number for ROS, a string for PyYAML
         return float(text) if not text.lstrip('+-').isdigit() else int(text)
+    import yaml  # dxl_tap starts without it
     with suppress(yaml.YAMLError):
         return yaml.safe_load(text)
     return text
