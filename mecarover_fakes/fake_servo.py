@@ -62,7 +62,6 @@ class FakeDevice(Registers):
                  motion: Sine | None = None) -> None:
         self.firmware = _FIRMWARE_1.get(model.protocol) or _by_prefix(_FIRMWARE, model.name) or 1
         super().__init__(model, self.firmware)
-        self.id = number
         self.baud = baud
         self.motion = motion
         self.silent = False
@@ -76,7 +75,7 @@ class FakeDevice(Registers):
         self._registered: tuple[int, bytes] | None = None
         self._live = live_registers(model)
         self._backup: bytes | None = None
-        self.set('ID', number)
+        self.renumber(number)
         self.set('Return Delay Time', 0)
         self.set('Baud Rate', next((code for code, rate in self.baud_codes.items()
                                     if rate == baud), self.get('Baud Rate')))
@@ -134,6 +133,11 @@ class FakeDevice(Registers):
         self.hardware_error = 0
         self._registered = None
         self.up_at = now + boot_ns
+
+    def renumber(self, number: int) -> None:
+        """Give it an ID by no instruction, also one that is taken."""
+        self.set('ID', number)
+        self.id = number
 
     def become(self, number: int) -> None:
         """Claim another model number (thesis, experiment 3)."""

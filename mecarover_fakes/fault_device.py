@@ -61,9 +61,9 @@ class Duplicate(Effect, cause=3):
                   if device.model is not original.model and device.field('Torque Enable')]
         self.twin = type(original)(original.id, (others or [original.model])[0],
                                    baud=self.line.baud, motion=Sine(phase=2.0))
-        self.line.add(self.twin)
+        self.line.chain.append(self.twin)
         yield
-        self.line.remove(self.twin)
+        self.line.chain.remove(self.twin)
 
     def step(self) -> None:
         # Sometimes on top of the other's answer, sometimes after it.

@@ -60,10 +60,10 @@ class FactoryId(Effect, cause=3):
     def play(self) -> Play:
         own = {device: device.id for device in self.devices}
         for device in own:
-            self.line.renumber(device, FACTORY_ID)
+            device.renumber(FACTORY_ID)
         yield
         for device, number in own.items():
-            self.line.renumber(device, number)
+            device.renumber(number)
 
 
 class LastId(Effect, cause=12):

@@ -114,27 +114,10 @@ class Line:
         self.status_size = 6 if dialect else 11      # bytes of a status without parameters
         self.addresses = 0x100 if dialect else 0x10000       # that an instruction can name
         self._heard_at = 0
-        self._index()
-
-    def add(self, device: FakeDevice) -> None:
-        """Connect one more device, also one with an ID that is taken."""
-        self.chain.append(device)
-        self._index()
-
-    def remove(self, device: FakeDevice) -> None:
-        """Disconnect a device."""
-        self.chain.remove(device)
-        self._index()
-
-    def renumber(self, device: FakeDevice, number: int) -> None:
-        """Give a device an ID by no instruction, also one that is taken."""
-        device.set('ID', number)
-        device.id = number
-        self._index()
 
     def at(self, number: int) -> FakeDevice | None:
         """Return the device with this ID."""
-        return next(iter(self._by_id.get(number, ())), None)
+        return next((device for device in self.chain if device.id == number), None)
 
     def exchange(self, number: int, instruction: int, params: bytes, start: int, *,
                  stuffed: bool = True, heard: bool = True) -> Exchange:
@@ -190,11 +173,6 @@ class Line:
 
     # --- devices ---------------------------------------------------------------------------
 
-    def _index(self) -> None:
-        self._by_id: dict[int, list[FakeDevice]] = {}
-        for device in self.chain:
-            self._by_id.setdefault(device.id, []).append(device)
-
     def _watch(self, now: int) -> None:
         if now - self._heard_at > WATCHDOG_UNIT_NS:
             for device in self.chain:
@@ -202,7 +180,8 @@ class Line:
         self._heard_at = now
 
     def _hearing(self, number: int, now: int) -> list[FakeDevice]:
-        return [device for device in self._by_id.get(number, ()) if device.hears(self.baud, now)]
+        return [device for device in self.chain
+                if device.id == number and device.hears(self.baud, now)]
 
     def _due(self, request: Request) -> tuple[int, ...]:
         """Return who must answer, Status Return Level considered; an unknown device must."""
@@ -231,7 +210,8 @@ class Line:
             self._obey(exchange, self._hearing(request.id, now), now)
         elif request.instruction != Instruction.FACTORY_RESET or exchange.params != b'\xff':
             # The latter is ignored by firmware 42 and later.
-            for devices in [self._hearing(number, now) for number in sorted(self._by_id)]:
+            numbers = sorted({device.id for device in self.chain})
+            for devices in [self._hearing(number, now) for number in numbers]:
                 now = self._obey(exchange, devices, now)
 
     def _obey(self, exchange: Exchange, devices: list[FakeDevice], now: int,
@@ -251,8 +231,6 @@ class Line:
             if answers and (request.id != BROADCAST or request.answers is not Answers.NONE):
                 error = reply.error | alert
                 end = max(end, self._send(exchange, number, error, reply.params, start))
-            if device.id != number:
-                self._index()
         return end
 
     def _send(self, exchange: Exchange, number: int, error: int, params: bytes, start: int,

@@ -17,7 +17,7 @@ OK, RESULT_FAIL, INSTRUCTION, RANGE, LENGTH, ACCESS = 0, 1, 2, 4, 5, 7
 WATCHDOG_TRIPPED = 0xFF
 _LIMITS = {'ID': (0, 252), 'Baud Rate': (0, 7), 'Return Delay Time': (0, 254),
            'Torque Enable': (0, 1), 'Status Return Level': (0, 2)}
-_SMALLEST_TABLE = 256            # for a model without a file
+_TABLE = 256                     # bytes, of a model without a file
 
 
 class Registers:
@@ -25,8 +25,8 @@ class Registers:
 
     def __init__(self, model: Model, firmware: int) -> None:
         self.model = model
-        self._defined = _defined_bytes(model)
-        self.factory = bytes(initial_image(model, firmware, len(self._defined)))
+        self._spans = _spans(model)
+        self.factory = bytes(initial_image(model, firmware, max(end for _, end in self._spans)))
         self.image = bytearray(self.factory)
         self.eeprom = {at for field in model.fields if field.memory == 'eeprom'
                        for at in range(field.at, field.end)}
@@ -61,7 +61,8 @@ class Registers:
 
     def is_readable(self, address: int, end: int) -> bool:
         """Tell whether there is anything in this range, and nothing beyond the table."""
-        return address < end <= len(self.image) and 1 in self._defined[address:end]
+        return address < end <= len(self.image) and any(
+            first < end and last > address for first, last in self._spans)
 
     def redirects(self, address: int, end: int) -> bool:
         """Tell whether a range holds bytes that show other registers."""
@@ -80,15 +81,11 @@ class Registers:
     def write_error(self, address: int, data: bytes) -> int:
         """Return why a write is refused, OK if it is not."""
         end = address + len(data)
-        if not data or end > len(self.image):
+        if not self.is_readable(address, end):
             return ACCESS
-        if not self.model.fields:
-            return OK
-        fields = [field for field in self.model.fields if field.at < end and field.end > address]
-        if not fields and 1 not in self._defined[address:end]:
-            return ACCESS
-        return next((error for field in fields
-                     if (error := self._field_error(field, address, data))), OK)
+        return next((error for field in self.model.fields
+                     if field.at < end and field.end > address
+                     and (error := self._field_error(field, address, data))), OK)
 
     def _field_error(self, field: Field, address: int, data: bytes) -> int:
         if field.access == 'r' or (field.memory == 'eeprom' and self.torque):
@@ -101,12 +98,9 @@ class Registers:
         return OK if low <= raw <= high and not tripped else RANGE
 
 
-def _defined_bytes(model: Model) -> bytearray:
-    """One byte per address of the table, 1 where a register lies."""
+def _spans(model: Model) -> list[tuple[int, int]]:
+    """Return (begin, end) of all that there is in the table."""
     spans = [(field.at, field.end) for field in model.fields]
     for pointers, data, count in model.indirect:
         spans += [(pointers, pointers + 2 * count), (data, data + count)]
-    defined = bytearray(max((end for _, end in spans), default=_SMALLEST_TABLE))
-    for first, end in spans or [(0, _SMALLEST_TABLE)]:
-        defined[first:end] = b'\x01' * (end - first)
-    return defined
+    return spans or [(0, _TABLE)]
