@@ -76,11 +76,11 @@ class Effect:
     every: ClassVar[int] = 1         # cycles from one ask() to the next; 0: it comes once
     now = 0
 
-    def __init_subclass__(cls, cause: int | None = None,
-                          protocols: tuple[str, ...] = ALL) -> None:
+    def __init_subclass__(cls, cause: int | None = None, protocols: tuple[str, ...] = ALL,
+                          name: str = '') -> None:
         cls.cause, cls.protocols = cause, protocols
         if cause is not None:
-            cls.kinds[re.sub('(?<=.)(?=[A-Z])', '_', cls.__name__).lower()] = cls
+            cls.kinds[name or re.sub('(?<=.)(?=[A-Z])', '_', cls.__name__).lower()] = cls
 
     def __init__(self, fault: Fault, scope: FaultScope) -> None:
         self.fault = fault

@@ -134,7 +134,7 @@ class Offset(Effect, cause=0, protocols=ONLY_FEETECH):
         yield write(self.device.id, offset.at, offset.bytes_of(95))
 
 
-class Layout(Effect, cause=12, protocols=ONLY_FEETECH):
+class ForeignLayout(Effect, cause=12, protocols=ONLY_FEETECH, name='layout'):
     """The master uses the table of another series: Lock of an SCS servo, on an STS."""
 
     every = 20
