@@ -111,7 +111,7 @@ class Monitor:
         self._listened = 0                     # up to when all that came was fed, if known
         self._resumed = 0                      # when somebody listened again
         self._deaf = 0                         # until then no port was open
-        self._failed = ''                      # how the program that asks ended
+        self._failed: str | None = None        # how the program that asks ended
         self._noise_seen = 0
         self._start_statistics(0)
 
@@ -366,7 +366,8 @@ class Monitor:
             kinds=dict(evidence.counts), protocol=self.decoder.protocol(),
             asked=self._tracker.asked, scanned=self._scanned(),
             chain=tuple(expected.id for expected in self.settings.devices),
-            has_sides=OUT in self.decoder.framers, deaf=self._deaf, failed=self._failed,
+            has_sides=OUT in self.decoder.framers, deaf=self._deaf, failed=self._failed or '',
+            is_over=self._failed is not None,
             tried=frozenset(self._registry.tried), is_answered=self.decoder.is_answered)
 
     def _scanned(self) -> tuple[int, ...]:

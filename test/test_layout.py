@@ -71,9 +71,13 @@ def test_no_register_is_named_wrongly(left_out, least):
 @pytest.mark.parametrize(('protocol', 'used', 'name', 'position'), [
     ('2', [(116, 4), (126, 10)], 'the X series', 'Present Position (rad)'),
     ('2', [(126, 10), (144, 3)], 'unknown', ''),                  # neither torque nor goal
+    ('2', [(116, 4), (132, 4)], 'the X series', 'Present Position (rad)'),
     ('2', [(562, 1), (596, 4), (611, 4)], 'unknown', ''),         # a PRO: only a board fits
     ('1', [(24, 1), (30, 2), (36, 2)], 'several series', 'Present Position'),  # AX, MX: two scales
     ('feetech', [(40, 1), (42, 2), (56, 2)], 'several series', ''),   # both orders
+    ('feetech', [(42, 2), (56, 2), layout.LITTLE], 'several series', 'Present Position (rad)'),
+    ('feetech', [(42, 2), (56, 2), layout.BIG], 'the SCS series', 'Present Position'),
+    ('feetech', [(42, 2), (56, 2), layout.LITTLE, layout.BIG], 'several series', ''),
     ('feetech', [(40, 1), (42, 2), (56, 2), (55, 1)], 'several series', 'Present Position (rad)'),
     ('feetech', [(40, 1), (42, 2), (56, 2), (48, 1)], 'the SCS series', 'Present Position'),
 ])
@@ -81,6 +85,11 @@ def test_a_use_says_which_registers_those_are(protocol, used, name, position):
     found = ALL.of(protocol, frozenset(used))
     said = found.by_name.get('Present Position')
     assert (found.name, said.key if said else '') == (name, position)
+
+
+def test_a_position_says_its_order_of_bytes():
+    found = [layout.orders_of([bytes(one)]) for one in ((0xf3, 9), (2, 0x84), (3, 3), (1, 15))]
+    assert found == [{layout.LITTLE}, {layout.BIG}, set(), set()]
 
 
 def asked(*used):

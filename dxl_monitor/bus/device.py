@@ -42,6 +42,7 @@ TORQUE = 'Torque Enable'
 _SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
 _OF_FEETECH = (OFFSET, TORQUE)     # how it is calibrated
 _USES_KEPT = 64
+_SLOWER_NS = 3_000_000             # by Return Delay Time 0.5 ms, and as much as USB adds
 _NUMBER_SIZE = 2                   # bytes: Model Number
 
 
@@ -208,9 +209,11 @@ class Device:
         self.waiting_behind = None
         self.is_unusual = True
 
-    def not_served(self, now: int, blocker: int) -> None:
+    def not_served(self, now: int, stamp: int, blocker: int) -> None:
         """Count an answer whose turn did not come: the master gave up at the one before."""
         self.counts.not_served += 1
+        self.owed = (self.owed if self._is_lately(stamp) else 0) + 1       # it may still come
+        self._given_up = stamp
         self.asked_stamp = now
         self.waiting_behind = blocker
         self.is_unusual = True
@@ -221,6 +224,10 @@ class Device:
             return False
         self.owed -= 1
         return True
+
+    def has_just_answered(self, stamp: int) -> bool:
+        """Return whether all its answers have come, the last just now: a next one is another's."""
+        return not self.owed and stamp - self.heard < _SLOWER_NS
 
     def _is_lately(self, stamp: int) -> bool:
         # Stamps of chunks: the time on the wire is only as good as the chunk is short.

@@ -137,6 +137,11 @@ class Plan:
         self.missed = 0
         self.stamps: deque[int] = deque(maxlen=STAMPS_KEPT)
 
+    def asks(self, device: Device, size: int) -> bool:
+        """Return whether a device has to answer it with so many bytes."""
+        slot = self.slots.get(device.number)
+        return slot is not None and slot.size == size
+
     def failed(self, there: int, last_whole: int,
                silent: dict[int, Slot]) -> tuple[list[Slot], list[int]]:
         """

@@ -122,6 +122,14 @@ class DeviceRegistry:
         device.moved_to = ''
         device.is_unusual = error != 0        # the next good answer clears its last error
 
+    def pong(self, device: Device, data: bytes, stamp: int, is_doubtful: bool) -> None:
+        """Take an answer to a Ping to all; is_doubtful: it may be one to something else."""
+        device.counts.answers += 1
+        if not data:
+            self.speaks(device)
+        elif not is_doubtful:
+            device.pinged(NO_SPAN, data, stamp, READ)
+
     def read_special(self, device: Device, span: Span, data: bytes, stamp: int,
                      source: int) -> None:
         """Keep what a device said of itself, where that may change what it is or does."""

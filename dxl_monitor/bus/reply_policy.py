@@ -61,6 +61,14 @@ class ReplyPolicy:
                                 ev.Much(device.acks_missing))
         return bool(device.acks)
 
+    def refuse(self, slot: Slot, instruction: int, code: int, stamp: int) -> None:
+        """Take note of a refusal, which is an acknowledgement too."""
+        if slot.due is Due.ACK:
+            slot.device.acknowledged()
+        refusal = ev.Refusal(instruction, slot.span[0], code)
+        slot.device.note_error(*refusal)
+        self._evidence.note(stamp, ev.REFUSED, slot.device.number, refusal)
+
     def judge(self, question: OpenQuestion, now: int, stamp: int, us: int = -1) -> None:
         """
         Count the missed, and those not served because the master gave up before them.
@@ -74,7 +82,7 @@ class ReplyPolicy:
         for slot in due[:served]:
             self._miss(plan, slot, now, stamp, is_spoilt or slot.device.number in spoke)
         for slot in due[served:]:
-            slot.device.not_served(now, behind)
+            slot.device.not_served(now, stamp, behind)
 
     def look_at_noise(self, question: OpenQuestion, noise: int, most: int, now: int) -> None:
         """Note who the noise may come from; most: bytes of all answers that did not come."""

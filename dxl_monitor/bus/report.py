@@ -264,6 +264,7 @@ class BusReport(NamedTuple):
     scanned: tuple[int, ...] = ()               # IDs that were pinged and never heard, if many
     chain: tuple[int, ...] = ()                 # the IDs of `devices`, in the order of the cable
     has_sides: bool = False                     # TX and RX of the master are known apart
+    is_over: bool = False                       # the program that asks has ended
     tried: frozenset[int] = frozenset()         # baud rates of the master, one after the other
     is_answered: bool = True                    # something came to the master, as far as known
     failed: str = ''                            # how the program that asks ended, if by an error

@@ -23,7 +23,6 @@ from dxl_monitor.bus.planner import Said
 from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.reply_policy import OpenQuestion
 from dxl_monitor.bus.reply_policy import ReplyPolicy
-from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
 from dxl_monitor.bus.unread import AROUND
 from dxl_monitor.bus.unread import Unread
@@ -53,9 +52,9 @@ class Tracker:
     """Follows one bus. Feed it what the Framer finds, in order."""
 
     __slots__ = (
-        '_asked', '_deferred', '_evidence', '_given_up', '_known', '_last', '_noise', '_note',
-        '_policy', '_registry', '_spoke', '_state', '_unresolved', 'byte_ns', 'pending', 'planner',
-        'slots', 'unread')
+        '_asked', '_before', '_deferred', '_evidence', '_given_up', '_known', '_last', '_noise',
+        '_note', '_policy', '_registry', '_spoke', '_state', '_unresolved', 'byte_ns', 'pending',
+        'planner', 'slots', 'unread')
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, byte_ns: float,
                  missed_limit: int, write_acks: str) -> None:
@@ -74,15 +73,12 @@ class Tracker:
         self.slots: dict[int, Slot] = {}      # the statuses that are still to come
         self._unresolved = False               # no status yet: the first one gives a latency
         self._spoke: set[int] = set()          # the devices that answered it with damage
-        self._given_up = _NO_SLOTS             # the statuses to the one before that did not come
+        self._before = NO_PLAN                 # the instruction before it
+        self._given_up = _NO_SLOTS             # the statuses to it that did not come
         self.unread = Unread(registry, evidence, self._policy)
 
     def track(self, frames: Frames, stamp: int, received: int, side: str = UNKNOWN) -> None:
-        """
-        Take the frames of one chunk; received is the stream offset after the chunk.
-
-        side: of the chunk. Each side is a stream of its own; call in the order of time.
-        """
+        """Take the frames of one chunk, in the order of time; received: the offset after it."""
         if side == IN and self.unread.until:
             frames = self.unread.take(frames, stamp, received)
         slots = self.slots
@@ -120,6 +116,14 @@ class Tracker:
             return True
         self._note(stamp, ev.FOREIGN, said[1], ev.Code(said[2]))
         return False
+
+    def _is_own(self, number: int, code: int, data: bytes) -> bool:
+        """Return whether a status is the instruction itself: in 1.0 both look alike."""
+        kind, asked, _, said = self._last
+        is_own = kind != INSTRUCTION_2 and number == asked and bool(data and code) \
+            and data in (said[::2], said[:1] + said[2:])       # a Read, a Write
+        self._evidence.counts[ev.ECHO] += is_own
+        return is_own
 
     def not_sent(self, stamp: int) -> None:
         """Take note that the pending instruction did not get to the bus, or not all of it."""
@@ -169,7 +173,7 @@ class Tracker:
             self._given_up = _NO_SLOTS
         self._spoke = self._spoke and set()
         plan = self._known.get(said) or self.planner.plan_for(said, stamp)
-        self.pending = plan
+        self._before, self.pending = self.pending, plan
         self._last = said
         plan.asked += 1
         plan.stamps.append(stamp)
@@ -184,7 +188,9 @@ class Tracker:
 
     def _unusual(self, slot: Slot, number: int, error: int, data: bytes, stamp: int) -> None:
         """Take an awaited status that is damaged in its context, an error or a return."""
-        if number == BROADCAST:
+        if self._is_own(number, error, data):
+            self.slots[number] = slot
+        elif number == BROADCAST:
             if self.is_doubtful or not self._take_whole(error, data, stamp):
                 wire = fast_wire(error, data)
                 self._combined(wire + body_crc(wire).to_bytes(2, 'little'), stamp)
@@ -201,12 +207,11 @@ class Tracker:
             return False
         for slot, error, data in zip(reply.slots, fields[::4], fields[2::4], strict=True):
             device = slot.device
-            counts = device.counts
-            counts.fast_answers += 1
+            device.counts.fast_answers += 1
             if error or device.is_unusual:
                 self._answer(slot, error, data, stamp)
             else:
-                counts.answers += 1
+                device.counts.answers += 1
                 device.heard = stamp
                 device.last_error = 0
                 slot.take(slot.span, data, stamp, READ)
@@ -216,18 +221,19 @@ class Tracker:
     def _answer(self, slot: Slot, error: int, data: bytes, stamp: int) -> None:
         device = slot.device
         device.counts.answers += 1
+        is_again = self._before.asks(device, len(data)) and device.has_just_answered(stamp)
         self._registry.heard(device, error, stamp)
         code = error & ~ALERT
         if self.is_doubtful:
-            if code:                           # if it answers this write, nothing was written
-                self._deferred = None
+            self._deferred = None if code else self._deferred      # it may answer this write
             return
         device.last_error = code
         if code:
-            self._refused(slot, code, stamp)
+            self._deferred = None if slot.due is Due.ACK else self._deferred
+            self._policy.refuse(slot, self.pending.request.instruction, code, stamp)
         elif len(data) != slot.size:
             if self.planner.has_answer(device.number, len(data)):
-                self._note(stamp, ev.LATE, device.number, ev.Lateness(self._since_asked(stamp)))
+                self._note_extra(device.number, is_again, stamp)
                 return
             self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
         else:
@@ -240,17 +246,8 @@ class Tracker:
     def _carry_out(self) -> None:
         """Do what the pending instruction asked for: it was accepted."""
         if self._deferred is not None:
-            action, arguments = self._deferred
-            self._deferred = None
+            (action, arguments), self._deferred = self._deferred, None
             action(*arguments)
-
-    def _refused(self, slot: Slot, code: int, stamp: int) -> None:
-        if slot.due is Due.ACK:
-            self._deferred = None
-            slot.device.acknowledged()
-        refusal = ev.Refusal(self.pending.request.instruction, slot.span[0], code)
-        slot.device.note_error(*refusal)
-        self._note(stamp, ev.REFUSED, slot.device.number, refusal)
 
     def _combined(self, body: bytes, stamp: int) -> bool:
         """Take the parts of a fast reply; return whether it breaks off after a whole one."""
@@ -275,6 +272,8 @@ class Tracker:
 
     def _unasked(self, number: int, error: int, data: bytes, stamp: int) -> None:
         """Take a status that was not due: a sign of life, no more."""
+        if self._is_own(number, error, data):
+            return
         if number > self._registry.highest:
             self._note(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
             return
@@ -282,16 +281,13 @@ class Tracker:
             self._answer(self.slots.popitem()[1], error, data, stamp)
             return
         device = self._registry.device(number)
+        is_again = self._before.asks(device, len(data)) and device.has_just_answered(stamp)
         self._registry.heard(device, error, stamp)
         plan = self.pending
         request = plan.request
         if request.answers is Answers.EVERYBODY and len(data) == (
                 _PING_SIZE if self._last[0] == INSTRUCTION_2 else 0):
-            device.counts.answers += 1
-            if not data:
-                self._registry.speaks(device)
-            elif not self.is_doubtful:
-                device.pinged(NO_SPAN, data, stamp, READ)
+            self._registry.pong(device, data, stamp, self.is_doubtful)
         elif self.is_doubtful:       # it may well have been asked, by what was damaged
             if number in plan.slots:
                 self._note(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
@@ -299,13 +295,21 @@ class Tracker:
             pass                   # it may have asked for this answer
         elif device.pays(stamp, self.unread.patience_ns) \
                 or (number in self._given_up and number not in plan.slots):
-            self._note(stamp, ev.LATE, number, ev.Lateness(self._since_asked(stamp)))
+            self._note_extra(number, False, stamp)
             if not data and device.dialect is None and not error & ~ALERT:
                 device.acknowledged()          # Pings and reads are answered with data
-        elif number in plan.slots:
-            self._note(stamp, ev.SECOND_ANSWER, number, ev.Code(request.instruction))
+        elif number in plan.slots or is_again:
+            self._note_extra(number, True, stamp)
         else:
             self._note(stamp, ev.UNASKED, number, ev.NOTHING)
+
+    def _note_extra(self, number: int, is_second: bool, stamp: int) -> None:
+        """Note an answer more than is due: a second one, or a late one."""
+        if is_second:
+            plan = self.pending if number in self.pending.slots else self._before
+            self._note(stamp, ev.SECOND_ANSWER, number, ev.Code(plan.request.instruction))
+        else:
+            self._note(stamp, ev.LATE, number, ev.Lateness(self._since_asked(stamp)))
 
     def _flawed(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
@@ -316,21 +320,19 @@ class Tracker:
         if reason:
             damage = pairing.DAMAGE_IN if side == IN else pairing.DAMAGE
             if noise > GLITCH:
-                self._happened(damage)
-            self._happened(self._damaged(frame, flaw, stamp, damage))
+                self._state = pairing.NEXT[self._state][damage]
+            self._state = pairing.NEXT[self._state][self._damaged(frame, flaw, stamp, damage)]
             return True
         device = self._registry.devices.get(frame[3]) if frame[2] == IS_STATUS else None
         if noise > GLITCH:
-            self._happened(pairing.NOISE_IN if side == IN else pairing.NOISE)
+            event = pairing.NOISE_IN if side == IN else pairing.NOISE
+            self._state = pairing.NEXT[self._state][event]
         elif noise:
             self._evidence.counts[ev.GLITCH] += 1
         if is_repaired and device is not None:
             device.counts.repaired += 1
             self._spoke.add(device.number)     # whether the others understood it, is not known
         return False
-
-    def _happened(self, event: int) -> None:
-        self._state = pairing.NEXT[self._state][event]
 
     @property
     def is_doubtful(self) -> bool:
@@ -359,8 +361,6 @@ class Tracker:
         self._spoke.add(slot.device.number)
         slot.device.counts.garbled += 1
         slot.device.counts.damaged += surely
-
-    # --- answers that did not come -------------------------------------------------------------
 
     def _close(self, following: Said, began: int, received: int, stamp: int) -> None:
         """End the pending instruction; following: the next one, which began there."""

@@ -11,6 +11,7 @@ from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import CONNECTED
 from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import PROTOCOL_2
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.rule import Claim
@@ -21,6 +22,7 @@ from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.model.control_table import UNKNOWN
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
+from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
@@ -69,11 +71,13 @@ def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
 
 def _eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
     torque = case.values[device.id].get('Torque Enable')
+    least = FEW if torque is None else 1           # that it is on explains a single one
     for (instruction, address, error), count in _refused(case, device).items():
-        if count >= FEW and instruction in WRITES and _is_locked(device, address, error) \
+        if count >= least and instruction in WRITES and _is_locked(device, address, error) \
                 and (torque is None or torque.value.raw):
             name = device.model.by_address[address].name
-            return Claim(device.id, f'write to {name} ({address}) refused {count} times: EEPROM '
+            times = f'{count} times' if count > 1 else 'once'
+            return Claim(device.id, f'write to {name} ({address}) refused {times}: EEPROM '
                          'cannot be written while the torque is on; switch it off first',
                          {'refused': count})
     return None
@@ -85,7 +89,7 @@ def _goal_limits(case: Case, device: DeviceReport) -> Found | None:
                     if one.detail.error == LIMIT and one.detail.instruction in WRITES)
     for address, count in found.most_common(1):
         field = device.model.by_address.get(address)
-        if count >= FEW:
+        if count >= (2 if device.protocol == PROTOCOL_2 else FEW):     # 1.0: a bit of 8
             name = field.name if field else f'address {address}'
             return Claim(device.id, f'{count} values for {name} refused, beyond its limits: keep '
                          'goals within these, or set wider ones (as Max Position Limit)',
@@ -172,15 +176,16 @@ def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
 
 
 def _sync_reads(case: Case) -> Claims:
-    """Look for Sync Reads in Protocol 1.0 of Dynamixel, where other instructions are answered."""
-    if case.report.protocol != DYNAMIXEL_1.name or case.count(ev.UNASKED):
+    """Look for Sync Reads that nothing answers, where other instructions are answered."""
+    if case.report.protocol not in (DYNAMIXEL_1.name, UNDECIDED.name) or case.count(ev.UNASKED):
         return
-    answered = sum(case.lately(device, OTHERWISE_S).answers for device in case.report.devices)
+    answered = sum(device.totals.answers for device in case.report.devices)
     for cycle in case.report.cycles:
         asked = sum(stamp > case.now - OTHERWISE_S * S for stamp in cycle.stamps)
         if cycle.instruction == Instruction.SYNC_READ and asked >= FEW and answered >= FEW:
             yield Claim(None, 'the master sends Sync Reads, which Dynamixel has in Protocol 2.0 '
-                        'only: none is answered, other instructions are; read one after the other',
+                        'only, and Feetech SCS not at all: none is answered, other instructions '
+                        'are; read one after the other',
                         {'Sync Reads': cycle.asked})
 
 

@@ -41,6 +41,8 @@ BYTES_NEEDED = 300
 IMPOSSIBLE = 120.0                 # % of the wire time
 BURST_NS = 1_000_000_000           # a source may hand over so much wire time late
 ECHO_US = 100
+WRITTEN_S = 0.5                    # an acknowledgement and a write to Lock may follow
+AT_ONCE = 1.5                      # answers right after one's own, to those at any time
 ECHO_S = (1.0, 10.0)              # soon, where much is said
 ONSET_S = 1.0                      # by then it has shown whether something else does it
 
@@ -84,18 +86,32 @@ def _load(case: Case) -> float:
     return 100 * needed_ns / heard_ns
 
 
+def _written(case: Case, device: DeviceReport, name: str) -> int:
+    """Return what was written, where no model was known then and it says nothing since; or -1."""
+    one = case.values[device.id].get(name)
+    if one is None or one.source != 'w' or device.id not in case.gone \
+            or device.model.number is not None \
+            or (device.last_heard_s or 0.0) < one.age_s - WRITTEN_S:
+        return -1
+    return int(one.value.raw)
+
+
 def _baud_moved(case: Case, device: DeviceReport) -> Found | None:
-    if device.state != words.MOVED or device.moved_to.startswith(words.NEW_ID):
+    code = _written(case, device, 'Baud Rate')
+    to = device.moved_to or (f'another rate (code {code})' if code >= 0 else '')
+    if not to or to.startswith(words.NEW_ID) or not (code >= 0 or device.state == words.MOVED):
         return None
-    return Claim(device.id, f'set to {device.moved_to} by a write, but the bus is at '
+    return Claim(device.id, f'set to {to} by a write, but the bus is at '
                  f'{case.report.baud} Bd: set it back at its new rate, or set the others and the '
                  'master to it too')
 
 
 def _id_moved(case: Case, device: DeviceReport) -> Found | None:
-    if device.state != words.MOVED or not device.moved_to.startswith(words.NEW_ID):
+    number = _written(case, device, 'ID')
+    to = device.moved_to if device.state == words.MOVED else f'{words.NEW_ID}{number:03}'
+    if not to.startswith(words.NEW_ID) or (to != device.moved_to and number in (-1, device.id)):
         return None
-    return Claim(device.id, f'set to {device.moved_to} by a write, and still asked as '
+    return Claim(device.id, f'set to {to} by a write, and still asked as '
                  f'{device.id:03}: use the new ID in the program')
 
 
@@ -173,7 +189,9 @@ def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
         twice = case.count(ev.ANSWERED_AGAIN, device.id)
     window = device.window
     models = window.model_changes >= 2 and window.spoilt >= FEW
-    if (twice < FEW or twice < 3 * case.count(ev.UNASKED, device.id)) and not models:
+    at_end = case.report.failed == words.RAISED and twice == case.count(ev.SECOND_ANSWER)
+    others = case.count(ev.UNASKED, device.id) + case.count(ev.LATE, device.id)
+    if (twice < (1 if at_end else FEW) or twice < AT_ONCE * others) and not models:
         return None
     also = ', by two models' if window.model_changes >= 2 else ''
     return Claim(device.id, f'answered twice{also}: two devices have this ID; unplug one and '
@@ -273,7 +291,8 @@ def _echoes(case: Case, seconds: float) -> int:
 
 def _foreign_answers(case: Case, device: DeviceReport) -> Found | None:
     unasked = case.count(ev.UNASKED, device.id)
-    if unasked < FEW or case.count(ev.PROTOCOL_1, device.id):      # that rule reports it
+    if unasked < FEW or case.count(ev.PROTOCOL_1, device.id) \
+            or case.count(ev.SECOND_ANSWER, device.id) >= AT_ONCE * unasked:
         return None
     return Claim(device.id, f'{unasked} answers that this master did not ask for: another master, '
                  'on a segment that is not monitored; find and stop it',

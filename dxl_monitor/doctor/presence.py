@@ -63,8 +63,9 @@ def _all_silent(case: Case) -> Claims:
         hint = '' if case.report.has_sides else '; or listen to both directions'
         yield Claim(None, f'none of {len(missing)} devices answers the master: check power and '
                           f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
-    elif not case.report.is_answered and (case.report.failed or any(
-            cycle.instruction == Instruction.PING for cycle in case.report.cycles)):
+    elif not case.report.is_answered and (case.report.is_over or len(
+            case.report.tried) <= RATES) and (case.report.failed or any(
+                cycle.instruction == Instruction.PING for cycle in case.report.cycles)):
         yield Claim(None, 'not one byte comes back to the program: check power and first cable'
                           f'{_OF_THE_MASTER}', figures)
 
@@ -222,7 +223,8 @@ def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     after = [one for one in samples if one.stamp > back.stamp]
     if before and after and _tick_jumped(before[-1], after[0]):
         return 'Realtime Tick jumped back'
-    if _stands(after) and not _stands(before):
+    if _stands(after) and _way([one.position for one in before]) >= MOVES \
+            and not _stands(before):
         return 'no longer follows its goal'
     return ''
 
@@ -311,7 +313,8 @@ def _ping_only(case: Case, device: DeviceReport) -> Found | None:
 
 def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
     window = device.window
-    lost = window.missed - window.spoilt
+    lost = window.missed - window.spoilt - sum(     # what came in the next one's time is there
+        case.count(kind, device.id) for kind in (ev.LATE, ev.SECOND_ANSWER))
     if lost < FEW or lost <= LOSS * window.asked or device.id in case.gone \
             or device.missed_in_a_row > FEW or case.count(ev.MISSED, device.id) < FEW \
             or len(case.report.tried) > RATES \

@@ -67,6 +67,7 @@ MOSTLY = 0.7
 RARELY = 0.1                      # questions after a write: noise would hit as few of them
 BEHIND_NS = 2 * MS               # as far as chunks tell time
 MANY = 10                          # vain waits
+ASKED_AHEAD_US = 10_000
 SOON_US = 500                      # Return Delay Time as from the factory (e-Manual)
 
 
@@ -166,12 +167,12 @@ def _late_answers(case: Case) -> Claims:
             first[one.device] += 1
         before = one.stamp
     for number, count in first.most_common(1):
-        if count < FEW:
+        device = case.devices.get(number)
+        if count < FEW or (device is not None and device.window.not_served >= count):
             return
-        waits = [one.us for one in case.waits(LATE_S) if not one.is_spoilt]
-        if waits and median(waits) < NO_WAIT_US:       # none was given up
-            yield Doubt(number, 'the next instruction comes during its answers: two programs, or '
-                        'one that does not wait')
+        if _is_cut_short(case):
+            yield Doubt(number, 'the next instruction comes during its answers: two programs, one '
+                        'that does not wait, or two devices with this ID')
         else:
             known = [one.us for one in case.report.waits]
             yield Claim(number, 'answers after the master gave up, during the next instruction: '
@@ -181,9 +182,18 @@ def _late_answers(case: Case) -> Claims:
                         covers=tuple(case.devices))
 
 
+def _is_cut_short(case: Case) -> bool:
+    """Tell whether questions came as no wait for an answer ends, so that none was given up."""
+    waits = [one.us for one in case.waits(LATE_S) if not one.is_spoilt]
+    least = NO_WAIT_US
+    if case.report.has_sides:          # it may ask one servo several things before it reads
+        least = SOON_US if len(case.report.devices) > 1 else ASKED_AHEAD_US
+    return bool(waits) and median(waits) < least
+
+
 def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
     wrong = case.incidents(ev.WRONG_SIZE, device.id)
-    if len(wrong) < FEW or case.count(ev.LATE, device.id):
+    if len(wrong) < FEW or 4 * case.count(ev.LATE, device.id) > len(wrong):
         return None
     size, asked = wrong[-1].detail.got, wrong[-1].detail.wanted
     return Claim(device.id, f'answers {size} bytes to a read of {asked}: its firmware is at '

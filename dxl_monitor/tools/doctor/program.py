@@ -40,7 +40,8 @@ REST_S = 1.0                       # for what the program said last
 # Packages that drive servos; an exception that came through one is about the bus.
 LIBRARIES = frozenset((
     'lerobot', 'dynamixel_sdk', 'scservo_sdk', 'pypot', 'dynio', 'rustypot', 'st3215',
-    'python_st3215', 'vassar_feetech_servo_sdk', 'vassar_feetech', 'serial'))
+    'python_st3215', 'vassar_feetech_servo_sdk', 'vassar_feetech', 'serial', 'dynamixel_easy_sdk',
+    'dynamixel_api', 'pyax12', 'feetech_cli'))
 
 
 class Ending(NamedTuple):
@@ -59,9 +60,8 @@ class Ending(NamedTuple):
         """Whether it ended by itself with an error that may be of the bus (bus/report.py)."""
         if not self.code or self.was_stopped:
             return ''
-        if self.packages & LIBRARIES or explain.find(self.error or '-'):
-            return RAISED
-        return '' if self.error else FAILED
+        is_of_library = self.packages & LIBRARIES or explain.find(self.error or '-')
+        return RAISED if is_of_library else FAILED
 
     def trouble(self) -> Trouble | None:
         """Return what is wrong with a program that its servo library has ended."""

@@ -1,0 +1,156 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What programs of other authors make of a fault, each with a healthy look-alike."""
+
+from collections.abc import Iterator
+from itertools import count
+
+from heard_bus import Bus
+import pytest
+
+from dxl_monitor.bus.report import RAISED
+from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import STATUS
+from msg_defs.event import BAUD
+from msg_defs.event import Change
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.reports import Level
+
+Said = tuple[float, str, bytes | int]          # ms after the one before; a rate, in Bd
+
+
+def packet(number: int, *body: int) -> bytes:
+    """Return a packet of the 1.0 family."""
+    head = bytes([number, len(body) + 1, *body])
+    return b'\xff\xff' + head + bytes([~sum(head) & 255])
+
+
+def twice(ms: float, servos: int = 3) -> Iterator[Said]:
+    """Read three servos in turn; of ID 2 there are two, or a master that is not heard."""
+    for turn in count():
+        number = 1 + turn % servos
+        yield 0.2, OUT, packet(number, 2, 56, 2)
+        if turn > 1 and number == 3:
+            yield ms, IN, packet(2, 0, 132, 3)
+        yield 9, IN, packet(number, 0, 0, 8)
+
+
+def passed_by(*ids: int, twice: bool) -> Iterator[Said]:
+    """Read four registers of three servos; answers come one behind, the first of them twice."""
+    sizes, waiting = (4, 2, 2, 1), b''
+    for turn in count():
+        number, register = 1 + turn // 4 % 3, turn % 4
+        answer = packet(number, 0, *bytes(sizes[register]))
+        yield 0.2 if register else 5, OUT, packet(number, 2, 56 + 4 * register, sizes[register])
+        if waiting:
+            yield 0.2, IN, waiting
+        is_behind = number in ids and (register or not twice)
+        if not is_behind:
+            yield 1, IN, answer
+        waiting = answer if number in ids else b''
+
+
+def echoed(error: int = 0) -> Iterator[Said]:
+    for turn in count():
+        asked = packet(1 + turn % 3, 2, 56, 2)
+        yield 20, OUT, asked
+        if not error:
+            yield 0.2, IN, asked
+        yield 1, IN, packet(1 + turn % 3, error, turn % 250, 8)
+
+
+def sync_reads(of_servos: int) -> Iterator[Said]:
+    """Write three torques of AX-12, then ask all at once; or one after the other."""
+    for number in (1, 2, 3):
+        yield 5, OUT, packet(number, 3, 24, 1)
+        yield 1, IN, packet(number, 0)
+    while True:
+        yield 20, OUT, packet(254, 0x82, 36, 2, 1, 2, 3)
+        for number in range(1, 1 + of_servos):
+            yield 5, OUT, packet(number, 2, 36, 2)
+            yield 1, IN, packet(number, 0, 0, 2)
+
+
+def searches(answer: bytes) -> Iterator[Said]:
+    for rate in (4800, 9600, 19200, 38400, 57600):
+        yield 500, '', rate
+        yield 500, OUT, packet(254, 1)
+    yield 500, '', 1_000_000
+    yield 500, OUT, packet(254, 1)
+    if answer:
+        yield 1, IN, answer
+
+
+def mode(torque: int) -> Iterator[Said]:
+    yield 5, OUT, encode(1, 1)
+    yield 1, IN, encode(1, STATUS, b'\x24\x04\x2e', error=0)
+    for at, value, error in ((64, torque, 0), (11, 4, 7 * torque)):
+        yield 5, OUT, encode(1, 3, bytes((at, 0, value)))
+        yield 1, IN, encode(1, STATUS, b'', error=error)
+
+
+def written_first(*setup: bytes) -> Iterator[Said]:
+    """Write to EEPROM before anything says what the device is; it is silent from then on."""
+    for said in setup:
+        yield 5, OUT, said
+        yield 1, IN, packet(1, 0)
+    for turn in count():
+        for number in (1, 2):
+            for asked, answer in ((packet(number, 3, 42, turn % 200, 8), packet(number, 0)),
+                                  (packet(number, 2, 56, 2), packet(number, 0, turn % 200, 8))):
+                yield 3, OUT, asked
+                if number == 2:
+                    yield 1, IN, answer
+                else:
+                    yield 20, OUT, packet(2, 1)
+                    yield 1, IN, packet(2, 0)
+
+
+def short(late: int) -> Iterator[Said]:
+    """Let servo 2 answer 1 byte to reads of 2, and be late that often."""
+    for turn in count():
+        number = 1 + turn % 3
+        yield 5, OUT, packet(number, 2, 56, 2)
+        if number == 2 and turn < 3 * late:
+            yield 20, OUT, packet(number, 2, 56, 2)
+        yield 1, IN, packet(number, 0, *([0] if number == 2 else [0, 8]))
+
+
+def pinged_twice(again: bytes) -> Iterator[Said]:
+    """Ping, then read; the answer of a second servo to the Ping comes first."""
+    yield 5, OUT, packet(1, 1)
+    yield 1, IN, packet(1, 0)
+    yield 0.3, OUT, packet(1, 2, 3, 2)
+    yield 0.3, IN, again + packet(1, 0, 9, 3)
+
+
+@pytest.mark.parametrize(('said', 'failed', 'found'), [
+    (twice(0.6), '', {'duplicate_id'}), (twice(4), '', {'foreign_answers'}),
+    (passed_by(2, twice=True), '', {'duplicate_id'}),
+    (passed_by(1, 2, 3, twice=False), '', set()),
+    (echoed(), '', {'echo'}), (echoed(2), '', {'hardware_error'}),
+    (sync_reads(0), '', {'sync_read_unsupported'}),
+    (searches(packet(1, 0)), '', set()), (searches(b''), '', {'all_silent'}),
+    (written_first(packet(1, 3, 5, 7)), '', {'id_moved'}),
+    (written_first(packet(1, 3, 6, 4)), '', {'baud_moved'}),
+    (written_first(), '', {'no_answer'}), (short(1), '', {'wrong_length'}),
+    (mode(1), '', {'eeprom_locked'}), (mode(0), '', set()),
+    (pinged_twice(packet(1, 0)), RAISED, {'duplicate_id'}), (pinged_twice(b''), RAISED, set()),
+], ids=str)
+def test_a_foreign_program_meets_a_fault(said, failed, found):
+    bus, met = Bus(), set()
+    for turn, (ms, side, what) in enumerate(said):
+        bus.now += int(ms * 1_000_000)
+        if isinstance(what, int):
+            bus.monitor.change(Change(BAUD, what), bus.now)
+        else:
+            bus.monitor.feed(what, bus.now, side)
+        if turn % 40 == 39 or not side:
+            met |= {one.rule for one in bus.report().findings if one.level > Level.OK}
+        if turn == 280:
+            break
+    else:
+        bus.monitor.end(bus.now, failed)
+        met |= {one.rule for one in bus.report().findings if one.level > Level.OK}
+    assert met == found
