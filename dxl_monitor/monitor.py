@@ -361,14 +361,13 @@ class Monitor:
             level=Level.OK, message='', devices=(), counters=self._counters(), rates=rates,
             errors=evidence.errors(self._registry.register_name),
             incidents=tuple(evidence.incidents), waits=tuple(evidence.waits),
-            cycles=cycles, metrics=(), noise=self.decoder.noise,
-            last_byte_s=(now - self._last) / 1e9 if self._last else None,
-            kinds=dict(evidence.counts), protocol=self.decoder.protocol(),
-            asked=self._tracker.asked, scanned=self._scanned(),
+            cycles=cycles, metrics=(), noise=self.decoder.noise, asked=self._tracker.asked,
+            last_byte_s=(now - self._last) / 1e9 if self._last else None, deaf=self._deaf,
+            kinds=dict(evidence.counts), protocol=self.decoder.protocol(), scanned=self._scanned(),
+            is_answered=self.decoder.is_answered, has_sides=OUT in self.decoder.framers,
+            is_over=self._failed is not None, failed=self._failed or '',
             chain=tuple(expected.id for expected in self.settings.devices),
-            has_sides=OUT in self.decoder.framers, deaf=self._deaf, failed=self._failed or '',
-            is_over=self._failed is not None,
-            tried=frozenset(self._registry.tried), is_answered=self.decoder.is_answered)
+            tried=frozenset(self._registry.tried))
 
     def _scanned(self) -> tuple[int, ...]:
         """Return the IDs that were only pinged and never heard: many are a scan, no devices."""
