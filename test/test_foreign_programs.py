@@ -137,7 +137,7 @@ def pinged_twice(again: bytes) -> Iterator[Said]:
     (written_first(), '', {'no_answer'}), (short(1), '', {'wrong_length'}),
     (mode(1), '', {'eeprom_locked'}), (mode(0), '', set()),
     (pinged_twice(packet(1, 0)), RAISED, {'duplicate_id'}), (pinged_twice(b''), RAISED, set()),
-], ids=str)
+], ids=lambda one: getattr(one, '__name__', str(one)))
 def test_a_foreign_program_meets_a_fault(said, failed, found):
     bus, met = Bus(), set()
     for turn, (ms, side, what) in enumerate(said):
