@@ -74,7 +74,8 @@ def test_the_states_end_with_the_state():
         'baud_moved', 'id_moved', 'hardware_error', 'all_silent', 'broken_cable',
         'sync_read_stops', 'no_answer', 'master_stopped', 'scan'}
     assert {one.name: one.onset_s for one in RULES if one.onset_s} == {
-        'two_masters': 1.0, 'jitter': 3.0, 'damaged_answers': 1.0, 'wrong_supply': 3.0}
+        'two_masters': 1.0, 'jitter': 3.0, 'damaged_answers': 1.0, 'wrong_supply': 3.0,
+        'cycle_time': 1.0}
 
 
 def test_a_port_that_is_closed_hears_no_master_and_says_nothing_of_it():

@@ -209,11 +209,9 @@ class Device:
         self.waiting_behind = None
         self.is_unusual = True
 
-    def not_served(self, now: int, stamp: int, blocker: int) -> None:
+    def not_served(self, now: int, blocker: int) -> None:
         """Count an answer whose turn did not come: the master gave up at the one before."""
         self.counts.not_served += 1
-        self.owed = (self.owed if self._is_lately(stamp) else 0) + 1       # it may still come
-        self._given_up = stamp
         self.asked_stamp = now
         self.waiting_behind = blocker
         self.is_unusual = True

@@ -44,7 +44,7 @@ THERE: tuple[Scene, ...] = (
     scene('dead, lerobot gives up', ARM, 'no_answer sync_read_stops 4', f.dead(4),
           'weak 4, master_stopped'),
     scene('dead from the start, sdk', partial(SDK, torque=False), 'sync_read_stops no_answer 2',
-          f.dead(2, at=0.0), 'weak 2'),
+          f.dead(2, at=0.0), 'weak 2, torque_off 1', why='nothing switches its torque on'),
     scene('all dead, item by item', ROUND, 'all_silent', f.dead(1, 2, 3, 4, 5, 6), 'weak 1-6'),
     scene('all dead, sdk', SDK, 'all_silent', f.dead(1, 2, 3, 4, 5, 6), 'weak 1',
           why='the first of the list alone, or all of them: one sentence must name both'),

@@ -57,6 +57,8 @@ def sdk_loop(port: Port, ids: Ids, *, rate: float = 100.0, address: int = reg.PL
 
 def unpaced(port: Port, ids: Ids) -> Program:
     """Run the same loop without a pause: as fast as answers come."""
+    for number in ids:
+        yield from port.write(number, reg.TORQUE, b'\1')
     while True:
         yield from port.sync_read(ids, reg.PLACE, 4)
         yield goals(port, ids)
