@@ -56,7 +56,7 @@ class FakeBus:
         self._away = away
         self._usb = usb
         self._clock = clock
-        self._origin = self._began = 0
+        self._origin = 0
         self._is_stopping = False
         self._thread: threading.Thread | None = None
 
@@ -93,7 +93,7 @@ class FakeBus:
             | {'stood_still_s': round(self.stood_still_ns / S, 3)}
 
     def _run(self, until: int | None) -> None:
-        self._origin = self._began = self._clock()
+        self._origin = self._clock()
         self._play(self.master.bursts(until) if self._has_own_master else self._asked(until))
         deadline = self._clock() + DRAIN_NS      # hanging up takes unread bytes away
         while any(end.outstanding() for end in self._ends.values()) and self._clock() < deadline:
@@ -120,9 +120,8 @@ class FakeBus:
             self.outlet.read()
         if self._away is not None:
             begin, end = self._away.after * S, sum(self._away) * S
-            now = self._clock() - self._began        # the time on the bus may step back
             for one in self._ends.values():
-                one.plug(plugged_in=not begin <= now < end)
+                one.plug(plugged_in=not begin <= self._now() < end)
 
     def _play(self, bursts: Iterator[Burst]) -> None:
         baud = self.master.line.baud
