@@ -47,12 +47,13 @@ def _run(arguments: list[str]) -> int:
         options.history = options.history or serve.NONE    # its times are not of now
     feed = Feed()
     run = make_run(NAME, options, command, feed)
-    server = serve.open_server(options, run.words, run if isinstance(run, RecordingRun) else None)
+    player = run if isinstance(run, RecordingRun) else None
+    server = serve.open_server(options, run.words, player)
     if server is None:
         return COULD_NOT_RUN
     feed.out = server.take
-    if isinstance(run, RecordingRun):
-        run.restart = server.restart
+    if player is not None:
+        player.restart = server.restart
     try:
         server.start()
         if not options.no_browser and _has_display():

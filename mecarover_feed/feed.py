@@ -19,6 +19,7 @@ from dxl_monitor.monitor_status import bus_status
 from dxl_monitor.monitor_status import device_metrics
 from dxl_monitor.monitor_status import device_status
 from dxl_monitor.monitor_status import PortState
+from dxl_monitor.tools.doctor.examination import REPORT_NS
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import Verdict
@@ -29,7 +30,6 @@ from msg_defs.reports import Status
 
 NODE = 'dxl_monitor'                # in the names of statuses
 TABLES, TIMING = 'dxl/diagnostics', 'dxl/timing'
-REPORT_NS = 500_000_000
 APART_NS = 200_000_000              # a device that was lost is reported sooner
 TIMING_NS = 1_000_000_000
 NAMED = 3                           # groups of devices in a line

@@ -19,17 +19,17 @@ from dxl_monitor.record.opening import open_file
 from dxl_monitor.record.source import File
 from dxl_monitor.tools.doctor import no_data
 from dxl_monitor.tools.doctor.examination import Examination
+from dxl_monitor.tools.doctor.examination import LONGEST_PAUSE_NS
+from dxl_monitor.tools.doctor.examination import REPORT_NS
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
 from mecarover_feed.feed import Feed
-from mecarover_feed.feed import REPORT_NS
 from mecarover_feed.source_run import S
 from mecarover_feed.source_run import SourceRun
 from mecarover_feed.source_run import TURN_S
 from msg_defs.reports import Level
 
 END = 1 << 64                       # a stamp after all others
-LONGEST_PAUSE_NS = 12 * S           # a monitor has forgotten all by then
 _MOST_EVENTS = 200
 
 

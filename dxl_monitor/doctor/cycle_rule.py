@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rhythm import EVEN
 from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Claims
 from msg_defs.dxl_instruction import Instruction
 
 MOST = 0.5                         # share of the cycle
@@ -17,7 +18,7 @@ SEVERAL = 3                        # Reads that one Sync Read replaces
 SLOW_MS = 0.4                      # reply latency: Return Delay Time from the factory is 0.5 ms
 
 
-def cycle_time(case: Case) -> Iterator[Claim]:
+def cycle_time(case: Case) -> Claims:
     """Name what takes most of each cycle; not the pause of a program that a clock paces."""
     times = case.report.cycle
     if times is None or times.unknown:

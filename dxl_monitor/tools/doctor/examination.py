@@ -27,7 +27,7 @@ S = 1_000_000_000
 REPORT_NS = S // 2
 ARRIVAL_NS = S // 5                # a chunk may be handed over so long after its stamp
 TRAFFIC_S, SILENCE_S = 10.0, 5.0   # for a live source without --seconds
-_PAUSE_NS = 12 * S                 # a longer pause of a file is passed over: all is forgotten then
+LONGEST_PAUSE_NS = 12 * S          # a file is silent for longer: passed over, all is forgotten
 
 
 class Examination:
@@ -69,7 +69,7 @@ class Examination:
 
     def pass_time(self, now: int) -> None:
         """Look at every bus as often as is due until now."""
-        if self._due and now - self._due > _PAUSE_NS:
+        if self._due and now - self._due > LONGEST_PAUSE_NS:
             self._look(self._due)
             self._due = now
         while self._due and self._due <= now:
