@@ -246,3 +246,12 @@ def test_a_program_that_takes_long_each_time_otherwise_is_named():
         robot.turn(asked)
     [found] = cycle_time(History(PARAMETERS).take(robot.bus.report(robot.now)))
     assert 'the program itself' in found.message
+
+
+def test_stamps_that_go_backwards_make_no_cycle():
+    bus = Monitor('bus', MODELS, Settings(baud=BAUD))
+    bus.feed(read(1)[0], 1, OUT)
+    bus.report(1)
+    for stamp in range(9 * S, 8 * S, -S // 10):
+        bus.feed(read(1)[0], stamp, OUT)
+    assert bus.report(9 * S).cycle is None

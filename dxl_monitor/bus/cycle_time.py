@@ -123,8 +123,8 @@ class CycleClock:
                         and now - plan.stamps[-1] < FRESH_NS),
                        key=lambda plan: -plan.asked)[:LOOKED_AT]
         found = [plan for plan in found if 2 * plan.missed < plan.asked] or found
-        periods = [(median(two - one for one, two in pairwise(plan.stamps)), plan)
-                   for plan in found]
+        periods = [(period, plan) for plan in found if (period := median(
+            two - one for one, two in pairwise(plan.stamps))) > 0]
         alike = max(([(other, plan) for other, plan in periods
                       if abs(other - period) <= ALIKE * period] for period, _ in periods),
                     key=lambda many: (len(many), -many[0][0]), default=[])
