@@ -44,6 +44,7 @@ from msg_defs.event import LOST
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import RTS
+from msg_defs.event import TRACED
 
 RECORDED = Path(__file__).with_name('strace_6.1.txt').read_bytes()
 FIRST = 1795438179_000000000              # the second in which it was recorded
@@ -91,10 +92,10 @@ def test_a_recorded_program():
     found = events(RECORDED, ahead=-FIRST)
     assert {one.port for one in found} == {'/dev/pts/0'}
     assert [(one.what, one.data or one.value) for one in found] == [
-        (OPENED, 0), (BAUD, 38400), (PURGED, 1), (BAUD, 57600), (BAUD, 1500000), (GAVE_UP, 594),
-        (OUT, b'hello'),
-        (IN, b'hello'), (OUT, b'ab\xff\xfe'), (IN, b'ab\xff\xfe'), (PURGED, 1), (OUT, b'more'),
-        (IN, b'more'), (OUT, b'child'), (IN, b'child'), (OUT, b'x'), (CLOSED, 0)]
+        (OPENED, 0), (BAUD, 38400), (PURGED, 1), (BAUD, 57600), (BAUD, 1500000), (GAVE_UP, 626),
+        (OUT, b'hello'), (IN, b'hello'), (OUT, b'ab\xff\xfe'), (IN, b'ab\xff\xfe'), (PURGED, 1),
+        (TRACED, 563), (OUT, b'more'), (IN, b'more'),
+        (OUT, b'child'), (IN, b'child'), (OUT, b'x'), (CLOSED, 0)]
     stamps = [one.stamp for one in found]
     assert stamps == sorted(stamps)
     assert 0 < stamps[0] < stamps[-1] < 1e9
@@ -157,6 +158,23 @@ def test_a_long_write_has_a_time_near_its_end():
         '.0', '.000000000').encode(), f'10 5.000000000 (+ 1.000000000) write(3<{PORT}>, "\\x61", '
         '1) = 1 <1.000000000>\n'.encode())
     assert one.stamp == int(6.98e9)
+
+
+def test_what_strace_takes_of_an_exchange_is_neither_the_device_nor_the_program():
+    short, pause, wait = 60_000, 100_000, 500_000                  # ns
+    lines, now, before = [], 5 * 10**9, 0
+    for call, took in 40 * ((f'write(3<{PORT}>, "\\x61", 1) = 1', short),
+                            (f'ppoll([{{fd=3<{PORT}>, events=0x1}}], 1) = 1', wait),
+                            (f'read(3<{PORT}>, "\\x62", 9) = 1', short)):
+        now += pause
+        lines.append(f'10 {now // 10**9}.{now % 10**9:09} (+ 0.{before + pause:09}) {call} '
+                     f'<0.{took:09}>\n')
+        now, before = now + took, took
+    found = events(''.join(lines).encode())
+    out, back = ([one.stamp for one in found if one.what == side] for side in (OUT, IN))
+    assert back[-1] - out[-1] == pytest.approx(pause + wait - short / 2, rel=0.01)
+    assert sum(one.value for one in found if one.what == TRACED) * 1000 == pytest.approx(
+        39 * (short / 2 + pause + short + pause + short), rel=0.05)
 
 
 @pytest.fixture(scope='session')

@@ -4,8 +4,10 @@
 What strace prints of a program, as events of its serial ports: bytes in, events out.
 
 strace is run with OPTIONS. Its lines have a wall clock, which anchors the first of them, and the
-monotonic time since the line before, so a step of the wall clock changes nothing. A write has the
-time of its begin, a read that of its end.
+monotonic time since the line before, so a step of the wall clock changes nothing. strace holds a
+call at its begin and at its end, and takes nearly all the time of a short one. So a short write
+has the time of its end, a longer one that of its begin, a read that of its end; the end is noticed
+late by half a short call.
 """
 
 from __future__ import annotations
@@ -89,6 +91,8 @@ class StraceParser:
         self._looked: dict[str, tuple[int, int]] = {}          # by port: for bytes, when, result
         self._ended: dict[int, int] = {}                       # the last call, by thread
         self._resume = 0.0                                     # ns from a call to the next one
+        self._short = 0.0                                      # ns of a call without a wait
+        self._held: dict[int, float] = {}                      # ns by thread, since it waited
         self._traced: dict[str, int] = {}                      # ns by port, since its last write
         self._rest = b''
         self._now = 0
@@ -128,8 +132,14 @@ class StraceParser:
         name, arguments, result = found[1].decode(), found[2], int(found[3])
         gap = begin - self._ended.get(thread, 0)
         self._ended[thread] = end
+        took = end - begin
         if gap < AT_ONCE_NS:
-            self._resume += (gap - self._resume) / (2 if gap < self._resume else 64)
+            self._resume = _median(self._resume, gap)
+        if took > (AT_ONCE_NS if name in _WRITES else 2 * self._short):
+            self._held[thread] = self._short / 2       # it waited, and strace with it
+        else:
+            self._held[thread] = self._held.get(thread, 0.0) + took + (
+                gap if gap < 2 * self._resume else self._resume)
         if name in _WAITS and result >= 0:
             self._looked.update((_text(path), (end, result)) for _, path in _FD.findall(arguments))
         yield from self._hold(_text(found[4] or b''), thread, result, end)
@@ -147,9 +157,12 @@ class StraceParser:
         elif name in _UNSEEN and result > 0:
             yield PortEvent(end, port, LOST, value=1)
         elif name in _WRITES and result >= 0:
-            yield from self._rate(port, max(begin, end - LATE_NS))
-            yield from self._write(port, max(begin, end - LATE_NS))
-            yield from self._transfer(port, OUT, arguments, result, max(begin, end - LATE_NS))
+            stamp = max(begin, end - LATE_NS)
+            if took < AT_ONCE_NS:
+                stamp, self._short = end, _median(self._short, took)
+            yield from self._rate(port, stamp)
+            yield from self._write(port, stamp, self._held.pop(thread))
+            yield from self._transfer(port, OUT, arguments, result, stamp)
         elif name in _READS and result > 0:
             yield from self._rate(port, end)
             yield from self._transfer(port, IN, arguments, result, self._arrived(port, begin, end))
@@ -159,17 +172,15 @@ class StraceParser:
     def _arrived(self, port: str, begin: int, end: int) -> int:
         """Return when the bytes of a read were there: after a wait for them at its end."""
         ready, result = self._looked.pop(port, (0, 0))
-        if not result or begin - ready > AT_ONCE_NS:
-            return end
-        self._traced[port] = self._traced.get(port, 0) + end - ready
-        return ready
+        arrived = ready if result and begin - ready <= AT_ONCE_NS else end
+        return arrived - int(self._short / 2)
 
-    def _write(self, port: str, stamp: int) -> Iterator[PortEvent]:
+    def _write(self, port: str, stamp: int, held: float) -> Iterator[PortEvent]:
         """Say what the program did before a write: looked for bytes in vain, waited for strace."""
         looked, result = self._looked.pop(port, (0, 1))
         if not result:
             yield PortEvent(stamp, port, GAVE_UP, value=max(0, stamp - looked) // 1000)
-        self._traced[port] = self._traced.get(port, 0) + int(self._resume)
+        self._traced[port] = self._traced.get(port, 0) + int(held)
         if self._traced[port] >= TRACED_NS:
             yield PortEvent(stamp, port, TRACED, value=self._traced.pop(port) // 1000)
 
@@ -229,6 +240,7 @@ class StraceParser:
         """Take note of the end of a thread; with the first of a process its ports are closed."""
         self._unfinished.pop(thread, None)
         self._ended.pop(thread, None)
+        self._held.pop(thread, None)
         if self._processes.pop(thread, thread) == thread:
             for port, holders in self._holders.items():
                 yield from self._release(
@@ -238,6 +250,11 @@ class StraceParser:
         if thread not in self._processes:
             self._processes[thread] = self._process_of(thread)
         return self._processes[thread]
+
+
+def _median(so_far: float, ns: int) -> float:
+    """Return a median that follows one more value."""
+    return so_far * (15 / 16 if ns < so_far else 17 / 16) or ns
 
 
 def _bytes(text: bytes) -> bytes:
