@@ -34,7 +34,8 @@ _TAIL = HEADER[1:]                 # what a header has left when the line turned
 body_crc = crc16_behind(HEADER)    # CRC of a frame from its ID on: the header is taken as good
 HEADER_CRC = crc16(HEADER)
 _RUN = b'\xff\xff\xfd'
-_number_at = Struct('<H').unpack_from      # a Length or a CRC; two single bytes cost more
+_crc_at = Struct('<H').unpack_from
+_head_at = Struct('<BHBB').unpack_from     # ID, Length, instruction, error; single bytes cost more
 NOISE_KEPT = 256
 
 
@@ -210,28 +211,27 @@ class Framer(StreamFramer):
         wanted = 0                 # as many bytes are needed to go on
         mark = find(_TAIL)         # where the second FF of a header is
         judged = size - 5 if final else size - 6       # with its instruction, if that may come
+        heads = data + bytes(2)    # one at the very end has no instruction and no error byte
         while 0 <= mark < judged:
-            length = _number_at(data, mark + 4)[0]
+            number, length, code, error = _head_at(heads, mark + 3)
             end = mark + 6 + length
             if end <= size:
                 body = data[mark + 3:end - 2]
                 if (length <= MAX_LENGTH and crc_of(body, HEADER_CRC, CRC16_TABLE)
-                        == _number_at(data, end - 2)[0] and length > 2):
-                    code = body[3]
-                    if code != STATUS or length > 3:
-                        flaw = None
-                        if noisy or mark != done + 1 or data[done] != 0xFF:
-                            flaw = self._flaw(data, done, mark)
-                            is_usual = False
-                            noisy = 0
-                        found.append(
-                            (header + mark, base + end, IS_STATUS, body[0], body[4], body[5:],
-                             flaw) if code == STATUS else
-                            (header + mark, base + end, INSTRUCTION_2, body[0], code, body[4:],
-                             flaw))
-                        done = end
-                        mark = find(_TAIL, end)
-                        continue
+                        == _crc_at(data, end - 2)[0] and length > 2
+                        and (code != STATUS or length > 3)):
+                    flaw = None
+                    if noisy or mark != done + 1 or data[done] != 0xFF:
+                        flaw = self._flaw(data, done, mark)
+                        is_usual = False
+                        noisy = 0
+                    found.append(
+                        (header + mark, base + end, IS_STATUS, number, error, body[5:], flaw)
+                        if code == STATUS else
+                        (header + mark, base + end, INSTRUCTION_2, number, code, body[4:], flaw))
+                    done = end
+                    mark = find(_TAIL, end)
+                    continue
             elif length <= MAX_LENGTH and not final:
                 wanted = end
                 break
