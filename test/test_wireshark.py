@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """The dissector for Wireshark agrees with dxl_dump --json, packet by packet."""
+from itertools import product
 import os
 from pathlib import Path
 import re
@@ -17,6 +18,11 @@ from test_dump import objects
 from test_dump import SECOND
 from test_packet_file import with_sides
 from test_tracker import TRACE
+from usb_files import LINUX
+from usb_files import MMAPPED
+from usb_files import pcap
+from usb_files import REAL
+from usb_files import USBPCAP
 
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
@@ -24,6 +30,8 @@ from mecarover_fakes.fake_bus import PROTOCOLS
 from mecarover_fakes.fake_bus import USUAL_MODEL
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
+from mecarover_fakes.usb_adapter import FakeAdapter
+from mecarover_fakes.usb_adapter import FAMILIES
 
 WIRESHARK = Path(__file__).parents[1] / 'wireshark'
 DEVICES = '1-3:MX-106,4:XL430-W250'
@@ -138,12 +146,27 @@ def test_an_answer_that_did_not_come_is_named_at_its_instruction(tmp_path):
         assert one['frame.number'][0] in by_number[one['request_in'][0]]['response_in']
 
 
+def recorded_with(family):
+    """Return the events of a simulated adapter that carries what a master wrote and read."""
+    adapter = FakeAdapter(family)
+    events, now = adapter.plug(SECOND) + adapter.set_baud(1_000_000, SECOND), SECOND
+    for side, data in re.findall(r' ([<>]) (\w+)', (REAL / 'healthy.master.log').read_text())[:60]:
+        now += 1_000_000
+        events += (adapter.sent if side == '>' else adapter.received)(bytes.fromhex(data), now)
+    return events
+
+
 @needs_tshark
-@pytest.mark.parametrize('name', ['healthy', 'acm', 'missing'])
-def test_a_serial_adapter_that_usbmon_recorded(name):
-    """ftdi_sio and cdc_acm, straight from the file; a transfer may hold several packets."""
-    path = Path(__file__).parent / 'usbmon' / f'{name}.pcap'
+@pytest.mark.parametrize(('name', 'link'), [
+    *product(('healthy', 'acm', 'missing'), (LINUX, MMAPPED, USBPCAP)),
+    *((family, USBPCAP) for family in FAMILIES)])
+def test_a_serial_adapter_on_usb(name, link, tmp_path):
+    """Of usbmon and USBPcap, straight from the file; a transfer may hold several packets."""
+    path = tmp_path / 'usb.pcap'
+    path.write_bytes(pcap(link, recorded_with(name) if name in FAMILIES
+                          else (REAL / f'{name}.bin').read_bytes()))
     theirs, ours = dissected(path), objects(path)
+    assert len(ours) > 20
     for field, wanted in (('id', 'id'), ('instruction', 'code'), ('address', 'address')):
         said = [part[wanted] for one in ours for part in (
             one.get('registers', []) if wanted == 'address' else [one])]
@@ -161,7 +184,7 @@ def test_the_colours_are_taken(tmp_path):
     shutil.copy(WIRESHARK / 'colorfilters', tmp_path)
     done = subprocess.run(
         ['tshark', '--color', '-2', '-X', f'lua_script:{WIRESHARK / "servobus.lua"}', '-r',
-         Path(__file__).parent / 'usbmon/missing.pcap', '-T', 'fields', '-e',
+         REAL / 'missing.pcap', '-T', 'fields', '-e',
          'frame.coloring_rule.name'], capture_output=True, text=True, check=True,
         env={**os.environ, 'WIRESHARK_CONFIG_DIR': str(tmp_path)})
     assert {*done.stdout.splitlines()} == {

@@ -23,7 +23,7 @@ def packet(link, event):
     (number, kind, transfer, endpoint, device, bus) = struct.unpack_from('<QBBBBH', head)
     status = struct.unpack_from('<i', head, 28)[0]
     is_back = kind == ord('C')
-    status = {0: 0, -115: 0, -108: 0xC0007000}[status]
+    status = {0: 0, -115: 0, -32: 0xC0000004, -108: 0xC0007000}.get(status, 0xC0000001)
     setup = head[40:48] if transfer == 2 and not is_back else b''
     stage = bytes([0 if setup else 3]) if transfer == 2 else b''
     size = 27 + len(stage)

@@ -2,7 +2,7 @@
 -- SPDX-License-Identifier: GPL-2.0-or-later
 --
 -- Wireshark dissector of servo buses: Dynamixel Protocol 2.0 and 1.0, Feetech. For files that
--- dxl_dump -w FILE.pcapng writes, and what usbmon recorded of a serial adapter on USB.
+-- dxl_dump -w FILE.pcapng writes, and what usbmon or USBPcap recorded of a serial adapter.
 -- Wireshark 4.0 (Lua 5.2) or newer. Install: docs/dump.md.
 --
 -- Wireshark calls it once for each packet in order, then again in any order: what it learns
@@ -515,7 +515,7 @@ DissectorTable.get('wtap_encap'):add(wtap.USER0, servobus)
 
 -- --- a serial adapter on USB ----------------------------------------------------------------
 
-local SUBMITTED, COMPLETED, BULK, CONTROL = 0x53, 0x43, 3, 2       -- of usbmon: 'S', 'C'
+local SUBMITTED, COMPLETED, BULK, CONTROL = 0x53, 0x43, 3, 2       -- 'S', 'C', as in usbmon
 local FTDI, DESCRIPTOR = 0x0403, '\18\1'
 
 --- What an adapter of FTDI sent, without the two bytes of state that begin each packet of USB.
@@ -546,14 +546,16 @@ local function cut(text, way)
     end
 end
 
-local function look(tvb, pinfo, tree, header)
-    local kind, transfer, endpoint = tvb(8, 1):uint(), tvb(9, 1):uint(), tvb(10, 1):uint()
+local function look(tvb, pinfo, tree, head)
+    local header, kind, transfer, endpoint, bus = head(tvb)
     local is_in = endpoint >= 0x80
+    if tvb:len() <= header or kind ~= (is_in and COMPLETED or SUBMITTED) then return end
     local text = tvb(header):bytes():raw()
-    local bus = ('usb %d.%d'):format(tvb(12, 2):le_uint(), tvb(11, 1):uint())
-    if #text == 0 or kind ~= (is_in and COMPLETED or SUBMITTED) then return end
-    if transfer == CONTROL and #text >= 18 and text:sub(1, 2) == DESCRIPTOR then
-        is_ftdi[bus] = tvb(header + 8, 2):le_uint() == FTDI
+    if transfer == CONTROL then
+        local at = text:find(DESCRIPTOR, 1, true)
+        if at and #text >= at + 17 then
+            is_ftdi[bus] = text:byte(at + 8) + 256 * text:byte(at + 9) == FTDI
+        end
     end
     if transfer ~= BULK then return end
     local way = is_in and INBOUND or OUTBOUND
@@ -570,13 +572,28 @@ local function look(tvb, pinfo, tree, header)
     end
 end
 
+--- Return size of the header, 'S' or 'C', kind of transfer, endpoint, and the device in words.
+local function usbmon(size)
+    return function(tvb)
+        return size, tvb(8, 1):uint(), tvb(9, 1):uint(), tvb(10, 1):uint(),
+            ('usb %d.%d'):format(tvb(12, 2):le_uint(), tvb(11, 1):uint())
+    end
+end
+
+local function usbpcap(tvb)
+    return tvb(0, 2):le_uint(), bit.band(tvb(16, 1):uint(), 1) == 1 and COMPLETED or SUBMITTED,
+        tvb(22, 1):uint(), tvb(21, 1):uint(),
+        ('usb %d.%d'):format(tvb(17, 2):le_uint(), tvb(19, 2):le_uint())
+end
+
 local link_types = DissectorTable.get('wtap_encap')
-for encap, header in pairs({[wtap.USB_LINUX] = 48, [wtap.USB_LINUX_MMAPPED] = 64}) do
+for encap, head in pairs({[wtap.USB_LINUX] = usbmon(48), [wtap.USB_LINUX_MMAPPED] = usbmon(64),
+                          [wtap.USBPCAP] = usbpcap}) do
     local usb = link_types:get_dissector(encap)
-    local both = Proto('servobus_usb' .. header, 'Servo bus on USB, header of ' .. header)
+    local both = Proto('servobus_usb' .. encap, 'Servo bus on USB, link type ' .. encap)
     function both.dissector(tvb, pinfo, tree)
         usb:call(tvb, pinfo, tree)
-        if tvb:len() > header then look(tvb, pinfo, tree, header) end
+        look(tvb, pinfo, tree, head)
         return tvb:len()
     end
     link_types:add(encap, both)
