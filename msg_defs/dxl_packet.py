@@ -35,7 +35,8 @@ body_crc = crc16_behind(HEADER)    # CRC of a frame from its ID on: the header i
 HEADER_CRC = crc16(HEADER)
 _RUN = b'\xff\xff\xfd'
 _crc_at = Struct('<H').unpack_from
-_head_at = Struct('<BHBB').unpack_from     # ID, Length, instruction, error; single bytes cost more
+# The first byte of a header; ID, Length, instruction, error. Single bytes cost more.
+_head_at = Struct('<B3xBHBB').unpack_from
 NOISE_KEPT = 256
 
 
@@ -211,9 +212,9 @@ class Framer(StreamFramer):
         wanted = 0                 # as many bytes are needed to go on
         mark = find(_TAIL)         # where the second FF of a header is
         judged = size - 5 if final else size - 6       # with its instruction, if that may come
-        heads = data + bytes(2)    # one at the very end has no instruction and no error byte
+        heads = b'\0%b\0\0' % data    # the first header may begin too late, the last end too early
         while 0 <= mark < judged:
-            number, length, code, error = _head_at(heads, mark + 3)
+            first, number, length, code, error = _head_at(heads, mark)
             end = mark + 6 + length
             if end <= size:
                 body = data[mark + 3:end - 2]
@@ -221,7 +222,7 @@ class Framer(StreamFramer):
                         == _crc_at(data, end - 2)[0] and length > 2
                         and (code != STATUS or length > 3)):
                     flaw = None
-                    if noisy or mark != done + 1 or data[done] != 0xFF:
+                    if noisy or mark != done + 1 or first != 0xFF:
                         flaw = self._flaw(data, done, mark)
                         is_usual = False
                         noisy = 0
@@ -235,7 +236,7 @@ class Framer(StreamFramer):
             elif length <= MAX_LENGTH and not final:
                 wanted = end
                 break
-            if mark > done and data[mark - 1] == 0xFF:
+            if mark > done and first == 0xFF:
                 found.append(self._damaged(data, base, done, mark, length))
                 damaged += 1
             mark = find(_TAIL, mark + 1)

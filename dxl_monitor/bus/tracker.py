@@ -171,7 +171,8 @@ class Tracker:
             self._close(said, begin, received, stamp)
         else:
             self._given_up = _NO_SLOTS
-        self._spoke = self._spoke and set()
+        if self._spoke:
+            self._spoke = set()
         plan = self._known.get(said) or self.planner.plan_for(said, stamp)
         self._before, self.pending = self.pending, plan
         self._last = said
