@@ -142,14 +142,15 @@ class CycleClock:
         """Return the mean cycle; unknown: why its parts are not known. None: there is none."""
         if unknown:
             return CycleTimes(self._period / 1e6, unknown=unknown) if self._period else None
-        means = [one.mean for series in self._series.values() if (one := series.summary(now))]
+        means = [round(one.mean, 3) for series in self._series.values()
+                 if (one := series.summary(now))]
         if not means:
             return None
         cycle, wire, device, waiting, program = means
         rates = {number: rate.per_second(now) for number, rate in [*self._waits.items()]}
         share = waiting / (sum(rates.values()) or 1.0)
-        tracer = max(0.0, cycle - wire - device - waiting - program)
+        tracer = round(max(0.0, cycle - wire - device - waiting - program), 3)
         blurred = self._blurred.per_second(now) * share
         return CycleTimes(cycle, wire, device, program, tracer, tuple(sorted(
-            ((number, rate * share) for number, rate in rates.items() if rate),
+            ((number, round(rate * share, 3)) for number, rate in rates.items() if rate),
             key=lambda one: -one[1])), blurred > BLURRED * cycle)
