@@ -114,7 +114,7 @@ class Display:
         if self._keys.is_on:
             foot.append(f'arrows: scroll; {", ".join(SORTS)}: sort; q: end')
         elif len(rows) > room:
-            foot.append('a larger window shows more')
+            foot.append('make the terminal larger to see more')
         begin = _HOME if self._last else f'\033[2J{_HOME}'
         text = '\n'.join(row + _CLEAR_LINE for row in shown)
         last = '; '.join(filter(None, foot))[:width - 1]

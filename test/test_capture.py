@@ -132,7 +132,7 @@ def test_nothing_is_written_to_a_port_or_over_a_file_that_is_no_capture(tmp_path
     notes = tmp_path / 'notes.txt'
     notes.write_text('keep me')
     with Pty() as pty:
-        for path, reason in ((pty.path, 'is a port'), (notes, 'exists and is not a capture'),
+        for path, reason in ((pty.path, 'is a port'), (notes, 'exists, is not a capture'),
                              (tmp_path, 'is a directory'),
                              (tmp_path / 'none' / 'x', 'No such file or directory')):
             with pytest.raises(ParameterError, match=f'{re.escape(str(path))}: {reason}.*; '):

@@ -341,7 +341,7 @@ def test_another_program_on_its_port_is_named(meeting_place, tmp_path):
 
 @pytest.mark.alone
 @pytest.mark.parametrize(('options', 'script', 'words'), [
-    ((), 'raise SystemExit(7)', 'ended with exit code 7. - Its output says why'),
+    ((), 'raise SystemExit(7)', 'ended with exit code 7. - The output of the program says why'),
     ((), 'import no_such_package', 'lacks that package. Name the Python of your program'),
     (('-I',), 'pass', 'did not load the tap: it is not Python, or PYTHONPATH did not reach it'),
 ])

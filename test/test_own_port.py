@@ -111,7 +111,7 @@ def test_adapter_is_found_by_its_tty_its_socket_and_its_number(tmp_path):
         ('ff', {0x81: 512, 0x02: 512}, 'ttyUSB1'), ('ff', {0x83: 512, 0x04: 512}, 'ttyUSB2')],
         '0700')
     (tmp_path / 'devices/pci/usb1/1-1.2/1-1.2:1.0/ttyUSB0/latency_timer').write_text('16\n')
-    for name in ('/dev/ttyUSB0', '1-1.2', '1.7'):
+    for name in ('/dev/ttyUSB0', '1-1.2', '1.7', '001.007'):      # the last: as lsusb prints it
         target = find(name, tmp_path)
         assert target.place == Place(1, 7, 1, 2)
         assert (target.adapter.name, target.adapter.packet_size) == ('FTDI', 512)

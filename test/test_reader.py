@@ -161,7 +161,7 @@ def test_none_is_left_when_the_node_is_killed(cable):
 def test_without_a_process_the_thread_reads_and_says_so(cable, monkeypatch, program, reason):
     monkeypatch.setattr(reader_process.sys, 'executable', program)
     ear = Ear(cable.path)
-    wait(lambda: 'read by the node itself' in ear.listener.state.text)
+    wait(lambda: 'so the node reads it' in ear.listener.state.text)
     assert reason in ear.listener.state.text
     assert ear.listener.state.is_open
     send(cable, b'heard')
@@ -186,7 +186,7 @@ def _state_with_descriptors(cable, spare):
         if listener.reader_pid:
             return 'process'
         if listener.state.is_open:
-            return 'thread' if 'read by the node itself' in listener.state.text else ''
+            return 'thread' if 'so the node reads it' in listener.state.text else ''
         return '' if listener.state.kind == 'starting' else 'closed'
 
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

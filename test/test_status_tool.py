@@ -136,7 +136,7 @@ def test_on_a_terminal_it_draws_in_place_and_cuts_no_line():
     assert 0 < max(len(re.sub(r'\033\[\d*m', '', row)) for row in rows) < 60
     assert rows[0].startswith('\033[31mERROR')
     assert any(row.startswith('\033[31m' + ' ' * 8) for row in rows)  # what did not fit
-    assert re.search(r'rows 1 to 10 of \d+; a larger window shows more', rows[-1])
+    assert re.search(r'rows 1 to 10 of \d+; make the terminal larger to see more', rows[-1])
 
 
 @pytest.mark.ros

@@ -45,5 +45,5 @@ def _faster(case: Case) -> Iterator[str]:
         yield (f'{reads} servos are read one by one, which is most of each cycle: use one Sync '
                'Read for all')
     elif slow > SLOW_MS:
-        yield ('most of each cycle is the wait for answers that come: set the latency timer of '
+        yield ('most of each cycle is waiting for answers that do come: set the latency timer of '
                'the adapter to 1 ms and Return Delay Time to 0')

@@ -182,8 +182,8 @@ class Listener:
                 ReaderProcess, port.fd, self.idle_s, self._gather_s, self._wake_read,
                 byte_ns=byte_ns(self.baud)))
             if problem:
-                self._say_open(f'{words}, but read by the node itself ({problem}): bytes may be '
-                               'lost under load')
+                self._say_open(f'{words}; its reader process did not start ({problem}), so the '
+                               'node reads it and may lose bytes under load')
         self._listen_in_thread(port)
 
     def _listen_in_thread(self, port: Port) -> None:

@@ -29,7 +29,7 @@ _NOT_HEARD = {
     _RING: 'the program uses io_uring: what it reads and writes that way is not heard; if that is '
            'the bus, listen to usb:/dev/ttyUSB0',
     _USB: 'the program drives a USB device itself (libusb), which is not heard; if that is the '
-          'adapter, listen to usb:BUS.DEVICE, with the numbers that lsusb shows',
+          'adapter, listen to usb:1.5 (bus 1, device 5: lsusb shows the numbers)',
 }
 _PRIORITY = ('the program has threads with real-time priority: while it uses {} they wait for '
              'strace, which has none; do not rely on its timing')

@@ -65,8 +65,9 @@ def _interface(name: str, root: Path) -> Path:
     number = _NUMBER.fullmatch(name)
     if number:
         for device in sorted(devices.glob('[0-9]*-*')):
-            if (':' not in device.name and _text(device / 'busnum') == number[1]
-                    and _text(device / 'devnum') == number[2]):
+            if ':' not in device.name and all(
+                    int(_text(device / file) or -1) == int(one)
+                    for file, one in zip(('busnum', 'devnum'), number.groups(), strict=True)):
                 return _data_interface(device.resolve(), 0)
         raise _absent(name)
     if _SOCKET.fullmatch(name):

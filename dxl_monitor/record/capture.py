@@ -277,8 +277,8 @@ def check_new(path: str | Path, is_ours: Callable[[str | Path], bool] | None = N
         status = os.stat(path)
         is_file = stat.S_ISREG(status.st_mode) and status.st_size > 0
         if is_file and not (is_ours or is_capture)(path):
-            raise _refusal(path, 'exists and is not a recording of dxl_dump' if is_ours
-                           else 'exists and is not a capture')
+            raise _refusal(path, 'exists, is not a recording of dxl_dump, and is kept' if is_ours
+                           else 'exists, is not a capture, and is kept')
         if stat.S_ISDIR(status.st_mode):
             raise _refusal(path, 'is a directory')
         if stat.S_ISCHR(status.st_mode) and _is_port(path):

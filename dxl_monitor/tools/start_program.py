@@ -86,7 +86,8 @@ class StartedProgram:
 
         problem = strace.why_not()
         if problem:
-            raise OSError(0, f'{problem}; or --by {TAP}, if it starts Python', self._command)
+            raise OSError(0, f'{problem}; or write --by {TAP}, if the command starts Python',
+                          self._command)
         if strace.loses_rights(program):
             self._say(f'{program} runs without the rights that its file gives it: strace takes '
                       f'them away; write sudo {self._tool} ...')

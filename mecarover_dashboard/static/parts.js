@@ -12,7 +12,7 @@ export function fillEmpty(element, store, wanted = 'dxl/diagnostics') {
   const source = store.facts?.source;
   if (source) {
     each(element, [source], (text) => text, (text) => h('p', {class: 'empty-head'},
-      `Nothing heard of a bus yet: ${text}`));
+      `No bus traffic yet from ${text}`));
     return;
   }
   const heard = Object.values(store.topics).some(([count]) => count);

@@ -52,7 +52,7 @@ def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> 
     """Return why a program said nothing; ports: those that it opened."""
     ended = f'{command[0]} ended'
     if ending.error:
-        ended += f' with {ending.error}'
+        ended += f' with {ending.error.rstrip(".")}'
     elif ending.code:
         ended += f' with exit code {ending.code}'
     if ending.error.startswith(_IMPORT_ERRORS):
@@ -63,8 +63,8 @@ def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> 
         return [f'{ended}; it opened {", ".join(ports)} and sent nothing.']
     found = [f'{ended}.', f'{ending.unheard or "It sent nothing"}.']
     if ending.code:
-        found.insert(1, 'Its output says why: often the port is absent, busy, or needs rights; '
-                     f'{ports_here()}.')
+        found.insert(1, 'The output of the program says why: often the port is absent or busy, or '
+                     f'you may not open it; {ports_here()}.')
     return found
 
 

@@ -32,7 +32,7 @@ from msg_defs.event import UNREAD
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 
-NOISE = 'no packet: noise, or the rest of one'
+NOISE = 'not a packet: noise, or part of a packet'
 
 
 class PacketRecording:
