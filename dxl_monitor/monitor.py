@@ -39,6 +39,7 @@ from dxl_monitor.model.layout import NOWHERE
 from dxl_monitor.model.models import Models
 from dxl_monitor.port.driver import LineErrors
 from dxl_monitor.record.capture import Chunk
+from dxl_monitor.signals import BusSignals
 from mecarover_serial.internal_fault import survive
 from msg_defs.event import BREAK
 from msg_defs.event import Change
@@ -104,6 +105,7 @@ class Monitor:
         self._examining = Lock()               # the doctor remembers from report to report
         self.decoder = said = decoder or BusDecoder(models, settings)
         self._tracker, self._registry, self._evidence = said.tracker, said.registry, said.evidence
+        self.signals = BusSignals(self._registry, self._lock)
         self._line_errors: LineErrors | None = None    # reported by the source
         self._idle_is_told = idle_is_told
         self._fed = 0                          # bytes
@@ -212,8 +214,7 @@ class Monitor:
                 self._flush_if_idle(now - LAG_NS)
             if not (self._idle_is_told and is_listening):
                 self._listened = now
-            if not is_listening:
-                self._deaf = now
+            self._deaf = self._deaf if is_listening else now
             while now >= self._next_tick:
                 self._tick(now)
             cycles = _cycles(self._tracker.planner.plans())
@@ -263,8 +264,7 @@ class Monitor:
                         if device.used and device.heard and device.model_number is None]
         for key in said:
             self._models.get(key)
-        layouts = [(device, self._layouts.of(protocol, used))
-                   for device, protocol, used in nameless]
+        layouts = [(device, self._layouts.of(speaks, used)) for device, speaks, used in nameless]
         with self._lock:
             for device, layout in layouts:
                 self._registry.lay_out(device, layout)

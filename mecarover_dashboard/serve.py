@@ -26,6 +26,7 @@ from mecarover_serial.plain import plain_streams
 from mecarover_serial.plain import printable
 
 if TYPE_CHECKING:
+    from mecarover_dashboard.signal_requests import SignalSource
     from mecarover_dashboard.web_server import RecordingPlayer
     from mecarover_dashboard.web_server import Server
 
@@ -55,11 +56,13 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def open_server(options: argparse.Namespace, source: str = '',
-                player: RecordingPlayer | None = None) -> Server | None:
+                player: RecordingPlayer | None = None,
+                signals: SignalSource | None = None) -> Server | None:
     """
     Return a server for these options, and say where it is; None: it was said why not.
 
-    source: what it shows, in words; '': ROS topics. player: of a recording.
+    source: what it shows, in words; '': ROS topics. player: of a recording. signals: where
+    registers are heard at the rate of the bus.
     """
     try:
         listener = listen(options.host, options.port)
@@ -81,7 +84,7 @@ def open_server(options: argparse.Namespace, source: str = '',
     if recording is None and options.history not in (None, NONE):
         return None
     about = facts(host, port, without) | ({'source': source} if source else {})
-    return Server(listener, about, is_open, recording, options.name, player)
+    return Server(listener, about, is_open, recording, options.name, player, signals)
 
 
 def open_history(wanted: str | None) -> tuple[HistoryRecorder | None, str]:

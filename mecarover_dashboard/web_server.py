@@ -35,6 +35,9 @@ from mecarover_dashboard.connection_limit import ConnectionLimit
 from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_dashboard.history_requests import HistoryRequests
 from mecarover_dashboard.rows import finite
+from mecarover_dashboard.signal_requests import ReportedSignals
+from mecarover_dashboard.signal_requests import SignalRequests
+from mecarover_dashboard.signal_requests import SignalSource
 from mecarover_dashboard.state import Message
 from mecarover_dashboard.state import MOST_OF_MESSAGE
 from mecarover_dashboard.state import OVERVIEW
@@ -110,7 +113,8 @@ class Server:
 
     def __init__(self, listener: socket.socket, facts: dict[str, Any], is_open: bool,
                  recording: HistoryRecorder | None = None, name: str = '',
-                 player: RecordingPlayer | None = None) -> None:
+                 player: RecordingPlayer | None = None,
+                 signals: SignalSource | None = None) -> None:
         self._listener = listener
         self._is_open = is_open
         names = {'localhost', name.lower().rstrip('.')} - {''}
@@ -126,6 +130,8 @@ class Server:
         self._state = State()
         self._recording = recording
         self._player = player
+        self._reported = ReportedSignals()
+        self._signals = SignalRequests(signals or self._reported)
         self._started_s = time.monotonic()
         self._publishers: dict[str, int] = {}
         self._texts: dict[int, str] = {}        # changes since a version, of the version now
@@ -231,6 +237,7 @@ class Server:
         history = HistoryRequests(None if self._recording is None else self._recording.path)
         app.router.add_get('/metrics', self._metrics)
         app.router.add_get('/player', self._play)
+        app.router.add_get('/signals', self._signals.answer)
         app.router.add_get('/history/values', history.values)
         app.router.add_get('/history/events', history.events)
         for name, data in files.items():
@@ -262,6 +269,8 @@ class Server:
             else:
                 state.take(*waiting)
         state.expire(now_s)
+        self._signals.forget(now_s)
+        self._reported.look(state)
         if self._recording is not None:
             self._recording.look(state, now_s, time.time())
         if state.version != before:

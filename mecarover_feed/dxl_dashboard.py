@@ -48,7 +48,7 @@ def _run(arguments: list[str]) -> int:
     feed = Feed()
     run = make_run(NAME, options, command, feed)
     player = run if isinstance(run, RecordingRun) else None
-    server = serve.open_server(options, run.words, player)
+    server = serve.open_server(options, run.words, player, feed)
     if server is None:
         return COULD_NOT_RUN
     feed.out = server.take

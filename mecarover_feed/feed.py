@@ -19,6 +19,7 @@ from dxl_monitor.monitor_status import bus_status
 from dxl_monitor.monitor_status import device_metrics
 from dxl_monitor.monitor_status import device_status
 from dxl_monitor.monitor_status import PortState
+from dxl_monitor.signals import BusSignals
 from dxl_monitor.tools.doctor.examination import REPORT_NS
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.verdict import BusSummary
@@ -27,6 +28,9 @@ from mecarover_serial.process import resident_memory_mb
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
 from msg_defs.reports import Status
+from msg_defs.reports import status_name
+from msg_defs.signal import Points
+from msg_defs.signal import SPAN_S
 
 NODE = 'dxl_monitor'                # in the names of statuses
 TABLES, TIMING = 'dxl/diagnostics', 'dxl/timing'
@@ -48,11 +52,20 @@ class FedBus(Protocol):
 
 
 class Feed:
-    """Hands reports to `out(topic, statuses)`; used by one thread."""
+    """
+    Hands reports to `out(topic, statuses)`; used by one thread, but for what a page asks.
+
+    begin: the first stamp of a recording; has_new_signal: one is asked for that was not before.
+    """
 
     def __init__(self) -> None:
         self.out: Callable[[str, Sequence[Status]], None] = lambda topic, statuses: None
         self._logs: list[tuple[FedBus, FindingLog]] = []
+        self.begin: int | None = None
+        self.has_new_signal = False
+        self._now = 0
+        self._places: dict[str, tuple[str, int]] = {}           # bus and ID, by status
+        self._signals: set[tuple[str, int, str]] = set()        # bus, ID and key
         self._alarms = 0
         self._reported = self._timed = -math.inf     # on our clock
 
@@ -60,6 +73,9 @@ class Feed:
         """Report on one more bus from now on."""
         self._logs.append((bus, FindingLog()))
         self._reported = -math.inf
+        for label, number, key in list(self._signals):
+            if label == bus.monitor.name:
+                bus.monitor.signals.read(number, key, 0, 0.0)
 
     def clear(self) -> None:
         """Forget all buses."""
@@ -68,6 +84,7 @@ class Feed:
 
     def turn(self, now: int) -> None:
         """Report what is due, as of a stamp; called ten times a second or more often."""
+        self._now = now
         since = time.monotonic_ns() - self._reported
         if since < REPORT_NS and (since < APART_NS or self._count_alarms() == self._alarms):
             return
@@ -93,10 +110,37 @@ class Feed:
             statuses += [device_status(NODE, label, one, report.findings, with_table=True,
                                        is_listening=not port.problem) for one in report.devices]
             metrics += [*report.metrics, *device_metrics(report)]
+            self._places |= {status_name(NODE, label, one.name): (label, one.id)
+                             for one in report.devices}
         self.out(TABLES, statuses)
         if self._reported - self._timed >= TIMING_NS:
             self._timed = self._reported
             self.out(TIMING, [metric_status(NODE, one) for one in metrics])
+
+    def clock(self) -> tuple[float, float]:
+        """Return now and what to add for Unix time, or for s of a recording; from any thread."""
+        return self._now / 1e9, (time.time() - time.monotonic() if self.begin is None
+                                 else -self.begin / 1e9)
+
+    def signal(self, name: str, key: str, after: int) -> Points | None:
+        """Return the points of a register after so many, of the last minute; from any thread."""
+        if name not in self._places:
+            return None
+        label, number = self._places[name]
+        self.has_new_signal |= (label, number, key) not in self._signals
+        self._signals.add((label, number, key))
+        return next((one.read(number, key, after, self._now / 1e9 - SPAN_S)
+                     for one in self._signals_of(label)), None)
+
+    def drop(self, name: str, key: str) -> None:
+        """Record a register no more; from any thread."""
+        label, number = self._places.get(name, ('', -1))
+        self._signals.discard((label, number, key))
+        for one in self._signals_of(label):
+            one.drop(number, key)
+
+    def _signals_of(self, label: str) -> list[BusSignals]:
+        return [bus.monitor.signals for bus, _ in self._logs if bus.monitor.name == label]
 
     def _count_alarms(self) -> int:
         return sum(bus.monitor.alarms() for bus, _ in self._logs)

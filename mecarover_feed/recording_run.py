@@ -55,7 +55,7 @@ class RecordingRun(SourceRun):
         self.events: list[tuple[float, int, str]] = []         # s, level, text
         self.length_s = 0.0
         self._begin()
-        self._first = self._now
+        feed.begin = self._first = self._now
         self.is_timed = self._file.is_timed
 
     def start(self) -> None:
@@ -102,21 +102,30 @@ class RecordingRun(SourceRun):
         while True:
             now_s = time.monotonic()
             wanted_s, self._wanted_s = self._wanted_s, None
+            is_new, self._feed.has_new_signal = self._feed.has_new_signal, False
+            if is_new:                              # what was played already has it, too
+                self._again(self._now)
             if wanted_s is not None:
                 self._go(self._first + int(wanted_s * S))
-            elif self._is_on:
+            elif self._is_on and not is_new:
                 self._forward(END if self._at_once else self._now + int((now_s - last_s) * S))
-            last_s = time.monotonic() if wanted_s is not None else now_s
+            last_s = now_s if wanted_s is None and not is_new else time.monotonic()
             yield self._now
             time.sleep(TURN_S)
 
     def _go(self, stamp: int) -> None:
         if stamp < self._now:
-            self._file.close()
-            self._heard.clear()
-            self._feed.clear()
             self.restart()
-            self._begin()
+            self._again(stamp)
+        else:
+            self._forward(stamp)
+
+    def _again(self, stamp: int) -> None:
+        """Hear all from the first byte up to a stamp."""
+        self._file.close()
+        self._heard.clear()
+        self._feed.clear()
+        self._begin()
         self._forward(stamp)
 
     def _forward(self, until: int) -> None:

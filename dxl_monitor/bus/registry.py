@@ -57,6 +57,7 @@ class DeviceRegistry:
     The devices, by the ID they answer to. baud: the rate of this bus.
 
     changed: called when a device has another ID or model, so that plans made before do not hold.
+    made: called with a device that is new.
     """
 
     def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
@@ -72,6 +73,7 @@ class DeviceRegistry:
         self._renamed: dict[int, int] = {}     # IDs that were changed: the new ones
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.changed: Callable[[], None] = lambda: None
+        self.made: Callable[[Device], object] = lambda device: None
         self._followers = {'ID': self._renumber, 'Baud Rate': self._follow_baud,
                            RETURN_LEVEL: lambda device, level, _: device.set_return_level(level),
                            OFFSET: self._follow_offset, TORQUE: self._follow_torque}
@@ -91,6 +93,7 @@ class DeviceRegistry:
             if number > self.highest:
                 return self._dummy
             device = self.devices[number] = Device(number)
+            self.made(device)
             if number in self._renamed:
                 device.moved_to = f'{NEW_ID}{self._renamed[number]:03}'
         return device

@@ -11,6 +11,7 @@ caller stamps (ns, monotonic) and keeps that and the look apart.
 from __future__ import annotations
 
 from array import array
+from collections.abc import Callable
 from collections.abc import Iterable
 from functools import lru_cache
 from typing import Literal
@@ -33,6 +34,7 @@ LAST_STAMP = (1 << 63) - 1      # ns: 292 years
 LONG = 256              # bytes of a span that does not wait
 Data = bytes            # the built-in: Table.bytes hides its name
 Span = tuple[int, int]  # address and size
+Taker = Callable[[Span, Data, int, int], object]
 NO_SPAN = (-1, 0)       # for an answer without registers
 IDENTITY = ('Model Number', 'Model Information', 'Firmware Version')
 
@@ -95,6 +97,18 @@ class Image:
         return Observed(field, _decoded(field, bytes(self.data[at:end])), age_s, SOURCES[source])
 
 
+class _Called(dict[Span, tuple[Data, int, int]]):
+    """Spans that wait, with a call for each; a plain dict costs nothing more."""
+
+    def __init__(self, waiting: dict[Span, tuple[Data, int, int]], take: Taker) -> None:
+        super().__init__(waiting)
+        self._take = take
+
+    def __setitem__(self, span: Span, seen: tuple[Data, int, int]) -> None:
+        super().__setitem__(span, seen)
+        self._take(span, *seen)
+
+
 class Table:
     """The memory image of one device, up to the address `limit`."""
 
@@ -117,6 +131,10 @@ class Table:
         latest[span] = (data, stamp, source)
         if before is None and (len(latest) > SPAN_LIMIT or len(data) > LONG):
             self._settle()
+
+    def call(self, take: Taker | None) -> None:
+        """Hand each span that comes from now on to `take`, too, as keep() gets it."""
+        self._latest = dict(self._latest) if take is None else _Called(self._latest, take)
 
     def _settle(self) -> Image:
         if self._latest:
@@ -160,6 +178,16 @@ class Table:
     def in_force(self, field: Field, model: Model) -> Field:
         """Return the field with the meaning that another register gives it at present."""
         return _in_force(field, model, self._settle())
+
+    def indirect_places(self, field: Field, model: Model) -> list[int]:
+        """Return at which addresses of indirect data a whole field is at present."""
+        wanted = [at.to_bytes(2, 'little') for at in range(field.at, field.end)]
+        found = []
+        for one in model.indirect:
+            targets = [self.bytes(one.address + 2 * n, 2) for n in range(one.size)]
+            found += [one.data + n for n in range(one.size - field.size + 1)
+                      if targets[n:n + field.size] == wanted]
+        return found
 
     def observed_of(self, model: Model, names: Iterable[str],
                     now_ns: int) -> list[Observed | None]:

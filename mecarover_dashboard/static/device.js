@@ -11,6 +11,7 @@ import {showCrumbs} from './parts.js';
 import {path} from './place.js';
 import {Past} from './past.js';
 import {Plot} from './plot.js';
+import {pathOfSignals} from './signals.js';
 import {deviceName, isQuiet, stateOf, wordOf} from './store.js';
 
 const LATENCY = 'Reply latency';
@@ -41,6 +42,7 @@ export class DeviceView {
     this.latency = h('button', {type: 'button', class: 'button',
       onclick: () => this.#choose(LATENCY)}, LATENCY);
     this.plot = new Plot('Plot', 60, this.latency,
+      this.fast = h('a', {class: 'button'}, 'Signals'),
       h('span', {class: 'quiet hint'}, 'or click any number; drag to zoom'));
     this.errors = new ErrorList('Error history',
       {empty: 'None in the last 50 errors of this bus.', ofOne: true});
@@ -104,6 +106,8 @@ export class DeviceView {
     set(this.fields.element, 'data-old', !device.live);
     this.fields.update(device, table, this.plotted ?? [], store.now());
     set(this.latency, 'aria-pressed', this.plotted?.includes(LATENCY) ?? false);
+    set(this.fast, 'href', pathOfSignals(this.name,
+      (this.plotted ?? []).filter((key) => key !== LATENCY)));
     this.plot.update(this.#series(table), store.now(),
       {limits: limitsOf(table, this.plotted ?? [])});
     each(this.findings, device.findings, ([rule]) => rule, () => makeFinding('warn', null),

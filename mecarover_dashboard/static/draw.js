@@ -37,7 +37,7 @@ export function drawPlot(canvas, shown, view) {
   for (const [name, value] of view.limits ?? []) drawLimit(pen, area, at, name, value, ticks,
     colours);
   shown.forEach((one, index) => drawLine(pen, one.points, at,
-    {colour: colours.lines[index % 4], dash: DASHES[index % 4]}, view));
+    {colour: colours.lines[index % 4], dash: DASHES[(index + (index >> 2)) % 4]}, view));
   pen.restore();
   if (view.drag) drawDrag(pen, area, at, view.drag, colours);
   if (view.cursor !== null) drawCursor(pen, area, at, shown, view, colours);

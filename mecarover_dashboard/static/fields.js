@@ -33,8 +33,8 @@ export class Fields {
       h('table', {class: 'fields'}, h('caption', {class: 'unseen'}, 'Observed fields'),
         h('thead', {}, h('tr', {}, ...COLUMNS.map((text) => h('th', {scope: 'col'}, text)))),
         this.rows),
-      h('p', {class: 'quiet'}, 'Registers are sampled at the rate of the reports (publish_rate); '
-        + 'what changes in between is not seen here.'),
+      h('p', {class: 'quiet'}, 'These are the values of the reports (publish_rate); Signals shows '
+        + 'what changes in between.'),
       h('h2', {}, 'Counters'),
       h('table', {class: 'fields facts'}, h('caption', {class: 'unseen'}, 'Counters'),
         this.facts));

@@ -14,11 +14,13 @@ import {Overview} from './overview.js';
 import {path, readPlace, setRobot} from './place.js';
 import {Player} from './player.js';
 import {Robots} from './robots.js';
+import {SignalsView} from './signals.js';
 import {Store, worst} from './store.js';
 import {Stream} from './stream.js';
 
 const VIEWS = {'': Overview, devices: Devices, device: DeviceView, log: LogView,
-  bridge: BridgeView, history: HistoryView, robots: Robots};
+  bridge: BridgeView, history: HistoryView, robots: Robots,
+  signals: SignalsView};
 const TAB = {'': 'overview', device: 'devices', robots: ''};
 const TICK_MS = 1000;          // ages go on while nothing is pushed
 
@@ -87,6 +89,7 @@ function showAll() {
   showTabs();
   if (!store.facts) return;
   view.update(store);
+  stream.watch(view.watch ?? '', view.wantsValues ?? false);
   player.update(store.player ?? null);
   const parts = store.parts();
   const of = (isBridge) => parts.filter(({bus}) => (bus === null) === isBridge)

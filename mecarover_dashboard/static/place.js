@@ -31,7 +31,8 @@ export function readPlace(hash) {
 
 /** Write filters into the address, so that it can be kept and sent; empty ones are left out. */
 export function keepFilters(filters) {
-  const some = Object.entries(filters).filter(([, value]) => value);
+  const some = (Array.isArray(filters) ? filters : Object.entries(filters))
+    .filter(([, value]) => value);
   const query = new URLSearchParams(some).toString();
   history.replaceState(null, '', location.hash.split('?')[0] + (query ? `?${query}` : ''));
 }

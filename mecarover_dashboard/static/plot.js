@@ -70,23 +70,27 @@ export class Plot {
   /**
    * Show series [{name, unit, points: [[s, value or null] or [s, low, high], ...]}] up to now (s).
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
-   * point that break the line; `unix(s)`, the Unix time of a time.
+   * point that break the line; `unix(s)`, the Unix time of a time; `zero`, s that are called now;
+   * `rest`, s between two moves of the plot.
    */
   update(series, now, options = {}) {
     const isOther = series.map(nameOf).join() !== this.#series.map(nameOf).join();
     this.#series = series;
     this.#now = now;
     this.#options = options;
-    const rest = Math.max(CALM_S, this.span / STEPS);
+    const rest = options.rest ?? Math.max(CALM_S, this.span / STEPS);
     if (isOther || performance.now() / 1000 - this.#drawnAt > rest) this.draw();
   }
 
   /** Show so many seconds; no choice of time where the view has one of its own. */
-  cover(span) {
+  cover(span, {isQuiet = false} = {}) {
     this.spans.hidden = true;
     this.span = span;
-    this.draw();
+    if (!isQuiet) this.draw();
   }
+
+  /** How many columns of pixels the lines have. */
+  get width() { return Math.max(1, Math.round((this.#area?.width ?? 600) * devicePixelRatio)); }
 
   #show(span) {
     this.span = span;
@@ -117,6 +121,7 @@ export class Plot {
 
   #area = null;
   onZoom = null;               // who shows another time instead, given [from, to]
+  onCursor = () => {};         // given where the cursor is, s before the right edge, or null
 
   #point(x) { this.#move(this.range[1] - this.#at(x)); }
 
@@ -131,6 +136,12 @@ export class Plot {
   }
 
   #move(cursor) {
+    this.point(cursor);
+    this.onCursor(this.#cursor);
+  }
+
+  /** Put the cursor so many seconds before the right edge; null: nowhere. */
+  point(cursor) {
     const [from, to] = this.range;
     this.#cursor = cursor === null ? null : Math.min(to - from, Math.max(0, cursor));
     this.draw();
@@ -153,11 +164,13 @@ export class Plot {
       (a, b) => a - b);
     const shown = this.#series.map((one) => ({...one, points: within(one.points, from, to)}));
     const drawn = drawPlot(this.canvas, shown, {...this.#options, from, to, cursor: s, drag,
-      isLive: !this.#zoom, now: this.#now});
+      isLive: !this.#zoom, now: this.#zero});
     if (!drawn) return;
     this.#area = drawn;
     this.#tell(shown, s);
   }
+
+  get #zero() { return this.#options.zero ?? this.#now; }
 
   #tell(shown, s) {
     const {gap, unix} = this.#options;
@@ -165,10 +178,11 @@ export class Plot {
     const rows = shown.map((one, index) => ({...one, index,
       value: readAt(one.points, s, near, gap)}));
     const when = s === null ? '' : unix ? ` at ${clock(unix(s))}`
-      : ` at \u2212${spanText(this.#now - s)}`;
+      : ` at \u2212${spanText(this.#zero - s)}`;
     each(this.legend, rows, (row) => row.name,
       () => h('li', {}, h('i', {class: 'swatch'}), h('span'), h('b')), (item, row) => {
         set(item.firstChild, 'data-line', row.index % 4);
+        set(item.firstChild, 'data-dash', row.index < 4 ? null : 1);
         say(item.children[1], row.name);
         say(item.lastChild, written(row) + (row.value ? when : ''));
       });

@@ -1,0 +1,192 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// Chosen registers, value by value: asked for again and again, kept for a minute, thinned to what
+// a plot can show, written as CSV.
+
+export const MOST = 8;
+export const SPAN_S = 60;
+const EVERY_MS = 100;
+const LEAST_GAP_S = 0.02;
+const INTERVALS = 500;         // so many of the newest say what is usual between two values
+const RATE_S = 5;              // the rate is that of the last so many seconds
+
+/** One register of one device; its points lie in `data` as s, value, s, value ... */
+export class Signal {
+  data = new Float64Array(2048);
+  begin = 0;                   // where the oldest point is, in data
+  end = 0;
+  gap = Infinity;              // s without a value: longer than usual
+  isWritten = false;           // what the master writes holds until it writes again
+  next = 0;                    // number of the first point that is not here
+
+  constructor(device, key) { Object.assign(this, {device, key}); }
+
+  take(isWritten, first, points) {
+    if (first !== this.next) this.begin = this.end = 0;        // others than those here
+    Object.assign(this, {isWritten, next: first + points.length / 2});
+    if (this.end + points.length > this.data.length) this.#makeRoom(points.length);
+    this.data.set(points, this.end);
+    this.end += points.length;
+    if (points.length) this.gap = this.#usual();
+  }
+
+  #makeRoom(more) {
+    const kept = this.data.subarray(this.begin, this.end);
+    const size = 2 * (kept.length + more);
+    const data = size > this.data.length ? new Float64Array(size) : this.data;
+    data.set(kept, 0);
+    Object.assign(this, {data, begin: 0, end: kept.length});
+  }
+
+  /** Three times what 95 % of the intervals between values keep to. */
+  #usual() {
+    const from = Math.max(this.begin, this.end - 2 * INTERVALS);
+    const lengths = new Float64Array(Math.max(0, (this.end - from) / 2 - 1));
+    lengths.forEach((_, at) => {
+      lengths[at] = this.data[from + 2 * at + 2] - this.data[from + 2 * at];
+    });
+    lengths.sort();
+    return lengths.length
+      ? Math.max(LEAST_GAP_S, 3 * lengths[Math.floor(0.95 * (lengths.length - 1))]) : Infinity;
+  }
+
+  forget(before) { this.begin = this.indexOf(before); }
+
+  /** Where in data the first point is that is not before a time. */
+  indexOf(s) {
+    let [low, high] = [this.begin / 2, this.end / 2];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.data[2 * middle] < s) low = middle + 1;
+      else high = middle;
+    }
+    return 2 * low;
+  }
+
+  /** Values per second, lately. */
+  rate(now) {
+    const count = (this.end - this.indexOf(now - RATE_S)) / 2;
+    return count && count / Math.min(RATE_S, now - this.data[this.begin]);
+  }
+
+  /**
+   * What a plot so many pixels wide can show: [[s, lowest, highest], ...] of each column;
+   * [s, null] at a gap. A value that was written is held until the next.
+   */
+  drawn(from, to, width, now) {
+    const {data, end, isWritten} = this;
+    const step = (to - from) / width;
+    const gap = isWritten ? Infinity : Math.max(this.gap, 2 * step);
+    const columns = new Columns(step);
+    let [s, value] = [NaN, NaN];
+    for (let at = Math.max(this.begin, this.indexOf(from) - 2); at < end && !(s > to); at += 2) {
+      if (isWritten) columns.put(data[at], value);
+      else if (data[at] - s > gap) columns.interrupt(s + step);
+      [s, value] = [data[at], data[at + 1]];
+      columns.put(s, value);
+    }
+    if (isWritten && s < to) columns.put(Math.min(now, to), value);
+    else if (now - s > gap) columns.interrupt(s + step);
+    return columns.points;
+  }
+}
+
+class Columns {
+  points = [];
+  #open = null;                // the column that is being filled
+  #isAlone = false;            // it is the only one since a gap
+
+  constructor(step) { this.step = step; }
+
+  put(s, value) {
+    const open = this.#open;
+    if (!Number.isFinite(value)) {
+      this.interrupt(s);
+    } else if (open && Math.floor(s / this.step) === Math.floor(open[0] / this.step)) {
+      if (value < open[1]) open[1] = value;
+      if (value > open[2]) open[2] = value;
+    } else {
+      this.#isAlone = !open;
+      this.points.push(this.#open = [s, value, value]);
+    }
+  }
+
+  interrupt(s) {
+    if (!this.#open) return;
+    if (this.#isAlone) this.points.push([s, this.#open[1], this.#open[2]]);   // a dot
+    this.points.push([s, null]);
+    this.#open = null;
+  }
+}
+
+/** The points of some signals as CSV: a line for each time, a column for each signal. */
+export function csvOf(signals, names, [from, to], timeName, origin) {
+  const cells = (texts) => texts.map((text) =>
+    /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text).join();
+  const lines = [cells([timeName, ...names])];
+  const at = signals.map((signal) => signal.indexOf(from));
+  const next = (signal, index) => at[index] < signal.end ? signal.data[at[index]] : Infinity;
+  for (;;) {
+    const s = Math.min(...signals.map(next));
+    if (!(s <= to)) return `${lines.join('\n')}\n`;
+    lines.push([(s + origin).toFixed(6), ...signals.map((signal, index) => {
+      if (next(signal, index) !== s) return '';
+      const value = signal.data[at[index] + 1];
+      at[index] += 2;
+      return Number.isFinite(value) ? value : '';
+    })].join());
+  }
+}
+
+/** Asks the server for the values of some signals, as long as it is open. */
+export class Signals {
+  all = [];
+  now = 0;                     // s on the clock of the values
+  origin = 0;                  // what to add to them
+  #turn = 0;                   // number of the round of questions; 0: closed
+
+  /** onValues() when some have come; onProblem(text) when not, '' when that is over. */
+  constructor(onValues, onProblem) { Object.assign(this, {onValues, onProblem}); }
+
+  get isOpen() { return this.#turn > 0; }
+
+  /** Begin again, with all points of the last minute. */
+  open() { this.#ask(this.#turn = performance.now()); }
+
+  close() { this.#turn = 0; }
+
+  async #ask(turn) {
+    const {all} = this;
+    try {
+      if (all.length && !document.hidden) {
+        const numbers = await this.#fetch(all);
+        if (turn !== this.#turn) return;
+        this.#take(all, numbers);
+      }
+      this.onProblem('');
+    } catch (error) {
+      if (turn === this.#turn) this.onProblem(error.message);
+    }
+    if (turn === this.#turn) setTimeout(() => turn === this.#turn && this.#ask(turn), EVERY_MS);
+  }
+
+  async #fetch(all) {
+    const query = new URLSearchParams(all.flatMap(({device, key, next}) =>
+      [['of', device], ['register', key], ['after', next]]));
+    const answer = await fetch(`signals?${query}`, {cache: 'no-store'});
+    if (!answer.ok) throw new Error((await answer.text()).trim());
+    return new Float64Array(await answer.arrayBuffer());
+  }
+
+  #take(all, numbers) {
+    [this.now, this.origin] = numbers;
+    let at = 2 + 3 * all.length;
+    all.forEach((signal, index) => {
+      const [kind, first, count] = numbers.subarray(2 + 3 * index);
+      if (kind) signal.take(kind === 2, first, numbers.subarray(at, at + 2 * count));
+      at += 2 * count;
+      signal.forget(this.now - SPAN_S);
+    });
+    this.onValues();
+  }
+}

@@ -1,0 +1,207 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// View 7: chosen registers of any servos over the last minute, at the rate of the bus; one plot
+// for each unit, so that goal and present position lie over each other.
+
+import {each, h, say, set} from './dom.js';
+import {figure, id3, numberOf, splitUnit} from './format.js';
+import {fillEmpty} from './parts.js';
+import {keepFilters, path} from './place.js';
+import {Plot} from './plot.js';
+import {csvOf, MOST, Signal, Signals, SPAN_S} from './signal.js';
+
+const SPANS = [[5, '5 s'], [20, '20 s'], [SPAN_S, '60 s']];
+const FIRST = ['Present Position', 'Goal Position'];         // at the top of the list
+const NO_UNIT = 'no unit';
+
+/** The address that shows some registers of a device at the rate of the bus. */
+export const pathOfSignals = (device, keys) => `${path('signals')}?${new URLSearchParams(
+  keys.flatMap((key) => [['of', device], ['register', key]]))}`;
+
+export class SignalsView {
+  title = 'Signals';
+  #plots = new Map();
+  #span = SPAN_S;
+  #zoom = null;                // [from, to] in s; null: up to now
+
+  constructor(_, filters) {
+    this.signals = new Signals(() => this.#draw(), (text) => { this.problem = text; });
+    const keys = filters.getAll('register');
+    this.signals.all = filters.getAll('of').slice(0, MOST)
+      .map((device, index) => new Signal(device, keys[index] ?? ''));
+    this.problem = '';
+    this.watch = filters.get('of') ?? '';
+    this.device = h('select', {ariaLabel: 'Device', onchange: () => {
+      this.watch = this.device.value;
+      this.update(this.store);
+    }});
+    this.register = h('select', {ariaLabel: 'Register'});
+    this.add = h('button', {type: 'button', class: 'button', onclick: () => this.#add()}, 'Add');
+    this.spans = h('div', {class: 'choice', role: 'group', ariaLabel: 'Time shown'},
+      ...SPANS.map(([span, text]) => h('button', {type: 'button', 'data-span': span,
+        onclick: () => this.#show(span)}, text)));
+    this.pause = h('button', {type: 'button', class: 'button', onclick: () => this.#pause()});
+    this.csv = h('button', {type: 'button', class: 'button', onclick: () => this.#save()}, 'CSV');
+    this.chosen = h('ul', {class: 'chosen', ariaLabel: 'Registers shown'});
+    this.words = h('p', {class: 'quiet', role: 'status'});
+    this.empty = h('div', {class: 'empty'});
+    this.graphs = h('div', {class: 'graphs'});
+    this.body = h('section', {class: 'panel signals'},
+      h('div', {class: 'past-head'}, this.device, this.register, this.add, this.spans, this.pause,
+        this.csv), this.chosen, this.words, this.graphs);
+    this.element = h('div', {}, h('h1', {class: 'unseen', tabindex: -1}, 'Signals'), this.empty,
+      this.body);
+    this.signals.open();
+    this.#show(SPAN_S);
+  }
+
+  close() {
+    this.signals.close();
+    for (const plot of this.#plots.values()) plot.close();
+  }
+
+  #show(span) {
+    this.#span = span;
+    this.#zoom = null;
+    if (!this.signals.isOpen) this.signals.open();
+    this.#draw();
+  }
+
+  #pause() {
+    if (this.signals.isOpen) this.signals.close();
+    else this.#show(this.#span);
+    this.#draw();
+  }
+
+  #add() {
+    const [device, key, {all}] = [this.watch, this.register.value, this.signals];
+    const isThere = all.some((one) => one.key === key && one.device === device);
+    if (!key || isThere || all.length >= MOST) return;
+    this.#choose([...all, new Signal(device, key)]);
+    this.register.selectedIndex = (this.register.selectedIndex + 1) % this.register.length;
+  }
+
+  #choose(all) {
+    this.signals.all = all;
+    keepFilters(all.flatMap(({device, key}) => [['of', device], ['register', key]]));
+    this.#draw();
+  }
+
+  update(store) {
+    this.store = store;
+    const devices = store.groups().flatMap((group) => group.devices);
+    this.empty.hidden = devices.length > 0;
+    this.body.hidden = !devices.length;
+    if (!devices.length) fillEmpty(this.empty, store);
+    if (!store.devices.has(this.watch)) this.watch = devices[0]?.name ?? '';
+    fill(this.device, devices.map((one) => [one.name, nameOf(one, devices)]), this.watch);
+    const fields = store.table?.name === this.watch ? store.table.fields : [];
+    const rank = ({key}) => (FIRST.indexOf(splitUnit(key)[0]) + FIRST.length + 1)
+      % (FIRST.length + 1);
+    fill(this.register, fields.filter(({value, raw}) => Number.isFinite(numberOf(raw || value)))
+      .sort((a, b) => rank(a) - rank(b)).map(({key}) => [key, key]));
+    set(this.add, 'disabled', this.signals.all.length >= MOST || !fields.length);
+    say(this.words, this.problem || this.#advice());
+    this.#draw();
+  }
+
+  #advice() {
+    const {all} = this.signals;
+    const slow = this.store.facts.source ? '' : 'ROS topics carry registers at publish_rate only; '
+      + 'at the rate of the bus: dxl_dashboard SOURCE, without ROS.';
+    if (!all.length) return `Choose up to ${MOST} registers of any servos. ${slow}`;
+    return slow || (all.length < MOST ? '' : `${MOST} registers are shown: that is the most.`);
+  }
+
+  #draw() {
+    const {all, now, isOpen} = this.signals;
+    if (!this.store) return;
+    for (const button of this.spans.children) {
+      set(button, 'aria-pressed', !this.#zoom && Number(button.dataset.span) === this.#span);
+    }
+    say(this.pause, isOpen ? 'Pause' : 'Paused');
+    set(this.pause, 'aria-pressed', !isOpen);
+    set(this.csv, 'disabled', !all.length);
+    const [from, to] = this.range;
+    const units = new Map();
+    for (const signal of all.filter((one) => one.end > one.begin)) {
+      const unit = splitUnit(signal.key)[1] || NO_UNIT;
+      units.set(unit, [...units.get(unit) ?? [], signal]);
+    }
+    each(this.chosen, all, ({device, key}) => `${device}|${key}`, (one) => this.#makeChosen(one),
+      (item, signal) => say(item.children[1], rateOf(signal, now)));
+    each(this.graphs, [...units], ([unit]) => unit, ([unit]) => this.#makePlot(unit),
+      (_, [unit, signals]) => {
+        const plot = this.#plots.get(unit);
+        plot.cover(to - from, {isQuiet: true});
+        plot.update(signals.map((signal) => ({name: this.#name(signal),
+          unit: splitUnit(signal.key)[1],
+          points: signal.drawn(from, to, plot.width, now)})), to,
+        {gap: Infinity, rest: 0, zero: now});
+      });
+    for (const [unit, plot] of this.#plots) {
+      if (units.has(unit)) continue;
+      plot.close();
+      this.#plots.delete(unit);
+    }
+  }
+
+  get range() {
+    return this.#zoom ?? [this.signals.now - this.#span, this.signals.now];
+  }
+
+  #makePlot(unit) {
+    const plot = new Plot(unit);
+    plot.onZoom = (zoom) => {
+      this.#zoom = zoom;
+      this.signals.close();
+      this.#draw();
+    };
+    plot.onCursor = (cursor) => {
+      for (const other of this.#plots.values()) if (other !== plot) other.point(cursor);
+    };
+    this.#plots.set(unit, plot);
+    return plot.element;
+  }
+
+  #makeChosen(signal) {
+    const name = `${this.#name(signal)}`;
+    return h('li', {}, h('span', {}, name), h('span', {class: 'quiet'}),
+      h('button', {type: 'button', class: 'button small', ariaLabel: `Remove ${name}`,
+        onclick: () => this.#choose(this.signals.all.filter((one) => one !== signal))}, '\u00d7'));
+  }
+
+  #name({device, key}) {
+    const row = this.store.devices.get(device);
+    const devices = this.store.groups().flatMap((group) => group.devices);
+    return `${row ? nameOf(row, devices) : device} ${splitUnit(key)[0]}`;
+  }
+
+  #save() {
+    const {all, origin} = this.signals;
+    const names = all.map((signal) => `${this.#name(signal)}${unitOf(signal.key)}`);
+    const text = csvOf(all, names, this.range,
+      this.store.player ? 'recording (s)' : 'Unix time (s)', origin);
+    const link = h('a', {download: 'signals.csv',
+      href: URL.createObjectURL(new Blob([text], {type: 'text/csv'}))});
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  }
+}
+
+const unitOf = (key) => splitUnit(key)[1] && ` (${splitUnit(key)[1]})`;
+
+/** '007 left_knee', with its bus where there are several. */
+function nameOf({id, joint, bus}, devices) {
+  return [id3(id), joint, devices.some((one) => one.bus !== bus) && bus].filter(Boolean).join(' ');
+}
+
+const rateOf = (signal, now) => signal.end > signal.begin
+  ? `${figure(signal.rate(now), 2)} /s` : 'nothing yet';
+
+/** Fill a select with [value, text]. */
+function fill(select, options, value = select.value) {
+  each(select, options, ([one]) => one, ([one]) => h('option', {value: one}),
+    (option, [, text]) => say(option, text));
+  if (options.some(([one]) => one === value)) select.value = value;
+}

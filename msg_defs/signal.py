@@ -1,0 +1,53 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The values of one register over time, kept as the page gets them: f64 pairs, little-endian."""
+from __future__ import annotations
+
+from bisect import bisect_left
+from struct import Struct
+from typing import NamedTuple
+
+SPAN_S = 60.0
+KEPT = 60_000                       # points: 60 s at 1 kHz
+_POINT = Struct('<dd')
+
+
+class Points(NamedTuple):
+    """Points in a row; first: the number of the first."""
+
+    first: int
+    is_written: bool
+    data: bytes
+
+
+class PointRing:
+    """
+    The last points of a register, (s, value); is_written: the last was written, not read.
+
+    They are numbered from the time of the first, in us: no two records share a number.
+    """
+
+    __slots__ = ('_data', '_first', 'is_written')
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._first = 0
+        self.is_written = False
+
+    def add(self, at_s: float, value: float) -> None:
+        data = self._data
+        if not data:
+            self._first = int(max(0.0, at_s) * 1e6)
+        data += _POINT.pack(at_s, value)
+        if len(data) > KEPT * _POINT.size:
+            del data[:_POINT.size]
+            self._first += 1
+
+    def after(self, number: int, since_s: float) -> Points:
+        """Return the points from a number on, else all; none from before since_s."""
+        data, size = self._data, _POINT.size
+        points = range(len(data) // size)
+        skipped = number - self._first if number - self._first <= len(points) else 0
+        begin = max(skipped, bisect_left(
+            points, since_s, key=lambda point: _POINT.unpack_from(data, point * size)[0]))
+        return Points(self._first + begin, self.is_written, bytes(data[begin * size:]))
