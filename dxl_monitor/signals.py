@@ -61,17 +61,19 @@ class BusSignals:
         rings = self._chosen.get(device.number)
         recorder = self._recorders.get(device.number)
         if rings and (recorder is None or recorder.device is not device):
-            self._recorders[device.number] = recorder = _DeviceSignals(device, rings)
+            self._recorders[device.number] = recorder = _DeviceSignals(device, rings, self._registry)
             device.table.call(recorder.take)
 
 
 class _DeviceSignals:
     """The chosen registers of one device."""
 
-    def __init__(self, device: Device, rings: dict[str, PointRing]) -> None:
+    def __init__(self, device: Device, rings: dict[str, PointRing],
+                 registry: DeviceRegistry) -> None:
         self.device = device
         self._number = device.number
         self._rings = rings
+        self._resolve = registry.resolve
         self._model: Model | None = None            # for which the following holds
         self._places: list[tuple[PointRing, int, Field]] = []
         self._deciding: list[tuple[int, int]] = []
@@ -81,6 +83,7 @@ class _DeviceSignals:
         """Take bytes of the table; called by it, for each span that was read or written."""
         if self.device.number != self._number:
             return                                  # it was given another ID
+        self._resolve(self.device)
         if self._model is not self.device.model:
             self._locate(self.device.model)
         found = self._spans.get(span)
