@@ -61,7 +61,8 @@ class BusSignals:
         rings = self._chosen.get(device.number)
         recorder = self._recorders.get(device.number)
         if rings and (recorder is None or recorder.device is not device):
-            self._recorders[device.number] = recorder = _DeviceSignals(device, rings, self._registry)
+            recorder = _DeviceSignals(device, rings, self._registry)
+            self._recorders[device.number] = recorder
             device.table.call(recorder.take)
 
 

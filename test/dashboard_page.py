@@ -12,7 +12,8 @@ from synthetic_robot import SyntheticRobot
 
 SIZES = {'desktop': (1440, 900), 'phone': (390, 844), 'panel': (800, 480), 'touch': (480, 272)}
 VIEWS = {'overview': '#/', 'devices': '#/devices', 'device': '#/device/dxl_monitor: 007 left_knee',
-         'log': '#/log', 'bridge': '#/bridge', 'history': '#/history'}
+         'log': '#/log', 'bridge': '#/bridge', 'history': '#/history',
+         'signals': '#/signals?of=dxl_monitor: 007 left_knee&register=Present Position (rad)'}
 NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
 OPTIONS = ('--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
            '--disable-background-networking', '--disable-component-update', '--disable-sync')
@@ -52,10 +53,11 @@ def browser():
 class Dashboard:
     """A server without ROS; `port` is kept over a restart."""
 
-    def __init__(self, is_open=False, history=None):
+    def __init__(self, is_open=False, history=None, signals=None):
         self.port = 0
         self._history = history
         self._is_open = is_open
+        self._signals = signals
         self.server = None
         self.start()
 
@@ -68,7 +70,8 @@ class Dashboard:
         self.port = listener.getsockname()[1]
         about = facts('127.0.0.1', self.port) | {'machine': 'robot'}
         recording = self._history and HistoryRecorder(self._history)
-        self.server = Server(listener, about, self._is_open, recording)
+        self.server = Server(listener, about, self._is_open, recording,
+                             signals=self._signals)
         self.server.start()
 
     @property

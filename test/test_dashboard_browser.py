@@ -3,6 +3,7 @@
 """The dashboard in a real browser: every view, in four sizes, and what may go wrong around it."""
 from contextlib import contextmanager
 from itertools import product
+import math
 import re
 import time
 from types import SimpleNamespace
@@ -28,6 +29,7 @@ from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
 from msg_defs.reports import Status
+from msg_defs.signal import PointRing
 
 WHY_NOT = dashboard_page.why_not()
 pytestmark = [pytest.mark.alone, pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT or 'runs')]
@@ -324,6 +326,94 @@ def test_the_cursor_reads_the_line(page):
         {'low': 15, 'high': 15, 'at': 1, 'isBetween': True}, {'low': 20, 'high': 30, 'at': 2},
         {'low': 20, 'high': 20, 'at': 3, 'isBetween': True}, None,
         {'low': 50, 'high': 50, 'at': 9}, None]
+
+
+class Source:
+    """Registers of the knee: position, read but for a second; goal, written twice."""
+
+    def __init__(self):
+        self.now_s = 1000.0
+        self.rings = {key: PointRing() for key in ('Present Position (rad)', 'Goal Position (rad)')}
+        self.sent, goal = list(self.rings.values())
+        self.points = [(940 + at / 50, math.sin(at / 50)) for at in range(3000)
+                       if not 2000 <= at < 2050]
+        for at_s, value in self.points:
+            self.sent.add(at_s, value)
+        for at_s in (950.0, 990.0):
+            goal.add(at_s, at_s / 1000)
+            goal.is_written = True
+
+    def clock(self):
+        return self.now_s, 1.7e9
+
+    def signal(self, name, key, after):
+        if name.endswith('left_knee') and key in self.rings:
+            return self.rings[key].after(after, self.now_s - 60)
+
+    def drop(self, name, key):
+        pass
+
+
+def test_signals_at_the_rate_of_the_bus(open_page):
+    """Chosen, read with the cursor, saved as they are shown; the choice is in the address."""
+    source = Source()
+    with Dashboard(signals=source) as dashboard, Feed(dashboard):
+        page = open_page(f'{dashboard.address}#/signals')
+        page.get_by_label('Device', exact=True).select_option('dxl_monitor: 007 left_knee')
+        page.get_by_label('Register', exact=True).locator('option').first.wait_for(
+            state='attached')
+        for _ in source.rings:
+            page.get_by_role('button', name='Add').click()
+        see(page, '.chosen', 'Present Position\\s*50 /s')
+        see(page, '.legend', 'Goal Position.*0.99 rad')
+        assert page.locator('.signals canvas').count() == 1         # over each other
+        page.locator('.signals canvas').hover(position={'x': 700, 'y': 50})
+        see(page, '.legend', 'Present Position.*rad at \u2212.*Goal Position.*0.95 rad')
+        with page.expect_download() as download:
+            page.get_by_role('button', name='CSV').click()
+        head, *lines = download.value.path().read_text().splitlines()
+        assert head == ('Unix time (s),007 left_knee Present Position (rad),'
+                        '007 left_knee Goal Position (rad)')
+        cells = [line.split(',') for line in lines]
+        assert [(float(at_s) - 1.7e9, float(value)) for at_s, value, _ in cells if value] == [
+            (pytest.approx(at_s, abs=1e-6), value) for at_s, value in source.points]
+        assert [goal for *_, goal in cells if goal] == ['0.95', '0.99']
+        page.get_by_role('button', name='Pause').click()
+        source.now_s = 1000.5
+        source.sent.add(1000.5, 7.0)
+        page.get_by_role('button', name='Paused').click()
+        see(page, '.legend', 'Present Position.*7 rad')             # it came in the meantime
+        page.reload()
+        see(page, '.legend', 'Present Position.*7 rad')
+        page.get_by_role('button', name='Remove 007 left_knee Present Position').click()
+        assert 'Present' not in page.url
+        page.goto(dashboard.address + VIEWS['device'])
+        page.get_by_role('link', name='Signals').last.click()
+        see(page, '.legend', 'Present Position')
+        page.context.close()
+
+
+def test_a_plot_has_the_lowest_and_highest_of_each_column(page):
+    """A gap is one where it can be seen; what was written holds until the next."""
+    drawn = page.evaluate("""async () => {
+        const {Signal} = await import('./signal.js');
+        const show = (isWritten, points, ...view) => {
+            const signal = new Signal('', '');
+            signal.take(isWritten, 5, Float64Array.from(points.flat()));
+            return signal.drawn(...view);
+        };
+        const steady = Array.from({length: 1000}, (_, at) => [at / 100, at === 205 ? 9 : at % 3]);
+        const silent = steady.filter(([s]) => s < 4 || s > 6);
+        return [show(false, steady, 0, 10, 10, 10), show(false, silent, 3, 7, 8, 10),
+            show(false, [...steady.slice(0, 50), [5, 8]], 4, 6, 8, 5.1),
+            show(true, [[1, 1], [3, 2]], 2, 6, 40, 5)];
+    }""")
+    columns, silent, alone, held = drawn
+    assert columns == [[at, 0, 9 if at == 2 else 2] for at in range(10)]
+    assert silent == [[2.99, 2, 2], [3, 0, 2], [3.5, 0, 2], [pytest.approx(4.49), None],
+                      [6.01, 0, 2], [6.5, 0, 2], [7, 1, 2], [7.51, None]]
+    assert alone[-3:] == [[0.74, None], [5, 8, 8], [5.25, 8, 8]]        # a dot
+    assert held == [[1, 1, 1], [3, 1, 1], [3, 2, 2], [5, 2, 2]]
 
 
 def test_error_history_and_findings(page, robot):

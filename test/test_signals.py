@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Chosen registers at the rate of the bus: what is recorded is what was sent, and it is bounded."""
+"""Chosen registers at the rate of the bus: what is recorded is what was sent; it is bounded."""
+from itertools import pairwise
 from random import Random
 import struct
 
@@ -126,7 +127,7 @@ def test_what_is_silent_has_no_points():
     *_, (_, sent) = fed(monitor, [1, 2], 50, 6, silent=(2, 2.0, 4.0))
     times = [at_s for at_s, _ in points(monitor, 2, PRESENT)]
     assert times == [at_s for at_s, _ in sent[2]]
-    assert max(b - a for a, b in zip(times, times[1:], strict=False)) == pytest.approx(2.02)
+    assert max(b - a for a, b in pairwise(times)) == pytest.approx(2.02)
 
 
 def test_goals_are_recorded_as_written_unless_refused():

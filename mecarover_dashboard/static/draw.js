@@ -9,6 +9,7 @@ const LEFT = 52, RIGHT = 10, TOP = 8, BOTTOM = 20;
 const STEPS = [1, 2, 2.5, 5, 10];
 const DASHES = [[], [6, 3], [2, 3], [9, 3, 2, 3]];
 const LIMIT_DASH = [4, 4];
+const DENSE = 400;             // points: dashes would not be seen, and thin lines are drawn soon
 
 /** Draw series into a canvas; return where the lines are, {left, width}; null: it is not seen. */
 export function drawPlot(canvas, shown, view) {
@@ -37,7 +38,7 @@ export function drawPlot(canvas, shown, view) {
   for (const [name, value] of view.limits ?? []) drawLimit(pen, area, at, name, value, ticks,
     colours);
   shown.forEach((one, index) => drawLine(pen, one.points, at,
-    {colour: colours.lines[index % 4], dash: DASHES[(index + (index >> 2)) % 4]}, view));
+    {colour: colours.lines[index % 4], dash: DASHES[index % 4]}, view));
   pen.restore();
   if (view.drag) drawDrag(pen, area, at, view.drag, colours);
   if (view.cursor !== null) drawCursor(pen, area, at, shown, view, colours);
@@ -163,9 +164,10 @@ function drawLimit(pen, area, at, name, value, ticks, colours) {
 function drawLine(pen, points, at, {colour, dash}, view) {
   const {now, to, isLive, unix, gap = GAP_S} = view;
   pen.strokeStyle = pen.fillStyle = colour;
-  pen.lineWidth = 1.6;
-  pen.lineJoin = 'round';
-  pen.setLineDash(dash);
+  const isDense = points.length > DENSE;
+  pen.lineWidth = isDense ? 1 : 1.6;
+  pen.lineJoin = isDense ? 'bevel' : 'round';
+  pen.setLineDash(isDense ? [] : dash);
   const before = strokeLine(pen, points, at, gap);
   const isHeld = before && isLive && !unix && now - before[0] > gap;
   if (isHeld) drawHeld(pen, at, before, Math.min(now, to));

@@ -182,7 +182,6 @@ export class Plot {
     each(this.legend, rows, (row) => row.name,
       () => h('li', {}, h('i', {class: 'swatch'}), h('span'), h('b')), (item, row) => {
         set(item.firstChild, 'data-line', row.index % 4);
-        set(item.firstChild, 'data-dash', row.index < 4 ? null : 1);
         say(item.children[1], row.name);
         say(item.lastChild, written(row) + (row.value ? when : ''));
       });

@@ -80,14 +80,14 @@ export class Signal {
     const columns = new Columns(step);
     let [s, value] = [NaN, NaN];
     for (let at = Math.max(this.begin, this.indexOf(from) - 2); at < end && !(s > to); at += 2) {
-      if (isWritten) columns.put(data[at], value);
+      if (isWritten) columns.hold(data[at], value);
       else if (data[at] - s > gap) columns.interrupt(s + step);
       [s, value] = [data[at], data[at + 1]];
       columns.put(s, value);
     }
-    if (isWritten && s < to) columns.put(Math.min(now, to), value);
+    if (isWritten && s < to) columns.hold(Math.min(now, to), value);
     else if (now - s > gap) columns.interrupt(s + step);
-    return columns.points;
+    return columns.end();
   }
 }
 
@@ -98,11 +98,22 @@ class Columns {
 
   constructor(step) { this.step = step; }
 
+  #isIn(s) {
+    return this.#open && Math.floor(s / this.step) === Math.floor(this.#open[0] / this.step);
+  }
+
+  /** Go on with a value up to where the next begins. */
+  hold(s, value) {
+    if (!this.#open || this.#isIn(s)) return;
+    this.#isAlone = false;
+    this.points.push(this.#open = [s, value, value]);
+  }
+
   put(s, value) {
     const open = this.#open;
     if (!Number.isFinite(value)) {
       this.interrupt(s);
-    } else if (open && Math.floor(s / this.step) === Math.floor(open[0] / this.step)) {
+    } else if (this.#isIn(s) && s > open[0]) {
       if (value < open[1]) open[1] = value;
       if (value > open[2]) open[2] = value;
     } else {
@@ -113,9 +124,17 @@ class Columns {
 
   interrupt(s) {
     if (!this.#open) return;
-    if (this.#isAlone) this.points.push([s, this.#open[1], this.#open[2]]);   // a dot
+    this.#dot(s);
     this.points.push([s, null]);
     this.#open = null;
+  }
+
+  /** Make a value that is alone wide enough to be seen. */
+  #dot(s) { if (this.#isAlone) this.points.push([s, this.#open[1], this.#open[2]]); }
+
+  end() {
+    if (this.#open) this.#dot(this.#open[0] + this.step);
+    return this.points;
   }
 }
 

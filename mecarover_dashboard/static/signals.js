@@ -13,6 +13,7 @@ import {csvOf, MOST, Signal, Signals, SPAN_S} from './signal.js';
 const SPANS = [[5, '5 s'], [20, '20 s'], [SPAN_S, '60 s']];
 const FIRST = ['Present Position', 'Goal Position'];         // at the top of the list
 const NO_UNIT = 'no unit';
+const MOST_LINES = 4;          // in a plot
 
 /** The address that shows some registers of a device at the rate of the bus. */
 export const pathOfSignals = (device, keys) => `${path('signals')}?${new URLSearchParams(
@@ -123,26 +124,21 @@ export class SignalsView {
     set(this.pause, 'aria-pressed', !isOpen);
     set(this.csv, 'disabled', !all.length);
     const [from, to] = this.range;
-    const units = new Map();
-    for (const signal of all.filter((one) => one.end > one.begin)) {
-      const unit = splitUnit(signal.key)[1] || NO_UNIT;
-      units.set(unit, [...units.get(unit) ?? [], signal]);
-    }
+    const groups = groupsOf(all.filter((one) => one.end > one.begin));
     each(this.chosen, all, ({device, key}) => `${device}|${key}`, (one) => this.#makeChosen(one),
       (item, signal) => say(item.children[1], rateOf(signal, now)));
-    each(this.graphs, [...units], ([unit]) => unit, ([unit]) => this.#makePlot(unit),
-      (_, [unit, signals]) => {
-        const plot = this.#plots.get(unit);
-        plot.cover(to - from, {isQuiet: true});
-        plot.update(signals.map((signal) => ({name: this.#name(signal),
-          unit: splitUnit(signal.key)[1],
-          points: signal.drawn(from, to, plot.width, now)})), to,
-        {gap: Infinity, rest: 0, zero: now});
-      });
-    for (const [unit, plot] of this.#plots) {
-      if (units.has(unit)) continue;
+    each(this.graphs, groups, ({key}) => key, ({key}) => this.#makePlot(key), (_, {key, some}) => {
+      const plot = this.#plots.get(key);
+      plot.cover(to - from, {isQuiet: true});
+      plot.update(some.map((signal) => ({name: this.#name(signal),
+        unit: splitUnit(signal.key)[1],
+        points: signal.drawn(from, to, plot.width, now)})), to,
+      {gap: Infinity, rest: 0, zero: now});
+    });
+    for (const [key, plot] of this.#plots) {
+      if (groups.some((one) => one.key === key)) continue;
       plot.close();
-      this.#plots.delete(unit);
+      this.#plots.delete(key);
     }
   }
 
@@ -187,6 +183,19 @@ export class SignalsView {
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   }
+}
+
+/** What shares a plot: up to four registers of one unit, those of a servo next to each other. */
+function groupsOf(signals) {
+  const units = new Map();
+  const byDevice = (a, b) => a.device < b.device ? -1 : Number(a.device > b.device);
+  for (const signal of [...signals].sort(byDevice)) {
+    const [, unit] = splitUnit(signal.key);
+    units.set(unit, [...units.get(unit) ?? [], signal]);
+  }
+  return [...units].flatMap(([unit, all]) => [0, MOST_LINES].map((from) => ({
+    key: `${unit || NO_UNIT} ${from}`, some: all.slice(from, from + MOST_LINES)})))
+    .filter(({some}) => some.length);
 }
 
 const unitOf = (key) => splitUnit(key)[1] && ` (${splitUnit(key)[1]})`;
