@@ -46,9 +46,10 @@ def hear(monitor, *packets, at_s):
         monitor.feed(packet, int(at_s * SECOND) + nth * MS)
 
 
-def fed(monitor, servos, rate, seconds, silent=(0, 0.0, 0.0)):
-    """Feed Sync Reads with random answers, a chunk a cycle; return [(s, bytes)] by ID."""
-    random, sent = Random(1), {number: [] for number in servos}
+def fed(sent, monitor, servos, rate, seconds, silent=(0, 0.0, 0.0)):
+    """Feed Sync Reads with random answers, a chunk a cycle: sent[ID] = [(s, bytes), ...]."""
+    random = Random(1)
+    sent |= {number: [] for number in servos}
     ask = encode(0xFE, I.SYNC_READ, words(FRONT, SIZE) + bytes(servos))
     number, begin_s, end_s = silent
     for cycle in range(int(seconds * rate)):
@@ -61,7 +62,7 @@ def fed(monitor, servos, rate, seconds, silent=(0, 0.0, 0.0)):
             chunks.append(reply(servo, data))
             sent[servo].append((stamp / 1e9, data))
         monitor.feed(b''.join(chunks), stamp)
-        yield stamp, sent
+        yield stamp
 
 
 def value(key, data):
@@ -77,7 +78,8 @@ def check_what_is_recorded(servos, rate, seconds, chosen):
     asked = 0
     for one in chosen:
         points(monitor, *one)
-    for stamp, sent in fed(monitor, servos, rate, seconds):
+    sent = {}
+    for stamp in fed(sent, monitor, servos, rate, seconds):
         if stamp - asked < SECOND // 10:
             continue
         asked = stamp
@@ -102,7 +104,7 @@ def test_points_are_what_was_sent(servos, rate, seconds, chosen):
 def test_a_page_that_comes_later_gets_what_the_last_minute_has():
     monitor = bus_of(1)
     points(monitor, 1, PRESENT)
-    for _ in fed(monitor, [1], 10, 100):
+    for _ in fed({}, monitor, [1], 10, 100):
         pass
     last_s = 1 + 99.9
     late = points(monitor, 1, PRESENT, 0, last_s - 59.95)
@@ -124,7 +126,8 @@ def test_memory_is_bounded_and_numbers_go_on():
 def test_what_is_silent_has_no_points():
     monitor = bus_of(1, 2)
     points(monitor, 2, PRESENT)
-    *_, (_, sent) = fed(monitor, [1, 2], 50, 6, silent=(2, 2.0, 4.0))
+    sent = {}
+    list(fed(sent, monitor, [1, 2], 50, 6, silent=(2, 2.0, 4.0)))
     times = [at_s for at_s, _ in points(monitor, 2, PRESENT)]
     assert times == [at_s for at_s, _ in sent[2]]
     assert max(b - a for a, b in pairwise(times)) == pytest.approx(2.02)

@@ -68,7 +68,8 @@ export class Plot {
   }
 
   /**
-   * Show series [{name, unit, points: [[s, value or null] or [s, low, high], ...]}] up to now (s).
+   * Show series [{name, unit, note, points: [[s, value or null] or [s, low, high], ...]}] up to
+   * now (s).
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
    * point that break the line; `unix(s)`, the Unix time of a time; `zero`, s that are called now;
    * `rest`, s between two moves of the plot.
@@ -180,10 +181,11 @@ export class Plot {
     const when = s === null ? '' : unix ? ` at ${clock(unix(s))}`
       : ` at \u2212${spanText(this.#zero - s)}`;
     each(this.legend, rows, (row) => row.name,
-      () => h('li', {}, h('i', {class: 'swatch'}), h('span'), h('b')), (item, row) => {
+      () => h('li', {}, h('i', {class: 'swatch'}), h('span'), h('b'), h('small')), (item, row) => {
         set(item.firstChild, 'data-line', row.index % 4);
         say(item.children[1], row.name);
-        say(item.lastChild, written(row) + (row.value ? when : ''));
+        say(item.children[2], written(row) + (row.value ? when : ''));
+        say(item.lastChild, row.note ?? '');
       });
     const text = rows.map((row) => `${row.name} ${written(row)}`).join(', ');
     if (text !== this.#drawn) {

@@ -36,20 +36,19 @@ export class SignalsView {
       this.watch = this.device.value;
       this.update(this.store);
     }});
-    this.register = h('select', {ariaLabel: 'Register'});
-    this.add = h('button', {type: 'button', class: 'button', onclick: () => this.#add()}, 'Add');
+    this.register = h('select', {ariaLabel: 'Register', onchange: () => this.update(this.store)});
+    this.add = h('button', {type: 'button', class: 'button', onclick: () => this.#change()});
     this.spans = h('div', {class: 'choice', role: 'group', ariaLabel: 'Time shown'},
       ...SPANS.map(([span, text]) => h('button', {type: 'button', 'data-span': span,
         onclick: () => this.#show(span)}, text)));
     this.pause = h('button', {type: 'button', class: 'button', onclick: () => this.#pause()});
     this.csv = h('button', {type: 'button', class: 'button', onclick: () => this.#save()}, 'CSV');
-    this.chosen = h('ul', {class: 'chosen', ariaLabel: 'Registers shown'});
     this.words = h('p', {class: 'quiet', role: 'status'});
     this.empty = h('div', {class: 'empty'});
     this.graphs = h('div', {class: 'graphs'});
     this.body = h('section', {class: 'panel signals'},
       h('div', {class: 'past-head'}, this.device, this.register, this.add, this.spans, this.pause,
-        this.csv), this.chosen, this.words, this.graphs);
+        this.csv), this.words, this.graphs);
     this.element = h('div', {}, h('h1', {class: 'unseen', tabindex: -1}, 'Signals'), this.empty,
       this.body);
     this.signals.open();
@@ -74,18 +73,17 @@ export class SignalsView {
     this.#draw();
   }
 
-  #add() {
-    const [device, key, {all}] = [this.watch, this.register.value, this.signals];
-    const isThere = all.some((one) => one.key === key && one.device === device);
-    if (!key || isThere || all.length >= MOST) return;
-    this.#choose([...all, new Signal(device, key)]);
-    this.register.selectedIndex = (this.register.selectedIndex + 1) % this.register.length;
-  }
-
-  #choose(all) {
-    this.signals.all = all;
-    keepFilters(all.flatMap(({device, key}) => [['of', device], ['register', key]]));
-    this.#draw();
+  /** Add the register of the lists; or take it away, where it is shown. */
+  #change() {
+    const {signals, register} = this;
+    if (this.shown) {
+      signals.all = signals.all.filter((one) => one !== this.shown);
+    } else {
+      signals.all = [...signals.all, new Signal(this.watch, register.value)];
+      register.selectedIndex = (register.selectedIndex + 1) % register.length;
+    }
+    keepFilters(signals.all.flatMap(({device, key}) => [['of', device], ['register', key]]));
+    this.update(this.store);
   }
 
   update(store) {
@@ -101,7 +99,11 @@ export class SignalsView {
       % (FIRST.length + 1);
     fill(this.register, fields.filter(({value, raw}) => Number.isFinite(numberOf(raw || value)))
       .sort((a, b) => rank(a) - rank(b)).map(({key}) => [key, key]));
-    set(this.add, 'disabled', this.signals.all.length >= MOST || !fields.length);
+    this.shown = this.signals.all.find((one) =>
+      one.device === this.watch && one.key === this.register.value);
+    say(this.add, this.shown ? 'Remove' : 'Add');
+    set(this.add, 'disabled',
+      !this.shown && (this.signals.all.length >= MOST || !this.register.value));
     say(this.words, this.problem || this.#advice());
     this.#draw();
   }
@@ -124,14 +126,14 @@ export class SignalsView {
     set(this.pause, 'aria-pressed', !isOpen);
     set(this.csv, 'disabled', !all.length);
     const [from, to] = this.range;
-    const groups = groupsOf(all.filter((one) => one.end > one.begin));
-    each(this.chosen, all, ({device, key}) => `${device}|${key}`, (one) => this.#makeChosen(one),
-      (item, signal) => say(item.children[1], rateOf(signal, now)));
-    each(this.graphs, groups, ({key}) => key, ({key}) => this.#makePlot(key), (_, {key, some}) => {
+    const groups = groupsOf(all);
+    each(this.graphs, groups, ({key}) => key, (one) => this.#makePlot(one), (element, one) => {
+      const {key, some} = one;
+      set(element, 'data-empty', some.every((one) => one.end === one.begin));
       const plot = this.#plots.get(key);
       plot.cover(to - from, {isQuiet: true});
       plot.update(some.map((signal) => ({name: this.#name(signal),
-        unit: splitUnit(signal.key)[1],
+        unit: splitUnit(signal.key)[1], note: rateOf(signal, now),
         points: signal.drawn(from, to, plot.width, now)})), to,
       {gap: Infinity, rest: 0, zero: now});
     });
@@ -146,8 +148,8 @@ export class SignalsView {
     return this.#zoom ?? [this.signals.now - this.#span, this.signals.now];
   }
 
-  #makePlot(unit) {
-    const plot = new Plot(unit);
+  #makePlot({key, unit}) {
+    const plot = new Plot(`Signals, ${unit}`);
     plot.onZoom = (zoom) => {
       this.#zoom = zoom;
       this.signals.close();
@@ -156,15 +158,8 @@ export class SignalsView {
     plot.onCursor = (cursor) => {
       for (const other of this.#plots.values()) if (other !== plot) other.point(cursor);
     };
-    this.#plots.set(unit, plot);
+    this.#plots.set(key, plot);
     return plot.element;
-  }
-
-  #makeChosen(signal) {
-    const name = `${this.#name(signal)}`;
-    return h('li', {}, h('span', {}, name), h('span', {class: 'quiet'}),
-      h('button', {type: 'button', class: 'button small', ariaLabel: `Remove ${name}`,
-        onclick: () => this.#choose(this.signals.all.filter((one) => one !== signal))}, '\u00d7'));
   }
 
   #name({device, key}) {
@@ -194,7 +189,7 @@ function groupsOf(signals) {
     units.set(unit, [...units.get(unit) ?? [], signal]);
   }
   return [...units].flatMap(([unit, all]) => [0, MOST_LINES].map((from) => ({
-    key: `${unit || NO_UNIT} ${from}`, some: all.slice(from, from + MOST_LINES)})))
+    key: `${unit} ${from}`, unit: unit || NO_UNIT, some: all.slice(from, from + MOST_LINES)})))
     .filter(({some}) => some.length);
 }
 
@@ -206,7 +201,7 @@ function nameOf({id, joint, bus}, devices) {
 }
 
 const rateOf = (signal, now) => signal.end > signal.begin
-  ? `${figure(signal.rate(now), 2)} /s` : 'nothing yet';
+  ? `${figure(signal.rate(now), 2)} /s` : '';
 
 /** Fill a select with [value, text]. */
 function fill(select, options, value = select.value) {
