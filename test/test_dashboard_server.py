@@ -4,9 +4,13 @@
 import gzip
 from http.client import HTTPConnection
 from importlib import util
+from itertools import islice
 import json
 import socket
+import struct
 import time
+from types import SimpleNamespace
+from urllib.parse import urlencode
 import zlib
 
 from dashboard_page import Dashboard
@@ -14,6 +18,9 @@ from harness import Program
 from harness import wait
 import pytest
 from synthetic_robot import SyntheticRobot
+
+from mecarover_dashboard.rows import FieldRow
+from mecarover_dashboard.signal_requests import ReportedSignals
 
 pytestmark = pytest.mark.skipif(util.find_spec('aiohttp') is None, reason='skipped: no aiohttp')
 KNEE = 'dxl_monitor:%20007%20left_knee'
@@ -342,3 +349,79 @@ def test_opening_to_the_network_is_said():
     assert 'OPEN TO THE NETWORK' in text
     assert socket.gethostname() in text
     assert 'no password' in text
+
+
+def asked(**registers):
+    return '/signals?' + urlencode([pair for name, after in registers.items() for pair in (
+        ('of', 'dxl_monitor: 007 left_knee'), ('register', name.replace('_', ' ')),
+        ('after', after))])
+
+
+def signals(dashboard, count, path, **headers):
+    """Return the clock, [how it is known, first, points] of each register."""
+    response, body = ask(dashboard, path, **headers)
+    assert response.status == 200, body
+    assert response.headers['Cache-Control'] == 'no-store'
+    numbers = struct.unpack(f'<{len(body) // 8}d', body)
+    points = iter(zip(*2 * [iter(numbers[2 + 3 * count:])], strict=True))
+    return numbers[:2], [(kind, int(first), list(islice(points, int(many))))
+                         for kind, first, many in zip(*3 * [iter(numbers[2:2 + 3 * count])],
+                                                      strict=True)]
+
+
+POSITION, GOAL = 'Present Position (rad)', 'Goal Position (rad)'
+
+
+def test_over_ros_a_signal_has_a_point_for_each_report(dashboard):
+    """At the time when it was read."""
+    robot = SyntheticRobot()
+    path = asked(**{POSITION: 0, GOAL: 0, 'Nothing': 0})
+    dashboard.take(robot.messages(100.0))
+    signals(dashboard, 3, path)
+    dashboard.take(robot.messages(100.5))
+    wait(lambda: signals(dashboard, 3, path)[1][0][2])
+    begun_s = time.monotonic()
+    dashboard.take(robot.messages(101.0))
+    wait(lambda: len(signals(dashboard, 3, path)[1][0][2]) == 2)
+    (now_s, origin_s), ((kind, first, points), (goal, *_), nothing) = signals(dashboard, 3, path)
+    assert (kind, goal, nothing[0], nothing[2]) == (1, 2, 1, [])
+    assert begun_s - 1 < points[1][0] < now_s
+    assert abs(now_s + origin_s - time.time()) < 1
+    shown = SyntheticRobot().messages(101.0)
+    assert f'{points[1][1]:.6g}'.encode() in shown[0][1]
+    *_, ((_, later, rest), *_) = signals(dashboard, 1, asked(**{POSITION: first + 1}))
+    assert (later, rest) == (first + 1, points[1:])
+
+
+def test_what_was_not_read_again_is_no_new_point():
+    signals, rows = ReportedSignals(), [FieldRow(POSITION, '0.5', '', 9.0, 'r')]
+    signals.signal('servo', POSITION, 0)
+    for arrived_s in (10.0, 11.0):
+        signals.look(SimpleNamespace(fields_after=lambda name, after_s, at=arrived_s: (at, rows)))
+    rows[0] = rows[0]._replace(seen=11.5)
+    signals.look(SimpleNamespace(fields_after=lambda name, after_s: (12.0, rows)))
+    assert list(struct.iter_unpack('<dd', signals._rings['servo', POSITION].after(0, 0.0).data)) \
+        == [(9.0, 0.5), (11.5, 0.5)]
+
+
+@pytest.mark.parametrize(('path', 'headers', 'status', 'words'), [
+    ('/signals', {}, 400, 'Choose 1 to 8 registers'),
+    (asked(**{f'Register {n}': 0 for n in range(9)}), {}, 400, 'Choose 1 to 8 registers'),
+    (asked(A=0), {'Sec-Fetch-Site': 'cross-site'}, 403, 'Only a page of this dashboard'),
+    (asked(A=0), {'Host': 'evil.example'}, 421, 'does not know this name'),
+    (asked(A='x' * 99, B='-1'), {'Sec-Fetch-Site': 'same-origin'}, 200, '')])
+def test_who_may_ask_for_signals(dashboard, path, headers, status, words):
+    response, body = ask(dashboard, path, **headers)
+    assert response.status == status
+    if words:
+        assert words in body.decode()
+
+
+def test_signals_of_all_pages_are_bounded_and_end_after_the_last_page(dashboard, monkeypatch):
+    for page in range(4):
+        signals(dashboard, 8, asked(**{f'R {page} {n}': 0 for n in range(8)}))
+    response, body = ask(dashboard, asked(One_more=0))
+    assert (response.status, b'32 registers; close one' in body) == (503, True)
+    monkeypatch.setattr('mecarover_dashboard.signal_requests.SPAN_S', 0.3)
+    wait(lambda: ask(dashboard, asked(One_more=0))[0].status == 200)
+    wait(lambda: not dashboard.server._reported._rings)

@@ -1,9 +1,11 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """dxl_dashboard without ROS: a program, a port and a recording on the page, as dxl_doctor says."""
+import ast
 from contextlib import ExitStack
 import fcntl
 import json
+import math
 import os
 import pty
 import re
@@ -13,6 +15,7 @@ import sys
 import termios
 from types import SimpleNamespace
 from urllib.error import HTTPError
+from urllib.parse import urlencode
 from urllib.request import urlopen
 
 import dashboard_page
@@ -53,9 +56,15 @@ port = sdk.PortHandler(sys.argv[1])
 port.setBaudRate(1000000)
 packet = sdk.PacketHandler(0)
 end = time.monotonic() + float(sys.argv[2])
+goals, seen = [], []
 while time.monotonic() < end:
-    for servo in range(1, 7):
+    for servo in range(2, 7):
         packet.read2ByteTxRx(port, servo, 56)
+    for _ in range(5):
+        goals.append(2048 + 7 * len(goals) % 500)
+        packet.syncWriteTxOnly(port, 42, 2, [1, goals[-1] % 256, goals[-1] // 256], 3)
+        seen.append(packet.read2ByteTxRx(port, 1, 56)[0])
+print('said', (goals, seen))
 print('my program ends')
 """
 
@@ -95,6 +104,28 @@ def devices(program, until):
     raise AssertionError(found)
 
 
+def recorded(program, device, count):
+    """Return goals and positions of a servo as its counts, once there are so many."""
+    address = program.wait_for('http://').split('http://')[1].split()[0]
+    keys = ('Goal Position (rad)', 'Present Position (rad)')
+    query = urlencode([pair for key in keys for pair in (
+        ('of', device), ('register', key), ('after', 0))])
+    numbers = ()
+
+    def is_enough():
+        nonlocal numbers
+        with urlopen(f'http://{address}/signals?{query}') as answer:
+            numbers = [one for one, in struct.iter_unpack('<d', answer.read())]
+        return numbers[4] >= count
+    wait(is_enough)
+    values = [round(2048 + rad * 2048 / math.pi) for rad in numbers[9::2]]
+    return values[:int(numbers[4])], values[int(numbers[4]):]
+
+
+def is_in(part, whole):
+    return any(whole[at:at + len(part)] == part for at in range(len(whole)))
+
+
 @pytest.mark.alone
 def test_a_program_is_shown_while_it_runs_and_judged_at_its_end(tmp_path):
     link = str(tmp_path / 'bus')
@@ -108,8 +139,14 @@ def test_a_program_is_shown_while_it_runs_and_judged_at_its_end(tmp_path):
             assert {row['state'] for row in found.values() if row['id'] != 3} == {'connected'}
             assert found[3]['bus'] == 'bus'
             assert first['facts']['source'].startswith(sys.executable)
+            goals, positions = recorded(program, 'dxl_monitor: bus/001', 50)
             assert program.exit_code() == 0
     assert program.said('my program ends')
+    said = ast.literal_eval(next(line for line in program.lines if line.startswith('said '))[5:])
+    seen = [one for one in said[1] if one]              # 0: it gave up waiting
+    assert is_in(goals, said[0])
+    assert is_in([one for one in positions if one in seen], seen)
+    assert len(set(positions) & set(seen)) > 20
     assert re.search(r'dxl_dashboard: .*003, STS3215: no answer', program.text)
 
 

@@ -91,7 +91,7 @@ export class Plot {
   }
 
   /** How many columns of pixels the lines have. */
-  get width() { return Math.max(1, Math.round((this.#area?.width ?? 600) * devicePixelRatio)); }
+  get width() { return Math.max(1, Math.round(this.#area.width * devicePixelRatio)); }
 
   #show(span) {
     this.span = span;
@@ -115,12 +115,12 @@ export class Plot {
   get range() { return this.#zoom ?? [this.#now - this.span, this.#now]; }
 
   #at(x) {
-    const {left, width} = this.#area ?? {left: 0, width: 1};
+    const {left, width} = this.#area;
     const [from, to] = this.range;
     return from + (to - from) * Math.min(1, Math.max(0, (x - left) / width));
   }
 
-  #area = null;
+  #area = {left: 0, width: 1};
   onZoom = null;               // who shows another time instead, given [from, to]
   onCursor = () => {};         // given where the cursor is, s before the right edge, or null
 
@@ -166,8 +166,7 @@ export class Plot {
     const shown = this.#series.map((one) => ({...one, points: within(one.points, from, to)}));
     const drawn = drawPlot(this.canvas, shown, {...this.#options, from, to, cursor: s, drag,
       isLive: !this.#zoom, now: this.#zero});
-    if (!drawn) return;
-    this.#area = drawn;
+    this.#area = drawn ?? this.#area;
     this.#tell(shown, s);
   }
 
