@@ -26,10 +26,13 @@ import pytest
 
 from benchmark import confusion
 from benchmark.confusion_cases import Scene
+from dxl_monitor.monitor import Monitor
+from dxl_monitor.monitor_settings import settings_of
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
+from dxl_monitor.record.opening import open_file
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import parse
@@ -122,10 +125,6 @@ def recorded(program, device, count):
     return values[:int(numbers[4])], values[int(numbers[4]):]
 
 
-def is_in(part, whole):
-    return any(whole[at:at + len(part)] == part for at in range(len(whole)))
-
-
 @pytest.mark.alone
 def test_a_program_is_shown_while_it_runs_and_judged_at_its_end(tmp_path):
     link = str(tmp_path / 'bus')
@@ -143,10 +142,10 @@ def test_a_program_is_shown_while_it_runs_and_judged_at_its_end(tmp_path):
             assert program.exit_code() == 0
     assert program.said('my program ends')
     said = ast.literal_eval(next(line for line in program.lines if line.startswith('said '))[5:])
-    seen = [one for one in said[1] if one]              # 0: it gave up waiting
-    assert is_in(goals, said[0])
-    assert is_in([one for one in positions if one in seen], seen)
-    assert len(set(positions) & set(seen)) > 20
+    asked, seen = said
+    assert any(asked[at:at + len(goals)] == goals for at in range(len(asked)))
+    rest = iter(seen)                       # on a busy machine either may give up an answer
+    assert sum(one in rest for one in positions if one in seen) > 20
     assert re.search(r'dxl_dashboard: .*003, STS3215: no answer', program.text)
 
 
@@ -238,6 +237,24 @@ def test_the_same_rows_in_a_terminal(tmp_path):
     assert once.said('ERROR', '003 ')
 
 
+def positions_in(capture):
+    """Return (s, rad) of servo 1 as its table has it after each chunk."""
+    source = open_file(str(capture), None, None, tool='')
+    begin = monitor = None
+    found = []
+    for chunk in filter(None, source.chunks()):
+        if monitor is None:
+            begin = chunk.stamp
+            monitor = Monitor('arm', confusion.MODELS, settings_of(
+                'arm', source.wire(chunk.bus), [ARM], 'auto'))
+        monitor.take(chunk)
+        device = monitor.decoder.registry.devices[1]
+        [row] = device.table.observed_of(device.model, ['Present Position'], chunk.stamp)
+        if row is not None and row.age_s == 0.0:
+            found.append(((chunk.stamp - begin) / 1e9, row.value.number))
+    return found
+
+
 WHY_NOT = dashboard_page.why_not()
 
 
@@ -268,6 +285,17 @@ def test_a_recording_is_played_stopped_and_moved(tmp_path):
         slider.fill('10')
         bar.filter(has_text='6/6').wait_for()
         assert page.locator('.servo[data-state=ok]').count() == 6
+        page.get_by_role('link', name='Signals').click()
+        page.get_by_role('button', name='Add').click()              # stopped, yet it has the past
+        page.locator('.legend', has_text=re.compile(r'(29|30) /s')).wait_for()
+        with page.expect_download() as download:
+            page.get_by_role('button', name='CSV').click()
+        head, *lines = download.value.path().read_text().splitlines()
+        assert head == 'recording (s),001 Present Position (rad)'
+        shown = [tuple(map(float, line.split(','))) for line in lines]
+        assert shown == [(pytest.approx(at_s, abs=1e-5), value)
+                         for at_s, value in positions_in(capture) if at_s <= shown[-1][0] + 1e-5]
+        assert 9 < shown[-1][0] - shown[0][0] < 11
         page.get_by_role('button', name='Play').click()
         wait(lambda: float(slider.input_value()) > 10.3)
         with urlopen(f'{address}/player') as answer:
