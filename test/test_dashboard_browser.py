@@ -397,7 +397,7 @@ def test_signals_at_the_rate_of_the_bus(open_page):
 def test_a_plot_has_the_lowest_and_highest_of_each_column(page):
     """A gap is one where it can be seen; what was written holds until the next."""
     drawn = page.evaluate("""async () => {
-        const {Signal} = await import('./signal.js');
+        const {csvOf, Signal} = await import('./signal.js');
         const show = (isWritten, points, ...view) => {
             const signal = new Signal('', '');
             signal.take(isWritten, 5, Float64Array.from(points.flat()));
@@ -407,9 +407,11 @@ def test_a_plot_has_the_lowest_and_highest_of_each_column(page):
         const silent = steady.filter(([s]) => s < 4 || s > 6);
         return [show(false, steady, 0, 10, 10, 10), show(false, silent, 3, 7, 8, 10),
             show(false, [...steady.slice(0, 50), [5, 8]], 4, 6, 8, 5.1),
-            show(true, [[1, 1], [3, 2]], 2, 6, 40, 5)];
+            show(true, [[1, 1], [3, 2]], 2, 6, 40, 5),
+            csvOf([], ['=1+1', 'a, "b"'], [0, 1], 's', 0)];
     }""")
-    columns, silent, alone, held = drawn
+    columns, silent, alone, held, head = drawn
+    assert head == 's,\'=1+1,"a, ""b"""\n'
     assert columns == [[at, 0, 9 if at == 2 else 2] for at in range(10)]
     assert silent == [[2.99, 2, 2], [3, 0, 2], [3.5, 0, 2], [pytest.approx(4.49), None],
                       [6.01, 0, 2], [6.5, 0, 2], [7, 1, 2], [7.51, None]]

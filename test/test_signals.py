@@ -120,7 +120,7 @@ def test_memory_is_bounded_and_numbers_go_on():
     assert next(struct.iter_unpack('<dd', found.data)) == (5.0, 5000.0)
     assert ring.after(KEPT + 4999, 0.0).data == found.data[-16:]
     assert ring.after(KEPT + 5000, 0.0).data == b''
-    assert ring.after(10**12, 0.0) == found             # of another record: all of this
+    assert ring.after(10**12, 0.0) == found             # unknown: all
 
 
 def test_what_is_silent_has_no_points():

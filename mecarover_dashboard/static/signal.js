@@ -140,9 +140,7 @@ class Columns {
 
 /** The points of some signals as CSV: a line for each time, a column for each signal. */
 export function csvOf(signals, names, [from, to], timeName, origin) {
-  const cells = (texts) => texts.map((text) =>
-    /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text).join();
-  const lines = [cells([timeName, ...names])];
+  const lines = [[timeName, ...names].map(cellOf).join()];
   const at = signals.map((signal) => signal.indexOf(from));
   const next = (signal, index) => at[index] < signal.end ? signal.data[at[index]] : Infinity;
   for (;;) {
@@ -155,6 +153,12 @@ export function csvOf(signals, names, [from, to], timeName, origin) {
       return Number.isFinite(value) ? value : '';
     })].join());
   }
+}
+
+/** A text as a cell; a spreadsheet must not take it for a formula. */
+function cellOf(text) {
+  const plain = /^\s*[=+@-]/.test(text) ? `'${text}` : text;
+  return /[,\n\x22]/.test(plain) ? `\x22${plain.replaceAll('\x22', '\x22\x22')}\x22` : plain;
 }
 
 /** Asks the server for the values of some signals, as long as it is open. */
