@@ -9,6 +9,7 @@ Stamps are those of the monitor, in s.
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+import math
 
 from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.registry import DeviceRegistry
@@ -92,7 +93,9 @@ class _DeviceSignals:
             found = self._look_into(span)
         parts, is_deciding = found
         for ring, begin, end, field in parts:
-            ring.add(stamp / 1e9, field.number_of(data[begin:end]))
+            value = field.decode(data[begin:end])
+            number = math.nan if field.unit else value.raw      # words have no number in a unit
+            ring.add(stamp / 1e9, number if value.number is None else value.number)
             ring.is_written = source == WRITTEN
         if is_deciding:
             self._model = None

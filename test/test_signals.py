@@ -201,16 +201,3 @@ def test_what_is_not_chosen_costs_nothing():
     assert type(table._latest) is dict
     hear(monitor, read(1), reply(1, bytes(4)), at_s=2.0)
     assert points(monitor, 1, PRESENT) == []
-
-
-def test_a_number_is_what_the_table_shows():
-    random = Random(2)
-    fields = {id(field): field for model in map(MODELS.by_name, MODELS.names().values())
-              for field in model.fields}
-    for field in fields.values():
-        for raw in (bytes(field.size), b'\xff' * field.size, random.randbytes(field.size)):
-            shown, number = field.decode(raw), field.number_of(raw)
-            if shown.number is not None:
-                assert number == shown.number
-            else:
-                assert number != number or (number == shown.raw and not field.unit)

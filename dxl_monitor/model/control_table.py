@@ -155,21 +155,10 @@ class Field:
             return Value(str(code), None, code)
         if self.hexadecimal:
             return Value(f'0x{int(code):0{2 * self.size}X}', code, code)
-        number = self._scaled(code)
-        return Value(number_text(number, self._decimals), number, code)
-
-    def _scaled(self, code: float) -> float:
         number = code if self.sign_bit is None else _signed(int(code), self.sign_bit)
-        return number if self.scale is None else number * self.scale + self.offset
-
-    def number_of(self, raw: bytes) -> float:
-        """Return the number of decode(), sooner; without a unit: of words and flags the code."""
-        if not self.in_words:
-            return self._scaled(self._unpack(raw)[0])
-        value = self.decode(raw)
-        if value.number is None:
-            return math.nan if self.unit else value.raw
-        return value.number
+        if self.scale is not None:
+            number = number * self.scale + self.offset
+        return Value(number_text(number, self._decimals), number, code)
 
     def _enum_value(self, code: int) -> Value:
         word = (self.enum or {}).get(code)
