@@ -6,6 +6,7 @@
 export const MOST = 8;
 export const SPAN_S = 60;
 const EVERY_MS = 100;
+const RETRY_MS = 1000;         // the page says itself that the server is lost
 const LEAST_GAP_S = 0.02;
 const INTERVALS = 500;         // so many of the newest say what is usual between two values
 const RATE_S = 5;              // the rate is that of the last so many seconds
@@ -180,6 +181,7 @@ export class Signals {
 
   async #ask(turn) {
     const {all} = this;
+    let rest = EVERY_MS;
     try {
       if (all.length && !document.hidden) {
         const numbers = await this.#fetch(all);
@@ -188,9 +190,10 @@ export class Signals {
       }
       this.onProblem('');
     } catch (error) {
-      if (turn === this.#turn) this.onProblem(error.message);
+      rest = RETRY_MS;
+      if (turn === this.#turn) this.onProblem(error instanceof TypeError ? '' : error.message);
     }
-    if (turn === this.#turn) setTimeout(() => turn === this.#turn && this.#ask(turn), EVERY_MS);
+    setTimeout(() => turn === this.#turn && this.#ask(turn), rest);
   }
 
   async #fetch(all) {
