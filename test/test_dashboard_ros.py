@@ -11,6 +11,7 @@ from harness import wait
 import pytest
 from synthetic_robot import SyntheticRobot
 from test_dashboard_browser import see
+from test_dashboard_server import signals
 from test_dashboard_server import Stream
 
 pytestmark = [pytest.mark.ros,
@@ -64,6 +65,11 @@ def test_the_real_monitor_on_a_fake_bus(ros, tmp_path):
                 return state.get(2) == 'disconnected'
             table = collect(stream, rows, lost)
             assert state[1] == 'connected'
+            path = ('/signals?of=dxl_monitor:%20003%20knee&register=Present%20Position%20(rad)'
+                    '&after=0')
+            wait(lambda: len(signals(dashboard, 1, path)[1][0][2]) > 2)
+            _, [(_, _, points)] = signals(dashboard, 1, path)
+            assert points[2][0] - points[0][0] > 0.8                # as publish_rate has it
             collect(stream, rows, lambda: not lost())
             stream.close()
             again = Stream(dashboard, 'watch=dxl_monitor:%20003%20knee')

@@ -153,7 +153,7 @@ def point_at(first, *targets):
     return encode(1, I.WRITE, words(address, *targets))
 
 
-def test_a_register_behind_indirect_data_follows_where_that_points():
+def test_a_register_in_indirect_data_follows_where_that_points():
     monitor = bus_of(1)
     points(monitor, 1, PRESENT)
     data = FIELD['Indirect Data 1'].at
