@@ -410,7 +410,9 @@ def test_a_plot_has_the_lowest_and_highest_of_each_column(page):
             show(true, [[1, 1], [3, 2]], 2, 6, 40, 5),
             csvOf([], ['=1+1', 'a, "b"'], [0, 1], 's', 0)];
     }""")
-    columns, silent, alone, held, head = drawn
+    *drawn, head = drawn
+    assert drawn[0][3] == [3, 0, 2, 0]                                  # the last of them is 0
+    columns, silent, alone, held = [[one[:3] for one in some] for some in drawn]
     assert head == 's,\'=1+1,"a, ""b"""\n'
     assert columns == [[at, 0, 9 if at == 2 else 2] for at in range(10)]
     assert silent == [[2.99, 2, 2], [3, 0, 2], [3.5, 0, 2], [pytest.approx(4.49), None],

@@ -66,7 +66,7 @@ export function readAt(points, s, near, gap = GAP_S) {
   const after = s === null ? points.length : points.findIndex((point) => point[0] >= s);
   const [left, right] = [points.at(after < 0 ? -1 : after - 1), points[after]];
   const isLeft = after !== 0 && left && left[1] !== null;
-  if (s === null) return isLeft ? at(left) : null;
+  if (s === null) return isLeft ? at(left[3] === undefined ? left : [left[0], left[3]]) : null;
   const isRight = right && right[1] !== null;
   if (isRight && right[0] - s <= near) return at(right);
   if (isLeft && s - left[0] <= near) return at(left);

@@ -68,8 +68,8 @@ export class Plot {
   }
 
   /**
-   * Show series [{name, unit, note, points: [[s, value or null] or [s, low, high], ...]}] up to
-   * now (s).
+   * Show series [{name, unit, note, points: [[s, value or null] or [s, low, high, last], ...]}]
+   * up to now (s).
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
    * point that break the line; `unix(s)`, the Unix time of a time; `zero`, s that are called now;
    * `rest`, s between two moves of the plot.

@@ -71,7 +71,7 @@ export class Signal {
   }
 
   /**
-   * What a plot so many pixels wide can show: [[s, lowest, highest], ...] of each column;
+   * What a plot so many pixels wide can show: [[s, lowest, highest, last], ...] of each column;
    * [s, null] at a gap. A value that was written is held until the next.
    */
   drawn(from, to, width, now) {
@@ -107,7 +107,7 @@ class Columns {
   hold(s, value) {
     if (!this.#open || this.#isIn(s)) return;
     this.#isAlone = false;
-    this.points.push(this.#open = [s, value, value]);
+    this.points.push(this.#open = [s, value, value, value]);
   }
 
   put(s, value) {
@@ -117,9 +117,10 @@ class Columns {
     } else if (this.#isIn(s) && s > open[0]) {
       if (value < open[1]) open[1] = value;
       if (value > open[2]) open[2] = value;
+      open[3] = value;
     } else {
       this.#isAlone = !open;
-      this.points.push(this.#open = [s, value, value]);
+      this.points.push(this.#open = [s, value, value, value]);
     }
   }
 
@@ -131,7 +132,7 @@ class Columns {
   }
 
   /** Make a value that is alone wide enough to be seen. */
-  #dot(s) { if (this.#isAlone) this.points.push([s, this.#open[1], this.#open[2]]); }
+  #dot(s) { if (this.#isAlone) this.points.push([s, ...this.#open.slice(1)]); }
 
   end() {
     if (this.#open) this.#dot(this.#open[0] + this.step);

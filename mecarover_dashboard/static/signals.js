@@ -102,6 +102,7 @@ export class SignalsView {
     this.shown = this.signals.all.find((one) =>
       one.device === this.watch && one.key === this.register.value);
     say(this.add, this.shown ? 'Remove' : 'Add');
+    set(this.add, 'title', `Up to ${MOST} registers`);
     set(this.add, 'disabled',
       !this.shown && (this.signals.all.length >= MOST || !this.register.value));
     say(this.words, this.problem || this.#advice());
@@ -113,7 +114,7 @@ export class SignalsView {
     const slow = this.store.facts.source ? '' : 'ROS topics carry registers at publish_rate only; '
       + 'at the rate of the bus: dxl_dashboard SOURCE, without ROS.';
     if (!all.length) return `Choose up to ${MOST} registers of any servos. ${slow}`;
-    return slow || (all.length < MOST ? '' : `${MOST} registers are shown: that is the most.`);
+    return slow;
   }
 
   #draw() {
