@@ -31,10 +31,11 @@ class DeviceLines:
         for number, row in devices.items():
             seen = self._seen.setdefault(number, [row['state']])
             if seen[-1] != row['state']:
-                print(f'     bus  {number:03}: {seen[-1]} -> {row["state"]} ({row["message"]})',
-                      flush=True)
+                why = f' ({row["message"]})' * (row['message'] != row['state'])
+                print(f'     bus  {number:03}: {seen[-1]} -> {row["state"]}{why}', flush=True)
                 seen.append(row['state'])
-        if devices and now_s - self._shown_s > _PERIOD_S:
+        is_heard = any(row['state'] != 'expected' for row in devices.values())
+        if is_heard and now_s - self._shown_s > _PERIOD_S:
             self._shown_s = now_s
             print('\n'.join(['', *table(self._state, now_s, 'i'), '']), flush=True)
 

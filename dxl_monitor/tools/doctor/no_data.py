@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import os
+from os.path import isfile
 import shlex
 
 from dxl_monitor.tools.doctor.program import Ending
@@ -57,8 +58,11 @@ def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> 
         ended += f' with exit code {ending.code}'
     if ending.error.startswith(_IMPORT_ERRORS):
         return [f'{ended}: the Python that ran it, {ending.python}, lacks that package. Name the '
-                'Python of your program: dxl_doctor run -- /path/to/its/bin/python '
+                'Python of your program: run -- /path/to/its/bin/python '
                 f'{shlex.join(command[1:]) or "my_script.py"}']
+    absent = next((word for word in command[1:] if word.endswith('.py') and not isfile(word)), '')
+    if ending.code and absent:
+        return [f'{ended}: there is no file {absent} in this folder.']
     if ports:
         return [f'{ended}; it opened {", ".join(ports)} and sent nothing.']
     found = [f'{ended}.', f'{ending.unheard or "It sent nothing"}.']
