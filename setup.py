@@ -13,7 +13,7 @@ NAME = 'mecarover_serial'
 TOOLS = [Path(name).name for name in sorted(glob('resource/executables/*'))]
 DASHBOARD = ['aiohttp>=3.9', 'prometheus-client>=0.16']
 MCAP = ['rosbags>=0.10.5']
-DOCS = ['sphinx>=7']
+DOCS = ['sphinx>=7', 'myst-parser']
 
 # Resolved: colcon --symlink-install runs a link to this file in its build folder.
 HERE = Path(__file__).resolve().parent
@@ -25,9 +25,11 @@ setup(
     version=PACKAGE.findtext('version'),
     description='Finds what is wrong with a bus of Dynamixel or Feetech servos, without ever '
                 'sending, and drives a rover from ROS 2',
-    # An index has no other files: its links and pictures lead to the repository.
-    long_description=re.sub(r'\]\((?!http|#)', f"]({SITE['repository']}/raw/main/",
-                            (HERE / 'README.md').read_text('utf-8')),
+    # An index has no other files: links and pictures lead to the repository.
+    long_description=re.sub(
+        r'(!?)(\[[^]]*\]\()(?!http|#)',
+        lambda link: f"{link[0]}{SITE['repository']}/{'raw' if link[1] else 'blob'}/main/",
+        (HERE / 'README.md').read_text('utf-8')),
     long_description_content_type='text/markdown',
     maintainer=PACKAGE.findtext('maintainer'),
     maintainer_email=PACKAGE.find('maintainer').get('email'),
