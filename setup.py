@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The package for colcon (ament_python) and for pip; both end with a working `ros2 run`."""
 from glob import glob
+from os.path import isfile
 from pathlib import Path
 import re
 from xml.etree import ElementTree
@@ -51,8 +52,10 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + NAME]),
         ('share/' + NAME, ['package.xml']),
-        ('share/' + NAME + '/launch', glob('launch/*.launch.py')),
-        ('share/' + NAME + '/config', glob('config/*')),
+        # In one folder as here: settings and programs name docs/, deploy/ and firmware/.
+        *((f'share/{NAME}/{Path(names).parent}', sorted(filter(isfile, glob(names))))
+          for names in ('launch/*.launch.py', 'config/*', 'deploy/*', 'docs/*.md', 'firmware/*',
+                        'firmware/examples/*')),
         # A wheel ignores setup.cfg's install_scripts: these files are what `ros2 run` finds
         # after `pip install`. colcon puts its own entry points of the same names there.
         ('lib/' + NAME, sorted(glob('resource/executables/*'))),
