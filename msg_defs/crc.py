@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import Any
 
 import crcmod
-import crcmod.crcmod
+from crcmod.crcmod import _usingExtension  # in crcmod 1.7 (apt) crcmod.crcmod is crcmod itself
 
-CRC_IS_FAST: bool = crcmod.crcmod._usingExtension
+CRC_IS_FAST: bool = _usingExtension
 SLOW_CRC_WARNING = (
     'crcmod: its C part is missing, checksums are ten times slower; '
     'install python3-crcmod (apt) or crcmod-plus (pip)')

@@ -2,13 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rover's frame: thesis part A, both CRC feeds, and everything that is no frame."""
 import random
+from runpy import run_path
 
+import crcmod
 import pytest
 
 from fuzz.reference import crc32
 from msg_defs.crc import bare_crc
 from msg_defs.crc import bare_crc16
 from msg_defs.crc import crc16
+from msg_defs.crc import crc16_behind
 from msg_defs.crc import CRC16_TABLE
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import crc32_mpeg2_words
@@ -39,6 +42,12 @@ def test_a_crc_without_its_wrapper_is_the_same(wrapped):
 
 def test_c_part_is_installed():
     assert CRC_IS_FAST, 'the test environment must have crcmod with its C part'
+
+
+def test_it_works_with_the_crcmod_of_debian_and_ubuntu(monkeypatch):
+    """In crcmod 1.7 the name crcmod.crcmod is the package; crcmod-plus has its module there."""
+    monkeypatch.setattr(crcmod, 'crcmod', crcmod)
+    assert run_path(crc16_behind.__code__.co_filename)['CRC_IS_FAST'] is True
 
 
 @pytest.mark.parametrize(('feed', 'crc'), [('bytes', 0xCDF45F5A), ('words', 0xEF7857FA)])
