@@ -13,7 +13,7 @@ from setuptools import setup
 NAME = 'mecarover_serial'
 TOOLS = [Path(name).name for name in sorted(glob('resource/executables/*'))]
 DASHBOARD = ['aiohttp>=3.9', 'prometheus-client>=0.16']
-MCAP = ['rosbags>=0.10.5']
+MCAP = ['rosbags>=0.10.9']
 DOCS = ['sphinx>=7', 'myst-parser']
 
 # Resolved: colcon --symlink-install runs a link to this file in its build folder.
@@ -65,7 +65,8 @@ setup(
         ('share/zsh/site-functions', sorted(glob('resource/generated/zsh/*'))),
         ('share/fish/vendor_completions.d', sorted(glob('resource/generated/fish/*'))),
     ],
-    install_requires=['setuptools', 'pyserial>=3.5', 'PyYAML', 'crcmod-plus'],
+    # The oldest are those of Ubuntu 24.04 and Raspberry Pi OS, and were tried.
+    install_requires=['pyserial>=3.5', 'PyYAML>=6.0', 'crcmod-plus>=2.0'],
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6'],
         'dashboard': DASHBOARD,

@@ -54,7 +54,11 @@ class ConnectionLimit(asyncio.Protocol):
         handler = self._handlers()
         self._transport.set_protocol(handler)
         handler.connection_made(self._transport)
-        handler.data_received(self._head)
+        try:
+            handler.data_received(self._head)
+        except ValueError:                      # aiohttp 3.9 (Ubuntu 24.04): a URL that is none
+            self._transport.write(b'HTTP/1.1 400 Bad Request\r\n\r\n')
+            self._transport.close()
 
     def connection_lost(self, error: Exception | None) -> None:
         """Forget it."""

@@ -267,7 +267,10 @@ def test_versions_that_clients_claim_do_not_pile_up(dashboard):
 def test_what_is_no_request_is_answered_and_not_logged(dashboard, request_, caplog):
     with socket.create_connection(('127.0.0.1', dashboard.port), timeout=20) as client:
         client.sendall(request_ + b'\r\n\r\n')
-        assert client.recv(100)[9:12] == b'400'
+        # aiohttp 3.9 of Ubuntu 24.04 leaves no Host to us, and takes the first of two.
+        older = {b'GET / HTTP/1.1': b'421',
+                 b'GET / HTTP/1.1\r\nHost: localhost\r\nHost: b': b'200'}
+        assert client.recv(100)[9:12] in (b'400', older.get(request_))
     assert ask(dashboard)[0].status == 200
     assert not caplog.records
 

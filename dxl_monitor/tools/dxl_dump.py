@@ -136,7 +136,7 @@ def _parser() -> Parser:
     add('--stats', action='store_true', help='load, rates, errors, latency of each device')
     add('-w', '--write', metavar='FILE', help='record to a file (- for stdout): a capture; '
         'packets for Wireshark if its name ends in .pcapng; messages for Foxglove: .mcap')
-    add('--format', choices=FORMATS, help='format of the recording (default: by its name)')
+    add('--format', choices=FORMATS, help='format of the recording (default: by the name of FILE)')
     only = parser.add_argument_group('which packets')
     add = only.add_argument
     add('--id', action='append', metavar='IDS', help='packets with these IDs, e.g. 7,11-13')

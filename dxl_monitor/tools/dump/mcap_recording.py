@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Mapping
 from collections.abc import Sequence
-import importlib.util
 from math import nan
 import os
 from pathlib import Path
@@ -43,12 +42,14 @@ class McapRecording:
     """Writes to `path` when it is closed."""
 
     def __init__(self, path: str) -> None:
-        if importlib.util.find_spec('rosbags') is None:
-            raise UsageError(f'-w {path}: an MCAP file needs rosbags; pip install rosbags')
-        from rosbags.rosbag2 import StoragePlugin
-        from rosbags.rosbag2 import Writer
-        from rosbags.typesys import get_typestore
-        from rosbags.typesys import Stores
+        try:
+            from rosbags.rosbag2 import StoragePlugin
+            from rosbags.rosbag2 import Writer
+            from rosbags.typesys import get_typestore
+            from rosbags.typesys import Stores
+        except ImportError as error:
+            raise UsageError(f'-w {path}: an MCAP file needs rosbags 0.10.9 or newer; '
+                             'pip install -U rosbags') from error
         self._path = Path(path).absolute()
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._folder = TemporaryDirectory(dir=self._path.parent)
