@@ -16,6 +16,7 @@ import time
 
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.model.models import Models
+from dxl_monitor.monitor_settings import check_models
 from dxl_monitor.monitor_settings import load_models
 from mecarover_fakes.dxl1_servo import Servo1
 from mecarover_fakes.fake_options import add_options
@@ -66,12 +67,11 @@ def make_devices(entries: list[str], models: Models, baud: int, *,
                  moving: bool = True, dialect: str = '2') -> list[FakeDevice]:
     """Return simulated devices for entries like '1-20:MX-106'; all speak one protocol."""
     devices: list[FakeDevice] = []
-    for entry in parse_all(entries):
+    expected = parse_all(entries)
+    check_models(expected, models)
+    for entry in expected:
         model = models.by_name(entry.model or USUAL_MODEL[dialect])
-        if model is None:
-            near = models.closest(entry.model)
-            remedy = f'did you mean {near}?' if near else 'give the name of a model'
-            raise ParameterError(f'devices: no model {entry.model!r}; {remedy}')
+        assert model is not None
         motion = Sine(phase=0.35 * entry.id) if moving else None
         if model.protocol != PROTOCOLS[dialect]:
             raise ParameterError(f'devices: {model.name} does not speak the protocol of --dialect '
@@ -158,8 +158,9 @@ def _parser() -> Parser:
         help=f"kind of adapter that --usbmon shows: {', '.join(FAMILIES)} (default %(default)s)")
     add('-b', '--baud', type=number(int, 1),
         help='baud rate (default 2000000, with the other dialects 1000000)')
-    add('--dialect', choices=PROTOCOLS, default='2', help='2: Dynamixel Protocol 2.0, dxl1: '
-        'Protocol 1.0, feetech: FT-SCS (default %(default)s)')
+    add('--dialect', '--protocol', choices=PROTOCOLS, default='2',
+        type=lambda text: 'dxl1' if text == '1' else text, help='2: Dynamixel Protocol 2.0, dxl1 '
+        'or 1: Protocol 1.0, feetech: FT-SCS (default %(default)s)')
     add('--devices', nargs='+', metavar='ID:MODEL', help="e.g. '1-20:MX-106' '101:BitFoot' "
         '(default: the robot of the thesis; with --pattern fast: servos with fast reads)')
     add('--model-dirs', nargs='+', metavar='DIR', default=[], help='one more folder of model '

@@ -15,4 +15,5 @@ def add_options(parser: Parser) -> None:
     add('--vanish', metavar='AFTER:FOR', help='unplug after so many seconds, for so long')
     add('--seed', type=int, default=1, help='seed of the faults (default %(default)s)')
     add('--outlive', action='store_true', help='at Ctrl-C wait until the host closed the port')
-    add('--seconds', type=number(float, 0), help='end after this time (default: run until Ctrl-C)')
+    add('--seconds', type=number(float, 0), metavar='S',
+        help='end after this time (default: run until Ctrl-C)')

@@ -39,7 +39,7 @@ def _run(arguments: list[str]) -> int:
     feed.out = lambda topic, statuses: state.take(topic, statuses, time.monotonic())
     run = make_run(NAME, options, (), feed, at_once=options.once)
     display = terminal.Display(state, options.wait if options.once else None, options.all,
-                               f'{run.words}: nothing heard')
+                               f'{run.words}: nothing heard; dxl_doctor says why')
     run.start()
     try:
         run.play(lambda: display.look(time.monotonic()))

@@ -14,6 +14,7 @@ from contextlib import suppress
 import io
 import os
 import shlex
+import shutil
 import signal
 import sys
 import textwrap
@@ -30,6 +31,7 @@ from mecarover_serial.port_error import PortError
 from mecarover_serial.version import version_of
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
+WIDEST = 99                     # columns of a help text
 FILES_LEAST = 64                # a node has 31 open
 ENDING = tuple(getattr(signal, name) for name in ('SIGINT', 'SIGTERM', 'SIGHUP', 'SIGQUIT')
                if hasattr(signal, name))       # Windows has two of them
@@ -153,6 +155,14 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
+def wrapped(text: str) -> str:
+    """Return a text for the terminal; a line that is too long goes on in its last column."""
+    width = min(WIDEST, shutil.get_terminal_size().columns - 2)
+    return '\n'.join(textwrap.fill(
+        line, width, subsequent_indent=' ' * (line.rfind('  ') + 2 if '  ' in line else 0),
+        break_long_words=False, break_on_hyphens=False) for line in text.split('\n'))
+
+
 def node_help(name: str, about: str, parameters: Sequence[Parameter]) -> str:
     """Return what `NAME --help` prints for a node: how it is run and its parameters."""
     lines = [f'usage: ros2 run mecarover_serial {name} --ros-args -p NAME:=VALUE ...', '', about,
@@ -160,9 +170,8 @@ def node_help(name: str, about: str, parameters: Sequence[Parameter]) -> str:
     for one in parameters:
         limits = ', '.join(text for text in (one.type_name, one.unit, one.range_text) if text)
         lines += [f'  {one.name}  (default {one.default!r}; {limits})',
-                  textwrap.fill(one.description, 95, initial_indent='      ',
-                                subsequent_indent='      ')]
-    return '\n'.join(lines)
+                  f'      {one.description}']
+    return wrapped('\n'.join(lines))
 
 
 def options_of_node(parser: argparse.ArgumentParser, args: Sequence[str] | None

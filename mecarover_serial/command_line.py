@@ -6,27 +6,26 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 import math
-import shutil
-import textwrap
 from typing import Any
 from typing import NoReturn
 
 from mecarover_serial.cli import UsageError
+from mecarover_serial.cli import wrapped
 from mecarover_serial.plain import printable
 from mecarover_serial.version import version_of
 
-WIDEST = 99                 # columns of a help text
-
 
 class Parser(argparse.ArgumentParser):
-    """The command line of a tool; its examples keep their lines, its description wraps."""
+    """The command line of a tool. Description and examples keep their lines, long ones wrap."""
 
     def __init__(self, name: str, description: str, epilog: str = '', usage: str | None = None):
-        width = min(WIDEST, shutil.get_terminal_size().columns - 2)
         super().__init__(
-            prog=name, usage=usage, description=textwrap.fill(description, width),
-            epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter)
+            prog=name, usage=usage, description=description, epilog=epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter)
         self.add_argument('--version', action=_Version, help='print the version and exit')
+
+    def format_help(self) -> str:
+        return wrapped(super().format_help())
 
     def error(self, message: str) -> NoReturn:
         """Let the tool end with one line, as after every other mistake."""

@@ -48,10 +48,11 @@ def test_ros2_run_finds_and_starts(prefix, tool):
     assert os.access(prefix / 'bin' / tool, os.X_OK)
     [packages] = prefix.glob('lib/python*/site-packages')
     done = subprocess.run([sys.executable, executable, '--help'], cwd=prefix, timeout=60,
-                          env={**os.environ, 'PYTHONPATH': str(packages)},
+                          env={**os.environ, 'PYTHONPATH': str(packages), 'COLUMNS': '80'},
                           capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert 'usage' in done.stdout.lower()
+    assert max(map(len, done.stdout.splitlines())) <= 80
 
 
 def test_models_are_installed(prefix):

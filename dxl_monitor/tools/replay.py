@@ -32,6 +32,7 @@ from dxl_monitor.tools.run import refuse_run
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from mecarover_serial.command_line import number
 from mecarover_serial.command_line import Parser
 from mecarover_serial.plain import printable
 from mecarover_serial.pty import Pty
@@ -106,7 +107,7 @@ def _run(arguments: list[str]) -> int:
     parser = _parser()
     refuse_run(parser, 'capture', arguments)
     options = parser.parse_args(arguments)
-    if options.speed and not SLOWEST <= options.speed < float('inf'):
+    if 0 < options.speed < SLOWEST:
         raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '
                          'timing, 0 for the speed of the reader')
     wires = _wires(options)
@@ -203,7 +204,7 @@ def _parser() -> Parser:
     add('capture', metavar='CAPTURE', help='a file written by dxl_dump -w or by dxl_monitor')
     add('--link', metavar='PATH', help='make this symlink to the pty; with several buses '
         'PATH_BUS for each')
-    add('--speed', type=float, default=1.0, metavar='X',
+    add('--speed', type=number(float, 0), default=1.0, metavar='X',
         help='times the original speed, 0: as fast as the reader takes it (default 1)')
     add('--loop', action='store_true', help='start again at the end')
     add('--stay', action='store_true', help='keep the pty open after the end, until Ctrl-C')
