@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 
 COMMANDS = {
     'vel2d_bridge': 'vel2d_bridge.main',
@@ -23,6 +24,7 @@ COMMANDS = {
     'dxl_dashboard': 'mecarover_feed.dxl_dashboard',
     'mecarover_status': 'mecarover_feed.mecarover_status',
 }
+NEEDED = {'crcmod': 'crcmod-plus', 'serial': 'pyserial', 'yaml': 'PyYAML'}
 
 
 def __getattr__(name: str) -> object:
@@ -31,7 +33,14 @@ def __getattr__(name: str) -> object:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:     # nohup: it is ignored
         signal.signal(signal.SIGINT, leave)
     from importlib import import_module
-    return import_module(COMMANDS[name]).main
+    try:
+        return import_module(COMMANDS[name]).main
+    except ModuleNotFoundError as error:    # e.g. pip uninstall crcmod takes files of crcmod-plus
+        module = (error.name or '').partition('.')[0]
+        if module not in NEEDED:
+            raise
+        sys.exit(f'{name}: {error}; pip install --force-reinstall {NEEDED[module]}, or sudo apt '
+                 f'install --reinstall python3-{module}')
 
 
 def leave(number: int, frame: object) -> None:

@@ -77,6 +77,16 @@ def test_version_with_the_commit(tool):
     assert re.fullmatch(rf'{tool} \(mecarover_serial\) [\d.]+(, commit \w+)?\n', done.stdout)
 
 
+def test_a_library_that_went_is_one_line():
+    done = subprocess.run(
+        [sys.executable, '-c', 'import sys; sys.modules["crcmod.crcmod"] = None\n'
+         'from mecarover_serial.command import dxl_dump'], capture_output=True, text=True)
+    [line] = done.stderr.splitlines()
+    assert line.startswith('dxl_dump: ')
+    assert '; pip install --force-reinstall crcmod-plus, or sudo apt' in line
+    assert done.returncode == 1
+
+
 @pytest.mark.parametrize('tool', ['dxl_dump', 'dxl_dashboard', 'fake_mcu', 'vel2d_bridge'])
 @pytest.mark.parametrize('module', ['contextlib', 'argparse'])
 def test_ctrl_c_while_modules_are_imported_shows_no_traceback(tmp_path, tool, module):
