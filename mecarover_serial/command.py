@@ -24,7 +24,6 @@ COMMANDS = {
     'dxl_dashboard': 'mecarover_feed.dxl_dashboard',
     'mecarover_status': 'mecarover_feed.mecarover_status',
 }
-NEEDED = {'crcmod': 'crcmod-plus', 'serial': 'pyserial', 'yaml': 'PyYAML'}
 
 
 def __getattr__(name: str) -> object:
@@ -36,11 +35,8 @@ def __getattr__(name: str) -> object:
     try:
         return import_module(COMMANDS[name]).main
     except ModuleNotFoundError as error:    # e.g. pip uninstall crcmod takes files of crcmod-plus
-        module = (error.name or '').partition('.')[0]
-        if module not in NEEDED:
-            raise
-        sys.exit(f'{name}: {error}; pip install --force-reinstall {NEEDED[module]}, or sudo apt '
-                 f'install --reinstall python3-{module}')
+        sys.exit(f'{name}: {error}; pip install --force-reinstall crcmod-plus pyserial PyYAML, or '
+                 'sudo apt install --reinstall python3-crcmod python3-serial python3-yaml')
 
 
 def leave(number: int, frame: object) -> None:
