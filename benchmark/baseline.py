@@ -145,16 +145,25 @@ def main(words):
     places = [(family, case) for family, cases in FAMILIES.items() for case in cases]
     chosen = [place for place in places
               if not names or any(name in ' '.join(place) for name in names)]
+    found = {}
     with ProcessPoolExecutor() as pool:
-        found = dict(zip(chosen, pool.map(_play, chosen), strict=True))
+        for place, cells in zip(chosen, pool.map(_play, chosen), strict=True):
+            found[place] = cells
+            print(*_lines({place: cells}), flush=True)
     before = saved() if DOCTOR.exists() else {}
     rows = {place: cells for place in places if (cells := found.get(place, before.get(place)))}
-    print('\n'.join((*_lines(found), '', *scores(found))))
+    print('', *scores(found), sep='\n')
     changed = [place for place in (*rows, *before) if rows.get(place) != before.get(place)]
     if '--write' in words:
         DOCTOR.write_text(''.join(f'{line}\n' for line in _lines(rows)), encoding='utf-8')
         for name, make in TEXTS.items():
             (FOLDER / name).write_text(make(), encoding='utf-8')
+        changed = [place for place in changed
+                   if 'wrong' in rows.get(place, ()) and 'wrong' not in before.get(place, ())]
+        if changed:
+            print('written, and a rule is to be mended; a false alarm is new in:',
+                  *map(' '.join, changed), sep='\n  ', file=sys.stderr)
+            return 1
     elif changed:
         print(f'{DOCTOR}: not so there, --write brings it up to date:', *map(' '.join, changed),
               sep='\n  ', file=sys.stderr)
