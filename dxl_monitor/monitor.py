@@ -178,7 +178,7 @@ class Monitor:
         self.change(Change(CLOSED, 1), now)
         with self._lock:
             self._failed = failed
-            self._tracker.end(bool(failed))
+            self._tracker.unread.end(bool(failed), self.decoder.byte_ns)
 
     def alarms(self) -> int:
         """Return how often so far a device was lost, came back or had an alert."""

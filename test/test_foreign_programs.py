@@ -8,16 +8,23 @@ from itertools import count
 from heard_bus import Bus
 import pytest
 
+from dxl_monitor.bus.report import FAILED
 from dxl_monitor.bus.report import RAISED
+from msg_defs.dxl_packet import body_crc
 from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import BAUD
 from msg_defs.event import Change
+from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from msg_defs.event import PURGED
+from msg_defs.event import UNREAD
 from msg_defs.reports import Level
 
-Said = tuple[float, str, bytes | int]          # ms after the one before; a rate, in Bd
+Said = tuple[float, str, bytes | Change]       # ms after the one before
+RATE, EMPTY = Change(BAUD, 1_000_000), Change(UNREAD, 0)
 
 
 def packet(number: int, *body: int) -> bytes:
@@ -74,9 +81,9 @@ def sync_reads(of_servos: int) -> Iterator[Said]:
 
 def searches(answer: bytes) -> Iterator[Said]:
     for rate in (4800, 9600, 19200, 38400, 57600):
-        yield 500, '', rate
+        yield 500, '', Change(BAUD, rate)
         yield 500, OUT, packet(254, 1)
-    yield 500, '', 1_000_000
+    yield 500, '', RATE
     yield 500, OUT, packet(254, 1)
     if answer:
         yield 1, IN, answer
@@ -125,6 +132,100 @@ def pinged_twice(again: bytes) -> Iterator[Said]:
     yield 0.3, IN, again + packet(1, 0, 9, 3)
 
 
+def read(number: int, at: int, size: int) -> bytes:
+    return encode(number, 2, bytes((at, 0, size, 0)))
+
+
+def ahead(damaged: int = 0) -> Iterator[Said]:
+    """Ask one servo for four registers 2 ms apart, look for each at once only, then read all."""
+    yield 0, '', EMPTY
+    for turn in count():
+        for at, size in ((132, 4), (126, 2), (146, 1), (144, 2)):
+            yield 0.2, '', Change(GAVE_UP, 0)
+            yield 2, OUT, read(1, at, size)
+        for size in (4, 2, 1, 2):
+            answer = encode(1, STATUS, bytes(size), error=0)
+            spoilt = answer[:-1] + b'\x55' if turn % 2 and size == damaged else answer
+            yield 1 if size == 4 else 0.3, IN, spoilt
+        yield 90, '', EMPTY
+
+
+def thrown_away(waiting: int, gives_up: bool) -> Iterator[Said]:
+    """Throw away so many bytes before each question to servo 2, of which some were given up."""
+    yield 0, '', EMPTY
+    while True:
+        for number in (1, 2):
+            yield 9, '', Change(UNREAD, waiting if number == 1 else 0)
+            yield 0, '', Change(PURGED, 1)
+            yield 0, OUT, packet(number, 2, 56, 2)
+            if number == 2 and gives_up:
+                yield 4, '', Change(GAVE_UP, 0)
+            else:
+                yield 1, IN, packet(number, 0, 0, 8)
+
+
+def breaks_off(silent: bool) -> Iterator[Said]:
+    """Read six servos by Fast Sync Read, of which the fifth is silent, or not asked."""
+    ids = bytes((1, 2, 3, 4, 5, 6) if silent else (1, 2, 3, 4))
+    while True:
+        body = bytes((254, 1 + 8 * len(ids), 0, STATUS))
+        for number in ids[:4]:
+            body += bytes((0, number, 0, 8, 0, 0))
+            body += body_crc(body).to_bytes(2, 'little')
+        yield 0.2, OUT, encode(254, 0x8A, bytes((132, 0, 4, 0)) + ids)
+        yield 2, IN, HEADER + body
+        yield 30, '', Change(GAVE_UP, 0)
+
+
+def moved(answers: int) -> Iterator[Said]:
+    """Give servo 1 another ID, in a script that says no more of it, and go on with 1."""
+    yield 5, OUT, packet(1, 3, 5, 7)
+    yield 1, IN, packet(7, 0)
+    for turn in count():
+        yield 30, OUT, packet(1, 2, 56, 2)
+        if turn < answers:                     # another servo, which had that ID before
+            yield 1, IN, packet(1, 0, 0, 8)
+        yield 5, OUT, packet(2, 2, 56, 2)
+        yield 1, IN, packet(2, 0, 0, 8)
+
+
+def wears(at: int) -> Iterator[Said]:
+    """Write a limit each time, and read the position; the program uses nothing else."""
+    while True:
+        yield 5, OUT, encode(1, 3, bytes((at, 0, 70)))
+        yield 1, IN, encode(1, STATUS, b'', error=0)
+        yield 5, OUT, read(1, 132, 4)
+        yield 1, IN, encode(1, STATUS, bytes(4), error=0)
+
+
+def limited(beyond: int) -> Iterator[Said]:
+    """Send goals to an AX-12, some of them beyond its limits, and read the position."""
+    for turn in count():
+        yield 5, OUT, packet(1, 3, 30, 144, 1 + turn % 2)
+        yield 1, IN, packet(1, 2 if 8 <= turn < 8 + beyond else 0)
+        yield 5, OUT, packet(1, 2, 36, 2)
+        yield 1, IN, packet(1, 0, 0, 2)
+
+
+def echoed_once(again: bytes) -> Iterator[Said]:
+    for number in (1, 2):
+        yield 5, OUT, packet(number, 2, 56, 2)
+        yield 1, IN, again or packet(number, 2, 56, 2)
+
+
+def waited_for(code: int, before: int) -> Iterator[Said]:
+    """End on a question to servo 2 that is not answered, as were some before."""
+    yield 0, '', EMPTY
+    for turn in range(8):
+        for number in (1, 2):
+            yield 5, OUT, packet(number, code, *((42, 0, 8) if code == 3 else ()))
+            if number == 1 or turn < 7 - before or turn in range(7 - before, 7, 2):
+                yield 1, IN, packet(number, 0)
+            else:
+                yield 40, '', Change(GAVE_UP, 0)
+    yield 0, '', EMPTY
+
+
 @pytest.mark.parametrize(('said', 'failed', 'found'), [
     (twice(0.6), '', {'duplicate_id'}), (twice(4), '', {'foreign_answers'}),
     (passed_by(2, twice=True), '', {'duplicate_id'}),
@@ -136,14 +237,26 @@ def pinged_twice(again: bytes) -> Iterator[Said]:
     (written_first(packet(1, 3, 6, 4)), '', {'baud_moved'}),
     (written_first(), '', {'no_answer'}), (short(1), '', {'wrong_length'}),
     (mode(1), '', {'eeprom_locked'}), (mode(0), '', set()),
+    (ahead(), '', set()), (ahead(damaged=1), '', {'damaged_answers'}),
+    (thrown_away(8, gives_up=True), '', {'late_answers'}),
+    (thrown_away(8, gives_up=False), '', {'duplicate_id'}),
+    (thrown_away(1, gives_up=False), '', set()),
+    (breaks_off(silent=True), '', {'sync_read_stops'}), (breaks_off(silent=False), '', set()),
+    (moved(0), '', {'id_moved'}), (moved(999), '', set()),
+    (wears(31), '', {'eeprom_wear'}), (wears(65), '', set()),
+    (limited(2), '', {'goal_limits'}), (limited(1), '', set()),
+    (echoed_once(b''), RAISED, {'echo'}),
+    (echoed_once(packet(1, 0, 56, 2)), RAISED, set()),
+    (waited_for(3, 0), FAILED, {'no_answer'}), (waited_for(3, 0), '', set()),
+    (waited_for(3, 3), FAILED, set()), (waited_for(1, 0), FAILED, set()),
     (pinged_twice(packet(1, 0)), RAISED, {'duplicate_id'}), (pinged_twice(b''), RAISED, set()),
 ], ids=lambda one: getattr(one, '__name__', str(one)))
 def test_a_foreign_program_meets_a_fault(said, failed, found):
     bus, met = Bus(), set()
     for turn, (ms, side, what) in enumerate(said):
         bus.now += int(ms * 1_000_000)
-        if isinstance(what, int):
-            bus.monitor.change(Change(BAUD, what), bus.now)
+        if isinstance(what, Change):
+            bus.monitor.change(what, bus.now)
         else:
             bus.monitor.feed(what, bus.now, side)
         if turn % 40 == 39 or not side:

@@ -19,6 +19,7 @@ from dxl_monitor.bus.dxl1_classifier import Part
 from dxl_monitor.bus.dxl1_classifier import SLOW_NS
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.planner import NO_PLAN
 from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.report import CycleTimes
 from dxl_monitor.bus.report import PROTOCOL_2
@@ -141,8 +142,12 @@ class BusDecoder:
     def _turn(self, stamp: int) -> None:
         """Decide an answer that stopped on its way, before what the master says next is taken."""
         framer = self.framers.get(IN)
-        if framer is not None and stamp - self._last_in > self.idle_ns and framer.pending:
+        if framer is None:
+            return
+        if stamp - self._last_in > self.idle_ns and framer.pending:
             self._flush(IN, framer, self._last_in)
+        self.tracker.quiet_from = framer.bytes - framer.pending
+        self.tracker.unread.expire(stamp, self.byte_ns)
 
     def _flush(self, side: str, framer: AnyFramer, stamp: int) -> None:
         framer.stamp = stamp
@@ -201,11 +206,13 @@ class BusDecoder:
             self.tracker.not_sent(stamp)
         elif what == UNREAD:
             received = self.framers[IN].bytes if IN in self.framers else 0
-            self.tracker.unread.say(value and received + value, stamp)
+            self.tracker.unread.say(value, received, stamp)
         elif what == PURGED and value & 1:
-            self.tracker.unread.purge(stamp)
+            self.tracker.unread.purge(
+                NO_PLAN if self.tracker.slots else self.tracker.pending, stamp)
         elif what == GAVE_UP:
             self.clock.give_up(1000 * value)
+            self.tracker.unread.look(stamp - 1000 * value)
         elif what == TRACED:
             self.clock.trace(1000 * value)
         elif what in (CLOSED, GONE, LOST):

@@ -39,6 +39,7 @@ from msg_defs.dxl_instruction import RESTORE
 from msg_defs.dxl_packet import BROADCAST
 
 NO_ID = 255
+MOVED_ANSWERS = 3                  # under an ID that it lost: there is another one
 ABSENCE_MS = 50                    # missed for so long: it was away, which is worth a note
 FACTORY_ID = 1
 FACTORY_BAUD = 57_600
@@ -74,7 +75,7 @@ class DeviceRegistry:
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.changed: Callable[[], None] = lambda: None
         self.made: Callable[[Device], object] = lambda device: None
-        self._followers = {'ID': self._renumber, 'Baud Rate': self._follow_baud,
+        self._followers = {'ID': self.renumber, 'Baud Rate': self._follow_baud,
                            RETURN_LEVEL: lambda device, level, _: device.set_return_level(level),
                            OFFSET: self._follow_offset, TORQUE: self._follow_torque}
         for entry in expected:
@@ -122,7 +123,8 @@ class DeviceRegistry:
         device.alert = alert
         device.heard = stamp
         device.waiting_behind = None
-        device.moved_to = ''
+        if device.counts.answers >= MOVED_ANSWERS or not device.moved_to.startswith(NEW_ID):
+            device.moved_to = ''           # else what it said before the write was read late
         device.is_unusual = error != 0        # the next good answer clears its last error
 
     def pong(self, device: Device, data: bytes, stamp: int, is_doubtful: bool) -> None:
@@ -241,9 +243,19 @@ class DeviceRegistry:
             self.follow(device, address, data, stamp, alone)
 
     def renames(self, effect: Effect, number: int) -> bool:
-        """Return whether a write gives a device this ID: some acknowledge it with the new one."""
+        """
+        Return whether a write gives a device this ID: some acknowledge it with the new one.
+
+        Where its registers are not known, this is seen: the byte written, a number never heard.
+        """
         action, (device, *written, _) = effect
-        return action == self.write and ('ID', number) in device.special_values(*written)
+        if action != self.write:
+            return False
+        self.resolve(device)
+        other = self.devices.get(number)
+        return ('ID', number) in device.special_values(*written) or (
+            written[1] == bytes((number,)) and 'ID' not in device.model.by_name
+            and (other is None or not other.heard))
 
     def register(self, device: Device, address: int, data: bytes, stamp: int,
                  alone: bool = True) -> None:
@@ -272,7 +284,7 @@ class DeviceRegistry:
             baud = device.dialect.factory_baud if device.dialect is not None else FACTORY_BAUD
             self._moved(device, baud, f'{baud} Bd')
         if 'ID' not in _RESET_KEEPS[option]:
-            self._renumber(device, FACTORY_ID, stamp)
+            self.renumber(device, FACTORY_ID, stamp)
 
     def clear(self, device: Device, option: str, stamp: int) -> None:
         """Forget the one register that a Clear changes."""
@@ -319,7 +331,8 @@ class DeviceRegistry:
             device.moved_to = in_words
             device.is_unusual = True
 
-    def _renumber(self, device: Device, number: int, stamp: int) -> None:
+    def renumber(self, device: Device, number: int, stamp: int) -> None:
+        """Give a device another ID, if that is free."""
         if number > self.highest or self.devices.get(device.number) is not device:
             return
         other = self.devices.get(number)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.plan import Due
+from dxl_monitor.bus.plan import Effect
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.registry import DeviceRegistry
@@ -29,6 +30,8 @@ class OpenQuestion(NamedTuple):
     due: list[Slot]
     spoke: set[int]                # IDs with a damaged answer
     is_spoilt: bool                # there was damage
+    asked: int = 0                 # stamp
+    effect: Effect | None = None   # what it does once it is accepted
 
 
 class ReplyPolicy:
@@ -75,7 +78,7 @@ class ReplyPolicy:
 
         now: when, on the wire; stamp: of the chunk. us: for how long the master waited, if known.
         """
-        plan, due, spoke, is_spoilt = question
+        plan, due, spoke, is_spoilt, *_ = question
         if us >= 0:
             self._evidence.waits.append(Wait(now, us, due[0].device.number, is_spoilt))
         served, behind = plan.served(due, spoke)

@@ -54,18 +54,18 @@ class Tracker:
     __slots__ = (
         '_asked', '_before', '_deferred', '_evidence', '_given_up', '_known', '_last', '_noise',
         '_note', '_policy', '_registry', '_spoke', '_state', '_unresolved', 'byte_ns', 'pending',
-        'planner', 'slots', 'unread')
+        'planner', 'quiet_from', 'slots', 'unread')
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, byte_ns: float,
                  missed_limit: int, write_acks: str) -> None:
-        self._registry = registry
+        self._registry, self.byte_ns = registry, byte_ns
         self.planner = planner = Planner(registry, evidence, self._acknowledged)
         self._known = planner.known
         self._evidence, self._note = evidence, evidence.note
-        self.byte_ns = byte_ns
         self._policy = ReplyPolicy(write_acks, missed_limit, registry, evidence)
         self._state = pairing.DOUBTFUL
         self._noise = 0                        # bytes of it ahead of the last flawed frame
+        self.quiet_from = 0                    # offset of what it received after it asked
         self.pending: Plan = NO_PLAN           # the instruction that answers belong to
         self._last = _NOTHING                  # its kind, ID, code and parameters
         self._asked = (0, 0, 0)                # its end, the end of its chunk, the stamp
@@ -79,8 +79,8 @@ class Tracker:
 
     def track(self, frames: Frames, stamp: int, received: int, side: str = UNKNOWN) -> None:
         """Take the frames of one chunk, in the order of time; received: the offset after it."""
-        if side == IN and self.unread.until:
-            frames = self.unread.take(frames, stamp, received)
+        if side == IN and (self.unread.until or self.unread.left):
+            frames = self.unread.take(frames, stamp, received, self._before)
         slots = self.slots
         for frame in frames:
             begin, end, kind, number, code, data, flaw = frame
@@ -111,11 +111,11 @@ class Tracker:
 
     def _is_echo(self, said: Said, stamp: int) -> bool:
         """Take an instruction that came to the master; return whether it is its own."""
-        if said == self._last:
-            self._evidence.counts[ev.ECHO] += 1
-            return True
-        self._note(stamp, ev.FOREIGN, said[1], ev.Code(said[2]))
-        return False
+        is_own = said == self._last
+        self._evidence.counts[ev.ECHO] += is_own
+        if not is_own:
+            self._note(stamp, ev.FOREIGN, said[1], ev.Code(said[2]))
+        return is_own
 
     def _is_own(self, number: int, code: int, data: bytes) -> bool:
         """Return whether a status is the instruction itself: in 1.0 both look alike."""
@@ -137,16 +137,14 @@ class Tracker:
             self._note(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Much(lost))
         elif self.pending is not NO_PLAN:
             self.slots.pop(BROADCAST, None)
-            self.unread.left = self._question([*self.slots.values()])
+            self.unread.last = [*self.unread.left, self._question([*self.slots.values()])]
+        self.unread.left.clear()
         self._forget()
         self._state = pairing.DOUBTFUL
 
-    def end(self, failed: bool) -> None:
-        """Judge what was pending when a program ended."""
-        self.unread.end(failed, self._asked[2], self._since_asked, self.byte_ns)
-
     def _question(self, due: list[Slot]) -> OpenQuestion:
-        return OpenQuestion(self.pending, due, self._spoke, self._state >= pairing.SPOILT)
+        return OpenQuestion(self.pending, due, self._spoke, self._state >= pairing.SPOILT,
+                            self._asked[2], self._deferred)
 
     def _forget(self) -> None:
         self.pending = NO_PLAN
@@ -174,8 +172,7 @@ class Tracker:
         if self._spoke:
             self._spoke = set()
         plan = self._known.get(said) or self.planner.plan_for(said, stamp)
-        self._before, self.pending = self.pending, plan
-        self._last = said
+        self._before, self.pending, self._last = self.pending, plan, said
         plan.asked += 1
         plan.stamps.append(stamp)
         if plan.begin is not None:             # nothing waits: _close() has ended that
@@ -201,10 +198,8 @@ class Tracker:
     def _take_whole(self, error: int, data: bytes, stamp: int) -> bool:
         """Take a fast reply of which every part holds; leave any other as it is."""
         reply = self.pending.fast_reply
-        if reply is None or len(self.slots) != len(reply.slots):
-            return False
-        fields = reply.read(fast_wire(error, data))
-        if not fields:
+        if reply is None or len(self.slots) != len(reply.slots) \
+                or not (fields := reply.read(fast_wire(error, data))):
             return False
         for slot, error, data in zip(reply.slots, fields[::4], fields[2::4], strict=True):
             device = slot.device
@@ -232,13 +227,14 @@ class Tracker:
         if code:
             self._deferred = None if slot.due is Due.ACK else self._deferred
             self._policy.refuse(slot, self.pending.request.instruction, code, stamp)
-        elif len(data) != slot.size:
-            if self.planner.has_answer(device.number, len(data)):
-                self._note_extra(device.number, is_again, stamp)
-                return
-            self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
-        else:
+        elif len(data) == slot.size:
             slot.take(slot.span, data, stamp, READ)
+        elif self.planner.has_answer(device.number, len(data)):
+            if not is_again:
+                self.slots[device.number] = slot       # a late one: its own may still come
+            self._note_extra(device.number, is_again, stamp)
+        else:
+            self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
 
     def _acknowledged(self, device: Device, *_: object) -> None:
         device.acknowledged()
@@ -279,7 +275,9 @@ class Tracker:
             self._note(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
             return
         if self.slots and self._deferred and self._registry.renames(self._deferred, number):
-            self._answer(self.slots.popitem()[1], error, data, stamp)
+            _, slot = self.slots.popitem()
+            self._answer(slot, error, data, stamp)
+            self._registry.renumber(slot.device, number, stamp)
             return
         device = self._registry.device(number)
         is_again = self._before.asks(device, len(data)) and device.has_just_answered(stamp)
@@ -317,6 +315,8 @@ class Tracker:
         reason, is_repaired, noise, is_unstuffed, _ = flaw
         if is_unstuffed and not (noise or is_repaired):
             return False
+        if side == IN:                         # what came before the question is no matter
+            noise = min(noise, max(0, frame[0] - self.quiet_from))
         self._noise = noise
         if reason:
             damage = pairing.DAMAGE_IN if side == IN else pairing.DAMAGE
@@ -369,10 +369,11 @@ class Tracker:
         slots.pop(BROADCAST, None)
         due = [slot for slot in slots.values() if self._policy.is_due(slot)]
         question = self._question(due)
-        if due and self.unread.until:          # they may be among what was not read yet
-            self.unread.left = question
-        elif due:
-            now = int(self._on_wire(began, received, stamp))
+        now = int(self._on_wire(began, received, stamp))
+        is_left = due and self.unread.leaves(question, now, self.byte_ns)
+        if due and not is_left:
+            if len(slots) == 1:
+                self.unread.given_up = due[0], now
             if question.is_spoilt:
                 most = sum(slot.size + AROUND for slot in slots.values())
                 self._policy.look_at_noise(question, self._noise, most, now)

@@ -1,19 +1,21 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a program has received and not read: only a tap knows it (Change UNREAD).
+What a program has received and not read: only a tap knows it (Changes UNREAD, GAVE_UP, PURGED).
 
-Answers that waited when it asked the next thing belong to what it asked before. And what was not
-there when it closed its port did not come at all.
+Answers that waited when it asked the next thing belong to what it asked before, and so do those to
+questions that it did not wait for. What was not there when it closed its port did not come at all.
 """
 
-from collections.abc import Callable
+from collections import deque
 
 from dxl_monitor.bus import evidence as ev
+from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.device import OWED_NS
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.plan import Due
-from dxl_monitor.bus.planner import NO_PLAN
+from dxl_monitor.bus.plan import Plan
+from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.reply_policy import OpenQuestion
 from dxl_monitor.bus.reply_policy import ReplyPolicy
@@ -21,10 +23,11 @@ from dxl_monitor.bus.table import READ
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.frame import Frames
 
-AROUND = 11                        # bytes of a status without its data
+AROUND, AROUND_1 = 11, 6           # bytes of a status without its data; in the 1.0 family
 READ_LATE_NS = 10_000_000_000
 ADAPTER_NS = 17_000_000            # a latency timer of 16 ms, and Return Delay Time
-_NOTHING = OpenQuestion(NO_PLAN, [], set(), False)
+AT_ONCE_NS = 500_000               # who looks no longer than that did not wait for an answer
+KEPT = 16                          # questions
 
 
 class Unread:
@@ -32,78 +35,159 @@ class Unread:
     The answers of one bus that were not read when their question was over.
 
     until: the offset of the stream to the master up to which it is old, 0: nothing; stamp: when
-    that was said, 0: never. left: the question whose answers may be there. patience_ns: for how
-    long an answer that was given up may still come.
+    that was said, 0: never. left: the questions whose answers may be there or come, the oldest
+    first; last: what was open when the port was closed. given_up: the answer that a question to
+    one device did not get, and when. patience_ns: for how long such an answer may still come.
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, duty: ReplyPolicy) -> None:
-        self.until = self.stamp = self._purged = 0
+        self.until = self.stamp = self._purged = self._waiting = self._looked = self._since = 0
         self.patience_ns = OWED_NS
-        self.left = _NOTHING
+        self.left: deque[OpenQuestion] = deque(maxlen=KEPT)
+        self.last: list[OpenQuestion] = []
+        self.given_up: tuple[Slot | None, int] = None, 0
         self._registry = registry
         self._evidence = evidence
         self._duty = duty
 
-    def say(self, until: int, stamp: int) -> None:
-        """Take note of what is not read yet: up to an offset, 0: all is read."""
-        self.until, self.stamp, self.patience_ns = until, stamp, READ_LATE_NS
-        if not until:
-            self.left = _NOTHING
+    def say(self, waiting: int, received: int, stamp: int) -> None:
+        """Take note of how many bytes wait, after `received` that were read."""
+        self._waiting, self.until = waiting, waiting and received + waiting
+        self._since = received
+        self.stamp, self.patience_ns = stamp, READ_LATE_NS
 
-    def purge(self, stamp: int) -> None:
-        """Take note that the program threw away what it had received."""
-        self.until, self.left, self._purged = 0, _NOTHING, stamp
+    def look(self, stamp: int) -> None:
+        """Take note that the program looked for bytes in vain."""
+        self._looked = stamp
 
-    def take(self, frames: Frames, stamp: int, received: int) -> Frames:
-        """Take the answers that are old; return the other frames."""
-        _, due, spoke, is_spoilt = self.left
+    def leaves(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
+        """Take a question that is over; return whether its answer may be there or come."""
+        if not self.until and (
+                not self.stamp or question.is_spoilt or self._looked > question.asked + AT_ONCE_NS
+                or self._has_had_time(question, now, byte_ns)):
+            return False
+        if self._purged < question.asked:      # else it is unknown
+            self.left.append(question)
+        return True
+
+    def expire(self, now: int, byte_ns: float) -> None:
+        """Judge what was left long enough ago, where nothing waits."""
+        while not self.until and self.left and self._has_had_time(self.left[0], now, byte_ns):
+            self._duty.judge(self.left.popleft(), now, now)
+
+    def _has_had_time(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
+        size = sum(slot.size + AROUND for slot in question.due)
+        return now - question.asked >= ADAPTER_NS + byte_ns * size
+
+    def purge(self, before: Plan, stamp: int) -> None:
+        """
+        Take note that the program threw away what it had received.
+
+        That may be the answer that it gave up last; else, where it has all that it asked one
+        device for, as many bytes again are from a second device with that ID.
+        """
+        slot, given_up = self.given_up
+        late = slot is not None and stamp - given_up < OWED_NS
+        if not late:
+            slot = before.slots.get(before.request.id)
+        if slot is not None and self._waiting == slot.size + (
+                AROUND if slot.device.dialect is None else AROUND_1):
+            number = slot.device.number
+            if late:
+                self._registry.heard(slot.device, 0, stamp)
+                self._evidence.note(stamp, ev.LATE, number, ev.Lateness(0))
+            else:
+                self._evidence.note(stamp, ev.SECOND_ANSWER, number,
+                                    ev.Code(before.request.instruction))
+        self.until = self._waiting = 0
+        self._purged = stamp
+        self.left.clear()
+
+    def take(self, frames: Frames, stamp: int, received: int, before: Plan) -> Frames:
+        """Take the answers that are old; return the other frames; before: the last but one."""
         rest = []
         for frame in frames:
             begin, _, kind, number, code, data, flaw = frame
-            if begin >= self.until or kind:
+            is_old = self._since <= begin < self.until
+            if kind or not (is_old or self.left):
                 rest.append(frame)
-                continue
-            slot = next((one for one in due if one.device.number == number), None)
-            if flaw is not None and flaw.reason:
+            elif flaw is not None and flaw.reason:
                 self._evidence.note_damage(stamp, frame, flaw)
-                is_spoilt = True
-                if slot is not None:
-                    spoke.add(number)
-                    slot.device.counts.garbled += 1
-                    slot.device.counts.damaged += 1
-                continue
-            device = self._registry.device(number)
-            self._registry.heard(device, code, stamp)
-            if slot is not None:
-                due.remove(slot)
-                device.counts.answers += 1
-                if slot.due is Due.ACK:
-                    device.acknowledged()
-                elif not code & ~ALERT and len(data) == slot.size:
-                    slot.take(slot.span, data, stamp, READ)
-        if received >= self.until:             # all of it is read: the others did not answer
-            if due:
-                self._duty.judge(self.left._replace(is_spoilt=is_spoilt), stamp, stamp)
-            self.say(0, stamp)
+                self._spoil(number, stamp)
+            elif not self._answer(number, code, data, stamp):
+                if is_old:
+                    self._take_extra(self._registry.device(number), code, data, stamp, before)
+                else:
+                    rest.append(frame)
+        if received >= self.until:             # all of it is read
+            self.until = self._waiting = 0
         return rest
 
-    def end(self, failed: bool, asked: int, since_asked: Callable[[int], int],
-            byte_ns: float) -> None:
-        """
-        Judge the question that a program ended with, if its answer had its time.
+    def _take_extra(self, device: Device, code: int, data: bytes, stamp: int,
+                    before: Plan) -> None:
+        """Take an answer that waited and that nothing asked for, as far as is known."""
+        self._registry.heard(device, code, stamp)
+        if not device.pays(stamp, self.patience_ns) and before.asks(device, len(data)):
+            self._evidence.note(stamp, ev.SECOND_ANSWER, device.number,
+                                ev.Code(before.request.instruction))
 
-        failed: it ended by itself with an error; asked: stamp of the question; since_asked: the us
-        from its end to a stamp.
+    def _answer(self, number: int, code: int, data: bytes, stamp: int) -> bool:
+        """Take an answer to the oldest question that it fits; return whether there is one."""
+        error = code & ~ALERT
+        for question in self.left:
+            for slot in question.due:
+                device = slot.device
+                if device.number != number or not (error or len(data) == slot.size):
+                    continue
+                question.due.remove(slot)
+                if not question.due:
+                    self.left.remove(question)
+                device.counts.answers += 1
+                self._registry.heard(device, code, stamp)
+                device.last_error = error
+                if error:
+                    self._duty.refuse(slot, question.plan.request.instruction, error, stamp)
+                elif slot.due is not Due.ACK:
+                    slot.take(slot.span, data, stamp, READ)
+                else:
+                    device.acknowledged()
+                    if question.effect is not None:
+                        action, arguments = question.effect
+                        action(*arguments)
+                return True
+        return False
+
+    def _spoil(self, number: int, stamp: int) -> None:
+        """Take a damaged answer: that to the oldest question, or to one to this device."""
+        found = [(question, slot) for question in self.left for slot in question.due]
+        own = [one for one in found if one[1].device.number == number]
+        for question, slot in (own or found)[:1]:
+            question.spoke.add(slot.device.number)
+            slot.device.counts.garbled += 1
+            slot.device.counts.damaged += 1
+            if len(question.due) == 1:
+                self.left.remove(question)
+                self._duty.judge(question, stamp, stamp)
+
+    def end(self, failed: bool, byte_ns: float) -> None:
         """
-        due, now = [slot for slot in self.left.due if self._duty.is_due(slot)], self.stamp
-        if not due or now < asked:
-            return
-        us = since_asked(now)
-        enough_ns = ADAPTER_NS + byte_ns * sum(slot.size + AROUND for slot in due)
-        is_known = self.left.is_spoilt or (    # it came, and was damaged; or it did not come
-            1000 * us >= enough_ns and not self.until and self._purged < asked)
-        if failed and is_known:
-            self._duty.judge(self.left._replace(due=due), now, now, us)
-        elif failed or not due[0].device.heard:
-            self._evidence.note(now, ev.LEFT_OPEN, due[0].device.number, ev.Lateness(us))
-        self.left = _NOTHING
+        Judge the questions that a program ended with, if their answers had their time.
+
+        failed: it ended by itself with an error.
+        """
+        now = max(self.stamp, self._looked)
+        for question in self.last:
+            waited = failed and self._looked > question.asked + AT_ONCE_NS
+            due = [slot for slot in question.due if self._duty.is_due(slot)
+                   or (waited and slot.device.acks is None)]
+            if not due or now < question.asked:
+                continue
+            us = (now - question.asked) // 1000
+            is_known = question.is_spoilt or question.spoke or (   # it came; or it did not
+                self._has_had_time(question, now, byte_ns)
+                and not self.until and self._purged < question.asked)
+            if failed and is_known:
+                self._duty.judge(question._replace(due=due), now, now, us)
+            elif question is self.last[-1] and (failed or not due[0].device.heard):
+                self._evidence.note(now, ev.LEFT_OPEN, due[0].device.number, ev.Lateness(us))
+        self.last = []

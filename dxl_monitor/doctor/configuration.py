@@ -11,7 +11,6 @@ from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import CONNECTED
 from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
-from dxl_monitor.bus.report import PROTOCOL_2
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.rule import Claim
@@ -30,7 +29,7 @@ from msg_defs.dxl_packet import BROADCAST
 from msg_defs.reports import Level
 
 S = 1_000_000_000
-FEW = 3
+FEW, TWICE = 3, 2
 RANGE, LENGTH, LIMIT, ACCESS, UNKNOWN_TO_IT = 4, 5, 6, 7, 2
 WORN = 30                          # EEPROM writes in 10 s: no start-up writes as many
 POLLED = 20                        # reads of a device that was never written
@@ -89,7 +88,7 @@ def _goal_limits(case: Case, device: DeviceReport) -> Found | None:
                     if one.detail.error == LIMIT and one.detail.instruction in WRITES)
     for address, count in found.most_common(1):
         field = device.model.by_address.get(address)
-        if count >= (2 if device.protocol == PROTOCOL_2 else FEW):     # 1.0: a bit of 8
+        if count >= TWICE:
             name = field.name if field else f'address {address}'
             return Claim(device.id, f'{count} values for {name} refused, beyond its limits: keep '
                          'goals within these, or set wider ones (as Max Position Limit)',

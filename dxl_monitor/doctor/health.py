@@ -32,7 +32,7 @@ TURN, EDGE = 4096, 1024            # steps of a turn; so near its ends
 GOAL_SIZE = 2                      # bytes: with four a position does not end there
 FRESH_S = 3.0
 WATCHED_NS = 500_000_000
-FEW = 3
+FEW, TWICE = 3, 2
 # What to do about an error bit of the 1.0 family, by a part of its name; the first that fits.
 _REMEDIES = {
     'voltage': 'measure the supply at its plug; compare it with the label of the servo',
@@ -119,6 +119,8 @@ def limit_of(case: Case, device: DeviceReport, name: str,
     if seen is not None and seen.value.number is not None:
         return seen.value.number, ''
     values = FACTORY.get(device.model_number or -1)
+    if factory == 'degrees' and device.model.number is None and device.model.protocol != 'feetech':
+        return max(one.degrees for one in FACTORY.values()), ' or less'
     return (None, '') if values is None else (getattr(values, factory), ' from the factory')
 
 
@@ -154,8 +156,13 @@ def _voltage(case: Case) -> Claims:
             continue
         low, source = limit_of(case, device, 'Min Voltage Limit', 'low')
         high, _ = limit_of(case, device, 'Max Voltage Limit', 'high')
-        if low is None and high is None and device.model.number is not None:
-            unknown.append(device.id)
+        if low is None and high is None:
+            if 'voltage' in device.last_error and device.protocol != words.PROTOCOL_2:
+                found.append(_supply(device, volts, True, 'beyond its own limits, as its voltage '
+                                     'error says: compare it with the label of the servo, check '
+                                     'battery and cables'))
+            elif device.model.number is not None:
+                unknown.append(device.id)
         if low is not None and volts < low + NEAR_VOLTS:
             found.append(_supply(device, volts, volts < low, f'below its limit of {low:.1f} V'
                                  f'{source}: charge the battery, check cable gauge and the load '
@@ -207,7 +214,7 @@ def _range_wraps(case: Case, device: DeviceReport) -> Found | None:
         return None
     places = [one.position for one in case.samples.get(device.id, ()) if one.position is not None]
     beyond = [place < EDGE for place in places if place < EDGE or TURN - EDGE <= place < TURN]
-    if len(beyond) < len(places) or sum(map(ne, beyond, beyond[1:])) < FEW:
+    if len(beyond) < len(places) or sum(map(ne, beyond, beyond[1:])) < TWICE:
         return None                            # it goes the long way, as it can
     return Claim(device.id, f'its joint moves across the end of the turn, from {TURN - 1} to 0, '
                  'where goals make it turn the long way round: calibrate it again, with the joint '

@@ -37,6 +37,7 @@ MS = 1_000_000
 AWAY_MS = 100                      # shorter than any start; longer than an answer or two lost
 DIP = 0.9                          # below this share of the voltage now the supply sagged
 MOVES, STANDS = 20, 6              # raw steps of a goal, of a position: it does not follow
+FAR = 200                          # the same: farther than what holds a joint bends
 STOPPED_S = 1.0                    # standing still for so long means something
 FOLLOW_S = 4.0                     # samples of so long tell whether it follows
 STANDS_S = 2.5                     # it does not move for so long of them; its torque was not read
@@ -93,6 +94,9 @@ def _at_the_end(case: Case) -> Claims:
                     'whether this answers is unknown')
     last = case.last_wait if case.report.failed else None
     lost = [last.device] if last is not None and not last.is_spoilt else []
+    if lost and case.report.failed == words.FAILED and _is_survived(case, lost[0]):
+        yield Doubt(lost.pop(), 'the last question got no answer; whether the program ended for '
+                    'that is unknown: it went on after others, or only searched')
     absent = [device.id for device in case.report.devices
               if device.last_heard_s is None and device.missed_in_a_row
               and not device.window.spoilt]
@@ -100,6 +104,15 @@ def _at_the_end(case: Case) -> Claims:
         lost += absent                 # it asked all, then complained of those
     yield from (_claim_gone(case, number) for number in dict.fromkeys(lost)
                 if number not in case.gone)
+
+
+def _is_survived(case: Case, number: int) -> bool:
+    """Tell whether the program goes on after such a question, so that the error is another."""
+    answered = min((one.last_heard_s for one in case.report.devices
+                    if one.last_heard_s is not None), default=0.0)
+    return all(one.detail.instruction == Instruction.PING
+               for one in case.incidents(ev.MISSED, number)) \
+        or case.report.waits[0].stamp < case.now - answered * S
 
 
 def _claim_gone(case: Case, number: int) -> Claim:
@@ -262,7 +275,8 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
     if place is None or place.source != 'r' or place.age_s > STOPPED_S or not _stands(samples):
         return None
     torque = case.values[device.id].get('Torque Enable')
-    if torque is not None and is_off(torque) and torque.age_s < FOLLOW_S:
+    if torque is not None and not torque.value.raw \
+            and (torque.source == 'w' or torque.age_s < FOLLOW_S):
         return Claim(device.id, 'goals are sent to it, but its torque is off: switch it on '
                      '(Torque Enable 1); after a restart, write all its settings again')
     if (torque is None or torque.source == 'w') and not device.alert \
@@ -272,11 +286,14 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
                      'its torque is off, or its motor has no supply; write 1 to Torque Enable')
     if torque is not None and torque.value.raw and not _absences(case, device.id):
         return None                    # it is on, so something holds it, or it is where it can be
-    if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not any(
-            _way([one.position for one in _lately(case, other)]) >= MOVES
-            for other in case.samples if other != device.id):
+    who = ', others follow' if any(_way([one.position for one in _lately(case, other)]) >= MOVES
+                                   for other in case.samples if other != device.id) else ''
+    if not who and torque is None and case.report.has_sides and device.model.protocol == '2' \
+            and _way([one.goal for one in samples[1:]]) >= FAR:
+        who = ', nothing set its torque'
+    if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not who:
         return None
-    return Claim(device.id, 'its goal changes but the joint does not move, others follow: its '
+    return Claim(device.id, f'its goal changes but the joint does not move{who}: its '
                  'torque is off or it is blocked; read Torque Enable, switch it on')
 
 

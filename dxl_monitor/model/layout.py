@@ -80,17 +80,21 @@ def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
     uses = [use for use in used if use not in (LITTLE, BIG)]
     fits = {table: registers for table in tables if (registers := _registers(table, uses))
             and order in ('', table.by_name['Goal Position'].byte_order)}
-    if not fits or not all(map(_is_enough, fits.values())):
+    if not fits:
         return UNKNOWN
     first, *others = fits
+    is_enough = all(map(_is_enough, fits.values()))
     names = {table.name for table in fits}
     series = {_series(name) for name in names}
     knows_units = len({table.file for table in fits}) > 1
     knows_order = bool(order) or first.protocol != 'feetech' or all(
         not registers.isdisjoint(_TELLS_ORDER) for registers in fits.values())
     found = [_agreed([field, *(table.by_address.get(field.at) for table in others)], knows_units)
-             for field in first.fields if (len(series) == 1 or field.name in _COMMON)
-             and (field.size == 1 or knows_order)]
+             for field in first.fields if (field.size == 1 or knows_order)
+             and ((is_enough and (len(series) == 1 or field.name in _COMMON))
+                  or (field.memory == 'eeprom' and (field.at, field.size) in uses))]
+    if not any(found):
+        return UNKNOWN
     name = f'the {series.pop()} series' if len(series) == 1 < len(names) else \
         names.pop() if len(names) == 1 else 'several series'
     return Model(None, name, tuple(field for field in found if field), protocol=first.protocol)

@@ -177,12 +177,15 @@ class StraceParser:
 
     def _write(self, port: str, stamp: int, held: float) -> Iterator[PortEvent]:
         """Say what the program did before a write: looked for bytes in vain, waited for strace."""
-        looked, result = self._looked.pop(port, (0, 1))
-        if not result:
-            yield PortEvent(stamp, port, GAVE_UP, value=max(0, stamp - looked) // 1000)
+        yield from self._vain(port, stamp)
         self._traced[port] = self._traced.get(port, 0) + int(held)
         if self._traced[port] >= TRACED_NS:
             yield PortEvent(stamp, port, TRACED, value=self._traced.pop(port) // 1000)
+
+    def _vain(self, port: str, stamp: int) -> Iterator[PortEvent]:
+        looked, result = self._looked.pop(port, (0, 1))
+        if not result:
+            yield PortEvent(stamp, port, GAVE_UP, value=max(0, stamp - looked) // 1000)
 
     def _transfer(self, port: str, side: str, arguments: bytes, size: int,
                   stamp: int) -> Iterator[PortEvent]:
@@ -233,6 +236,7 @@ class StraceParser:
     def _release(self, port: str, gone: set[tuple[int, int]], stamp: int) -> Iterator[PortEvent]:
         holders = self._holders.get(port, set())
         if holders and not holders - gone:
+            yield from self._vain(port, stamp)
             yield PortEvent(stamp, port, CLOSED)
         holders -= gone
 

@@ -51,14 +51,9 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
 
     def write(self: Any, data: Any, *args: Any, **kwargs: Any) -> Any:
         size = port = 0
-        try:                                   # answers to earlier questions
-            waiting = self.in_waiting
-            if waiting or getattr(self, _LEFT):
-                setattr(self, _LEFT, waiting)
-                sender.number(UNREAD, getattr(self, _PORT), waiting)
-            vain = self.__dict__.pop(_VAIN, 0)
-            if vain:
-                sender.number(GAVE_UP, getattr(self, _PORT), (time.monotonic_ns() - vain) // 1000)
+        try:
+            _say_waiting(sender, self)         # answers to earlier questions
+            _say_vain(sender, self)
         except Exception:
             pass
         try:
@@ -125,10 +120,38 @@ def _wrap_close(sender: Any, original: _Method) -> _Method:
     return close
 
 
+def _wrap_purge(sender: Any, original: _Method) -> _Method:
+    def purge(self: Any, *args: Any, **kwargs: Any) -> Any:
+        with suppress(Exception):
+            _say_waiting(sender, self)
+        result = original(self, *args, **kwargs)
+        with suppress(Exception):
+            sender.number(PURGED, getattr(self, _PORT), 1)
+            setattr(self, _LEFT, 0)
+        return result
+    return purge
+
+
+def _say_waiting(sender: Any, serial: Any) -> None:
+    """Say how much of what a port received is not read yet, if it is not nothing as before."""
+    waiting = serial.in_waiting
+    if waiting or getattr(serial, _LEFT):
+        setattr(serial, _LEFT, waiting)
+        sender.number(UNREAD, getattr(serial, _PORT), waiting)
+
+
+def _say_vain(sender: Any, serial: Any) -> None:
+    """Say for how long a port was not read since it was looked at in vain."""
+    vain = serial.__dict__.pop(_VAIN, 0)
+    if vain:
+        sender.number(GAVE_UP, getattr(serial, _PORT), (time.monotonic_ns() - vain) // 1000)
+
+
 def _say_unread(sender: Any, serial: Any) -> None:
     """Say how much of what a port received was never read, also where that is nothing."""
     with suppress(Exception):
         sender.number(UNREAD, getattr(serial, _PORT), serial.in_waiting)
+        _say_vain(sender, serial)
 
 
 _WRAPPERS: dict[str, Callable[[Any, _Method], _Method]] = {
@@ -138,8 +161,7 @@ _WRAPPERS: dict[str, Callable[[Any, _Method], _Method]] = {
     'close': _wrap_close,
     '_reconfigure_port': _wrap_after(
         lambda sender, serial, port: sender.rate(port, int(serial._baudrate))),
-    'reset_input_buffer': _wrap_after(
-        lambda sender, serial, port: sender.number(PURGED, port, 1)),
+    'reset_input_buffer': _wrap_purge,
     'reset_output_buffer': _wrap_after(
         lambda sender, serial, port: sender.number(PURGED, port, 2)),
 }

@@ -166,7 +166,9 @@ def _listen(source: Source, examination: Examination, limit_s: float | None) -> 
             is_over = not source.is_live
     failed = ''
     if isinstance(source, Program):
-        is_over, failed = True, source.ending.failed
+        is_over = True
+        if not source.ending.users:            # else they may have read what is missing
+            failed = source.ending.failed
     ended = source.ended if is_over else 0
     if ended > examination.last:               # a recording that went on in silence
         examination.pass_time(ended)
