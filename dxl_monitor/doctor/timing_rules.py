@@ -67,7 +67,6 @@ MOSTLY = 0.7
 RARELY = 0.1                      # questions after a write: noise would hit as few of them
 BEHIND_NS = 2 * MS               # as far as chunks tell time
 MANY = 10                          # vain waits
-ASKED_AHEAD_US = 10_000
 SOON_US = 500                      # Return Delay Time as from the factory (e-Manual)
 
 
@@ -185,10 +184,7 @@ def _late_answers(case: Case) -> Claims:
 def _is_cut_short(case: Case) -> bool:
     """Tell whether questions came as no wait for an answer ends, so that none was given up."""
     waits = [one.us for one in case.waits(LATE_S) if not one.is_spoilt]
-    least = NO_WAIT_US
-    if case.report.has_sides:          # it may ask one servo several things before it reads
-        least = SOON_US if len(case.report.devices) > 1 else ASKED_AHEAD_US
-    return bool(waits) and median(waits) < least
+    return bool(waits) and median(waits) < (SOON_US if case.report.has_sides else NO_WAIT_US)
 
 
 def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
