@@ -213,6 +213,14 @@ def echoed_once(again: bytes) -> Iterator[Said]:
         yield 1, IN, again or packet(number, 2, 56, 2)
 
 
+def skipped(*ids: int) -> Iterator[Said]:
+    """End at once on a Sync Read of three servos that only these answer, after some whole ones."""
+    for turn in range(9):
+        yield 20, OUT, packet(254, 0x82, 56, 2, 1, 2, 3)
+        for number in (1, 2, 3) if turn < 8 else ids:
+            yield 1, IN, packet(number, 0, turn, 8)
+
+
 def waited_for(code: int, before: int) -> Iterator[Said]:
     """End on a question to servo 2 that is not answered, as were some before."""
     yield 0, '', EMPTY
@@ -247,6 +255,7 @@ def waited_for(code: int, before: int) -> Iterator[Said]:
     (limited(2), '', {'goal_limits'}), (limited(1), '', set()),
     (echoed_once(b''), RAISED, {'echo'}),
     (echoed_once(packet(1, 0, 56, 2)), RAISED, set()),
+    (skipped(1, 3), FAILED, {'no_answer'}), (skipped(1), FAILED, set()),
     (waited_for(3, 0), FAILED, {'no_answer'}), (waited_for(3, 0), '', set()),
     (waited_for(3, 3), FAILED, set()), (waited_for(1, 0), FAILED, set()),
     (pinged_twice(packet(1, 0)), RAISED, {'duplicate_id'}), (pinged_twice(b''), RAISED, set()),

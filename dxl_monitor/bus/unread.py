@@ -175,15 +175,19 @@ class Unread:
 
         failed: it ended by itself with an error.
         """
-        now = max(self.stamp, self._looked)
         for question in self.last:
+            now = max(self.stamp, self._looked)
+            slots = [*question.plan.slots.values()]
+            is_passed = bool(slots) and slots[-1] not in question.due      # the others had a turn
+            if is_passed:
+                now = max(now, question.asked + 1)
             waited = failed and self._looked > question.asked + AT_ONCE_NS
             due = [slot for slot in question.due if self._duty.is_due(slot)
                    or (waited and slot.device.acks is None)]
             if not due or now < question.asked:
                 continue
             us = (now - question.asked) // 1000
-            is_known = question.is_spoilt or question.spoke or (   # it came; or it did not
+            is_known = is_passed or question.is_spoilt or question.spoke or (
                 self._has_had_time(question, now, byte_ns)
                 and not self.until and self._purged < question.asked)
             if failed and is_known:

@@ -112,7 +112,8 @@ def _is_survived(case: Case, number: int) -> bool:
                     if one.last_heard_s is not None), default=0.0)
     return all(one.detail.instruction == Instruction.PING
                for one in case.incidents(ev.MISSED, number)) \
-        or case.report.waits[0].stamp < case.now - answered * S
+        or (len(case.report.waits) > 1
+            and case.report.waits[0].stamp < case.now - answered * S)
 
 
 def _claim_gone(case: Case, number: int) -> Claim:
