@@ -203,15 +203,15 @@ class Device:
         self.counts.missed += 1
         self.counts.spoilt += doubtful
         self.missed_in_a_row += 1
-        self.owed = (self.owed if self._is_lately(stamp) else 0) + (not doubtful)
-        self._given_up = stamp
+        self._owe(stamp, not doubtful)
         self.asked_stamp = now
         self.waiting_behind = None
         self.is_unusual = True
 
-    def not_served(self, now: int, blocker: int) -> None:
+    def not_served(self, now: int, stamp: int, blocker: int) -> None:
         """Count an answer whose turn did not come: the master gave up at the one before."""
         self.counts.not_served += 1
+        self._owe(stamp)
         self.asked_stamp = now
         self.waiting_behind = blocker
         self.is_unusual = True
@@ -227,9 +227,10 @@ class Device:
         """Return whether all its answers have come, the last just now: a next one is another's."""
         return not self.owed and stamp - self.heard < _SLOWER_NS
 
-    def _is_lately(self, stamp: int) -> bool:
+    def _owe(self, stamp: int, answers: int = 1) -> None:
         # Stamps of chunks: the time on the wire is only as good as the chunk is short.
-        return stamp - self._given_up < OWED_NS
+        self.owed = (self.owed if stamp - self._given_up < OWED_NS else 0) + answers
+        self._given_up = stamp
 
     def note_error(self, instruction: int, address: int, error: int) -> None:
         self.counts.refused += 1

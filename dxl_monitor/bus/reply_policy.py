@@ -85,7 +85,7 @@ class ReplyPolicy:
         for slot in due[:served]:
             self._miss(plan, slot, now, stamp, is_spoilt or slot.device.number in spoke)
         for slot in due[served:]:
-            slot.device.not_served(now, behind)
+            slot.device.not_served(now, stamp, behind)
 
     def look_at_noise(self, question: OpenQuestion, noise: int, most: int, now: int) -> None:
         """Note who the noise may come from; most: bytes of all answers that did not come."""

@@ -73,8 +73,7 @@ class Tracker:
         self.slots: dict[int, Slot] = {}      # the statuses that are still to come
         self._unresolved = False               # no status yet: the first one gives a latency
         self._spoke: set[int] = set()          # the devices that answered it with damage
-        self._before = NO_PLAN                 # the instruction before it
-        self._given_up = _NO_SLOTS             # the statuses to it that did not come
+        self._before, self._given_up = NO_PLAN, _NO_SLOTS      # the one before, what it lacked
         self.unread = Unread(registry, evidence, self._policy)
 
     def track(self, frames: Frames, stamp: int, received: int, side: str = UNKNOWN) -> None:
@@ -217,7 +216,6 @@ class Tracker:
     def _answer(self, slot: Slot, error: int, data: bytes, stamp: int) -> None:
         device = slot.device
         device.counts.answers += 1
-        is_again = self._before.asks(device, len(data)) and device.has_just_answered(stamp)
         self._registry.heard(device, error, stamp)
         code = error & ~ALERT
         if self.is_doubtful:
@@ -230,9 +228,9 @@ class Tracker:
         elif len(data) == slot.size:
             slot.take(slot.span, data, stamp, READ)
         elif self.planner.has_answer(device.number, len(data)):
-            if not is_again:
-                self.slots[device.number] = slot       # a late one: its own may still come
-            self._note_extra(device.number, is_again, stamp)
+            if is_late := device.pays(stamp, self.unread.patience_ns):
+                self.slots[device.number] = slot       # its own may still come
+            self._note_extra(device.number, not is_late, stamp)
         else:
             self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
 
@@ -370,8 +368,9 @@ class Tracker:
         due = [slot for slot in slots.values() if self._policy.is_due(slot)]
         question = self._question(due)
         now = int(self._on_wire(began, received, stamp))
-        is_left = due and self.unread.leaves(question, now, self.byte_ns)
-        if due and not is_left:
+        if due and self.unread.leaves(question, now, self.byte_ns):
+            self._given_up = _NO_SLOTS
+        elif due:
             if len(slots) == 1:
                 self.unread.given_up = due[0], now
             if question.is_spoilt:

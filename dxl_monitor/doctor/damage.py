@@ -365,7 +365,7 @@ RULES = (
          ('stray_bytes', 'wrong_baud')),
     Rule('echo', Level.WARN, _echo,
          (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'jitter', 'impatient_master',
-          'late_answers', 'goal_limits', 'refused')),
+          'late_answers', 'goal_limits', 'refused', 'hardware_error')),
     Rule('duplicate_id', Level.ERROR, _duplicate_id,
          ('noise', 'damaged_answers', 'turnaround', 'missed_answers', 'dropout', 'stray_bytes',
           'late_answers', 'jitter', 'rebooted'), each=True),

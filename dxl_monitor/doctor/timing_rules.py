@@ -64,6 +64,7 @@ WAITED_S = 3.0
 LATE_S = 10.0
 NO_WAIT_US = 50                   # less than any answer takes on the wire
 MOSTLY = 0.7
+SHARE = 0.05                      # of its answers: fewer are late where a computer is busy
 RARELY = 0.1                      # questions after a write: noise would hit as few of them
 BEHIND_NS = 2 * MS               # as far as chunks tell time
 MANY = 10                          # vain waits
@@ -167,7 +168,8 @@ def _late_answers(case: Case) -> Claims:
         before = one.stamp
     for number, count in first.most_common(1):
         device = case.devices.get(number)
-        if count < FEW or (device is not None and device.window.not_served >= count):
+        if count < FEW or (device is not None and (
+                device.window.not_served >= count or count < SHARE * device.window.asked)):
             return
         if _is_cut_short(case):
             yield Doubt(number, 'the next instruction comes during its answers: two programs, one '
