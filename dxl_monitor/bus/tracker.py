@@ -216,6 +216,7 @@ class Tracker:
     def _answer(self, slot: Slot, error: int, data: bytes, stamp: int) -> None:
         device = slot.device
         device.counts.answers += 1
+        is_again = self._before.asks(device, len(data)) and device.has_just_answered(stamp)
         self._registry.heard(device, error, stamp)
         code = error & ~ALERT
         if self.is_doubtful:
@@ -228,9 +229,9 @@ class Tracker:
         elif len(data) == slot.size:
             slot.take(slot.span, data, stamp, READ)
         elif self.planner.has_answer(device.number, len(data)):
-            if is_late := device.pays(stamp, self.unread.patience_ns):
-                self.slots[device.number] = slot       # its own may still come
-            self._note_extra(device.number, not is_late, stamp)
+            if not is_again:
+                self.slots[device.number] = slot       # a late one: its own may still come
+            self._note_extra(device.number, is_again, stamp)
         else:
             self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
 
@@ -340,8 +341,7 @@ class Tracker:
 
     def _damaged(self, frame: Frame, flaw: Flaw, stamp: int, damage: int) -> int:
         """Note a damaged frame; return what happened to the pairing: mostly `damage`."""
-        _, _, kind, number, code, data, _ = frame
-        is_status = kind == IS_STATUS
+        is_status, number, code, data = frame[2] == IS_STATUS, *frame[3:6]
         if is_status and number == BROADCAST and BROADCAST in self.slots:
             del self.slots[BROADCAST]
             if self._combined(data, stamp):    # nothing is damaged: the next one is silent
