@@ -314,7 +314,7 @@ class Tracker:
         reason, is_repaired, noise, is_unstuffed, _ = flaw
         if is_unstuffed and not (noise or is_repaired):
             return False
-        if side == IN:                         # what came before the question is no matter
+        if side == IN and noise > GLITCH:      # what came before the question is no matter
             noise = min(noise, max(0, frame[0] - self.quiet_from))
         self._noise = noise
         if reason:
