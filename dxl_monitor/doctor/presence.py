@@ -96,7 +96,7 @@ def _at_the_end(case: Case) -> Claims:
     lost = [last.device] if last is not None and not last.is_spoilt else []
     if lost and case.report.failed == words.FAILED and _is_survived(case, lost[0]):
         yield Doubt(lost.pop(), 'the last question got no answer; whether the program ended for '
-                    'that is unknown: it went on after others, or only searched')
+                    'that is unknown: it went on after earlier ones, or only searched')
     absent = [device.id for device in case.report.devices
               if device.last_heard_s is None and device.missed_in_a_row
               and not device.window.spoilt]
