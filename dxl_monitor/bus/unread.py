@@ -160,8 +160,8 @@ class Unread:
     def _spoil(self, number: int, stamp: int) -> None:
         """Take a damaged answer: that to the oldest question, or to one to this device."""
         found = [(question, slot) for question in self.left for slot in question.due]
-        own = [one for one in found if one[1].device.number == number]
-        for question, slot in (own or found)[:1]:
+        found.sort(key=lambda one: one[1].device.number != number)
+        for question, slot in found[:1]:
             question.spoke.add(slot.device.number)
             slot.device.counts.garbled += 1
             slot.device.counts.damaged += 1

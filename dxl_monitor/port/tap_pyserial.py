@@ -94,10 +94,14 @@ def _wrap_open(sender: Any, original: _Method) -> _Method:
     return open
 
 
-def _wrap_after(report: Callable[[Any, Any, int], object]) -> Callable[[Any, _Method], _Method]:
-    """Return a wrapper that reports a call after it, if the port is open."""
+def _wrap_after(report: Callable[[Any, Any, int], object],
+                before: Callable[[Any, Any], None] = lambda sender, serial: None
+                ) -> Callable[[Any, _Method], _Method]:
+    """Return a wrapper that reports a call after it, if the port is open, and before it."""
     def wrap(sender: Any, original: _Method) -> _Method:
         def call(self: Any, *args: Any, **kwargs: Any) -> Any:
+            with suppress(Exception):
+                before(sender, self)
             result = original(self, *args, **kwargs)
             with suppress(Exception):
                 port = getattr(self, _PORT, None)
@@ -118,18 +122,6 @@ def _wrap_close(sender: Any, original: _Method) -> _Method:
             sender.closed(port)
         return result
     return close
-
-
-def _wrap_purge(sender: Any, original: _Method) -> _Method:
-    def purge(self: Any, *args: Any, **kwargs: Any) -> Any:
-        with suppress(Exception):
-            _say_waiting(sender, self)
-        result = original(self, *args, **kwargs)
-        with suppress(Exception):
-            sender.number(PURGED, getattr(self, _PORT), 1)
-            setattr(self, _LEFT, 0)
-        return result
-    return purge
 
 
 def _say_waiting(sender: Any, serial: Any) -> None:
@@ -161,7 +153,8 @@ _WRAPPERS: dict[str, Callable[[Any, _Method], _Method]] = {
     'close': _wrap_close,
     '_reconfigure_port': _wrap_after(
         lambda sender, serial, port: sender.rate(port, int(serial._baudrate))),
-    'reset_input_buffer': _wrap_purge,
+    'reset_input_buffer': _wrap_after(
+        lambda sender, serial, port: sender.number(PURGED, port, 1), _say_waiting),
     'reset_output_buffer': _wrap_after(
         lambda sender, serial, port: sender.number(PURGED, port, 2)),
 }
