@@ -29,6 +29,7 @@ from dxl_monitor.port.tap_reader import TapRecord
 from dxl_monitor.port.tap_sender import BAUD
 from dxl_monitor.port.tap_sender import CLOSED
 from dxl_monitor.port.tap_sender import folder
+from dxl_monitor.port.tap_sender import GAVE_UP
 from dxl_monitor.port.tap_sender import IN
 from dxl_monitor.port.tap_sender import LOST
 from dxl_monitor.port.tap_sender import NOT_SENT
@@ -36,6 +37,7 @@ from dxl_monitor.port.tap_sender import OPENED
 from dxl_monitor.port.tap_sender import OUT
 from dxl_monitor.port.tap_sender import PURGED
 from dxl_monitor.port.tap_sender import record
+from dxl_monitor.port.tap_sender import UNREAD
 from dxl_monitor.tools.start_program import environment
 from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
@@ -373,6 +375,26 @@ def test_what_the_program_sees_stays_as_it_is():
         assert [one.value for one in mine if one.kind == BAUD] == [9600, 57600]
         assert [one.value for one in mine if one.kind == PURGED] == [1]
         assert [one.value for one in mine if one.kind == NOT_SENT] == [100_000]
+
+
+def test_what_is_thrown_away_and_what_is_looked_for_in_vain():
+    script = """
+        import serial
+        port = serial.Serial({path!r}, 9600, timeout=0.01)
+        port.write(b'abc')
+        while port.in_waiting < 3: pass
+        port.reset_input_buffer()
+        port.read()
+        port.close()
+        print('done')
+    """
+    with peers(lambda data: data) as [peer], TapReader('robot') as reader, \
+            program(script.format(path=peer.pty.path)) as child:
+        mine = listen(reader, closed(1))
+        assert done(child) == 'done\n'
+    assert [(one.kind, one.value * (one.kind != GAVE_UP)) for one in mine
+            if one.kind in (UNREAD, PURGED, GAVE_UP)] == [
+        (UNREAD, 0), (UNREAD, 3), (PURGED, 1), (UNREAD, 0), (GAVE_UP, 0)]
 
 
 def test_queue_is_bounded_and_what_is_lost_is_told():
