@@ -95,8 +95,8 @@ def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
                   or (field.memory == 'eeprom' and (field.at, field.size) in uses))]
     if not any(found):
         return UNKNOWN
-    name = f'the {series.pop()} series' if len(series) == 1 < len(names) else \
-        names.pop() if len(names) == 1 else 'several series'
+    name = 'several series' if len(series) > 1 or not is_enough else \
+        names.pop() if len(names) == 1 else f'the {series.pop()} series'
     return Model(None, name, tuple(field for field in found if field), protocol=first.protocol)
 
 
