@@ -44,7 +44,7 @@ def named(model, program, left_out):
     result = Counter()
     for at, _ in used:
         truth, said = model.by_address[at], found.by_address.get(at)
-        if said is None:
+        if said is None or said.name == f'Address {at}':
             result['no name'] += 1
         elif kind(said) != kind(truth):
             result[f'{said} of {model.name}'] += 1

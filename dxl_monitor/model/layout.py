@@ -36,6 +36,7 @@ _X_SERIES = re.compile(r'2?X[A-Z]\d|2X|MX-\d+$')       # MX(2.0) has the same ta
 _COMMON = ('Torque Enable', 'Goal Position', 'Goal Velocity', 'Present Position',
            'Present Velocity', 'Present Load', 'Present Input Voltage', 'Present Temperature',
            'Hardware Error Status', 'Lock', 'ID', 'Baud Rate')
+_BASIC = ('ID', 'Baud Rate')
 # STS and SCS of Feetech differ in the order of bytes: one of these says which.
 _TELLS_ORDER = ('Lock', 'Acceleration')
 POSITIONS = ('Goal Position', 'Present Position')      # signed in some tables
@@ -89,12 +90,17 @@ def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
     knows_units = len({table.file for table in fits}) > 1
     knows_order = bool(order) or first.protocol != 'feetech' or all(
         not registers.isdisjoint(_TELLS_ORDER) for registers in fits.values())
+    named = _COMMON if is_enough else _BASIC
     found = [_agreed([field, *(table.by_address.get(field.at) for table in others)], knows_units)
              for field in first.fields if (field.size == 1 or knows_order)
-             and ((is_enough and (len(series) == 1 or field.name in _COMMON))
+             and ((is_enough and (len(series) == 1 or field.name in named))
                   or (field.memory == 'eeprom' and (field.at, field.size) in uses))]
     if not any(found):
         return UNKNOWN
+    if not is_enough or len(series) > 1:       # that it is EEPROM is certain, what for is not
+        found = [Field(field.at, f'Address {field.at}', field.type, access=field.access,
+                       memory=field.memory) if field and field.name not in named else field
+                 for field in found]
     name = 'several series' if len(series) > 1 or not is_enough else \
         names.pop() if len(names) == 1 else f'the {series.pop()} series'
     return Model(None, name, tuple(field for field in found if field), protocol=first.protocol)
