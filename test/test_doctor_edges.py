@@ -37,8 +37,8 @@ ENOUGH = [
           *((level, raw, 'below its limit of 6.0', 'charge the battery, check cable gauge and the '
              'load on the chain') for level, raw in (
               (Level.ERROR, 10), (Level.ERROR, 59), (Level.WARN, 60), (Level.WARN, 62))),
-          *((level, raw, 'above its limit of 14.0', 'lower the supply, or let it absorb the '
-             'braking current') for level, raw in (
+          *((level, raw, 'above its limit of 14.0', 'lower the supply voltage, or use a '
+             'supply that takes the braking current') for level, raw in (
               (Level.WARN, 138), (Level.WARN, 140), (Level.ERROR, 141))))),
     *(('layout', {'devices': [device(model='STS3215')],
                   'cycles': (asks(I.WRITE, 1, at=at, size=size),)},

@@ -121,8 +121,8 @@ def test_a_program_is_understood_after_three_instructions_and_taken_at_its_word(
     bus.hear(*MOVES)
     report = bus.report()
     assert [one.message for one in report.doubts if one.rule == 'models'] == [
-        '001: model not known, registers as in the X series, by what the program uses; set '
-        '`devices`, or let the master Ping']
+        '001: model not known, registers as in the X series, by what the program uses; add '
+        'ID:MODEL to `devices`, or let your program ping the servos']
     bus.hear(encode(1, I.PING), PONG)
     assert names(bus)[0] == 'MX-64'
 

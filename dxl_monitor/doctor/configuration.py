@@ -289,7 +289,8 @@ def _models(case: Case) -> Claims:
     if found and case.heard_s >= POLLED_S:
         known = '; '.join(f'{listed(ids, 3)}: model not known, {registers}'
                           for registers, ids in found.items())
-        yield Doubt(None, f'{known}; set {case.names.devices}, or let the master Ping')
+        yield Doubt(None, f'{known}; add ID:MODEL to {case.names.devices}, or let your program '
+                          'ping the servos')
 
 
 def _registers(device: DeviceReport, none: str) -> str:

@@ -166,8 +166,9 @@ def _damaged_answers(case: Case) -> Claims:
         if not device.missed_in_a_row or not device.window.spoilt or (
                 case.report.failed != words.RAISED and (last is None or device.id != last.device)):
             continue
-        yield Claim(device.id, 'its last answer came damaged, and the program ended for that: a '
-                    'bad cable or a second device with its ID; unplug it and ping its ID',
+        yield Claim(device.id, 'its last answer was damaged, so the program ended: a bad cable, '
+                    'or a second device with its ID: it answers a Ping while this one is '
+                    'unplugged',
                     is_certain=True)
     if worst is None or _asked_damaged(case) >= \
             BOTH_WAYS * max(case.damage, case.spoilt):

@@ -33,13 +33,16 @@ GOAL_SIZE = 2                      # bytes: with four a position does not end th
 FRESH_S = 3.0
 WATCHED_NS = 500_000_000
 FEW, TWICE = 3, 2
+_FREE_IT = ('free the joint or reduce its load; then switch its torque off and on, or its power '
+            'if that does not help')
 # What to do about an error bit of the 1.0 family, by a part of its name; the first that fits.
 _REMEDIES = {
-    'voltage': 'measure the supply at its plug; compare it with the label of the servo',
+    'voltage': 'measure the voltage at the plug of the servo; compare it with its label',
     'overheating': 'let it cool and reduce its load',
-    'angle limit': 'keep its goals within its limits; if they are, its sensor is broken',
-    'overload': 'free the joint or reduce its load, then switch its torque off and on',
-    'current': 'free the joint or reduce its load, then switch its torque off and on'}
+    'angle limit': 'keep its goals within its limits; if the error stays after power off and '
+                   'on, its sensor is broken',
+    'overload': _FREE_IT,
+    'current': _FREE_IT}
 _ERRORS = ('Hardware Error Status', 'Error Code')
 
 
@@ -169,8 +172,8 @@ def _voltage(case: Case) -> Claims:
                                  'on the chain'))
         elif high is not None and volts > high - NEAR_VOLTS:
             found.append(_supply(device, volts, volts > high, f'above its limit of {high:.1f} V'
-                                 f'{source}: lower the supply, or let it absorb the braking '
-                                 'current'))
+                                 f'{source}: lower the supply voltage, or use a supply that '
+                                 'takes the braking current'))
     yield from found
     if len(found) >= FEW:
         yield Claim(None, f'{len(found)} devices near or beyond a voltage limit: the supply is '

@@ -61,7 +61,7 @@ def _all_silent(case: Case) -> Claims:
                              or (asked >= 5 and heard <= 0 and case.gone)):
         first = case.gone[0] if len(case.gone) == 1 else None
         alone = '' if first is None else f'; or {first:03} is dead and the others wait for it'
-        hint = '' if case.report.has_sides else '; or listen to both directions'
+        hint = '' if case.report.has_sides else '; or only the master is heard'
         yield Claim(None, f'none of {len(missing)} devices answers the master: check power and '
                           f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
     elif not case.report.is_answered and (case.report.is_over or len(
