@@ -257,7 +257,7 @@ def waited_for(code: int, before: int) -> Iterator[Said]:
     (echoed_once(packet(1, 0, 56, 2)), RAISED, set()),
     (skipped(1, 3), FAILED, {'no_answer'}), (skipped(1), FAILED, set()),
     (waited_for(3, 0), FAILED, {'no_answer'}), (waited_for(3, 0), '', set()),
-    (waited_for(3, 3), FAILED, set()), (waited_for(1, 0), FAILED, set()),
+    (waited_for(3, 3), FAILED, set()), (waited_for(1, 0), FAILED, {'no_answer'}),
     (pinged_twice(packet(1, 0)), RAISED, {'duplicate_id'}), (pinged_twice(b''), RAISED, set()),
 ], ids=lambda one: getattr(one, '__name__', str(one)))
 def test_a_foreign_program_meets_a_fault(said, failed, found):

@@ -110,8 +110,9 @@ def _is_survived(case: Case, number: int) -> bool:
     """Tell whether the program goes on after such a question, so that the error is another."""
     answered = min((one.last_heard_s for one in case.report.devices
                     if one.last_heard_s is not None), default=0.0)
-    return all(one.detail.instruction == Instruction.PING
-               for one in case.incidents(ev.MISSED, number)) \
+    silent = sum(one.last_heard_s is None for one in case.report.devices)
+    return (silent > 1 and all(one.detail.instruction == Instruction.PING
+                               for one in case.incidents(ev.MISSED, number))) \
         or (len(case.report.waits) > 1
             and case.report.waits[0].stamp < case.now - answered * S)
 

@@ -96,8 +96,8 @@ def _bus(bus: BusReport, devices: Sequence[DeviceReport], names: Names) -> tuple
     if bus.rates['errors'] > 1:
         return Level.WARN, f'{bus.rates["errors"]:.1f} damaged packets per second; {message}'
     if devices and not connected:
-        asked = any(device.state != words.SILENT for device in devices)
-        return Level.WARN if asked else Level.STALE, message
+        is_asked = any(device.level is not Level.STALE for device in devices)
+        return Level.WARN if is_asked else Level.STALE, message
     return Level.WARN if lost else Level.OK, message
 
 

@@ -16,6 +16,7 @@ from typing import Any
 from typing import NamedTuple
 
 from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus.report import CONNECTED
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor import timing_rules
 from dxl_monitor.doctor.states import LISTED_AS
@@ -111,6 +112,8 @@ def verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: 
     for bus in buses:
         unknown += [f'{doubt.rule.replace("_", " ")}, {bus.who(doubt.device)}: {doubt.message}'
                     for doubt in bus.report.doubts if is_timed or doubt.rule not in _NEEDS_TIMES]
+        unknown += [f'{bus.who(one.id)}: {printable(one.message)}, too few to find a cause'
+                    for one in _unnamed(bus) if _is_slight(one)]
     wrong = [entry for bus in buses for entry in _wrong(bus)] + [one for one in [ended] if one]
     return Verdict(printable(source), (*map(os.path.basename, ports[:PORTS_NAMED]),
                                        *_head(buses, seconds, is_timed)),
@@ -182,14 +185,25 @@ def _wrong(bus: BusSummary) -> list[Trouble]:
     if any(entry.level is Level.ERROR for entry in found):
         return found                   # that of other devices follows from it, as a rule
     report = bus.report
-    named = {finding.device for finding in report.findings}
-    named |= {one.finding.device for one in bus.logged}
     found += [Trouble(device.level, bus.who(device.id), '', printable(device.message), '')
-              for device in report.devices
-              if device.id not in named and device.level in _CODES]
-    if report.level in _CODES and not found and None not in named:
+              for device in _unnamed(bus) if not _is_slight(device)]
+    if report.level in _CODES and not found and None not in _named(bus):
         found.append(Trouble(report.level, bus.who(None), '', printable(report.message), ''))
     return found
+
+
+def _named(bus: BusSummary) -> set[int | None]:
+    return {one.device for one in bus.report.findings} | {one.finding.device for one in bus.logged}
+
+
+def _unnamed(bus: BusSummary) -> list[DeviceReport]:
+    """Return the devices that are not well, and no finding says why."""
+    named = _named(bus)
+    return [one for one in bus.report.devices if one.level in _CODES and one.id not in named]
+
+
+def _is_slight(device: DeviceReport) -> bool:
+    return device.state == CONNECTED and device.level is Level.WARN
 
 
 def _alike(logged: Sequence[Logged]) -> list[list[Logged]]:
