@@ -60,9 +60,9 @@ def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> 
         return [f'{ended}: the Python that ran it, {ending.python}, lacks that package. Name the '
                 'Python of your program: run -- /path/to/its/bin/python '
                 f'{shlex.join(command[1:]) or "my_script.py"}']
-    absent = next((word for word in command[1:] if word.endswith('.py') and not isfile(word)), '')
-    if ending.code and absent:
-        return [f'{ended}: there is no file {absent} in this folder.']
+    script = next((word for word in command[1:] if word.endswith('.py')), '')
+    if ending.code and script and not isfile(script):
+        return [f'{ended}: there is no file {script} in this folder.']
     if ports:
         return [f'{ended}; it opened {", ".join(ports)} and sent nothing.']
     found = [f'{ended}.', f'{ending.unheard or "It sent nothing"}.']

@@ -182,8 +182,6 @@ def _kind(device: DeviceReport) -> tuple[str, Level]:
 
 def _wrong(bus: BusSummary) -> list[Trouble]:
     found = [_entry(bus, alike) for alike in _alike(bus.logged)]
-    if any(entry.level is Level.ERROR for entry in found):
-        return found                   # that of other devices follows from it, as a rule
     report = bus.report
     found += [Trouble(device.level, bus.who(device.id), '', printable(device.message), '')
               for device in _unnamed(bus) if not _is_slight(device)]
@@ -198,6 +196,8 @@ def _named(bus: BusSummary) -> set[int | None]:
 
 def _unnamed(bus: BusSummary) -> list[DeviceReport]:
     """Return the devices that are not well, and no finding says why."""
+    if any(one.finding.level is Level.ERROR for one in bus.logged):
+        return []                      # that of other devices follows from it, as a rule
     named = _named(bus)
     return [one for one in bus.report.devices if one.level in _CODES and one.id not in named]
 
