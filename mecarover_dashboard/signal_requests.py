@@ -19,13 +19,13 @@ from aiohttp import web
 
 from mecarover_dashboard import rows
 from mecarover_dashboard.state import State
+from msg_defs.signal import POINT
 from msg_defs.signal import PointRing
 from msg_defs.signal import Points
 from msg_defs.signal import SPAN_S
 
 MOST = 8                        # registers of a page
 MOST_OF_ALL = 32                # ... of all pages: 32 MB
-_POINT = 16                     # bytes
 _NOTHING = Points(0, False, b'')
 _Chosen = tuple[str, str]       # the name of a device's status, the key of a register
 
@@ -107,7 +107,7 @@ class SignalRequests:
                                      and len(after) < 17 else 0) or _NOTHING
                  for name, key, after in asked]
         head = [*self._source.clock(), *(number for one in found for number in (
-            (1 + one.is_written) * (one is not _NOTHING), one.first, len(one.data) // _POINT))]
+            (1 + one.is_written) * (one is not _NOTHING), one.first, len(one.data) // POINT.size))]
         return web.Response(
             body=b''.join([struct.pack(f'<{len(head)}d', *head), *(one.data for one in found)]),
             content_type='application/octet-stream', headers={'Cache-Control': 'no-store'})

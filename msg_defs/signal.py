@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 SPAN_S = 60.0
 KEPT = 60_000                       # points: 60 s at 1 kHz
-_POINT = Struct('<dd')
+POINT = Struct('<dd')                # s, value
 
 
 class Points(NamedTuple):
@@ -38,16 +38,16 @@ class PointRing:
         data = self._data
         if not data:
             self._first = int(max(0.0, at_s) * 1e6)
-        data += _POINT.pack(at_s, value)
-        if len(data) > KEPT * _POINT.size:
-            del data[:_POINT.size]
+        data += POINT.pack(at_s, value)
+        if len(data) > KEPT * POINT.size:
+            del data[:POINT.size]
             self._first += 1
 
     def after(self, number: int, since_s: float) -> Points:
         """Return the points from a number on, else all; none from before since_s."""
-        data, size = self._data, _POINT.size
+        data, size = self._data, POINT.size
         points = range(len(data) // size)
         skipped = number - self._first if number - self._first <= len(points) else 0
         begin = max(skipped, bisect_left(
-            points, since_s, key=lambda point: _POINT.unpack_from(data, point * size)[0]))
+            points, since_s, key=lambda point: POINT.unpack_from(data, point * size)[0]))
         return Points(self._first + begin, self.is_written, bytes(data[begin * size:]))
