@@ -16,11 +16,11 @@ TAIL = b'\xff\xfd\x00'                 # a header, but for its first byte, which
 LONGEST = 1024                         # Length of a packet
 
 
-def crc16(data: bytes) -> int:
+def crc16(data):
     return int.from_bytes(frames.crc(data), 'little')
 
 
-def crc32(data: bytes) -> int:
+def crc32(data):
     """Divide bit by bit: CRC-32/MPEG-2, which zlib does not have."""
     value = 0xFFFFFFFF
     for byte in data:
@@ -30,7 +30,7 @@ def crc32(data: bytes) -> int:
     return value
 
 
-def crc32_words(data: bytes) -> int:
+def crc32_words(data):
     return crc32(b''.join(data[at:at + 4][::-1] for at in range(0, len(data), 4)))
 
 
@@ -46,7 +46,7 @@ class Found(NamedTuple):
 class Stream:
     """All packets of a stream of bytes, by how much of it has come."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data):
         self.data = data
         self._marks = []               # (second FF of a header, Length, whether the CRC holds)
         at = data.find(TAIL)
@@ -55,13 +55,13 @@ class Stream:
             self._marks.append((at, length, self._holds(at, length)))
             at = data.find(TAIL, at + 1)
 
-    def _holds(self, at: int, length: int) -> bool:
+    def _holds(self, at, length):
         body, end = self.data[at + 3:at + 4 + length], at + 6 + length
         shortest = 4 if body[3:4] == b'\x55' else 3
         return (shortest <= length <= LONGEST and end <= len(self.data)
                 and crc16(b'\xff' + TAIL + body).to_bytes(2, 'little') == self.data[end - 2:end])
 
-    def found(self, size: int, idle: bool) -> tuple[list[Found], bytes]:
+    def found(self, size, idle):
         """Return packets and noise of the first `size` bytes; idle: nothing more will come."""
         packets = []
         noise = bytearray()
@@ -86,10 +86,10 @@ class Stream:
 class Stream1:
     """All packets of the 1.0 family in a stream of bytes, by how much of it has come."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data):
         self.data = data
 
-    def found(self, size: int, idle: bool) -> tuple[list[Found], bytes]:
+    def found(self, size, idle):
         """Return packets and noise of the first `size` bytes; idle: nothing more will come."""
         data = self.data[:size]
         packets = []
@@ -108,7 +108,7 @@ class Stream1:
         return packets, bytes(noise + data[done:at])
 
 
-def _fate_1(data: bytes, idle: bool) -> int | None:
+def _fate_1(data, idle):
     """Return the size of the packet at the beginning, 0 if there is none, None if undecided."""
     if data[:2] != b'\xff\xff'[:len(data)]:
         return 0
@@ -137,7 +137,7 @@ class Said(NamedTuple):
     after_ns: int                  # silence in front of it
 
     @property
-    def wire(self) -> bytes:
+    def wire(self):
         content = bytes([self.number, len(self.params) + 2, self.code]) + self.params
         total = 0
         for byte in content:

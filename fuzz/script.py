@@ -24,25 +24,25 @@ TRICKY_1 = (b'\xff\xff', b'\xff', b'\xff\xff\xff', b'\x00', b'\xfd', b'\xff\xff\
 class Script:
     """Decisions one after the other."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data):
         self._data = data
         self._at = 0
 
-    def __bool__(self) -> bool:
+    def __bool__(self):
         return self._at < len(self._data)
 
-    def take(self, size: int) -> bytes:
+    def take(self, size):
         taken = self._data[self._at:self._at + size]
         self._at += size
         return taken
 
-    def rest(self) -> bytes:
+    def rest(self):
         return self.take(len(self._data))
 
-    def byte(self) -> int:
+    def byte(self):
         return int.from_bytes(self.take(1), 'little')
 
-    def word(self) -> int:
+    def word(self):
         return int.from_bytes(self.take(2), 'little')
 
     def pick(self, choices):

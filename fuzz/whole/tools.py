@@ -35,7 +35,7 @@ from mecarover_fakes.usb_adapter import FAMILIES
 from mecarover_feed import mecarover_status as status
 from msg_defs.event import OUT
 
-RUNS: Counter[str] = Counter()
+RUNS = Counter()
 DUMP = (['--json'], ['--summary'], ['--stats'], ['--errors'], ['--full'],
         ['--id', '1,3'], ['--about', '2-5'], ['--instruction', 'read,status,0x83'],
         ['--count', '5'], ['-t', 'clock'], ['-t', 'epoch'], ['--color', 'always'], ['-b', '57600'],

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Buses with a fault, and what is really wrong: written before the doctor was changed for them."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from rigs.bus import ear
@@ -14,7 +12,6 @@ from rigs.bus import masters as m
 from rigs.bus import masters1 as m1
 from rigs.bus import servo as reg
 from rigs.bus.healthy import CHAIN
-from rigs.bus.scene import Scene
 from rigs.bus.scene import scene
 from rigs.bus.servo1 import AX_12
 from rigs.bus.servo1 import STS3215
@@ -29,7 +26,7 @@ RENAME = m.setup_then(m.writes(3, reg.TORQUE, b'\0'),
 FINE, BUSY, HUB, COARSE = ear.FINE, ear.BUSY, ear.HUB, ear.COARSE
 
 
-THERE: tuple[Scene, ...] = (
+THERE = (
     scene('dead, sdk', SDK, 'sync_read_stops 3', f.dead(3), 'weak 3'),
     scene('dead, sdk, others answer behind', SDK, 'no_answer 3', f.dead(3), 'weak 3',
           in_line=False),
@@ -94,7 +91,7 @@ THERE: tuple[Scene, ...] = (
     scene('flood of broadcast Pings', m.ping_flood, 'scan', since=0.0),
 )
 
-BYTES: tuple[Scene, ...] = (
+BYTES = (
     scene('noise on all', SDK, 'noise', f.spoil(f.flip, 0.05)),
     scene('noise on all, fast reads', DHI, 'noise', f.spoil(f.flip, 0.04)),
     scene('noise on all, bitbots', ROBOT, 'noise', f.spoil(f.garble, 0.04), model='MX-64',
@@ -132,7 +129,7 @@ BYTES: tuple[Scene, ...] = (
           'noise'),
 )
 
-TIME: tuple[Scene, ...] = (
+TIME = (
     scene('latency timer 16 ms, sdk', m.unpaced, 'latency_timer', since=0.0, latency_ms=16.0),
     scene('latency timer 16 ms, 100 Hz wanted', SDK, 'latency_timer', since=0.0, latency_ms=16.0),
     scene('latency timer 16 ms, print loop', partial(m.beginner, print_ms=0.3), 'latency_timer',
@@ -160,7 +157,7 @@ TIME: tuple[Scene, ...] = (
     scene('loop held up', partial(SDK, rate=50.0), 'jitter', f.busy_host(12.0)),
 )
 
-STATE: tuple[Scene, ...] = (
+STATE = (
     scene('overload, error read', ROBOT, 'hardware_error 3', f.latched(3), 'torque_off 3',
           model='MX-64'),
     scene('overload, sdk', SDK, 'hardware_error 3', f.latched(3), 'torque_off 3'),
@@ -202,7 +199,7 @@ STATE: tuple[Scene, ...] = (
           'never_written 3', since=0.0),
 )
 
-PROGRAM: tuple[Scene, ...] = (
+PROGRAM = (
     scene('torque never enabled', partial(SDK, torque=False), 'torque_off 1-6', since=0.0,
           devices=CHAIN),
     scene('torque never enabled, AX, model unknown', partial(m1.rounds, torque=False),
@@ -228,4 +225,4 @@ PROGRAM: tuple[Scene, ...] = (
           ids=(1, 2, 3), model=AX_12, devices=('1-3:AX-12A',)),
 )
 
-SCENES: tuple[Scene, ...] = (*PROGRAM, *THERE, *BYTES, *TIME, *STATE)
+SCENES = (*PROGRAM, *THERE, *BYTES, *TIME, *STATE)

@@ -9,15 +9,9 @@ computer stops the reader (it says nothing meanwhile), or the adapter holds the 
 the reader sees an idle line.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from random import Random
 from typing import NamedTuple
 
 from rigs.bus.wire import BITS
-from rigs.bus.wire import Clock
-from rigs.bus.wire import Heard
 from rigs.bus.wire import render
 from rigs.bus.wire import S
 
@@ -48,8 +42,7 @@ HUB = Kind(gather_ms=1.0, size=62, pause_ms=(25.0, 60.0), every_s=0.25, is_reade
 class Ear:
     """hear(bytes, stamp) gets each chunk; idle(stamp): until then nothing came."""
 
-    def __init__(self, clock: Clock, baud: int, kind: Kind, random: Random,
-                 hear: Callable[[bytes, int], object], idle: Callable[[int], object]) -> None:
+    def __init__(self, clock, baud, kind, random, hear, idle):
         self._clock = clock
         self._kind = kind
         self._random = random
@@ -57,7 +50,7 @@ class Ear:
         self._is_own_rate = kind.baud in (0, baud)
         self._hear = hear
         self._idle = idle
-        self._held: list[int] = []     # bytes that are not handed over
+        self._held = []     # bytes that are not handed over
         self._due = 0                  # when they are
         self._told = 0                 # stamp of what was said last
         self._pause = (0, 0)           # from, to: the next one or the one under way
@@ -65,7 +58,7 @@ class Ear:
             self._plan_pause(0)
         clock.at(IDLE, self._tick)
 
-    def take(self, heard: Heard) -> None:
+    def take(self, heard):
         """Listen to the wire."""
         if not self._is_own_rate:
             heard = render(heard.talks, self._byte_ns)
@@ -79,7 +72,7 @@ class Ear:
         if not self._kind.gather_ms:
             self._deliver(self._clock.now)
 
-    def _take_byte(self, end: int, byte: int) -> None:
+    def _take_byte(self, end, byte):
         """Take a byte; the adapter may have handed over what was before it, at its own time."""
         begin, over = self._pause
         if self._kind.every_s and end > over:
@@ -96,11 +89,11 @@ class Ear:
             self._clock.at(self._due, self._flush)
         self._held.append(byte)
 
-    def _flush(self) -> None:
+    def _flush(self):
         if self._clock.now >= self._due:
             self._deliver(self._clock.now)
 
-    def _deliver(self, stamp: int) -> None:
+    def _deliver(self, stamp):
         if not self._held:
             return
         data = bytes(self._held)
@@ -110,11 +103,11 @@ class Ear:
         self._told = max(stamp, self._told)
         self._hear(data, self._told)
 
-    def _plan_pause(self, after: int) -> None:
+    def _plan_pause(self, after):
         begin = after + round(self._random.expovariate(1 / self._kind.every_s) * S)
         self._pause = begin, begin + round(self._random.uniform(*self._kind.pause_ms) * MS)
 
-    def _tick(self) -> None:
+    def _tick(self):
         now, (begin, over) = self._clock.now, self._pause
         is_paused = begin <= now < over
         if now - self._told >= IDLE and (not self._held or is_paused) \

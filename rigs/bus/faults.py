@@ -7,41 +7,32 @@ Each one notes when the first byte is different because of it, by itself: a dead
 first answer is not there, not when its supply ended.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from collections.abc import Iterable
 from functools import partial
 
 from rigs.bus import frames
 from rigs.bus import frames1
 from rigs.bus import servo as reg
-from rigs.bus.masters import Master
-from rigs.bus.rig import Rig
-from rigs.bus.servo1 import Kind
 from rigs.bus.servo1 import servo
-from rigs.bus.wire import Heard
 from rigs.bus.wire import S
 
 MS = 1_000_000
-Fault = Callable[[Rig], None]
 
 
-def _both(*faults: Fault) -> Fault:
-    def fault(rig: Rig) -> None:
+def _both(*faults):
+    def fault(rig):
         for one in faults:
             one(rig)
     return fault
 
 
-def _altering(at: float, do: Callable[[Rig], object]) -> Fault:
+def _altering(at, do):
     """Do something at a time that changes the bytes from then on."""
     return lambda rig: rig.altering(at, lambda: do(rig))
 
 
-def attribute(*ids: int, at: float = 8.0, **values: object) -> Fault:
+def attribute(*ids, at=8.0, **values):
     """Change plain attributes of these servos."""
-    def fault(rig: Rig) -> None:
+    def fault(rig):
         for number in ids:
             for name, value in values.items():
                 assert hasattr(rig.servos[number], name)
@@ -49,28 +40,28 @@ def attribute(*ids: int, at: float = 8.0, **values: object) -> Fault:
     return fault
 
 
-def changed(number: int, at: float = 8.0, **values: object) -> Fault:
+def changed(number, at=8.0, **values):
     """Change plain attributes of a servo, with which its bytes are different at once."""
     return _both(attribute(number, at=at, **values), _altering(at, lambda rig: None))
 
 
-def dead(*ids: int, at: float = 8.0) -> Fault:
+def dead(*ids, at=8.0):
     """End the supply of these servos, or pull the plug in front of them."""
     return _both(attribute(*ids, at=at, is_on=False), _silence(ids, at))
 
 
-def deaf(*ids: int, at: float = 8.0) -> Fault:
+def deaf(*ids, at=8.0):
     """Let them hear nothing any more."""
     return _both(attribute(*ids, at=at, is_deaf=True), _silence(ids, at))
 
 
-def _silence(ids: Iterable[int], at: float) -> Fault:
+def _silence(ids, at):
     """Note the first instruction that one of these servos would have answered."""
     names = set(ids)
     group = (frames.SYNC_READ, frames.FAST_SYNC_READ)
 
-    def fault(rig: Rig) -> None:
-        def hear(heard: Heard) -> None:
+    def fault(rig):
+        def hear(heard):
             if rig.altered is None and rig.clock.now >= at * S and any(
                     packet.id in names or packet.instruction in group
                     for packet in frames.parse(heard.data, fast=True)):
@@ -79,59 +70,59 @@ def _silence(ids: Iterable[int], at: float) -> Fault:
     return fault
 
 
-def loose(number: int, share: float, at: float = 8.0) -> Fault:
+def loose(number, share, at=8.0):
     """Loosen a plug: some answers are not there."""
     return lambda rig: attribute(number, at=at, loses=lambda: rig.random.random() < share)(rig)
 
 
-def away(*ids: int, at: float = 12.0, seconds: float = 0.4, restart: bool = True) -> Fault:
+def away(*ids, at=12.0, seconds=0.4, restart=True):
     """Take the supply away for a moment: RAM is at its defaults afterwards."""
-    def back(rig: Rig) -> None:
+    def back(rig):
         for number in ids if restart else ():
             rig.at(at + seconds, rig.servos[number].start)
     return _both(_silence(ids, at), attribute(*ids, at=at, is_on=False),
                  attribute(*ids, at=at + seconds, is_on=True), back)
 
 
-def latched(number: int, bits: int = 0x20, at: float = 8.0, *, torque_off: bool = True) -> Fault:
+def latched(number, bits=0x20, at=8.0, *, torque_off=True):
     """Latch a hardware error (e-Manual, Hardware Error Status)."""
     latch = register(number, reg.ERRORS, 1, bits, at)
     return _both(latch, register(number, reg.TORQUE, 1, 0, at)) if torque_off else latch
 
 
-def register(number: int, at_register: int, size: int, value: int, at: float = 0.0) -> Fault:
+def register(number, at_register, size, value, at=0.0):
     """Give a register this value."""
     return _altering(at, lambda rig: rig.servos[number].put(at_register, size, value))
 
 
-def heating(number: int, top: float, at: float = 2.0, seconds: float = 12.0) -> Fault:
+def heating(number, top, at=2.0, seconds=12.0):
     """Heat a servo; the fault counts from where it is near its limit."""
-    def fault(rig: Rig) -> None:
+    def fault(rig):
         rig.servos[number].heat = _ramp(rig, 40.0, top, at, seconds)
     return fault
 
 
-def _ramp(rig: Rig, first: float, last: float, at: float, seconds: float) -> Callable[[], float]:
+def _ramp(rig, first, last, at, seconds):
     """Return a value that goes from one to the other in this time; nine tenths of it alter."""
     rig.at(at + 0.9 * seconds, rig.alter)
     return lambda: first + (last - first) * min(1.0, max(0.0, (rig.clock.now / S - at) / seconds))
 
 
-def sagging(ids: Iterable[int], low: float, at: float = 2.0, seconds: float = 12.0) -> Fault:
+def sagging(ids, low, at=2.0, seconds=12.0):
     """Let the supply sink, as that of a battery at its end."""
     names = tuple(ids)
 
-    def fault(rig: Rig) -> None:
+    def fault(rig):
         volts = _ramp(rig, 12.0, low, at, seconds)
         for number in names:
             rig.servos[number].volts = volts
     return fault
 
 
-def spoiled(change: Callable[[Rig, int, bytes], bytes], who: str, at: float) -> Fault:
+def spoiled(change, who, at):
     """Change the bytes of a talker (the start of its name), packet by packet."""
-    def fault(rig: Rig) -> None:
-        def spoiler(now: int, talker: str, data: bytes) -> bytes:
+    def fault(rig):
+        def spoiler(now, talker, data):
             if now < at * S or not (talker + ' ').startswith(who):
                 return data
             heard = change(rig, now, data)
@@ -142,56 +133,54 @@ def spoiled(change: Callable[[Rig, int, bytes], bytes], who: str, at: float) -> 
     return fault
 
 
-def spoil(change: Callable[[Rig, bytes], bytes], share: float, who: str = '',
-          at: float = 8.0) -> Fault:
+def spoil(change, share, who='', at=8.0):
     """Change a share of the packets of a talker."""
     return spoiled(lambda rig, now, data: change(rig, data) if rig.random.random() < share
                    else data, who, at)
 
 
-def flip(rig: Rig, data: bytes) -> bytes:
+def flip(rig, data):
     """Turn over one bit somewhere."""
     bit = rig.random.randrange(8 * len(data))
     return data[:bit // 8] + bytes((data[bit // 8] ^ 1 << bit % 8,)) + data[bit // 8 + 1:]
 
 
-def garble(rig: Rig, data: bytes) -> bytes:
+def garble(rig, data):
     """Replace some bytes in the middle."""
     at = rig.random.randrange(len(data))
     size = rig.random.randint(1, 4)
     return data[:at] + rig.random.randbytes(size) + data[at + size:]
 
 
-def cut(rig: Rig, data: bytes) -> bytes:
+def cut(rig, data):
     """Leave the end out."""
     return data[:rig.random.randrange(1, len(data))]
 
 
-def first_byte(rig: Rig, data: bytes) -> bytes:
+def first_byte(rig, data):
     """Damage the first byte, as a line that turns round too late."""
     return bytes((rig.random.choice((0xFE, 0xFC, 0x7F, 0xF0)),)) + data[1:]
 
 
-def lost_first(rig: Rig, data: bytes) -> bytes:
+def lost_first(rig, data):
     """Leave the first byte out."""
     return data[1:]
 
 
-def stray(rig: Rig, data: bytes) -> bytes:
+def stray(rig, data):
     """Put a byte in front that was never said."""
     return b'\0' + data
 
 
-def echo(at: float = 0.0) -> Fault:
+def echo(at=0.0):
     """Let the adapter of the master echo what it sends."""
     return spoiled(lambda rig, now, data: data + data, 'master', at)
 
 
-def twin(number: int, at: float = 0.0, *, own_us: int = 40, model: str | Kind = 'XL430-W250',
-         place: float = 1000.0) -> Fault:
+def twin(number, at=0.0, *, own_us=40, model='XL430-W250', place=1000.0):
     """Add a second servo with the same ID."""
-    def fault(rig: Rig) -> None:
-        def join() -> None:
+    def fault(rig):
+        def join():
             other = servo(rig.wire, number, model, own_us=own_us)
             other.stand(place)
             other.tremor = number + 1.6    # two joints never stand in the same place to the step
@@ -201,24 +190,24 @@ def twin(number: int, at: float = 0.0, *, own_us: int = 40, model: str | Kind = 
     return fault
 
 
-def master_stops(at: float = 10.0) -> Fault:
+def master_stops(at=10.0):
     return _altering(at, lambda rig: rig.ports[0].stop())
 
 
-def second_master(master: Master, ids: list[int], at: float = 6.0, **options: object) -> Fault:
+def second_master(master, ids, at=6.0, **options):
     """Another program on the same line."""
-    def fault(rig: Rig) -> None:
+    def fault(rig):
         rig.run_master(master, ids, at, **options)
         rig.at(at, rig.alter)
     return fault
 
 
-def elsewhere(number: int, at: float = 8.0, rate: float = 20.0) -> Fault:
+def elsewhere(number, at=8.0, rate=20.0):
     """Let a master that this line does not hear ask a servo that it hears."""
-    def fault(rig: Rig) -> None:
+    def fault(rig):
         one = rig.servos[number]
 
-        def ask() -> None:
+        def ask():
             data = bytes(one.table[reg.PLACE:reg.PLACE + 4])
             rig.wire.talk(f'servo {number}', frames.status(number, 0, data))
             rig.alter()
@@ -227,10 +216,10 @@ def elsewhere(number: int, at: float = 8.0, rate: float = 20.0) -> Fault:
     return fault
 
 
-def protocol_1(number: int = 9, at: float = 6.0, rate: float = 10.0) -> Fault:
+def protocol_1(number=9, at=6.0, rate=10.0):
     """Ask a device of Protocol 1.0, and let it answer (e-Manual, Protocol 1.0)."""
-    def fault(rig: Rig) -> None:
-        def ask() -> None:
+    def fault(rig):
+        def ask():
             rig.wire.talk('master 0', frames1.read(number, 36, 2))
             answer = frames1.packet(number, 0, b'\0\2')
             rig.at(rig.clock.now / S + 0.0003, lambda: rig.wire.talk('servo 9', answer))
@@ -240,12 +229,12 @@ def protocol_1(number: int = 9, at: float = 6.0, rate: float = 10.0) -> Fault:
     return fault
 
 
-def wait_less(ms: float, at: float = 8.0) -> Fault:
+def wait_less(ms, at=8.0):
     """Make the time-out of the program shorter than the answers take."""
     return _altering(at, lambda rig: setattr(rig.ports[0], 'wait_ms', ms))
 
 
-def busy_host(ms: float, at: float = 6.0) -> Fault:
+def busy_host(ms, at=6.0):
     """Let the master's computer be late, differently each time."""
     return _altering(at, lambda rig: setattr(
         rig.ports[0], 'slow_ms', lambda: rig.random.expovariate(1 / ms)))

@@ -7,8 +7,6 @@ Each is played in its own protocol. What is expected is what the thread found; i
 before any rule was changed for it.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 from rigs.bus import faults as f
@@ -16,10 +14,6 @@ from rigs.bus import masters as m
 from rigs.bus import masters1 as m1
 from rigs.bus import servo as reg
 from rigs.bus.ear import FINE
-from rigs.bus.master import Port
-from rigs.bus.master import Program
-from rigs.bus.rig import Rig
-from rigs.bus.scene import Scene
 from rigs.bus.scene import scene
 from rigs.bus.servo1 import AX_12
 from rigs.bus.servo1 import MX_28
@@ -32,7 +26,7 @@ SIX = (1, 2, 3, 4, 5, 6)
 NINE = tuple(range(10, 19))
 
 
-def xs_start(port: Port, ids: m.Ids) -> Program:
+def xs_start(port, ids):
     """Start as xs_sdk does: three rounds of Ping and torque off, also where the Ping failed."""
     for _ in range(3):
         for number in ids:
@@ -40,7 +34,7 @@ def xs_start(port: Port, ids: m.Ids) -> Program:
             yield from port.write(number, reg.TORQUE, b'\0')
 
 
-def _supply(rig: Rig, volts: float) -> None:
+def _supply(rig, volts):
     """Feed nine XL330, whose limits are 3.5 and 7.0 V."""
     for number in NINE:
         servo = rig.servos[number]
@@ -51,7 +45,7 @@ def _supply(rig: Rig, volts: float) -> None:
 
 LIMITS = m.reads(10, reg.MAX_VOLTS, 4)
 
-_OF_2: tuple[Scene, ...] = (
+_OF_2 = (
     scene('T10 wiring, nothing answers', m.poller, 'all_silent', since=0.0, also='weak 1 2',
           ids=(1, 2), absent=(1, 2)),
     scene('T13 overload that is not cleared', partial(ROBOT, rate=46.0), 'hardware_error 17',
@@ -95,7 +89,7 @@ _OF_2: tuple[Scene, ...] = (
           'missed_answers damaged_answers 11', f.loose(11, 0.3), 'weak 11',
           ids=(11, 12, 13, 14, 15)),
 )
-_OF_1: tuple[Scene, ...] = (
+_OF_1 = (
     scene('T01 two servos with the factory ID', GOES_ON,
           'factory_id duplicate_id damaged_answers 1', f.twin(1, model=STS3215), 'weak 1 2',
           ids=(1, 2), absent=(2,), model=STS3215,
@@ -158,10 +152,10 @@ _OF_1: tuple[Scene, ...] = (
 #   T50                 apirrone/Open_Duck_Mini #49
 #   T58                 strands-labs/robots #3398
 #   T61                 notes of users of OpenMANIPULATOR-X
-PLAYED: tuple[Scene, ...] = tuple(sorted((*_OF_2, *_OF_1), key=lambda one: one.name))
+PLAYED = tuple(sorted((*_OF_2, *_OF_1), key=lambda one: one.name))
 
 # What is not played, or cannot be told from the wire: why, and what would tell it.
-NOT_PLAYED: tuple[tuple[str, str], ...] = (
+NOT_PLAYED = (
     ('T16', 'which of two causes made the message is not on the wire; reading the firmware would'),
     ('T17', 'servos in protection are silent, as without supply: measure the supply'),
     ('T31, T32', 'a servo at another rate is silent, as without supply: listen while a Wizard '

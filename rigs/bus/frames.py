@@ -8,7 +8,6 @@ Written for the rig alone and slow on purpose: it is what the product's framer i
 """
 
 from collections.abc import Callable
-from collections.abc import Iterable
 from collections.abc import Sequence
 from functools import lru_cache
 from functools import partial
@@ -45,16 +44,16 @@ class Form(NamedTuple):
     whole: Callable[[int, int, bytes], bytes]      # ID, code, params
     number: Callable[[int], bytes]                 # an address or a size
 
-    def read(self, number: int, at: int, size: int) -> bytes:
+    def read(self, number, at, size):
         return self.whole(number, READ, self.number(at) + self.number(size))
 
-    def write(self, number: int, at: int, data: bytes) -> bytes:
+    def write(self, number, at, data):
         return self.whole(number, WRITE, self.number(at) + data)
 
-    def sync_read(self, ids: Iterable[int], at: int, size: int, code: int = SYNC_READ) -> bytes:
+    def sync_read(self, ids, at, size, code=SYNC_READ):
         return self.whole(EVERYBODY, code, self.number(at) + self.number(size) + bytes(ids))
 
-    def sync_write(self, at: int, size: int, values: Iterable[tuple[int, bytes]]) -> bytes:
+    def sync_write(self, at, size, values):
         return self.whole(EVERYBODY, SYNC_WRITE, self.number(at) + self.number(size) + b''.join(
             bytes((number,)) + data for number, data in values))
 
@@ -62,48 +61,48 @@ class Form(NamedTuple):
 _crc16 = mkCrcFun(0x18005, initCrc=0, rev=False)
 
 
-def crc(data: bytes) -> bytes:
+def crc(data):
     """Return the two CRC bytes of what stands before them, low byte first."""
     return two(_crc16(data))
 
 
-def two(value: int) -> bytes:
+def two(value):
     """Return a value as two bytes, low byte first."""
     return (value & 0xFFFF).to_bytes(2, 'little')
 
 
-def stuffed(content: bytes) -> bytes:
+def stuffed(content):
     """Return the content with one FD behind each FF FF FD (e-Manual, Byte Stuffing)."""
     return content.replace(START[:3], START[:3] + b'\xfd')
 
 
-def unstuffed(content: bytes) -> bytes:
+def unstuffed(content):
     return content.replace(START[:3] + b'\xfd', START[:3])
 
 
-def _whole(number: int, content: bytes) -> bytes:
+def _whole(number, content):
     frame = START + bytes((number,)) + two(len(content) + 2) + content
     return frame + crc(frame)
 
 
-def instruction(number: int, code: int, params: bytes = b'', *, stuff: bool = True) -> bytes:
+def instruction(number, code, params=b'', *, stuff=True):
     """Return an instruction packet; stuff=False does as the official Python SDK does."""
     content = bytes((code,)) + params
     return _whole(number, stuffed(content) if stuff else content)
 
 
-def status(number: int, error: int = 0, params: bytes = b'') -> bytes:
+def status(number, error=0, params=b''):
     """Return a status packet."""
     return _whole(number, stuffed(bytes((STATUS, error)) + params))
 
 
-def accesses(packet: Packet) -> list[tuple[int, int, int]]:
+def accesses(packet):
     """Return (ID, address, size) of all that a group read asks for, in the order of answering."""
     at, size = unpack_from('<HH', packet.params)
     return [(number, at, size) for number in packet.params[4:]]
 
 
-def group_writes(packet: Packet) -> list[tuple[int, int, bytes]]:
+def group_writes(packet):
     """Return (ID, address, data) of all that a Sync Write carries."""
     params = packet.params
     at, size = unpack_from('<HH', params)
@@ -112,7 +111,7 @@ def group_writes(packet: Packet) -> list[tuple[int, int, bytes]]:
 
 
 @lru_cache(maxsize=1024)               # every servo hears the same
-def parse(data: bytes, *, fast: bool = False) -> tuple[Packet, ...]:
+def parse(data, *, fast=False):
     """Return the whole packets in these bytes; fast: a combined status is not unstuffed."""
     found = []
     at = data.find(START)
@@ -131,7 +130,7 @@ def parse(data: bytes, *, fast: bool = False) -> tuple[Packet, ...]:
     return tuple(found)
 
 
-def _size(front: bytes) -> int:
+def _size(front):
     size = 7 + (front[5] | front[6] << 8)
     return 0 if size > 1031 or front[3] or front[7] != STATUS else size
 

@@ -13,18 +13,18 @@ HEAD = b'\xff\xff'
 SMALLEST = 6                               # bytes of a packet without parameters
 
 
-def packet(number: int, code: int, params: bytes = b'') -> bytes:
+def packet(number, code, params=b''):
     """Return a packet as it stands on the wire."""
     body = bytes((number, len(params) + 2, code)) + params
     return HEAD + body + bytes((255 - sum(body) % 256,))
 
 
-def _size(front: bytes) -> int:
+def _size(front):
     size = 4 + front[3]
     return 0 if front[2] == 0xFF or size < SMALLEST else size
 
 
-def parse(data: bytes) -> list[Packet]:
+def parse(data):
     """Return the whole packets in these bytes; the code of a status is its error bits."""
     found = []
     at = data.find(HEAD)

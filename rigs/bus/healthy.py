@@ -2,20 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Healthy buses: no device may be accused."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from rigs.bus import ear
 from rigs.bus import masters as m
 from rigs.bus.faults import busy_host
-from rigs.bus.scene import Scene
 from rigs.bus.scene import scene
 
 CHAIN = ('1-6:XL430-W250',)
 MANY = tuple(range(1, 26))
 
-SCENES: tuple[Scene, ...] = (
+SCENES = (
     scene('sdk loop', m.sdk_loop),
     scene('sdk loop, each burst by itself', m.sdk_loop, ear=ear.FINE),
     scene('sdk loop, latency timer 16 ms at the ear', m.sdk_loop, ear=ear.COARSE),

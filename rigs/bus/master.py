@@ -9,22 +9,11 @@ latency timers of 16 ms and 2 ms more; the first good status of the wanted ID en
 status that fails its CRC ends it as well.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from collections.abc import Generator
-from collections.abc import Iterable
-from collections.abc import Iterator
 from functools import partial
-from random import Random
 from typing import NamedTuple
 
 from rigs.bus import frames
-from rigs.bus.frames import Form
-from rigs.bus.frames import Packet
-from rigs.bus.wire import Heard
 from rigs.bus.wire import S
-from rigs.bus.wire import Wire
 
 MS = 1_000_000
 SDK_WAIT_MS = 34.0                 # 2 x LATENCY_TIMER + 2 (DynamixelSDK, port_handler)
@@ -48,11 +37,6 @@ class Listen(NamedTuple):
     until: int
 
 
-Step = Say | Sleep | Listen
-Program = Generator[Step, None, None]
-Answer = Generator[Step, None, Packet | None]
-
-
 class Port:
     """
     One program's serial port: an output queue, an input buffer, an adapter.
@@ -60,8 +44,8 @@ class Port:
     latency_ms: of the adapter: what comes in is handed over so long after its first byte.
     """
 
-    def __init__(self, wire: Wire, random: Random, *, name: str, latency_ms: float = 0.2,
-                 wait_ms: float = SDK_WAIT_MS, form: Form = frames.FORM) -> None:
+    def __init__(self, wire, random, *, name, latency_ms=0.2, wait_ms=SDK_WAIT_MS,
+                 form=frames.FORM):
         self.wire = wire
         self.clock = wire.clock
         self.random = random
@@ -71,28 +55,28 @@ class Port:
         self.form = form
         self.is_stopped = False
         self.is_deaf = False           # its receive path is dead
-        self.slow_ms: Callable[[], float] = lambda: 0.0      # its computer is busy, each time
+        self.slow_ms = lambda: 0.0      # its computer is busy, each time
         self.input = bytearray()
         self._sent = 0                 # when the output queue is empty
         self._held = bytearray()
-        self._program: Program | None = None
+        self._program = None
         self._epoch = 0                # number of the wait that is under way
         self._is_listening = False
         wire.listeners.append(self._hear)
 
     @property
-    def now(self) -> int:
+    def now(self):
         return self.clock.now
 
-    def run(self, program: Program, at: int = 0) -> None:
+    def run(self, program, at=0):
         self._program = program
         self.clock.at(at, self._go)
 
-    def stop(self) -> None:
+    def stop(self):
         """End the program between two steps, as a killed process."""
         self.is_stopped = True
 
-    def _go(self) -> None:
+    def _go(self):
         while self._program is not None and not self.is_stopped:
             step = next(self._program, None)
             if step is None:
@@ -106,27 +90,27 @@ class Port:
             self.clock.at(step.until + late, partial(self._wake, self._epoch))
             return
 
-    def _wake(self, epoch: int) -> None:
+    def _wake(self, epoch):
         if epoch == self._epoch:
             self._go()
 
-    def _say(self, data: bytes) -> None:
+    def _say(self, data):
         start = max(self.now, self._sent)
         self._sent = start + round(len(data) * self.wire.byte_ns)
         self.clock.at(start, lambda: self._talk(data))
 
-    def _talk(self, data: bytes) -> None:
+    def _talk(self, data):
         if not self.is_stopped:
             self.wire.talk(self.name, data)
 
-    def _hear(self, heard: Heard) -> None:
+    def _hear(self, heard):
         if self.is_deaf or all(talk.who == self.name for talk in heard.talks):
             return                     # the adapter does not listen while it talks
         if not self._held:
             self.clock.at(self.now + round(self.latency_ms * MS), self._deliver)
         self._held += heard.data
 
-    def _deliver(self) -> None:
+    def _deliver(self):
         self.input += self._held
         self._held.clear()
         if self._is_listening:
@@ -135,15 +119,15 @@ class Port:
 
     # --- what programs are made of -----------------------------------------------------------
 
-    def clear(self) -> None:
+    def clear(self):
         """Drop what came in, as each txPacket() does."""
         self.input.clear()
 
-    def patience(self, size: int) -> int:
+    def patience(self, size):
         """Return until when an answer of so many bytes is waited for."""
         return self.now + round(size * self.wire.byte_ns) + round(self.wait_ms * MS)
 
-    def receive(self, wanted: int, until: int) -> Answer:
+    def receive(self, wanted, until):
         """Return the next status of this ID, None for a time-out or a damaged one."""
         while True:
             start = self.input.find(self.form.start)
@@ -163,20 +147,19 @@ class Port:
                 return None
             yield Listen(until)
 
-    def ask(self, packet: bytes, wanted: int, size: int = 0) -> Answer:
+    def ask(self, packet, wanted, size=0):
         """Say an instruction to one device and return its status (txRxPacket)."""
         self.clear()
         yield Say(packet)
         return (yield from self.receive(wanted, self.patience(size + self.form.smallest)))
 
-    def ask_all(self, packet: bytes, ids: Iterable[int],
-                size: int) -> Generator[Step, None, dict[int, Packet]]:
+    def ask_all(self, packet, ids, size):
         """Say a group read; return the answers up to the first that does not come."""
         wanted = list(ids)
         self.clear()
         yield Say(packet)
         until = self.patience((size + self.form.smallest) * len(wanted))
-        found: dict[int, Packet] = {}
+        found = {}
         for number in wanted:
             answer = yield from self.receive(number, until)
             if answer is None:
@@ -184,8 +167,7 @@ class Port:
             found[number] = answer
         return found
 
-    def ask_fast(self, packet: bytes, ids: Iterable[int],
-                 size: int) -> Generator[Step, None, bool]:
+    def ask_fast(self, packet, ids, size):
         """Say a fast group read; return whether the combined status came whole."""
         wanted = list(ids)
         self.clear()
@@ -193,29 +175,28 @@ class Port:
         until = self.patience(8 + (size + 4) * len(wanted))
         return (yield from self.receive(frames.EVERYBODY, until)) is not None
 
-    def ping(self, number: int) -> Answer:
+    def ping(self, number):
         return self.ask(self.form.whole(number, frames.PING, b''), number, self.form.ping_size)
 
-    def read(self, number: int, at: int, size: int) -> Answer:
+    def read(self, number, at, size):
         return self.ask(self.form.read(number, at, size), number, size)
 
-    def write(self, number: int, at: int, data: bytes) -> Answer:
+    def write(self, number, at, data):
         return self.ask(self.form.write(number, at, data), number)
 
-    def sync_read(self, ids: Iterable[int], at: int, size: int) -> Generator[
-            Step, None, dict[int, Packet]]:
+    def sync_read(self, ids, at, size):
         return self.ask_all(self.form.sync_read(ids, at, size), ids, size)
 
-    def turns(self, rate: float) -> Iterator[Sleep]:
+    def turns(self, rate):
         """Return the sleeps to the next turns of a loop that begins now; it drops late ones."""
         return self._turns(self.now, round(1000 / rate * MS))
 
-    def _turns(self, due: int, period: int) -> Iterator[Sleep]:
+    def _turns(self, due, period):
         while True:
             due += period
             while due < self.now:
                 due += period
             yield Sleep(due)
 
-    def seconds(self) -> float:
+    def seconds(self):
         return self.now / S

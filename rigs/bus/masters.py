@@ -9,39 +9,27 @@ bitbots_ros_control with its dynamixel_workbench (Sync Read of 126, 144 and 70),
 bus: handshake, calibration, one try, torque off at the end), a Wizard-like scan, a first program.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from collections.abc import Generator
-from collections.abc import Sequence
 from math import sin
 
 from rigs.bus import frames
 from rigs.bus import servo as reg
 from rigs.bus.frames import two
 from rigs.bus.master import MS
-from rigs.bus.master import Port
-from rigs.bus.master import Program
 from rigs.bus.master import Say
 from rigs.bus.master import Sleep
-from rigs.bus.master import Step
-
-Ids = Sequence[int]
-Master = Callable[[Port, Ids], Program]
 
 
-def goal(port: Port, number: int, swing: float = 500.0) -> bytes:
+def goal(port, number, swing=500.0):
     """Return where a servo is sent at this time: a slow wave."""
     return round(2048 + swing * sin(2 * port.seconds() + number)).to_bytes(4, 'little')
 
 
-def goals(port: Port, ids: Ids, at: int = reg.GOAL, size: int = 4) -> Say:
+def goals(port, ids, at=reg.GOAL, size=4):
     """Return the group write that sends all of them there."""
     return Say(port.form.sync_write(at, size, [(one, goal(port, one)[:size]) for one in ids]))
 
 
-def sdk_loop(port: Port, ids: Ids, *, rate: float = 100.0, address: int = reg.PLACE,
-             size: int = 4, torque: bool = True, retries: int = 0) -> Program:
+def sdk_loop(port, ids, *, rate=100.0, address=reg.PLACE, size=4, torque=True, retries=0):
     """Group read, then group write, as the examples of the SDK do: the usual loop."""
     for number in ids if torque else ():
         yield from port.write(number, reg.TORQUE, b'\1')
@@ -55,7 +43,7 @@ def sdk_loop(port: Port, ids: Ids, *, rate: float = 100.0, address: int = reg.PL
         yield next(turns)
 
 
-def unpaced(port: Port, ids: Ids) -> Program:
+def unpaced(port, ids):
     """Run the same loop without a pause: as fast as answers come."""
     for number in ids:
         yield from port.write(number, reg.TORQUE, b'\1')
@@ -64,8 +52,7 @@ def unpaced(port: Port, ids: Ids) -> Program:
         yield goals(port, ids)
 
 
-def hardware_interface(port: Port, ids: Ids, *, rate: float = 100.0, fast: bool = True,
-                       pings: bool = True, volts: bool = True) -> Program:
+def hardware_interface(port, ids, *, rate=100.0, fast=True, pings=True, volts=True):
     """Start as dynamixel_hardware_interface does, then read and write indirect data."""
     items = [(reg.LOAD, 2), (reg.SPEED, 4), (reg.PLACE, 4), (reg.ERRORS, 1)]
     if volts:
@@ -91,7 +78,7 @@ def hardware_interface(port: Port, ids: Ids, *, rate: float = 100.0, fast: bool 
         yield next(turns)
 
 
-def bitbots(port: Port, ids: Ids, *, board: int = 0, rate: float = 100.0) -> Program:
+def bitbots(port, ids, *, board=0, rate=100.0):
     """Walk: all joints each cycle, supply and errors now and then, a board beside."""
     for number in ids:
         yield from port.ping(number)
@@ -110,7 +97,7 @@ def bitbots(port: Port, ids: Ids, *, board: int = 0, rate: float = 100.0) -> Pro
         yield next(turns)
 
 
-def lerobot(port: Port, ids: Ids, *, rate: float = 30.0, gives_up: bool = True) -> Program:
+def lerobot(port, ids, *, rate=30.0, gives_up=True):
     """Run handshake, settings, a loop of one try; a failure ends it and the torque."""
     for number in ids:
         if (yield from port.ping(number)) is None:
@@ -136,10 +123,9 @@ def lerobot(port: Port, ids: Ids, *, rate: float = 30.0, gives_up: bool = True) 
                 break
 
 
-def scan(port: Port, ids: Ids, *, first: int = 0, last: int = 252, again: bool = True,
-         dwell_ms: float = 3.0) -> Program:
+def scan(port, ids, *, first=0, last=252, again=True, dwell_ms=3.0):
     """Look for servos as the Wizard does: a Ping to every ID; then whole tables of those found."""
-    found: list[int] = []
+    found = []
     port.wait_ms = dwell_ms
     for number in range(first, last + 1):
         answer = yield from port.ping(number)
@@ -151,8 +137,8 @@ def scan(port: Port, ids: Ids, *, first: int = 0, last: int = 252, again: bool =
             yield Sleep(port.now + 20 * MS)
 
 
-def beginner(port: Port, ids: Ids, *, print_ms: float = 4.0, address: int = reg.GOAL,
-             wanted: int = reg.PLACE, torque: int = reg.TORQUE, size: int = 4) -> Program:
+def beginner(port, ids, *, print_ms=4.0, address=reg.GOAL, wanted=reg.PLACE, torque=reg.TORQUE,
+             size=4):
     """Do as a first program: send a goal, read the position for a while and print it."""
     for number in ids:
         yield from port.write(number, torque, b'\1')
@@ -165,8 +151,7 @@ def beginner(port: Port, ids: Ids, *, print_ms: float = 4.0, address: int = reg.
                 yield Sleep(port.now + round(port.random.expovariate(1 / print_ms) * MS))
 
 
-def poller(port: Port, ids: Ids, *, rate: float = 20.0, torque: bool = False,
-           ping: bool = False, writes: Ids | None = None, enables: bool = True) -> Program:
+def poller(port, ids, *, rate=20.0, torque=False, ping=False, writes=None, enables=True):
     """Item by item and device by device, as dynamixel_workbench: read, now and then write."""
     for number in () if not enables else ids if writes is None else writes:
         yield from port.write(number, reg.TORQUE, b'\1')
@@ -183,24 +168,24 @@ def poller(port: Port, ids: Ids, *, rate: float = 20.0, torque: bool = False,
         yield next(turns)
 
 
-def ping_flood(port: Port, ids: Ids, *, every_ms: float = 20.0) -> Program:
+def ping_flood(port, ids, *, every_ms=20.0):
     """Broadcast Pings one after the other, far faster than all can answer."""
     while True:
         yield Say(frames.instruction(frames.EVERYBODY, frames.PING))
         yield Sleep(port.now + round(every_ms * MS))
 
 
-def setup_then(first: Callable[[Port, Ids], Program], loop: Master) -> Master:
+def setup_then(first, loop):
     """One program, then another, on the same port."""
-    def both(port: Port, ids: Ids) -> Program:
+    def both(port, ids):
         yield from first(port, ids)
         yield from loop(port, ids)
     return both
 
 
-def beside(loop: Master, extra: Master, *, at: float = 8.0, every_s: float = 0.2) -> Master:
+def beside(loop, extra, *, at=8.0, every_s=0.2):
     """Make a loop that does something else as well, between two turns."""
-    def both(port: Port, ids: Ids) -> Program:
+    def both(port, ids):
         due = at
         for step in loop(port, ids):
             if isinstance(step, Sleep) and port.seconds() >= due:
@@ -210,25 +195,25 @@ def beside(loop: Master, extra: Master, *, at: float = 8.0, every_s: float = 0.2
     return both
 
 
-def asks(what: Callable[[Port], Generator[Step, None, object]]) -> Master:
+def asks(what):
     """One instruction with its answer."""
-    def ask(port: Port, ids: Ids) -> Program:
+    def ask(port, ids):
         yield from what(port)
     return ask
 
 
-def reads(number: int, at: int, size: int) -> Master:
+def reads(number, at, size):
     """One Read of one device."""
     return asks(lambda port: port.read(number, at, size))
 
 
-def writes(number: int, at: int, data: bytes) -> Master:
+def writes(number, at, data):
     """One Write to one device."""
     return asks(lambda port: port.write(number, at, data))
 
 
-def says(packet: bytes) -> Master:
+def says(packet):
     """One instruction that has no answer."""
-    def say(port: Port, ids: Ids) -> Program:
+    def say(port, ids):
         yield Say(packet)
     return say

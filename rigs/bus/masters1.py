@@ -9,24 +9,18 @@ feetech-servo-sdk 1.0.0 (connect, loop, end), the read_write example of Dynamixe
 34 ms more, take the first whole packet of the wanted ID, and stop a group read at a gap.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 from rigs.bus import frames1 as frames
 from rigs.bus.master import MS
-from rigs.bus.master import Port
-from rigs.bus.master import Program
 from rigs.bus.master import Say
 from rigs.bus.master import Sleep
 from rigs.bus.masters import beginner
 from rigs.bus.masters import goal
 from rigs.bus.masters import goals
-from rigs.bus.masters import Ids
 
 
-def lerobot(port: Port, ids: Ids, *, rate: float = 30.0, gives_up: bool = True,
-            firmware: bool = False) -> Program:
+def lerobot(port, ids, *, rate=30.0, gives_up=True, firmware=False):
     """Connect, set up, and loop as LeRobot does with Feetech servos."""
     for number in ids:
         if (yield from port.ping(number)) is not None:
@@ -51,7 +45,7 @@ def lerobot(port: Port, ids: Ids, *, rate: float = 30.0, gives_up: bool = True,
                     break
 
 
-def check(port: Port, ids: Ids) -> Program:
+def check(port, ids):
     """Look again and again which motors are there, as a user does who starts it again."""
     while True:
         for number in ids:
@@ -63,7 +57,7 @@ def check(port: Port, ids: Ids) -> Program:
 read_write = partial(beginner, address=30, wanted=36, torque=24, size=2)
 
 
-def set_id(port: Port, ids: Ids, *, to: int = 5) -> Program:
+def set_id(port, ids, *, to=5):
     """Give a Feetech servo another ID as a simple tool does; Lock goes to the old one."""
     old = ids[0]
     yield from port.ping(old)
@@ -75,7 +69,7 @@ def set_id(port: Port, ids: Ids, *, to: int = 5) -> Program:
         yield Sleep(port.now + 50 * MS)
 
 
-def sweep(port: Port, ids: Ids, *, rate: float = 30.0, reads: int = 20) -> Program:
+def sweep(port, ids, *, rate=30.0, reads=20):
     """Switch the torque of all on without a wait, again and again, and read them one by one."""
     turns = port.turns(rate)
     while True:
@@ -87,8 +81,7 @@ def sweep(port: Port, ids: Ids, *, rate: float = 30.0, reads: int = 20) -> Progr
             yield next(turns)
 
 
-def rounds(port: Port, ids: Ids, *, rate: float = 16.0, size: int = 8,
-           torque: bool = True) -> Program:
+def rounds(port, ids, *, rate=16.0, size=8, torque=True):
     """Read state from one servo after the other, as dynamixel_motor and pypot do."""
     for number in ids if torque else ():
         yield from port.write(number, 24, b'\1')
@@ -100,7 +93,7 @@ def rounds(port: Port, ids: Ids, *, rate: float = 16.0, size: int = 8,
         yield next(turns)
 
 
-def hexapod(port: Port, ids: Ids, *, rate: float = 40.0) -> Program:
+def hexapod(port, ids, *, rate=40.0):
     """Write all goals at once, and read a position now and then."""
     yield Say(frames.sync_write(24, 1, [(one, b'\1') for one in ids]))
     turns, turn = port.turns(rate), 0
@@ -114,7 +107,7 @@ def hexapod(port: Port, ids: Ids, *, rate: float = 40.0) -> Program:
         yield next(turns)
 
 
-def duck(port: Port, ids: Ids, *, rate: float = 50.0) -> Program:
+def duck(port, ids, *, rate=50.0):
     """Read positions and speeds of all, write goals, fifty times a second; it goes on."""
     turns = port.turns(rate)
     while True:

@@ -4,14 +4,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
 from typing import NamedTuple
 
 from rigs.bus import ear
 from rigs.bus import frames
 from rigs.bus import frames1
-from rigs.bus.faults import Fault
-from rigs.bus.masters import Master
 from rigs.bus.rig import Rig
 from rigs.bus.servo1 import Kind
 from rigs.bus.servo1 import servo
@@ -30,9 +28,9 @@ class Scene(NamedTuple):
     """
 
     name: str
-    master: Master
+    master: Callable
     expected: tuple[Key, ...] = ()
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[Callable, ...] = ()
     also: tuple[Key, ...] = ()
     ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
     model: str | Kind = 'XL430-W250'
@@ -49,7 +47,7 @@ class Scene(NamedTuple):
     why: str = ''                  # where the expectation needs a word
     since: float | None = None     # what is wrong is in the scene itself, from then on (s)
 
-    def rig(self, seed: int) -> Rig:
+    def rig(self, seed):
         """Return the bus with its program, ready to run."""
         rig = Rig(self.baud, seed)
         for number in {*self.ids, *self.spares} - {*self.absent}:
@@ -65,30 +63,29 @@ class Scene(NamedTuple):
         return rig
 
 
-def scene(name: str, master: Master, expected: str = '', faults: Fault | tuple[Fault, ...] = (),
-          also: str = '', **others: Any) -> Scene:
+def scene(name, master, expected='', faults=(), also='', **others):
     """Return a scene; expected and also are as keys() has them."""
     return Scene(name, master, keys(expected), (faults,) if callable(faults) else faults,
                  keys(also), **others)
 
 
-def keys(text: str) -> tuple[Key, ...]:
+def keys(text):
     """
     Return the rules with their devices that a text names: 'weak dropout 1-3 5, noise'.
 
     Without a number, or for 'bus', it is the bus. 'weak': what is said of a device before it is
     clear what it has.
     """
-    found: list[Key] = []
+    found = []
     for part in text.split(', ') if text else ():
         words = part.replace('weak', WEAK).split()
         rules = [word for word in words if not word[0].isdigit() and word != 'bus']
         ids = [number for word in words if word[0].isdigit() for number in _range(word)]
-        devices: list[int | None] = [*ids, None] if 'bus' in words or not ids else [*ids]
+        devices = [*ids, None] if 'bus' in words or not ids else [*ids]
         found += [(rule, number) for rule in rules for number in devices]
     return tuple(found)
 
 
-def _range(word: str) -> range:
+def _range(word):
     first, _, last = word.partition('-')
     return range(int(first), int(last or first) + 1)

@@ -8,25 +8,18 @@ was a WARN or ERROR that is not true of this bus; vague: neither, but something 
 silent: nothing was. Time counts from the first byte that the fault altered or removed.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterable
-from collections.abc import Iterator
 from itertools import groupby
 from operator import itemgetter
 from typing import NamedTuple
 
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from msg_defs.reports import Level
 from rigs.bus.broken import SCENES as BROKEN
 from rigs.bus.healthy import SCENES as WELL
-from rigs.bus.rig import Rig
 from rigs.bus.scene import Key
-from rigs.bus.scene import Scene
 from rigs.bus.scene import SECONDS
 from rigs.bus.wire import S
 
@@ -52,7 +45,7 @@ class Result(NamedTuple):
     doubts: tuple[str, ...]            # what the doctor cannot tell, at the end
 
 
-def reports(scene: Scene, rig: Rig) -> Iterator[tuple[BusReport, float | None]]:
+def reports(scene, rig):
     """Yield the reports, two per second, each with the seconds since the fault showed."""
     monitor = Monitor('bus', _MODELS, Settings(
         baud=scene.ear.baud or scene.baud, devices=tuple(parse_all(list(scene.devices)))),
@@ -65,20 +58,19 @@ def reports(scene: Scene, rig: Rig) -> Iterator[tuple[BusReport, float | None]]:
         yield monitor.report(BOOT + rig.clock.now), since
 
 
-def judge(scene: Scene, seed: int = SEED) -> Result:
+def judge(scene, seed=SEED):
     """Run a scene and compare what is said with what is so."""
     rig = scene.rig(seed)
     return compare(scene, rig, reports(scene, rig), BOOT)
 
 
-def compare(scene: Scene, rig: Rig, told_of_it: Iterable[tuple[BusReport, float | None]],
-            begin: int) -> Result:
+def compare(scene, rig, told_of_it, begin):
     """Return what reports say, each with the seconds since the fault showed, and what is so."""
     true = {*scene.expected, *scene.also}
-    false: dict[Key, float] = {}
-    after: float | None = None
-    told: tuple[Key, ...] = ()
-    doubts: tuple[str, ...] = ()
+    false = {}
+    after = None
+    told = ()
+    doubts = ()
     for report, since in told_of_it:
         told = tuple((one.rule, one.device) for one in report.findings)
         doubts = tuple(one.rule for one in report.doubts)
@@ -92,9 +84,9 @@ def compare(scene: Scene, rig: Rig, told_of_it: Iterable[tuple[BusReport, float 
                   tuple((when, key) for key, when in false.items()), after, doubts)
 
 
-def _accused(report: BusReport, scene: Scene, true: set[Key]) -> list[Key]:
+def _accused(report, scene, true):
     """Return what is said at WARN or worse and is false; on a healthy bus levels count too."""
-    found: list[Key] = [(one.rule, one.device) for one in report.findings
+    found = [(one.rule, one.device) for one in report.findings
                         if one.level in (Level.WARN, Level.ERROR)
                         and (one.rule, one.device) not in true]
     if not scene.expected:
@@ -105,14 +97,14 @@ def _accused(report: BusReport, scene: Scene, true: set[Key]) -> list[Key]:
     return found
 
 
-def _misses(report: BusReport, rig: Rig) -> dict[Key, float]:
+def _misses(report, rig):
     """Return who missed answers by the monitor's count, though by its own books it gave them."""
     return {(f'missed: {device.totals.missed}', device.id): SECONDS for device in report.devices
             if device.totals.missed and device.id in rig.servos
             and rig.servos[device.id].asked == rig.servos[device.id].answered}
 
 
-def verdict_of(scene: Scene, told: tuple[Key, ...], is_wrong: bool) -> str:
+def verdict_of(scene, told, is_wrong):
     """Return the verdict of what was told, the first of it first; is_wrong: some was false."""
     if is_wrong:
         return WRONG
@@ -123,7 +115,7 @@ def verdict_of(scene: Scene, told: tuple[Key, ...], is_wrong: bool) -> str:
     return VAGUE if {*told} & {*scene.expected, *scene.also} else SILENT
 
 
-def cells(result: Result) -> tuple[str, str, str, str]:
+def cells(result):
     """Return what was expected, what was told, after how many s, and the verdict."""
     said = spell(result.told) or NOTHING
     if result.false:
@@ -134,7 +126,7 @@ def cells(result: Result) -> tuple[str, str, str, str]:
     return spell(result.expected) or HEALTHY, said, after, result.verdict
 
 
-def spell(keys: Iterable[Key]) -> str:
+def spell(keys):
     """Return rules with their devices: 'no_answer 003 004, noise bus'."""
     return ', '.join(' '.join((rule, *('bus' if device is None else f'{device:03}'
                                        for _, device in some)))

@@ -7,18 +7,11 @@ It hears what is on the wire, answers as its registers say, and moves towards it
 its plain attributes; what they change about its bytes it reports through `changed`.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from math import sin
 from typing import NamedTuple
 
 from rigs.bus import frames
-from rigs.bus.frames import Packet
-from rigs.bus.wire import Clock
-from rigs.bus.wire import Heard
 from rigs.bus.wire import S
-from rigs.bus.wire import Wire
 
 US = 1_000
 BAUD_CODES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
@@ -49,14 +42,14 @@ class _Turn(NamedTuple):
 class AnyServo:
     """What servos of both families are. own_us: what its own code takes, after its delay."""
 
-    def __init__(self, wire: Wire, number: int, own_us: int, size: int) -> None:
+    def __init__(self, wire, number, own_us, size):
         self.wire = wire
-        self.clock: Clock = wire.clock
+        self.clock = wire.clock
         self.own_us = own_us
         self.is_on = True              # supplied
-        self.loses: Callable[[], bool] = lambda: False       # an answer, now and then
-        self.changed: Callable[[], None] = lambda: None
-        self.volts: Callable[[], float] = lambda: 12.0
+        self.loses = lambda: False       # an answer, now and then
+        self.changed = lambda: None
+        self.volts = lambda: 12.0
         self.tremor = float(number)    # where in its small movements it is
         self.asked = self.answered = 0
         self.table = bytearray(size)
@@ -64,16 +57,16 @@ class AnyServo:
         self._moved = 0
         wire.listeners.append(self.hear)
 
-    def hear(self, heard: Heard) -> None:
+    def hear(self, heard):
         raise NotImplementedError
 
-    def put(self, at: int, size: int, value: int) -> None:
+    def put(self, at, size, value):
         self.table[at:at + size] = (value % (1 << 8 * size)).to_bytes(size, 'little')
 
-    def get(self, at: int, size: int = 1) -> int:
+    def get(self, at, size=1):
         return int.from_bytes(self.table[at:at + size], 'little')
 
-    def move(self, goal: int, has_torque: bool) -> float:
+    def move(self, goal, has_torque):
         """Go towards the goal since the last time, 4000 steps per second; return how it shakes."""
         seconds = (self.clock.now - self._moved) / S
         self._moved = self.clock.now
@@ -82,26 +75,26 @@ class AnyServo:
             self._at += max(-step, min(step, goal - self._at))
         return 2 * sin(self.clock.now / 7e7 + self.tremor)
 
-    def say_after(self, delay: int, packet: bytes, later: int = 0) -> None:
+    def say_after(self, delay, packet, later=0):
         """Say a status after a Return Delay Time (2 us units) and what the firmware takes."""
         self.answered += 1
         self.clock.at(self.clock.now + (2 * delay + self.own_us) * US + later,
                       lambda: self._say(packet))
 
-    def _say(self, packet: bytes) -> None:
+    def _say(self, packet):
         if self.is_on:
             self.wire.talk(f'servo {self.number}', packet)
 
     @property
-    def number(self) -> int:
+    def number(self):
         raise NotImplementedError
 
 
 class Servo(AnyServo):
     """One servo of the X series."""
 
-    def __init__(self, wire: Wire, number: int, model: str = 'XL430-W250', *, firmware: int = 46,
-                 delay: int = 0, own_us: int = 40, in_line: bool = True) -> None:
+    def __init__(self, wire, number, model='XL430-W250', *, firmware=46, delay=0, own_us=40,
+                 in_line=True):
         super().__init__(wire, number, own_us, SIZE)
         self.model = model
         self.firmware = firmware
@@ -109,16 +102,16 @@ class Servo(AnyServo):
         self.is_deaf = False           # hears nothing, as behind a broken wire
         self.wrong_size = 0            # bytes that its answers have too many
         self.answers_only_pings = False
-        self.heat: Callable[[], float] = lambda: 35.0
-        self._turn: _Turn | None = None
+        self.heat = lambda: 35.0
+        self._turn = None
         self._born = 0
         self._fed = 0                  # the bus watchdog
-        self._redirects: list[tuple[int, int]] = []    # indirect data: where, of what
+        self._redirects = []    # indirect data: where, of what
         self._factory(number, delay)
 
     # --- registers -------------------------------------------------------------------------
 
-    def _factory(self, number: int, delay: int) -> None:
+    def _factory(self, number, delay):
         self.put(0, 2, MODELS[self.model])
         self.put(6, 1, self.firmware)
         self.put(ID, 1, number)
@@ -132,7 +125,7 @@ class Servo(AnyServo):
         self.put(63, 1, 52)
         self.start()
 
-    def start(self) -> None:
+    def start(self):
         """Begin as after power on: RAM at its defaults (e-Manual, RAM area)."""
         keep = bytes(self.table[:64])
         self.table[:] = keep + bytes(SIZE - 64)
@@ -142,16 +135,16 @@ class Servo(AnyServo):
         self.put(GOAL, 4, round(self._at))
         self.is_on = True
 
-    def stand(self, place: float) -> None:
+    def stand(self, place):
         """Be at a place, and want to be there."""
         self._at = place
         self.put(GOAL, 4, round(place))
 
     @property
-    def number(self) -> int:
+    def number(self):
         return self.table[ID]
 
-    def _refresh(self) -> None:
+    def _refresh(self):
         """Bring up to date what changes by itself: place, tick, supply, temperature."""
         wobble = self.move(self.get(GOAL, 4),
                            bool(self.table[TORQUE]) and not self.table[ERRORS])
@@ -163,7 +156,7 @@ class Servo(AnyServo):
         for slot, target in self._redirects:   # indirect data follow what they stand for
             self.table[slot] = self.table[target]
 
-    def _store(self, at: int, data: bytes) -> int:
+    def _store(self, at, data):
         """Write; return the error number of the status (e-Manual, Error of Status Packet)."""
         if at + len(data) > SIZE or any(at in zone for zone in READ_ONLY):
             return frames.ACCESS
@@ -186,13 +179,13 @@ class Servo(AnyServo):
                     self.table[target] = data[slot - at]
         return 0
 
-    def _redirect(self) -> None:
+    def _redirect(self):
         self._redirects = [(REDIRECTED + slot, target) for slot in range(28)
                            if (target := self.get(REDIRECTS + 2 * slot, 2))]
 
     # --- hearing ---------------------------------------------------------------------------
 
-    def hear(self, heard: Heard) -> None:
+    def hear(self, heard):
         """Take what was on the wire: instructions, and the statuses of those before it."""
         is_at_rate = BAUD_CODES[self.table[BAUD]] == self.wire.baud
         if not self.is_on or self.is_deaf or not is_at_rate:
@@ -207,7 +200,7 @@ class Servo(AnyServo):
             else:
                 self._obey(packet)
 
-    def _watch(self) -> None:
+    def _watch(self):
         limit = self.table[WATCHDOG]
         if 0 < limit < 0x80 and self.table[TORQUE] \
                 and self.clock.now - self._fed > limit * 20_000_000:
@@ -215,7 +208,7 @@ class Servo(AnyServo):
             self.changed()
         self._fed = self.clock.now
 
-    def _obey(self, packet: Packet) -> None:
+    def _obey(self, packet):
         self._turn = None
         code = packet.instruction
         if code == frames.SYNC_WRITE:
@@ -230,10 +223,10 @@ class Servo(AnyServo):
             self._alone(packet)
 
     @property
-    def _is_fast(self) -> bool:
+    def _is_fast(self):
         return self.model not in NO_FAST and self.firmware >= FAST_SINCE.get(self.model, 45)
 
-    def _alone(self, packet: Packet) -> None:
+    def _alone(self, packet):
         """Obey an instruction to one device, or a Ping to all."""
         code, params = packet.instruction, packet.params
         if code == frames.PING:
@@ -252,7 +245,7 @@ class Servo(AnyServo):
         elif packet.id != frames.EVERYBODY:    # none answers a Read of all (e-Manual)
             self._answer(frames.BAD_INSTRUCTION, level=2)
 
-    def _obey_write(self, packet: Packet) -> None:
+    def _obey_write(self, packet):
         at, data = packet.params[0] | packet.params[1] << 8, packet.params[2:]
         number, code = self.table[ID], self.table[BAUD]
         error = self._store(at, data)
@@ -268,8 +261,7 @@ class Servo(AnyServo):
 
     # --- answering -------------------------------------------------------------------------
 
-    def _answer(self, error: int, data: bytes = b'', *, level: int = 1, always: bool = False,
-                later: int = 0) -> None:
+    def _answer(self, error, data=b'', *, level=1, always=False, later=0):
         """Say a status, after the Return Delay Time (2 us units) and what the firmware takes."""
         self.asked += 1
         if not always and (self.table[LEVEL] < level or self.answers_only_pings):
@@ -286,7 +278,7 @@ class Servo(AnyServo):
         packet = frames.status(self.number, error | alert, data)
         self.say_after(self.table[DELAY], packet, later)
 
-    def _take_turn(self, accesses: list[tuple[int, int, int]], is_fast: bool) -> None:
+    def _take_turn(self, accesses, is_fast):
         mine = next((i for i, one in enumerate(accesses) if one[0] == self.number), -1)
         if mine < 0:
             return
@@ -298,14 +290,14 @@ class Servo(AnyServo):
             wait = before * self.wire.byte_ns + mine * (self.own_us + 2 * self.table[DELAY]) * US
             self.clock.at(self.clock.now + round(wait), self._my_turn)
 
-    def _wait_in_line(self, packet: Packet) -> None:
+    def _wait_in_line(self, packet):
         turn = self._turn
         if turn is None or turn.is_fast or not self.in_line or turn.mine == 0:
             return
         if packet.id == turn.accesses[turn.mine - 1][0]:
             self._my_turn()
 
-    def _wait_fast(self, data: bytes) -> None:
+    def _wait_fast(self, data):
         turn = self._turn
         if turn is None or (data[:4] == frames.START and turn.heard):
             return
@@ -314,7 +306,7 @@ class Servo(AnyServo):
         if turn.mine and len(turn.heard) >= before:
             self._my_turn()
 
-    def _my_turn(self) -> None:
+    def _my_turn(self):
         turn = self._turn
         if turn is None:
             return
@@ -333,7 +325,7 @@ class Servo(AnyServo):
         self.answered += 1
         self._say_block(turn, bytes(self.table[at:at + size]))
 
-    def _say_block(self, turn: _Turn, data: bytes) -> None:
+    def _say_block(self, turn, data):
         """Say its part of a fast reply (e-Manual, Fast Sync Read): a CRC covers all before."""
         before = turn.heard
         block = bytes((frames.ALERT if self.table[ERRORS] else 0, self.number)) + data

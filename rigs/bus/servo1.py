@@ -2,13 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A servo of the 1.0 family on the wire: AX-12 or MX-28 of Dynamixel 1.0, STS3215 of Feetech."""
 
-from __future__ import annotations
-
-from typing import Any
 from typing import NamedTuple
 
 from rigs.bus import frames1 as frames
-from rigs.bus.frames import Packet
 from rigs.bus.frames import PING
 from rigs.bus.frames import READ
 from rigs.bus.frames import SYNC_READ
@@ -16,8 +12,6 @@ from rigs.bus.frames import SYNC_WRITE
 from rigs.bus.frames import WRITE
 from rigs.bus.servo import AnyServo
 from rigs.bus.servo import Servo
-from rigs.bus.wire import Heard
-from rigs.bus.wire import Wire
 
 TURN = 4096
 SIZE = 128                         # bytes that a control table has
@@ -46,13 +40,12 @@ STS3215 = Kind(777, 3, 5, 7, 40, 42, 56, 62, True, ((0, 3), (1, 10)))
 class Servo1(AnyServo):
     """One servo. errors: the bits that each of its statuses carries."""
 
-    def __init__(self, wire: Wire, number: int, kind: Kind = STS3215, *, delay: int = 0,
-                 own_us: int = 40) -> None:
+    def __init__(self, wire, number, kind=STS3215, *, delay=0, own_us=40):
         super().__init__(wire, number, own_us, SIZE)
         self.kind = kind
         self.errors = 0
         self.mounted = 0               # so many steps more than it is at, it reports
-        self._waits_for: tuple[int, int, int] | None = None     # an ID; address, size of its turn
+        self._waits_for = None     # an ID; address, size of its turn
         self.put(kind.model_at, 2, kind.number)
         self.put(kind.id_at, 1, number)
         self.put(kind.delay_at, 1, delay)
@@ -60,16 +53,16 @@ class Servo1(AnyServo):
             self.put(at, 1, value)
         self.stand(2048.0)
 
-    def stand(self, place: float) -> None:
+    def stand(self, place):
         """Be at a place, and want to be there."""
         self._at = place
         self.put(self.kind.goal_at, 2, round(place))
 
     @property
-    def number(self) -> int:
+    def number(self):
         return self.table[self.kind.id_at]
 
-    def _refresh(self) -> None:
+    def _refresh(self):
         kind = self.kind
         wobble = self.move(self.get(kind.goal_at, 2),
                            bool(self.table[kind.torque_at]) and not self.errors & 0x20)
@@ -79,7 +72,7 @@ class Servo1(AnyServo):
 
     # --- hearing: a status looks like an instruction, so who talks tells ------------------------
 
-    def hear(self, heard: Heard) -> None:
+    def hear(self, heard):
         """Take what was on the wire."""
         if not self.is_on:
             return
@@ -90,7 +83,7 @@ class Servo1(AnyServo):
             elif self._waits_for is not None and packet.id == self._waits_for[0]:
                 self._take_turn(self._waits_for[1], self._waits_for[2])
 
-    def _obey(self, packet: Packet) -> None:
+    def _obey(self, packet):
         self._waits_for = None
         code, params = packet.instruction, packet.params
         if code == SYNC_WRITE:
@@ -103,7 +96,7 @@ class Servo1(AnyServo):
         elif packet.id == self.number:
             self._alone(code, params)
 
-    def _alone(self, code: int, params: bytes) -> None:
+    def _alone(self, code, params):
         if code == PING:
             self._answer()
         elif code == READ:
@@ -113,22 +106,22 @@ class Servo1(AnyServo):
             self._store(params[0], params[1:])
             self._answer()                             # with the new ID, if that was written
 
-    def _store(self, at: int, data: bytes) -> None:
+    def _store(self, at, data):
         self.table[at:at + len(data)] = data
 
-    def _line_up(self, at: int, size: int, ids: bytes) -> None:
+    def _line_up(self, at, size, ids):
         place = ids.find(self.number)
         if place == 0:
             self._take_turn(at, size)
         elif place > 0:
             self._waits_for = ids[place - 1], at, size
 
-    def _take_turn(self, at: int, size: int) -> None:
+    def _take_turn(self, at, size):
         self._waits_for = None
         self._refresh()
         self._answer(bytes(self.table[at:at + size]))
 
-    def _answer(self, data: bytes = b'') -> None:
+    def _answer(self, data=b''):
         self.asked += 1
         if self.loses():
             self.changed()
@@ -137,7 +130,7 @@ class Servo1(AnyServo):
                        frames.packet(self.number, self.errors, data))
 
 
-def servo(wire: Wire, number: int, model: str | Kind, **options: Any) -> Servo | Servo1:
+def servo(wire, number, model, **options):
     """Return a servo of either family; the options are Servo's, of which Servo1 has some."""
     if isinstance(model, str):
         return Servo(wire, number, model, **options)

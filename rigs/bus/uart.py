@@ -9,13 +9,8 @@ looks again in the middle of the start bit, and takes the majority of three samp
 middle of each bit. Levels are shares of the swing, times are bit times of the receiver.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from random import Random
 from typing import NamedTuple
 
-from rigs.bus.faults import Fault
 from rigs.bus.faults import spoiled
 from rigs.bus.wire import BITS
 from rigs.bus.wire import S
@@ -49,14 +44,14 @@ class Line(NamedTuple):
 GOOD = Line()
 
 
-def received(data: bytes, line: Line, random: Random) -> bytes:
+def received(data, line, random):
     """Return what a receiver makes of a packet."""
     if line == GOOD:
         return data
     return _sampled(_heights(_driven(data, line), line, random))
 
 
-def _driven(data: bytes, line: Line) -> list[int]:
+def _driven(data, line):
     """Return what the talker wants the level to be, in sixteenths of a bit."""
     bits = [1] * IDLE
     for byte in data:
@@ -72,7 +67,7 @@ def _driven(data: bytes, line: Line) -> list[int]:
     return [*levels[:gap], *low, *levels[gap:]]
 
 
-def _heights(levels: list[int], line: Line, random: Random) -> list[bool]:
+def _heights(levels, line, random):
     """Return whether the line is high, in sixteenths of a bit."""
     up = 1.0 if line.rise <= 0 else 1 / (1 + line.rise * OVER)
     down = 1.0 if line.fall <= 0 else 1 / (1 + line.fall * OVER)
@@ -91,7 +86,7 @@ def _heights(levels: list[int], line: Line, random: Random) -> list[bool]:
     return found
 
 
-def _sampled(is_high: list[bool]) -> bytes:
+def _sampled(is_high):
     found = bytearray()
     at, size = 1, len(is_high)
     while at < size:
@@ -108,32 +103,32 @@ def _sampled(is_high: list[bool]) -> bytes:
     return bytes(found)
 
 
-def _is_one(is_high: list[bool], middle: int) -> bool:
+def _is_one(is_high, middle):
     return sum(is_high[at] for at in range(middle - 1, middle + 2) if at < len(is_high)) \
         + max(0, middle + 2 - len(is_high)) >= 2
 
 
 # --- faults: what a line is like, packet by packet -----------------------------------------------
 
-Draw = Callable[[Random, int, float], Line]            # random, bits of a packet, time (bits)
+# A draw is a function of a Random, the bits of a packet and the time (bits): the line for it.
 
 
-def bad_line(draw: Draw, who: str, at: float = 2.0) -> Fault:
+def bad_line(draw, who, at=2.0):
     """Send the packets of a talker (the start of its name) over a line that is not good."""
     return spoiled(lambda rig, now, data: received(
         data, draw(rig.random, BITS * len(data), now / (S / rig.wire.baud)), rig.random), who, at)
 
 
-def varied(**given: float | tuple[float, float]) -> Draw:
+def varied(**given):
     """Let a line have these figures, or one between two from packet to packet."""
     return lambda random, size, now: Line(**{
         name: random.uniform(*one) if isinstance(one, tuple) else one
         for name, one in given.items()})
 
 
-def glitches(share: float, least: float = 0.5, most: float = 1.0) -> Draw:
+def glitches(share, least=0.5, most=1.0):
     """Let a pulse fall into a share of the packets, up or down, for about a bit."""
-    def draw(random: Random, size: int, now: float) -> Line:
+    def draw(random, size, now):
         if random.random() >= share:
             return GOOD
         begin = random.uniform(IDLE, IDLE + size)
@@ -142,9 +137,9 @@ def glitches(share: float, least: float = 0.5, most: float = 1.0) -> Draw:
     return draw
 
 
-def beats(period: float, share: float) -> Draw:
+def beats(period, share):
     """Let a motor's PWM come through (period in bits): each edge, up and down, in some packets."""
-    def draw(random: Random, size: int, now: float) -> Line:
+    def draw(random, size, now):
         if random.random() >= share:
             return GOOD
         first = IDLE - now % period
@@ -155,8 +150,8 @@ def beats(period: float, share: float) -> Draw:
     return draw
 
 
-def floating(share: float) -> Draw:
+def floating(share):
     """Let the line lie low between two talkers, in a share of the packets: no pull-up."""
-    def draw(random: Random, size: int, now: float) -> Line:
+    def draw(random, size, now):
         return Line(lead=random.uniform(2.0, 12.0)) if random.random() < share else GOOD
     return draw

@@ -9,7 +9,6 @@ sampling says what a receiver at another rate hears.
 """
 
 from bisect import bisect_right
-from collections.abc import Callable
 from collections.abc import Sequence
 from heapq import heappop
 from heapq import heappush
@@ -23,17 +22,17 @@ BITS = 10                          # a byte on the line: start, 8 data, stop
 class Clock:
     """Simulated time and what is due in it."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 0
-        self._due: list[tuple[int, int, Callable[[], object]]] = []
+        self._due = []
         self._count = 0
 
-    def at(self, stamp: int, do: Callable[[], object]) -> None:
+    def at(self, stamp, do):
         """Do something at a time; at the same time in the order in which it was asked for."""
         self._count += 1
         heappush(self._due, (max(stamp, self.now), self._count, do))
 
-    def run(self, until: int) -> None:
+    def run(self, until):
         while self._due and self._due[0][0] <= until:
             self.now, _, do = heappop(self._due)
             do()
@@ -49,7 +48,7 @@ class Talk(NamedTuple):
     who: str = ''
 
     @property
-    def end(self) -> int:
+    def end(self):
         return self.start + round(len(self.data) * self.byte_ns)
 
 
@@ -62,26 +61,23 @@ class Heard(NamedTuple):
     is_clean: bool                 # one talker at the line's rate
 
     @property
-    def end(self) -> int:
+    def end(self):
         return max(talk.end for talk in self.talks)
-
-
-Spoil = Callable[[int, str, bytes], bytes]     # (now, talker, bytes) to the bytes on the line
 
 
 class Wire:
     """The line. Talkers call talk(); listeners are told when a packet ends."""
 
-    def __init__(self, clock: Clock, baud: int) -> None:
+    def __init__(self, clock, baud):
         self.clock = clock
         self.baud = baud
         self.byte_ns = BITS * S / baud
-        self.listeners: list[Callable[[Heard], None]] = []
-        self.spoilers: list[Spoil] = []
-        self._open: list[Talk] = []            # those in one collision, or the one that talks
+        self.listeners = []
+        self.spoilers = []             # each of (now, talker, bytes), to the bytes on the line
+        self._open = []            # those in one collision, or the one that talks
         self._talking = 0
 
-    def talk(self, who: str, data: bytes, baud: int = 0) -> int:
+    def talk(self, who, data, baud=0):
         """Begin to talk now; return when it is over."""
         for spoil in self.spoilers:
             data = spoil(self.clock.now, who, data)
@@ -92,7 +88,7 @@ class Wire:
             self.clock.at(talk.end, self._ended)
         return talk.end
 
-    def _ended(self) -> None:
+    def _ended(self):
         self._talking -= 1
         if self._talking:
             return
@@ -102,7 +98,7 @@ class Wire:
             listener(heard)
 
 
-def render(talks: tuple[Talk, ...], byte_ns: float) -> Heard:
+def render(talks, byte_ns):
     """Return what a receiver at a rate hears of these talkers."""
     if all(one.end <= two.start for one, two in pairwise(talks)) \
             and all(talk.byte_ns == byte_ns for talk in talks):
@@ -114,7 +110,7 @@ def render(talks: tuple[Talk, ...], byte_ns: float) -> Heard:
     return Heard(bytes(byte for byte, _ in found), [end for _, end in found], talks, False)
 
 
-def _lows(talks: tuple[Talk, ...]) -> list[tuple[float, float]]:
+def _lows(talks):
     """Return when the line is low, as intervals in order."""
     spans = []
     for talk in talks:
@@ -125,7 +121,7 @@ def _lows(talks: tuple[Talk, ...]) -> list[tuple[float, float]]:
             spans += [(begin + bit * bit_ns, begin + (bit + 1) * bit_ns)
                       for bit in range(BITS) if not frame >> bit & 1]
     spans.sort()
-    merged: list[tuple[float, float]] = []
+    merged = []
     for low, high in spans:
         if merged and low <= merged[-1][1] + 1e-6:
             merged[-1] = merged[-1][0], max(merged[-1][1], high)
@@ -134,11 +130,11 @@ def _lows(talks: tuple[Talk, ...]) -> list[tuple[float, float]]:
     return merged
 
 
-def sample(lows: list[tuple[float, float]], bit_ns: float) -> list[tuple[int, int]]:
+def sample(lows, bit_ns):
     """Return (byte, when it is over) as a receiver finds them in a line."""
     begins = [low for low, _ in lows]
 
-    def is_low(when: float) -> bool:
+    def is_low(when):
         at = bisect_right(begins, when) - 1
         return at >= 0 and when < lows[at][1]
 

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kinds of damage at bit level, each under some programs, with figures drawn from a seed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from random import Random
@@ -12,8 +10,6 @@ from typing import NamedTuple
 from rigs.bus import faults as f
 from rigs.bus import masters as m
 from rigs.bus import uart
-from rigs.bus.faults import Fault
-from rigs.bus.masters import Master
 from rigs.bus.scene import Scene
 
 AT = 1.0                           # s: when it begins
@@ -28,38 +24,38 @@ class Kind(NamedTuple):
 
     name: str
     right: tuple[str, ...]
-    draw: Callable[[Random], tuple[Fault, ...]]
+    draw: Callable[[Random], tuple[Callable, ...]]
 
 
-def _line(draw: Callable[[Random], uart.Draw], who: str) -> Callable[[Random], tuple[Fault, ...]]:
+def _line(draw, who):
     return lambda random: (uart.bad_line(draw(random), who, AT),)
 
 
-def _slow(random: Random) -> uart.Draw:
+def _slow(random):
     off = random.uniform(0.058, 0.066)     # 8.5 bits of the receiver are then 8 of the talker
     return uart.varied(clock=(1 + off, 1.008 + off), noise=0.05)
 
 
-def _fast(random: Random) -> uart.Draw:
+def _fast(random):
     off = random.uniform(0.050, 0.062)
     return uart.varied(clock=(0.992 - off, 1 - off), noise=0.05)
 
 
-def _edge(random: Random) -> uart.Draw:
+def _edge(random):
     least = random.uniform(0.55, 0.62)
     return uart.varied(rise=(least, least + 0.12), noise=0.03)
 
 
-def _lifted(random: Random) -> uart.Draw:
+def _lifted(random):
     least = random.uniform(0.34, 0.37)
     return uart.varied(lift=(least, least + 0.02), noise=0.07)
 
 
-def _twin_apart(random: Random) -> tuple[Fault, ...]:
+def _twin_apart(random):
     return (f.twin(3, AT, own_us=40 + random.randint(1, 60)),)
 
 
-KINDS: tuple[Kind, ...] = (
+KINDS = (
     Kind('clock of one servo slow', (CLOCK,), _line(_slow, ONE)),
     Kind('clock of one servo fast', (CLOCK,), _line(_fast, ONE)),
     Kind('pull-up too weak', (LEVEL,), _line(_edge, SERVOS)),
@@ -79,12 +75,12 @@ KINDS: tuple[Kind, ...] = (
     Kind('answers cut off', (), lambda random: (
         f.spoil(f.cut, random.uniform(0.05, 0.2), ONE, AT),)),
 )
-PROGRAMS: tuple[tuple[str, Master], ...] = (
+PROGRAMS = (
     ('item by item', partial(m.poller, rate=10.0, torque=True)),
     ('group read and write', partial(m.sdk_loop, rate=20.0)))
 
 
-def scene_of(kind: Kind, master: Master, seed: int) -> Scene:
+def scene_of(kind, master, seed):
     """Return a run of one kind."""
     random = Random(f'{kind.name} {seed}')
     return Scene(kind.name, master, faults=kind.draw(random), baud=random.choice(
