@@ -31,7 +31,7 @@ from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor.examination import TRAFFIC_S
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from rigs.bus import score
-from rigs.bus.field import PLAYED
+from rigs.bus.scenes import PLAYED
 from rigs.bus.score import SCENES
 from rigs.bus.score import spell
 from rigs.bus.wrecked import KINDS

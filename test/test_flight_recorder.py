@@ -19,8 +19,8 @@ from dxl_monitor.tools.doctor.examination import Examination
 from mecarover_serial.parameters import ParameterError
 from msg_defs.event import Change
 from msg_defs.reports import Level
-from rigs.bus.broken import SCENES as BROKEN
 from rigs.bus.scene import SECONDS
+from rigs.bus.scenes import BROKEN
 from rigs.bus.score import BOOT
 from rigs.bus.score import SEED
 

@@ -18,9 +18,9 @@ from msg_defs.event import CHANGES
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
-from rigs.bus.broken import SCENES as BROKEN
-from rigs.bus.field import PLAYED
-from rigs.bus.healthy import SCENES as HEALTHY
+from rigs.bus.scenes import BROKEN
+from rigs.bus.scenes import HEALTHY
+from rigs.bus.scenes import PLAYED
 
 S = 1_000_000_000
 BOOT = 1000 * S

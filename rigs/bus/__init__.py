@@ -14,7 +14,7 @@ Time is counted in ns from 0. The parts know each other only like this:
     ear     how an adapter hands the bytes to a listener: chunks, pauses, a wrong rate
     faults  what goes wrong, and when the first byte is different because of it
     uart    one packet on a line that is not good, bit by bit
-    scenes  all of it together, with what the doctor must say
+    scenes  all of it together, with what the doctor must say (broken.yaml)
 
 frames1, servo1 and masters1 hold what differs in the 1.0 family, Dynamixel 1.0 and Feetech.
 

@@ -36,6 +36,7 @@ FULL_SPEED = Kind(gather_ms=1.0, size=62)          # an FTDI adapter with a late
 COARSE = Kind(gather_ms=16.0, size=62)             # and of 16 ms
 LUMPS = Kind(gather_ms=8.0)
 BUSY = Kind(gather_ms=1.0, pause_ms=(25.0, 80.0), every_s=0.25)
+WRONG_RATE = Kind(gather_ms=1.0, baud=57_600)
 HUB = Kind(gather_ms=1.0, size=62, pause_ms=(25.0, 60.0), every_s=0.25, is_reader_stopped=False)
 
 

@@ -30,13 +30,12 @@ def _altering(at, do):
     return lambda rig: rig.altering(at, lambda: do(rig))
 
 
-def attribute(*ids, at=8.0, **values):
-    """Change plain attributes of these servos."""
+def attribute(number, at=8.0, **values):
+    """Change plain attributes of a servo."""
     def fault(rig):
-        for number in ids:
-            for name, value in values.items():
-                assert hasattr(rig.servos[number], name)
-                rig.at(at, partial(setattr, rig.servos[number], name, value))
+        for name, value in values.items():
+            assert hasattr(rig.servos[number], name)
+            rig.at(at, partial(setattr, rig.servos[number], name, value))
     return fault
 
 
@@ -45,25 +44,24 @@ def changed(number, at=8.0, **values):
     return _both(attribute(number, at=at, **values), _altering(at, lambda rig: None))
 
 
-def dead(*ids, at=8.0):
-    """End the supply of these servos, or pull the plug in front of them."""
-    return _both(attribute(*ids, at=at, is_on=False), _silence(ids, at))
+def dead(number, at=8.0):
+    """End the supply of a servo, or pull the plug in front of it."""
+    return _both(attribute(number, at=at, is_on=False), _silence(number, at))
 
 
-def deaf(*ids, at=8.0):
-    """Let them hear nothing any more."""
-    return _both(attribute(*ids, at=at, is_deaf=True), _silence(ids, at))
+def deaf(number, at=8.0):
+    """Let it hear nothing any more."""
+    return _both(attribute(number, at=at, is_deaf=True), _silence(number, at))
 
 
-def _silence(ids, at):
-    """Note the first instruction that one of these servos would have answered."""
-    names = set(ids)
+def _silence(number, at):
+    """Note the first instruction that this servo would have answered."""
     group = (frames.SYNC_READ, frames.FAST_SYNC_READ)
 
     def fault(rig):
         def hear(heard):
             if rig.altered is None and rig.clock.now >= at * S and any(
-                    packet.id in names or packet.instruction in group
+                    packet.id == number or packet.instruction in group
                     for packet in frames.parse(heard.data, fast=True)):
                 rig.alter()
         rig.wire.listeners.append(hear)
@@ -75,13 +73,13 @@ def loose(number, share, at=8.0):
     return lambda rig: attribute(number, at=at, loses=lambda: rig.random.random() < share)(rig)
 
 
-def away(*ids, at=12.0, seconds=0.4, restart=True):
+def away(number, at=12.0, seconds=0.4, restart=True):
     """Take the supply away for a moment: RAM is at its defaults afterwards."""
     def back(rig):
-        for number in ids if restart else ():
+        if restart:
             rig.at(at + seconds, rig.servos[number].start)
-    return _both(_silence(ids, at), attribute(*ids, at=at, is_on=False),
-                 attribute(*ids, at=at + seconds, is_on=True), back)
+    return _both(_silence(number, at), attribute(number, at=at, is_on=False),
+                 attribute(number, at=at + seconds, is_on=True), back)
 
 
 def latched(number, bits=0x20, at=8.0, *, torque_off=True):
@@ -108,14 +106,20 @@ def _ramp(rig, first, last, at, seconds):
     return lambda: first + (last - first) * min(1.0, max(0.0, (rig.clock.now / S - at) / seconds))
 
 
-def sagging(ids, low, at=2.0, seconds=12.0):
-    """Let the supply sink, as that of a battery at its end."""
-    names = tuple(ids)
-
+def sagging(number, low, at=2.0, seconds=12.0):
+    """Let the supply of a servo sink, as that of a battery at its end."""
     def fault(rig):
-        volts = _ramp(rig, 12.0, low, at, seconds)
-        for number in names:
-            rig.servos[number].volts = volts
+        rig.servos[number].volts = _ramp(rig, 12.0, low, at, seconds)
+    return fault
+
+
+def supply(volts):
+    """Feed XL330, whose limits are 3.5 and 7.0 V."""
+    def fault(rig):
+        for one in rig.servos.values():
+            one.put(reg.MAX_VOLTS, 2, 70)
+            one.put(reg.MIN_VOLTS, 2, 35)
+            one.volts = lambda: volts
     return fault
 
 
@@ -133,10 +137,10 @@ def spoiled(change, who, at):
     return fault
 
 
-def spoil(change, share, who='', at=8.0):
-    """Change a share of the packets of a talker."""
+def spoil(change, share, *who, at=8.0):
+    """Change a share of the packets of all, of 'servo' or of 'servo', 3."""
     return spoiled(lambda rig, now, data: change(rig, data) if rig.random.random() < share
-                   else data, who, at)
+                   else data, ''.join(f'{one} ' for one in who), at)
 
 
 def flip(rig, data):
@@ -170,6 +174,11 @@ def lost_first(rig, data):
 def stray(rig, data):
     """Put a byte in front that was never said."""
     return b'\0' + data
+
+
+def acknowledgement(rig, data):
+    """Leave out a status without data."""
+    return data if len(data) > 11 else b''
 
 
 def echo(at=0.0):

@@ -123,6 +123,14 @@ def lerobot(port, ids, *, rate=30.0, gives_up=True):
                 break
 
 
+def xs_start(port, ids):
+    """Start as xs_sdk does: three rounds of Ping and torque off, also where the Ping failed."""
+    for _ in range(3):
+        for number in ids:
+            yield from port.ping(number)
+            yield from port.write(number, reg.TORQUE, b'\0')
+
+
 def scan(port, ids, *, first=0, last=252, again=True, dwell_ms=3.0):
     """Look for servos as the Wizard does: a Ping to every ID; then whole tables of those found."""
     found = []
@@ -212,8 +220,18 @@ def writes(number, at, data):
     return asks(lambda port: port.write(number, at, data))
 
 
-def says(packet):
-    """One instruction that has no answer."""
+def writes_eeprom(number, at, data):
+    """Torque off, then a Write."""
+    return setup_then(writes(number, reg.TORQUE, b'\0'), writes(number, at, data))
+
+
+def sync_reads(at, size, *ids):
+    """One Sync Read, of which the first answer is awaited."""
+    return asks(lambda port: port.ask(port.form.sync_read(ids, at, size), ids[0], size))
+
+
+def writes_unstuffed(number, at, data):
+    """One Sync Write as the official Python SDK sends it."""
     def say(port, ids):
-        yield Say(packet)
+        yield Say(frames.UNSTUFFED.sync_write(at, len(data), [(number, data)]))
     return say

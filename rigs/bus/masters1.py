@@ -20,7 +20,7 @@ from rigs.bus.masters import goal
 from rigs.bus.masters import goals
 
 
-def lerobot(port, ids, *, rate=30.0, gives_up=True, firmware=False):
+def lerobot_feetech(port, ids, *, rate=30.0, gives_up=True, firmware=False):
     """Connect, set up, and loop as LeRobot does with Feetech servos."""
     for number in ids:
         if (yield from port.ping(number)) is not None:

@@ -63,12 +63,6 @@ class Scene(NamedTuple):
         return rig
 
 
-def scene(name, master, expected='', faults=(), also='', **others):
-    """Return a scene; expected and also are as keys() has them."""
-    return Scene(name, master, keys(expected), (faults,) if callable(faults) else faults,
-                 keys(also), **others)
-
-
 def keys(text):
     """
     Return the rules with their devices that a text names: 'weak dropout 1-3 5, noise'.
@@ -80,12 +74,13 @@ def keys(text):
     for part in text.split(', ') if text else ():
         words = part.replace('weak', WEAK).split()
         rules = [word for word in words if not word[0].isdigit() and word != 'bus']
-        ids = [number for word in words if word[0].isdigit() for number in _range(word)]
+        ids = [number for word in words if word[0].isdigit() for number in numbers(word)]
         devices = [*ids, None] if 'bus' in words or not ids else [*ids]
         found += [(rule, number) for rule in rules for number in devices]
     return tuple(found)
 
 
-def _range(word):
-    first, _, last = word.partition('-')
-    return range(int(first), int(last or first) + 1)
+def numbers(text):
+    """Return the numbers that a text names: '1-3 5'."""
+    ends = [[*map(int, word.split('-'))] for word in text.split()]
+    return tuple(number for end in ends for number in range(end[0], end[-1] + 1))

@@ -17,10 +17,10 @@ from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from msg_defs.reports import Level
-from rigs.bus.broken import SCENES as BROKEN
-from rigs.bus.healthy import SCENES as WELL
 from rigs.bus.scene import Key
 from rigs.bus.scene import SECONDS
+from rigs.bus.scenes import BROKEN
+from rigs.bus.scenes import HEALTHY as WELL
 from rigs.bus.wire import S
 
 RIGHT, VAGUE, SILENT, WRONG = 'right', 'vague', 'silent', 'wrong'

@@ -71,9 +71,9 @@ KINDS = (
     Kind('two with one ID, same delay', (SPEAKERS,), lambda random: (f.twin(3, AT),)),
     Kind('two with one ID, delays apart', (SPEAKERS,), _twin_apart),
     Kind('bytes replaced by others', (), lambda random: (
-        f.spoil(f.garble, random.uniform(0.05, 0.2), SERVOS, AT),)),
+        f.spoil(f.garble, random.uniform(0.05, 0.2), SERVOS, at=AT),)),
     Kind('answers cut off', (), lambda random: (
-        f.spoil(f.cut, random.uniform(0.05, 0.2), ONE, AT),)),
+        f.spoil(f.cut, random.uniform(0.05, 0.2), SERVOS, 3, at=AT),)),
 )
 PROGRAMS = (
     ('item by item', partial(m.poller, rate=10.0, torque=True)),
