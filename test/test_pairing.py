@@ -43,7 +43,8 @@ def packet(text):
         said, _, error = ' '.join(words).partition(' error ')
         number, *data = said.split()
         return reply(int(number), bytes_of(*data), int(error or 0))
-    return encode(int(words[0]), I[what], bytes_of(*words[1:]))
+    code = int(what, 16) if what.startswith('0x') else I[what]
+    return encode(int(words[0]), code, bytes_of(*words[1:]))
 
 
 def bytes_of(text=''):
@@ -53,15 +54,19 @@ def bytes_of(text=''):
 
 
 def packets(text):
-    """Return the chunks that an entry is: `6 x ping 1` is six."""
+    """Return the chunks that an entry is: `6 x ping 1; pong 1` is twelve."""
     times, x, rest = text.partition(' x ')
     if text == 'filled':
         return FILLED
-    return [b''.join(map(packet, (rest or text).split(' + ')))] * (int(times) if x else 1)
+    return [b''.join(map(packet, chunk.split(' + ')))
+            for chunk in (rest or text).split('; ')] * (int(times) if x else 1)
 
 
 def known(bus, key):
     what, *numbers = key.split()
+    if what == 'count':
+        bus.tracker.planner.plans()
+        return bus.evidence.counts[' '.join(numbers)]
     if not numbers:
         return {'kinds': bus.kinds(), 'devices': sorted(bus.registry.devices),
                 'note': (notes(bus) or [()])[-1][1:]}[what]
@@ -77,6 +82,8 @@ def known_of(bus, what, number):
     device = bus.device(number)
     if what == 'model':
         return device.model.name
+    if what == 'heard':
+        return 'now' if device.heard == bus.now else ''
     return getattr(device.counts if hasattr(device.counts, what) else device, what)
 
 
