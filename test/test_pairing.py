@@ -6,62 +6,15 @@ from pathlib import Path
 
 import pytest
 from tracked_bus import Bus
-from tracked_bus import damaged
-from tracked_bus import fast_read
-from tracked_bus import FILLED
 from tracked_bus import GOAL
 from tracked_bus import notes
-from tracked_bus import ping
-from tracked_bus import pong
+from tracked_bus import packets
 from tracked_bus import POSITION
-from tracked_bus import read
-from tracked_bus import reply
-from tracked_bus import sync_read
-from tracked_bus import write
 import yaml
 
 from dxl_monitor.bus.expected import parse_all
-from msg_defs.dxl_instruction import Instruction as I
-from msg_defs.dxl_packet import encode
 
 HEARD = yaml.safe_load(Path(__file__).with_name('pairing.yaml').read_text(encoding='utf-8'))
-ASKED = {'ping': ping, 'pong': pong, 'read': read, 'sync_read': sync_read, 'fast_read': fast_read}
-
-
-def packet(text):
-    """Return the packet that a few words are; pairing.yaml says which."""
-    what, *words = text.split()
-    if what == 'damaged':
-        return damaged(packet(' '.join(words)))
-    if what == 'hex':
-        return bytes_of(*words)
-    if what in ASKED:
-        return ASKED[what](*map(int, words))
-    if what == 'write':
-        return write(int(words[0]), int(words[1]), bytes_of(words[2]))
-    if what == 'reply':
-        said, _, error = ' '.join(words).partition(' error ')
-        number, *data = said.split()
-        return reply(int(number), bytes_of(*data), int(error or 0))
-    code = int(what, 16) if what.startswith('0x') else I[what]
-    return encode(int(words[0]), code, bytes_of(*words[1:]))
-
-
-def bytes_of(text=''):
-    """Return the bytes of hex, or so many times the same: 00*300."""
-    data, _, times = text.partition('*')
-    return bytes.fromhex(data) * int(times or 1)
-
-
-def packets(text):
-    """Return the chunks that an entry is: `6 x ping 1; pong 1` is twelve."""
-    times, x, rest = text.partition(' x ')
-    if text == 'filled':
-        return FILLED
-    return [b''.join(map(packet, chunk.split(' + ')))
-            for chunk in (rest or text).split('; ')] * (int(times) if x else 1)
-
-
 def known(bus, key):
     what, *numbers = key.split()
     if what == 'count':

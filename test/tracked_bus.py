@@ -106,3 +106,42 @@ FILLED = (ping(1), pong(1), read(1), reply(1, b'pppp'), write(1, GOAL, b'gggg'),
 
 def notes(bus):
     return [(one.stamp, one.kind, one.device, one.detail) for one in bus.evidence.incidents]
+
+
+# --- packets in words, as pairing.yaml has them
+
+ASKED = {'ping': ping, 'pong': pong, 'read': read, 'sync_read': sync_read, 'fast_read': fast_read}
+
+
+def packet(text):
+    """Return the packet that a few words are; pairing.yaml says which."""
+    what, *numbers = text.split()
+    if what == 'damaged':
+        return damaged(packet(' '.join(numbers)))
+    if what == 'hex':
+        return bytes_of(*numbers)
+    if what in ASKED:
+        return ASKED[what](*map(int, numbers))
+    if what == 'write':
+        return write(int(numbers[0]), int(numbers[1]), bytes_of(numbers[2]))
+    if what == 'reply':
+        said, _, error = ' '.join(numbers).partition(' error ')
+        number, *data = said.split()
+        return reply(int(number), bytes_of(*data), int(error or 0))
+    code = int(what, 16) if what.startswith('0x') else I[what]
+    return encode(int(numbers[0]), code, bytes_of(*numbers[1:]))
+
+
+def bytes_of(text=''):
+    """Return the bytes of hex, or so many times the same: 00*300."""
+    data, _, times = text.partition('*')
+    return bytes.fromhex(data) * int(times or 1)
+
+
+def packets(text):
+    """Return the chunks that an entry is: `6 x ping 1; pong 1` is twelve."""
+    times, x, rest = text.partition(' x ')
+    if text == 'filled':
+        return FILLED
+    return [b''.join(map(packet, chunk.split(' + ')))
+            for chunk in (rest or text).split('; ')] * (int(times) if x else 1)
