@@ -9,7 +9,6 @@ from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.decoder import BusDecoder
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.device import Device
-from dxl_monitor.bus.dialect import DialectChoice
 from dxl_monitor.bus.dialect import DYNAMIXEL_AT
 from dxl_monitor.bus.dialect import FEETECH_AT
 from dxl_monitor.bus.evidence import Evidence
@@ -32,14 +31,10 @@ from dxl_monitor.bus.table import READ
 from dxl_monitor.bus.table import Table
 from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.model.models import Models
-from msg_defs.dxl1_instruction import DYNAMIXEL_1
-from msg_defs.dxl1_instruction import FEETECH
-from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_instruction import Request
-from msg_defs.dxl_instruction import RESTORE
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
@@ -205,15 +200,6 @@ def test_of_a_device_that_never_answered_no_latency_is_told():
     assert Device(1).latency_report(S) == (None, None, 0.0)
 
 
-def test_an_alert_is_noted_when_it_begins_and_counted_each_time():
-    one = registry()
-    device = one.device(4)
-    for error in (0x7F, 0x80, 0x85, 0, 0x80):
-        one.heard(device, error, S)
-    assert notes(one) == [(ev.ALERT, 4, ev.NOTHING)] * 2
-    assert (device.counts.alerts, device.alert, device.is_unusual) == (3, True, True)
-
-
 def test_an_id_that_no_device_can_have_gets_none():
     one = registry()
     assert one.device(252).number == 252
@@ -249,18 +235,6 @@ def test_who_says_the_same_of_himself_again_stays_who_he_is():
     assert device.counts.pongs == 5
 
 
-def test_only_a_backup_that_is_restored_changes_a_device():
-    one = registry(Expected(4, 'XL430-W250'))
-    table = one.device(4).table
-    for address in (0, 7, 8, 9, 64):
-        table.store(address, b'\1', S, READ)
-    one.restore(one.device(4), 'store', S)
-    assert (notes(one), table.byte(64)) == ([], 1)
-    one.restore(one.device(4), RESTORE, S)
-    assert notes(one) == [(ev.REBOOTED, 4, ev.NOTHING)]
-    assert [table.byte(address) for address in (7, 8, 9, 64)] == [1, 1, None, None]
-
-
 def test_a_register_is_named_where_its_model_is_known():
     one = registry(Expected(4, 'XL430-W250'))
     assert [one.register_name(number, 132) for number in (4, 5)] == ['Present Position', '132']
@@ -277,44 +251,6 @@ def test_an_offset_is_noted_when_it_changes():
     assert len(notes(one)) == 2
     one.write(one.device(2), 40, b'\x80', S)
     assert notes(one)[2:] == [(ev.CALIBRATED, 2, ev.NOTHING)]
-
-
-@pytest.mark.parametrize(('code', 'baud', 'moved_to'), [
-    (3, 57_600, '1000000 Bd'), (3, 1_000_000, ''), (1, 1_000_000, '57600 Bd')])
-def test_where_a_device_goes_at_a_written_rate(code, baud, moved_to):
-    one = registry(Expected(4, 'XL430-W250'), baud=baud)
-    one.write(one.device(4), 8, bytes([code]), S)
-    assert one.device(4).moved_to == moved_to
-    assert notes(one) == [(ev.BAUD_WRITTEN, 4, ev.Written(code))]
-    assert one.device(4).counts.eeprom_writes == one.device(4).counts.writes == 1
-
-
-@pytest.mark.parametrize(('other', 'number'), [('none', 9), ('dead', 9), ('alive', 4)])
-def test_an_id_is_taken_over_where_nothing_answers_to_it(other, number):
-    one = registry(Expected(4, 'XL430-W250'), Expected(9, 'XL430-W250', 'elbow'))
-    changes = []
-    one.changed = lambda: changes.append(1)
-    device = one.device(4)
-    if other != 'none':
-        one.heard(one.device(9), 0, S)
-    if other == 'dead':
-        one.device(9).miss(S, S, False)
-    one.write(device, 7, b'\x09', S)
-    assert (device.number, device.joint, bool(changes)) == (
-        number, 'elbow' if number == 9 else '', number == 9)
-    assert one.devices[number] is device
-    one.write(device, 7, b'\xfd', S)               # 253 is no ID of a device
-    assert device.number == number
-
-
-def test_after_a_calibration_the_place_is_unknown_and_the_rest_is_known():
-    one = registry(Expected(2, 'STS3215'))
-    table = one.device(2).table
-    table.store(31, bytes(2), S, READ)
-    table.store(56, bytes(2), S, READ)
-    table.store(62, b'\x79', S, READ)
-    one.calibrate(one.device(2), S)
-    assert [table.byte(at) for at in (31, 56, 62)] == [None, None, 0x79]
 
 
 # --- the table -------------------------------------------------------------------------------
@@ -469,42 +405,6 @@ def test_what_a_master_did_not_stuff_is_noted(data, detail, noise):
 
 
 # --- dialects and unknown devices ---------------------------------------------------------------
-
-def said(code, address=-1, length=0):
-    accesses = (Access(1, address, length, b''),) if address >= 0 else ()
-    return Request(code, 1, Answers.DATA, accesses)
-
-
-@pytest.mark.parametrize(('requests', 'dialect'), [
-    ([said(2, 36, 2)] * 3, UNDECIDED), ([said(2, 36, 2)] * 4, DYNAMIXEL_1),
-    ([said(2, 56, 2)] * 3, UNDECIDED), ([said(2, 56, 2)] * 4, FEETECH),
-    ([said(2, 36, 2)] + [said(2, 56, 2)] * 3, UNDECIDED),
-    ([said(2, 36, 2)] + [said(2, 56, 2)] * 4, FEETECH),
-    ([said(2, 36, 2)] * 2 + [said(2, 56, 2)] * 7, UNDECIDED),
-    ([said(2, 36, 2)] * 2 + [said(2, 56, 2)] * 8, FEETECH),
-    ([said(0x0B)], FEETECH), ([said(2, 50, 2)] * 9, UNDECIDED), ([said(1)] * 9, UNDECIDED),
-    ([said(2, 56, 2)] * 99 + [said(2, 36, 2)] * 16, FEETECH),
-])
-def test_signs_decide_what_a_bus_speaks(requests, dialect):
-    choice = DialectChoice(MODELS)
-    decided = [choice.asked(one) for one in requests]
-    assert choice.dialect is dialect
-    assert sum(decided) == (dialect is not UNDECIDED)
-    fixed = DialectChoice(MODELS, '1')
-    assert not any(fixed.asked(one) for one in requests)
-    assert fixed.dialect is DYNAMIXEL_1
-
-
-@pytest.mark.parametrize(('address', 'data', 'dialect'), [
-    (0, b'\x0c\0', DYNAMIXEL_1), (3, b'\x09\x03', FEETECH), (0, b'\0\0\0\x09\x03', FEETECH),
-    (0, b'\x40\x01', DYNAMIXEL_1), (0, b'\x40\x02', UNDECIDED),
-    (3, b'\x09', UNDECIDED), (4, b'\x09\x03', UNDECIDED), (0, b'\xf0\xf0', UNDECIDED)])
-def test_a_model_number_decides_what_a_bus_speaks(address, data, dialect):
-    choice = DialectChoice(MODELS)
-    assert choice.decides(said(2, address, len(data)), data) == (dialect is not UNDECIDED)
-    assert choice.dialect is dialect
-    assert not choice.decides(said(3, address, len(data)), data)
-
 
 @pytest.mark.parametrize(('places', 'name', 'told'), [
     (DYNAMIXEL_AT, 'AX-12A', {
