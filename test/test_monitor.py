@@ -3,6 +3,7 @@
 """A bus over time: states, levels and words, rates, idle lines; against the simulated truth."""
 
 from itertools import pairwise
+from pathlib import Path
 import struct
 
 from heard_bus import Bus
@@ -14,11 +15,13 @@ from heard_bus import READ
 from heard_bus import REPLY
 from heard_bus import SECOND
 import pytest
+from tracked_bus import packets
+import yaml
 
 from dxl_monitor import doctor
 from dxl_monitor.bus.decoder import BusDecoder
 from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import Expected
+from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.monitor import Monitor
 from mecarover_serial import internal_fault
@@ -39,80 +42,50 @@ def damaged(packet):
     return packet[:-1] + bytes([packet[-1] ^ 1])
 
 
-def verdict(device):
-    return device.state, device.level, device.message
+HEARD = yaml.safe_load(Path(__file__).with_name('monitor.yaml').read_text(encoding='utf-8'))
 
 
-def test_nothing_heard_yet():
-    report = Bus().report()
-    assert (report.level, report.message, report.devices) == (Level.STALE, 'nothing heard yet', ())
-    assert report.counters['Bytes'] == 0
+def hear(bus, entry):
+    what, *words = entry.split()
+    if what == 'wait':
+        bus.wait(float(words[0]))
+    elif what == 'every':
+        bus.every_ms = float(words[0])
+    elif what == 'reset':
+        bus.monitor.reset_statistics(bus.now)
+    else:
+        bus.hear(*packets(entry))
 
 
-def test_connected():
+def known(bus, key):
+    what, _, number = key.rpartition(' ')
+    report = bus.report()
+    if number.isdigit():
+        device = bus.device(int(number))
+        found = getattr(device if hasattr(device, what) else device.totals, what)
+    elif key == 'alarms':
+        return bus.monitor.alarms()
+    else:
+        found = getattr(report, key) if hasattr(report, key) else {
+            **dict.fromkeys([key], 0), **report.counters, **report.kinds}[key]
+    if isinstance(found, Level):
+        return found.name
+    if isinstance(found, tuple):
+        return [one.text if key == 'errors' else one.field.name for one in found]
+    return found
+
+
+@pytest.mark.parametrize('name', HEARD)
+def test_what_is_heard_and_reported(name):
     bus = Bus()
-    bus.hear(PING, PONG, READ, REPLY)
-    device = bus.device()
-    assert verdict(device) == ('connected', Level.OK, 'connected')
-    assert (device.name, device.model_name, device.firmware) == ('001', 'MX-64', 41)
-    assert bus.report().message == '1 of 1 devices connected'
-
-
-def test_asked_and_never_heard():
-    bus = Bus()
-    bus.hear(READ, READ)
-    assert verdict(bus.device()) == ('asked', Level.WARN, 'asked, but never heard')
-
-
-def test_silent_is_stale_and_keeps_its_values():
-    bus = Bus()
-    bus.hear(PING, PONG, READ, REPLY)
-    bus.wait(8)
-    device = bus.device()
-    assert (device.state, device.level) == ('silent', Level.STALE)
-    assert device.last_heard_s == pytest.approx(8.0)
-    assert any(one.field.name == 'Present Position' for one in device.observed)
-
-
-def test_waiting_behind_a_silent_one():
-    bus = Bus()
-    for number in (1, 2, 3):
-        bus.hear(encode(number, I.PING), encode(number, STATUS, b'\x37\x01\x29', error=0))
-    bus.hear(*[POSITIONS] * 8)
-    assert bus.device(1).state == 'disconnected'
-    for number in (2, 3):
-        assert verdict(bus.device(number)) == (
-            'waiting', Level.WARN, 'asked but not served: 001 before it does not answer')
-    bus.hear(POSITIONS, *[encode(n, STATUS, bytes(4), error=0) for n in (1, 2, 3)])
-    assert [bus.device(n).state for n in (1, 2, 3)] == ['connected'] * 3
-
-
-def test_a_device_that_waited_is_silent_when_the_master_stops():
-    bus = Bus()
-    for number in (1, 2, 3):
-        bus.hear(encode(number, I.PING), encode(number, STATUS, b'\x37\x01\x29', error=0))
-    bus.hear(POSITIONS, encode(1, STATUS, bytes(4), error=0))       # and then no more, ever
-    bus.wait(2)
-    assert [bus.device(n).state for n in (2, 3)] == ['connected', 'waiting']
-    bus.wait(8)
-    assert [bus.device(n).state for n in (1, 2, 3)] == ['silent'] * 3
-
-
-def test_loss_is_that_of_the_last_ten_seconds():
-    bus = Bus()
-    bus.hear(PING, PONG)
-    bus.hear(*[READ, REPLY] * 20, READ, READ, REPLY)
-    device = bus.device()
-    assert (device.level, device.message) == (Level.WARN, '1 of 23 answers missed')
-    bus.hear(*[READ, REPLY] * 60, every_ms=100)
-    assert bus.device().level is Level.OK
-    assert bus.device().totals.missed == 1
-
-
-def test_moved_to_a_rate_that_its_model_does_not_name():
-    bus = Bus()
-    bus.hear(PING, PONG, encode(1, I.WRITE, b'\x08\0\x63'), encode(1, STATUS, error=0), PING)
-    assert 'was set to an unknown baud rate (code 99)' in bus.device().message
+    for step in HEARD[name]:
+        if isinstance(step, list):
+            for entry in step:
+                hear(bus, entry)
+        elif 'listed' in step:
+            bus = Bus(*parse_all(step['listed']))
+        else:
+            assert {key: known(bus, key) for key in step} == step
 
 
 def test_damage_is_told_by_device_and_by_bus():
@@ -127,39 +100,6 @@ def test_damage_is_told_by_device_and_by_bus():
     assert report.counters['CRC Errors'] == 20
     assert report.errors[-1].text == '001: no answer to Read at Present Position'
     assert '001: status with a wrong CRC' in {error.text for error in report.errors}
-
-
-def test_what_cannot_wait_for_a_report():
-    bus = Bus()
-    bus.hear(PING, PONG, *[READ] * 4, every_ms=300)
-    assert bus.monitor.alarms() == 0
-    bus.hear(READ, READ, READ)
-    lost = bus.monitor.alarms()
-    assert lost == 1
-    bus.hear(READ, REPLY)
-    assert bus.monitor.alarms() == lost + 1
-    bus.hear(READ, encode(1, STATUS, bytes(4), error=0x80), READ, REPLY)
-    assert bus.monitor.alarms() == lost + 2
-
-
-def test_errors_name_the_register_once_the_model_is_known():
-    bus = Bus()
-    bus.hear(READ, READ)
-    assert bus.report().errors[-1].text == '001: no answer to Read at 132'
-    bus.hear(PING, PONG, encode(1, I.WRITE, b'\x74\x00' + bytes(4)), encode(1, STATUS, error=7))
-    assert bus.device().model_name == 'MX-64'
-    assert [error.text for error in bus.report().errors] == [
-        '001: no answer to Read at Present Position',
-        '001: Write at Goal Position refused: Access']
-
-
-def test_one_packet_of_protocol_1_is_counted_once():
-    bus = Bus()
-    packet = b'\xff\xff\x01\x04\x02\x24\x02\xd2'
-    bus.hear(READ, packet[:3], packet[3:], *[b'\x00'] * 10, every_ms=1000)
-    assert bus.report().kinds['protocol 1.0'] == 1
-    bus.hear(packet * 3, *[b'\x00'] * 10, every_ms=1000)
-    assert bus.report().kinds['protocol 1.0'] == 4
 
 
 @pytest.mark.parametrize('cut', range(1, len(REPLY)))
@@ -264,19 +204,6 @@ def test_cycles_tell_what_the_master_repeats():
     assert bus.device().totals.reads == 10
 
 
-def test_reset_statistics_keeps_what_is_known():
-    bus = Bus()
-    bus.hear(PING, PONG, *[READ, REPLY] * 5)
-    bus.monitor.reset_statistics(bus.now)
-    report = bus.report()
-    assert report.counters['Packets'] == 0
-    assert report.devices[0].totals.answers == 0
-    assert report.devices[0].model_name == 'MX-64'
-    assert report.devices[0].state == 'connected'
-    bus.hear(READ, REPLY)
-    assert bus.report().counters['Packets'] == 2
-
-
 def test_no_counter_is_below_zero_after_a_reset():
     bus = Bus()
     bus.hear(PING, PONG, PONG, READ, REPLY, *[encode(7, STATUS, error=0)] * 3, encode(1, 0x8B),
@@ -315,14 +242,6 @@ def test_a_report_is_not_touched_by_what_comes_later():
     before = repr(report)
     bus.hear(READ, encode(1, STATUS, b'\x01\x02\x03\x04', error=0), READ, READ)
     assert repr(report) == before
-
-
-def test_a_bus_names_its_lost_devices():
-    bus = Bus(Expected(1, 'MX-64', 'knee'), *(Expected(number) for number in range(2, 9)))
-    bus.hear(encode(200, STATUS, error=0))
-    report = bus.report()
-    assert report.level is Level.WARN
-    assert report.message.endswith('; lost: 001 knee, 002, 003, 004, 005 and 3 more')
 
 
 # --- what once raised ---------------------------------------------------------------------------
