@@ -24,6 +24,7 @@ from dxl_monitor.model.layers import model_key
 from dxl_monitor.model.models import BUILT_IN
 from dxl_monitor.model.models import check_models
 from dxl_monitor.model.models import Models
+from rigs.tables import rows_of
 
 SOURCE = Path(__file__).parents[2] / 'shared' / 'data' / 'dxl_models'
 DOCS = Path(__file__).parents[1] / 'docs' / 'models.md'
@@ -218,46 +219,16 @@ def test_a_file_that_goes_wrong_later_counts_as_unknown(tmp_path):
     assert 'fields is 3' in models.problems[0]
 
 
-@pytest.mark.parametrize(('old', 'new', 'words'), [
-    ('type: u16', 'type: u12', "device.yaml: Model Number: type is 'u12'"),
-    ('type: u16', 'typ: u16', "device.yaml: Model Number: unknown key 'typ'"),
-    ('at: 0', 'at: zero', "device.yaml: Model Number: at is 'zero'"),
-    ('at: 0', 'at: 010', "device.yaml: Model Number: at is '010'"),
-    ('at: 0', 'at: 65535', 'device.yaml: Model Number: at is 65535'),
-    ('at: 0', 'at: 1', 'device.yaml: Mode: at 2 it overlaps Model Number'),
-    ('at: 0, ', '', 'device.yaml: Model Number: no at'),
-    ('name: Model Number', 'name: Mode', 'device.yaml: Mode: name given twice, at 0 and 2'),
-    ('name: Model Number, ', '', 'device.yaml: field at 0: no name'),
-    ('{0: off, 1: on}', '{0: off, 0: on}', "device.yaml: line 4: not YAML: key '0' twice"),
-    ('{0: off, 1: on}', '{0: true}', 'device.yaml: Mode: word of 0 is True; put it in quotes'),
-    ('{0: off, 1: on}', 'onoff', "device.yaml: Mode: there are no words named 'onoff'"),
-    ('{0: off, 1: on}', '{a-b: x}', "device.yaml: Mode: code 'a-b'"),
-    ('enum: {0: off, 1: on}', 'flags: {9: hot}', 'device.yaml: Mode: bit is 9'),
-    ('enum: {0: off, 1: on}', 'flags: {1: [a, b, c]}', 'device.yaml: Mode: 3 words for bit 1'),
-    ('enum: {0: off, 1: on}', "flags: {1: a, '0-2': [b]}", 'device.yaml: Mode: bit 0-2 twice'),
-    ('enum: {0: off, 1: on}', 'scale: 0', 'device.yaml: Mode: scale is 0'),
-    ('enum: {0: off, 1: on}', 'scale: fast', "device.yaml: Mode: scale is 'fast'"),
-    ('enum: {0: off, 1: on}', 'access: x', "device.yaml: Mode: access is 'x'"),
-    ('enum: {0: off, 1: on}', 'repeat: 3', 'device.yaml: Mode: repeat without {n}'),
-    ('enum: {0: off, 1: on}', 'sign_bit: 8', 'device.yaml: Mode: sign_bit is 8'),
-    ('enum: {0: off, 1: on}', 'by: Gear, cases: {0: {unit: s}}', "Mode: by 'Gear': no such field"),
-    ('fields:', 'include: nothing\nfields:', 'device.yaml: include: no file nothing.yaml'),
-    ('fields:', 'include: device\nfields:', 'device.yaml: include: includes itself'),
-    ('fields:', 'without: [Torque]\nfields:', 'device.yaml: Torque: no included file'),
-    ('fields:', 'aliases: {Old: New}\nfields:', "device.yaml: Old: alias of 'New': no such"),
-    ('fields:', 'torque_constants: {1: 2.0}\nfields:', 'torque_constants: 1 is not in model_num'),
-    ('fields:', 'indirect: [{address: 9}]\nfields:', 'device.yaml: indirect: count is missing'),
-    ('fields:', 'firmware: [{fields: []}]\nfields:', 'device.yaml: firmware: up_to is missing'),
-    ('fields:', 'speed: 3\nfields:', "device.yaml: unknown key 'speed'"),
-    ('fields:', 'fields: [\n', 'device.yaml: line 4: not YAML'),
-    ('4660: Gripper', '70000: Gripper', 'device.yaml: number in model_numbers is 70000'),
-    ('model_numbers: {4660: Gripper}\n', '', 'device.yaml: no model_numbers'),
-])
-def test_a_mistake_is_named_with_file_field_and_reason(tmp_path, old, new, words):
-    assert old in GOOD
-    folder = write(tmp_path, GOOD.replace(old, new, 1))
+MISTAKES = rows_of(Path(__file__).with_name('model_mistakes.tsv'))
+
+
+@pytest.mark.parametrize(('good', 'wrong', 'said'), MISTAKES)
+def test_a_mistake_is_named_with_file_field_and_reason(tmp_path, good, wrong, said):
+    good, wrong = (one.replace('\\n', '\n') for one in (good, wrong))
+    assert good in GOOD
+    folder = write(tmp_path, GOOD.replace(good, wrong, 1))
     problems = check_models(folder)
-    assert words in problems[0]
+    assert said in problems[0]
     assert '; ' in problems[0]
     assert '\n' not in problems[0]
     with pytest.raises(ModelError) as caught:
