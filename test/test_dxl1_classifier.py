@@ -331,29 +331,6 @@ def test_noise_of_all_kinds_makes_no_device():
     assert bus.report().counters['Packets'] == packets_of_2_0(bus)
 
 
-BEHEADED = encode(1, 0, b'\0\x08')[1:]
-
-
-@pytest.mark.parametrize(('noise', 'count'), [
-    (BEHEADED, 1), (BEHEADED * 2, 2), (encode(1, 0)[1:], 1), (b'\0\1' + BEHEADED + b'\0', 1),
-    (BEHEADED[:-1], 0), (BEHEADED[:-1] + b'\0', 0), (encode(9, 0, b'\0\x08')[1:], 0),
-])
-def test_answers_that_lack_their_first_byte_are_counted(noise, count):
-    bus = Bus('feetech', Expected(9))
-    for answer in (encode(1, 0, b'\0\x08'), noise, encode(1, 0, b'\0\x08')):
-        bus.ask(encode(1, 2, b'\x38\2'), answer)
-    assert {number: device.totals.beheaded for number, device in bus.devices().items()} \
-        == {1: count, 9: 0}
-
-
-def test_an_answer_that_lacks_its_first_byte_is_counted_once():
-    bus = Bus('feetech', Expected(1))
-    for count in range(1, 6):
-        for answer in (encode(1, 0, b'\0\x08'), BEHEADED, encode(1, 0, b'\0\x08')):
-            bus.ask(encode(1, 2, b'\x38\2'), answer)
-        assert bus.devices()[1].totals.beheaded == count
-
-
 # ---- both on one wire ---------------------------------------------------------------------------
 
 READ_2, REPLY_2 = encode_2(11, 2, b'\x84\0\4\0'), encode_2(11, STATUS, b'\0\x08\0\0', 0)
