@@ -28,6 +28,7 @@ from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.model.models import Models
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.reports import Level
+from msg_defs.reports import Metric
 from msg_defs.timing import Summary
 
 MODELS = Models()
@@ -41,6 +42,11 @@ OF_THE_BUS = {'wrong_baud', 'overrun', 'noise', 'stray_bytes', 'echo', 'not_sent
 
 def summary(p50, p95=0.0, count=5):
     return Summary(count, p50, 0.0, p50, p95, p50, p95 or p50, p95 or p50)
+
+
+def blurred(ms):
+    """Return what is said of the time between two chunks."""
+    return (Metric('time_between_buffers', 'ms', summary(ms)),)
 
 
 def seen(device, registers, source='r', age_s=0.5):
@@ -143,6 +149,8 @@ def cases_of(file):
 
 def _parts(raw):
     """Return the parts of a case as they are in Python."""
+    if 'blurred' in raw:
+        raw['metrics'] = blurred(raw.pop('blurred'))
     return {key.removesuffix('_ago_ns'): NOW - value if key.endswith('_ago_ns')
             else _READ.get(key, lambda value: value)(value) for key, value in raw.items()}
 
@@ -160,8 +168,14 @@ def _notes(what, times=1, device=1, every_ms=300.0, ago_s=0.0, **detail):
     return note(KINDS[what], DETAILS[frozenset(detail)](**detail), times, device, every_ms, ago_s)
 
 
-def _cycle(ids, ago_ns=(0,), **parts):
-    return asks(I[parts.pop('asks')], *ids, stamps=[NOW - ago for ago in ago_ns], **parts)
+def _cycles(ids=(), ago_ns=(0,), every_ms=0, times=1, ago_ms=0.0, apart=0.0, of=7, **parts):
+    if apart:
+        return [one for number in range(1, of + 1) for one in _cycles(
+            [number], every_ms=every_ms or 200, times=5, ago_ms=apart * number, asks='READ',
+            **parts)]
+    if every_ms:
+        ago_ns = [round((ago_ms + every_ms * n) * MS) for n in reversed(range(times))]
+    return [asks(I[parts.pop('asks')], *ids, stamps=[NOW - ago for ago in ago_ns], **parts)]
 
 
 def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False):
@@ -176,7 +190,8 @@ _READ = {
     'covers': tuple, 'scanned': tuple, 'chain': tuple, 'level': Level.__getitem__,
     'devices': lambda rows: [_device(**row) for row in rows],
     'notes': lambda rows: [one for row in rows for one in _notes(**row)],
-    'cycles': lambda rows: tuple(_cycle(**row) for row in rows),
+    'cycles': lambda rows: tuple(one for row in rows for one in _cycles(**row)),
+    'noise': bytes.fromhex,
     'waits': lambda rows: tuple(one for row in rows for one in _waits(**row)),
     'samples': lambda of: {number: [_sample(*row) for row in rows]
                            for number, rows in of.items()},

@@ -4,6 +4,7 @@
 
 
 from doctor_case import asks
+from doctor_case import blurred
 from doctor_case import case
 from doctor_case import cases_of
 from doctor_case import COUNTERS
@@ -13,8 +14,6 @@ from doctor_case import note
 from doctor_case import NOW
 from doctor_case import RULE
 from doctor_case import S
-from doctor_case import speaks_from_its_edge_on
-from doctor_case import summary
 from doctor_case import told
 import pytest
 
@@ -44,7 +43,6 @@ from dxl_monitor.doctor.two_timers import PeriodicTimer
 from dxl_monitor.port.driver import LineErrors
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
-from msg_defs.reports import Metric
 from msg_defs.uart import heard_at
 
 
@@ -56,11 +54,6 @@ def damaged(count):
     return note(ev.DAMAGED_STATUS, ev.Front(0x55, 8), count)
 
 
-def blurred(ms):
-    """Return what is told of the time between two chunks."""
-    return (Metric('time_between_buffers', 'ms', summary(ms)),)
-
-
 def every(gaps_ms, number=1, code=I.READ):
     """Return an instruction that came at these distances, the last time just now."""
     stamps = [NOW]
@@ -70,87 +63,18 @@ def every(gaps_ms, number=1, code=I.READ):
 
 
 ANSWERS = {'totals': {'answers': 9, 'reads': 600}, 'window': {'answers': 9}}
-# One answer to a read of 4 bytes is 0.15 ms on the wire at 1 MBd.
-def apart(gap_ms, size=4):
-    """Return seven reads so far from each other, five times in a second."""
-    return tuple(asks(I.READ, number, size=size, stamps=[
-        NOW - n * 200 * MS - number * round(gap_ms * MS) for n in reversed(range(5))])
-        for number in range(1, 8))
-
-
-SIXTEEN = apart(16)
-ELEVEN = [NOW - n * 16 * MS for n in reversed(range(11))]
-HANDFUL = asks(I.WRITE, 1, stamps=[NOW - n * 20 * MS - MS for n in range(30)])
-UNPACED = asks(I.READ, 2, stamps=[NOW - n * 100 * MS - 10 * MS for n in range(30)])
 
 READ_OF_3 = encode(3, I.READ, b'\x84\0\4\0')
 CUT_IN = bytes(len(READ_OF_3) - 6) + READ_OF_3[-6:]            # a question that ran into an answer
-# As many gaps within a second as 16 ms each leave room for, most of them such.
-FULL = [NOW - sum(([16 * MS] * 42 + [11 * MS] * 28)[:n]) for n in reversed(range(71))]
-
-ENOUGH = [
-    ('impatient_master', {'devices': [device(1), device(2, acks=False)], 'cycles': (
-        HANDFUL._replace(stamps=tuple(UNPACED.stamps[n] - 2 * MS for n in range(3))), UNPACED),
-        'waits': tuple(Wait(UNPACED.stamps[n] + 500_000, 500, 2, True) for n in range(3))},
-     'the master does not wait for the acknowledgement of a write: its next instruction ran into '
-     'it 3 times in 10 s; let it wait, or use Sync '
-     'Write', {'instructions into an acknowledgement': '3'},
-     [{'devices': [device(1, acks=True), device(2)]},
-      {'cycles': (HANDFUL._replace(stamps=tuple(
-          UNPACED.stamps[n] + 2 * MS + 1 for n in range(3))), UNPACED)},
-      {'waits': tuple(Wait(UNPACED.stamps[n] + 500_000, 500, 2, True) for n in range(2))},
-      {'cycles': (HANDFUL._replace(stamps=tuple(
-          UNPACED.stamps[n] - 2 * MS - 1 for n in range(3))), UNPACED)},
-      {'cycles': (HANDFUL._replace(stamps=tuple(
-          UNPACED.stamps[n] - MS for n in range(4))), UNPACED)}]),
-    ('impatient_master', {'devices': [device(1), device(2, acks=False)], 'cycles': (
-        HANDFUL._replace(stamps=tuple(UNPACED.stamps[n] + at for n, at in enumerate(
-            (-MS, MS, 2 * MS)))), UNPACED),
-        'waits': tuple(Wait(UNPACED.stamps[n] + 500_000, 500, 2, True) for n in range(3))},
-     'the master does not wait for the acknowledgement of a write: its next instruction ran into '
-     'it 3 times in 10 s; let it wait, or use Sync '
-     'Write', {'instructions into an acknowledgement': '3'},
-     []),
-    ('impatient_master', {'cycles': (asks(I.READ, 3),), 'noise': CUT_IN, 'notes': [
-        *note(ev.TOO_LONG, ev.Sizes(1, 2), 1), *damaged(1),
-        *note(ev.REPEATED, ev.Again(I.READ, 1679), 3), *note(ev.REPEATED, ev.Again(1, 9), 1)]},
-     'the master repeats Read at once, 3 times in 10 s: its time-out is shorter than the answers '
-     'take; raise it', {'repeated': '3'},
-     [{'noise': b''}, {'notes': [*note(ev.TOO_LONG, ev.Sizes(1, 2), 1), *damaged(1),
-                                 *note(ev.REPEATED, ev.Again(I.READ, 1680), 3)]},
-      {'notes': [*damaged(1), *note(ev.REPEATED, ev.Again(I.READ, 1679), 3)]}]),
-    ('latency_timer', {'cycles': (asks(I.READ, 1, stamps=FULL[::2]),
-                                  asks(I.READ, 2, stamps=FULL[1::2]))},
-     "most instructions come 16 ms after the previous answer: the latency timer of the master's "
-     'adapter; set it to 1 ms', {'16 ms later': '42 of 70'}, []),
-    ('latency_timer', {'cycles': apart(16.016), 'metrics': blurred(4.1)},
-     "most instructions come 16 ms after the previous answer: the latency timer of the master's "
-     'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
-     [{'cycles': apart(16.015999)}, {'cycles': apart(15.985)}]),
-    ('latency_timer', {'cycles': (asks(I.READ, 1, stamps=ELEVEN[::2]),
-                                  asks(I.READ, 2, stamps=ELEVEN[1::2]))},
-     "most instructions come 16 ms after the previous answer: the latency timer of the master's "
-     'adapter; set it to 1 ms', {'16 ms later': '10 of 10'},
-     [{'cycles': (asks(I.READ, 1, stamps=ELEVEN[2::2]),
-                  asks(I.READ, 2, stamps=ELEVEN[1::2]))}]),
-    ('latency_timer', {'cycles': apart(19, 289)},      # an answer takes 3 ms
-     "most instructions come 16 ms after the previous answer: the latency timer of the master's "
-     'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
-     [{'cycles': apart(19)}, {'cycles': apart(17.999, 289)[:1]}, {'cycles': apart(21.6, 289)}]),
-    ('latency_timer', {'cycles': SIXTEEN},
-     "most instructions come 16 ms after the previous answer: the latency timer of the master's "
-     'adapter; set it to 1 ms', {'16 ms later': '30 of 34'},
-     [{'cycles': (*SIXTEEN, HANDFUL._replace(instruction=I.READ))}, {'metrics': blurred(4.1)},
-      {'cycles': (asks(I.READ, 1, stamps=FULL[::2]), asks(I.READ, 2, stamps=FULL[1::2]),
-                  asks(I.READ, 3, stamps=(NOW - S + 1,)))},
-      {'cycles': SIXTEEN[:1]}, {'cycles': tuple(one._replace(stamps=tuple(
-          NOW - (NOW - stamp) * 14 // 16 for stamp in one.stamps)) for one in SIXTEEN)}]),
-]
 
 
-@pytest.mark.parametrize('row', ENOUGH, ids=[row[0] for row in ENOUGH])
-def test_a_rule_speaks_from_its_edge_on(row):
-    speaks_from_its_edge_on(*row)
+def test_as_many_gaps_as_there_is_room_for_are_the_latency_timer():
+    """As many gaps within a second as 16 ms each leave room for, most of them such."""
+    full = [NOW - sum(([16 * MS] * 42 + [11 * MS] * 28)[:n]) for n in reversed(range(71))]
+    cycles = asks(I.READ, 1, stamps=full[::2]), asks(I.READ, 2, stamps=full[1::2])
+    [claim] = told('latency_timer', cycles=cycles)
+    assert claim.evidence == (('16 ms later', '42 of 70'),)
+    assert told('latency_timer', cycles=(*cycles, asks(I.READ, 3, stamps=(NOW - S + 1,)))) == []
 
 
 # --- what it cannot tell ---------------------------------------------------------------------
