@@ -162,9 +162,9 @@ def _device(id=0, spoken=0, silent=0, **parts):
     return device(id or spoken or silent, **{**usual, **parts})
 
 
-def _notes(what, times=1, device=1, every_ms=300.0, ago_s=0.0, **detail):
-    if 'instruction' in detail:
-        detail['instruction'] = I[detail['instruction']]
+def notes_of(what, times=1, device=1, every_ms=300.0, ago_s=0.0, **detail):
+    if isinstance(code := detail.get('instruction'), str):
+        detail['instruction'] = I[code]
     return note(KINDS[what], DETAILS[frozenset(detail)](**detail), times, device, every_ms, ago_s)
 
 
@@ -189,7 +189,7 @@ def _sample(ago_s, goal=None, position=None, tick=None, voltage=None):
 _READ = {
     'covers': tuple, 'scanned': tuple, 'chain': tuple, 'level': Level.__getitem__,
     'devices': lambda rows: [_device(**row) for row in rows],
-    'notes': lambda rows: [one for row in rows for one in _notes(**row)],
+    'notes': lambda rows: [one for row in rows for one in notes_of(**row)],
     'cycles': lambda rows: tuple(one for row in rows for one in _cycles(**row)),
     'noise': bytes.fromhex,
     'waits': lambda rows: tuple(one for row in rows for one in _waits(**row)),

@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rooms of the bus at their edges: limits on both sides, words of the log, bounds."""
 
+from pathlib import Path
 
+from doctor_case import notes_of
 import pytest
+import yaml
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.decoder import BusDecoder
@@ -24,7 +27,6 @@ from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.reply_policy import OpenQuestion
 from dxl_monitor.bus.reply_policy import ReplyPolicy
 from dxl_monitor.bus.report import Counts
-from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.table import NO_SPAN
 from dxl_monitor.bus.table import READ
@@ -62,37 +64,19 @@ def test_what_a_bus_is_taken_for_where_nothing_is_said():
 
 # --- the log ---------------------------------------------------------------------------------
 
-TEXTS = [
-    (ev.DAMAGED_STATUS, ev.Front(0x55, 8), 'status with a wrong CRC'),
-    (ev.DAMAGED_INSTRUCTION, ev.Front(2, 7), 'Read with a wrong CRC'),
-    (ev.BAD_LENGTH, ev.Length(2), 'packet with Length 2'),
-    (ev.CUT, ev.Front(2, 7), 'Read that ends before its Length of 7'),
-    (ev.MISSED, ev.Unanswered(2, 0), 'no answer to Read at 0'),
-    (ev.MISSED, ev.Unanswered(1, -1), 'no answer to Ping'),
-    (ev.DISCONNECTED, ev.Much(5), 'disconnected: 5 answers missed'),
-    (ev.REFUSED, ev.Refusal(3, 116, 7), 'Write at 116 refused: Access'),
-    (ev.ALERT, ev.NOTHING, 'alert'),
-    (ev.SECOND_ANSWER, ev.Code(2), 'second answer to one Read'),
-    (ev.UNASKED, ev.NOTHING, 'answer that was not asked for'),
-    (ev.LATE, ev.Lateness(300), 'answer 300 us too late'),
-    (ev.WRONG_SIZE, ev.Sizes(2, 4), 'answer of 2 bytes to a read of 4'),
-    (ev.FAST_CUT, ev.Sizes(1, 3), 'fast reply ends after 1 of 3 devices'),
-    (ev.UNKNOWN_INSTRUCTION, ev.Code(0x77), 'unknown instruction 0x77'),
-    (ev.MALFORMED, ev.Front(2, 3), 'Read that makes no sense (3 bytes)'),
-    (ev.BAD_ID, ev.Written(255), 'packet with ID 255'),
-    (ev.FOREIGN, ev.Code(2), 'Read of another master'),
-    (ev.NOT_SENT, ev.Code(2), 'Read that did not leave the adapter'),
-    (ev.SOURCE_LOST, ev.Much(9), '9 events or bytes that were not heard'),
-    (ev.REBOOTED, ev.NOTHING, ''),                 # no error
-]
+INCIDENTS = yaml.safe_load(
+    Path(__file__).with_name('incidents.yaml').read_text(encoding='utf-8'))
 
 
-@pytest.mark.parametrize(('kind', 'detail', 'text'), TEXTS, ids=[text for *_, text in TEXTS])
-def test_what_happened_in_words(kind, detail, text):
-    assert text_of(Incident(1, kind, 0, detail)) == text
+@pytest.mark.parametrize('row', INCIDENTS, ids=lambda row: row['what'])
+def test_what_happened_in_words(row):
+    row = {**row}
+    text = row.pop('text')
+    [incident] = notes_of(**row)
+    assert text_of(incident) == text
     evidence = Evidence()
-    evidence.note(1, kind, 0, detail)
-    evidence.note(2, kind, -1, detail)
+    evidence.note(1, incident.kind, 0, incident.detail)
+    evidence.note(2, incident.kind, -1, incident.detail)
     lines = [one.text for one in evidence.errors(lambda device, address: str(address))]
     assert lines == [f'000: {text}', text] * bool(text)
 

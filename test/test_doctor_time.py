@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The doctor's rules about time and what they are made of: edges, words, what is remembered."""
 
+from pathlib import Path
 
 from doctor_case import asks
 from doctor_case import blurred
@@ -16,6 +17,7 @@ from doctor_case import RULE
 from doctor_case import S
 from doctor_case import told
 import pytest
+import yaml
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import report as words
@@ -44,6 +46,7 @@ from dxl_monitor.port.driver import LineErrors
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.uart import heard_at
+from rigs.tables import rows_of
 
 
 def waits(count, us, ago_s=0.0, spoilt=False):
@@ -114,22 +117,12 @@ def test_a_time_is_spelt_in_steps():
         == ['more than 1 s', *(longer_than(step) for step in list(STEPS)[:-1])]
 
 
-@pytest.mark.parametrize(('spell', 'of', 'expected'), [
-    (share, (1, 3), '33 %'), (share, (995, 10000), '10 %'), (share, (994, 10000), '9.9 %'),
-    (share, (1, 0), '0.0 %'), (share, (104, 1000), '10 %'),
-    (about, (2, 1000), 'less than 0.2 %'), (about, (21, 10000), 'about 0.2 %'),
-    (about, (3, 100), 'about 2 %'), (about, (1, 1), 'about 100 %'), (about, (0, 0), 'less than '
-                                                                     '0.2 %'),
-    *((about, (step, 100), f'about {step} %') for step in (0.5, 1, 2, 5, 10, 20, 50)),
-    *((about, (step, 100), f'about {near} %') for step, near in (
-        (0.71, 1), (0.7, 0.5), (1.42, 2), (1.41, 1), (7.08, 10), (7.07, 5), (14.2, 20),
-        (14.1, 10), (31.7, 50), (31.6, 20), (70.8, 100), (70.7, 50))),
-    (listed, (range(1, 7),), '001, 002, 003, 004, 005, 006'),
-    (listed, (range(1, 8),), '001, 002, 003, 004, 005, 006 and 1 more'),
-    (listed, ([12, 3, 4], 2), '012, 003 and 1 more'),
-])
+@pytest.mark.parametrize(('spell', 'of', 'expected'), rows_of(
+    Path(__file__).with_name('doctor_figures.tsv')))
 def test_shares_and_ids_are_spelt_in_steps(spell, of, expected):
-    assert spell(*of) == expected
+    figures = [yaml.safe_load(f'[{one}]' if spell == 'listed' and not at else one)
+               for at, one in enumerate(of.split())]
+    assert {'share': share, 'about': about, 'listed': listed}[spell](*figures) == expected
 
 
 # --- rhythms and collisions ------------------------------------------------------------------

@@ -3,6 +3,7 @@
 """The registers of a device of unknown model: over all models, and on a bus."""
 
 from collections import Counter
+from pathlib import Path
 
 from heard_bus import Bus
 from heard_bus import PONG
@@ -13,6 +14,7 @@ from dxl_monitor.model.models import Models
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
+from rigs.tables import rows_of
 
 ALL = layout.Layouts(Models())
 SERVOS = ALL.servos()
@@ -68,21 +70,12 @@ def test_no_register_is_named_wrongly(left_out, least):
 
 
 
-@pytest.mark.parametrize(('protocol', 'used', 'name', 'position'), [
-    ('2', [(116, 4), (126, 10)], 'the X series', 'Present Position (rad)'),
-    ('2', [(126, 10), (144, 3)], 'unknown', ''),                  # neither torque nor goal
-    ('2', [(116, 4), (132, 4)], 'the X series', 'Present Position (rad)'),
-    ('2', [(562, 1), (596, 4), (611, 4)], 'unknown', ''),         # a PRO: only a board fits
-    ('1', [(24, 1), (30, 2), (36, 2)], 'several series', 'Present Position'),  # AX, MX: two scales
-    ('feetech', [(40, 1), (42, 2), (56, 2)], 'several series', ''),   # both orders
-    ('feetech', [(42, 2), (56, 2), layout.LITTLE], 'several series', 'Present Position (rad)'),
-    ('feetech', [(42, 2), (56, 2), layout.BIG], 'the SCS series', 'Present Position'),
-    ('feetech', [(42, 2), (56, 2), layout.LITTLE, layout.BIG], 'several series', ''),
-    ('feetech', [(40, 1), (42, 2), (56, 2), (55, 1)], 'several series', 'Present Position (rad)'),
-    ('feetech', [(40, 1), (42, 2), (56, 2), (48, 1)], 'the SCS series', 'Present Position'),
-])
+@pytest.mark.parametrize(('protocol', 'used', 'name', 'position'), rows_of(
+    Path(__file__).with_name('layouts.tsv')))
 def test_a_use_says_which_registers_those_are(protocol, used, name, position):
-    found = ALL.of(protocol, frozenset(used))
+    orders = {'little': layout.LITTLE, 'big': layout.BIG}
+    found = ALL.of(protocol, frozenset(
+        orders.get(one) or tuple(map(int, one.split('+'))) for one in used.split()))
     said = found.by_name.get('Present Position')
     assert (found.name, said.key if said else '') == (name, position)
 
