@@ -12,13 +12,14 @@ from rigs.tables import rows_of
 
 
 def packets_in(framer, chunk, stamp=0):
-    """Return the packets that this chunk completes."""
-    return [packet_of(one, stamp) for one in filter(is_good, framer.frames(chunk))]
+    """Return the packets that this chunk completes; None: the line is idle."""
+    found = framer.flush_frames() if chunk is None else framer.frames(chunk)
+    return [packet_of(one, stamp) for one in filter(is_good, found)]
 
 
 def packets_left(framer, stamp=0):
     """Return the packets that are found when the line is idle."""
-    return [packet_of(one, stamp) for one in filter(is_good, framer.flush_frames())]
+    return packets_in(framer, None, stamp)
 
 
 class Packet1(NamedTuple):
@@ -35,6 +36,22 @@ def packets_1_in(framer, chunk):
     found = framer.flush_frames() if chunk is None else framer.frames(chunk)
     return [Packet1(begin, number, code, params)
             for begin, _, _, number, code, params, _ in filter(is_good, found)]
+
+
+def fed(framer, chunk_in, longest, data, sizes=()):
+    """Feed in chunks of these sizes, the rest at once; then flush. Checks the byte accounting."""
+    found = []
+    at = 0
+    for size in [*sizes, len(data)]:
+        found += chunk_in(framer, data[at:at + size])
+        at += size
+        assert framer.bytes == framer.packet_bytes + framer.noise_bytes + framer.pending
+        assert framer.pending < longest
+    found += chunk_in(framer, None)
+    assert framer.pending == 0
+    assert framer.bytes == framer.packet_bytes + framer.noise_bytes == len(data)
+    assert framer.packets == len(found)
+    return found, framer
 
 
 def instructions_of(protocol):

@@ -4,6 +4,7 @@
 
 
 from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
+from packets import fed
 from packets import packets_1_in
 import pytest
 import scservo_sdk
@@ -36,21 +37,8 @@ REPLY = encode(1, 0, b'\x18\x05')
 BAD_REPLY = REPLY[:-1] + bytes([REPLY[-1] ^ 1])
 
 
-def feed(data, sizes=None):
-    """Feed in chunks of these sizes, the rest at once; then flush. Checks the byte accounting."""
-    framer = Dxl1Framer()
-    found = []
-    at = 0
-    for size in [*(sizes or []), len(data)]:
-        found += packets_1_in(framer, data[at:at + size])
-        at += size
-        assert framer.bytes == framer.packet_bytes + framer.noise_bytes + framer.pending
-        assert framer.pending < MAX_FRAME
-    found += packets_1_in(framer, None)
-    assert framer.pending == 0
-    assert framer.bytes == framer.packet_bytes + framer.noise_bytes == len(data)
-    assert framer.packets == len(found)
-    return found, framer
+def feed(data, sizes=()):
+    return fed(Dxl1Framer(), packets_1_in, MAX_FRAME, data, sizes)
 
 
 def summary(framer):

@@ -8,6 +8,7 @@ import random
 
 from hypothesis import given
 from hypothesis import strategies as st
+from packets import fed
 from packets import packets_in
 from packets import packets_left
 import pytest
@@ -41,21 +42,8 @@ def vectors():
     return json.loads(VECTORS.read_text())['vectors']
 
 
-def feed(data, sizes=None):
-    """Feed in chunks of these sizes, the rest at once; then flush. Checks the byte accounting."""
-    framer = Framer()
-    found = []
-    at = 0
-    for size in [*(sizes or []), len(data)]:
-        found += packets_in(framer, data[at:at + size], 0)
-        at += size
-        assert framer.bytes == framer.packet_bytes + framer.noise_bytes + framer.pending
-        assert framer.pending < MAX_FRAME
-    found += packets_left(framer)
-    assert framer.pending == 0
-    assert framer.bytes == framer.packet_bytes + framer.noise_bytes == len(data)
-    assert framer.packets == len(found)
-    return found, framer
+def feed(data, sizes=()):
+    return fed(Framer(), packets_in, MAX_FRAME, data, sizes)
 
 
 def summary(framer):

@@ -71,7 +71,8 @@ def known(bus, key):
     if isinstance(found, Level):
         return found.name
     if isinstance(found, tuple):
-        return [one.text if key == 'errors' else one.field.name for one in found]
+        return [one.text if key == 'errors' else one.rule if key == 'findings' else one.field.name
+                for one in found]
     return found
 
 
