@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from tracked_bus import Bus
 from tracked_bus import BYTE_NS
-from tracked_bus import FILLED
 from tracked_bus import GOAL
 from tracked_bus import notes
 from tracked_bus import ping
@@ -131,22 +130,6 @@ def test_a_latency_that_few_answers_tell_is_not_told(together, is_told):
 
 
 # --- any bytes ---
-
-
-@pytest.mark.parametrize('packet', [
-    encode(1, 0x8B, b'\x01\x02'), encode(253, I.READ, words(0, 2)), encode(255, I.PING),
-    encode(1, I.READ, b''), encode(1, I.WRITE, b'\x01'), encode(BROADCAST, I.SYNC_READ, b''),
-    encode(BROADCAST, I.SYNC_WRITE, words(1, 0) + b'\x01'), encode(1, I.CLEAR),
-    encode(1, I.STATUS + 1),
-    encode(BROADCAST, I.FAST_BULK_READ, b'\xff' + words(0, 4)),
-    encode(BROADCAST, I.FACTORY_RESET, b'\xff'), encode(BROADCAST, I.BULK_WRITE, b'\x01\x02'),
-])
-def test_odd_instructions_are_counted_and_nothing_else(packet):
-    bus = Bus()
-    bus.hear(*FILLED)
-    bus.hear(packet, reply(1, b'zzzz'), read(1), reply(1, b'qqqq'))
-    assert bus.known(1, POSITION) == b'qqqq'
-    assert set(bus.registry.devices) == {1}
 
 
 def test_the_robot_trace_in_any_chunks():
