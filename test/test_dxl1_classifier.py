@@ -82,6 +82,9 @@ def packets(text):
     what, *words = text.split()
     if what == 'cycle':
         return cycle()
+    if what == 'turn':
+        return [packet for one in (1, 2, 3) for packet in (
+            encode(one, 2, b'\x38\2'), encode(one, 0, b'\0\x08'))]
     if what == '2.0':
         return [READ_2 if words == ['read'] else REPLY_2]
     if what == 'hex':
@@ -111,9 +114,10 @@ def hear(bus, entry):
 def known(bus, key):
     what, *numbers = key.split()
     report = bus.report()
-    if key in ('dialect', 'protocol', 'devices', 'findings'):
+    if key in ('dialect', 'protocol', 'devices', 'findings', 'rules'):
         return {'dialect': dialect(bus), 'protocol': report.protocol,
                 'findings': [one.message for one in report.findings],
+                'rules': {one.rule: one.device or 'bus' for one in report.findings},
                 'devices': [one.id for one in report.devices]}[key]
     if not key[-1].isdigit():
         return report.counters.get(key, report.kinds.get(key, 0))
