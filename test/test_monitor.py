@@ -30,6 +30,7 @@ from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import Change
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
@@ -45,6 +46,9 @@ def damaged(packet):
 HEARD = yaml.safe_load(Path(__file__).with_name('monitor.yaml').read_text(encoding='utf-8'))
 
 
+LISTED = {'errors': 'text', 'findings': 'rule', 'incidents': 'kind', 'doubts': 'message'}
+
+
 def hear(bus, entry):
     what, *words = entry.split()
     if what == 'wait':
@@ -53,6 +57,12 @@ def hear(bus, entry):
         bus.every_ms = float(words[0])
     elif what == 'reset':
         bus.monitor.reset_statistics(bus.now)
+    elif what == 'change':
+        bus.wait(bus.every_ms / 1000)
+        bus.monitor.change(Change(words[0], int(words[1])), bus.now)
+    elif what in (IN, OUT):
+        bus.wait(bus.every_ms / 1000)
+        bus.monitor.feed(*packets(' '.join(words)), bus.now, what)
     else:
         bus.hear(*packets(entry))
 
@@ -71,8 +81,7 @@ def known(bus, key):
     if isinstance(found, Level):
         return found.name
     if isinstance(found, tuple):
-        return [one.text if key == 'errors' else one.rule if key == 'findings' else one.field.name
-                for one in found]
+        return [getattr(one, LISTED[key]) if key in LISTED else one.field.name for one in found]
     return found
 
 
@@ -84,7 +93,7 @@ def test_what_is_heard_and_reported(name):
             for entry in step:
                 hear(bus, entry)
         elif 'listed' in step:
-            bus = Bus(*parse_all(step['listed']))
+            bus = Bus(*parse_all(step['listed']), baud=step.get('baud', 2_000_000))
         else:
             assert {key: known(bus, key) for key in step} == step
 

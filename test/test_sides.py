@@ -7,7 +7,6 @@ from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
 
-from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
@@ -22,10 +21,8 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import BAUD
 from msg_defs.event import Change
-from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.event import LATENCY_TIMER
-from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
 from msg_defs.event import OVERRUN
@@ -75,87 +72,6 @@ def test_every_byte_is_in_one_counter_of_its_side(chunks, gap_ms):
         assert framer.bytes == sum(len(data) for one, data in chunks if one == side)
         assert framer.packet_bytes + framer.noise_bytes + framer.pending == framer.bytes
     bus.report(stamp + S)
-
-
-def play(*events, gap=MS):
-    """Return the report of a bus that hears these (side, bytes) or changes, each a ms later."""
-    bus = monitor()
-    stamp = S
-    for event in events:
-        if isinstance(event, Change):
-            bus.change(event, stamp)
-        else:
-            bus.feed(event[1], stamp, event[0])
-        stamp += gap
-    bus.flush_if_idle(stamp + 2 * S)
-    return bus.report(stamp + 2 * S)
-
-
-def test_damage_on_the_way_back_leaves_the_next_answers_certain():
-    noise = bytes(range(1, 40))
-    for side, answers in ((IN, 2), (UNKNOWN, 2)):
-        report = play((OUT if side else side, PING_1), (side, noise + PONG_1),
-                      (OUT if side else side, READ_1), (side, noise), (side, ANSWER_1))
-        assert report.devices[0].totals.answers == answers
-        observed = {one.field.name for one in report.devices[0].observed}
-        assert ('Present Position' in observed) == (side == IN)
-
-
-def test_echo_is_told_from_a_repetition():
-    report = play((OUT, READ_1), (IN, READ_1 + ANSWER_1), (OUT, READ_1), (IN, READ_1 + ANSWER_1))
-    assert report.kinds[ev.ECHO] == 2
-    assert ev.REPEATED not in report.kinds
-    assert report.devices[0].totals.missed == 0
-    assert report.counters['Instructions'] == 2
-
-
-def test_instruction_of_another_master():
-    report = play((OUT, PING_1), (IN, PONG_1), (IN, READ_1), (IN, ANSWER_1))
-    assert report.kinds[ev.FOREIGN] == 1
-    assert report.counters['Instructions'] == 2
-    assert report.devices[0].totals.answers == 2
-
-
-def test_instruction_that_never_left_is_no_missed_answer():
-    assert play((OUT, READ_1), (OUT, PING_1), (IN, PONG_1)).devices[0].totals.missed == 1
-    report = play((OUT, READ_1), Change(NOT_SENT, 14), (OUT, PING_1), (IN, PONG_1))
-    assert report.devices[0].totals.missed == 0
-    assert report.kinds[ev.NOT_SENT] == 1
-
-
-def test_what_the_source_lost_is_no_missed_answer():
-    report = play((OUT, READ_1), (IN, ANSWER_1[:6]), Change(LOST, 3), (OUT, PING_1), (IN, PONG_1))
-    assert report.devices[0].totals.missed == 0
-    assert report.kinds[ev.SOURCE_LOST] == 1
-    assert 'events or bytes that were not heard' in report.errors[0].text
-
-
-def test_closed_port_is_no_missed_answer():
-    report = play((OUT, READ_1), Change(CLOSED, 1), (OUT, PING_1), (IN, PONG_1))
-    assert report.devices[0].totals.missed == 0
-    assert report.errors == ()
-
-
-def test_late_answer_is_known_for_certain():
-    report = play((OUT, READ_1), (OUT, PING_1), (IN, ANSWER_1 + PONG_1), gap=30 * MS)
-    assert report.devices[0].totals.missed == 1
-    assert report.devices[0].totals.answers >= 1
-
-
-def test_answer_that_stops_on_its_way_is_decided_before_the_next_instruction():
-    report = play((OUT, READ_1), (IN, ANSWER_1[:9]), (OUT, PING_1), (IN, PONG_1), gap=40 * MS)
-    order = [one.kind for one in report.incidents]
-    assert order.index(ev.CUT) < order.index(ev.MISSED)
-    totals = report.devices[0].totals
-    assert (totals.damaged, totals.spoilt, totals.answers) == (1, 1, 1)
-
-
-def test_answer_that_comes_in_two_pieces_around_an_instruction_is_late_and_not_cut():
-    report = play((OUT, READ_1), (IN, ANSWER_1[:9]), (OUT, PING_1), (IN, ANSWER_1[9:]),
-                  (IN, PONG_1))
-    assert report.devices[0].totals.damaged == 0
-    assert ev.LATE in report.kinds
-    assert ev.CUT not in report.kinds
 
 
 def test_rate_is_learned_and_begins_a_new_wire():
@@ -229,10 +145,3 @@ def test_instructions_that_never_left_are_named():
     assert (found.rule, found.device) == ('not_sent', None)
     assert found.message.startswith('15 instructions never left the adapter: ')
     assert found.evidence == (('instructions', '15'), ('to', '001'))
-
-
-def test_the_doctor_says_what_it_cannot_tell_where_the_source_lost_something():
-    report = play(*(5 * ((OUT, READ_1), Change(LOST, 7))))
-    assert 'lost data looks like silence' in ' '.join(
-        one.message for one in report.doubts)
-    assert report.findings == ()
