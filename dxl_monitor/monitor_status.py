@@ -9,6 +9,7 @@ every tool keeps one entry per device. Units stand in the key, bare numbers in t
 """
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 import json
 from typing import NamedTuple
@@ -21,8 +22,8 @@ from msg_defs.reports import hardware_id
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import number
-from msg_defs.reports import numbers
 from msg_defs.reports import Pairs
+from msg_defs.reports import pairs
 from msg_defs.reports import PORT_CLOSED
 from msg_defs.reports import PORT_OPEN
 from msg_defs.reports import Status
@@ -50,16 +51,18 @@ def device_status(node: str, bus: str, device: DeviceReport, findings: tuple[Fin
     level, message = device.level, device.message
     if not is_listening and level is not Level.ERROR:
         level, message = Level.STALE, 'not listening: the port of its bus is closed'
-    values = [
-        (keys.MODEL, device.model_name),
-        (keys.FIRMWARE, 'unknown' if device.firmware is None else str(device.firmware)),
-        (keys.STATE, device.state),
-        *((key, str(count)) for key, count in device.totals.published()),
-        ('Missed in a Row', str(device.missed_in_a_row)),
-        (keys.LOSS, number(round(100 * device.window.loss, 2))),
-        *_latency(device),
-        *_findings(one for one in findings if one.device == device.id),
-    ]
+    window = device.latency.window
+    values = pairs({
+        keys.MODEL: device.model_name,
+        keys.FIRMWARE: 'unknown' if device.firmware is None else device.firmware,
+        keys.STATE: device.state,
+        **device.totals.published(),
+        'Missed in a Row': device.missed_in_a_row,
+        keys.LOSS: round(100 * device.window.loss, 2),
+        keys.LATENCY_P50: window and window.p50,       # only where the chunks resolve it
+        'Reply latency p95 (ms)': window and window.p95,
+        'Reply latency resolved (%)': round(100 * device.latency.resolved, 1),
+    }) + _findings(one for one in findings if one.device == device.id)
     if with_table:
         values += _table(device)
     return Status(status_name(node, bus, device.name), level, message,
@@ -75,30 +78,28 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
     if port.warning:
         both = (port.warning, message) if level is Level.OK else (message, port.warning)
         level, message = worst([level, Level.WARN]), '; '.join(filter(None, both))
-    by_state: dict[str, int] = {}
-    for device in report.devices:
-        by_state[device.state] = by_state.get(device.state, 0) + 1
-    values = [
-        (keys.PORT, port.port),
-        (keys.STATE, PORT_CLOSED if port.problem else PORT_OPEN),
-        ('Baud (bit/s)', str(report.baud or 'not known yet')),
-        ('Protocol', report.protocol or 'not known yet'),
-        ('Devices', str(len(report.devices))),
-        *((f'Devices {state}', str(count)) for state, count in sorted(by_state.items())),
-        *_models(report.devices),
-        *((name, str(count)) for name, count in report.counters.items()),
-        *numbers((f'{name} (1/s)', rate) for name, rate in report.rates.items()),
-        *port.values,
-        *_findings(one for one in report.findings if one.device is None),
-        *_doubts(report.doubts),
-    ]
+    by_state = Counter(device.state for device in report.devices)
+    values = pairs({
+        keys.PORT: port.port,
+        keys.STATE: PORT_CLOSED if port.problem else PORT_OPEN,
+        'Baud (bit/s)': report.baud or 'not known yet',
+        'Protocol': report.protocol or 'not known yet',
+        'Devices': len(report.devices),
+        **{f'Devices {state}': count for state, count in sorted(by_state.items())},
+        'Models': _models(report.devices) or None,
+        **report.counters,
+        **{f'{name} (1/s)': rate for name, rate in report.rates.items()},
+    })
+    values += port.values
+    values += _findings(one for one in report.findings if one.device is None)
+    values += _doubts(report.doubts)
     if with_log:
         values += _running(report) + _errors(report)
     return Status(status_name(node, f'bus {bus}'.strip()), level, message,
                   hardware_id(node, bus or port.port), values)
 
 
-def _models(devices: Iterable[DeviceReport]) -> Pairs:
+def _models(devices: Iterable[DeviceReport]) -> str:
     """Spell who is on the bus: IDs, model and model number, '001-018 MX-106 (321), 019 ...'."""
     spans: list[tuple[int, int, str]] = []
     for device in devices:
@@ -109,19 +110,8 @@ def _models(devices: Iterable[DeviceReport]) -> Pairs:
             spans[-1] = (spans[-1][0], device.id, name)
         else:
             spans.append((device.id, device.id, name))
-    text = ', '.join((f'{first:03} ' if first == last else f'{first:03}-{last:03} ') + name
+    return ', '.join((f'{first:03} ' if first == last else f'{first:03}-{last:03} ') + name
                      for first, last, name in spans)
-    return [('Models', text)] if text else []
-
-
-def _latency(device: DeviceReport) -> Pairs:
-    """Spell the reply latency; a figure only where the chunks resolve it."""
-    window = device.latency.window
-    return numbers([
-        (keys.LATENCY_P50, window and window.p50),
-        ('Reply latency p95 (ms)', window and window.p95),
-        ('Reply latency resolved (%)', round(100 * device.latency.resolved, 1)),
-    ])
 
 
 def _findings(findings: Iterable[Finding]) -> Pairs:

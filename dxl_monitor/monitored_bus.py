@@ -26,6 +26,7 @@ from mecarover_serial.inspection import Inspection
 from msg_defs.event import Change
 from msg_defs.event import UNKNOWN
 from msg_defs.reports import Pairs
+from msg_defs.reports import pairs
 
 BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s late at most
 PATIENCE_NS = 2_500_000_000     # longer is not a freeze: its reader hangs; a dashboard waits 4 s
@@ -82,23 +83,20 @@ class MonitoredBus:
     def port_state(self, warnings: Sequence[str] = ()) -> PortState:
         """Return what the driver and the thread know about the port; `warnings` are the node's."""
         counters, state = self.listener.counters, self.listener.state
-        values = [
-            ('Bytes read', str(counters.bytes)),
-            ('Reads', str(counters.reads)),
-            ('Openings', str(counters.openings)),
-            ('Largest gap between reads (ms)', f'{1e3 * counters.largest_gap_s:.1f}'),
-            ('Low latency mode', str(self.listener.low_latency).lower()),
-        ]
-        if state.is_open:
-            values.append(('Read by', 'a process of its own' if self.listener.reader_pid
-                           else 'a thread of the node'))
-            values += self._adapter(counters.openings)
-        if self.listener.latency_timer_ms is not None:
-            values.append(('Latency timer (ms)', str(self.listener.latency_timer_ms)))
-        values += self._recorders.values()
-        if counters.line_errors is not None:
-            values += [(f'Driver: {name}', str(count))
-                       for name, count in counters.line_errors._asdict().items()]
+        errors = counters.line_errors._asdict() if counters.line_errors is not None else {}
+        values = pairs({
+            'Bytes read': counters.bytes,
+            'Reads': counters.reads,
+            'Openings': counters.openings,
+            'Largest gap between reads (ms)': f'{1e3 * counters.largest_gap_s:.1f}',
+            'Low latency mode': self.listener.low_latency,
+            'Read by': None if not state.is_open else 'a process of its own'
+            if self.listener.reader_pid else 'a thread of the node',
+            **dict(self._adapter(counters.openings) if state.is_open else ()),
+            'Latency timer (ms)': self.listener.latency_timer_ms,
+            **dict(self._recorders.values()),
+            **{f'Driver: {name}': count for name, count in errors.items()},
+        })
         warning = self._recorders.problem or '; '.join(
             [*self.listener.problems(), *self._complaints()])
         if state.is_open and self._behind_since:

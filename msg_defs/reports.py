@@ -9,6 +9,7 @@ both carry the namespace of the node, because all robots share the topic /diagno
 """
 
 from collections.abc import Iterable
+from collections.abc import Mapping
 from collections.abc import Sequence
 from enum import IntEnum
 from math import floor
@@ -94,10 +95,17 @@ def number(value: float) -> str:
     return text.rstrip('0').rstrip('.') if '.' in text else text
 
 
-def numbers(pairs: Iterable[tuple[str, float | None]]) -> Pairs:
-    """Spell the values of key-value pairs; what is None, NaN or infinite is left out."""
-    return [(key, number(value)) for key, value in pairs
-            if value is not None and isfinite(value)]
+def pairs(values: Mapping[str, str | float | None]) -> Pairs:
+    """Spell values: numbers, true or false, text; what is None, NaN or infinite is left out."""
+    found = []
+    for key, value in values.items():
+        if isinstance(value, bool):
+            value = str(value).lower()
+        if isinstance(value, str):
+            found.append((key, value))
+        elif value is not None and isfinite(value):
+            found.append((key, number(value)))
+    return found
 
 
 def status_name(node: str, *parts: str) -> str:
@@ -165,7 +173,7 @@ def headline(metric: Metric) -> float | None:
 
 def metric_status(node: str, metric: Metric) -> Status:
     """Return the status of one metric: '<node>: timing/[<bus>/][<device>/]<name>'."""
-    values = numbers([(f'value ({metric.unit})', metric.value)])
+    values = pairs({f'value ({metric.unit})': metric.value})
     values += _figures('', metric.unit, metric.window)
     values += _figures('since start ', metric.unit, metric.total)
     values += metric.notes
@@ -176,16 +184,16 @@ def metric_status(node: str, metric: Metric) -> Status:
 def _figures(prefix: str, unit: str, summary: Summary | None) -> Pairs:
     if summary is None:
         return []
-    return numbers([
-        (f'{prefix}mean ({unit})', summary.mean),
-        (f'{prefix}deviation ({unit})', summary.deviation),
-        (f'{prefix}min ({unit})', summary.minimum),
-        (f'{prefix}max ({unit})', summary.maximum),
-        (f'{prefix}p50 ({unit})', summary.p50),
-        (f'{prefix}p95 ({unit})', summary.p95),
-        (f'{prefix}p99 ({unit})', summary.p99),
-        (f'{prefix}count', summary.count),
-    ])
+    return pairs({
+        f'{prefix}mean ({unit})': summary.mean,
+        f'{prefix}deviation ({unit})': summary.deviation,
+        f'{prefix}min ({unit})': summary.minimum,
+        f'{prefix}max ({unit})': summary.maximum,
+        f'{prefix}p50 ({unit})': summary.p50,
+        f'{prefix}p95 ({unit})': summary.p95,
+        f'{prefix}p99 ({unit})': summary.p99,
+        f'{prefix}count': summary.count,
+    })
 
 
 def _headline_text(metric: Metric) -> str:

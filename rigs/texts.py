@@ -41,8 +41,8 @@ def place(value):
 
 
 def python_texts(node):
-    """Yield the strings of a module, f-strings as one: no docstrings, keys only of figures."""
-    if isinstance(node, ast.Call) and ast.unparse(node.func) == 'Claim':
+    """Yield the strings of a module, f-strings as one: no docstrings, keys only if shown."""
+    if isinstance(node, ast.Call) and ast.unparse(node.func) in ('Claim', 'pairs'):
         for one in ast.walk(node):
             for key in filter(None, one.keys if isinstance(one, ast.Dict) else ()):
                 yield from python_texts(key)

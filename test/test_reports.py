@@ -13,7 +13,7 @@ from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
 from msg_defs.reports import number
-from msg_defs.reports import numbers
+from msg_defs.reports import pairs
 from msg_defs.reports import status_name
 from msg_defs.reports import topic_names
 from msg_defs.reports import unit_name
@@ -35,9 +35,9 @@ def test_numbers_are_bare_and_short(value, text):
     assert number(value) == text
 
 
-def test_what_is_no_number_is_left_out():
-    pairs = [('a', 1.5), ('b', nan), ('c', None), ('d', inf), ('e', -inf), ('f', 0)]
-    assert numbers(pairs) == [('a', '1.5'), ('f', '0')]
+def test_what_is_no_value_is_left_out():
+    values = {'a': 1.5, 'b': nan, 'c': None, 'd': inf, 'e': -inf, 'f': 0, 'g': False, 'h': ''}
+    assert pairs(values) == [('a', '1.5'), ('f', '0'), ('g', 'false'), ('h', '')]
 
 
 def test_worst_level_ranks_silence_between_warning_and_error():

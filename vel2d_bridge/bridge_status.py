@@ -16,6 +16,7 @@ from msg_defs import status_keys as keys
 from msg_defs.reports import hardware_id
 from msg_defs.reports import Level
 from msg_defs.reports import number
+from msg_defs.reports import pairs
 from msg_defs.reports import PORT_CLOSED
 from msg_defs.reports import PORT_OPEN
 from msg_defs.reports import Status
@@ -94,29 +95,29 @@ def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str],
     elif complaints:
         level, message = Level.WARN, _first(complaints)
     velocity = state.last.velocity if state.last else STOP
-    return Status(status_name(node, 'link'), level, message, hardware_id(node, port), [
-        (keys.PORT, port),
-        (keys.STATE, PORT_OPEN if state.is_open else PORT_CLOSED),
-        ('In this state for (s)', number(round((now - state.since) / 1e9, 1))),
-        ('Frames sent', str(state.frames)),
-        ('Last x (m/s)', number(velocity.x)),
-        ('Last y (m/s)', number(velocity.y)),
-        ('Last omega (rad/s)', number(velocity.omega)),
-        ('Openings', str(state.openings)),
-        ('Reopenings', str(max(0, state.openings - 1))),
-        ('Losses', str(state.losses)),
-        ('Write time-outs', str(state.time_outs)),
-        ('Partial writes', str(state.partial_writes)),
-        ('Freezes', str(state.freezes)),
-        ('Deadman', state.deadman),
-        ('Bytes from MCU', str(mcu.bytes)),
-        ('Lines from MCU', str(mcu.lines)),
-        ('Garbage from MCU (B)', str(mcu.garbage_bytes)),
-        *((f'Refused by MCU: {words}', str(count)) for words, count in mcu.refused.items()),
-        ('Last error', state.last_error or 'none'),
-        *mcu.report_values(now),
-        *_numbered(complaints),
-    ])
+    return Status(status_name(node, 'link'), level, message, hardware_id(node, port), pairs({
+        keys.PORT: port,
+        keys.STATE: PORT_OPEN if state.is_open else PORT_CLOSED,
+        'In this state for (s)': round((now - state.since) / 1e9, 1),
+        'Frames sent': state.frames,
+        'Last x (m/s)': velocity.x,
+        'Last y (m/s)': velocity.y,
+        'Last omega (rad/s)': velocity.omega,
+        'Openings': state.openings,
+        'Reopenings': max(0, state.openings - 1),
+        'Losses': state.losses,
+        'Write time-outs': state.time_outs,
+        'Partial writes': state.partial_writes,
+        'Freezes': state.freezes,
+        'Deadman': state.deadman,
+        'Bytes from MCU': mcu.bytes,
+        'Lines from MCU': mcu.lines,
+        'Garbage from MCU (B)': mcu.garbage_bytes,
+        **{f'Refused by MCU: {words}': count for words, count in mcu.refused.items()},
+        'Last error': state.last_error or 'none',
+        **mcu.report_values(now),
+        **_numbered(complaints),
+    }))
 
 
 def commands_status(node: str, port: str, state: LinkState, counters: Counters,
@@ -128,23 +129,23 @@ def commands_status(node: str, port: str, state: LinkState, counters: Counters,
         level = Level.ERROR
     message = _first(complaints) if complaints else _state_word(state)
     name = status_name(node, 'commands')
-    return Status(name, level, message, hardware_id(node, port), [
-        (keys.TOPIC, commands.topic),
-        (keys.MESSAGE_TYPE, commands.choice.message_type),
-        ('Reliability', 'reliable' if commands.choice.reliable else 'best effort'),
-        (keys.STATE, _state_word(state)),
-        ('Enabled', str(state.enabled).lower()),
-        (keys.COMMANDS_RECEIVED, str(counters.received)),
-        ('Commands accepted', str(counters.accepted)),
-        ('Commands limited', str(counters.limited)),
-        ('Commands replaced', str(counters.replaced)),
-        ('Zero stamps', str(commands.zero_stamps)),
-        *((f'Refused: {verdict.value}', str(counters.refused[verdict]))
-          for verdict in Outcome if verdict is not Outcome.ACCEPTED),
-        ('Time-outs', str(counters.time_outs)),
-        *((f'Stops: {why.value}', str(count)) for why, count in counters.stops.items()),
-        *_numbered(complaints),
-    ])
+    return Status(name, level, message, hardware_id(node, port), pairs({
+        keys.TOPIC: commands.topic,
+        keys.MESSAGE_TYPE: commands.choice.message_type,
+        'Reliability': 'reliable' if commands.choice.reliable else 'best effort',
+        keys.STATE: _state_word(state),
+        'Enabled': state.enabled,
+        keys.COMMANDS_RECEIVED: counters.received,
+        'Commands accepted': counters.accepted,
+        'Commands limited': counters.limited,
+        'Commands replaced': counters.replaced,
+        'Zero stamps': commands.zero_stamps,
+        **{f'Refused: {verdict.value}': counters.refused[verdict]
+           for verdict in Outcome if verdict is not Outcome.ACCEPTED},
+        'Time-outs': counters.time_outs,
+        **{f'Stops: {why.value}': count for why, count in counters.stops.items()},
+        **_numbered(complaints),
+    }))
 
 
 def _complaints(node: str, state: LinkState, commands: Commands) -> list[str]:
@@ -198,5 +199,5 @@ def _first(complaints: Sequence[str]) -> str:
     return complaints[0] + (f' (and {more} more)' if more else '')
 
 
-def _numbered(complaints: Sequence[str]) -> list[tuple[str, str]]:
-    return [(f'Complaint {number}', line) for number, line in enumerate(complaints, start=1)]
+def _numbered(complaints: Sequence[str]) -> dict[str, str]:
+    return {f'Complaint {number}': line for number, line in enumerate(complaints, start=1)}

@@ -131,15 +131,15 @@ class McuLog:
         return ['the watchdog of the MCU stopped the rover, because no good frame came; check '
                 'cable and ground, and that resend_rate is 10 or more']
 
-    def report_values(self, now: int) -> list[tuple[str, str]]:
+    def report_values(self, now: int) -> dict[str, str | float]:
         """Return what the MCU reports, as keys and values of a status; nothing if it does not."""
         report = self._report
         if report is None:
-            return []
+            return {}
         figures = zip(_KEYS, map(str, report[1:]), strict=True)
-        return [('MCU version', str(report.version)),
-                *(figures if report.version == VERSION else ()),
-                ('MCU report age (s)', str(round((now - self._reported_at) / _SECOND, 1)))]
+        return {'MCU version': report.version,
+                **dict(figures if report.version == VERSION else ()),
+                'MCU report age (s)': f'{(now - self._reported_at) / _SECOND:.1f}'}
 
     def garbage(self, now: int) -> str:
         """Return a complaint about new garbage, '' when there is none or it was just said."""

@@ -139,9 +139,9 @@ class Counts:
         """Return what was counted after `past`, an earlier copy."""
         return Counts(*map(sub, _values(self), _values(past)))
 
-    def published(self) -> list[tuple[str, int]]:
-        """Return the counters that a status shows: (key, count)."""
-        return [(key, getattr(self, name)) for name, key in _KEYS]
+    def published(self) -> dict[str, int]:
+        """Return the counters that a status shows, by key."""
+        return {key: getattr(self, name) for name, key in _KEYS}
 
 
 # All counters in order, by one call: twice as fast as one by one.

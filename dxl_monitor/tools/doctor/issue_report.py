@@ -92,7 +92,8 @@ def _figures(bus: BusSummary) -> list[str]:
     lines = [f'{bus.report.name}: {bus.report.baud} baud; '
              + ', '.join(f'{name} {count}' for name, count in counted.items() if count)]
     for device in bus.report.devices:
-        totals = ', '.join(f'{name} {count}' for name, count in device.totals.published() if count)
+        totals = ', '.join(f'{name} {count}' for name, count in device.totals.published().items()
+                           if count)
         firmware = '' if device.firmware is None else f', firmware {device.firmware}'
         lines.append(f'  {printable(device.name)} {device.model_name}{firmware}, {device.state}: '
                      f'{totals}')
