@@ -31,7 +31,6 @@ from test_tap import ROOT
 from test_tap import tap
 
 from dxl_monitor.port import strace
-from dxl_monitor.port import tap_sender as sent
 from dxl_monitor.port.strace_parser import OPENED
 from dxl_monitor.port.strace_parser import StraceParser
 from dxl_monitor.port.tap_reader import TapReader
@@ -213,9 +212,9 @@ def test_every_byte_of_a_program(kind, request):
         assert 'is heard through strace' in done.stderr
         told = listen(reader, lambda told: not reader.programs and closed(1)(told))
         told += reader.rest()
-        assert heard(told, sent.OUT, path) == far.got != b''
-        assert heard(told, sent.IN, path) == far.sent
-        rates = [one.value for one in told if one.kind == sent.BAUD]
+        assert heard(told, OUT, path) == far.got != b''
+        assert heard(told, IN, path) == far.sent
+        rates = [one.value for one in told if one.kind == BAUD]
         assert list(dict.fromkeys(rates)) == {'C': [1000000, 57600], 'shell': [57600],
                                        'Python': [1000000]}[kind]
 

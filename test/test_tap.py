@@ -26,23 +26,23 @@ from dxl_monitor.port.tap_listener import TapListener
 from dxl_monitor.port.tap_reader import PORTS_LIMIT
 from dxl_monitor.port.tap_reader import TapReader
 from dxl_monitor.port.tap_reader import TapRecord
-from dxl_monitor.port.tap_sender import BAUD
-from dxl_monitor.port.tap_sender import CLOSED
 from dxl_monitor.port.tap_sender import folder
-from dxl_monitor.port.tap_sender import GAVE_UP
-from dxl_monitor.port.tap_sender import IN
-from dxl_monitor.port.tap_sender import LOST
-from dxl_monitor.port.tap_sender import NOT_SENT
 from dxl_monitor.port.tap_sender import OPENED
-from dxl_monitor.port.tap_sender import OUT
-from dxl_monitor.port.tap_sender import PURGED
 from dxl_monitor.port.tap_sender import record
-from dxl_monitor.port.tap_sender import UNREAD
 from dxl_monitor.tools.start_program import environment
 from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import BAUD
+from msg_defs.event import CLOSED
+from msg_defs.event import GAVE_UP
+from msg_defs.event import IN
+from msg_defs.event import LOST
+from msg_defs.event import NOT_SENT
+from msg_defs.event import OUT
+from msg_defs.event import PURGED
+from msg_defs.event import UNREAD
 
 pytestmark = pytest.mark.alone
 ROOT = Path(__file__).parents[1]
@@ -403,7 +403,7 @@ def test_queue_is_bounded_and_what_is_lost_is_told():
         sender = next(one for one in sys.meta_path if hasattr(one, '_sender'))._sender
         port = serial.serial_for_url('loop://')
         sender._send = lambda: None
-        for _ in range(30_000): sender.put(4, 1, b'x')
+        for _ in range(30_000): sender.put('in', 1, b'x')
         assert len(sender.queue) <= 20_000
         del sender._send
         import time
@@ -504,7 +504,7 @@ def test_runs_where_only_the_standard_library_of_windows_is(tmp_path):
         with TapReader('robot') as reader:
             print('ready', flush=True)
             told = []
-            while not any(one.kind == 2 for one in told): told += reader.wait(0.1)
+            while not any(one.kind == 'closed' for one in told): told += reader.wait(0.1)
             print([(one.port, one.kind, one.data, one.value) for one in told])
     """)
     with subprocess.Popen([sys.executable, '-c', reading], cwd=ROOT, text=True,
@@ -516,7 +516,8 @@ def test_runs_where_only_the_standard_library_of_windows_is(tmp_path):
                                 **os.environ, 'MECAROVER_TAP': 'robot',
                                 'PYTHONPATH': str(tmp_path / 'elsewhere')})
             assert reader.stdout.readline() == (
-                "[('COM7', 1, b'', 0), ('COM7', 5, b'', 1000000), ('COM7', 3, b'hello', 0), "
-                "('COM7', 4, b'hel', 0), ('COM7', 2, b'', 0)]\n")
+                "[('COM7', 'opened', b'', 0), ('COM7', 'baud', b'', 1000000), "
+                "('COM7', 'out', b'hello', 0), ('COM7', 'in', b'hel', 0), "
+                "('COM7', 'closed', b'', 0)]\n")
         finally:
             reader.kill()

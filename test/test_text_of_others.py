@@ -213,8 +213,8 @@ def test_a_topic():
 
 def test_the_name_of_a_port_of_a_tapped_program():
     name = EVIL.encode()
-    records = b''.join(tap_sender.HEAD.pack(kind, 1, 0, len(data)) + data for kind, data in (
-        (tap_sender.OPENED, name), (tap_sender.OUT, b'x')))
+    records = b''.join(tap_sender.record(kind, 1, 0, data) for kind, data in (
+        ('opened', name), ('out', b'x')))
     assert all(is_safe(one.port) for one in _Connection(None, '').records(records))
 
 

@@ -182,6 +182,7 @@ class CdcAcm(Adapter):
     _NOTICE = b'\xa1\x20'
     _HEAD_SIZE, _STATE_SIZE = 8, 2
     _ERRORS = ((0x04, BREAK), (0x10, FRAMING), (0x20, PARITY), (0x40, OVERRUN))
+    _rest = b''                # begin of a notice that is longer than a packet
 
     @classmethod
     def matches(cls, identity: UsbIdentity) -> bool:
@@ -190,10 +191,6 @@ class CdcAcm(Adapter):
     @classmethod
     def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
         return setup.kind == _CLASS_OUT and setup.request == 0x20 and len(data) == 7
-
-    def __init__(self, packet_size: int = 64, is_multi: bool = False) -> None:
-        super().__init__(packet_size, is_multi)
-        self._rest = b''           # begin of a notice that is longer than a packet
 
     def control(self, setup: Setup, data: bytes) -> Changes:
         if setup.kind != _CLASS_OUT:
@@ -257,6 +254,8 @@ class Cp210x(Adapter):
 
     name = 'CP210x'
     _SIZES = (2, 4, 3, 3)          # bytes of each message after ESC
+    _escape = b''
+    _rest = b''                # begin of an escape that is not all here
 
     @classmethod
     def matches(cls, identity: UsbIdentity) -> bool:
@@ -265,11 +264,6 @@ class Cp210x(Adapter):
     @classmethod
     def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
         return setup[:2] == (_VENDOR_INTERFACE_OUT, 0x1E) and len(data) == 4
-
-    def __init__(self, packet_size: int = 64, is_multi: bool = False) -> None:
-        super().__init__(packet_size, is_multi)
-        self._escape = b''
-        self._rest = b''           # begin of an escape that is not all here
 
     def control(self, setup: Setup, data: bytes) -> Changes:
         kind, request, value, _ = setup

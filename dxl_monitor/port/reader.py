@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 import errno
-import importlib.util
 from math import ceil
 import os
 import select
@@ -139,7 +138,9 @@ class _Process:
             self._write(READY, time.monotonic_ns())
             if usb:
                 device, idle, *endpoints = map(int, usb)
-                self._ring = _usb_ring().Ring(self._port, device, frozenset(endpoints), idle)
+                sys.path.append(os.path.join(os.path.dirname(__file__), '../..'))
+                from dxl_monitor.port.usb_ring import Ring  # python -I does not find it
+                self._ring = Ring(self._port, device, frozenset(endpoints), idle)
             self._loop.run()
         except BrokenPipeError:         # the node has gone
             return
@@ -181,17 +182,6 @@ class _Process:
         record = HEAD.pack(kind, stamp, self._loop.largest_gap, len(data)) + data
         while record:
             record = record[os.write(self._pipe, record):]
-
-
-def _usb_ring() -> Any:
-    """Return a module of this folder, which is not on the path."""
-    spec = importlib.util.spec_from_file_location(
-        'usb_ring', os.path.join(os.path.dirname(os.path.abspath(__file__)), 'usb_ring.py'))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def main(arguments: list[str]) -> None:

@@ -19,6 +19,7 @@ import re
 import termios
 from typing import NamedTuple
 
+from dxl_monitor.port.tap_sender import OPENED
 from msg_defs.event import BAUD
 from msg_defs.event import CLOSED
 from msg_defs.event import DTR
@@ -30,7 +31,6 @@ from msg_defs.event import PURGED
 from msg_defs.event import RTS
 from msg_defs.event import TRACED
 
-OPENED = 'opened'
 PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
 AT_ONCE_NS = 200_000               # between two calls: strace, not the program
 TRACED_NS = 500_000                # strace took so long: worth an event
@@ -78,6 +78,9 @@ class PortEvent(NamedTuple):
     value: int = 0
 
 
+PortEvents = Iterator[PortEvent]
+
+
 class StraceParser:
     """Takes the output of one strace; `process_of` returns the process of a thread."""
 
@@ -97,7 +100,7 @@ class StraceParser:
         self._rest = b''
         self._now = 0
 
-    def feed(self, data: bytes, ahead: int) -> Iterator[PortEvent]:
+    def feed(self, data: bytes, ahead: int) -> PortEvents:
         """Take output; ahead: the monotonic clock less the wall clock (ns), used at first."""
         *lines, self._rest = (self._rest + data).split(b'\n')
         for line in lines:
@@ -109,7 +112,7 @@ class StraceParser:
                 else max(1, second * 10**9 + part + ahead)
             yield from self._take(thread, found[6])
 
-    def _take(self, thread: int, text: bytes) -> Iterator[PortEvent]:
+    def _take(self, thread: int, text: bytes) -> PortEvents:
         is_resumed = text.startswith(b'<... ')
         if is_resumed:
             begin = self._unfinished.pop(thread, b'')
@@ -128,7 +131,7 @@ class StraceParser:
         yield from self._call(found, thread, end - took, end)
 
     def _call(self, found: re.Match[bytes], thread: int, begin: int,
-              end: int) -> Iterator[PortEvent]:
+              end: int) -> PortEvents:
         name, arguments, result = found[1].decode(), found[2], int(found[3])
         gap = begin - self._ended.get(thread, 0)
         self._ended[thread] = end
@@ -175,27 +178,27 @@ class StraceParser:
         arrived = ready if result and begin - ready <= AT_ONCE_NS else end
         return arrived - int(self._short / 2)
 
-    def _write(self, port: str, stamp: int, held: float) -> Iterator[PortEvent]:
+    def _write(self, port: str, stamp: int, held: float) -> PortEvents:
         """Say what the program did before a write: looked for bytes in vain, waited for strace."""
         yield from self._vain(port, stamp)
         self._traced[port] = self._traced.get(port, 0) + int(held)
         if self._traced[port] >= TRACED_NS:
             yield PortEvent(stamp, port, TRACED, value=self._traced.pop(port) // 1000)
 
-    def _vain(self, port: str, stamp: int) -> Iterator[PortEvent]:
+    def _vain(self, port: str, stamp: int) -> PortEvents:
         looked, result = self._looked.pop(port, (0, 1))
         if not result:
             yield PortEvent(stamp, port, GAVE_UP, value=max(0, stamp - looked) // 1000)
 
     def _transfer(self, port: str, side: str, arguments: bytes, size: int,
-                  stamp: int) -> Iterator[PortEvent]:
+                  stamp: int) -> PortEvents:
         data = b''.join(map(_bytes, _STRING.findall(arguments)))[:size]
         if data:
             yield PortEvent(stamp, port, side, data)
         if len(data) < size:
             yield PortEvent(stamp, port, LOST, value=size - len(data))
 
-    def _ioctl(self, port: str, arguments: bytes, stamp: int) -> Iterator[PortEvent]:
+    def _ioctl(self, port: str, arguments: bytes, stamp: int) -> PortEvents:
         _, text, argument = arguments.split(b', ', 2)
         request = int(text, 0)
         if request in _SETTINGS:
@@ -219,12 +222,12 @@ class StraceParser:
                 if value is not None:
                     yield PortEvent(stamp, port, what, value=value)
 
-    def _rate(self, port: str, stamp: int) -> Iterator[PortEvent]:
+    def _rate(self, port: str, stamp: int) -> PortEvents:
         """Say the rate that a port has by now."""
         if port in self._rates:
             yield PortEvent(stamp, port, BAUD, value=self._rates.pop(port))
 
-    def _hold(self, port: str, thread: int, descriptor: int, stamp: int) -> Iterator[PortEvent]:
+    def _hold(self, port: str, thread: int, descriptor: int, stamp: int) -> PortEvents:
         """Take note that a thread's process has a port open."""
         if not PORT.fullmatch(port):
             return
@@ -233,14 +236,14 @@ class StraceParser:
             yield PortEvent(stamp, port, OPENED)
         holders.add((self._process(thread), descriptor))
 
-    def _release(self, port: str, gone: set[tuple[int, int]], stamp: int) -> Iterator[PortEvent]:
+    def _release(self, port: str, gone: set[tuple[int, int]], stamp: int) -> PortEvents:
         holders = self._holders.get(port, set())
         if holders and not holders - gone:
             yield from self._vain(port, stamp)
             yield PortEvent(stamp, port, CLOSED)
         holders -= gone
 
-    def _end(self, thread: int) -> Iterator[PortEvent]:
+    def _end(self, thread: int) -> PortEvents:
         """Take note of the end of a thread; with the first of a process its ports are closed."""
         self._unfinished.pop(thread, None)
         self._ended.pop(thread, None)

@@ -15,21 +15,18 @@ from pathlib import Path
 import sys
 import time
 
-from dxl_monitor.port import tap_sender as sent
-from dxl_monitor.port.strace_parser import OPENED
 from dxl_monitor.port.strace_parser import PortEvent
 from dxl_monitor.port.strace_parser import StraceParser
+from dxl_monitor.port.tap_sender import OPENED
+from dxl_monitor.port.tap_sender import Sender
 from msg_defs import event
 
 _READ_SIZE = 1 << 16
-_KINDS = {event.OUT: sent.OUT, event.IN: sent.IN, event.PURGED: sent.PURGED,
-          event.LOST: sent.LOST, event.DTR: sent.DTR, event.RTS: sent.RTS,
-          event.GAVE_UP: sent.GAVE_UP, event.TRACED: sent.TRACED}
 
 
 class _Relay:
     def __init__(self, name: str) -> None:
-        self._sender = sent.Sender(name)
+        self._sender = Sender(name)
         self._numbers: dict[str, int] = {}
         self._rates: dict[str, int] = {}       # by port, also while it is closed
 
@@ -50,9 +47,9 @@ class _Relay:
             self._rates[port] = value
             self._sender.rate(self._numbers[port], value, stamp)
         elif what in (event.OUT, event.IN):
-            self._sender.put(_KINDS[what], self._numbers[port], data, stamp)
+            self._sender.put(what, self._numbers[port], data, stamp)
         else:
-            self._sender.number(_KINDS[what], self._numbers[port], value, stamp)
+            self._sender.number(what, self._numbers[port], value, stamp)
 
 
 def process_of(thread: int) -> int:

@@ -17,9 +17,6 @@ import sys
 import time
 from typing import Any
 
-# Kinds of records, as in tap_sender.py, which is not importable by name here.
-OUT, IN, PURGED, NOT_SENT, UNREAD, ENDED, GAVE_UP = 3, 4, 6, 7, 9, 10, 13
-
 _PORT = '_mecarover_tap_port'                  # attribute of an open Serial: its number
 _PLAIN = (bytes, bytearray, memoryview, list, tuple)
 _MODULES = ('serial.serialposix', 'serial.serialwin32', 'serial.serialcli')
@@ -37,7 +34,7 @@ def _wrap_read(sender: Any, original: _Method) -> _Method:
         data = original(self, *args, **kwargs)
         try:
             if data:
-                put(IN, getattr(self, _PORT), bytes(data))
+                put('in', getattr(self, _PORT), bytes(data))
             is_short = not data or (self._timeout and len(data) < (args[0] if args else 1))
             self.__dict__[_VAIN] = now() if is_short else 0
         except Exception:
@@ -62,7 +59,7 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
             whole = bytes(data)
             port = getattr(self, _PORT)
             size = len(whole)
-            put(OUT, port, whole)
+            put('out', port, whole)
         except Exception:
             pass
         try:
@@ -79,7 +76,7 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
 def _not_sent(sender: Any, port: int, size: int) -> None:
     with suppress(Exception):
         if size:
-            sender.number(NOT_SENT, port, size)
+            sender.number('not_sent', port, size)
 
 
 def _wrap_open(sender: Any, original: _Method) -> _Method:
@@ -129,20 +126,20 @@ def _say_waiting(sender: Any, serial: Any) -> None:
     waiting = serial.in_waiting
     if waiting or getattr(serial, _LEFT):
         setattr(serial, _LEFT, waiting)
-        sender.number(UNREAD, getattr(serial, _PORT), waiting)
+        sender.number('unread', getattr(serial, _PORT), waiting)
 
 
 def _say_vain(sender: Any, serial: Any) -> None:
     """Say for how long a port was not read since it was looked at in vain."""
     vain = serial.__dict__.pop(_VAIN, 0)
     if vain:
-        sender.number(GAVE_UP, getattr(serial, _PORT), (time.monotonic_ns() - vain) // 1000)
+        sender.number('gave_up_us', getattr(serial, _PORT), (time.monotonic_ns() - vain) // 1000)
 
 
 def _say_unread(sender: Any, serial: Any) -> None:
     """Say how much of what a port received was never read, also where that is nothing."""
     with suppress(Exception):
-        sender.number(UNREAD, getattr(serial, _PORT), serial.in_waiting)
+        sender.number('unread', getattr(serial, _PORT), serial.in_waiting)
         _say_vain(sender, serial)
 
 
@@ -154,9 +151,9 @@ _WRAPPERS: dict[str, Callable[[Any, _Method], _Method]] = {
     '_reconfigure_port': _wrap_after(
         lambda sender, serial, port: sender.rate(port, int(serial._baudrate))),
     'reset_input_buffer': _wrap_after(
-        lambda sender, serial, port: sender.number(PURGED, port, 1), _say_waiting),
+        lambda sender, serial, port: sender.number('purged', port, 1), _say_waiting),
     'reset_output_buffer': _wrap_after(
-        lambda sender, serial, port: sender.number(PURGED, port, 2)),
+        lambda sender, serial, port: sender.number('purged', port, 2)),
 }
 
 
@@ -220,7 +217,7 @@ def _end(sender: Any) -> None:
     with suppress(Exception):
         error = getattr(sys, 'last_value', None)       # what sys.excepthook got, any of them
         if isinstance(error, Exception):
-            sender.put(ENDED, 0, json.dumps(_described(error)).encode())
+            sender.put('ended', 0, json.dumps(_described(error)).encode())
     sender.end()
 
 

@@ -23,19 +23,11 @@ from typing import NamedTuple
 from dxl_monitor.port import tap_sender as sent
 from mecarover_serial.plain import printable
 from mecarover_serial.readable import readable
-from msg_defs.event import BAUD
 from msg_defs.event import Change
+from msg_defs.event import CHANGES
 from msg_defs.event import CLOSED
-from msg_defs.event import DTR
-from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
-from msg_defs.event import LOST
-from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
-from msg_defs.event import PURGED
-from msg_defs.event import RTS
-from msg_defs.event import TRACED
-from msg_defs.event import UNREAD
 
 HOLD_S = 0.06                              # three times what a sender lets gather
 SIZE_LIMIT = 1 << 24                       # bytes of a record: more is none of ours
@@ -43,10 +35,6 @@ CONNECTIONS_LIMIT = 64
 PORTS_LIMIT = 256                          # that a program has open at once
 _NAME_OF_PORT = 1000                       # characters
 _NAME_CHARACTERS = frozenset('abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-')
-_SIDES = {sent.OUT: OUT, sent.IN: IN}
-_CHANGES = {sent.BAUD: BAUD, sent.PURGED: PURGED, sent.NOT_SENT: NOT_SENT, sent.LOST: LOST,
-            sent.UNREAD: UNREAD, sent.CLOSED: CLOSED, sent.DTR: DTR, sent.RTS: RTS,
-            sent.GAVE_UP: GAVE_UP, sent.TRACED: TRACED}
 _NAME_LIMIT = 40                           # the path of a Unix socket has 107 characters
 _READ_SIZE = 1 << 16
 TOO_LONG = ('the path of the socket is too long; set XDG_RUNTIME_DIR to a shorter folder, for the '
@@ -58,20 +46,21 @@ class TapRecord(NamedTuple):
 
     stamp: int                             # ns, monotonic: of the call in the program
     port: str
-    kind: int                              # a kind of tap_sender
+    kind: str                              # a kind of tap_sender
     data: bytes                            # for OUT, IN and ENDED
     value: int                             # for the other kinds
 
     @property
     def side(self) -> str:
         """Who put the bytes on the wire, '' where there are none."""
-        return _SIDES.get(self.kind, '')
+        return self.kind if self.kind in (OUT, IN) else ''
 
     @property
     def change(self) -> Change | None:
         """What happened to the line, None where there are bytes."""
-        what = _CHANGES.get(self.kind)
-        return None if what is None else Change(what, self.value or int(what == CLOSED))
+        if self.kind not in CHANGES:
+            return None
+        return Change(self.kind, self.value or int(self.kind == CLOSED))
 
 
 def why_no_name(name: str) -> str:
@@ -98,19 +87,19 @@ class _Connection:
         at = 0
         while len(data) - at >= sent.HEAD.size:
             kind, number, stamp, size = sent.HEAD.unpack_from(data, at)
-            if kind > sent.TRACED or size > SIZE_LIMIT or stamp < 0:
+            if kind >= len(sent.KINDS) or size > SIZE_LIMIT or stamp < 0:
                 raise ValueError(kind)
             begin = at + sent.HEAD.size
             if begin + size > len(data):
                 break
             at = begin + size
-            one = self._one(kind, number, stamp, data[begin:at])
+            one = self._one(sent.KINDS[kind], number, stamp, data[begin:at])
             if one is not None:
                 yield one
         self._rest = data[at:]
 
-    def _one(self, kind: int, number: int, stamp: int, data: bytes) -> TapRecord | None:
-        if kind == sent.HELLO:
+    def _one(self, kind: str, number: int, stamp: int, data: bytes) -> TapRecord | None:
+        if kind == 'hello':
             self._is_trusted |= secrets.compare_digest(
                 str(json.loads(data).get('secret', '')).encode(), self._secret.encode())
             return None
@@ -121,8 +110,8 @@ class _Connection:
                 data.decode(errors='replace'), _NAME_OF_PORT)
             if len(self.ports) > PORTS_LIMIT:
                 raise ValueError('too many ports')
-        port = self.ports.pop(number, '') if kind == sent.CLOSED else self.ports.get(number, '')
-        if kind in (sent.OUT, sent.IN, sent.ENDED):
+        port = self.ports.pop(number, '') if kind == CLOSED else self.ports.get(number, '')
+        if kind in (OUT, IN, sent.ENDED):
             return TapRecord(stamp, port, kind, data, 0)
         value = sent.NUMBER.unpack(data)[0] if len(data) == sent.NUMBER.size else 0
         return TapRecord(stamp, port, kind, b'', value)
@@ -233,7 +222,7 @@ class TapReader:
         if not data:
             now = time.monotonic_ns()
             for port in program.ports.values():        # it ended without closing them
-                self._hold(TapRecord(now, port, sent.CLOSED, b'', 0))
+                self._hold(TapRecord(now, port, CLOSED, b'', 0))
             program.socket.close()
             del self.programs[number]
 

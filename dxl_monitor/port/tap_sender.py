@@ -30,10 +30,12 @@ TAP_MARK = 'MECAROVER_TAP_MARK'            # and a file that says how far it got
 LOADED, USED = b'tap\n', b'port '          # a tap was loaded; the port that was opened, a line
 SUFFIX = '.tap'                            # ends the name of a listener's socket
 
-# A record: its kind, the number of the port, a stamp (ns, monotonic), the size of what follows.
+# A record: its kind as a place in KINDS, the number of the port, a stamp (ns, monotonic), the size
+# of what follows. All kinds but OPENED, ENDED and hello are names of msg_defs/event.py.
 HEAD = struct.Struct('<BHqI')
-(HELLO, OPENED, CLOSED, OUT, IN, BAUD, PURGED, NOT_SENT, LOST, UNREAD, ENDED, DTR,
- RTS, GAVE_UP, TRACED) = range(15)
+OPENED, ENDED = 'opened', 'ended'
+KINDS = ('hello', OPENED, 'closed', 'out', 'in', 'baud', 'purged', 'not_sent', 'lost', 'unread',
+         ENDED, 'dtr', 'rts', 'gave_up_us', 'traced_us')
 NUMBER = struct.Struct('<q')               # what follows the others
 
 QUEUE_LIMIT = 20_000                       # records that wait for the thread
@@ -62,8 +64,8 @@ def is_private(path: str) -> bool:
         or (status.st_uid == os.geteuid() and not status.st_mode & 0o077))
 
 
-def record(kind: int, port: int, stamp: int, data: bytes) -> bytes:
-    return HEAD.pack(kind, port, stamp, len(data)) + data
+def record(kind: str, port: int, stamp: int, data: bytes) -> bytes:
+    return HEAD.pack(KINDS.index(kind), port, stamp, len(data)) + data
 
 
 class _TapPeer:
@@ -88,7 +90,7 @@ class _TapPeer:
         self._socket.setblocking(False)
         hello = json.dumps({'pid': os.getpid(), 'program': sys.argv[0] if sys.argv else '',
                             'secret': secret}).encode()
-        self.pending = bytearray(record(HELLO, 0, time.monotonic_ns(), hello))
+        self.pending = bytearray(record('hello', 0, time.monotonic_ns(), hello))
         self._lost = 0
 
     def send(self, records: list[bytes]) -> bool:
@@ -97,7 +99,7 @@ class _TapPeer:
             self._lost += len(records)
         else:
             if self._lost:
-                self.pending += record(LOST, 0, time.monotonic_ns(), NUMBER.pack(self._lost))
+                self.pending += record('lost', 0, time.monotonic_ns(), NUMBER.pack(self._lost))
                 self._lost = 0
             self.pending += b''.join(records)
         try:
@@ -117,7 +119,7 @@ class Sender:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.queue: deque[tuple[int, int, int, bytes]] = deque()
+        self.queue: deque[tuple[str, int, int, bytes]] = deque()
         self.lost = 0                          # records that found the queue full
         self._ports: dict[int, tuple[str, int]] = {}       # number: name, rate
         self._announced: set[int] = set()      # ports that listeners know as open
@@ -143,14 +145,14 @@ class Sender:
         if self._ports:
             self._begin()
 
-    def put(self, kind: int, port: int, data: bytes, stamp: int = 0) -> None:
+    def put(self, kind: str, port: int, data: bytes, stamp: int = 0) -> None:
         """Take a record, at once, of now or `stamp`; called in the program's reads and writes."""
         if len(self.queue) < QUEUE_LIMIT:
             self.queue.append((kind, port, stamp or time.monotonic_ns(), data))
         else:
             self.lost += 1
 
-    def number(self, kind: int, port: int, value: int, stamp: int = 0) -> None:
+    def number(self, kind: str, port: int, value: int, stamp: int = 0) -> None:
         self.put(kind, port, NUMBER.pack(value), stamp)
 
     def opened(self, name: str, baud: int, stamp: int = 0) -> int:
@@ -161,7 +163,7 @@ class Sender:
             self._begin()
         self.put(OPENED, number, name.encode('utf-8', 'replace'), stamp)
         if baud:
-            self.number(BAUD, number, baud, stamp)
+            self.number('baud', number, baud, stamp)
         self._mark(USED + name.encode('utf-8', 'replace') + b'\n')
         return number
 
@@ -169,11 +171,11 @@ class Sender:
         name, before = self._ports.get(port, ('', 0))
         if baud != before:
             self._ports[port] = (name, baud)
-            self.number(BAUD, port, baud, stamp)
+            self.number('baud', port, baud, stamp)
 
     def closed(self, port: int, stamp: int = 0) -> None:
         self._ports.pop(port, None)
-        self.put(CLOSED, port, b'', stamp)
+        self.put('closed', port, b'', stamp)
 
     def end(self) -> None:
         """Let readers have what they did not get yet, but not for long."""
@@ -236,7 +238,7 @@ class Sender:
         return [part for number, (name, baud) in list(self._ports.items())
                 if number in self._announced
                 for part in (record(OPENED, number, now, name.encode('utf-8', 'replace')),
-                             record(BAUD, number, now, NUMBER.pack(baud)))[:2 if baud else 1]]
+                             record('baud', number, now, NUMBER.pack(baud)))[:2 if baud else 1]]
 
     def _send(self) -> None:
         records: list[bytes] = []
@@ -247,7 +249,7 @@ class Sender:
                 self._announced.add(one[1])
         if self.lost:
             lost, self.lost = self.lost, 0
-            records.append(record(LOST, 0, time.monotonic_ns(), NUMBER.pack(lost)))
+            records.append(record('lost', 0, time.monotonic_ns(), NUMBER.pack(lost)))
         for path, reader in list(self._readers.items()):
             if not reader.send(records):
                 del self._readers[path]
