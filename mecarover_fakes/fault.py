@@ -9,7 +9,6 @@ itself in Effect.kinds by the name of its class: WrongBaud is `wrong_baud`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from collections.abc import Iterator
 from dataclasses import dataclass
 from random import Random
@@ -22,6 +21,7 @@ from mecarover_fakes.line import Burst
 from mecarover_fakes.line import Exchange
 from mecarover_fakes.line import Line
 from mecarover_fakes.traffic import Ask
+from mecarover_fakes.traffic import Asks
 from mecarover_fakes.traffic import Fleet
 
 S = 1_000_000_000
@@ -109,14 +109,14 @@ class Effect:
     def step(self) -> None:
         """See time pass; called before each instruction."""
 
-    def asks(self, cycle: int) -> Iterable[Ask]:
+    def asks(self, cycle: int) -> Asks:
         """Return what the master asks besides, at the end of a cycle."""
         if cycle % self.every if self.every else self.has_asked:
             return ()
         self.has_asked = True
         return self.ask(cycle)
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         """Return what the master asks besides, in a cycle in which it does."""
         return ()
 

@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.fault import Effect
 from mecarover_fakes.fault import MS
 from mecarover_fakes.fault import ONLY_2
 from mecarover_fakes.fault import Play
 from mecarover_fakes.traffic import Ask
+from mecarover_fakes.traffic import Asks
 from mecarover_fakes.traffic import read
 from mecarover_fakes.traffic import read_register
 from mecarover_fakes.traffic import sync_read
@@ -130,7 +129,7 @@ class NoAck(Effect, cause=14):
         for device in self.devices:
             device.answer_level(2)
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         count = len(self.line.chain)
         for device in self.devices:
             led = device.field('LED') or device.field('Acceleration')
@@ -157,7 +156,7 @@ class OldFirmware(Effect, cause=15, protocols=ONLY_2):
             device.set('Firmware Version', OLD_FIRMWARE)
         yield
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         yield from (Ask(device.id, Instruction.PING) for device in self.devices)
         for span in self.fleet.spans('Present Position'):
             yield from sync_read(span)
@@ -169,7 +168,7 @@ class BeyondLimits(Effect):
 
     every = 50
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         for name in ('Temperature Limit', 'Min Voltage Limit', 'Max Voltage Limit'):
             for device in self.devices:
                 yield from read_register(device, name)
@@ -202,7 +201,7 @@ class Watchdog(Effect, cause=18, protocols=ONLY_2):
 
     is_armed = False
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         watchdog, goal = self.device.field('Bus Watchdog'), self.device.field('Goal Position')
         if watchdog is None or goal is None:
             return

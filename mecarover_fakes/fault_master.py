@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from mecarover_fakes.fault import Effect
 from mecarover_fakes.fault import MS
 from mecarover_fakes.fault import ONLY_2
@@ -13,6 +11,7 @@ from mecarover_fakes.fault import Play
 from mecarover_fakes.line import Exchange
 from mecarover_fakes.line import wire_ns
 from mecarover_fakes.traffic import Ask
+from mecarover_fakes.traffic import Asks
 from mecarover_fakes.traffic import read
 from mecarover_fakes.traffic import words
 from mecarover_fakes.traffic import write
@@ -78,7 +77,7 @@ class WrongMap(Effect, cause=12, protocols=('2', '1')):
 
     every = 5
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         address = FOREIGN_TORQUE[self.line.protocol]
         yield write(self.device.id, address, b'\x01')
         yield read(self.device.id, address, 1)
@@ -89,7 +88,7 @@ class Eeprom(Effect, cause=13, protocols=ONLY_2):
 
     every = 10
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         return write_register(self.device, 'Return Delay Time', b'\x00')
 
 
@@ -100,7 +99,7 @@ class EepromWear(Effect, cause=13):
         self.device.set('Torque Enable', 0)
         yield
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         field = self.device.field('Homing Offset') or self.device.field('Temperature Limit')
         if field is not None:
             yield write(self.device.id, field.at, self.device.bytes_in(field))
@@ -111,7 +110,7 @@ class Unstuffed(Effect, cause=16, protocols=ONLY_2):
 
     every = 5
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         name = 'Goal PWM' if self.device.field('Goal PWM') else 'LED'
         return write_register(self.device, name, HEADER_LIKE)
 
@@ -122,7 +121,7 @@ class Unstuffed(Effect, cause=16, protocols=ONLY_2):
 class Overload(Effect, cause=7):
     """The master wants more per cycle than the bus can carry."""
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         room = self.pace.period
         while room > 0:
             for device in self.line.chain:

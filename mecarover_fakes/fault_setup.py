@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from mecarover_fakes.dxl1_servo import MIDDLE
 from mecarover_fakes.fault import Effect
 from mecarover_fakes.fault import FAMILY_1
 from mecarover_fakes.fault import Play
 from mecarover_fakes.fault_device import BeyondLimits
 from mecarover_fakes.traffic import Ask
+from mecarover_fakes.traffic import Asks
 from mecarover_fakes.traffic import read
 from mecarover_fakes.traffic import read_register
 from mecarover_fakes.traffic import write
@@ -36,7 +35,7 @@ class Baud(Effect, cause=4):
 
     every = 0
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         if self.device.field('Baud Rate') is not None:
             yield from write_register(self.device, 'Torque Enable', b'\x00')
             yield from write_register(self.device, 'Baud Rate', bytes([self.code()]))
@@ -71,7 +70,7 @@ class LastId(Effect, cause=12):
 
     every = 20                   # in Protocol 2.0 no device can be missed there
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         yield read(LAST_ID, 3, 2)
 
 
@@ -86,7 +85,7 @@ class MixedFirmware(Effect, cause=15, protocols=ONLY_FEETECH):
             device.set('Firmware Version Minor', OLD_MINOR if device is affected else NEW_MINOR)
         yield
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         return [read(device.id, 0, 2) for device in self.line.chain]
 
 
@@ -99,7 +98,7 @@ class Locked(Effect, cause=13, protocols=FAMILY_1):
         self.device.set('Lock', 1)
         yield
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         yield from read_register(self.device, 'Lock')
         yield from write_register(self.device, 'Temperature Limit', b'\x46')
 
@@ -109,7 +108,7 @@ class Calibrated(Effect, cause=0, protocols=ONLY_FEETECH):
 
     every = 0
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         return [Ask(self.device.id, CALIBRATE)] * 2
 
 
@@ -118,7 +117,7 @@ class Middle(Effect, cause=0, protocols=ONLY_FEETECH):
 
     every = 0
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         return list(write_register(self.device, 'Torque Enable', bytes([MIDDLE]))) * 2
 
 
@@ -127,7 +126,7 @@ class Offset(Effect, cause=0, protocols=ONLY_FEETECH):
 
     every = 0
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         offset = self.device.model.by_name['Homing Offset']
         yield write(self.device.id, offset.at, offset.bytes_of(120))
         yield from read_register(self.device, 'Present Position')
@@ -139,7 +138,7 @@ class ForeignLayout(Effect, cause=12, protocols=ONLY_FEETECH, name='layout'):
 
     every = 20
 
-    def ask(self, cycle: int) -> Iterable[Ask]:
+    def ask(self, cycle: int) -> Asks:
         yield write(self.device.id, SCS_LOCK, b'\x01')
 
 

@@ -25,6 +25,7 @@ from mecarover_fakes.line import Line
 from mecarover_fakes.line import mix
 from mecarover_fakes.line import wire_ns
 from mecarover_fakes.traffic import Ask
+from mecarover_fakes.traffic import Asks
 from mecarover_fakes.traffic import Fleet
 from mecarover_fakes.traffic import Pattern
 from mecarover_fakes.traffic import start_up
@@ -53,7 +54,7 @@ class Master:
         self.truth = truth or GroundTruth()
         self.pattern = pattern
         self._started = started
-        self._fleet = Fleet(line)
+        self._fleet = Fleet(line, self._clock)
         self._pace = Pace(round(S / rate) if rate else 0, gap, patience)
         self._rng = Random(seed)
         self._faults = Faults(list(faults), FaultScope(line, self._fleet, self._pace, self._rng))
@@ -71,11 +72,11 @@ class Master:
             for device in self._fleet.servos:
                 device.set('Torque Enable', 1)
         else:
-            yield from self._play(start_up(self._fleet, self._clock))
+            yield from self._play(start_up(self._fleet))
         begin = self.now
         cycle = 0
         while not self.is_over(self.now):
-            yield from self._play(self.pattern(self._fleet, cycle, self._clock))
+            yield from self._play(self.pattern(self._fleet, cycle))
             for effect in self._faults.active:
                 yield from self._play(effect.asks(cycle))
             cycle += 1
@@ -115,7 +116,7 @@ class Master:
         self._faults.update(self.now)
         return max(begin, self.now - pace.period)    # a lost cycle is not made up for
 
-    def _play(self, asks: Iterable[Ask]) -> Iterator[Burst]:
+    def _play(self, asks: Asks) -> Iterator[Burst]:
         for ask in asks:
             if self.is_over(self.now):
                 return

@@ -4,7 +4,7 @@
 What the simulated master asks: one function per traffic pattern, in PATTERNS by name.
 
 A pattern yields the instructions of one cycle; it is advanced instruction by instruction, so that
-`clock()` is the time at which the next one goes out. `read_write` and `ping` are experiments 2
+its goals are those of the time at which they go out. `read_write` and `ping` are experiments 2
 and 3 of the thesis, `moving` follows the cycle of its robot trace.
 """
 
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Iterable
-from collections.abc import Iterator
 from typing import NamedTuple
 
 from dxl_monitor.model.control_table import Field
@@ -46,15 +45,16 @@ class CommonRange(NamedTuple):
     ids: tuple[int, ...]
 
 
-Clock = Callable[[], int]
-Pattern = Callable[['Fleet', int, Clock], Iterator[Ask]]
+Asks = Iterable[Ask]
+Pattern = Callable[['Fleet', int], Asks]
 
 
 class Fleet:
     """The devices of a line as the master knows them: it looks up addresses once."""
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: Line, clock: Callable[[], int]) -> None:
         self.line = line
+        self._clock = clock
         self.devices = list(line.chain)
         self.id_of = {device: device.id for device in self.devices}    # as it takes them for
         self.ids = tuple(self.id_of.values())
@@ -76,7 +76,7 @@ class Fleet:
             self._spans[names] = [CommonRange(*place, tuple(ids)) for place, ids in groups.items()]
         return self._spans[names]
 
-    def read(self, *names: str) -> Iterator[Ask]:
+    def read(self, *names: str) -> Asks:
         """Read these registers of all, one by one where there is no Sync Read."""
         for span in self.spans(*names):
             if self.line.knows(Instruction.SYNC_READ):
@@ -84,14 +84,14 @@ class Fleet:
             else:
                 yield from (read(number, span.address, span.length) for number in span.ids)
 
-    def goals(self, now: int) -> dict[tuple[int, int], list[tuple[int, bytes]]]:
+    def goals(self) -> dict[tuple[int, int], list[tuple[int, bytes]]]:
         """Return the servos' Goal Positions, by its address and size."""
         found: dict[tuple[int, int], list[tuple[int, bytes]]] = {}
         for device in self.servos:
             number = self.id_of[device]
             if number not in self.unwritten and device.motion is not None:
                 field = device.model.by_name['Goal Position']
-                data = pack(field, device.motion.angle(now * 1e-9 + LOOK_AHEAD_S))
+                data = pack(field, device.motion.angle(self._clock() * 1e-9 + LOOK_AHEAD_S))
                 found.setdefault((field.at, field.size), []).append((number, data))
         return found
 
@@ -111,47 +111,47 @@ def write(number: int, address: int, data: bytes) -> Ask:
     return Ask(number, Instruction.WRITE, words(address) + data)
 
 
-def read_register(device: FakeDevice, name: str) -> Iterator[Ask]:
+def read_register(device: FakeDevice, name: str) -> Asks:
     """Ask a device for a register, if it has it."""
     field = device.field(name)
     if field is not None:
         yield read(device.id, field.at, field.size)
 
 
-def write_register(device: FakeDevice, name: str, data: bytes) -> Iterator[Ask]:
+def write_register(device: FakeDevice, name: str, data: bytes) -> Asks:
     """Write a register of a device, if it has it."""
     field = device.field(name)
     if field is not None:
         yield write(device.id, field.at, data)
 
 
-def sync_read(span: CommonRange, instruction: int = Instruction.SYNC_READ) -> Iterator[Ask]:
+def sync_read(span: CommonRange, instruction: int = Instruction.SYNC_READ) -> Asks:
     """Ask several devices for the same registers."""
     return _to_many(instruction, words(span.address, span.length),
                     ((bytes([number]), span.length + BLOCK) for number in span.ids))
 
 
-def sync_write(address: int, data: list[tuple[int, bytes]]) -> Iterator[Ask]:
+def sync_write(address: int, data: list[tuple[int, bytes]]) -> Asks:
     """Write the same registers of several devices."""
     return _to_many(Instruction.SYNC_WRITE, words(address, len(data[0][1])),
                     ((bytes([number]) + content, len(content) + 1) for number, content in data))
 
 
-def bulk_read(spans: list[CommonRange], instruction: int = Instruction.BULK_READ) -> Iterator[Ask]:
+def bulk_read(spans: list[CommonRange], instruction: int = Instruction.BULK_READ) -> Asks:
     """Ask several devices, each for its own registers."""
     entries = ((bytes([number]) + words(span.address, span.length), span.length + BLOCK)
                for span in spans for number in span.ids)
     return _to_many(instruction, b'', entries)
 
 
-def bulk_write(data: Iterable[tuple[int, int, bytes]]) -> Iterator[Ask]:
+def bulk_write(data: Iterable[tuple[int, int, bytes]]) -> Asks:
     """Write several devices, each its own registers (id, address, data)."""
     entries = (bytes([number]) + words(address, len(content)) + content
                for number, address, content in data)
     return _to_many(Instruction.BULK_WRITE, b'', ((entry, len(entry)) for entry in entries))
 
 
-def _to_many(instruction: int, head: bytes, entries: Iterable[tuple[bytes, int]]) -> Iterator[Ask]:
+def _to_many(instruction: int, head: bytes, entries: Iterable[tuple[bytes, int]]) -> Asks:
     """Ask many devices, with (parameters, bytes that they or the answer take) for each."""
     params, room = head, ROOM
     for entry, size in entries:
@@ -164,7 +164,7 @@ def _to_many(instruction: int, head: bytes, entries: Iterable[tuple[bytes, int]]
         yield Ask(BROADCAST, instruction, params)
 
 
-def start_up(fleet: Fleet, clock: Clock) -> Iterator[Ask]:
+def start_up(fleet: Fleet) -> Asks:
     """Do what a robot's master does first: look who is there, switch the torque on."""
     for device, number in fleet.id_of.items():
         yield Ask(number, Instruction.PING)
@@ -177,55 +177,55 @@ def start_up(fleet: Fleet, clock: Clock) -> Iterator[Ask]:
             yield write(number, field.at, b'\x01')
 
 
-def moving(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+def moving(fleet: Fleet, cycle: int) -> Asks:
     """Walk like the robot of the trace: positions, one board after the other, goals."""
     yield from fleet.read('Present Position', 'Present Velocity', 'Present Current')
     if fleet.boards:
         board = _sensor_span(fleet.boards[cycle % len(fleet.boards)])
         yield read(board.ids[0], board.address, board.length)
-    yield from _goals(fleet, clock)
+    yield from _goals(fleet)
     if cycle % SLOW == 1:
         yield from fleet.read('Present Input Voltage', 'Present Temperature')
     if cycle % SLOW == 2:
         yield from fleet.read('Hardware Error Status')
 
 
-def sync(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+def sync(fleet: Fleet, cycle: int) -> Asks:
     """Sync Read of positions and Sync Write of goals, nothing else."""
     yield from fleet.read('Present Position')
-    yield from _goals(fleet, clock)
+    yield from _goals(fleet)
 
 
-def bulk(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+def bulk(fleet: Fleet, cycle: int) -> Asks:
     """Bulk Read of positions and boards, Bulk Write (in 1.0 Sync Write) of goals."""
     yield from bulk_read(_everything(fleet))
     if not fleet.line.knows(Instruction.BULK_WRITE):
-        yield from _goals(fleet, clock)
+        yield from _goals(fleet)
         return
-    yield from bulk_write((number, at, content) for (at, _), data in fleet.goals(clock()).items()
+    yield from bulk_write((number, at, content) for (at, _), data in fleet.goals().items()
                           for number, content in data)
 
 
-def fast(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+def fast(fleet: Fleet, cycle: int) -> Asks:
     """Fast Sync Read of positions, every other time Fast Bulk Read, and goals."""
     if cycle % 2:
         yield from bulk_read(_everything(fleet), Instruction.FAST_BULK_READ)
     else:
         for span in fleet.spans('Present Position'):
             yield from sync_read(span, Instruction.FAST_SYNC_READ)
-    yield from _goals(fleet, clock)
+    yield from _goals(fleet)
 
 
-def registered(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+def registered(fleet: Fleet, cycle: int) -> Asks:
     """Goals by Reg Write to each servo, then one Action for all."""
-    for (at, _), data in fleet.goals(clock()).items():
+    for (at, _), data in fleet.goals().items():
         for number, content in data:
             yield Ask(number, Instruction.REG_WRITE, words(at) + content)
     yield Ask(BROADCAST, Instruction.ACTION)
     yield from fleet.read('Present Position')
 
 
-def read_write(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+def read_write(fleet: Fleet, cycle: int) -> Asks:
     """
     Experiment 2 of the thesis: each device with every kind of read and write.
 
@@ -254,7 +254,7 @@ def _harmless(device: FakeDevice) -> Field | None:
          if field.access == 'rw' and field.memory == 'ram'), None)
 
 
-def ping(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+def ping(fleet: Fleet, cycle: int) -> Asks:
     """Experiment 3 of the thesis: Pings only, the model number changes after each."""
     numbers = sorted({device.model.number or 0 for device in fleet.devices} | {311, 321})
     for position, device in enumerate(fleet.devices):
@@ -262,29 +262,29 @@ def ping(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
         yield Ask(device.id, Instruction.PING)
 
 
-def broadcast(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+def broadcast(fleet: Fleet, cycle: int) -> Asks:
     """Look who is there, again and again."""
     yield Ask(BROADCAST, Instruction.PING)
 
 
-def idle(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+def idle(fleet: Fleet, cycle: int) -> Asks:
     """Be nearly silent: a Ping now and then."""
     if fleet.ids and cycle % IDLE_CYCLES == 0:
         yield Ask(fleet.ids[cycle // IDLE_CYCLES % len(fleet.ids)], Instruction.PING)
 
 
-def mixed(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+def mixed(fleet: Fleet, cycle: int) -> Asks:
     """Do a bit of everything, one pattern per cycle."""
-    yield from _MIX[cycle % len(_MIX)](fleet, cycle // len(_MIX), clock)
+    yield from _MIX[cycle % len(_MIX)](fleet, cycle // len(_MIX))
 
 
-def none(fleet: Fleet, cycle: int, clock: Clock) -> Iterator[Ask]:
+def none(fleet: Fleet, cycle: int) -> Asks:
     """Say nothing: the devices wait for a master at the other end."""
     return iter(())
 
 
-def _goals(fleet: Fleet, clock: Clock) -> Iterator[Ask]:
-    for (at, _), data in fleet.goals(clock()).items():
+def _goals(fleet: Fleet) -> Asks:
+    for (at, _), data in fleet.goals().items():
         yield from sync_write(at, data)
 
 

@@ -23,6 +23,9 @@ _CH341_CLOCK = 48_000_000
 BUS, DEVICE = 1, 7
 
 
+Requests = list[tuple[bytes, bytes]]         # setup and data of each
+
+
 class Family(NamedTuple):
     """A kind of adapter: its identity, bulk endpoints, and the requests that set a rate."""
 
@@ -32,7 +35,7 @@ class Family(NamedTuple):
     packet_size: int
     endpoints: tuple[int, int]     # towards the host, with its bit, and from the host
     interface_class: int
-    set_baud: Callable[[int], list[tuple[bytes, bytes]]]       # setup and data of each request
+    set_baud: Callable[[int], Requests]
     status: bytes = b''            # in front of each packet to the host
 
 
@@ -40,9 +43,9 @@ def _setup(kind: int, request: int, value: int, target: int, size: int = 0) -> b
     return struct.pack('<BBHHH', kind, request, value, target, size)
 
 
-def _ftdi(clock: int, upper: int) -> Callable[[int], list[tuple[bytes, bytes]]]:
+def _ftdi(clock: int, upper: int) -> Callable[[int], Requests]:
     """Return what sets the divisor of a chip with this clock (e.g. 3 MHz), in eighths."""
-    def set_baud(baud: int) -> list[tuple[bytes, bytes]]:
+    def set_baud(baud: int) -> Requests:
         eighths = round(8 * clock / baud)
         value = eighths >> 3 | (0, 3, 2, 4, 1, 5, 6, 7)[eighths & 7] << 14
         if clock == 3_000_000:
@@ -52,12 +55,12 @@ def _ftdi(clock: int, upper: int) -> Callable[[int], list[tuple[bytes, bytes]]]:
     return set_baud
 
 
-def _cdc(baud: int) -> list[tuple[bytes, bytes]]:
+def _cdc(baud: int) -> Requests:
     return [(_setup(0x21, 0x20, 0, 0, 7), struct.pack('<IBBB', baud, 0, 0, 8)),
             (_setup(0x21, 0x22, 3, 0), b'')]
 
 
-def _ch341(baud: int) -> list[tuple[bytes, bytes]]:
+def _ch341(baud: int) -> Requests:
     for prescale in range(3, -1, -1):
         divisor = round(_CH341_CLOCK / (baud << 12 - 3 * prescale - 1))
         if 2 <= divisor <= 256:
@@ -66,7 +69,7 @@ def _ch341(baud: int) -> list[tuple[bytes, bytes]]:
     return [(_setup(0x40, 0x9A, 0x1312, target), b'')]
 
 
-def _cp210x(baud: int) -> list[tuple[bytes, bytes]]:
+def _cp210x(baud: int) -> Requests:
     return [(_setup(0x41, 0x1E, 0, 0, 4), baud.to_bytes(4, 'little'))]
 
 
