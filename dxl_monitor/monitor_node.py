@@ -25,10 +25,9 @@ from dxl_monitor.monitor_settings import buses
 from dxl_monitor.monitor_settings import load_models
 from dxl_monitor.monitor_settings import make_recorders
 from dxl_monitor.monitor_settings import PARAMETERS
-from dxl_monitor.monitor_status import bus_status
 from dxl_monitor.monitor_status import device_metrics
-from dxl_monitor.monitor_status import device_status
 from dxl_monitor.monitor_status import PortState
+from dxl_monitor.monitor_status import statuses_of
 from dxl_monitor.monitored_bus import MonitoredBus
 from dxl_monitor.port.listener import STARTING
 from dxl_monitor.timers import Timers
@@ -242,14 +241,8 @@ class MonitorNode:
 
     def _statuses(self, heard: list[Heard], whole: bool) -> list[Status]:
         node = full_name(self.node)
-        statuses = []
-        for one, report, port in heard:
-            label = one.bus.label
-            statuses.append(bus_status(node, label, report, port, whole))
-            statuses += [device_status(node, label, device, report.findings, whole,
-                                       not port.problem)
-                         for device in report.devices]
-        return statuses
+        return [status for one, report, port in heard
+                for status in statuses_of(node, one.bus.label, report, port, whole)]
 
     def _publish(self, publisher: Any, arrays: DiagnosticArrays, statuses: list[Status]) -> None:
         for array in arrays.build(statuses, self._stamp()):

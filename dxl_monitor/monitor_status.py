@@ -99,6 +99,14 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
                   hardware_id(node, bus or port.port), values)
 
 
+def statuses_of(node: str, bus: str, report: BusReport, port: PortState,
+                whole: bool) -> list[Status]:
+    """Return the status of a bus and those of its devices; whole: with tables and error log."""
+    return [bus_status(node, bus, report, port, whole),
+            *(device_status(node, bus, device, report.findings, whole, not port.problem)
+              for device in report.devices)]
+
+
 def _models(devices: Iterable[DeviceReport]) -> str:
     """Spell who is on the bus: IDs, model and model number, '001-018 MX-106 (321), 019 ...'."""
     spans: list[tuple[int, int, str]] = []

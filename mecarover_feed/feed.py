@@ -15,10 +15,9 @@ from typing import Protocol
 
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import bus_status
 from dxl_monitor.monitor_status import device_metrics
-from dxl_monitor.monitor_status import device_status
 from dxl_monitor.monitor_status import PortState
+from dxl_monitor.monitor_status import statuses_of
 from dxl_monitor.signals import BusSignals
 from dxl_monitor.tools.doctor.examination import REPORT_NS
 from dxl_monitor.tools.doctor.finding_log import FindingLog
@@ -106,9 +105,7 @@ class Feed:
             report, port = bus.report(now), bus.port_state()
             log.take(report)
             label = bus.monitor.name
-            statuses.append(bus_status(NODE, label, report, port, with_log=True))
-            statuses += [device_status(NODE, label, one, report.findings, with_table=True,
-                                       is_listening=not port.problem) for one in report.devices]
+            statuses += statuses_of(NODE, label, report, port, whole=True)
             metrics += [*report.metrics, *device_metrics(report)]
             self._places |= {status_name(NODE, label, one.name): (label, one.id)
                              for one in report.devices}

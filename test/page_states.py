@@ -21,9 +21,8 @@ from benchmark.confusion_cases import Scene
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import parse_all
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import bus_status
-from dxl_monitor.monitor_status import device_status
 from dxl_monitor.monitor_status import PortState
+from dxl_monitor.monitor_status import statuses_of
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
@@ -76,10 +75,8 @@ class Robot:
             for topic, is_whole in ((TABLES, True), (OVERVIEW, False)):
                 for bus, report in self.buses.items():
                     port = self.port_state()
-                    found.append((topic, serialise([
-                        bus_status(self._node, bus, report, port, is_whole),
-                        *(device_status(self._node, bus, one, report.findings, is_whole,
-                                        not self._port) for one in report.devices)])))
+                    found.append((topic, serialise(
+                        statuses_of(self._node, bus, report, port, is_whole))))
         if self._bridge and (with_silent or 'vel2d_bridge' not in self.silent):
             found.append((OVERVIEW, serialise(self._bridge.bridge(100.0))))
         return found

@@ -18,10 +18,9 @@ from dxl_monitor.bus.report import ReplyLatency
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import bus_status
 from dxl_monitor.monitor_status import device_metrics
-from dxl_monitor.monitor_status import device_status
 from dxl_monitor.monitor_status import PortState
+from dxl_monitor.monitor_status import statuses_of
 from fuzz.dashboard import cdr
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
@@ -94,10 +93,7 @@ class SyntheticRobot:
         for bus, report in self._reports(time_s):
             port = PortState(f'/dev/tty{bus or "USB0"}', self.port_problem,
                              (('Latency timer (ms)', '1'), ('Openings', '1')))
-            statuses.append(bus_status(self._node, bus, report, port, whole))
-            statuses += [device_status(self._node, bus, device, report.findings, whole,
-                                       not self.port_problem)
-                         for device in report.devices]
+            statuses += statuses_of(self._node, bus, report, port, whole)
         return statuses
 
     def _reports(self, time_s):

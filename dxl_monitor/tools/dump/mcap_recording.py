@@ -19,10 +19,9 @@ from typing import Any
 
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import bus_status
 from dxl_monitor.monitor_status import device_metrics
-from dxl_monitor.monitor_status import device_status
 from dxl_monitor.monitor_status import PortState
+from dxl_monitor.monitor_status import statuses_of
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
 from mecarover_serial.cli import UsageError
@@ -75,12 +74,9 @@ class McapRecording:
 
     def _write_reports(self, now: int, wall: int,
                        reports: Sequence[tuple[str, str, BusReport]]) -> None:
-        statuses: list[Status] = []
-        for label, port, report in reports:
-            statuses.append(bus_status(NODE, label, report, PortState(port, '', ()), True))
-            statuses += [device_status(NODE, label, one, report.findings, True)
-                         for one in report.devices]
-        self._put_statuses('/dxl/diagnostics', statuses, wall)
+        self._put_statuses('/dxl/diagnostics', [
+            status for label, port, report in reports
+            for status in statuses_of(NODE, label, report, PortState(port, '', ()), True)], wall)
         if now >= self._next_timing:
             self._next_timing = now + TIMING_NS
             self._put_statuses('/dxl/timing', [
