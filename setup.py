@@ -47,6 +47,7 @@ setup(
         'msg_defs', NAME, 'vel2d_bridge*', 'dxl_monitor*', 'mecarover_dashboard',
         'mecarover_demo', 'mecarover_fakes', 'mecarover_feed']),
     package_data={'dxl_monitor.model': ['files/*.yaml'],
+                  'mecarover_fakes': ['factory.yaml'],
                   'dxl_monitor.tools.doctor': ['errors.yaml'],
                   'mecarover_dashboard': ['static/*']},
     data_files=[

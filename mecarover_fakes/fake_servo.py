@@ -23,6 +23,7 @@ from mecarover_fakes.registers import OK
 from mecarover_fakes.registers import Registers
 from mecarover_fakes.registers import RESULT_FAIL
 from mecarover_fakes.registers import WATCHDOG_TRIPPED
+from mecarover_fakes.values import FACTORY
 from mecarover_fakes.values import live_registers
 from mecarover_fakes.values import LiveState
 from mecarover_fakes.values import Sine
@@ -39,14 +40,6 @@ WATCHDOG_UNIT_NS = 20_000_000
 
 _CLEAR_KEYS = (b'\x01DXL"', b'\x01ERCL', b'\x02ERCL')     # P1 of Error Clear: sources disagree
 
-_Rows = tuple[tuple[str, int | None], ...]
-
-# Fast reads exist from this firmware on (e-Manual); no entry: not at all.
-_FAST_SINCE: _Rows = (('2X', None), ('XL-320', None), ('XL320', None), ('X', 45), ('P', 12),
-                      ('RH', 13), ('Y', 1))
-_FIRMWARE: _Rows = (('MX', 45), ('X', 48), ('2X', 48), ('P', 14), ('RH', 14), ('Y', 12))
-_FIRMWARE_1 = {'1': 24, 'feetech': 3}
-
 
 class Reply(NamedTuple):
     """The content of a status: error number (without the alert bit) and parameters."""
@@ -60,7 +53,8 @@ class FakeDevice(Registers):
 
     def __init__(self, number: int, model: Model, *, baud: int = 1_000_000,
                  motion: Sine | None = None) -> None:
-        self.firmware = _FIRMWARE_1.get(model.protocol) or _by_prefix(_FIRMWARE, model.name) or 1
+        self.firmware = FACTORY['firmware_of_protocol'].get(model.protocol) \
+            or _by_prefix('firmware', model.name) or 1
         super().__init__(model, self.firmware)
         self.baud = baud
         self.motion = motion
@@ -88,7 +82,7 @@ class FakeDevice(Registers):
     @property
     def has_fast_reads(self) -> bool:
         """Whether this model and firmware know Fast Sync Read and Fast Bulk Read."""
-        since = _by_prefix(_FAST_SINCE, self.model.name)
+        since = _by_prefix('fast_since', self.model.name)
         return since is not None and self.firmware >= since + ('330' in self.model.name)
 
     @property
@@ -302,5 +296,6 @@ def _word(params: bytes) -> int:
     return int.from_bytes(params[:2], 'little')
 
 
-def _by_prefix(rows: _Rows, name: str) -> int | None:
-    return next((value for prefix, value in rows if name.startswith(prefix)), None)
+def _by_prefix(table: str, name: str) -> int | None:
+    return next((value for prefix, value in FACTORY[table].items() if name.startswith(prefix)),
+                None)

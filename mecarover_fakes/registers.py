@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from dxl_monitor.model.control_table import Field
 from dxl_monitor.model.control_table import Model
+from mecarover_fakes.values import FACTORY
 from mecarover_fakes.values import initial_image
 from mecarover_fakes.values import pack_raw
 
 OK, RESULT_FAIL, INSTRUCTION, RANGE, LENGTH, ACCESS = 0, 1, 2, 4, 5, 7
 WATCHDOG_TRIPPED = 0xFF
-_LIMITS = {'ID': (0, 252), 'Baud Rate': (0, 7), 'Return Delay Time': (0, 254),
-           'Torque Enable': (0, 1), 'Status Return Level': (0, 2)}
 _TABLE = 256                     # bytes, of a model without a file
 
 
@@ -93,7 +92,7 @@ class Registers:
         if field.at < address or field.end > address + len(data):
             return LENGTH
         raw = int.from_bytes(data[field.at - address:field.end - address], 'little')
-        low, high = _LIMITS.get(field.name, (0, raw))
+        low, high = FACTORY['limits'].get(field.name, (0, raw))
         tripped = field.name.startswith('Goal') and self.get('Bus Watchdog') == WATCHDOG_TRIPPED
         return OK if low <= raw <= high and not tripped else RANGE
 

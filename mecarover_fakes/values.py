@@ -11,32 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import math
+from pathlib import Path
 from typing import NamedTuple
 
+from dxl_monitor.model.checked_yaml import read_yaml
 from dxl_monitor.model.control_table import Field
 from dxl_monitor.model.control_table import Model
 from dxl_monitor.model.control_table import STRUCTS
 
-# Raw, as the maker ships them (e-Manual, MX(2.0) and X); other registers begin at 0.
-FACTORY = {
-    'ID': 1, 'Baud Rate': 1, 'Return Delay Time': 250, 'Operating Mode': 3, 'Secondary ID': 255,
-    'Protocol Type': 2,
-    'Temperature Limit': 80, 'Max Voltage Limit': 160, 'Min Voltage Limit': 95, 'PWM Limit': 885,
-    'Current Limit': 2047, 'Velocity Limit': 285, 'Max Position Limit': 4095, 'Shutdown': 52,
-    'Status Return Level': 2, 'Velocity I Gain': 1920, 'Velocity P Gain': 100,
-    'Position P Gain': 850, 'Goal PWM': 885, 'Goal Velocity': 285, 'Goal Current': 2047,
-    'Power': 1, 'Power On': 1000,
-}
-# What other protocols have instead (e-Manual, AX and MX(1.0); Feetech, an STS).
-_FACTORY_OF: dict[str, dict[str, int]] = {
-    '2': {},
-    '1': {'Max Voltage Limit': 140, 'Min Voltage Limit': 60, 'Return Delay Time': 0,
-          'Shutdown': 36, 'Alarm LED': 36},
-    'feetech': {'Baud Rate': 0, 'Status Return Level': 1, 'Return Delay Time': 0, 'Lock': 1,
-                'Phase': 12, 'Max Voltage Limit': 140, 'Min Voltage Limit': 40,
-                'Operating Mode': 0},
-}
-
+FACTORY = read_yaml(Path(__file__).with_name('factory.yaml'))
 VOLTAGE = 12.0
 TEMPERATURE = 38.0
 TORQUE_PER_RAD_S = 0.4       # A at 1 rad/s: friction enough for a plausible current
@@ -134,7 +117,8 @@ def _servo(name: str, field: Field) -> Callable[[LiveState], bytes] | None:
 
 def _sensor(name: str, field: Field) -> Callable[[LiveState], bytes] | None:
     """Go by unit and size: boards have no register names in common."""
-    if field.access != 'r' or name in FACTORY or any(word in name for word in _IDENTITY):
+    if field.access != 'r' or name in FACTORY['registers']['2'] \
+            or any(word in name for word in _IDENTITY):
         return None
     if name == 'VCC':
         return lambda state: pack(field, _LOGIC_VOLTAGE)
@@ -153,7 +137,8 @@ def initial_image(model: Model, firmware: int, size: int) -> bytearray:
     if model.protocol == '2':           # what a Ping is answered with
         image[0:2] = number.to_bytes(2, 'little')
     numbers = {'Model Number': number, 'Firmware Version': firmware}
-    for name, raw in (FACTORY | numbers | _FACTORY_OF[model.protocol]).items():
+    shipped = FACTORY['registers']
+    for name, raw in (shipped['2'] | numbers | shipped[model.protocol]).items():
         field = model.by_name.get(name)
         if field is not None:
             image[field.at:field.end] = pack_raw(field, raw)
