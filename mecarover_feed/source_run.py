@@ -121,7 +121,6 @@ class PortsRun(SourceRun):
             'bauds': [rate_of(name, options.baud) for name in options.source]}
         self._ports = [MonitoredBus(bus, self._models, Recorders(None, None), names=OPTIONS)
                        for bus in buses(given, self._models)]
-        self._said: dict[str, str] = {}
 
     def start(self) -> None:
         for bus in self._ports:
@@ -132,20 +131,14 @@ class PortsRun(SourceRun):
         while True:
             time.sleep(TURN_S)
             yield time.monotonic_ns()
-            self._say_problems()
-
-    def _say_problems(self) -> None:
-        for bus in self._ports:
-            state = bus.listener.state
-            words = '' if state.is_open else state.text
-            if words != self._said.get(bus.bus.port, ''):
-                self._said[bus.bus.port] = words
-                again = f'{bus.bus.port}: the port is open again'
-                print(f'{self._tool}: {words or again}', file=sys.stderr)
+            for bus in self._ports:
+                if news := bus.listener.news():
+                    print(f'{self._tool}: {news}', file=sys.stderr)
 
     def end(self) -> Verdict:
         self._feed.report(time.monotonic_ns())
-        closed = [text for text in self._said.values() if text]
+        states = [bus.listener.state for bus in self._ports]
+        closed = [state.text for state in states if not state.is_open]
         for bus in self._ports:
             bus.listener.stop()
         return self._verdict(

@@ -126,10 +126,9 @@ def _summary(part: _Partial | None) -> Summary | None:
 class Series:
     """Samples of one quantity; `refused` counts those that were no number."""
 
-    __slots__ = ('_closed', '_end', '_lock', '_slice', '_state', '_width', 'refused', 'window_s')
+    __slots__ = ('_closed', '_end', '_lock', '_slice', '_state', '_width', 'refused')
 
     def __init__(self, window_s: float = 10.0) -> None:
-        self.window_s = window_s
         self.refused = 0
         self._width = int(window_s * 1e9 / SLICES)
         self._lock = Lock()         # between reset and a change of slice, not for adding
@@ -196,10 +195,9 @@ class Series:
 class Rate:
     """Amounts per second over a sliding window: packets, bytes, errors."""
 
-    __slots__ = ('_end', '_slice', '_slices', '_started', '_width', 'window_s')
+    __slots__ = ('_end', '_slice', '_slices', '_started', '_width')
 
     def __init__(self, window_s: float = 10.0) -> None:
-        self.window_s = window_s
         self._width = int(window_s * 1e9 / SLICES)
         self.reset()
 

@@ -15,12 +15,12 @@ _NS_PER_MS = 1e6
 class Timing:
     """Series of the metrics; one thread at a time adds to each of them."""
 
-    def __init__(self, window_s: float = 10.0) -> None:
-        self.callback_to_write = Series(window_s)
-        self.write = Series(window_s)
-        self.command_period = Series(window_s)
-        self.stamp_age = Series(window_s)
-        self._frames = Rate(window_s)
+    def __init__(self) -> None:
+        self.callback_to_write = Series()
+        self.write = Series()
+        self.command_period = Series()
+        self.stamp_age = Series()
+        self._frames = Rate()
         self._last_command: int | None = None
 
     def command_came(self, now: int, stamp_age: int | None) -> None:

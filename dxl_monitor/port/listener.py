@@ -74,7 +74,7 @@ class Listener:
 
     | attributes | who writes them |
     |---|---|
-    | _stopping | stop(), in the thread of the caller |
+    | _stopping, _said | stop(), news(): the thread of the caller |
     | port, _on_..., _gather_s, _take_every_s, _in_thread, _wake_..., _thread | set once |
     | all others | its thread: one value each, so that others read them without a lock |
     """
@@ -107,6 +107,7 @@ class Listener:
         self._errors_before = LineErrors()           # before this opening
         self._errors_at_opening: LineErrors | None = None
         self._stopping = False
+        self._said = ''              # by news()
         self._wake_read, self._wake_write = os.pipe()
         self._thread = threading.Thread(target=self._run, name=f'listener {port}', daemon=True)
 
@@ -120,6 +121,15 @@ class Listener:
     def idle_s(self) -> float:
         """For how long the line must be silent before what is left can be judged."""
         return idle_s(self.baud, self.latency_timer_ms or 0)
+
+    def news(self) -> str:
+        """Return why the port is not open, or that it is again, if that is new to the caller."""
+        state = self.state
+        words = '' if state.is_open else state.text
+        if words == self._said:
+            return ''
+        self._said = words
+        return words or f'{self.port}: the port is open again'
 
     def problems(self) -> list[str]:
         """Return what a person should know at the end, besides the counters."""

@@ -100,24 +100,21 @@ class FlightRecorder:
     def look(self, bus: str, report: BusReport) -> None:
         """Take a report of a bus: what is new and WARN or worse, or a lost device, is recorded."""
         with self._deciding:
-            self._look(bus, report)
-
-    def _look(self, bus: str, report: BusReport) -> None:
-        found: dict[Cause, str] = {
-            (bus, one.rule, one.device): f'{one.level.name} {one.message}'
-            for one in report.findings if one.level > Level.OK}
-        for one in report.devices:
-            if one.state == DISCONNECTED:
-                found[bus, 'lost', one.id] = f'{one.level.name} {one.message}'
-        now = self._now()
-        for cause, text in found.items():
-            if cause not in self._standing:
-                self._began(cause, text, now)
-        self._standing = {one for one in self._standing if one[0] != bus} | set(found)
-        if self._file is not None:
-            self.problem = self._file.problem
-            if now.stamp > self._until:
-                self._end()
+            found: dict[Cause, str] = {
+                (bus, one.rule, one.device): f'{one.level.name} {one.message}'
+                for one in report.findings if one.level > Level.OK}
+            for one in report.devices:
+                if one.state == DISCONNECTED:
+                    found[bus, 'lost', one.id] = f'{one.level.name} {one.message}'
+            now = self._now()
+            for cause, text in found.items():
+                if cause not in self._standing:
+                    self._began(cause, text, now)
+            self._standing = {one for one in self._standing if one[0] != bus} | set(found)
+            if self._file is not None:
+                self.problem = self._file.problem
+                if now.stamp > self._until:
+                    self.stop()
 
     def _began(self, cause: Cause, text: str, now: Moment) -> None:
         bus, rule, device = cause
@@ -133,30 +130,29 @@ class FlightRecorder:
     def save(self, why: str, now: Moment | None = None) -> str:
         """Begin a file, if none is being written; return its path, '' if it cannot be made."""
         with self._deciding:
-            return self._save(why, now or self._now())
-
-    def _save(self, why: str, now: Moment) -> str:
-        if self._file is not None:
+            if self._file is not None:
+                return self.path
+            now = now or self._now()
+            self.problem = ''
+            self._make_room()
+            time = datetime.fromtimestamp(now.wall / 1e9, timezone.utc).strftime('%Y%m%dT%H%M%SZ')
+            name = _NOT_IN_NAMES.sub('_', why)[:_NAME_SIZE].strip('_')
+            self.path = str(self._folder / f'{_NAME}{time}_{name}.txt')
+            try:
+                file = Recorder(self.path, sys.maxsize, 0, self._now, _WAITING_LIMIT)
+            except ParameterError as error:
+                self.problem = f'flight recorder: {error}'
+                return ''
+            with self._lock:
+                for wire, chunk in self._chunks:
+                    file.take(wire, chunk)
+                first = self._chunks[0][1].stamp if self._chunks else now.stamp
+                self._file = file
+            file.remark(f'flight recorder: {why}, and the {(now.stamp - first) / S:.1f} s '
+                        'before it')
+            self._until = now.stamp + AFTER_NS
+            file.start()
             return self.path
-        self.problem = ''
-        self._make_room()
-        time = datetime.fromtimestamp(now.wall / 1e9, timezone.utc).strftime('%Y%m%dT%H%M%SZ')
-        name = _NOT_IN_NAMES.sub('_', why)[:_NAME_SIZE].strip('_')
-        self.path = str(self._folder / f'{_NAME}{time}_{name}.txt')
-        try:
-            file = Recorder(self.path, sys.maxsize, 0, self._now, _WAITING_LIMIT)
-        except ParameterError as error:
-            self.problem = f'flight recorder: {error}'
-            return ''
-        with self._lock:
-            for wire, chunk in self._chunks:
-                file.take(wire, chunk)
-            first = self._chunks[0][1].stamp if self._chunks else now.stamp
-            self._file = file
-        file.remark(f'flight recorder: {why}, and the {(now.stamp - first) / S:.1f} s before it')
-        self._until = now.stamp + AFTER_NS
-        file.start()
-        return self.path
 
     def _make_room(self) -> None:
         """Delete the oldest files until the others, and as much again, fit in the folder."""
@@ -168,14 +164,11 @@ class FlightRecorder:
             total -= one.stat().st_size
             one.unlink(missing_ok=True)
 
-    def _end(self) -> None:
-        with self._lock:
-            file, self._file = self._file, None
-        if file is not None:
-            file.stop()
-            self.problem = file.problem
-
     def stop(self) -> None:
         """End the file that is being written."""
         with self._deciding:
-            self._end()
+            with self._lock:
+                file, self._file = self._file, None
+            if file is not None:
+                file.stop()
+                self.problem = file.problem

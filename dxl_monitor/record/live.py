@@ -40,7 +40,6 @@ class LivePort(Source):
         baud = rate_of(name, baud)
         self._queue: queue.SimpleQueue[Chunk] = queue.SimpleQueue()
         self._lost = 0
-        self._words = ''
         self._listener = listener_on(name, baud, self._take, on_change=self._change)
         self._listener.start()
         while self._listener.state.kind == STARTING:
@@ -71,7 +70,8 @@ class LivePort(Source):
         try:
             return self._queue.get(timeout=TICK_S)
         except queue.Empty:
-            self._tell_state()
+            if news := self._listener.news():
+                print(f'{self._tool}: {news}', file=sys.stderr)
             return None
 
     def problems(self) -> list[str]:
@@ -84,9 +84,3 @@ class LivePort(Source):
 
     def close(self) -> None:
         self._listener.stop()
-
-    def _tell_state(self) -> None:
-        words = '' if self._listener.state.is_open else self._listener.state.text
-        if words != self._words:
-            print(f'{self._tool}: {words or "the port is open again"}', file=sys.stderr)
-            self._words = words

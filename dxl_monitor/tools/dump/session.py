@@ -17,7 +17,6 @@ import json
 import os
 import sys
 import time
-from types import TracebackType
 from typing import BinaryIO
 
 from dxl_monitor.bus.report import BusReport
@@ -93,15 +92,12 @@ class Session:
     def __enter__(self) -> Session:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         self._source.close()
-        if self._mcap is not None:
-            with suppress(OSError) if error is not None else self._naming_the_file():
-                self._mcap.close()
-        if self._file is not None:
-            with suppress(OSError) if error is not None else self._naming_the_file():
-                self._file.close()
+        for output in (self._mcap, self._file):
+            with suppress(OSError) if kind is not None else self._naming_the_file():
+                if output is not None:
+                    output.close()
 
     def run(self) -> None:
         """Run to the end of the source, the limits that were set, or Ctrl-C."""
@@ -247,24 +243,23 @@ class Session:
 
     def _paint(self) -> None:
         now_s = time.monotonic()
-        is_shown = self._options.stats
-        if self._source.is_live and is_shown and now_s >= self._next_paint_s:
+        if not self._options.stats:
+            self._progress(now_s)
+        elif self._source.is_live and now_s >= self._next_paint_s:
             self._paint_screen(self._reports(time.monotonic_ns()))
             cost_s = time.monotonic() - now_s
             self._next_paint_s = now_s + max(PAINT_S, PAINT_SHARE * cost_s)
-        elif not is_shown and now_s >= self._next_progress_s:
-            self._next_progress_s = now_s + PROGRESS_S
-            self._progress(now_s)
 
     def _paint_screen(self, reports: list[BusReport], is_last: bool = False) -> None:
-        if self._options.stats:
-            self._screen.paint(stats(reports, self._screen.width, self._options.colours,
-                                     self._source.is_timed), is_last)
+        self._screen.paint(stats(reports, self._screen.width, self._options.colours,
+                                 self._source.is_timed), is_last)
 
     def _progress(self, now_s: float) -> None:
         """Say how far we are, where that does not disturb."""
-        if not sys.stderr.isatty() or (self._lists and self._screen.is_terminal):
+        if now_s < self._next_progress_s or not sys.stderr.isatty() or (
+                self._lists and self._screen.is_terminal):
             return
+        self._next_progress_s = now_s + PROGRESS_S
         total = self._source.total
         text = f'{100 * self._source.position() // total} % of {total / 1e6:.0f} MB' if total \
             else f'{now_s - self._started_s:.0f} s, {self._bytes} bytes; Ctrl-C ends'
@@ -283,7 +278,8 @@ class Session:
         if self._packets is not None:
             with self._naming_the_file():
                 self._packets.finish(self._listings, now)
-        self._paint_screen(reports, is_last=True)
+        if self._options.stats:
+            self._paint_screen(reports, is_last=True)
         if self._options.summary:
             print(json.dumps(summary(reports)))
         sys.stdout.flush()
