@@ -30,6 +30,7 @@ from mecarover_serial.pty import outlive
 from mecarover_serial.pty import parse_away
 from mecarover_serial.pty import Pty
 from mecarover_serial.readable import readable
+from msg_defs.crc import Checksum
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.vel2d import FRAME_SIZE
@@ -43,7 +44,7 @@ class FakeMcu:
     """A receiver on a pty, driven by `pump`."""
 
     def __init__(self, link: str | None = None, *, baud: int = 115200,
-                 crc: Callable[[bytes], int] = crc32_mpeg2, cable: BadCable | None = None,
+                 crc: Checksum = crc32_mpeg2, cable: BadCable | None = None,
                  talks: bool = False, watchdog: bool = False,
                  clock: Callable[[], int] = time.monotonic_ns) -> None:
         self.link = link

@@ -11,11 +11,11 @@ ever. Source: the mecarover thesis. Any bytes are accepted, nothing raises; time
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 import random
 from typing import NamedTuple
 
+from msg_defs.crc import Checksum
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
@@ -69,7 +69,7 @@ class Receiver:
     """Bytes in, set-points out."""
 
     def __init__(self, start: int = 0, *, baud: int = 115200,
-                 crc: Callable[[bytes], int] = crc32_mpeg2) -> None:
+                 crc: Checksum = crc32_mpeg2) -> None:
         """Begin with an idle line and an empty queue; the pose loop runs from `start` on."""
         self.totals = Totals()
         self.wheels = SetPoint(start, 0.0, 0.0, 0.0)

@@ -46,6 +46,7 @@ class CommonRange(NamedTuple):
 
 
 Asks = Iterable[Ask]
+Goals = dict[tuple[int, int], list[tuple[int, bytes]]]       # by address and size: ID and goal
 Pattern = Callable[['Fleet', int], Asks]
 
 
@@ -84,9 +85,9 @@ class Fleet:
             else:
                 yield from (read(number, span.address, span.length) for number in span.ids)
 
-    def goals(self) -> dict[tuple[int, int], list[tuple[int, bytes]]]:
+    def goals(self) -> Goals:
         """Return the servos' Goal Positions, by its address and size."""
-        found: dict[tuple[int, int], list[tuple[int, bytes]]] = {}
+        found: Goals = {}
         for device in self.servos:
             number = self.id_of[device]
             if number not in self.unwritten and device.motion is not None:

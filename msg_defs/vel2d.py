@@ -6,10 +6,10 @@ The rover's set-point and its frame on the UART.
 28 bytes, packed, no sync word: float64 x, y, omega and a uint32 CRC-32/MPEG-2 over the first
 24 bytes, all little-endian (docs/frame.md). The receiver finds a frame by the idle line around it.
 """
-from collections.abc import Callable
 import struct
 from typing import NamedTuple
 
+from msg_defs.crc import Checksum
 from msg_defs.crc import crc32_mpeg2
 
 FRAME_SIZE = 28
@@ -28,13 +28,13 @@ class Vel2d(NamedTuple):
 STOP = Vel2d(0.0, 0.0, 0.0)
 
 
-def encode(velocity: Vel2d, crc: Callable[[bytes], int] = crc32_mpeg2) -> bytes:
+def encode(velocity: Vel2d, crc: Checksum = crc32_mpeg2) -> bytes:
     """Return the 28 bytes of the frame; `crc` is one of msg_defs.crc.CRC_INPUTS."""
     values = _VALUES.pack(*velocity)
     return values + _CRC.pack(crc(values))
 
 
-def decode(frame: bytes, crc: Callable[[bytes], int] = crc32_mpeg2) -> Vel2d | None:
+def decode(frame: bytes, crc: Checksum = crc32_mpeg2) -> Vel2d | None:
     """Return what a frame says, None when its size or checksum is wrong."""
     if len(frame) != FRAME_SIZE:
         return None

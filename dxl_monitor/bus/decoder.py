@@ -15,7 +15,7 @@ from dxl_monitor.bus.cycle_time import NO_SIDES
 from dxl_monitor.bus.dialect import DialectChoice
 from dxl_monitor.bus.dxl1_classifier import AnyFramer
 from dxl_monitor.bus.dxl1_classifier import Dxl1Classifier
-from dxl_monitor.bus.dxl1_classifier import Part
+from dxl_monitor.bus.dxl1_classifier import Parts
 from dxl_monitor.bus.dxl1_classifier import SLOW_NS
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
@@ -160,7 +160,7 @@ class BusDecoder:
             return
         self._take_parts(self.classifier.read(framer, frames, stamp, side))
 
-    def _take_parts(self, parts: list[Part | None]) -> None:
+    def _take_parts(self, parts: Parts) -> None:
         for part in parts:
             if part is None:
                 self.registry.speak(self.choice.dialect)

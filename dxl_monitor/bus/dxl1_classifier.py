@@ -53,6 +53,7 @@ MEANINGS_KEPT = 1024
 AnyFramer = Framer | MixedFramer | dxl1_packet.Dxl1Framer
 # What BusDecoder.take() takes: frames, the stamp of their chunk, the offset after it, its side.
 Part = tuple[Frames, int, int, str]
+Parts = list[Part | None]
 Said = tuple[int, int, bytes]              # ID, code and parameters of a packet
 # What an instruction is: its kind and parameters in common form; who answers with how much.
 Meaning = tuple[int, bytes, Request, dict[int, int]]
@@ -103,13 +104,13 @@ class Dxl1Classifier:
         self._noise_seen: Counter[AnyFramer] = Counter()       # bytes of it, by framer
 
     def read(self, framer: AnyFramer, frames: Frames, stamp: int,
-             side: str) -> list[Part | None]:
+             side: str) -> Parts:
         """
         Return the frames of a chunk with their meaning, as BusDecoder.take() takes them.
 
         None among them: the dialect is known from here on.
         """
-        parts: list[Part | None] = []
+        parts: Parts = []
         found: Frames = []
         received = framer.bytes
         detector = self._detector
@@ -143,14 +144,14 @@ class Dxl1Classifier:
         parts.append((found, stamp, received, side))
         return parts
 
-    def _proof(self, detector: Detector, parts: list[Part | None]) -> Frame | None:
+    def _proof(self, detector: Detector, parts: Parts) -> Frame | None:
         """Add the packets of earlier chunks that this one proved; return the frame that did so."""
         for one in detector.proof:
             self._note_family(one.framer, one.frame, one.stamp)
             self._add(parts, self._meaning(*one[1:]), *one[2:])
         return detector.proving
 
-    def _cut(self, parts: list[Part | None], found: Frames, stamp: int, received: int,
+    def _cut(self, parts: Parts, found: Frames, stamp: int, received: int,
              side: str) -> Frames:
         """Say that the dialect is known: before the question that decided it, after the answer."""
         self._has_decided = False
@@ -158,7 +159,7 @@ class Dxl1Classifier:
         parts += [(found, stamp, received, side), None]
         return kept
 
-    def _add(self, parts: list[Part | None], frame: Frame, stamp: int, received: int,
+    def _add(self, parts: Parts, frame: Frame, stamp: int, received: int,
              side: str) -> None:
         """Add a packet of an earlier chunk."""
         found = [frame]
@@ -188,7 +189,7 @@ class Dxl1Classifier:
 
     # --- does this ID exist? --------------------------------------------------------------------
 
-    def _resolve(self, framer: AnyFramer, flaw: Flaw | None, parts: list[Part | None],
+    def _resolve(self, framer: AnyFramer, flaw: Flaw | None, parts: Parts,
                  found: Frames) -> None:
         """Decide on the packet that waits, for another frame has come."""
         held = self._unconfirmed
@@ -204,9 +205,9 @@ class Dxl1Classifier:
         if self._has_decided:
             found[:] = self._cut(parts, found.copy(), *held[2:])
 
-    def settle(self) -> list[Part | None]:
+    def settle(self) -> Parts:
         """Return the packet that waits, if the line is idle after it."""
-        parts: list[Part | None] = []
+        parts: Parts = []
         held = self._unconfirmed
         if held is not None and not held.framer.pending:
             self._add(parts, self._met(held, not held.framer.noise_length), *held[2:])

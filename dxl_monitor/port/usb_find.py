@@ -8,7 +8,6 @@ Everything comes from /sys; the tty is not opened.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 import re
@@ -100,16 +99,12 @@ def _data_interface(device: Path, number: int) -> Path:
 def _bulk(interface: Path) -> dict[str, tuple[int, int]]:
     """Return address and packet size of the bulk endpoints by side."""
     found: dict[str, tuple[int, int]] = {}
-    for folder in _endpoints(interface):
-        if _hex(folder / 'bmAttributes') & 3 == 2:
+    for folder in sorted(interface.glob('ep_*')):
+        if folder.is_dir() and _hex(folder / 'bmAttributes') & 3 == 2:
             address = _hex(folder / 'bEndpointAddress')
             found.setdefault(IN if address & 0x80 else OUT,
                              (address, _hex(folder / 'wMaxPacketSize') & 0x7FF))
     return found
-
-
-def _endpoints(interface: Path) -> Iterator[Path]:
-    return (one for one in sorted(interface.glob('ep_*')) if one.is_dir())
 
 
 def _latency(interface: Path) -> int | None:

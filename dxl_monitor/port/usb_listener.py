@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from functools import partial
 import os
+from pathlib import Path
 import socket
-import stat
 import time
 
 from dxl_monitor.port import reader
@@ -57,7 +57,7 @@ class UsbListener(Listener):
         self._newest = 0
         self._last = time.monotonic_ns()           # when the line said something
         name = self.port.removeprefix(USB)
-        if _is_socket(name):
+        if Path(name).is_socket():
             self._survey = Survey()
             with socket.socket(socket.AF_UNIX) as stream:
                 stream.connect(name)
@@ -169,13 +169,6 @@ def _to_monotonic() -> int:
         if after - before < _AT_ONCE_NS:
             break
     return after - wall
-
-
-def _is_socket(name: str) -> bool:
-    try:
-        return stat.S_ISSOCK(os.stat(name).st_mode)
-    except OSError:
-        return False
 
 
 def _open(name: str, path: str) -> int:

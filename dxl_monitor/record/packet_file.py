@@ -22,10 +22,20 @@ from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import DIGITS_LIMIT
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.pcap import ABOUT
 from dxl_monitor.record.pcap import CapturedPacket
+from dxl_monitor.record.pcap import COMMENT
+from dxl_monitor.record.pcap import ENHANCED
+from dxl_monitor.record.pcap import FLAGS
+from dxl_monitor.record.pcap import INTERFACE
 from dxl_monitor.record.pcap import is_pcap
 from dxl_monitor.record.pcap import LINK_USER0
+from dxl_monitor.record.pcap import NAME
 from dxl_monitor.record.pcap import PcapReader
+from dxl_monitor.record.pcap import RESOLUTION
+from dxl_monitor.record.pcap import SECTION
+from dxl_monitor.record.pcap import SECTION_MAGIC
+from dxl_monitor.record.pcap import SPEED
 from dxl_monitor.record.source import File
 from msg_defs.event import Change
 from msg_defs.event import CHANGES
@@ -34,9 +44,6 @@ from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.uart import byte_ns
 
-_SECTION, _MAGIC, _INTERFACE, _PACKET = 0x0A0D0D0A, 0x1A2B3C4D, 1, 6
-_COMMENT, _FLAGS = 1, 2            # options of a packet
-_NAME, _ABOUT, _SPEED, _RESOLUTION = 2, 3, 8, 9        # options of an interface
 _FLAG = {UNKNOWN: 0, IN: 1, OUT: 2}
 _SIDE = {flag: side for side, flag in _FLAG.items()}
 _NS_RESOLUTION = b'\x09'
@@ -50,7 +57,7 @@ class PacketWriter:
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self._interfaces: dict[str, int] = {}
-        self._block(_SECTION, struct.pack('<IHHq', _MAGIC, 1, 0, -1))
+        self._block(SECTION, struct.pack('<IHHq', SECTION_MAGIC, 1, 0, -1))
 
     def write(self, wire: Wire, stamp: int, data: bytes, side: str = UNKNOWN,
               comments: Sequence[str] = ()) -> None:
@@ -58,16 +65,16 @@ class PacketWriter:
         number = self._interfaces.get(wire.name)
         if number is None:
             number = self._interfaces[wire.name] = len(self._interfaces)
-            self._block(_INTERFACE, struct.pack('<HHI', LINK_USER0, 0, 0) + _options(
-                (_NAME, wire.name.encode()), (_ABOUT, wire.port.encode()),
-                (_SPEED, wire.baud.to_bytes(8, 'little')), (_RESOLUTION, _NS_RESOLUTION)))
+            self._block(INTERFACE, struct.pack('<HHI', LINK_USER0, 0, 0) + _options(
+                (NAME, wire.name.encode()), (ABOUT, wire.port.encode()),
+                (SPEED, wire.baud.to_bytes(8, 'little')), (RESOLUTION, _NS_RESOLUTION)))
         size = len(data)
         rest = bytes(-size % 4) + (_options(
-            *((_COMMENT, text.encode()) for text in comments),
-            (_FLAGS, _FLAG[side].to_bytes(4, 'little'))) if comments else _FLAG_ALONE[side])
+            *((COMMENT, text.encode()) for text in comments),
+            (FLAGS, _FLAG[side].to_bytes(4, 'little'))) if comments else _FLAG_ALONE[side])
         length = _PACKET_SIZE + size + len(rest)
         self._file.write(_PACKET_HEAD.pack(
-            _PACKET, length, number, stamp >> 32, stamp & 0xFFFFFFFF, size, size)
+            ENHANCED, length, number, stamp >> 32, stamp & 0xFFFFFFFF, size, size)
             + data + rest + length.to_bytes(4, 'little'))
 
     @staticmethod
@@ -91,7 +98,7 @@ def _padded(data: bytes) -> bytes:
 
 _PACKET_HEAD = struct.Struct('<IIIIIII')
 _PACKET_SIZE = _PACKET_HEAD.size + 4   # the block, without a packet
-_FLAG_ALONE = {side: _options((_FLAGS, flag.to_bytes(4, 'little'))) if side else b''
+_FLAG_ALONE = {side: _options((FLAGS, flag.to_bytes(4, 'little'))) if side else b''
                for side, flag in _FLAG.items()}
 
 

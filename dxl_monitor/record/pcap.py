@@ -21,10 +21,10 @@ LINK_USB_LINUX, LINK_USB_LINUX_MMAPPED, LINK_USBPCAP = 189, 220, 249
 LINK_USER0 = 147                   # ours: record/packet_file.py
 
 _PCAP_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}        # ns in a unit of the fraction
-_SECTION, _SECTION_MAGIC = 0x0A0D0D0A, 0x1A2B3C4D
-_INTERFACE, _OLD_PACKET, _SIMPLE, _ENHANCED = 1, 2, 3, 6
-_NAME, _ABOUT, _SPEED, _RESOLUTION, _OFFSET = 2, 3, 8, 9, 14       # options of an interface
-_COMMENT, _FLAGS = 1, 2            # options of a packet
+SECTION, SECTION_MAGIC = 0x0A0D0D0A, 0x1A2B3C4D
+INTERFACE, _OLD_PACKET, _SIMPLE, ENHANCED = 1, 2, 3, 6
+NAME, ABOUT, SPEED, RESOLUTION, _OFFSET = 2, 3, 8, 9, 14       # options of an interface
+COMMENT, FLAGS = 1, 2            # options of a packet
 _NS = 1_000_000_000
 MAGIC_SIZE = 4
 BLOCK_LIMIT = 1 << 26              # bytes: no packet of USB is near that
@@ -69,7 +69,7 @@ class _Damaged(Exception):
 def is_pcap(head: bytes) -> bool:
     """Tell whether a file that begins so is a pcap or pcapng file."""
     return len(head) >= MAGIC_SIZE and (
-        int.from_bytes(head[:4], 'big') == _SECTION
+        int.from_bytes(head[:4], 'big') == SECTION
         or any(int.from_bytes(head[:4], order) in _PCAP_MAGIC for order in ('little', 'big')))
 
 
@@ -86,7 +86,7 @@ class PcapReader:
     def __iter__(self) -> Iterator[CapturedPacket]:
         try:
             magic = self._exactly(MAGIC_SIZE, 'the magic number')
-            if int.from_bytes(magic, 'big') == _SECTION:
+            if int.from_bytes(magic, 'big') == SECTION:
                 yield from self._pcapng()
             else:
                 yield from self._pcap(magic)
@@ -117,13 +117,13 @@ class PcapReader:
         self._section()
         while front := self._some(8, 'the header of a block'):
             kind, size = self._unpack('II', front)
-            if kind == _SECTION:               # its length is in the order of the new section
+            if kind == SECTION:               # its length is in the order of the new section
                 self._section(front[4:])
                 continue
             body = self._body(size)
-            if kind == _INTERFACE:
+            if kind == INTERFACE:
                 self._interface(body)
-            elif kind in (_ENHANCED, _OLD_PACKET, _SIMPLE):
+            elif kind in (ENHANCED, _OLD_PACKET, _SIMPLE):
                 packet = self._packet(kind, body)
                 if packet is not None:
                     yield packet
@@ -132,7 +132,7 @@ class PcapReader:
         length = length or self._exactly(4, 'the header of a section')
         magic = self._exactly(4, 'the header of a section')
         for order in '<>':
-            if struct.unpack(order + 'I', magic)[0] == _SECTION_MAGIC:
+            if struct.unpack(order + 'I', magic)[0] == SECTION_MAGIC:
                 self._order = order
                 break
         else:
@@ -155,16 +155,16 @@ class PcapReader:
         link, _, snap_length = self._unpack('HHI', body)
         one = Interface(link, snap_length)
         for code, value in self._options(body[8:]):
-            if code == _RESOLUTION and value:
+            if code == RESOLUTION and value:
                 base, power = (2, value[0] & 0x7F) if value[0] & 0x80 else (10, value[0])
                 one = one._replace(units_per_second=base ** min(power, 64))
             elif code == _OFFSET and len(value) == 8:
                 one = one._replace(offset_s=self._unpack('q', value)[0])
-            elif code == _SPEED and len(value) == 8:
+            elif code == SPEED and len(value) == 8:
                 one = one._replace(speed=self._unpack('Q', value)[0])
-            elif code == _NAME:
+            elif code == NAME:
                 one = one._replace(name=_text(value))
-            elif code == _ABOUT:
+            elif code == ABOUT:
                 one = one._replace(about=_text(value))
         self._interfaces.append(one)
 
@@ -182,7 +182,7 @@ class PcapReader:
             return self._simple(body)
         if len(body) < 20:
             raise _Damaged('a packet without its header: damaged')
-        if kind == _ENHANCED:
+        if kind == ENHANCED:
             number, high, low, kept = self._unpack('IIII', body)
         else:
             number, _, high, low, kept = self._unpack('HHIII', body)
@@ -192,9 +192,9 @@ class PcapReader:
         stamp = (high << 32 | low) * _NS // one.units_per_second + one.offset_s * _NS
         flags, comments = 0, []
         for code, value in self._options(body[20 + kept + -kept % 4:]):
-            if code == _FLAGS and len(value) == 4:
+            if code == FLAGS and len(value) == 4:
                 flags = self._unpack('I', value)[0]
-            elif code == _COMMENT:
+            elif code == COMMENT:
                 comments.append(_text(value))
         return CapturedPacket(one, stamp, self._order, body[20:20 + kept], flags, tuple(comments))
 
