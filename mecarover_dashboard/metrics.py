@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
+from functools import partial
 
 from prometheus_client import CollectorRegistry
 from prometheus_client.core import CounterMetricFamily
@@ -153,17 +154,14 @@ def _scaled(value: float | None, scale: float) -> float | None:
 _Samples = Iterable[tuple[tuple[str, ...], float | None]]
 
 
-def _gauge(name: str, text: str, labels: tuple[str, ...], samples: _Samples) -> Metric:
-    return _filled(GaugeMetricFamily(f'mecarover_{name}', text, labels=labels), samples)
-
-
-def _counter(name: str, text: str, labels: tuple[str, ...], samples: _Samples) -> Metric:
-    return _filled(CounterMetricFamily(f'mecarover_{name}', text, labels=labels), samples)
-
-
-def _filled(family: GaugeMetricFamily | CounterMetricFamily, samples: _Samples) -> Metric:
-    """Add the samples that are known; two devices of the same labels count once."""
-    for labels, value in dict(samples).items():
+def _family(kind: type[GaugeMetricFamily | CounterMetricFamily], name: str, text: str,
+            labels: tuple[str, ...], samples: _Samples) -> Metric:
+    """Return the samples that are known; two devices of the same labels count once."""
+    family = kind(f'mecarover_{name}', text, labels=labels)
+    for values, value in dict(samples).items():
         if value is not None:
-            family.add_metric(labels, value)
+            family.add_metric(values, value)
     return family
+
+
+_gauge, _counter = partial(_family, GaugeMetricFamily), partial(_family, CounterMetricFamily)
