@@ -34,6 +34,7 @@ from dxl_monitor.timers import Timers
 from mecarover_serial.process import resident_memory_mb
 from mecarover_serial.ros_node import declare
 from mecarover_serial.ros_node import overridable_publisher
+from mecarover_serial.ros_node import Stoppable
 from mecarover_serial.ros_node import Surroundings
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
@@ -76,7 +77,7 @@ class JointStates:
             self._publisher.publish(joint_state(joints, to_ros_time(stamp, now, now_ros)))
 
 
-class MonitorNode:
+class MonitorNode(Stoppable):
     """
     The node dxl_monitor; made once, ended by `stop`.
 
@@ -139,12 +140,6 @@ class MonitorNode:
                 one.listener.stop()
             self._recorders.stop()
             self._tell_recorders()
-
-    def suspend(self) -> None:
-        """Nothing moves here."""
-
-    def resume(self) -> None:
-        """Do nothing: what was not heard is missing, and counted as such."""
 
     def _publisher(self, topic: str) -> Any:
         return self.node.create_publisher(DiagnosticArray, topic, QUEUE_DEPTH)

@@ -22,6 +22,7 @@ from rclpy.qos import ReliabilityPolicy
 
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import TOPICS
+from mecarover_serial.ros_node import Stoppable
 
 _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100,
                   reliability=ReliabilityPolicy.RELIABLE)
@@ -42,7 +43,7 @@ class Sink(Protocol):
     def stop(self) -> None: ...
 
 
-class Subscriber:
+class Subscriber(Stoppable):
     """A node that hears some of TOPICS; made once, ended by `stop`."""
 
     def __init__(self, server: Sink, name: str = 'dxl_dashboard',
@@ -60,12 +61,6 @@ class Subscriber:
     def stop(self) -> None:
         """Stop serving."""
         self._server.stop()
-
-    def suspend(self) -> None:
-        """Nothing moves here."""
-
-    def resume(self) -> None:
-        """Clients reconnect by themselves."""
 
     def _subscribe(self, topic: str, kind: str) -> None:
         self._kinds[topic] = kind

@@ -72,10 +72,12 @@ class Stoppable(Protocol):
         """Bring the machine to a safe state and release the ports; the context is still valid."""
 
     def suspend(self) -> None:
-        """Bring the machine to a safe state because the process is about to be suspended."""
+        """Bring the machine to a safe state, if it moves: the process is about to be suspended."""
+        return
 
     def resume(self) -> None:
         """Go on after a suspension, as if everything heard before it were forgotten."""
+        return
 
 
 def run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None = None) -> int:

@@ -128,7 +128,9 @@ class _Process:
         self._poll = select.poll()
         self._poll.register(port, select.POLLIN)
         self._poll.register(_CONTROL, select.POLLIN)
-        self._loop = Loop(self._wait, self._read, self._chunk, self._idle,
+        self._loop = Loop(self._wait, self._read,
+                          lambda chunk, stamp: self._write(CHUNK, stamp, chunk),
+                          lambda stamp: self._write(IDLE, stamp),
                           idle_s=idle_s, gather_s=gather_s, byte_ns=byte_ns)
         self._ring: Any = None
 
@@ -171,12 +173,6 @@ class _Process:
             self._write(DROPPED, time.monotonic_ns(), str(self._ring.dropped).encode())
             self._ring.dropped = 0
         return events
-
-    def _chunk(self, chunk: bytes, stamp: int) -> None:
-        self._write(CHUNK, stamp, chunk)
-
-    def _idle(self, now: int) -> None:
-        self._write(IDLE, now)
 
     def _write(self, kind: bytes, stamp: int, data: bytes = b'') -> None:
         record = HEAD.pack(kind, stamp, self._loop.largest_gap, len(data)) + data
