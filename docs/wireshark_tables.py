@@ -58,8 +58,8 @@ def wireshark_tables():
         numbers = [registers.setdefault(lua(field(one)), len(registers) + 1)
                    for one in models.get(number).fields if not one.name.startswith('Indirect ')]
         models_found[number] = [name, layouts.setdefault(lua(runs(numbers)), len(layouts) + 1)]
-    names = {code: entry.name for code, entry in dxl1_instruction.DYNAMIXEL_1.entries.items()}
-    feetech = {code: entry.name for code, entry in dxl1_instruction.FEETECH.entries.items()}
+    names, feetech = ({int(code): dxl_instruction.name_of(code) for code in dialect.entries}
+                      for dialect in (dxl1_instruction.DYNAMIXEL_1, dxl1_instruction.FEETECH))
     parts = {
         'instructions': {'2': dxl_instruction.NAMES, '1': names, 'feetech': feetech},
         'errors': {'2': dxl_instruction.ERROR_NAMES, '1': dxl1_instruction.DYNAMIXEL_1.errors,

@@ -3,20 +3,19 @@
 """
 What an instruction of the Protocol 1.0 family asks for, in Dynamixel 1.0 and in Feetech.
 
-A dialect is a table: what each code is called, how its parameters are laid out, who answers. The
+A dialect is a table: how the parameters of each code are laid out, who answers. The
 parameters of 2.0 say the same with wider addresses; common() puts them into that form, so that
 one tracker follows both. Sources: e-Manual, Protocol 1.0; Feetech, SCS Communication Protocol;
 the SDKs of both makers. No parameters raise an exception.
 """
 
 from collections.abc import Callable
-from enum import Enum
 from typing import NamedTuple
 
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
-from msg_defs.dxl_instruction import FEETECH_NAMES
+from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import parse as parse_2
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_instruction import RESET_ALL
@@ -26,23 +25,44 @@ from msg_defs.frame import MALFORMED_1
 STATUS_BITS = 0x7F                 # bit 7 of an error byte is always 0: no 0x82, 0x83, 0x92
 
 
-class ParamLayout(Enum):
-    """How the parameters of an instruction are laid out."""
+# How the parameters of an instruction are laid out: whether these are.
+def _nothing(id: int, params: bytes) -> bool:
+    return not params
 
-    NOTHING = 'no parameters'
-    READ = 'address, size'
-    WRITE = 'address, data'
-    SYNC_READ = 'address, size, IDs'
-    SYNC_WRITE = 'address, size, (ID, data) for each'
-    BULK_READ = '00, (size, ID, address) for each'
-    VALUE = 'nothing or a value of two bytes'
+
+def _address_size(id: int, params: bytes) -> bool:
+    return len(params) == 2 and params[1] > 0
+
+
+def _address_data(id: int, params: bytes) -> bool:
+    return len(params) > 1
+
+
+def _sync_read(id: int, params: bytes) -> bool:
+    """Tell whether they are address, size, IDs."""
+    return id == BROADCAST and len(params) > 2 and len(set(params[2:])) == len(params) - 2
+
+
+def _sync_write(id: int, params: bytes) -> bool:
+    """Tell whether they are address, size, (ID, data) for each."""
+    return (id == BROADCAST and len(params) > 2 and params[1] > 0
+            and (len(params) - 2) % (params[1] + 1) == 0)
+
+
+def _bulk_read(id: int, params: bytes) -> bool:
+    """Tell whether they are 00, (size, ID, address) for each."""
+    return (id == BROADCAST and len(params) > 3 and len(params) % 3 == 1 and params[0] == 0
+            and len(set(params[2::3])) == len(params) // 3)
+
+
+def _maybe_a_word(id: int, params: bytes) -> bool:
+    return len(params) in (0, 2)
 
 
 class DialectInstruction(NamedTuple):
     """One instruction of a dialect; answers: to a single device, LISTED for a group."""
 
-    name: str
-    layout: ParamLayout
+    fits: Callable[[int, bytes], bool]     # whether an ID and parameters do
     answers: Answers
 
 
@@ -68,28 +88,27 @@ class Dialect(NamedTuple):
     factory_baud: int
 
 
-_COMMON = {
-    0x01: DialectInstruction('Ping', ParamLayout.NOTHING, Answers.PING),
-    0x02: DialectInstruction('Read', ParamLayout.READ, Answers.DATA),
-    0x03: DialectInstruction('Write', ParamLayout.WRITE, Answers.ACK),
-    0x04: DialectInstruction('Reg Write', ParamLayout.WRITE, Answers.ACK),
-    0x05: DialectInstruction('Action', ParamLayout.NOTHING, Answers.ACK),
-    0x06: DialectInstruction('Factory Reset', ParamLayout.NOTHING, Answers.ACK),
-    0x83: DialectInstruction('Sync Write', ParamLayout.SYNC_WRITE, Answers.NONE),
+_COMMON: dict[int, DialectInstruction] = {
+    Instruction.PING: DialectInstruction(_nothing, Answers.PING),
+    Instruction.READ: DialectInstruction(_address_size, Answers.DATA),
+    Instruction.WRITE: DialectInstruction(_address_data, Answers.ACK),
+    Instruction.REG_WRITE: DialectInstruction(_address_data, Answers.ACK),
+    Instruction.ACTION: DialectInstruction(_nothing, Answers.ACK),
+    Instruction.FACTORY_RESET: DialectInstruction(_nothing, Answers.ACK),
+    Instruction.SYNC_WRITE: DialectInstruction(_sync_write, Answers.NONE),
 }
-RESET = 0x06
 CALIBRATE = 0x0B
-_FEETECH = {
-    0x09: DialectInstruction(FEETECH_NAMES[0x09], ParamLayout.NOTHING, Answers.ACK),
-    0x0A: DialectInstruction(FEETECH_NAMES[0x0A], ParamLayout.NOTHING, Answers.ACK),
-    CALIBRATE: DialectInstruction(FEETECH_NAMES[CALIBRATE], ParamLayout.VALUE, Answers.ACK),
-    0x82: DialectInstruction('Sync Read', ParamLayout.SYNC_READ, Answers.LISTED),
+_FEETECH: dict[int, DialectInstruction] = {         # FEETECH_NAMES has the names
+    0x09: DialectInstruction(_nothing, Answers.ACK),
+    0x0A: DialectInstruction(_nothing, Answers.ACK),
+    CALIBRATE: DialectInstruction(_maybe_a_word, Answers.ACK),
+    Instruction.SYNC_READ: DialectInstruction(_sync_read, Answers.LISTED),
 }
 
 DYNAMIXEL_1 = Dialect(
     name='Dynamixel 1.0', protocol='1',
-    entries={**_COMMON, 0x08: DialectInstruction('Reboot', ParamLayout.NOTHING, Answers.ACK),
-             0x92: DialectInstruction('Bulk Read', ParamLayout.BULK_READ, Answers.LISTED)},
+    entries={**_COMMON, Instruction.REBOOT: DialectInstruction(_nothing, Answers.ACK),
+             Instruction.BULK_READ: DialectInstruction(_bulk_read, Answers.LISTED)},
     errors={0: 'input voltage', 1: 'angle limit', 2: 'overheating', 3: 'range', 4: 'checksum',
             5: 'overload', 6: 'instruction'},
     refusals={1: 6, 3: 4, 4: 3, 6: 2},
@@ -97,7 +116,7 @@ DYNAMIXEL_1 = Dialect(
 # It is away for 0.8 s after a Reboot, and does not say so first.
 FEETECH = Dialect(
     name='Feetech', protocol='feetech',
-    entries={**_COMMON, 0x08: DialectInstruction('Reboot', ParamLayout.NOTHING, Answers.NONE),
+    entries={**_COMMON, Instruction.REBOOT: DialectInstruction(_nothing, Answers.NONE),
              **_FEETECH},
     errors={0: 'voltage', 1: 'angle sensor', 2: 'overheating', 3: 'current', 5: 'overload'},
     refusals={},
@@ -111,8 +130,6 @@ UNDECIDED = Dialect(
             5: 'overload'},
     refusals={3: 4, 4: 3, 6: 2},
     error_at=256, identity_at=-1, level_at=-1, factory_baud=1_000_000)
-# A reset of Dynamixel sets the ID to 1, one of Feetech keeps it.
-_RESETS = {DYNAMIXEL_1.protocol: RESET_ALL}
 DIALECTS = (DYNAMIXEL_1, FEETECH, UNDECIDED)
 
 
@@ -132,7 +149,7 @@ def common_error(error: int, dialect: Dialect) -> int:
 def fits(code: int, id: int, params: bytes, dialect: Dialect = UNDECIDED) -> bool:
     """Return whether a frame makes sense as an instruction of this dialect."""
     entry = dialect.entries.get(code)
-    return entry is not None and _FITS[entry.layout](id, params)
+    return entry is not None and entry.fits(id, params)
 
 
 def parse(code: int, id: int, params: bytes, dialect: Dialect = UNDECIDED) -> Request:
@@ -156,7 +173,7 @@ def common(code: int, params: bytes) -> bytes:
 def in_common(code: int, id: int, params: bytes) -> tuple[int, bytes]:
     """Return of what kind the frame of an instruction is, and its parameters in common()."""
     entry = UNDECIDED.entries.get(code)
-    if entry is not None and not _FITS[entry.layout](id, params):
+    if entry is not None and not entry.fits(id, params):
         return MALFORMED_1, params
     return INSTRUCTION_1, common(code, params)
 
@@ -167,36 +184,13 @@ def understood(kind: int, code: int, id: int, params: bytes, dialect: Dialect) -
     if entry is None or kind == MALFORMED_1:
         return Request(code, id, Answers.NONE, malformed=entry is not None)
     said = parse_2(code, id, params)
+    # A reset of Dynamixel sets the ID to 1, one of Feetech keeps it.
+    sets_id = dialect is DYNAMIXEL_1 and code == Instruction.FACTORY_RESET
     return said._replace(answers=_answers(entry, id), malformed=False,
-                         option=_RESETS.get(dialect.protocol, '') if code == RESET else '')
+                         option=RESET_ALL if sets_id else '')
 
 
 def _answers(entry: DialectInstruction, id: int) -> Answers:
     if id != BROADCAST or entry.answers is Answers.LISTED:
         return entry.answers
     return Answers.EVERYBODY if entry.answers is Answers.PING else Answers.NONE
-
-
-def _fits_sync_read(id: int, params: bytes) -> bool:
-    return id == BROADCAST and len(params) > 2 and len(set(params[2:])) == len(params) - 2
-
-
-def _fits_sync_write(id: int, params: bytes) -> bool:
-    return (id == BROADCAST and len(params) > 2 and params[1] > 0
-            and (len(params) - 2) % (params[1] + 1) == 0)
-
-
-def _fits_bulk_read(id: int, params: bytes) -> bool:
-    return (id == BROADCAST and len(params) > 3 and len(params) % 3 == 1 and params[0] == 0
-            and len(set(params[2::3])) == len(params) // 3)
-
-
-_FITS: dict[ParamLayout, Callable[[int, bytes], bool]] = {
-    ParamLayout.NOTHING: lambda id, params: not params,
-    ParamLayout.READ: lambda id, params: len(params) == 2 and params[1] > 0,
-    ParamLayout.WRITE: lambda id, params: len(params) > 1,
-    ParamLayout.SYNC_READ: _fits_sync_read,
-    ParamLayout.SYNC_WRITE: _fits_sync_write,
-    ParamLayout.BULK_READ: _fits_bulk_read,
-    ParamLayout.VALUE: lambda id, params: len(params) in (0, 2),
-}
