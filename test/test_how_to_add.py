@@ -211,7 +211,7 @@ for device in report.devices:
 def test_a_value_in_a_status(copy):
     code = copy('a value in a status')
     code.change('dxl_monitor/monitor_status.py', (
-        "        ('Missed in a Row',", '        (keys.ERRORS, str(len(device.errors))),\n'))
+        "        'Missed in a Row':", '        keys.ERRORS: len(device.errors),\n'))
     code.change('docs/generate.py', (
         "    'Missed in a Row': ", "    'Kinds of Errors': 'refused so far',\n"))
     code.change('msg_defs/status_keys.py', ('NOT_OBSERVED =', "ERRORS = 'Kinds of Errors'\n"),
