@@ -20,9 +20,5 @@ class PortError(Exception):
     """A port that cannot be used: `str()` is one line, 'thing: reason; remedy'."""
 
     def __init__(self, thing: str, reason: Reason) -> None:
-        reason = Reason(*map(printable, reason))        # with names of processes and devices
-        super().__init__(f'{printable(thing)}: {reason.reason}; {reason.remedy}')
-        self.thing = thing
-        self.kind = reason.kind
-        self.reason = reason.reason
-        self.remedy = reason.remedy
+        self.kind, self.reason, self.remedy = map(printable, reason)    # with names of processes
+        super().__init__(f'{printable(thing)}: {self.reason}; {self.remedy}')

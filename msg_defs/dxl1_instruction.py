@@ -74,7 +74,7 @@ class Dialect(NamedTuple):
     refusals: those of them that refuse an instruction, with the error number that 2.0 has for it;
     all others tell the state of the device.
     error_at: where the error byte is in the control table; 256 is after its end.
-    identity_at, level_at: addresses of Model Number and Status Return Level.
+    identity_at: the address of Model Number.
     """
 
     name: str
@@ -84,8 +84,6 @@ class Dialect(NamedTuple):
     refusals: dict[int, int]
     error_at: int
     identity_at: int
-    level_at: int
-    factory_baud: int
 
 
 _COMMON: dict[int, DialectInstruction] = {
@@ -112,7 +110,7 @@ DYNAMIXEL_1 = Dialect(
     errors={0: 'input voltage', 1: 'angle limit', 2: 'overheating', 3: 'range', 4: 'checksum',
             5: 'overload', 6: 'instruction'},
     refusals={1: 6, 3: 4, 4: 3, 6: 2},
-    error_at=256, identity_at=0, level_at=16, factory_baud=1_000_000)
+    error_at=256, identity_at=0)
 # It is away for 0.8 s after a Reboot, and does not say so first.
 FEETECH = Dialect(
     name='Feetech', protocol='feetech',
@@ -120,7 +118,7 @@ FEETECH = Dialect(
              **_FEETECH},
     errors={0: 'voltage', 1: 'angle sensor', 2: 'overheating', 3: 'current', 5: 'overload'},
     refusals={},
-    error_at=65, identity_at=3, level_at=8, factory_baud=1_000_000)
+    error_at=65, identity_at=3)
 # As long as it is not known which of the two a bus speaks: what they have in common is certain,
 # and what only one of them has is understood.
 UNDECIDED = Dialect(
@@ -129,7 +127,7 @@ UNDECIDED = Dialect(
     errors={0: 'voltage', 1: 'angle limit or sensor', 2: 'overheating', 3: 'range or current',
             5: 'overload'},
     refusals={3: 4, 4: 3, 6: 2},
-    error_at=256, identity_at=-1, level_at=-1, factory_baud=1_000_000)
+    error_at=256, identity_at=-1)
 DIALECTS = (DYNAMIXEL_1, FEETECH, UNDECIDED)
 
 

@@ -42,7 +42,7 @@ NO_ID = 255
 MOVED_ANSWERS = 3                  # under an ID that it lost: there is another one
 ABSENCE_MS = 50                    # missed for so long: it was away, which is worth a note
 FACTORY_ID = 1
-FACTORY_BAUD = 57_600
+FACTORY_BAUD, FACTORY_BAUD_1 = 57_600, 1_000_000      # Protocol 2.0, the 1.0 family
 MIDDLE = 128                       # as Torque Enable of Feetech: this position is the middle
 _RESET_KEEPS: dict[str, tuple[str, ...]] = {
     'all': (), 'all except ID': ('ID',), 'all except ID and Baud Rate': ('ID', 'Baud Rate'),
@@ -281,7 +281,7 @@ class DeviceRegistry:
         self.reboot(device, stamp)
         device.table.forget('all', device.model, (*IDENTITY, *_RESET_KEEPS[option]))
         if 'Baud Rate' not in _RESET_KEEPS[option]:
-            baud = device.dialect.factory_baud if device.dialect is not None else FACTORY_BAUD
+            baud = FACTORY_BAUD if device.dialect is None else FACTORY_BAUD_1
             self._moved(device, baud, f'{baud} Bd')
         if 'ID' not in _RESET_KEEPS[option]:
             self.renumber(device, FACTORY_ID, stamp)
