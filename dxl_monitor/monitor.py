@@ -53,7 +53,6 @@ from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.timing import Series
 
-# Line errors as sources tell them: the counter of LineErrors.
 _LINE_ERRORS = {OVERRUN: 'overrun', PARITY: 'parity', FRAMING: 'frame', BREAK: 'breaks'}
 WINDOW_S = 10
 TICK_NS = 1_000_000_000
@@ -85,7 +84,7 @@ class Monitor:
     |---|---|
     | _fed, _last, _time_per_buffer, _time_between, _buffer_size | feed() |
     | _listened, _resumed | feed(), flush_if_idle(), report() where idle is not reported |
-    | _line_errors, _deaf, _failed | change(), report(), end() |
+    | _line_errors, _deaf, _failed, _users | change(), report(), end() |
     | _ticks, _next_tick, _noise_seen | feed() or report(), once a second |
     | _started, _base, doctor | reset_statistics() |
     | all others | set once |
@@ -114,6 +113,7 @@ class Monitor:
         self._resumed = 0                      # when somebody listened again
         self._deaf = 0                         # until then no port was open
         self._failed: str | None = None        # how the program that asks ended
+        self._users = tuple[str, ...]()        # who else had its port
         self._noise_seen = 0
         self._start_statistics(0)
 
@@ -169,15 +169,15 @@ class Monitor:
         else:
             self.change(chunk.change, chunk.stamp)
 
-    def end(self, now: int, failed: str = '') -> None:
+    def end(self, now: int, failed: str = '', users: Sequence[str] = ()) -> None:
         """
-        Take note that nothing more will come.
+        Take note that nothing more will come; of a program that failed the last question counts.
 
-        failed: how the program that asks ended by itself (report.py): its last question counts.
+        failed: how it ended by itself (report.py). users: who else had its port open.
         """
         self.change(Change(CLOSED, 1), now)
         with self._lock:
-            self._failed = failed
+            self._failed, self._users = failed, tuple(users)
             self._tracker.unread.end(bool(failed), self.decoder.byte_ns)
 
     def alarms(self) -> int:
@@ -365,7 +365,7 @@ class Monitor:
             last_byte_s=(now - self._last) / 1e9 if self._last else None, deaf=self._deaf,
             kinds=dict(evidence.counts), protocol=self.decoder.protocol(), scanned=self._scanned(),
             is_answered=self.decoder.is_answered, has_sides=OUT in self.decoder.framers,
-            is_over=self._failed is not None, failed=self._failed or '',
+            is_over=self._failed is not None, failed=self._failed or '', users=self._users,
             chain=tuple(expected.id for expected in self.settings.devices),
             tried=frozenset(self._registry.tried))
 
@@ -373,7 +373,7 @@ class Monitor:
         """Return the IDs that were only pinged and never heard: many are a scan, no devices."""
         found = tuple(device.number for device in self._registry.devices.values()
                       if not (device.heard or device.expected or device.counts.reads
-                              or device.counts.writes))
+                              or device.counts.writes or device.acks_missing))
         return found if len(found) >= SCAN else ()
 
     def _metrics(self, now: int, rates: dict[str, float]) -> tuple[Metric, ...]:

@@ -170,8 +170,8 @@ class ProgramRun(SourceRun):
     def end(self) -> Verdict:
         self._program.close()
         ending = self._program.ending
-        for bus in self._heard.values():
-            bus.monitor.end(self._known, ending.failed)
+        for name, bus in self._heard.items():
+            bus.monitor.end(self._known, ending.failed, self._program.users.get(name, ()))
         self._feed.report(self._known)
         said = self._verdict(
             lambda: no_data.of_program(self._command, self._program.ports, ending))

@@ -75,7 +75,7 @@ def test_a_rule_speaks_from_its_edge_on(row):
     (1999, 0, False), (2130, 0, False),
     (1000, 44, True), (1000, 45, False), (1189, 44, True), (1189, 45, False), (1190, 45, True),
     (1190, 46, False), (1249, 45, True), (1250, 44, True), (1250, 45, False), (1399, 44, True),
-    (2000, 11, True), (2000, 12, False), (2129, 11, True), (None, 0, False), (1060, None, False),
+    (2000, 11, True), (2000, 12, False), (2129, 11, True), (None, 0, False), (1060, None, True),
 ])
 def test_the_firmware_from_which_on_fast_reads_are_known(number, firmware, is_told):
     one = device(model_number=number, firmware=firmware, totals={'answers': 9})

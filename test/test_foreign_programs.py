@@ -234,7 +234,76 @@ def waited_for(code: int, before: int) -> Iterator[Said]:
     yield 0, '', EMPTY
 
 
+def goes(*turns: tuple[bytes, bytes], rounds: int = 999, first: tuple = ()) -> Iterator[Said]:
+    """Ask that again and again, after some first; what is not answered is waited for."""
+    yield 0, '', EMPTY
+    for asked, answer in [*first, *rounds * turns]:
+        yield 20, OUT, asked
+        yield (1, IN, answer) if answer else (40, '', Change(GAVE_UP, 0))
+    yield 0, '', EMPTY
+
+
+def ping_2(number: int) -> tuple[bytes, bytes]:
+    return encode(number, 1), encode(number, STATUS, b'\x24\x04\x2e', error=0)
+
+
+def write_2(number: int, at: int, *data: int) -> tuple[bytes, bytes]:
+    return encode(number, 3, bytes((at, 0, *data))), encode(number, STATUS, b'', error=0)
+
+
+def read_2(number: int, at: int, size: int) -> tuple[bytes, bytes]:
+    return read(number, at, size), encode(number, STATUS, bytes(size), error=0)
+
+
+ASKED = packet(1, 2, 56, 2)
+COLLIDED = b'\xdf\xdf\1\0\0\x20\0\xfd'       # two servos answered
+SILENT_WRITE = write_2(2, 64, 1)[0], b''
+SEARCH = [(packet(number, 1), packet(number, 0) if number < 3 else b'') for number in range(20)]
+FAST = encode(254, 0x8A, bytes((132, 0, 4, 0, 2))), b''
+
+
+def one_way(mode: int, goal: int) -> Iterator[Said]:
+    """Set an operating mode, then send goals by Sync Write, and read the position."""
+    yield from goes(write_2(1, 11, mode), write_2(1, 64, 1), rounds=1)
+    for turn in count():
+        there = goal + turn % 40
+        yield 20, OUT, encode(254, 0x83, bytes((116, 0, 4, 0, 1)) + there.to_bytes(4, 'little'))
+        yield 20, OUT, read(1, 132, 4)
+        yield 1, IN, encode(1, STATUS, min(4095, there).to_bytes(4, 'little'), error=0)
+
+
+def lost_acks(each: int) -> Iterator[Said]:
+    """Write and read; some acknowledgements of servo 2 get lost, several in a row, or all."""
+    for turn in count():
+        for number in (1, 2):
+            is_lost = number == 2 and (turn % 8 < each)
+            yield from goes((write_2(number, 116, turn % 200, 8, 0, 0)[0],
+                             b'' if is_lost else encode(number, STATUS, b'', error=0)),
+                            read_2(number, 132, 4), rounds=1)
+
+
 @pytest.mark.parametrize(('said', 'failed', 'found'), [
+    (goes((ASKED, COLLIDED)), '', {'damaged_answers'}), (goes((ASKED, b'')), '', {'no_answer'}),
+    (goes((ASKED, b'\0\xfe' + packet(1, 0, 0, 8))), '', set()),
+    (goes(SEARCH[1], SEARCH[2], (packet(3, 1), COLLIDED), (packet(4, 1), b''), rounds=1), RAISED,
+     {'damaged_answers', 'no_answer'}),
+    (goes(*SEARCH, (ASKED, COLLIDED), rounds=1), FAILED, {'damaged_answers'}),
+    (goes(*SEARCH, (packet(9, 3, 42, 0, 8), b''), rounds=1), FAILED, {'no_answer'}),
+    (goes(*SEARCH, rounds=1), FAILED, set()),
+    (goes(ping_2(1), ping_2(2), SILENT_WRITE, rounds=1), FAILED, {'ping_only'}),
+    (goes(ping_2(1), read_2(2, 132, 4), SILENT_WRITE, rounds=1), FAILED, {'no_acks'}),
+    (goes(ping_2(1), ping_2(2), SILENT_WRITE, rounds=1), '', set()),
+    (goes(write_2(1, 64, 1), SILENT_WRITE, SILENT_WRITE, read_2(1, 132, 4), rounds=1), FAILED,
+     {'no_answer'}),
+    (goes(write_2(1, 64, 1), SILENT_WRITE, SILENT_WRITE, read_2(1, 132, 4), rounds=1), '', set()),
+    (goes(FAST, first=(write_2(2, 64, 1),)), '', {'fast_read_unsupported'}),
+    (goes(FAST), '', {'no_answer'}),
+    (goes((packet(1, 3, 16, 0, 2), packet(1, 0)), (ASKED, packet(1, 0, 0, 8))), '',
+     {'eeprom_wear'}),
+    (goes((packet(1, 3, 42, 0, 2), packet(1, 0)), (ASKED, packet(1, 0, 0, 8))), '', set()),
+    (one_way(3, 4300), '', {'goal_limits'}), (one_way(4, 4300), '', set()),
+    (one_way(3, 2000), '', set()),
+    (lost_acks(3), '', {'missed_answers'}), (lost_acks(8), '', set()),
     (twice(0.6), '', {'duplicate_id'}), (twice(4), '', {'foreign_answers'}),
     (passed_by(2, twice=True), '', {'duplicate_id'}),
     (passed_by(1, 2, 3, twice=False), '', set()),

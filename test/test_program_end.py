@@ -10,11 +10,16 @@ writes and reads, and of what it leaves unread.
 import pytest
 
 from dxl_monitor.bus.report import FAILED
+from dxl_monitor.bus.report import OWN
 from dxl_monitor.bus.report import RAISED
+from dxl_monitor.bus.report import ROBBER
 from dxl_monitor.model.models import Models
+from dxl_monitor.port import tap_sender as sent
+from dxl_monitor.port.tap_reader import TapRecord
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.tools.doctor.examination import Examination
+from dxl_monitor.tools.doctor.program import Openings
 from dxl_monitor.tools.doctor.verdict import verdict
 from msg_defs.dxl1_packet import encode
 from msg_defs.event import BAUD
@@ -308,3 +313,18 @@ def test_a_program_that_tries_many_rates_has_none():
         program.change(BAUD, rate, 50)
         program.ping(1, answers=False)
     assert 'several baud rates' in verdict_of(program).head
+
+
+@pytest.mark.parametrize(('said', 'others'), [
+    ('+1 +2 1 2 1 2', OWN), ('+1 +2 1 1 1 1', ''), ('+1 +2 1 1 2 2', ''),
+    ('+1 1 -1 +2 2 -2 +1 1 -1 +2 2', ''),          # one after the other
+    ('+1 +2 1 2 1 robbed 1', ROBBER), ('+1 +2 1 2 1 -2 robbed 1', ''),
+], ids=['two', 'one idle', 'handed on', 'in turns', 'robbed', 'unplugged'])
+def test_two_who_ask_on_one_port_are_noticed(said, others):
+    openings, found = Openings(), ''
+    for word in said.split():
+        openings.is_robbed |= word == 'robbed'
+        if word[-1].isdigit():
+            kind = {'+': sent.OPENED, '-': CLOSED}.get(word[0], OUT)
+            found = openings.others('arm', TapRecord(1, 'arm', kind, b'', 0, int(word[-1])))
+    assert found == others

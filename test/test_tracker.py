@@ -162,7 +162,8 @@ def test_a_miss_is_stamped_with_the_next_instruction_on_the_wire():
     bus.hear(ping(1), pong(1), read(1), ping(1))
     began = bus.now - len(ping(1)) * BYTE_NS
     assert notes(bus)[-1] == (began, ev.MISSED, 1, (I.READ, POSITION))
-    assert bus.evidence.waits[-1] == (began, (began - (bus.now - 1_000_000)) // 1000, 1, False)
+    assert bus.evidence.waits[-1] == (began, (began - (bus.now - 1_000_000)) // 1000, 1, False,
+                                      I.READ)
 
 
 def test_a_repetition_is_noted_with_its_distance():

@@ -80,6 +80,7 @@ class BusDecoder:
         self.settings = settings
         self.byte_ns = byte_ns(settings.baud)
         self._last_in = 0                     # stamp of the last bytes to the master, if known
+        self._noise_in = 0                    # bytes of noise to it that were looked at
         self.evidence = Evidence()
         self.clock = CycleClock()
         self.registry = DeviceRegistry(models, settings.devices, settings.baud, self.evidence)
@@ -146,8 +147,14 @@ class BusDecoder:
             return
         if stamp - self._last_in > self.idle_ns and framer.pending:
             self._flush(IN, framer, self._last_in)
+        self._note_noise(framer)
         self.tracker.quiet_from = framer.bytes - framer.pending
         self.tracker.unread.expire(stamp, self.byte_ns)
+
+    def _note_noise(self, framer: AnyFramer) -> None:
+        """Take note of what the master received that is no packet, before it goes on."""
+        self.tracker.hear_noise(framer.noise_bytes - self._noise_in)
+        self._noise_in = framer.noise_bytes
 
     def _flush(self, side: str, framer: AnyFramer, stamp: int) -> None:
         framer.stamp = stamp
@@ -223,6 +230,8 @@ class BusDecoder:
         for side, framer in self.framers.items():
             self._flush(side, framer, stamp)
         self._settle()
+        if IN in self.framers:
+            self._note_noise(self.framers[IN])
         self.tracker.lose_track(stamp, lost)
         self.clock.interrupt()
 

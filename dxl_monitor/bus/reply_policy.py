@@ -8,6 +8,7 @@ well. It is known where the register was seen; else a device that acknowledged o
 so always, until it stops while it goes on answering reads.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
@@ -20,6 +21,7 @@ from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.report import Wait
 from msg_defs.frame import GLITCH
 
+AROUND = 11                        # bytes of a status without its data
 ACKS_LEARNED = 3                   # writes without an answer, from a device that answers reads
 
 
@@ -80,15 +82,18 @@ class ReplyPolicy:
         """
         plan, due, spoke, is_spoilt, *_ = question
         if us >= 0:
-            self._evidence.waits.append(Wait(now, us, due[0].device.number, is_spoilt))
+            self._evidence.waits.append(Wait(now, us, due[0].device.number, is_spoilt,
+                                             plan.request.instruction))
         served, behind = plan.served(due, spoke)
         for slot in due[:served]:
             self._miss(plan, slot, now, stamp, is_spoilt or slot.device.number in spoke)
         for slot in due[served:]:
             slot.device.not_served(now, stamp, behind)
 
-    def look_at_noise(self, question: OpenQuestion, noise: int, most: int, now: int) -> None:
-        """Note who the noise may come from; most: bytes of all answers that did not come."""
+    def look_at_noise(self, question: OpenQuestion, noise: int, slots: Iterable[Slot],
+                      now: int) -> None:
+        """Note who the noise may come from; slots: of all answers that did not come."""
+        most = sum(slot.size + AROUND for slot in slots)
         first = question.due[0].device
         if noise > most + GLITCH:
             self._evidence.note_often(now, ev.TOO_LONG, first.number, ev.Sizes(noise, most))

@@ -45,6 +45,11 @@ FAILED = 'failed'                  # with an exit code that is not 0
 RAISED = 'raised'                  # by an exception of its servo library
 
 
+# Who else uses its port: a program that it started, or itself where it opens the port twice.
+OWN = 'another part of this program'
+ROBBER = f'{OWN}, which took its answers,'
+
+
 class Error(NamedTuple):
     """One line of the error log; stamp in monotonic ns."""
 
@@ -88,6 +93,7 @@ class Wait(NamedTuple):
     us: int                        # since the end of its question
     device: int                    # the first that did not answer
     is_spoilt: bool
+    instruction: int = 0
 
 
 def _shown(key: str) -> int:
@@ -268,6 +274,7 @@ class BusReport(NamedTuple):
     tried: frozenset[int] = frozenset()         # baud rates of the master, one after the other
     is_answered: bool = True                    # something came to the master, as far as known
     failed: str = ''                            # how the program that asks ended, if by an error
+    users: tuple[str, ...] = ()                 # who else had the port of that program open
     line_errors: LineErrors | None = None       # since start, where the driver counts them
     cycle: CycleTimes | None = None             # where a cycle's time goes
     deaf: int = 0                               # stamp of the last report without an open port

@@ -24,7 +24,6 @@ from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.reply_policy import OpenQuestion
 from dxl_monitor.bus.reply_policy import ReplyPolicy
 from dxl_monitor.bus.table import READ
-from dxl_monitor.bus.unread import AROUND
 from dxl_monitor.bus.unread import Unread
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
@@ -158,8 +157,7 @@ class Tracker:
         self.pending, self.slots = NO_PLAN, {}
 
     @property
-    def asked(self) -> int:
-        """The stamp of the last instruction, 0 before the first."""
+    def asked(self) -> int:                    # the stamp of the last instruction, or 0
         return self._asked[2]
 
     def _instruct(self, said: Said, flaw: Flaw | None, begin: int, end: int, received: int,
@@ -317,22 +315,27 @@ class Tracker:
         if side == IN and noise > GLITCH:      # what came before the question is no matter
             noise = min(noise, max(0, frame[0] - self.quiet_from))
         self._noise = noise
+        damage = pairing.DAMAGE_IN if side == IN else pairing.DAMAGE
         if reason:
-            damage = pairing.DAMAGE_IN if side == IN else pairing.DAMAGE
             if noise > GLITCH:
                 self._state = pairing.NEXT[self._state][damage]
             self._state = pairing.NEXT[self._state][self._damaged(frame, flaw, stamp, damage)]
             return True
         device = self._registry.devices.get(frame[3]) if frame[2] == IS_STATUS else None
         if noise > GLITCH:
-            event = pairing.NOISE_IN if side == IN else pairing.NOISE
-            self._state = pairing.NEXT[self._state][event]
+            self._state = pairing.NEXT[self._state][damage + pairing.NOISE]
         elif noise:
             self._evidence.counts[ev.GLITCH] += 1
         if is_repaired and device is not None:
             device.counts.repaired += 1
             self._spoke.add(device.number)     # whether the others understood it, is not known
         return False
+
+    def hear_noise(self, noise: int) -> None:
+        """Take note of noise to the master since it asked, which no frame followed."""
+        if noise > GLITCH and self.slots and self._state < pairing.SPOILT:
+            self._noise = noise // 2           # two may have answered
+            self._state = pairing.NEXT[self._state][pairing.NOISE_IN]
 
     @property
     def is_doubtful(self) -> bool:
@@ -365,8 +368,7 @@ class Tracker:
         """End the pending instruction; following: the next one, which began there."""
         slots = self._given_up = self.slots
         slots.pop(BROADCAST, None)
-        due = [slot for slot in slots.values() if self._policy.is_due(slot)]
-        question = self._question(due)
+        question = self._question(due := [*filter(self._policy.is_due, slots.values())])
         now = int(self._on_wire(began, received, stamp))
         if due and self.unread.leaves(question, now, self.byte_ns):
             self._given_up = _NO_SLOTS
@@ -374,8 +376,7 @@ class Tracker:
             if len(slots) == 1:
                 self.unread.given_up = due[0], now
             if question.is_spoilt:
-                most = sum(slot.size + AROUND for slot in slots.values())
-                self._policy.look_at_noise(question, self._noise, most, now)
+                self._policy.look_at_noise(question, self._noise, slots.values(), now)
             self._policy.judge(question, now, stamp, us := self._since_asked(now))
             if following == self._last:
                 self._note(now, ev.REPEATED, due[0].device.number, ev.Again(following[2], us))
@@ -383,8 +384,7 @@ class Tracker:
             self._carry_out()
         self._deferred = None
 
-    def _since_asked(self, now: int) -> int:
-        """Return the us since the end of the pending instruction."""
+    def _since_asked(self, now: int) -> int:        # in us, from its end
         return int(now - self._on_wire(*self._asked)) // 1000
 
     def _on_wire(self, offset: int, received: int, stamp: int) -> float:

@@ -17,13 +17,14 @@ from dxl_monitor.bus.plan import Due
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.registry import DeviceRegistry
+from dxl_monitor.bus.reply_policy import AROUND
 from dxl_monitor.bus.reply_policy import OpenQuestion
 from dxl_monitor.bus.reply_policy import ReplyPolicy
 from dxl_monitor.bus.table import READ
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.frame import Frames
 
-AROUND, AROUND_1 = 11, 6           # bytes of a status without its data; in the 1.0 family
+AROUND_1 = 6                       # bytes of a status without its data in the 1.0 family
 READ_LATE_NS = 10_000_000_000
 ADAPTER_NS = 17_000_000            # a latency timer of 16 ms, and Return Delay Time
 AT_ONCE_NS = 500_000               # who looks no longer than that did not wait for an answer

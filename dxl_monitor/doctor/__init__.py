@@ -139,7 +139,7 @@ def _whom(rule: Rule, case: Case) -> Iterator[DeviceReport]:
 
 def _explains(rule: Rule, by: Claim, name: str, claim: Claim) -> bool:
     """Tell whether one claim accounts for another."""
-    if name not in rule.explains or by is claim:
+    if name not in rule.explains or by is claim or by.stands_alone:
         return False
     if rule.name == name:                   # the bus has it, so its devices do; not the reverse
         return by.device is None

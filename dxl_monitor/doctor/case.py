@@ -177,7 +177,8 @@ class Case:
     @cached_property
     def gone(self) -> list[int]:
         """Devices that were asked again and again and say nothing any more."""
-        return [device.id for device in self.report.devices if is_gone(device)]
+        return [device.id for device in self.report.devices
+                if is_gone(device, self.report.has_sides)]
 
     @cached_property
     def values(self) -> dict[int, dict[str, Observed]]:
@@ -238,12 +239,12 @@ def key_of(cycle: Cycle) -> Key:
     return cycle.instruction, cycle.ids, cycle.address
 
 
-def is_gone(device: DeviceReport) -> bool:
+def is_gone(device: DeviceReport, has_sides: bool = False) -> bool:
     """Tell whether a device is asked and gives no sign of life for longer than a start takes."""
     silent = device.state == words.DISCONNECTED or (
         device.state in (words.EXPECTED, words.ASKED) and device.missed_in_a_row > 4)
     # Damaged is not silent; of one that was never heard, noise may have come in its place.
-    part = 0.5 if device.last_heard_s is not None else ALWAYS
+    part = 0.5 if has_sides or device.last_heard_s is not None else ALWAYS
     speaks = device.window.garbled > part * device.window.missed
     return silent and not speaks and (device.last_heard_s is None or device.last_heard_s > GONE_S)
 

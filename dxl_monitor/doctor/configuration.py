@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import pairwise
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import BusReport
@@ -13,6 +14,7 @@ from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Names
+from dxl_monitor.doctor.last_question import ended_on
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import Doubt
@@ -31,6 +33,8 @@ from msg_defs.reports import Level
 S = 1_000_000_000
 FEW, TWICE = 3, 2
 RANGE, LENGTH, LIMIT, ACCESS, UNKNOWN_TO_IT = 4, 5, 6, 7, 2
+TURN, POSITION_CONTROL = 4096, 3   # steps (X, MX 2.0); of Operating Mode (e-Manual)
+STANDS = 6                         # steps: a joint does not move
 WORN = 30                          # EEPROM writes in 10 s: no start-up writes as many
 POLLED = 20                        # reads of a device that was never written
 POLLED_S = 3.0
@@ -46,6 +50,7 @@ WORKED_S = 3.0                     # a program that ran so long has stopped; a c
 NO_IDS = (0xFD, 0xFF)
 _NO_NAMES = 'so registers have no names and some causes cannot be found'
 MOSTLY = 0.7                       # share of the instructions
+ONSET_S = 1.0                      # acknowledgements that get lost come again by then
 SCANS = 15                         # broadcast Pings in 10 s: each needs 0.8 s
 PINGS_NS = 10 * S
 # Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
@@ -93,7 +98,26 @@ def _goal_limits(case: Case, device: DeviceReport) -> Found | None:
             return Claim(device.id, f'{count} values for {name} refused, beyond its limits: keep '
                          'goals within these, or set wider ones (as Max Position Limit)',
                          {'refused': count})
-    return None
+    return _goals_beyond(case, device)
+
+
+def _goals_beyond(case: Case, device: DeviceReport) -> Found | None:
+    """Look for goals that Position Control Mode refuses; nothing answers a Sync Write."""
+    goal, mode = map(case.values[device.id].get, ('Goal Position', 'Operating Mode'))
+    if goal is None or goal.source != 'w' or device.model.protocol != '2' \
+            or round(TURN * (goal.field.scale or 0), 2) != 6.28 \
+            or (mode is not None and mode.value.raw != POSITION_CONTROL):
+        return None
+    samples = case.samples.get(device.id, ())
+    beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal < TURN]
+    places = [one.position for one in beyond if one.position is not None]
+    stands = sum(0 <= two < TURN and abs(one - two) <= STANDS for one, two in pairwise(places))
+    if len(beyond) < TWICE or (mode is None and (      # in another mode it would go there
+            stands < TWICE or {*places}.issuperset(one.position for one in samples))):
+        return None
+    return Claim(device.id, f'goals beyond 0 to {TURN - 1} are sent, which Position Control Mode '
+                 'refuses: keep them within, or set Extended Position Control Mode',
+                 {'the last': beyond[-1].goal})
 
 
 def _wrong_address(case: Case, device: DeviceReport) -> Found | None:
@@ -131,17 +155,21 @@ def _eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _no_acks(case: Case, device: DeviceReport) -> Found | None:
+    last = ended_on(case)
+    has_ended = last is not None and last.device == device.id and last.instruction in WRITES \
+        and device.acks is None and device.totals.answers > device.totals.pongs
     if not case.lately(device, OTHERWISE_S).answers or device.missed_in_a_row > ACKS_LEARNED:
         return None                            # it answers nothing at present
     unanswered = case.count(ev.ACKS_STOPPED, device.id) or device.acks_missing >= ACKS_LEARNED
     if device.acks and device.acks_missing < ACKS_LEARNED:
         return None                            # it does again: some were lost
-    if not unanswered and device.status_return_level not in (0, 1):
+    if not (has_ended or unanswered or device.status_return_level in (0, 1)):
         return None
     level = device.status_return_level
     return Claim(device.id, 'does not acknowledge writes (Status Return Level '
                  f"{level or 'below 2'}): a master that waits for it loses a time-out each time; "
-                 'use Sync Write or level 2')
+                 'use Sync Write or level 2', {'ended the program': 'yes'} if has_ended else {},
+                 Level.WARN if has_ended else None, is_certain=has_ended)
 
 
 def _fast_reads(case: Case) -> Claims:
@@ -163,14 +191,15 @@ def _fast_reads(case: Case) -> Claims:
 def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
     refused = sum(one.detail.instruction in FAST and one.detail.error == UNKNOWN_TO_IT
                   for one in case.incidents(ev.REFUSED, device.id))
-    answers = case.lately(device, OTHERWISE_S).answers
-    known = _lacks_fast_reads(device) and device.totals.answers
-    if refused < FEW and answers < FEW and not known:
+    is_able = device.firmware is not None and not _lacks_fast_reads(device) \
+        and case.lately(device, OTHERWISE_S).answers < FEW
+    if refused < FEW and (is_able or not device.totals.answers):
         return None                            # perhaps it is not there
     firmware = '' if device.firmware is None else f', firmware {device.firmware}'
     after = cycle.ids[cycle.ids.index(device.id):]
-    return Claim(device.id, f'answers, but never a fast read ({device.model_name}{firmware}), so '
-                 'devices after it are never read: update it or use plain Sync Read',
+    return Claim(device.id, 'answered other instructions, but never a fast read '
+                 f'({device.model_name}{firmware}), so devices after it are never read: update it '
+                 'or use plain Sync Read',
                  {'fast reads': cycle.asked}, covers=tuple(after))
 
 
@@ -278,7 +307,7 @@ def _scan(case: Case) -> Claims:
     elif case.report.scanned:
         yield Claim(None, f'a scan: {len(case.report.scanned)} IDs were pinged and do not answer, '
                     f'{len(case.report.devices)} devices are known',
-                    {'without an answer': listed(case.report.scanned)})
+                    {'without an answer': listed(case.report.scanned)}, stands_alone=True)
 
 
 def _models(case: Case) -> Claims:
@@ -320,8 +349,7 @@ RULES = (
          noted=(ev.REFUSED,)),
     Rule('wrong_address', Level.WARN, _wrong_address, each=True, noted=(ev.REFUSED,),
          needs_model=True),
-    Rule('goal_limits', Level.WARN, _goal_limits, ('refused', 'torque_off'), each=True,
-         noted=(ev.REFUSED,)),
+    Rule('goal_limits', Level.WARN, _goal_limits, ('refused', 'torque_off'), each=True),
     Rule('refused', Level.WARN, _refusals, each=True, noted=(ev.REFUSED,)),
     Rule('impossible_id', Level.WARN, _impossible_id),
     Rule(STOPPED, Level.WARN, _master_stopped, holds=False),
@@ -334,6 +362,7 @@ RULES = (
           'damaged_answers', 'missed_answers', 'jitter', 'wrong_address')),
     Rule('sync_read_unsupported', Level.WARN, _sync_reads, ('jitter',)),
     Rule('unstuffed', Level.WARN, _unstuffed),
-    Rule('no_acks', Level.OK, _no_acks, ('missed_answers',), each=True),
+    Rule('no_acks', Level.OK, _no_acks, ('missed_answers', 'no_answer'), onset_s=ONSET_S,
+         holds=False, each=True),
     Rule('never_written', Level.OK, _never_written, each=True),
 )

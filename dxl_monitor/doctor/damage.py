@@ -177,8 +177,10 @@ def _damaged_answers(case: Case) -> Claims:
         yield Doubt(worst.id, 'the master sends during its answers')
         return
     window = worst.window
-    yield Claim(worst.id, f'{about(window.spoilt, window.asked)} of its answers damaged, others '
-                'whole: a bad cable or a second device with its ID; unplug it and ping its ID',
+    others = ', others whole' if any(
+        device.window.answers for device in case.report.devices if device is not worst) else ''
+    yield Claim(worst.id, f'{about(window.spoilt, window.asked)} of its answers damaged{others}: '
+                'a bad cable or a second device with its ID; unplug it and ping its ID',
                 {**case.looks_like(worst.id),
                  'share': share(window.spoilt, window.asked),
                  'damaged': f'{window.spoilt} of {window.asked}'})

@@ -11,6 +11,7 @@ from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
+from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import FAMILY_1
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
@@ -41,10 +42,13 @@ def _baud_code(case: Case, device: DeviceReport) -> Found | None:
 def _locked(case: Case, device: DeviceReport) -> Found | None:
     values = case.values[device.id]
     lock = values.get('Lock')
-    if lock is None or lock.value.raw != 1:
+    if lock is not None and lock.value.raw != 1:
         return None
     written = [one.field.name for one in device.observed if one.source == 'w'
-              and one.field.memory == 'eeprom' and one.age_s < lock.age_s]
+              and one.field.memory == 'eeprom' and (lock is None or one.age_s < lock.age_s)]
+    if written and lock is None:
+        return Doubt(device.id, f'{written[0]} written, and Lock never read: while Lock is 1 the '
+                                'servo ignores that, or forgets it at power-off')
     if not written or not device.window.eeprom_writes:
         return None
     effect, remedy = _OF_LOCK[device.model.protocol]

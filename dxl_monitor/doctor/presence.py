@@ -18,6 +18,9 @@ from dxl_monitor.doctor.case import is_waiting
 from dxl_monitor.doctor.case import Sample
 from dxl_monitor.doctor.health import is_off
 from dxl_monitor.doctor.health import is_watched
+from dxl_monitor.doctor.last_question import ended_on
+from dxl_monitor.doctor.last_question import is_used
+from dxl_monitor.doctor.last_question import unacknowledged
 from dxl_monitor.doctor.rule import about
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
@@ -92,40 +95,32 @@ def _at_the_end(case: Case) -> Claims:
     for one in case.incidents(ev.LEFT_OPEN):
         yield Doubt(one.device, f'the program ended {one.detail.us / 1000:.0f} ms after it asked: '
                     'whether this answers is unknown')
-    last = case.last_wait if case.report.failed else None
-    lost = [last.device] if last is not None and not last.is_spoilt else []
-    if lost and case.report.failed == words.FAILED and _is_survived(case, lost[0]):
-        yield Doubt(lost.pop(), 'the last question got no answer; whether the program ended for '
+    yield from unacknowledged(case)
+    last, fatal = case.last_wait, ended_on(case)
+    if case.report.failed and fatal is None and last is not None and not last.is_spoilt:
+        yield Doubt(last.device, 'the last question got no answer; whether the program ended for '
                     'that is unknown: it went on after earlier ones, or only searched')
+    lost = [] if fatal is None else [fatal.device]
     absent = [device.id for device in case.report.devices
               if device.last_heard_s is None and device.missed_in_a_row
-              and not device.window.spoilt]
+              and not device.window.spoilt and (
+                  fatal is None or fatal.instruction == Instruction.PING or is_used(device))]
     if case.report.failed == words.RAISED or {*lost} & {*absent}:
         lost += absent                 # it asked all, then complained of those
     yield from (_claim_gone(case, number) for number in dict.fromkeys(lost)
-                if number not in case.gone)
-
-
-def _is_survived(case: Case, number: int) -> bool:
-    """Tell whether the program goes on after such a question, so that the error is another."""
-    answered = min((one.last_heard_s for one in case.report.devices
-                    if one.last_heard_s is not None), default=0.0)
-    silent = sum(one.last_heard_s is None for one in case.report.devices)
-    return (silent > 1 and all(one.detail.instruction == Instruction.PING
-                               for one in case.incidents(ev.MISSED, number))) \
-        or (len(case.report.waits) > 1
-            and case.report.waits[0].stamp < case.now - answered * S)
+                if number in case.devices and number not in case.gone)
 
 
 def _claim_gone(case: Case, number: int) -> Claim:
     device = case.devices[number]
     since = 'never heard' if device.last_heard_s is None \
         else f'silent for {longer_than(device.last_heard_s)}' if number in case.gone \
-        else 'and the program ended there'
+        else f'though it gave {device.totals.answers} before, and the program ended there'
     others = ', others answer' if any(
         case.lately(other, GONE_S).answers for other in case.report.devices) else ''
-    own = '' if others or device.last_heard_s is not None else _OF_THE_MASTER
-    return Claim(number, f'no answer, {since}{others}: check its power, cable and ID{own}',
+    what = 'cable and ID' if device.last_heard_s is not None else 'cable, ID and baud rate' if any(
+        other.totals.answers for other in case.report.devices) else f'cable and ID{_OF_THE_MASTER}'
+    return Claim(number, f'no answer, {since}{others}: check its power, {what}',
                  {'requests without an answer': device.missed_in_a_row,
                   **_waiting(case, number)})
 
@@ -239,7 +234,7 @@ def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     if before and after and _tick_jumped(before[-1], after[0]):
         return 'Realtime Tick jumped back'
     if _stands(after) and _way([one.position for one in before]) >= MOVES \
-            and not _stands(before):
+            and not _stands(before) and not case.devices[back.device].alert:
         return 'no longer follows its goal'
     return ''
 
@@ -318,6 +313,10 @@ def _dip(case: Case, number: int) -> str:
 
 def _is_ping_only(case: Case, device: DeviceReport) -> bool:
     """Tell whether it answers Pings, and nothing but Pings, while data are asked for."""
+    last = ended_on(case)
+    if last is not None and last.device == device.id and last.instruction != Instruction.PING \
+            and device.totals.answers == device.totals.pongs > 0:
+        return True
     lately = case.lately(device, GONE_S)
     return lately.pongs >= 2 and lately.answers == lately.pongs and lately.data_missed >= FEW \
         and not lately.spoilt
@@ -326,7 +325,7 @@ def _is_ping_only(case: Case, device: DeviceReport) -> bool:
 def _ping_only(case: Case, device: DeviceReport) -> Found | None:
     if not _is_ping_only(case, device):
         return None
-    return Claim(device.id, 'answers Pings, but no reads: set Status Return Level to 1 or 2',
+    return Claim(device.id, 'answers Pings only: set its Status Return Level to 2, or 1 for reads',
                  {'missed': f'{device.window.missed} of {device.window.asked}'})
 
 

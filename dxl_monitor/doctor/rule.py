@@ -30,6 +30,7 @@ class Claim(NamedTuple):
     level: Level | None = None     # where it is not the rule's
     covers: tuple[int, ...] = ()
     is_certain: bool = False       # it needs no onset
+    stands_alone: bool = False     # it explains no other claim
 
     @property
     def evidence(self) -> tuple[tuple[str, str], ...]:

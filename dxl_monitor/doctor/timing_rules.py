@@ -19,6 +19,7 @@ from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
+from dxl_monitor.bus.report import ROBBER
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import key_of
 from dxl_monitor.doctor.collision import is_collision
@@ -273,7 +274,8 @@ def _bus_too_slow(case: Case) -> Claims:
     if load > LOADED:
         steady = next(iter(case.rhythms), None)
         per_cycle = f', {got / seconds * steady.period / S:.0f} bytes per cycle' if steady else ''
-        harm = case.damage or any(device.window.missed for device in case.report.devices)
+        harm = case.damage or any(device.window.missed and not device.missed_in_a_row
+                                  for device in case.report.devices)      # one is not just dead
         yield Claim(None, f'the line is busy for more than {LOADED:.0f} % of the time{per_cycle}: '
                     'no room for a retry; raise the baud rate, or read less',
                     {'load (%)': f'{load:.0f}', 'bytes per second': f'{got / seconds:.0f}'},
@@ -286,6 +288,13 @@ def _two_masters(case: Case) -> Claims:
         yield Claim(None, f'the master received {foreign} instructions that it did not send: '
                           'another program uses this bus; stop '
                           'one', {'instructions': foreign})
+        return
+    lost = sum(one.window.missed for one in case.report.devices if one.id not in case.gone)
+    harm = lost + case.damage + case.count(ev.LATE) + case.count(ev.UNASKED)
+    if ROBBER in case.report.users or (case.report.users and harm >= FEW):
+        yield Claim(None, f'{", ".join(case.report.users)} uses this port too, and answers get '
+                          'lost or damaged: let only one use it',
+                    {'answers lost, damaged or late': harm}, is_certain=True)
         return
     pair = _apart(case)
     if pair is None:

@@ -93,17 +93,23 @@ def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
     named = _COMMON if is_enough else _BASIC
     found = [_agreed([field, *(table.by_address.get(field.at) for table in others)], knows_units)
              for field in first.fields if (field.size == 1 or knows_order)
-             and ((is_enough and (len(series) == 1 or field.name in named))
-                  or (field.memory == 'eeprom' and (field.at, field.size) in uses))]
-    if not any(found):
+             and (field.name in named or (is_enough and len(series) == 1))
+             and (is_enough or (field.at, field.size) in uses)]
+    fields = [field for field in found if field]
+    fields += [Field(at + n, f'Address {at + n}', 'u8', access='rw', memory='eeprom')
+               for at, size in uses if all(_is_eeprom(table, at, size) for table in fits)
+               and not any(field.at == at for field in fields) for n in range(size)]
+    if not fields:
         return UNKNOWN
-    if not is_enough or len(series) > 1:       # that it is EEPROM is certain, what for is not
-        found = [Field(field.at, f'Address {field.at}', field.type, access=field.access,
-                       memory=field.memory) if field and field.name not in named else field
-                 for field in found]
     name = 'several series' if len(series) > 1 or not is_enough else \
         names.pop() if len(names) == 1 else f'the {series.pop()} series'
-    return Model(None, name, tuple(field for field in found if field), protocol=first.protocol)
+    return Model(None, name, tuple(fields), protocol=first.protocol)
+
+
+def _is_eeprom(table: Model, at: int, size: int) -> bool:
+    field = table.by_address.get(at)
+    return field is not None and field.size == size and field.memory == 'eeprom' \
+        and 'w' in field.access
 
 
 def _is_enough(registers: set[str]) -> bool:

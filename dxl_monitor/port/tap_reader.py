@@ -49,6 +49,7 @@ class TapRecord(NamedTuple):
     kind: str                              # a kind of tap_sender
     data: bytes                            # for OUT, IN and ENDED
     value: int                             # for the other kinds
+    opening: int = 0                       # who has the port open
 
     @property
     def side(self) -> str:
@@ -112,9 +113,9 @@ class _Connection:
                 raise ValueError('too many ports')
         port = self.ports.pop(number, '') if kind == CLOSED else self.ports.get(number, '')
         if kind in (OUT, IN, sent.ENDED):
-            return TapRecord(stamp, port, kind, data, 0)
+            return TapRecord(stamp, port, kind, data, 0, number)
         value = sent.NUMBER.unpack(data)[0] if len(data) == sent.NUMBER.size else 0
-        return TapRecord(stamp, port, kind, b'', value)
+        return TapRecord(stamp, port, kind, b'', value, number)
 
 
 class TapReader:
@@ -214,23 +215,24 @@ class TapReader:
         try:
             data = program.socket.recv(_READ_SIZE)
             for record in program.records(data):
-                self._hold(record)
+                self._hold(record, number)
         except BlockingIOError:
             return
         except (OSError, ValueError):
             data = b''
         if not data:
             now = time.monotonic_ns()
-            for port in program.ports.values():        # it ended without closing them
-                self._hold(TapRecord(now, port, CLOSED, b'', 0))
+            for at, port in program.ports.items():     # it ended without closing them
+                self._hold(TapRecord(now, port, CLOSED, b'', 0, at), number)
             program.socket.close()
             del self.programs[number]
 
-    def _hold(self, record: TapRecord) -> None:
+    def _hold(self, record: TapRecord, program: int) -> None:
         """Keep a record until its turn; one from the future would be kept for as long."""
         self._count += 1
         stamp = min(record.stamp, time.monotonic_ns())
-        heapq.heappush(self._held, (stamp, self._count, record._replace(stamp=stamp)))
+        heapq.heappush(self._held, (stamp, self._count, record._replace(
+            stamp=stamp, opening=program << 16 | record.opening)))
 
     def close(self) -> None:
         """Stop to listen; the programs go on."""

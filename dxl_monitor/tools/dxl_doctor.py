@@ -164,9 +164,9 @@ def _listen(source: Source, examination: Examination, limit_s: float | None) -> 
                 progress.show(examination, now_s)
         except KeyboardInterrupt:
             is_over = not source.is_live
-    failed = ''
+    failed, users = '', {}
     if isinstance(source, Program):
-        is_over = True
+        is_over, users = True, source.users
         if not source.ending.users:            # else they may have read what is missing
             failed = source.ending.failed
     ended = source.ended if is_over else 0
@@ -174,7 +174,8 @@ def _listen(source: Source, examination: Examination, limit_s: float | None) -> 
         examination.pass_time(ended)
         examination.finish(ended, is_over=False)
     else:
-        examination.finish(examination.last if is_over else time.monotonic_ns(), is_over, failed)
+        examination.finish(examination.last if is_over else time.monotonic_ns(), is_over, failed,
+                           users)
     return time.monotonic() - began_s if source.is_live else examination.seconds
 
 

@@ -8,6 +8,7 @@ Time is that of the stamps; a live source reports in between that nothing came.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from collections.abc import Sequence
 
 from dxl_monitor.bus.decoder import DEFAULTS
@@ -91,11 +92,12 @@ class Examination:
         """How long there was traffic, from the first byte to the last (s)."""
         return (self.last - self.first) / S
 
-    def finish(self, now: int, is_over: bool, failed: str = '') -> None:
-        """Look for the last time; is_over: nothing more will come; failed: as Monitor.end()."""
+    def finish(self, now: int, is_over: bool, failed: str = '',
+               users: Mapping[str, Sequence[str]] | None = None) -> None:
+        """Look for the last time; is_over: nothing more comes; failed, users: Monitor.end()."""
         if is_over:
-            for monitor in self._monitors.values():
-                monitor.end(now, failed)
+            for bus, monitor in self._monitors.items():
+                monitor.end(now, failed, (users or {}).get(bus, ()))
         self._look(now)
 
     def summary(self) -> str:

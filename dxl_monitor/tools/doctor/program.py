@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from collections.abc import Sequence
 import json
 import ntpath
+import os
+from pathlib import Path
 import secrets
 import signal
 import time
@@ -20,7 +22,9 @@ from typing import Any
 from typing import NamedTuple
 
 from dxl_monitor.bus.report import FAILED
+from dxl_monitor.bus.report import OWN
 from dxl_monitor.bus.report import RAISED
+from dxl_monitor.bus.report import ROBBER
 from dxl_monitor.port.tap_reader import TapReader
 from dxl_monitor.port.tap_reader import TapRecord
 from dxl_monitor.port.tap_sender import ENDED
@@ -33,6 +37,8 @@ from dxl_monitor.tools.doctor.verdict import Trouble
 from dxl_monitor.tools.start_program import StartedProgram
 from mecarover_serial.plain import printable
 from mecarover_serial.port_users import holders
+from msg_defs.event import CLOSED
+from msg_defs.event import OUT
 from msg_defs.reports import Level
 
 TICK_S = 0.1
@@ -42,6 +48,10 @@ LIBRARIES = frozenset((
     'lerobot', 'dynamixel_sdk', 'scservo_sdk', 'pypot', 'dynio', 'rustypot', 'st3215',
     'python_st3215', 'vassar_feetech_servo_sdk', 'vassar_feetech', 'serial', 'dynamixel_easy_sdk',
     'dynamixel_api', 'pyax12', 'feetech_cli'))
+
+
+TURNS = 4                          # between two who ask: a parent that hands on has fewer
+_ROBBED = 'multiple access on port'        # as pyserial says
 
 
 class Ending(NamedTuple):
@@ -82,6 +92,28 @@ class Ending(NamedTuple):
         return [f'the program ended with exit code {self.code}: {error}']
 
 
+class Openings:
+    """How often the ports of a program are open; is_robbed: another has read what came for it."""
+
+    def __init__(self) -> None:
+        self.is_robbed = False
+        self._ports: dict[str, tuple[set[int], list[int]]] = {}        # who wrote, in turns
+
+    def others(self, bus: str, record: TapRecord) -> str:
+        """Take a record; return who else asks, if two do in turns, or one robs the other."""
+        opened, turns = self._ports.setdefault(bus, (set(), []))
+        is_shared = len(opened) > 1
+        if record.kind == OPENED:
+            opened.add(record.opening)
+        elif record.kind == CLOSED:
+            opened.discard(record.opening)
+        elif is_shared and record.side == OUT and turns[-1:] != [record.opening]:
+            turns[:] = [*turns, record.opening][-TURNS:]
+        if is_shared and self.is_robbed:
+            return ROBBER
+        return OWN if is_shared and len(turns) == TURNS > len({*turns}) else ''
+
+
 class Program(Source):
     """A running program; OSError when it cannot be started."""
 
@@ -95,7 +127,10 @@ class Program(Source):
         self.ports: list[str] = []
         self._was_stopped = False
         self._unheard = ''
-        self._users: tuple[str, ...] = ()
+        self.users: dict[str, list[str]] = {}          # who else has a port open, by its bus
+        self._openings = Openings()
+        self._look_who([
+            word for word in command if os.path.exists(word) and Path(word).is_char_device()])
         self._reader = TapReader(name)
         try:
             self._started = StartedProgram(tool, name, command, by, output)
@@ -117,8 +152,13 @@ class Program(Source):
                 and time.monotonic() < until_s:
             yield from self._some(self._reader.wait(TICK_S))
         yield from self._some(self._reader.rest())
-        self._users = tuple(one.name for port in self.ports for one in holders(port)
-                            if not one.is_maker)
+        self._look_who(self.ports)
+
+    def _look_who(self, ports: Sequence[str]) -> None:
+        for port in ports:
+            found = self.users.setdefault(ntpath.basename(port), [])
+            found += [one.name for one in holders(port)
+                      if not one.is_maker and one.name not in found]
 
     @property
     def ending(self) -> Ending:
@@ -126,7 +166,9 @@ class Program(Source):
         code = self._child.returncode or 0
         return self._ending._replace(
             code=128 - code if code < 0 else code, was_stopped=self._was_stopped or code < 0,
-            unheard=self._unheard, users=self._users)
+            unheard=self._unheard,
+            users=tuple(one for port in self.ports
+                        for one in self.users[ntpath.basename(port)] if OWN not in one))
 
     def _some(self, records: list[TapRecord]) -> Iterator[Chunk | None]:
         for record in records:
@@ -141,9 +183,14 @@ class Program(Source):
             said: dict[str, Any] = json.loads(record.data)
             self._ending = Ending(error=printable(' '.join(said['error'].split())),
                                   packages=frozenset(said['packages']), python=said['python'])
+            self._openings.is_robbed |= _ROBBED in self._ending.error
         if record.kind == OPENED and record.port not in self.ports:
             self.ports.append(record.port)
         bus = ntpath.basename(record.port)           # works for both kinds of path
+        users = self.users.setdefault(bus, [])
+        own = self._openings.others(bus, record)
+        if own and not {own, ROBBER} & {*users}:
+            users[:] = [*(one for one in users if one != OWN), own]
         if record.side:
             return Chunk(record.stamp, bus, record.data, record.side)
         if record.change is None or not bus:

@@ -1,0 +1,51 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""The question on which a program ended, and what of its questions nothing ever answered."""
+
+from __future__ import annotations
+
+from dxl_monitor.bus import report as words
+from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import Wait
+from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Claims
+from dxl_monitor.doctor.rule import Doubt
+from msg_defs.dxl_instruction import Instruction
+
+S = 1_000_000_000
+
+
+def ended_on(case: Case) -> Wait | None:
+    """Return the vain wait on which a program ended with an error, None if that is unknown."""
+    last = case.last_wait
+    if not case.report.failed or last is None or last.is_spoilt:
+        return None
+    if case.report.failed == words.RAISED:
+        return last
+    answered = min((one.last_heard_s for one in case.report.devices
+                    if one.last_heard_s is not None), default=0.0)
+    is_ping = last.instruction == Instruction.PING
+    silent = sum(one.last_heard_s is None for one in case.report.devices)
+    if is_ping and silent > 1:
+        return None                    # a search
+    alike = [one.stamp for one in case.report.waits
+             if (one.instruction == Instruction.PING) == is_ping]
+    return None if len(alike) > 1 and alike[0] < case.now - answered * S else last
+
+
+def is_used(device: DeviceReport) -> bool:
+    """Tell whether a program asked a device for more than Pings."""
+    totals = device.totals
+    return bool(totals.reads or totals.writes or totals.data_missed or device.acks_missing)
+
+
+def unacknowledged(case: Case) -> Claims:
+    """Look for devices that were only written to, and never heard; others acknowledge writes."""
+    for device in case.report.devices if any(one.acks for one in case.report.devices) else ():
+        if device.last_heard_s is None and device.acks_missing \
+                and not device.window.spoilt and not device.moved_to:
+            says = (f'never heard, and did not acknowledge {device.acks_missing} writes, as '
+                    'others do: check its power, cable and ID, or its Status Return Level if it '
+                    'answers a Ping')
+            yield Claim(device.id, says) if case.report.failed else Doubt(device.id, says)
