@@ -21,6 +21,7 @@ from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.doctor.rule import SILENCE
 from dxl_monitor.model.control_table import UNKNOWN
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import UNDECIDED
@@ -358,8 +359,7 @@ RULES = (
     Rule(MODELS, Level.OK, _models),
     Rule('eeprom_wear', Level.WARN, _eeprom_wear, ('torque_off',), each=True),
     Rule('fast_read_unsupported', Level.WARN, _fast_reads,
-         ('no_answer', 'sync_read_stops', 'all_silent', 'broken_cable', 'noise',
-          'damaged_answers', 'missed_answers', 'jitter', 'wrong_address')),
+         (*SILENCE, 'all_silent', 'noise', 'damaged_answers', 'wrong_address')),
     Rule('sync_read_unsupported', Level.WARN, _sync_reads, ('jitter',)),
     Rule('unstuffed', Level.WARN, _unstuffed),
     Rule('no_acks', Level.OK, _no_acks, ('missed_answers', 'no_answer'), onset_s=ONSET_S,

@@ -16,12 +16,14 @@ from dxl_monitor.doctor.rate import likely_rate
 from dxl_monitor.doctor.rule import about
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
+from dxl_monitor.doctor.rule import DAMAGE
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import share
+from dxl_monitor.doctor.rule import SILENCE
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl_instruction import NAMES
@@ -359,19 +361,16 @@ RULES = (
     Rule('overrun', Level.WARN, _overrun,
          (*_OF_THE_WIRE, 'jitter')),
     Rule('baud_moved', Level.WARN, _baud_moved,
-         ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter',
-          'cycle_time'), holds=False, each=True),
+         (*SILENCE, 'cycle_time'), holds=False, each=True),
     Rule('id_moved', Level.WARN, _id_moved,
-         ('no_answer', 'sync_read_stops', 'broken_cable', 'all_silent', 'missed_answers',
-          'jitter', 'cycle_time'), holds=False, each=True),
+         (*SILENCE, 'all_silent', 'cycle_time'), holds=False, each=True),
     Rule('protocol_1', Level.WARN, _protocol_1,
          ('stray_bytes', 'wrong_baud')),
     Rule('echo', Level.WARN, _echo,
          (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'jitter', 'impatient_master',
           'late_answers', 'goal_limits', 'refused', 'hardware_error')),
     Rule('duplicate_id', Level.ERROR, _duplicate_id,
-         ('noise', 'damaged_answers', 'turnaround', 'missed_answers', 'dropout', 'stray_bytes',
-          'late_answers', 'jitter', 'rebooted'), each=True),
+         (*DAMAGE, 'turnaround', 'late_answers', 'rebooted'), each=True),
     Rule('foreign_answers', Level.WARN, _foreign_answers,
          ('duplicate_id', 'missed_answers', 'noise', 'damaged_answers', 'stray_bytes',
           'turnaround'), each=True, noted=(ev.UNASKED,)),

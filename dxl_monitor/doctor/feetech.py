@@ -16,6 +16,7 @@ from dxl_monitor.doctor.rule import FAMILY_1
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.doctor.rule import SILENCE
 from msg_defs.reports import Level
 
 FEETECH = 'feetech'
@@ -91,8 +92,7 @@ def _mixed_firmware(case: Case) -> Claims:
 
 RULES = (
     Rule('baud_code', Level.WARN, _baud_code,
-         ('baud_moved', 'no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers',
-          'jitter'),
+         (*SILENCE, 'baud_moved'),
          each=True, noted=(ev.BAUD_WRITTEN,), protocols=(FEETECH,)),
     Rule('lock', Level.WARN, _locked, each=True, protocols=FAMILY_1),
     Rule('calibrated_twice', Level.WARN, _calibrated_twice, each=True,

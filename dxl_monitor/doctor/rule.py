@@ -18,6 +18,9 @@ from typing import NamedTuple
 from dxl_monitor.bus.report import IncidentKind
 from msg_defs.reports import Level
 
+# What follows from many causes, for `explains`.
+SILENCE = ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter')
+DAMAGE = ('noise', 'damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')
 FAMILY_1 = ('1', 'feetech')        # as model files call the protocols of the 1.0 family
 
 

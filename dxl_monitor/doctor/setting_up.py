@@ -14,12 +14,14 @@ from dxl_monitor.doctor.health import fresh
 from dxl_monitor.doctor.health import limit_of
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
+from dxl_monitor.doctor.rule import DAMAGE
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import FAMILY_1
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.doctor.rule import SILENCE
 from dxl_monitor.model.control_table import Model
 from msg_defs.dxl_instruction import name_of
 from msg_defs.reports import Level
@@ -135,9 +137,8 @@ def _unfit(model: Model, begin: int, length: int) -> str:
 
 RULES = (
     Rule('factory_id', Level.ERROR, _factory_id,
-         ('duplicate_id', 'damaged_answers', 'noise', 'no_answer', 'sync_read_stops',
-          'broken_cable', 'all_silent', 'missed_answers', 'stray_bytes', 'turnaround', 'dropout',
-          'foreign_answers', 'wrong_length', 'late_answers', 'jitter', 'cycle_time')),
+         (*SILENCE, *DAMAGE, 'duplicate_id', 'all_silent', 'turnaround', 'foreign_answers',
+          'wrong_length', 'late_answers', 'cycle_time')),
     Rule('wrong_supply', Level.ERROR, _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
          onset_s=ONSET_S, protocols=FAMILY_1),
     Rule('layout', Level.WARN, _layout, ('wrong_address',), each=True, protocols=FAMILY_1,

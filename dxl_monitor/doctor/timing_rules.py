@@ -34,9 +34,11 @@ from dxl_monitor.doctor.rhythm import Rhythm
 from dxl_monitor.doctor.rhythm import WRITES
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
+from dxl_monitor.doctor.rule import DAMAGE
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.doctor.rule import SILENCE
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
 from msg_defs.reports import Level
@@ -359,16 +361,13 @@ def _jitter(case: Case) -> Claims:
 
 RULES = (
     Rule('two_masters', Level.ERROR, _two_masters,
-         ('noise', 'damaged_answers', 'missed_answers', 'impatient_master', 'late_answers',
-          'duplicate_id', 'foreign_answers', 'jitter', 'stray_bytes', 'dropout', 'turnaround'),
+         (*DAMAGE, 'impatient_master', 'late_answers', 'duplicate_id', 'foreign_answers',
+          'turnaround'),
          onset_s=1.0),
     Rule('impatient_master', Level.WARN, _impatient,
-         ('noise', 'damaged_answers', 'missed_answers', 'late_answers', 'duplicate_id', 'jitter',
-          'stray_bytes', 'dropout', 'no_answer', 'sync_read_stops', 'all_silent', 'broken_cable',
-          'no_acks')),
+         (*SILENCE, *DAMAGE, 'late_answers', 'duplicate_id', 'all_silent', 'no_acks')),
     Rule('late_answers', Level.WARN, _late_answers,
-         ('duplicate_id', 'missed_answers', 'dropout', 'jitter', 'damaged_answers', 'noise',
-          'foreign_answers', 'turnaround', 'stray_bytes', 'cycle_time')),
+         (*DAMAGE, 'duplicate_id', 'foreign_answers', 'turnaround', 'cycle_time')),
     Rule('wrong_length', Level.WARN, _wrong_length, each=True, noted=(ev.WRONG_SIZE,)),
     Rule('latency_timer', Level.WARN, _latency_timer, ('jitter', 'cycle_time')),
     Rule('bus_too_slow', Level.WARN, _bus_too_slow,

@@ -78,18 +78,17 @@ class Ending(NamedTuple):
         if self.failed != RAISED:
             return None
         means = explain.find(self.error)
-        also = f'; {", ".join(self.users)} uses its port too: end one' if self.users else ''
-        return Trouble(Level.WARN, 'the program', '', f'it ended with {self.error}{also}',
+        return Trouble(Level.WARN, 'the program', '', f'it ended with {self.error}',
                        means[0].means if means else '')
 
     def doubts(self) -> list[str]:
         """Return what is unknown of a program that ended with another error."""
-        if self.users and self.failed != RAISED:
-            return [f'{", ".join(self.users)} uses its port too: what that asks is not heard here']
-        if not self.code or self.was_stopped or self.failed == RAISED:
-            return []
-        error = self.error or 'what it printed says why'
-        return [f'the program ended with exit code {self.code}: {error}']
+        found = [f'{", ".join(self.users)} uses its port too: what that asks is not heard here'
+                 ] if self.users else []
+        if self.failed == FAILED:
+            error = self.error or 'what it printed says why'
+            found.append(f'the program ended with exit code {self.code}: {error}')
+        return found
 
 
 class Openings:
