@@ -159,7 +159,8 @@ def _no_acks(case: Case, device: DeviceReport) -> Found | None:
     last = ended_on(case)
     has_ended = last is not None and last.device == device.id and last.instruction in WRITES \
         and device.acks is None and device.totals.answers > device.totals.pongs
-    if not case.lately(device, OTHERWISE_S).answers or device.missed_in_a_row > ACKS_LEARNED:
+    if not has_ended and (not case.lately(device, OTHERWISE_S).answers
+                          or device.missed_in_a_row > ACKS_LEARNED):
         return None                            # it answers nothing at present
     unanswered = case.count(ev.ACKS_STOPPED, device.id) or device.acks_missing >= ACKS_LEARNED
     if device.acks and device.acks_missing < ACKS_LEARNED:
@@ -169,8 +170,8 @@ def _no_acks(case: Case, device: DeviceReport) -> Found | None:
     level = device.status_return_level
     return Claim(device.id, 'does not acknowledge writes (Status Return Level '
                  f"{level or 'below 2'}): a master that waits for it loses a time-out each time; "
-                 'use Sync Write or level 2', {'ended the program': 'yes'} if has_ended else {},
-                 Level.WARN if has_ended else None, is_certain=has_ended)
+                 f"use Sync Write or level 2{'; if it has that, check its plugs' * has_ended}",
+                 level=Level.WARN if has_ended else None, is_certain=has_ended)
 
 
 def _fast_reads(case: Case) -> Claims:

@@ -292,11 +292,11 @@ def _two_masters(case: Case) -> Claims:
                           'one', {'instructions': foreign})
         return
     lost = sum(one.window.missed for one in case.report.devices if one.id not in case.gone)
-    harm = lost + case.damage + case.count(ev.LATE) + case.count(ev.UNASKED)
+    harm = lost + case.damage + case.count(ev.LATE) + FEW * case.count(ev.UNASKED)
     if ROBBER in case.report.users or (case.report.users and harm >= FEW):
         yield Claim(None, f'{", ".join(case.report.users)} uses this port too, and answers get '
                           'lost or damaged: let only one use it',
-                    {'answers lost, damaged or late': harm}, is_certain=True)
+                    {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
         return
     pair = _apart(case)
     if pair is None:
