@@ -112,9 +112,9 @@ def _goals_beyond(case: Case, device: DeviceReport) -> Found | None:
     samples = case.samples.get(device.id, ())
     beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal < TURN]
     places = [one.position for one in beyond if one.position is not None]
-    stands = sum(0 <= two < TURN and abs(one - two) <= STANDS for one, two in pairwise(places))
+    still = sum(0 <= two < TURN and abs(one - two) <= STANDS for one, two in pairwise(places))
     if len(beyond) < TWICE or (mode is None and (      # in another mode it would go there
-            stands < TWICE or {*places}.issuperset(one.position for one in samples))):
+            still < TWICE or {*places}.issuperset(one.position for one in samples))):
         return None
     return Claim(device.id, f'goals beyond 0 to {TURN - 1} are sent, which Position Control Mode '
                  'refuses: keep them within, or set Extended Position Control Mode',
