@@ -120,6 +120,7 @@ def test_a_device_lost_and_found(page, robot):
     assert page.locator(f'{BAR} use').get_attribute('href') == '#i-error'
     assert page.title().startswith('\u2716 2 lost')
     see(page, '.tile[data-state=error]', 'MX-64.*1 lost|MX-64[\\s\\S]*1 lost')
+    see(page, 'li:nth-child(2) > .servo', '011')            # the sick ones first
     see(page, '[role=status]', 'Lost: 007')
     robot.lost = set()
     see(page, BAR, 'All 24 devices connected.*24/24')
@@ -360,18 +361,28 @@ def test_signals_at_the_rate_of_the_bus(open_page):
     source = Source()
     with Dashboard(signals=source) as dashboard, Feed(dashboard):
         page = open_page(f'{dashboard.address}#/signals')
+        for name in ('Present', 'Goal'):        # chosen for somebody who chose nothing
+            page.get_by_role('button', name=f'Remove 001 left_hip_yaw {name} Position').click()
         page.get_by_label('Device', exact=True).select_option('dxl_monitor: 007 left_knee')
+        page.get_by_label('Register', exact=True).select_option('Present Position (rad)')
+        page.get_by_role('button', name='60 s').click()
         page.get_by_label('Register', exact=True).locator('option').first.wait_for(
             state='attached')
         for _ in source.rings:
             page.get_by_role('button', name='Add').click()
-        see(page, '.legend', 'Present Position[^/]* rad\\s*50 /s')
+        see(page, '.legend', 'Present Position[^/]* rad\\s*50 /s, -1 to 1')
         see(page, '.legend', 'Goal Position.*0.99 rad')
         assert page.locator('.signals canvas').count() == 1         # over each other
         page.locator('.signals canvas').hover(position={'x': 700, 'y': 50})
         see(page, '.legend', 'Present Position.*rad at \u2212.*Goal Position.*0.95 rad')
         with page.expect_download() as download:
             page.get_by_role('button', name='CSV').click()
+        plot = page.locator('.signals canvas')
+        plot.drag_to(plot, source_position={'x': 700, 'y': 50},
+                     target_position={'x': 800, 'y': 50})
+        see(page, '.signals [aria-pressed=true]', 'Paused')
+        plot.dblclick()
+        see(page, '.signals [aria-pressed=true]', '60 s')
         head, *lines = download.value.path().read_text().splitlines()
         assert head == ('Unix time (s),007 left_knee Present Position (rad),'
                         '007 left_knee Goal Position (rad)')
@@ -386,7 +397,7 @@ def test_signals_at_the_rate_of_the_bus(open_page):
         see(page, '.legend', 'Present Position.*7 rad')             # it came in the meantime
         page.reload()
         see(page, '.legend', 'Present Position.*7 rad')
-        page.get_by_role('button', name='Remove').click()
+        page.get_by_role('button', name='Remove', exact=True).click()
         wait(lambda: 'Present' not in page.url)
         page.goto(dashboard.address + VIEWS['device'])
         page.get_by_role('link', name='Signals').last.click()

@@ -7,8 +7,10 @@ import {GAP_S} from './store.js';
 
 const LEFT = 52, RIGHT = 10, TOP = 8, BOTTOM = 20;
 const STEPS = [1, 2, 2.5, 5, 10];
+const TIMES = [10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 14400, 21600];      // s
 const DASHES = [[], [6, 3], [2, 3], [9, 3, 2, 3]];
 const LIMIT_DASH = [4, 4];
+const DOTS = 10;               // px from one point to the next, from which each has a dot
 const DENSE = 400;             // points: dashes would not be seen, and thin lines are drawn soon
 
 /** Draw series into a canvas; return where the lines are, {left, width}; null: it is not seen. */
@@ -38,7 +40,8 @@ export function drawPlot(canvas, shown, view) {
   for (const [name, value] of view.limits ?? []) drawLimit(pen, area, at, name, value, ticks,
     colours);
   shown.forEach((one, index) => drawLine(pen, one.points, at,
-    {colour: colours.lines[index % 4], dash: DASHES[index % 4]}, view));
+    {colour: colours.lines[index % 4], dash: DASHES[index % 4],
+      hasDots: one.hasDots && one.points.length < area.width / DOTS}, view));
   pen.restore();
   if (view.drag) drawDrag(pen, area, at, view.drag, colours);
   if (view.cursor !== null) drawCursor(pen, area, at, shown, view, colours);
@@ -73,7 +76,7 @@ export function readAt(points, s, near, gap = GAP_S) {
   if (isLeft && isRight && right[0] - left[0] < gap) {
     const from = left[2] ?? left[1];
     const value = from + (right[1] - from) * (s - left[0]) / (right[0] - left[0]);
-    return {low: value, high: value, at: s, isBetween: true};
+    return {low: value, high: value, at: s, isBetween: from !== right[1]};
   }
   return isLeft && !right && s - left[0] <= gap ? at(left) : null;
 }
@@ -131,19 +134,31 @@ function drawGrid(pen, area, at, ticks, view, colours) {
   pen.stroke();
 }
 
+/** Round times: seconds or minutes before now, or hours and minutes of the day. */
 function drawTimes(pen, area, at, {from, to, now, unix}) {
-  const parts = area.width > 420 ? 6 : 3;
-  const isClock = Boolean(unix);
-  for (let part = 0; part <= parts; part++) {
-    const s = to - (to - from) * part / parts;
+  const step = stepOf(to - from, Math.max(3, Math.floor(area.width / 90)));
+  const zero = unix ? 60 * new Date(1000 * unix(from)).getTimezoneOffset() - unix(0) : now;
+  pen.textAlign = 'center';
+  for (let part = Math.ceil((from - zero) / step - 1e-6); ; part++) {
+    const s = zero + part * step;
+    if (s > to) break;
     const x = Math.round(at.x(s)) + 0.5;
-    const text = isClock ? clock(unix(s)) : now - s < 0.05 ? 'now' : `\u2212${span(now - s)}`;
+    const text = unix ? clock(unix(s), unix(s)).slice(0, step < 60 ? 8 : 5) : part === 0 ? 'now'
+      : `\u2212${step < 60 ? span(-part * step) : `${-part * step / 60} min`}`;
     pen.moveTo(x, area.top + area.height);
     pen.lineTo(x, area.top + area.height + 4);
-    pen.textAlign = part === 0 ? 'right' : 'center';
-    if (isClock && part === parts) continue;        // a time of day is wider than the margin
-    pen.fillText(text, part === 0 ? x + RIGHT - 2 : x, area.top + area.height + 16);
+    const half = pen.measureText(text).width / 2;
+    pen.fillText(text, Math.max(half, Math.min(x, area.left + area.width + RIGHT - half)),
+      area.top + area.height + 16);
   }
+}
+
+/** A round step, of which so many at most cover a time. */
+function stepOf(length, most) {
+  const least = Math.max(length / most, length > 120 ? 60 : 0) * 0.999;
+  const size = 10 ** Math.floor(Math.log10(least));
+  const round = least < 5 ? [1, 2, 5, 10].map((one) => one * size) : TIMES;
+  return round.find((one) => one >= least) ?? 86400;
 }
 
 function drawLimit(pen, area, at, name, value, ticks, colours) {
@@ -161,7 +176,7 @@ function drawLimit(pen, area, at, name, value, ticks, colours) {
   pen.fillText(`${name} ${figure(value)}`, area.left + 4, y - 4 < 12 ? y + 12 : y - 4);
 }
 
-function drawLine(pen, points, at, {colour, dash}, view) {
+function drawLine(pen, points, at, {colour, dash, hasDots}, view) {
   const {now, to, isLive, unix, gap = GAP_S} = view;
   pen.strokeStyle = pen.fillStyle = colour;
   const isDense = points.length > DENSE;
@@ -172,6 +187,9 @@ function drawLine(pen, points, at, {colour, dash}, view) {
   const isHeld = before && isLive && !unix && now - before[0] > gap;
   if (isHeld) drawHeld(pen, at, before, Math.min(now, to));
   pen.setLineDash([]);
+  for (const [s, value] of hasDots ? points : []) {
+    if (value !== null) pen.fillRect(at.x(s) - 2, at.y(value) - 2, 4, 4);
+  }
 }
 
 /** Draw what is not interrupted; return the last point, null after a gap. */

@@ -32,8 +32,8 @@ export function span(seconds) {
 /** A number with so many significant digits, never in exponents where a person would not. */
 export function figure(value, digits = 4) {
   if (!Number.isFinite(value)) return String(value);
-  if (value === 0) return '0';
   const size = Math.abs(value);
+  if (size < 1e-9) return '0';             // what is left of a sum that is zero
   if (size >= 1e7 || size < 1e-4) return value.toExponential(Math.max(0, digits - 2));
   if (size >= 10 ** (digits - 1)) {
     return Math.round(value).toLocaleString('en').replaceAll(',', '\u202f');

@@ -152,7 +152,7 @@ function alertOf(group, {state, message, devices}) {
 }
 
 function showDevices({children: [, , servos, list], newest: {group, store}}) {
-  showServos(servos, group.devices, store);
+  showServos(servos, [...group.devices].sort(byUrgency), store);
   set(servos, 'data-old', !group.part.is_known);
   list.hidden = !group.alerts.length;
   each(list, group.alerts, (alert) => alert.key, makeAlert, updateAlert);

@@ -163,7 +163,7 @@ export class Past {
 
   #graph(name) {
     const plot = new Plot(name, 3600);
-    plot.onZoom = ([from, to]) => this.#choose(...widened(Math.round(from), Math.round(to)));
+    plot.onZoom = (zoom) => zoom && this.#choose(...widened(...zoom.map(Math.round)));
     this.#plots.set(name, plot);
     return plot.element;
   }

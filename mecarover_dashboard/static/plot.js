@@ -68,8 +68,9 @@ export class Plot {
   }
 
   /**
-   * Show series [{name, unit, note, points: [[s, value or null] or [s, low, high, last], ...]}]
-   * up to now (s).
+   * Show series [{name, unit, note, points: [[s, value or null] or [s, low, high, last], ...],
+   * hasDots, remove}] up to now (s): a dot for each point where they are far apart, what its
+   * button does.
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
    * point that break the line; `unix(s)`, the Unix time of a time; `zero`, s that are called now;
    * `rest`, s between two moves of the plot.
@@ -102,7 +103,7 @@ export class Plot {
   }
 
   #zoomTo(zoom) {
-    if (zoom && this.onZoom) {
+    if (this.onZoom) {
       this.onZoom(zoom);
       return;
     }
@@ -121,7 +122,7 @@ export class Plot {
   }
 
   #area = {left: 0, width: 1};
-  onZoom = null;               // who shows another time instead, given [from, to]
+  onZoom = null;               // who shows another time instead, given [from, to]; null: up to now
   onCursor = () => {};         // given where the cursor is, s before the right edge, or null
 
   #point(x) { this.#move(this.range[1] - this.#at(x)); }
@@ -180,11 +181,13 @@ export class Plot {
     const when = s === null ? '' : unix ? ` at ${clock(unix(s))}`
       : ` at \u2212${spanText(this.#zero - s)}`;
     each(this.legend, rows, (row) => row.name,
-      () => h('li', {}, h('i', {class: 'swatch'}), h('span'), h('b'), h('small')), (item, row) => {
+      (row) => h('li', {}, h('i', {class: 'swatch'}), h('span'), h('b'), h('small'), row.remove
+        && h('button', {type: 'button', class: 'link', title: 'Remove',
+          ariaLabel: `Remove ${row.name}`, onclick: row.remove}, '\u00d7')), (item, row) => {
         set(item.firstChild, 'data-line', row.index % 4);
         say(item.children[1], row.name);
         say(item.children[2], written(row) + (row.value ? when : ''));
-        say(item.lastChild, row.note ?? '');
+        say(item.children[3], row.note ?? '');
       });
     const text = rows.map((row) => `${row.name} ${written(row)}`).join(', ');
     if (text !== this.#drawn) {

@@ -56,7 +56,7 @@ function showServo(item, device, values) {
   set(head, 'data-state', state);
   setIcon(head.children[0], state);
   say(head.children[1], id3(device.id));
-  say(head.children[2], device.joint || device.model);
+  sayInParts(head.children[2], device.joint || device.model);
   const isSick = state !== 'ok';
   text.hidden = !isSick;
   if (isSick) say(text, saysMore(device) ? device.message : wordOf(device));
@@ -70,6 +70,12 @@ function showServo(item, device, values) {
     lines[at].hidden = !isKnown;
     if (isKnown) showMeasure(lines[at], MEASURES[name](numbers, most));
   });
+}
+
+/** A name that may go on in the next line after each of its words. */
+function sayInParts(element, name) {
+  if (element.textContent === name) return;
+  element.replaceChildren(...name.split(/(?<=[_ -])/).flatMap((part) => [part, h('wbr')]));
 }
 
 function showMeasure(line, {text, from, to}) {

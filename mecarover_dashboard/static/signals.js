@@ -22,12 +22,13 @@ export const pathOfSignals = (device, keys) => `${path('signals')}?${new URLSear
 export class SignalsView {
   title = 'Signals';
   #plots = new Map();
-  #span = SPAN_S;
+  #span = 20;
   #zoom = null;                // [from, to] in s; null: up to now
 
   constructor(_, filters) {
     this.signals = new Signals(() => this.#draw(), (text) => { this.problem = text; });
     const keys = filters.getAll('register');
+    this.isFirst = !keys.length;
     this.signals.all = filters.getAll('of').slice(0, MOST)
       .map((device, index) => new Signal(device, keys[index] ?? ''));
     this.problem = '';
@@ -47,12 +48,12 @@ export class SignalsView {
     this.empty = h('div', {class: 'empty'});
     this.graphs = h('div', {class: 'graphs'});
     this.body = h('section', {class: 'panel signals'},
-      h('div', {class: 'past-head'}, this.device, this.register, this.add, this.spans, this.pause,
-        this.csv), this.words, this.graphs);
+      h('div', {class: 'past-head'}, this.device, this.register, this.add),
+      h('div', {class: 'past-head'}, this.spans, this.pause, this.csv), this.words, this.graphs);
     this.element = h('div', {}, h('h1', {class: 'unseen', tabindex: -1}, 'Signals'), this.empty,
       this.body);
     this.signals.open();
-    this.#show(SPAN_S);
+    this.#show(this.#span);
   }
 
   close() {
@@ -77,12 +78,18 @@ export class SignalsView {
   #change() {
     const {signals, register} = this;
     if (this.shown) {
-      signals.all = signals.all.filter((one) => one !== this.shown);
+      this.#keep(signals.all.filter((one) => one !== this.shown));
     } else {
-      signals.all = [...signals.all, new Signal(this.watch, register.value)];
+      const added = new Signal(this.watch, register.value);
       register.selectedIndex = (register.selectedIndex + 1) % register.length;
+      this.#keep([...signals.all, added]);
     }
-    keepFilters(signals.all.flatMap(({device, key}) => [['of', device], ['register', key]]));
+  }
+
+  #keep(all) {
+    this.isFirst = false;
+    this.signals.all = all;
+    keepFilters(all.flatMap(({device, key}) => [['of', device], ['register', key]]));
     this.update(this.store);
   }
 
@@ -99,6 +106,12 @@ export class SignalsView {
       % (FIRST.length + 1);
     fill(this.register, fields.filter(({value, raw}) => Number.isFinite(numberOf(raw || value)))
       .sort((a, b) => rank(a) - rank(b)).map(({key}) => [key, key]));
+    if (this.isFirst && fields.length) {            // somebody who chose nothing sees something
+      const first = FIRST.flatMap((name) => fields.filter(({key}) => splitUnit(key)[0] === name));
+      this.register.selectedIndex = first.length % this.register.length;
+      this.#keep(first.map(({key}) => new Signal(this.watch, key)));
+      return;
+    }
     this.shown = this.signals.all.find((one) =>
       one.device === this.watch && one.key === this.register.value);
     say(this.add, this.shown ? 'Remove' : 'Add');
@@ -133,10 +146,13 @@ export class SignalsView {
       set(element, 'data-empty', some.every((one) => one.end === one.begin));
       const plot = this.#plots.get(key);
       plot.cover(to - from, {isQuiet: true});
-      plot.update(some.map((signal) => ({name: this.#name(signal),
-        unit: splitUnit(signal.key)[1], note: rateOf(signal, now),
-        points: signal.drawn(from, to, plot.width, now)})), to,
-      {gap: Infinity, rest: 0, zero: now});
+      plot.update(some.map((signal) => {
+        const points = signal.drawn(from, to, plot.width, now);
+        return {name: this.#name(signal), unit: splitUnit(signal.key)[1], points,
+          note: [...rateOf(signal, now), ...extremes(points)].join(', '),
+          hasDots: !signal.isWritten,
+          remove: () => this.#keep(this.signals.all.filter((one) => one !== signal))};
+      }), to, {gap: Infinity, rest: 0, zero: now});
     });
     for (const [key, plot] of this.#plots) {
       if (groups.some((one) => one.key === key)) continue;
@@ -152,6 +168,10 @@ export class SignalsView {
   #makePlot({key, unit}) {
     const plot = new Plot(`Signals, ${unit}`);
     plot.onZoom = (zoom) => {
+      if (!zoom) {
+        this.#show(this.#span);
+        return;
+      }
       this.#zoom = zoom;
       this.signals.close();
       this.#draw();
@@ -202,7 +222,15 @@ function nameOf({id, joint, bus}, devices) {
 }
 
 const rateOf = (signal, now) => signal.end > signal.begin
-  ? `${figure(signal.rate(now), 2)} /s` : '';
+  ? [`${figure(signal.rate(now), 2)} /s`] : [];
+
+/** The lowest and highest of what is shown, as a text; nothing where they are one. */
+function extremes(points) {
+  const known = points.filter(([, value]) => value !== null);
+  const low = Math.min(...known.map((point) => point[1]));
+  const high = Math.max(...known.map((point) => point[2]));
+  return low < high ? [`${figure(low)} to ${figure(high)}`] : [];
+}
 
 /** Fill a select with [value, text]. */
 function fill(select, options, value = select.value) {
