@@ -41,12 +41,15 @@ export function drawPlot(canvas, shown, view) {
     colours);
   shown.forEach((one, index) => drawLine(pen, one.points, at,
     {colour: colours.lines[index % 4], dash: DASHES[index % 4],
-      hasDots: one.hasDots && one.points.length < area.width / DOTS}, view));
+      hasDots: one.hasDots && isSparse(one.points, at)}, view));
   pen.restore();
   if (view.drag) drawDrag(pen, area, at, view.drag, colours);
   if (view.cursor !== null) drawCursor(pen, area, at, shown, view, colours);
   return area;
 }
+
+const isSparse = (points, at) => points.length > 0
+  && at.x(points.at(-1)[0]) - at.x(points[0][0]) >= DOTS * (points.length - 1);
 
 /** A value that no scale can hold goes to the edge. */
 function bounded(value, {low, high}) {

@@ -26,7 +26,8 @@ const MEASURES = {
   },
   load: ([, , load, , , , , , , , unit], most) => {
     const at = share(load, -most, most);
-    return {text: `${unit === 'A' ? load.toFixed(2) : figure(load, 2)} ${unit}`,
+    const text = unit === 'A' ? load.toFixed(2).replace(/^-(0\.00)$/, '$1') : figure(load, 2);
+    return {text: `${text} ${unit}`,
       from: Math.min(at, 0.5), to: Math.max(at, 0.5)};
   },
   temperature: ([temperature, , , , , , , limit]) => ({text: `${figure(temperature, 3)} \u00b0C`,

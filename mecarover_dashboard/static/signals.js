@@ -11,7 +11,8 @@ import {Plot} from './plot.js';
 import {csvOf, MOST, Signal, Signals, SPAN_S} from './signal.js';
 
 const SPANS = [[5, '5 s'], [20, '20 s'], [SPAN_S, '60 s']];
-const FIRST = ['Present Position', 'Goal Position'];         // at the top of the list
+const FIRST = ['Present Position', 'Goal Position', 'Present Current', 'Present Load',
+  'Present Velocity', 'Present Temperature', 'Present Input Voltage'];   // at the top of the list
 const NO_UNIT = 'no unit';
 const MOST_LINES = 4;          // in a plot
 
@@ -107,7 +108,8 @@ export class SignalsView {
     fill(this.register, fields.filter(({value, raw}) => Number.isFinite(numberOf(raw || value)))
       .sort((a, b) => rank(a) - rank(b)).map(({key}) => [key, key]));
     if (this.isFirst && fields.length) {            // somebody who chose nothing sees something
-      const first = FIRST.flatMap((name) => fields.filter(({key}) => splitUnit(key)[0] === name));
+      const first = FIRST.slice(0, 2).flatMap((name) =>
+        fields.filter(({key}) => splitUnit(key)[0] === name));
       this.register.selectedIndex = first.length % this.register.length;
       this.#keep(first.map(({key}) => new Signal(this.watch, key)));
       return;
