@@ -10,6 +10,7 @@ import pytest
 
 from dxl_monitor.bus.report import FAILED
 from dxl_monitor.bus.report import RAISED
+from dxl_monitor.tools.doctor.finding_log import FindingLog
 from msg_defs.dxl_packet import body_crc
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import HEADER
@@ -95,6 +96,18 @@ def mode(torque: int) -> Iterator[Said]:
     for at, value, error in ((64, torque, 0), (11, 4, 7 * torque)):
         yield 5, OUT, encode(1, 3, bytes((at, 0, value)))
         yield 1, IN, encode(1, STATUS, b'', error=error)
+
+
+def sets_rate(follows: bool) -> Iterator[Said]:
+    """Write another rate to an XL430, and go there or not."""
+    yield 5, OUT, encode(1, 1)
+    yield 1, IN, encode(1, STATUS, b'\x24\x04\x2e', error=0)
+    yield 5, OUT, encode(1, 3, b'\x08\0\1')
+    yield 1, IN, encode(1, STATUS, b'', error=0)
+    if follows:
+        yield 1, '', Change(BAUD, 57_600)
+    yield 2000, OUT, encode(2, 1)
+    yield 1, IN, encode(2, STATUS, b'\x24\x04\x2e', error=0)
 
 
 def written_first(*setup: bytes) -> Iterator[Said]:
@@ -310,6 +323,7 @@ def lost_acks(each: int) -> Iterator[Said]:
     (echoed(), '', {'echo'}), (echoed(2), '', {'hardware_error'}),
     (sync_reads(0), '', {'sync_read_unsupported'}),
     (searches(packet(1, 0)), '', set()), (searches(b''), '', {'all_silent'}),
+    (sets_rate(False), '', {'baud_moved'}), (sets_rate(True), '', set()),
     (written_first(packet(1, 3, 5, 7)), '', {'id_moved'}),
     (written_first(packet(1, 3, 6, 4)), '', {'baud_moved'}),
     (written_first(), '', {'no_answer'}), (short(1), '', {'wrong_length'}),
@@ -345,3 +359,21 @@ def test_a_foreign_program_meets_a_fault(said, failed, found):
         bus.monitor.end(bus.now, failed)
         met |= {one.rule for one in bus.report().findings if one.level > Level.OK}
     assert met == found
+
+
+@pytest.mark.parametrize(('finds', 'levels'), [(True, []), (False, [Level.ERROR])])
+def test_a_search_over_rates_is_no_silence_once_it_finds(finds, levels):
+    bus, log = Bus(), FindingLog()
+    for rate in (9600, 57_600):
+        bus.monitor.change(Change(BAUD, rate), bus.now)
+        for _ in range(10):
+            bus.wait(0.2)
+            bus.monitor.feed(encode(254, 1), bus.now, OUT)
+            log.take(bus.report())
+    if finds:
+        bus.wait(0.001)
+        bus.monitor.feed(encode(1, STATUS, b'\x24\x04\x2e', error=0), bus.now, IN)
+    bus.wait(0.2)
+    bus.monitor.end(bus.now)
+    log.take(bus.report())
+    assert [one.finding.level for one in log.entries() if one.finding.level] == levels

@@ -242,11 +242,7 @@ class BusDecoder:
         self.byte_ns = self.tracker.byte_ns = byte_ns(baud)
         if self.classifier is not None:
             self.classifier.byte_ns = self.byte_ns
-        self.registry.baud = baud
-        self.registry.tried.add(baud)
-        for device in self.registry.devices.values():
-            if not device.heard:               # it may not have been meant at all
-                device.missed_in_a_row = 0
+        self.registry.set_baud(baud)
         self.expect_delay(self.settings.latency_timer_ms)
 
     def protocol(self) -> str:

@@ -326,6 +326,16 @@ class DeviceRegistry:
         if value == MIDDLE:
             self.calibrate(device, stamp)
 
+    def set_baud(self, baud: int) -> None:
+        """Follow the master to another rate, as devices do whose rate it has changed."""
+        self.baud = baud
+        self.tried.add(baud)
+        for device in self.devices.values():
+            if not device.heard:               # it may not have been meant at all
+                device.missed_in_a_row = 0
+            if device.moved_to == f'{baud} Bd':
+                device.moved_to = ''
+
     def _moved(self, device: Device, baud: int, in_words: str) -> None:
         if baud != self.baud:
             device.moved_to = in_words

@@ -18,6 +18,7 @@ _RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
 _EXPLAINS = {rule.name: rule.explains for rule in RULES}
 
 _Key = tuple[str, int | None]
+_SILENT = 'all_silent', None
 
 
 class Logged(NamedTuple):
@@ -34,6 +35,7 @@ class FindingLog:
 
     def __init__(self) -> None:
         self._entries: dict[_Key, Logged] = {}
+        self._rates = 0                # how many were tried when nothing answered
         self.last: BusReport | None = None
 
     def take(self, report: BusReport) -> None:
@@ -41,6 +43,10 @@ class FindingLog:
         now_s = max(0, report.stamp - report.started) / 1e9 if report.started else 0.0
         said = {(finding.rule, finding.device): finding for finding in report.findings}
         self._entries = {key: one._replace(stands=False) for key, one in self._entries.items()}
+        if _SILENT in said:
+            self._rates = self._rates if _SILENT in self._entries else len(report.tried)
+        elif report.is_answered and len(report.tried) > self._rates:
+            self._entries.pop(_SILENT, None)           # it searched, and has found them
         for key, finding in said.items():
             before = self._entries.get(key)
             self._entries[key] = Logged(finding, before.first_s if before else now_s, now_s, True)
