@@ -18,7 +18,7 @@ from dxl_monitor.doctor import bits
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from rigs.bus import wrecked
-from rigs.bus.ear import FULL_SPEED
+from rigs.bus.adapter import FULL_SPEED
 from rigs.bus.wire import S
 from rigs.bus.wrecked import KINDS
 from rigs.bus.wrecked import PROGRAMS

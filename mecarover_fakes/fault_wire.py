@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of the simulated bus that sit on the wire, in a transceiver or in the listener's ear."""
+"""Faults of the simulated bus that sit on the wire, in a transceiver or at the listener."""
 
 from __future__ import annotations
 

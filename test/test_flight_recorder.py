@@ -167,7 +167,7 @@ def diagnosed(scene, folder):
     """Return what is said live at the end of a file, and what dxl_doctor says of the file."""
     now = [0]
     flight = FlightRecorder(str(folder), 1_000_000_000, 1, lambda: Moment(now[0], now[0]))
-    wire = Wire('bus', scene.ear.baud or scene.baud)
+    wire = Wire('bus', scene.adapter.baud or scene.baud)
     live = Examination(MODELS, scene.devices, flight=flight)
     rig = scene.rig(SEED)
 
@@ -175,7 +175,7 @@ def diagnosed(scene, folder):
         now[0] = BOOT + stamp
         live.take(Chunk(BOOT + stamp, 'bus', data), wire)
 
-    rig.listen(scene.ear, hear, lambda stamp: live.pass_time(BOOT + stamp))
+    rig.listen(scene.adapter, hear, lambda stamp: live.pass_time(BOOT + stamp))
     for second in range(1, 1 + int(SECONDS)):
         rig.clock.run(second * S)
         now[0] = BOOT + rig.clock.now

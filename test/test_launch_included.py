@@ -76,20 +76,20 @@ def test_a_limit_that_the_user_sets_is_in_force(graph, parent, tmp_path, given):
             assert graph.get(BRIDGE, ['port']) == [f'{tmp_path}/mcu']
 
 
-@pytest.mark.parametrize('ears', ['', ", name='ears', respawn='false', config='{config}'"])
-def test_two_includes_have_arguments_of_their_own(graph, parent, tmp_path, ears):
+@pytest.mark.parametrize('second', ['', ", name='second', respawn='false', config='{config}'"])
+def test_two_includes_have_arguments_of_their_own(graph, parent, tmp_path, second):
     """The second one takes nothing of the first: no name, no settings, no respawn."""
-    config = settings(tmp_path, 'ears.yaml', '/**', warn_loss=5.0, cmd_vel_timeout=9.0)
-    file = parent(f"include('monitor', ports='{tmp_path}/bus'{ears.format(config=config)})",
+    config = settings(tmp_path, 'second.yaml', '/**', warn_loss=5.0, cmd_vel_timeout=9.0)
+    file = parent(f"include('monitor', ports='{tmp_path}/bus'{second.format(config=config)})",
                   f"include('bridge', port='{tmp_path}/mcu')")
     with launched(file) as launch:
         for node in ('dxl_monitor', 'vel2d_bridge'):
             launch.wait_for(f'[{node}-', 'is not there')
-        name = '/ears' if ears else '/dxl_monitor'
-        assert graph.get(name, ['warn_loss']) == [5.0 if ears else 1.0]
+        name = '/second' if second else '/dxl_monitor'
+        assert graph.get(name, ['warn_loss']) == [5.0 if second else 1.0]
         assert graph.get(BRIDGE, ['cmd_vel_timeout']) == [0.5]
         assert bool(launch.said('bridge.launch.py', f'config:={config} was given to another '
-                                'include, so this one takes its default')) == bool(ears)
+                                'include, so this one takes its default')) == bool(second)
         [bridge] = [pid for pid in pids(launch) if launch.said('vel2d_bridge', f'[{pid}]')]
         os.kill(bridge, signal.SIGKILL)
         wait(lambda: len(launch.said('vel2d_bridge', 'is not there')) == 2)
@@ -99,15 +99,15 @@ def test_what_the_user_gives_both_and_all_around_them_holds(graph, parent, tmp_p
     """Arguments, also of the user's own launch file; its namespace, remapping and parameter."""
     both = tmp_path / 'both.yaml'
     both.write_text('/rover1/hands:\n  ros__parameters: {max_linear_x: 0.25}\n'
-                    '/rover1/ears:\n  ros__parameters: {warn_loss: 5.0}\n')
+                    '/rover1/second:\n  ros__parameters: {warn_loss: 5.0}\n')
     file = parent(
         "DeclareLaunchArgument('config')", "PushRosNamespace('rover1')",
         "SetRemap('/rover1/cmd_vel', '/joy')", "SetParameter('timing_topics', 'all')",
-        f"include('monitor', name='ears', ports='{tmp_path}/bus')",
+        f"include('monitor', name='second', ports='{tmp_path}/bus')",
         "include('bridge', name='hands', port='/dev/nope', config=LaunchConfiguration('config'))")
     with launched(file, f'config:={both}') as launch:
         names = ['config:=', 'warn_loss', 'timing_topics']
-        assert graph.get('/rover1/ears', names[1:]) == [5.0, 'all']
+        assert graph.get('/rover1/second', names[1:]) == [5.0, 'all']
         assert graph.get('/rover1/hands', ['max_linear_x', *names[2:]]) == [0.25, 'all']
         graph.wait_status('rover1/hands: commands', 'Topic=/joy')
         assert not launch.said('was given to another include')

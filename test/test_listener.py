@@ -29,7 +29,7 @@ def _wait_longer(found, than):
     wait(lambda: len(found) > than)
 
 
-class Ear:
+class Collector:
     """A tap, and what it hands on."""
 
     def __init__(self, port, baud=2_000_000):
@@ -54,38 +54,38 @@ def cable(tmp_path):
 
 
 @pytest.fixture
-def ear(cable):
-    ear = Ear(str(cable.link))
-    ear.wait_open()
-    yield ear
-    ear.listener.stop()
+def collector(cable):
+    collector = Collector(str(cable.link))
+    collector.wait_open()
+    yield collector
+    collector.listener.stop()
 
 
-def test_hands_on_every_byte_in_order_with_growing_stamps(cable, ear):
+def test_hands_on_every_byte_in_order_with_growing_stamps(cable, collector):
     sent = b''
     for part in range(100):
         data = bytes([part]) * (1 + part % 7)
         sent += data
         os.write(cable.master, data)
-    wait(lambda: len(ear.data) == len(sent))
-    assert ear.data == sent
-    stamps = [stamp for _, stamp in ear.chunks]
+    wait(lambda: len(collector.data) == len(sent))
+    assert collector.data == sent
+    stamps = [stamp for _, stamp in collector.chunks]
     assert stamps == sorted(stamps)
     assert stamps[-1] <= time.monotonic_ns()
-    counters = ear.listener.counters
+    counters = collector.listener.counters
     assert counters.bytes == len(sent)
-    assert counters.reads == len(ear.chunks)
+    assert counters.reads == len(collector.chunks)
     assert counters.openings == 1
 
 
-def test_tells_that_the_line_is_idle_and_how_far_it_listened(cable, ear):
+def test_tells_that_the_line_is_idle_and_how_far_it_listened(cable, collector):
     for _ in range(3):
         os.write(cable.master, b'x')
-        _wait_longer(ear.idle, len(ear.idle) + 1)
-    wait(lambda: len(ear.data) == 3)
-    wait(lambda: ear.idle[-1] > ear.chunks[-1][1])
-    wait(lambda: ear.listener.listened == ear.idle[-1])
-    assert ear.idle == sorted(ear.idle)
+        _wait_longer(collector.idle, len(collector.idle) + 1)
+    wait(lambda: len(collector.data) == 3)
+    wait(lambda: collector.idle[-1] > collector.chunks[-1][1])
+    wait(lambda: collector.listener.listened == collector.idle[-1])
+    assert collector.idle == sorted(collector.idle)
 
 
 def test_idle_time_covers_latency_timer_and_slow_rates(tmp_path):
@@ -98,7 +98,7 @@ def test_idle_time_covers_latency_timer_and_slow_rates(tmp_path):
     assert listening(1200, None).idle_s == pytest.approx(200 / 1200)
 
 
-def test_descriptor_is_read_only(cable, ear):
+def test_descriptor_is_read_only(cable, collector):
     device = os.stat(cable.path).st_rdev
     own = {cable.master, cable._slave}
     flags = []
@@ -116,38 +116,38 @@ def test_descriptor_is_read_only(cable, ear):
     assert all(int(flag, 8) & os.O_ACCMODE == os.O_RDONLY for flag in flags)
 
 
-def test_sends_nothing(cable, ear):
+def test_sends_nothing(cable, collector):
     os.write(cable.master, b'hello')
-    wait(lambda: ear.data)
-    ear.listener.stop()
+    wait(lambda: collector.data)
+    collector.listener.stop()
     with pytest.raises(BlockingIOError):
         os.read(cable.master, 1)
-    ear.listener = Ear(str(cable.link)).listener
+    collector.listener = Collector(str(cable.link)).listener
 
 
 @pytest.mark.parametrize('baud', [57_600, 1_000_000, 2_000_000, 4_500_000, 1_234_567])
 def test_takes_any_rate(cable, baud):
-    ear = Ear(str(cable.link), baud)
+    collector = Collector(str(cable.link), baud)
     try:
-        ear.wait_open()
+        collector.wait_open()
         os.write(cable.master, b'x')
-        wait(lambda: ear.data == b'x')
+        wait(lambda: collector.data == b'x')
     finally:
-        ear.listener.stop()
+        collector.listener.stop()
 
 
 def test_is_lost_and_found_ten_times(tmp_path):
     link = str(tmp_path / 'bus')
     before = len(os.listdir('/proc/self/fd'))
-    ear = Ear(link)
-    wait(lambda: ear.listener.state.kind == 'absent')
-    assert 'is not there' in ear.listener.state.text
+    collector = Collector(link)
+    wait(lambda: collector.listener.state.kind == 'absent')
+    assert 'is not there' in collector.listener.state.text
     for round_ in range(10):
-        _plug_in_and_out(link, ear, bytes([round_]))
-    assert ear.data == bytes(range(10))
-    assert ear.listener.counters.openings == 10
-    ear.listener.stop()
-    assert ear.listener.state.kind == 'stopped'
+        _plug_in_and_out(link, collector, bytes([round_]))
+    assert collector.data == bytes(range(10))
+    assert collector.listener.counters.openings == 10
+    collector.listener.stop()
+    assert collector.listener.state.kind == 'stopped'
     assert len(os.listdir('/proc/self/fd')) == before
 
 
@@ -171,84 +171,84 @@ def test_no_mistake_ends_the_listening(cable):
     listener.stop()
 
 
-def _plug_in_and_out(link, ear, byte):
+def _plug_in_and_out(link, collector, byte):
     with Pty(link) as cable:
-        ear.wait_open()
+        collector.wait_open()
         os.write(cable.master, byte)
-        wait(lambda: ear.data.endswith(byte))
-    wait(lambda: not ear.listener.state.is_open)
+        wait(lambda: collector.data.endswith(byte))
+    wait(lambda: not collector.listener.state.is_open)
 
 
 def test_stops_at_once_whatever_it_is_doing(tmp_path):
-    def stopping_s(ear):
+    def stopping_s(collector):
         begin = time.monotonic()
-        ear.listener.stop()
+        collector.listener.stop()
         return time.monotonic() - begin
 
     # The best of three: a busy machine may hold one up.
-    assert min(stopping_s(Ear(str(tmp_path / 'absent'))) for _ in range(3)) < 0.5
+    assert min(stopping_s(Collector(str(tmp_path / 'absent'))) for _ in range(3)) < 0.5
     with Pty() as one, Pty() as two, Pty() as three:
-        ears = [Ear(cable.path) for cable in (one, two, three)]
-        for ear in ears:
-            ear.wait_open()
-        assert min(map(stopping_s, ears)) < 0.5
+        collectors = [Collector(cable.path) for cable in (one, two, three)]
+        for collector in collectors:
+            collector.wait_open()
+        assert min(map(stopping_s, collectors)) < 0.5
     assert not [one for one in threading.enumerate() if one.name.startswith('listener')]
 
 
 def test_stop_may_come_before_the_start_is_through(tmp_path):
     for _ in range(20):
-        Ear(str(tmp_path / 'absent')).listener.stop()
+        Collector(str(tmp_path / 'absent')).listener.stop()
 
 
 def test_hears_a_socket():
     with socket.create_server(('127.0.0.1', 0)) as server:
-        ear = Ear(f'socket://127.0.0.1:{server.getsockname()[1]}')
+        collector = Collector(f'socket://127.0.0.1:{server.getsockname()[1]}')
         connection, _ = server.accept()
         with connection:
-            ear.wait_open()             # pyserial drops what came before
+            collector.wait_open()             # pyserial drops what came before
             connection.sendall(b'over the net')
-            wait(lambda: ear.data == b'over the net')
+            wait(lambda: collector.data == b'over the net')
             connection.setblocking(False)
             with pytest.raises(BlockingIOError):
                 connection.recv(1)
-        wait(lambda: not ear.listener.state.is_open)
-    ear.listener.stop()
+        wait(lambda: not collector.listener.state.is_open)
+    collector.listener.stop()
 
 
 def test_hears_a_port_without_descriptor():
-    ear = Ear('loop://')
-    ear.wait_open()
-    assert ear.listener.counters.line_errors is None
-    ear.listener.stop()
+    collector = Collector('loop://')
+    collector.wait_open()
+    assert collector.listener.counters.line_errors is None
+    collector.listener.stop()
 
 
 def test_hears_a_terminal_server_and_finds_it_again(cable):
     with TerminalServer(cable.path) as server:
-        ear = Ear(server.url, 1_000_000)
+        collector = Collector(server.url, 1_000_000)
         for opening in (1, 2):
-            wait(lambda: ear.listener.counters.openings == opening)  # noqa: B023
-            ear.wait_open()
+            wait(lambda: collector.listener.counters.openings == opening)  # noqa: B023
+            collector.wait_open()
             os.write(cable.master, b'over the net')
-            wait(lambda: ear.data == opening * b'over the net')        # noqa: B023
+            wait(lambda: collector.data == opening * b'over the net')        # noqa: B023
             server.hang_up()
         with pytest.raises(BlockingIOError):
             os.read(cable.master, 1)
-        ear.listener.stop()
+        collector.listener.stop()
 
 
 def test_names_a_mistake_in_the_url():
-    ear = Ear('nonsense://somewhere')
-    wait(lambda: ear.listener.state.kind == 'url')
-    assert 'nonsense' in ear.listener.state.text
-    ear.listener.stop()
+    collector = Collector('nonsense://somewhere')
+    wait(lambda: collector.listener.state.kind == 'url')
+    assert 'nonsense' in collector.listener.state.text
+    collector.listener.stop()
 
 
-def test_a_pty_has_no_low_latency_and_counts_no_errors(cable, ear):
+def test_a_pty_has_no_low_latency_and_counts_no_errors(cable, collector):
     assert line_errors(cable.master) is None
     assert not set_low_latency(cable.master)
-    assert not ear.listener.low_latency
-    assert ear.listener.latency_timer_ms is None
-    assert ear.listener.counters.line_errors is None
+    assert not collector.listener.low_latency
+    assert collector.listener.latency_timer_ms is None
+    assert collector.listener.counters.line_errors is None
 
 
 def test_latency_timer_of_an_ftdi_adapter_is_lowered_where_allowed(tmp_path):
@@ -268,13 +268,13 @@ def test_line_errors_count_from_the_opening_on():
 
 def test_lost_port_is_set_up_anew_at_its_rate(tmp_path):
     link = str(tmp_path / 'bus')
-    ear = Ear(link, 1_000_000)
+    collector = Collector(link, 1_000_000)
     for _ in range(2):
         with Pty(link) as cable:
-            ear.wait_open()
+            collector.wait_open()
             assert termios.tcgetattr(cable._slave)[4] == termios.B1000000
-        wait(lambda: not ear.listener.state.is_open)
-    ear.listener.stop()
+        wait(lambda: not collector.listener.state.is_open)
+    collector.listener.stop()
 
 
 def test_what_a_usb_adapter_says_of_itself(tmp_path):

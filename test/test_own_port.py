@@ -214,7 +214,7 @@ def test_what_was_seen_is_let_go_and_what_found_no_room_is_counted(monkeypatch):
 # --- live --------------------------------------------------------------------------------------
 
 
-class Ear:
+class Collector:
     """A monitor behind a listener on a live source."""
 
     def __init__(self, name):
@@ -240,21 +240,21 @@ def test_bus_is_heard_through_usb(meeting_place, family):
     line = Line(make_devices(DEVICES, MODELS, BAUD), BAUD)
     bus = FakeBus(Master(line, PATTERNS['moving'], rate=50.0),
                   usb=VirtualUsb(path, family, BAUD))
-    ear = Ear(f'usb:{path}')
+    collector = Collector(f'usb:{path}')
     try:
-        wait(lambda: ear.listener.state.is_open)
+        wait(lambda: collector.listener.state.is_open)
         bus.start()
-        wait(lambda: ear.report().counters['Packets'] > 300)
-        report = ear.report()
+        wait(lambda: collector.report().counters['Packets'] > 300)
+        report = collector.report()
     finally:
         bus.stop()
-        wait(lambda: ear.listener.state.kind == 'lost')
-        ear.listener.stop()
+        wait(lambda: collector.listener.state.kind == 'lost')
+        collector.listener.stop()
     assert report.baud == BAUD
     assert {device.id for device in report.devices} == {1, 2, 3, 4, 101}
     assert sum(device.totals.missed for device in report.devices) == 0
     assert report.counters['Noise Bytes'] == report.counters['CRC Errors'] == 0
-    assert set(ear.monitor.decoder.framers) == {'', OUT, IN}
+    assert set(collector.monitor.decoder.framers) == {'', OUT, IN}
 
 
 @pytest.mark.alone
@@ -266,18 +266,18 @@ def test_adapter_that_is_unplugged_is_looked_for(meeting_place):
         server.bind(path)
         server.listen()
         server.settimeout(DEADLINE_S)
-        ear = Ear(f'usb:{path}')
+        collector = Collector(f'usb:{path}')
         try:
             for openings in (1, 2):
                 stream, _ = server.accept()
                 stream.sendall(told)
-                wait(lambda n=openings: ear.listener.counters.openings == n
-                         and ear.listener.state.kind == 'lost')
-                assert 'the adapter was unplugged' in ear.listener.state.text
+                wait(lambda n=openings: collector.listener.counters.openings == n
+                         and collector.listener.state.kind == 'lost')
+                assert 'the adapter was unplugged' in collector.listener.state.text
                 stream.close()
         finally:
-            ear.listener.stop()
-    assert [change.what for change in ear.changes].count('unplugged') == 2
+            collector.listener.stop()
+    assert [change.what for change in collector.changes].count('unplugged') == 2
 
 
 @pytest.mark.alone

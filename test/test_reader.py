@@ -14,7 +14,7 @@ import threading
 
 from harness import wait
 import pytest
-from test_listener import Ear
+from test_listener import Collector
 
 from dxl_monitor.port import reader
 from dxl_monitor.port import reader_process
@@ -34,12 +34,12 @@ def cable():
 
 
 @pytest.fixture
-def ear(cable):
-    ear = Ear(cable.path)
-    wait(lambda: ear.listener.reader_pid)
-    yield ear
-    if ear.listener.state.kind != 'stopped':
-        ear.listener.stop()
+def collector(cable):
+    collector = Collector(cable.path)
+    wait(lambda: collector.listener.reader_pid)
+    yield collector
+    if collector.listener.state.kind != 'stopped':
+        collector.listener.stop()
 
 
 def send(cable, data):
@@ -49,9 +49,9 @@ def send(cable, data):
         data = data[os.write(cable.master, data):]
 
 
-def pid_of(ear):
-    wait(lambda: ear.listener.reader_pid)
-    return ear.listener.reader_pid
+def pid_of(collector):
+    wait(lambda: collector.listener.reader_pid)
+    return collector.listener.reader_pid
 
 
 @pytest.mark.parametrize('in_thread', [False, True], ids=['process', 'thread'])
@@ -71,8 +71,8 @@ def test_equal_bytes_in_equal_order(cable, in_thread):
     assert listener.counters.reads == len(chunks)
 
 
-def test_only_the_process_reads_and_nobody_can_write(cable, ear):
-    pid = pid_of(ear)
+def test_only_the_process_reads_and_nobody_can_write(cable, collector):
+    pid = pid_of(collector)
     wait(lambda: 'dxl_reader' in Path(f'/proc/{pid}/comm').read_text())
     name, fds = f'/proc/{pid}/comm', Path(f'/proc/{pid}/fd')    # still open while it is written
     wait(lambda: name not in map(os.path.realpath, fds.iterdir()))
@@ -86,9 +86,9 @@ def test_only_the_process_reads_and_nobody_can_write(cable, ear):
         cable.path, 'pipe', os.devnull}, 'it holds what is none of its business'
 
 
-def test_ends_at_once_with_its_listener(cable, ear):
-    pid = pid_of(ear)
-    ear.listener.stop()
+def test_ends_at_once_with_its_listener(cable, collector):
+    pid = pid_of(collector)
+    collector.listener.stop()
     assert not is_alive(pid)
     assert not [one for one in threading.enumerate() if one.name.startswith('listener')]
 
@@ -110,37 +110,37 @@ def test_ends_when_nobody_takes_what_it_says(cable):
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_leaves_endings_to_the_node(cable, ear, number):
-    pid = pid_of(ear)
+def test_leaves_endings_to_the_node(cable, collector, number):
+    pid = pid_of(collector)
     send(cable, b'ready')
-    wait(lambda: ear.data)
+    wait(lambda: collector.data)
     os.kill(pid, number)
     send(cable, b' still')
-    wait(lambda: ear.data == b'ready still')
-    assert ear.listener.reader_pid == pid
+    wait(lambda: collector.data == b'ready still')
+    assert collector.listener.reader_pid == pid
 
 
-def test_a_killed_one_is_replaced_and_nothing_lost(cable, ear):
+def test_a_killed_one_is_replaced_and_nothing_lost(cable, collector):
     sent = b''
     for round_ in range(3):
         sent += bytes([round_]) * 500
         send(cable, sent[-500:])
-        _wait_for_bytes(ear, len(sent))
-        _kill_reader(ear)
-        assert 'the reader process ended with signal 9' in ear.listener.state.text
-        assert ear.listener.state.is_open
-    assert ear.data == sent
-    assert ear.listener.counters.openings == 1
+        _wait_for_bytes(collector, len(sent))
+        _kill_reader(collector)
+        assert 'the reader process ended with signal 9' in collector.listener.state.text
+        assert collector.listener.state.is_open
+    assert collector.data == sent
+    assert collector.listener.counters.openings == 1
 
 
-def _wait_for_bytes(ear, count):
-    wait(lambda: len(ear.data) == count)
+def _wait_for_bytes(collector, count):
+    wait(lambda: len(collector.data) == count)
 
 
-def _kill_reader(ear):
-    pid = pid_of(ear)
+def _kill_reader(collector):
+    pid = pid_of(collector)
     os.kill(pid, signal.SIGKILL)
-    wait(lambda: ear.listener.reader_pid not in (pid, None))
+    wait(lambda: collector.listener.reader_pid not in (pid, None))
 
 
 def test_none_is_left_when_the_node_is_killed(cable):
@@ -160,14 +160,14 @@ def test_none_is_left_when_the_node_is_killed(cable):
     ('/does/not/exist', 'No such file or directory'), ('/bin/false', 'it ends at once')])
 def test_without_a_process_the_thread_reads_and_says_so(cable, monkeypatch, program, reason):
     monkeypatch.setattr(reader_process.sys, 'executable', program)
-    ear = Ear(cable.path)
-    wait(lambda: 'so the node reads it' in ear.listener.state.text)
-    assert reason in ear.listener.state.text
-    assert ear.listener.state.is_open
+    collector = Collector(cable.path)
+    wait(lambda: 'so the node reads it' in collector.listener.state.text)
+    assert reason in collector.listener.state.text
+    assert collector.listener.state.is_open
     send(cable, b'heard')
-    wait(lambda: ear.data == b'heard')
-    assert ear.listener.reader_pid is None
-    ear.listener.stop()
+    wait(lambda: collector.data == b'heard')
+    assert collector.listener.reader_pid is None
+    collector.listener.stop()
 
 
 def test_few_descriptors_are_no_end_and_none_is_lost(cable):

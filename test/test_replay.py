@@ -94,7 +94,7 @@ def judged(report):
         report.kinds)
 
 
-class Ear:
+class Collector:
     """A listener and a monitor on a port, as the node has them."""
 
     def __init__(self, path):
@@ -123,11 +123,11 @@ def test_the_monitor_on_a_replay_reports_what_it_reported_live(tmp_path):
     path.write_bytes(capture(chunks))
     with Program(REPLAY, str(path), '--link', str(link)) as replay:
         replay.wait_for('waiting for a reader')
-        with Ear(link) as ear:
+        with Collector(link) as collector:
             replay.wait_for('played')
             size = sum(len(data) for data, _ in chunks)
-            wait(lambda: ear.listener.counters.bytes == size)
-            heard = ear.report()
+            wait(lambda: collector.listener.counters.bytes == size)
+            heard = collector.report()
         assert replay.exit_code() == 0
     live = listen(chunks)
     assert judged(heard) == judged(live)
@@ -141,9 +141,9 @@ def test_faster_and_again_and_again(tmp_path):
     path.write_bytes(capture(chunks))
     size = sum(len(data) for data, _ in chunks)
     with Program(REPLAY, str(path), '--link', str(link), '--speed', '0',
-                 '--loop') as replay, Ear(link) as ear:
-        wait(lambda: ear.listener.counters.bytes > 3 * size)
-        assert ear.report(later=0).counters['Noise Bytes'] == 0
+                 '--loop') as replay, Collector(link) as collector:
+        wait(lambda: collector.listener.counters.bytes > 3 * size)
+        assert collector.report(later=0).counters['Noise Bytes'] == 0
         replay.signal(signal.SIGINT)
         assert replay.exit_code() == 0
     assert 'Traceback' not in replay.text
@@ -159,7 +159,8 @@ def test_every_bus_has_its_pty(tmp_path):
     path.write_bytes(file.getvalue())
     with Program(REPLAY, str(path), '--link', str(link), '--stay') as replay:
         replay.wait_for('waiting')
-        with Ear(tmp_path / 'bus_left') as left, Ear(tmp_path / 'bus_right%2Farm') as right:
+        with Collector(tmp_path / 'bus_left') as left, \
+                Collector(tmp_path / 'bus_right%2Farm') as right:
             wait(lambda: left.listener.counters.bytes == 3 and right.listener.counters.bytes == 6)
             replay.wait_for('played 6 chunks, 9 bytes')
         replay.signal(signal.SIGTERM)
@@ -172,10 +173,10 @@ def test_raw_bytes_play_at_the_speed_of_the_wire(tmp_path):
     path.write_bytes(b''.join(data for data, _ in chunks))
     with Program(REPLAY, str(path), '--link', str(link), '-b', str(BAUD)) as replay:
         replay.wait_for('waiting')
-        with Ear(link) as ear:
+        with Collector(link) as collector:
             replay.wait_for('played')
-            wait(lambda: ear.listener.counters.bytes == path.stat().st_size)
-            assert ear.report().counters['Noise Bytes'] == 0
+            wait(lambda: collector.listener.counters.bytes == path.stat().st_size)
+            assert collector.report().counters['Noise Bytes'] == 0
 
 
 def test_a_file_in_the_place_of_the_link_stays(tmp_path):

@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The second bus: its packets, its line, its servos, its ears; and what the doctor says of it."""
+"""The second bus: packets, line, servos, adapters; and what the doctor says of it."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from benchmark import baseline
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
-from rigs.bus import ear
+from rigs.bus import adapter
 from rigs.bus import frames
 from rigs.bus import masters
 from rigs.bus import servo as reg
@@ -25,8 +25,9 @@ from rigs.bus.wire import Talk
 from rigs.bus.wire import Wire
 
 BYTE_NS = 10_000.0
-KINDS = (ear.FINE, ear.FULL_SPEED, ear.COARSE, ear.LUMPS, ear.BUSY, ear.HUB)
-RIGS = Path(ear.__file__).parent
+KINDS = (adapter.FINE, adapter.FULL_SPEED, adapter.COARSE, adapter.LUMPS, adapter.BUSY,
+         adapter.HUB)
+RIGS = Path(adapter.__file__).parent
 # One of each kind: all of them take minutes.
 SAMPLE = ('sdk loop, USB hub', 'dead, item by item', 'loose plug, fast reads',
           'noise on all, bitbots', 'answers of the wrong length, sdk',
@@ -130,7 +131,7 @@ def test_eeprom_is_closed_while_the_torque_is_on(bus):
     assert frames.parse(ask(frames.write(2, reg.MODE, b'\4')))[0].error == 0
 
 
-# --- ears ------------------------------------------------------------------------------------
+# --- adapters ------------------------------------------------------------------------------------
 
 @pytest.mark.parametrize('kind', KINDS)
 def test_an_ear_loses_no_byte_and_keeps_the_order(kind):
@@ -152,7 +153,7 @@ def test_an_ear_loses_no_byte_and_keeps_the_order(kind):
 def test_books_agree_with_the_counters_of_the_monitor():
     rig = Scene('', masters.hardware_interface).rig(1)
     monitor = Monitor('bus', Models(), Settings(baud=1_000_000))
-    rig.listen(ear.FINE, monitor.feed, lambda now: None)
+    rig.listen(adapter.FINE, monitor.feed, lambda now: None)
     rig.clock.run(2 * S)
     rig.ports[0].stop()
     rig.clock.run(3 * S)

@@ -37,8 +37,8 @@ def run(case, seed):
             capture = through_node(case, Path(folder))
             through_tools(case, capture, Path(folder), random.Random(seed))
     finally:
-        for ear in OPEN[:]:
-            ear.stop()
+        for listener in OPEN[:]:
+            listener.stop()
 
 
 class Raise(logging.Handler):

@@ -44,7 +44,7 @@ def print_nothing(text):
     assert str(text) or text == 0
 
 
-class Ear(Listener):
+class FedListener(Listener):
     """A listener that hears what it is given; its port is open at once."""
 
     def __init__(self, *arguments, **options):
@@ -154,7 +154,7 @@ def through_node(case, folder):
                             ('time', stopped), ('overridable_publisher',
                                                 lambda node, *rest: node.create_publisher(*rest))):
             changed.enter_context(patch.object(dxl_node, name, value))
-        changed.enter_context(patch.object(monitored_bus, 'listener_on', Ear))
+        changed.enter_context(patch.object(monitored_bus, 'listener_on', FedListener))
         changed.enter_context(patch.object(monitored_bus, 'time', stopped))
         changed.enter_context(patch.object(timers, 'time', stopped))
         changed.enter_context(patch.object(timers.Timers, 'start', lambda _: None))

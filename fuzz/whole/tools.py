@@ -21,7 +21,7 @@ from dxl_monitor.tools import dxl_doctor as doctor
 from dxl_monitor.tools import dxl_dump as dump
 from dxl_monitor.tools import replay
 from dxl_monitor.tools import run as common
-from fuzz.whole.node import Ear
+from fuzz.whole.node import FedListener
 from fuzz.whole.node import MODELS
 from fuzz.whole.node import print_nothing
 from fuzz.whole.node import WALL
@@ -151,11 +151,12 @@ def run_status(case, path, chance):
 def tool(module, case, path, options, chance):
     """Run a tool on a file, or on a port where the case is heard; return its code and output."""
     def listener_on(*arguments, **more):
-        ear = Ear(*arguments, **more)
-        ear.after = lambda: [ear.hear(one, BOOT + at) for at, one in enumerate(case.heard)]
-        return ear
+        fed = FedListener(*arguments, **more)
+        fed.after = lambda: [fed.hear(one, BOOT + at) for at, one in enumerate(case.heard)]
+        fed.news = end
+        return fed
 
-    def end(_):
+    def end():
         raise KeyboardInterrupt            # as a user does when nothing comes any more
 
     if case is not None and chance.random() < 0.2:
@@ -167,8 +168,7 @@ def tool(module, case, path, options, chance):
     with redirect_stdout(out), redirect_stderr(err), patch.object(
             sys, 'argv', [name, *options, *filter(None, [path])]), patch.object(
             common, 'load_models', lambda _: MODELS), patch.object(
-            live, 'listener_on', listener_on), patch.object(live, 'TICK_S', 0), patch.object(
-            live.LivePort, '_tell_state', end):
+            live, 'listener_on', listener_on), patch.object(live, 'TICK_S', 0):
         code = module.main()
     out.seek(0)
     err.seek(0)

@@ -11,7 +11,7 @@ Time is counted in ns from 0. The parts know each other only like this:
     wire    what all hear: bytes in time, collisions included
     servo   registers, and answers to what it hears
     master  a program that says something, waits, and says the next thing
-    ear     how an adapter hands the bytes to a listener: chunks, pauses, a wrong rate
+    adapter how the bytes come to a listener: chunks, pauses, a wrong rate
     faults  what goes wrong, and when the first byte is different because of it
     uart    one packet on a line that is not good, bit by bit
     scenes  all of it together, with what the doctor must say (broken.yaml)

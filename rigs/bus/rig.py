@@ -4,7 +4,7 @@
 
 from random import Random
 
-from rigs.bus.ear import Ear
+from rigs.bus.adapter import Adapter
 from rigs.bus.master import Port
 from rigs.bus.wire import Clock
 from rigs.bus.wire import S
@@ -43,9 +43,9 @@ class Rig:
         return port
 
     def listen(self, kind, hear, idle):
-        ear = Ear(self.clock, self.wire.baud, kind, self.random, hear, idle)
-        self.wire.listeners.append(ear.take)
-        return ear
+        adapter = Adapter(self.clock, self.wire.baud, kind, self.random, hear, idle)
+        self.wire.listeners.append(adapter.take)
+        return adapter
 
     def at(self, seconds, do):
         self.clock.at(round(seconds * S), do)

@@ -1,13 +1,13 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene is: a bus, a program, perhaps a fault, an ear, and what must be said of it."""
+"""What a scene is: a bus, a program, perhaps a fault, an adapter, and what must be said of it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import NamedTuple
 
-from rigs.bus import ear
+from rigs.bus import adapter
 from rigs.bus import frames
 from rigs.bus import frames1
 from rigs.bus.rig import Rig
@@ -40,7 +40,7 @@ class Scene(NamedTuple):
     spares: tuple[int, ...] = ()   # servos that are there and are not in `ids`
     absent: tuple[int, ...] = ()   # IDs in `ids` without a servo
     baud: int = 1_000_000
-    ear: ear.Kind = ear.FULL_SPEED
+    adapter: adapter.Kind = adapter.FULL_SPEED
     devices: tuple[str, ...] = ()  # the monitor's parameter
     latency_ms: float = 0.2        # the master's adapter
     wait_ms: float = 34.0

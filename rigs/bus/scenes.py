@@ -10,7 +10,7 @@ import shlex
 
 import yaml
 
-from rigs.bus import ear
+from rigs.bus import adapter
 from rigs.bus import faults
 from rigs.bus import masters
 from rigs.bus import masters1
@@ -21,7 +21,7 @@ from rigs.bus.scene import numbers
 from rigs.bus.scene import Scene
 
 PROGRAMS = vars(masters) | vars(masters1)
-EQUIPMENT = {name: one for module in (ear, servo, servo1) for name, one in vars(module).items()
+EQUIPMENT = {name: one for module in (adapter, servo, servo1) for name, one in vars(module).items()
              if name.isupper()} | {one.__name__: one for one in (
                  faults.flip, faults.garble, faults.cut, faults.first_byte, faults.lost_first,
                  faults.stray, faults.acknowledgement)}

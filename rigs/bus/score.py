@@ -48,9 +48,9 @@ class Result(NamedTuple):
 def reports(scene, rig):
     """Yield the reports, two per second, each with the seconds since the fault showed."""
     monitor = Monitor('bus', _MODELS, Settings(
-        baud=scene.ear.baud or scene.baud, devices=tuple(parse_all(list(scene.devices)))),
+        baud=scene.adapter.baud or scene.baud, devices=tuple(parse_all(list(scene.devices)))),
         idle_is_told=True)
-    rig.listen(scene.ear, lambda data, stamp: monitor.feed(data, BOOT + stamp),
+    rig.listen(scene.adapter, lambda data, stamp: monitor.feed(data, BOOT + stamp),
                lambda now: monitor.flush_if_idle(BOOT + now))
     for number in range(1, int(SECONDS * S) // REPORT_NS + 1):
         rig.clock.run(number * REPORT_NS)

@@ -20,7 +20,7 @@ IDLE = 20 * MS                     # a reader says that nothing came, this often
 
 
 class Kind(NamedTuple):
-    """An adapter and the computer behind it."""
+    """An adapter and its computer."""
 
     gather_ms: float = 0.0         # bytes are handed over so long after the first of them
     size: int = 4095               # or when there are as many
@@ -40,7 +40,7 @@ WRONG_RATE = Kind(gather_ms=1.0, baud=57_600)
 HUB = Kind(gather_ms=1.0, size=62, pause_ms=(25.0, 60.0), every_s=0.25, is_reader_stopped=False)
 
 
-class Ear:
+class Adapter:
     """hear(bytes, stamp) gets each chunk; idle(stamp): until then nothing came."""
 
     def __init__(self, clock, baud, kind, random, hear, idle):
