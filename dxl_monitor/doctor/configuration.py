@@ -199,7 +199,7 @@ def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
         return None                            # perhaps it is not there
     firmware = '' if device.firmware is None else f', firmware {device.firmware}'
     after = cycle.ids[cycle.ids.index(device.id):]
-    return Claim(device.id, 'answered other instructions, but never a fast read '
+    return Claim(device.id, 'answers, but never a fast read '
                  f'({device.model_name}{firmware}), so devices after it are never read: update it '
                  'or use plain Sync Read',
                  {'fast reads': cycle.asked}, covers=tuple(after))
