@@ -68,6 +68,12 @@ def _refused(case: Case, device: DeviceReport) -> Counter[ev.Refusal]:
     return Counter(one.detail for one in case.incidents(ev.REFUSED, device.id))
 
 
+def _enough(case: Case, device: DeviceReport, few: int) -> int:
+    """Return how many refusals say something: one on which a program ended does."""
+    last = case.incidents(ev.REFUSED, device.id)[-1:]
+    return 1 if case.report.failed and last and last[0].stamp >= case.report.asked else few
+
+
 def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
     field = device.model.by_address.get(address)
     return error == ACCESS and field is not None and field.memory == 'eeprom' \
@@ -76,7 +82,7 @@ def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
 
 def _eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
     torque = case.values[device.id].get('Torque Enable')
-    least = FEW if torque is None else 1           # that it is on explains a single one
+    least = 1 if torque else _enough(case, device, FEW)    # that it is on explains a single one
     for (instruction, address, error), count in _refused(case, device).items():
         if count >= least and instruction in WRITES and _is_locked(device, address, error) \
                 and (torque is None or torque.value.raw):
@@ -94,10 +100,10 @@ def _goal_limits(case: Case, device: DeviceReport) -> Found | None:
                     if one.detail.error == LIMIT and one.detail.instruction in WRITES)
     for address, count in found.most_common(1):
         field = device.model.by_address.get(address)
-        if count >= TWICE:
+        if count >= _enough(case, device, TWICE):
             name = field.name if field else f'address {address}'
-            return Claim(device.id, f'{count} values for {name} refused, beyond its limits: keep '
-                         'goals within these, or set wider ones (as Max Position Limit)',
+            return Claim(device.id, f'value for {name} refused, beyond its limits: keep goals '
+                         'within these, or set wider ones (as Max Position Limit)',
                          {'refused': count})
     return _goals_beyond(case, device)
 
@@ -127,7 +133,7 @@ def _wrong_address(case: Case, device: DeviceReport) -> Found | None:
         if error in (ACCESS, LENGTH, RANGE) and not _is_locked(device, address, error):
             found[address, error] += count
     for (address, error), count in found.most_common(1):
-        if count >= FEW:
+        if count >= _enough(case, device, FEW):
             return Claim(device.id, f'address {address} refused {count} times '
                          f'({error_text(error)}): {_what_is_there(device, address, error)}',
                          {'refused': count})
@@ -257,7 +263,7 @@ def _refusals(case: Case, device: DeviceReport) -> Found | None:
     if device.model.number is not None:
         return None
     for (instruction, address, error), count in _refused(case, device).most_common(1):
-        if count >= FEW and address >= 0:
+        if count >= _enough(case, device, FEW) and address >= 0:
             return Claim(device.id, f'refuses {name_of(instruction)} at {address} '
                          f'({error_text(error)}): set its model in {case.names.devices} to learn '
                          'which register that is', {'refused': count})

@@ -317,15 +317,18 @@ def _is_ping_only(case: Case, device: DeviceReport) -> bool:
     if last is not None and last.device == device.id and last.instruction != Instruction.PING \
             and device.totals.answers == device.totals.pongs > 0:
         return True
-    lately = case.lately(device, GONE_S)
-    return lately.pongs >= 2 and lately.answers == lately.pongs and lately.data_missed >= FEW \
-        and not lately.spoilt
+    totals = device.totals
+    is_since = device.id in case.gone and totals.data_missed == totals.missed   # no Ping was
+    asked = totals if is_since else case.lately(device, GONE_S)
+    return asked.pongs >= 2 - is_since and asked.answers == asked.pongs \
+        and asked.data_missed >= FEW and not asked.spoilt
 
 
 def _ping_only(case: Case, device: DeviceReport) -> Found | None:
     if not _is_ping_only(case, device):
         return None
-    return Claim(device.id, 'answers Pings only: set its Status Return Level to 2, or 1 for reads',
+    return Claim(device.id, 'answers Pings only: set its Status Return Level to 2, or 1 for reads; '
+                 'if it no longer answers a Ping, check its power and cable',
                  {'missed': f'{device.window.missed} of {device.window.asked}'})
 
 
@@ -358,7 +361,7 @@ RULES = (
     Rule('brown_out', Level.ERROR, _brown_out,
          ('rebooted', 'dropout', 'missed_answers', 'voltage', 'jitter', 'torque_off')),
     Rule('all_silent', Level.ERROR, _all_silent,
-         ('no_answer', 'sync_read_stops', 'broken_cable', 'jitter'), holds=False),
+         ('no_answer', 'sync_read_stops', 'broken_cable', 'ping_only', 'jitter'), holds=False),
     Rule('broken_cable', Level.ERROR, _broken_cable,
          ('no_answer', 'sync_read_stops', 'missed_answers', 'jitter'), holds=False),
     Rule('sync_read_stops', Level.ERROR, lambda case: _gone(case, True),

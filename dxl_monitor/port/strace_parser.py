@@ -76,6 +76,7 @@ class PortEvent(NamedTuple):
     what: str
     data: bytes = b''
     value: int = 0
+    process: int = 0                       # for OUT and OPENED
 
 
 PortEvents = Iterator[PortEvent]
@@ -165,7 +166,8 @@ class StraceParser:
                 stamp, self._short = end, _median(self._short, took)
             yield from self._rate(port, stamp)
             yield from self._write(port, stamp, self._held.pop(thread))
-            yield from self._transfer(port, OUT, arguments, result, stamp)
+            yield from self._transfer(port, OUT, arguments, result, stamp,
+                                      self._process(thread))
         elif name in _READS and result > 0:
             yield from self._rate(port, end)
             yield from self._transfer(port, IN, arguments, result, self._arrived(port, begin, end))
@@ -191,10 +193,10 @@ class StraceParser:
             yield PortEvent(stamp, port, GAVE_UP, value=max(0, stamp - looked) // 1000)
 
     def _transfer(self, port: str, side: str, arguments: bytes, size: int,
-                  stamp: int) -> PortEvents:
+                  stamp: int, process: int = 0) -> PortEvents:
         data = b''.join(map(_bytes, _STRING.findall(arguments)))[:size]
         if data:
-            yield PortEvent(stamp, port, side, data)
+            yield PortEvent(stamp, port, side, data, process=process)
         if len(data) < size:
             yield PortEvent(stamp, port, LOST, value=size - len(data))
 
@@ -233,7 +235,7 @@ class StraceParser:
             return
         holders = self._holders.setdefault(port, set())
         if not holders:
-            yield PortEvent(stamp, port, OPENED)
+            yield PortEvent(stamp, port, OPENED, process=self._process(thread))
         holders.add((self._process(thread), descriptor))
 
     def _release(self, port: str, gone: set[tuple[int, int]], stamp: int) -> PortEvents:

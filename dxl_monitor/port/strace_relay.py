@@ -27,7 +27,7 @@ _READ_SIZE = 1 << 16
 class _Relay:
     def __init__(self, name: str) -> None:
         self._sender = Sender(name)
-        self._numbers: dict[str, int] = {}
+        self._numbers: dict[str, dict[int, int]] = {}      # by port and the process that writes
         self._rates: dict[str, int] = {}       # by port, also while it is closed
 
     def run(self, output: int) -> None:
@@ -38,18 +38,23 @@ class _Relay:
         self._sender.end()
 
     def _take(self, one: PortEvent) -> None:
-        stamp, port, what, data, value = one
-        if what == OPENED:
-            self._numbers[port] = self._sender.opened(port, self._rates.get(port, 0), stamp)
-        elif what == event.CLOSED:
-            self._sender.closed(self._numbers.pop(port, 0), stamp)
+        stamp, port, what, data, value, process = one
+        numbers = self._numbers.setdefault(port, {})
+        if what == OPENED or (what == event.OUT and process not in numbers):
+            numbers[process] = self._sender.opened(
+                port, 0 if numbers else self._rates.get(port, 0), stamp)
+        number = numbers.get(process) or min(numbers.values())
+        if what == event.CLOSED:
+            for each in numbers.values():
+                self._sender.closed(each, stamp)
+            numbers.clear()
         elif what == event.BAUD:
             self._rates[port] = value
-            self._sender.rate(self._numbers[port], value, stamp)
+            self._sender.rate(number, value, stamp)
         elif what in (event.OUT, event.IN):
-            self._sender.put(what, self._numbers[port], data, stamp)
-        else:
-            self._sender.number(what, self._numbers[port], value, stamp)
+            self._sender.put(what, number, data, stamp)
+        elif what != OPENED:
+            self._sender.number(what, number, value, stamp)
 
 
 def process_of(thread: int) -> int:
