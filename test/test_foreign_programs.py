@@ -272,6 +272,10 @@ ASKED = packet(1, 2, 56, 2)
 COLLIDED = b'\xdf\xdf\1\0\0\x20\0\xfd'       # two servos answered
 SILENT_WRITE = write_2(2, 64, 1)[0], b''
 SEARCH = [(packet(number, 1), packet(number, 0) if number < 3 else b'') for number in range(20)]
+BEYOND, REFUSED = ((write_2(1, 116, 0, 99, 0, 0)[0], encode(1, STATUS, b'', error=error))
+                   for error in (6, 7))
+BOTH = ping_2(1), ping_2(2)
+UNREAD_2 = read(2, 132, 4), b''
 FAST = encode(254, 0x8A, bytes((132, 0, 4, 0, 2))), b''
 
 
@@ -317,6 +321,13 @@ def lost_acks(each: int) -> Iterator[Said]:
     (one_way(3, 4300), '', {'goal_limits'}), (one_way(4, 4300), '', set()),
     (one_way(3, 2000), '', set()),
     (lost_acks(3), '', {'missed_answers'}), (lost_acks(8), '', set()),
+    (goes(BEYOND, rounds=1), RAISED, {'goal_limits'}), (goes(BEYOND, rounds=1), '', set()),
+    (goes(BEYOND, read_2(1, 132, 4), rounds=1), RAISED, set()),
+    (goes(ping_2(1), REFUSED, rounds=1), FAILED, {'wrong_address'}),
+    (goes(read_2(1, 132, 4), UNREAD_2, first=BOTH), '', {'ping_only'}),
+    (goes(read_2(1, 132, 4), UNREAD_2, (encode(2, 1), b''), first=BOTH), '',
+     {'no_answer'}),
+    (goes(read_2(1, 132, 4), UNREAD_2, first=(*BOTH, read_2(2, 132, 4))), '', {'no_answer'}),
     (twice(0.6), '', {'duplicate_id'}), (twice(4), '', {'foreign_answers'}),
     (passed_by(2, twice=True), '', {'duplicate_id'}),
     (passed_by(1, 2, 3, twice=False), '', set()),

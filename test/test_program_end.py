@@ -319,12 +319,14 @@ def test_a_program_that_tries_many_rates_has_none():
     ('+1 +2 1 2 1 2', OWN), ('+1 +2 1 1 1 1', ''), ('+1 +2 1 1 2 2', ''),
     ('+1 1 -1 +2 2 -2 +1 1 -1 +2 2', ''),          # one after the other
     ('+1 +2 1 2 1 robbed 1', ROBBER), ('+1 +2 1 2 1 -2 robbed 1', ''),
-], ids=['two', 'one idle', 'handed on', 'in turns', 'robbed', 'unplugged'])
+    ('+1 1 +2 2 r1', ROBBER), ('+1 1 r1 +2 2 r2', ''), ('+1 1 +2 r2 r2', ''),
+], ids=['two', 'one idle', 'handed on', 'in turns', 'robbed', 'unplugged', 'reads of the other',
+        'each reads its own', 'one writes, one reads'])
 def test_two_who_ask_on_one_port_are_noticed(said, others):
     openings, found = Openings(), ''
     for word in said.split():
         openings.is_robbed |= word == 'robbed'
         if word[-1].isdigit():
-            kind = {'+': sent.OPENED, '-': CLOSED}.get(word[0], OUT)
+            kind = {'+': sent.OPENED, '-': CLOSED, 'r': IN}.get(word[0], OUT)
             found = openings.others('arm', TapRecord(1, 'arm', kind, b'', 0, int(word[-1])))
     assert found == others

@@ -152,6 +152,11 @@ def test_single_calls(calls, expected):
         (OPENED, 0), *expected]
 
 
+def test_who_reads_and_writes_is_known():
+    child = 30898
+    assert {one.process for one in events(RECORDED) if one.what in (OUT, IN)} == {MAIN, child}
+
+
 def test_a_long_write_has_a_time_near_its_end():
     [_, one] = events(f'10 5.0 (+ 0.0) write(3<{PORT}>, "", 0) = 0 <1.0>\n'.replace(
         '.0', '.000000000').encode(), f'10 5.000000000 (+ 1.000000000) write(3<{PORT}>, "\\x61", '

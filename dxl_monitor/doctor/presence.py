@@ -327,8 +327,8 @@ def _is_ping_only(case: Case, device: DeviceReport) -> bool:
 def _ping_only(case: Case, device: DeviceReport) -> Found | None:
     if not _is_ping_only(case, device):
         return None
-    return Claim(device.id, 'answers Pings only: set its Status Return Level to 2, or 1 for reads; '
-                 'if it no longer answers a Ping, check its power and cable',
+    return Claim(device.id, 'answers Pings only: set its Status Return Level to 2, or 1 for '
+                 'reads; if it no longer answers a Ping, check its power and cable',
                  {'missed': f'{device.window.missed} of {device.window.asked}'})
 
 

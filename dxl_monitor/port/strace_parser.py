@@ -76,7 +76,7 @@ class PortEvent(NamedTuple):
     what: str
     data: bytes = b''
     value: int = 0
-    process: int = 0                       # for OUT and OPENED
+    process: int = 0                       # for IN, OUT and OPENED
 
 
 PortEvents = Iterator[PortEvent]
@@ -166,11 +166,11 @@ class StraceParser:
                 stamp, self._short = end, _median(self._short, took)
             yield from self._rate(port, stamp)
             yield from self._write(port, stamp, self._held.pop(thread))
-            yield from self._transfer(port, OUT, arguments, result, stamp,
-                                      self._process(thread))
+            yield from self._transfer(port, OUT, arguments, result, stamp, thread)
         elif name in _READS and result > 0:
             yield from self._rate(port, end)
-            yield from self._transfer(port, IN, arguments, result, self._arrived(port, begin, end))
+            yield from self._transfer(port, IN, arguments, result,
+                                      self._arrived(port, begin, end), thread)
         elif name in _READS:                   # also -1: EAGAIN
             self._looked[port] = end, 0
 
@@ -193,10 +193,10 @@ class StraceParser:
             yield PortEvent(stamp, port, GAVE_UP, value=max(0, stamp - looked) // 1000)
 
     def _transfer(self, port: str, side: str, arguments: bytes, size: int,
-                  stamp: int, process: int = 0) -> PortEvents:
+                  stamp: int, thread: int) -> PortEvents:
         data = b''.join(map(_bytes, _STRING.findall(arguments)))[:size]
         if data:
-            yield PortEvent(stamp, port, side, data, process=process)
+            yield PortEvent(stamp, port, side, data, process=self._process(thread))
         if len(data) < size:
             yield PortEvent(stamp, port, LOST, value=size - len(data))
 

@@ -27,7 +27,7 @@ _READ_SIZE = 1 << 16
 class _Relay:
     def __init__(self, name: str) -> None:
         self._sender = Sender(name)
-        self._numbers: dict[str, dict[int, int]] = {}      # by port and the process that writes
+        self._numbers: dict[str, dict[int, int]] = {}      # by port and the process that has it
         self._rates: dict[str, int] = {}       # by port, also while it is closed
 
     def run(self, output: int) -> None:
@@ -40,7 +40,7 @@ class _Relay:
     def _take(self, one: PortEvent) -> None:
         stamp, port, what, data, value, process = one
         numbers = self._numbers.setdefault(port, {})
-        if what == OPENED or (what == event.OUT and process not in numbers):
+        if process and process not in numbers:
             numbers[process] = self._sender.opened(
                 port, 0 if numbers else self._rates.get(port, 0), stamp)
         number = numbers.get(process) or min(numbers.values())

@@ -38,6 +38,7 @@ from dxl_monitor.tools.start_program import StartedProgram
 from mecarover_serial.plain import printable
 from mecarover_serial.port_users import holders
 from msg_defs.event import CLOSED
+from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.reports import Level
 
@@ -106,8 +107,11 @@ class Openings:
             opened.add(record.opening)
         elif record.kind == CLOSED:
             opened.discard(record.opening)
-        elif is_shared and record.side == OUT and turns[-1:] != [record.opening]:
+        elif record.side == OUT and turns[-1:] != [record.opening]:
             turns[:] = [*turns, record.opening][-TURNS:]
+        elif record.side == IN and record.opening in turns[:-1] \
+                and record.opening != turns[-1]:
+            self.is_robbed = True              # it reads, and another has asked since it did
         if is_shared and self.is_robbed:
             return ROBBER
         return OWN if is_shared and len(turns) == TURNS > len({*turns}) else ''
