@@ -70,8 +70,8 @@ def _refused(case: Case, device: DeviceReport) -> Counter[ev.Refusal]:
 
 def _enough(case: Case, device: DeviceReport, few: int) -> int:
     """Return how many refusals say something: one on which a program ended does."""
-    last = case.incidents(ev.REFUSED, device.id)[-1:]
-    return 1 if case.report.failed and last and last[0].stamp >= case.report.asked else few
+    found = case.incidents(ev.REFUSED, device.id)
+    return 1 if case.report.failed and found and found[-1].stamp >= case.report.asked else few
 
 
 def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
@@ -128,10 +128,9 @@ def _goals_beyond(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _wrong_address(case: Case, device: DeviceReport) -> Found | None:
-    found: Counter[tuple[int, int]] = Counter()
-    for (_, address, error), count in _refused(case, device).items():
-        if error in (ACCESS, LENGTH, RANGE) and not _is_locked(device, address, error):
-            found[address, error] += count
+    found = Counter(one.detail[1:] for one in case.incidents(ev.REFUSED, device.id)
+                    if one.detail.error in (ACCESS, LENGTH, RANGE)
+                    and not _is_locked(device, *one.detail[1:]))
     for (address, error), count in found.most_common(1):
         if count >= _enough(case, device, FEW):
             return Claim(device.id, f'address {address} refused {count} times '
@@ -263,7 +262,7 @@ def _refusals(case: Case, device: DeviceReport) -> Found | None:
     if device.model.number is not None:
         return None
     for (instruction, address, error), count in _refused(case, device).most_common(1):
-        if count >= _enough(case, device, FEW) and address >= 0:
+        if count >= FEW and address >= 0:
             return Claim(device.id, f'refuses {name_of(instruction)} at {address} '
                          f'({error_text(error)}): set its model in {case.names.devices} to learn '
                          'which register that is', {'refused': count})

@@ -313,15 +313,14 @@ def _dip(case: Case, number: int) -> str:
 
 def _is_ping_only(case: Case, device: DeviceReport) -> bool:
     """Tell whether it answers Pings, and nothing but Pings, while data are asked for."""
-    last = ended_on(case)
+    last, totals = ended_on(case), device.totals
     if last is not None and last.device == device.id and last.instruction != Instruction.PING \
-            and device.totals.answers == device.totals.pongs > 0:
+            and totals.answers == totals.pongs > 0:
         return True
-    totals = device.totals
     is_since = device.id in case.gone and totals.data_missed == totals.missed   # no Ping was
     asked = totals if is_since else case.lately(device, GONE_S)
-    return asked.pongs >= 2 - is_since and asked.answers == asked.pongs \
-        and asked.data_missed >= FEW and not asked.spoilt
+    return asked.answers == asked.pongs >= 2 - is_since and asked.data_missed >= FEW \
+        and not asked.spoilt
 
 
 def _ping_only(case: Case, device: DeviceReport) -> Found | None:

@@ -75,8 +75,8 @@ class PortEvent(NamedTuple):
     port: str
     what: str
     data: bytes = b''
-    value: int = 0
     process: int = 0                       # for IN, OUT and OPENED
+    value: int = 0
 
 
 PortEvents = Iterator[PortEvent]
@@ -196,7 +196,7 @@ class StraceParser:
                   stamp: int, thread: int) -> PortEvents:
         data = b''.join(map(_bytes, _STRING.findall(arguments)))[:size]
         if data:
-            yield PortEvent(stamp, port, side, data, process=self._process(thread))
+            yield PortEvent(stamp, port, side, data, self._process(thread))
         if len(data) < size:
             yield PortEvent(stamp, port, LOST, value=size - len(data))
 

@@ -38,20 +38,19 @@ class _Relay:
         self._sender.end()
 
     def _take(self, one: PortEvent) -> None:
-        stamp, port, what, data, value, process = one
+        stamp, port, what, data, process, value = one
         numbers = self._numbers.setdefault(port, {})
         if process and process not in numbers:
             numbers[process] = self._sender.opened(
                 port, 0 if numbers else self._rates.get(port, 0), stamp)
         number = numbers.get(process) or min(numbers.values())
         if what == event.CLOSED:
-            for each in numbers.values():
+            for each in self._numbers.pop(port).values():
                 self._sender.closed(each, stamp)
-            numbers.clear()
         elif what == event.BAUD:
             self._rates[port] = value
             self._sender.rate(number, value, stamp)
-        elif what in (event.OUT, event.IN):
+        elif data:
             self._sender.put(what, number, data, stamp)
         elif what != OPENED:
             self._sender.number(what, number, value, stamp)

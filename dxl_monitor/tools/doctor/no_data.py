@@ -16,8 +16,6 @@ from mecarover_serial.preflight import warnings
 from mecarover_serial.preflight import why_not
 
 _IMPORT_ERRORS = ('ModuleNotFoundError', 'ImportError')
-# As pyserial says.
-_NOT_OPENED = re.compile(r"could not open port '?(.+?)'?: ")
 _OURS = ('dxl_doctor', 'dxl_dump', 'dxl_reader')
 _NOT_BAUD = 'The baud rate is not the cause: a wrong one gives bytes that make no sense.'
 _NO_MASTER = 'No program sends to the servos now: start yours, and listen while it runs.'
@@ -69,10 +67,9 @@ def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> 
         return [f'{ended}: there is no file {script} in this folder.']
     if ports:
         return [f'{ended}; it opened {", ".join(ports)} and sent nothing.']
-    absent = _NOT_OPENED.search(ending.error)
-    if absent:
-        why = why_not(absent[1], OSError(ending.error))
-        return [f'{ended}.', f'{absent[1]} {why.reason}; {why.remedy}.']
+    if port := re.search(r"could not open port '?(.+?)'?: ", ending.error):      # pyserial
+        why = why_not(port[1], OSError(ending.error))
+        return [f'{ended}.', f'{port[1]}: {why.reason}; {why.remedy}.']
     found = [f'{ended}.', f'{ending.unheard or "It sent nothing"}.']
     if ending.code:
         found.insert(1, 'The output of the program says why: often the port is absent or busy, or '

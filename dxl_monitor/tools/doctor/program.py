@@ -39,7 +39,6 @@ from mecarover_serial.plain import printable
 from mecarover_serial.port_users import holders
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
-from msg_defs.event import OUT
 from msg_defs.reports import Level
 
 TICK_S = 0.1
@@ -102,16 +101,15 @@ class Openings:
     def others(self, bus: str, record: TapRecord) -> str:
         """Take a record; return who else asks, if two do in turns, or one robs the other."""
         opened, turns = self._ports.setdefault(bus, (set(), []))
-        is_shared = len(opened) > 1
+        is_shared, is_other = len(opened) > 1, turns[-1:] != [record.opening]
         if record.kind == OPENED:
             opened.add(record.opening)
         elif record.kind == CLOSED:
             opened.discard(record.opening)
-        elif record.side == OUT and turns[-1:] != [record.opening]:
+        elif record.side == IN:                # another has asked since it did
+            self.is_robbed |= is_other and record.opening in turns
+        elif record.side and is_other:
             turns[:] = [*turns, record.opening][-TURNS:]
-        elif record.side == IN and record.opening in turns[:-1] \
-                and record.opening != turns[-1]:
-            self.is_robbed = True              # it reads, and another has asked since it did
         if is_shared and self.is_robbed:
             return ROBBER
         return OWN if is_shared and len(turns) == TURNS > len({*turns}) else ''
