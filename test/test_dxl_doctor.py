@@ -344,7 +344,7 @@ def test_another_program_on_its_port_is_named(meeting_place, tmp_path):
     (('no_such.py',), '', 'ended with exit code 2: there is no file no_such.py in this folder'),
     ((), 'raise SystemExit(7)', 'ended with exit code 7. - The output of the program says why'),
     ((), 'raise OSError("[Errno 2] could not open port /dev/ttyNONE0: it")',
-     '/dev/ttyNONE0 is not there; plug it in or set another port'),
+     '/dev/ttyNONE0: is not there; plug it in or set another port'),
     ((), 'import no_such_package', 'lacks that package. Name the Python of your program'),
     (('-I',), 'pass', 'did not load the tap: it is not Python, or PYTHONPATH did not reach it'),
 ])
