@@ -25,6 +25,7 @@ from dxl_monitor.bus.report import CycleTimes
 from dxl_monitor.bus.report import PROTOCOL_2
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.tracker import Tracker
+from dxl_monitor.bus.unread import AT_ONCE_NS
 from dxl_monitor.model.models import Models
 from msg_defs import dxl1_packet
 from msg_defs.dxl1_detector import Detector
@@ -214,9 +215,12 @@ class BusDecoder:
         elif what == UNREAD:
             received = self.framers[IN].bytes if IN in self.framers else 0
             self.tracker.unread.say(value, received, stamp)
-        elif what == PURGED and value & 1:
-            self.tracker.unread.purge(
-                NO_PLAN if self.tracker.slots else self.tracker.pending, stamp)
+        elif what == PURGED:
+            if value & 1:
+                self.tracker.unread.purge(
+                    NO_PLAN if self.tracker.slots else self.tracker.pending, stamp)
+            if value & 2 and stamp < self.tracker.asked + AT_ONCE_NS:
+                self.tracker.unread.unsent = self.tracker.asked
         elif what == GAVE_UP:
             self.clock.give_up(1000 * value)
             self.tracker.unread.look(stamp - 1000 * value)

@@ -39,11 +39,12 @@ class Unread:
     that was said, 0: never. left: the questions whose answers may be there or come, the oldest
     first; last: what was open when the port was closed. given_up: the answer that a question to
     one device did not get, and when. patience_ns: for how long such an answer may still come.
+    unsent: the stamp of the question that was thrown away while it was sent, or 0.
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, duty: ReplyPolicy) -> None:
         self.until = self.stamp = self._purged = self._waiting = self._looked = self._since = 0
-        self.patience_ns = OWED_NS
+        self.patience_ns, self.unsent = OWED_NS, 0
         self.left: deque[OpenQuestion] = deque(maxlen=KEPT)
         self.last: list[OpenQuestion] = []
         self.given_up: tuple[Slot | None, int] = None, 0
@@ -63,6 +64,10 @@ class Unread:
 
     def leaves(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
         """Take a question that is over; return whether its answer may be there or come."""
+        request = question.plan.request
+        if self.unsent == question.asked:
+            self._evidence.note(now, ev.NOT_SENT, request.id, ev.Code(request.instruction))
+            return True
         if not self.until and (
                 not self.stamp or question.is_spoilt or self._looked > question.asked + AT_ONCE_NS
                 or self._has_had_time(question, now, byte_ns)):
