@@ -177,6 +177,33 @@ def thrown_away(waiting: int, gives_up: bool) -> Iterator[Said]:
                 yield 1, IN, packet(number, 0, 0, 8)
 
 
+def flushes(ms: float, answered: int, of_2: int) -> Iterator[Said]:
+    """Throw away what is to be sent, after each question; so many of five are answered."""
+    yield 0, '', EMPTY
+    for turn in count():
+        number = 1 + turn % 2
+        asked, lost = packet(number, 2, 56, 2), (40, '', Change(GAVE_UP, 0))
+        is_answered = turn // 2 % 5 < (of_2 if number == 2 else answered)
+        yield 5, OUT, asked
+        yield ms, '', Change(PURGED, 2)
+        yield (1, IN, packet(number, 0, 0, 8)) if is_answered else lost
+
+
+def hurries(ms: float, *spoilt: bytes) -> Iterator[Said]:
+    """Ask three servos at 115200 Bd, wait so long after each, and read what is there."""
+    yield 0, '', Change(BAUD, 115_200)
+    yield 0, '', EMPTY
+    before = b''
+    for turn in count():
+        for number in (1, 2, 3):
+            yield 17 if number == 1 else ms, '', Change(UNREAD, len(before))
+            yield 0, OUT, packet(number, 2, 36, 2)
+        there = spoilt[turn % len(spoilt)] if spoilt else b''.join(
+            packet(number, 0, 0, 2) for number in (1, 2))
+        yield ms, IN, before + there
+        before = packet(3, 0, 0, 2)
+
+
 def breaks_off(silent: bool) -> Iterator[Said]:
     """Read six servos by Fast Sync Read, of which the fifth is silent, or not asked."""
     ids = bytes((1, 2, 3, 4, 5, 6) if silent else (1, 2, 3, 4))
@@ -270,6 +297,7 @@ def read_2(number: int, at: int, size: int) -> tuple[bytes, bytes]:
 
 ASKED = packet(1, 2, 56, 2)
 COLLIDED = b'\xdf\xdf\1\0\0\x20\0\xfd'       # two servos answered
+CLIPPED = *8 * (b'\xff\xff\1\4\0\0\2\x80',), b'\xff\xff\x88\xf0\4\0\2\xf0'
 SILENT_WRITE = write_2(2, 64, 1)[0], b''
 SEARCH = [(packet(number, 1), packet(number, 0) if number < 3 else b'') for number in range(20)]
 BEYOND, REFUSED = ((write_2(1, 116, 0, 99, 0, 0)[0], encode(1, STATUS, b'', error=error))
@@ -343,6 +371,10 @@ def lost_acks(each: int) -> Iterator[Said]:
     (thrown_away(8, gives_up=True), '', {'late_answers'}),
     (thrown_away(8, gives_up=False), '', {'duplicate_id'}),
     (thrown_away(1, gives_up=False), '', set()),
+    (flushes(0.2, 2, 3), '', {'not_sent'}), (flushes(0.2, 5, 5), '', set()),
+    (flushes(4, 5, 0), '', {'no_answer'}),
+    (hurries(1.04, *CLIPPED), '', {'impatient_master'}), (hurries(1.04), '', set()),
+    (hurries(2), '', set()),
     (breaks_off(silent=True), '', {'sync_read_stops'}), (breaks_off(silent=False), '', set()),
     (moved(0), '', {'id_moved'}), (moved(999), '', set()),
     (wears(31), '', {'eeprom_wear'}), (wears(65), '', set()),

@@ -20,6 +20,7 @@ from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.reply_policy import AROUND
 from dxl_monitor.bus.reply_policy import OpenQuestion
 from dxl_monitor.bus.reply_policy import ReplyPolicy
+from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.table import READ
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.frame import Frames
@@ -39,12 +40,12 @@ class Unread:
     that was said, 0: never. left: the questions whose answers may be there or come, the oldest
     first; last: what was open when the port was closed. given_up: the answer that a question to
     one device did not get, and when. patience_ns: for how long such an answer may still come.
-    unsent: the stamp of the question that was thrown away while it was sent, or 0.
+    unsent: the stamp of the question that was thrown away while it was sent.
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, duty: ReplyPolicy) -> None:
         self.until = self.stamp = self._purged = self._waiting = self._looked = self._since = 0
-        self.patience_ns, self.unsent = OWED_NS, 0
+        self.patience_ns, self.unsent = OWED_NS, -1
         self.left: deque[OpenQuestion] = deque(maxlen=KEPT)
         self.last: list[OpenQuestion] = []
         self.given_up: tuple[Slot | None, int] = None, 0
@@ -72,6 +73,9 @@ class Unread:
                 not self.stamp or question.is_spoilt or self._looked > question.asked + AT_ONCE_NS
                 or self._has_had_time(question, now, byte_ns)):
             return False
+        waited, slot = now - question.asked, question.due[0]
+        if waited < byte_ns * (AROUND_1 + slot.size):      # no answer is over so soon
+            self._evidence.waits.append(Wait(now, waited // 1000, slot.device.number, False))
         if self._purged < question.asked:      # else it is unknown
             self.left.append(question)
         return True
@@ -114,14 +118,16 @@ class Unread:
         rest = []
         for frame in frames:
             begin, _, kind, number, code, data, flaw = frame
-            is_old = self._since <= begin < self.until
+            is_old = begin < self.until
             if kind or not (is_old or self.left):
                 rest.append(frame)
             elif flaw is not None and flaw.reason:
                 self._evidence.note_damage(stamp, frame, flaw)
                 self._spoil(number, stamp)
             elif not self._answer(number, code, data, stamp):
-                if is_old:
+                if begin < self._since:        # it was hidden by damage
+                    self._registry.heard(self._registry.device(number), code, stamp)
+                elif is_old:
                     self._take_extra(self._registry.device(number), code, data, stamp, before)
                 else:
                     rest.append(frame)
