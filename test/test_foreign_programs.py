@@ -4,6 +4,7 @@
 
 from collections.abc import Iterator
 from itertools import count
+from itertools import islice
 
 from heard_bus import Bus
 import pytest
@@ -182,9 +183,9 @@ def flushes(ms: float, answered: int, of_2: int) -> Iterator[Said]:
     yield 0, '', EMPTY
     for turn in count():
         number = 1 + turn % 2
-        asked, lost = packet(number, 2, 56, 2), (40, '', Change(GAVE_UP, 0))
+        lost = 40, '', Change(GAVE_UP, 0)
         is_answered = turn // 2 % 5 < (of_2 if number == 2 else answered)
-        yield 5, OUT, asked
+        yield 5, OUT, packet(number, 2, 56, 2)
         yield ms, '', Change(PURGED, 2)
         yield (1, IN, packet(number, 0, 0, 8)) if is_answered else lost
 
@@ -372,7 +373,8 @@ def lost_acks(each: int) -> Iterator[Said]:
     (thrown_away(8, gives_up=False), '', {'duplicate_id'}),
     (thrown_away(1, gives_up=False), '', set()),
     (flushes(0.2, 2, 3), '', {'not_sent'}), (flushes(0.2, 5, 5), '', set()),
-    (flushes(4, 5, 0), '', {'no_answer'}),
+    (flushes(4, 5, 0), '', {'no_answer'}), (islice(flushes(0.2, 5, 0), 7), RAISED, {'not_sent'}),
+    (islice(flushes(4, 5, 0), 7), RAISED, {'no_answer'}),
     (hurries(1.04, *CLIPPED), '', {'impatient_master'}), (hurries(1.04), '', set()),
     (hurries(2), '', set()),
     (breaks_off(silent=True), '', {'sync_read_stops'}), (breaks_off(silent=False), '', set()),

@@ -65,9 +65,7 @@ class Unread:
 
     def leaves(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
         """Take a question that is over; return whether its answer may be there or come."""
-        request = question.plan.request
-        if self.unsent == question.asked:
-            self._evidence.note(now, ev.NOT_SENT, request.id, ev.Code(request.instruction))
+        if self._is_unsent(question, now):
             return True
         if not self.until and (
                 not self.stamp or question.is_spoilt or self._looked > question.asked + AT_ONCE_NS
@@ -79,6 +77,12 @@ class Unread:
         if self._purged < question.asked:      # else it is unknown
             self.left.append(question)
         return True
+
+    def _is_unsent(self, question: OpenQuestion, now: int) -> bool:
+        is_unsent, request = self.unsent == question.asked, question.plan.request
+        if is_unsent:
+            self._evidence.note(now, ev.NOT_SENT, request.id, ev.Code(request.instruction))
+        return is_unsent
 
     def expire(self, now: int, byte_ns: float) -> None:
         """Judge what was left long enough ago, where nothing waits."""
@@ -196,7 +200,7 @@ class Unread:
             waited = failed and self._looked > question.asked + AT_ONCE_NS
             due = [slot for slot in question.due if self._duty.is_due(slot)
                    or (waited and slot.device.acks is None)]
-            if not due or now < question.asked:
+            if not due or now < question.asked or self._is_unsent(question, now):
                 continue
             us = (now - question.asked) // 1000
             is_known = is_passed or question.is_spoilt or question.spoke or (

@@ -338,9 +338,9 @@ def source_lost(case: Case) -> Iterator[Doubt]:
 
 
 def _not_sent(case: Case) -> Claims:
-    """Count instructions that the adapter's driver gave back: only a source with sides knows."""
+    """Count instructions that were given back or thrown away: only a source with sides knows."""
     count = case.count(ev.NOT_SENT)
-    if count >= FEW:
+    if count >= (1 if case.report.failed else FEW):
         asked = sorted({one.device for one in case.incidents(ev.NOT_SENT)})
         yield Claim(None, f'{count} instructions never left the adapter: in the program, switch '
                           'flow control off and do not flush output after a write; else plug the '
@@ -380,6 +380,6 @@ RULES = (
          ('damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')),
     Rule('damaged_answers', Level.WARN, _damaged_answers,
          ('missed_answers', 'dropout', 'stray_bytes', 'jitter'), onset_s=ONSET_S),
-    Rule('not_sent', Level.WARN, _not_sent),
+    Rule('not_sent', Level.WARN, _not_sent, ('all_silent',)),
     Rule('stray_bytes', Level.OK, _stray_bytes),
 )
