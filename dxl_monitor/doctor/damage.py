@@ -380,6 +380,6 @@ RULES = (
          ('damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')),
     Rule('damaged_answers', Level.WARN, _damaged_answers,
          ('missed_answers', 'dropout', 'stray_bytes', 'jitter'), onset_s=ONSET_S),
-    Rule('not_sent', Level.WARN, _not_sent, ('all_silent',)),
+    Rule('not_sent', Level.WARN, _not_sent, ('all_silent', 'no_acks', 'torque_off')),
     Rule('stray_bytes', Level.OK, _stray_bytes),
 )
