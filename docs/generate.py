@@ -80,7 +80,7 @@ LINK = {
     'MCU state': 'waiting for a first frame, running, or stopped by its watchdog: WARN, for 10 s '
                  'at least',
     'MCU good frames': '',
-    'MCU bad frames': 'damaged',
+    'MCU bad frames': 'received damaged',
     'MCU refused frames': 'not finite, or above the limits of the MCU',
     'MCU watchdog stops': '',
     'MCU report age (s)': '',

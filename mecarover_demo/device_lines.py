@@ -52,7 +52,7 @@ class DeviceLines:
         return [
             SceneResult('all devices seen', len(self._seen) == _EXPECTED,
                         f'{len(self._seen)} of {_EXPECTED}'),
-            SceneResult(f'device {silenced:03} lost and found again', back,
-                        ' -> '.join(states) or 'never lost'),
+            SceneResult(f'device {silenced:03}, silenced on purpose: lost and found again',
+                        back, ' -> '.join(states) or 'never lost'),
             SceneResult('no other device lost', lost in ([silenced], []), str(lost)),
         ]

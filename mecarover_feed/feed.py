@@ -154,7 +154,7 @@ def conclusion(said: Verdict) -> str:
         return f'nothing was heard: {said.quiet[0]}'
     if not said.wrong:
         heard = '; '.join(f'{one.who} {one.what}' for one in said.heard[:NAMED])
-        return f'no problem found: {heard or "no device"}'
+        return f'no problem found; heard: {heard or "no device"}'
     more = len(said.wrong) - 1
     return (f'{said.wrong[0].who}: {said.wrong[0].message}'
             + (f'; and {more} more: dxl_doctor shows all' if more else ''))

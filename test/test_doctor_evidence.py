@@ -105,7 +105,7 @@ def motion(count, *follow):
 
 
 @pytest.mark.parametrize(('said', 'expected', 'words'), [
-    (motion(90, 1, 3), [('torque_off', 2)], 'others follow'),
+    (motion(90, 1, 3), [('torque_off', 2)], 'others do'),
     (motion(90, 1, 2, 3), [], ''),
     (motion(90), [], ''),                          # perhaps nothing shall move
     (motion(35, 1, 3), [], ''),                    # not for long enough

@@ -80,7 +80,7 @@ def test_a_finding_is_in_a_file_with_a_minute_before_and_half_a_minute_after(fli
     assert found[0] == pytest.approx(begin - 59.9) and found[-1] == pytest.approx(begin + 30.2)
     assert len(found) == round(10 * (found[-1] - found[0])) + 1            # none left out
     text = path.read_text()
-    assert '# flight recorder: arm_no_answer_007, and the 60.0 s before it\n' in text
+    assert '# flight recorder: recording of arm_no_answer_007, with the 60.0 s before it\n' in text
     assert 'finding at 1100.100000000: arm 007 no_answer: WARN check its power\n' in text
 
 
@@ -90,7 +90,7 @@ def test_it_says_how_far_it_reaches_and_a_later_finding_is_in_the_same_file(flig
     flight.run(30, finding('noise', None, Level.ERROR))
     [path] = flight.files()
     text = path.read_text()
-    assert 'and the 5.0 s before it' in text
+    assert 'with the 5.0 s before it' in text
     assert 'arm bus noise: ERROR check its power' in text
 
 

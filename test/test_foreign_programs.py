@@ -387,7 +387,8 @@ def lost_acks(each: int) -> Iterator[Said]:
     (waited_for(3, 0), FAILED, {'no_answer'}), (waited_for(3, 0), '', set()),
     (waited_for(3, 3), FAILED, set()), (waited_for(1, 0), FAILED, {'no_answer'}),
     (pinged_twice(packet(1, 0)), RAISED, {'duplicate_id'}), (pinged_twice(b''), RAISED, set()),
-], ids=lambda one: getattr(one, '__name__', str(one)))
+], ids=lambda one: one if isinstance(one, str) else ' '.join(sorted(one)) if isinstance(one, set)
+    else getattr(one, '__name__', 'first ones'))
 def test_a_foreign_program_meets_a_fault(said, failed, found):
     bus, met = Bus(), set()
     for turn, (ms, side, what) in enumerate(said):

@@ -104,8 +104,8 @@ def _baud_moved(case: Case, device: DeviceReport) -> Found | None:
     if not to or to.startswith(words.NEW_ID) or not (code >= 0 or device.state == words.MOVED):
         return None
     return Claim(device.id, f'its baud rate was set to {to}, but the bus is at '
-                 f'{case.report.baud} Bd: set it back at its new rate, or set the others and the '
-                 'master to it too')
+                 f'{case.report.baud} Bd: undo that at the new rate, or set the '
+                 'others and the master to it')
 
 
 def _id_moved(case: Case, device: DeviceReport) -> Found | None:

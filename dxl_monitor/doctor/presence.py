@@ -279,12 +279,13 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
     if (torque is None or torque.source == 'w') and not device.alert \
             and is_watched(case, device, place) and _is_ignored(
                 [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
-        return Claim(device.id, 'its goal goes to both sides of the joint, which does not move: '
-                     'its torque is off, or its motor has no supply; write 1 to Torque Enable')
+        return Claim(device.id, 'its goals are on both sides of its position, and it does not '
+                     'move: its torque is off, or its motor has no supply; write 1 to Torque '
+                     'Enable')
     if torque is not None and torque.value.raw and not _absences(case, device.id):
         return None                    # it is on, so something holds it, or it is where it can be
-    who = ', others follow' if any(_way([one.position for one in _lately(case, other)]) >= MOVES
-                                   for other in case.samples if other != device.id) else ''
+    who = ', others do' if any(_way([one.position for one in _lately(case, other)]) >= MOVES
+                               for other in case.samples if other != device.id) else ''
     if not who and torque is None and case.report.has_sides and device.model.protocol == '2' \
             and _way([one.goal for one in samples[1:]]) >= FAR:
         who = ', nothing set its torque'

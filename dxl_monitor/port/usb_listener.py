@@ -87,7 +87,7 @@ class UsbListener(Listener):
             ReaderProcess, fd, self.idle_s, gather_s, self._wake_read, usb))
         if problem:
             raise PortError(self.port, Reason('other', f'its reader process: {problem}',
-                                              'start it again'))
+                                              'start this program again if that lasts'))
 
     def _take_record(self, record: Record) -> None:
         if record.kind == reader.CHUNK:

@@ -148,8 +148,8 @@ class FlightRecorder:
                     file.take(wire, chunk)
                 first = self._chunks[0][1].stamp if self._chunks else now.stamp
                 self._file = file
-            file.remark(f'flight recorder: {why}, and the {(now.stamp - first) / S:.1f} s '
-                        'before it')
+            file.remark(f'flight recorder: recording of {why}, with the '
+                        f'{(now.stamp - first) / S:.1f} s before it')
             self._until = now.stamp + AFTER_NS
             file.start()
             return self.path
