@@ -18,6 +18,7 @@ BROKE_OFF = 2      # a fast reply ended after a whole part
 # Where the side is known and it is that to the master, no instruction can be hidden.
 DAMAGE_IN = 3
 NOISE_IN = 4
+ON_THE_WIRE, TO_MASTER = (DAMAGE, NOISE), (DAMAGE_IN, NOISE_IN)
 
 #            DAMAGE    NOISE     BROKE_OFF DAMAGE_IN NOISE_IN
 NEXT = {

@@ -86,9 +86,8 @@ class Tracker:
                 continue
             if kind:
                 said = kind, number, code, data
-                if side == IN and self._is_echo(said, stamp):
-                    continue
-                slots = self._instruct(said, flaw, begin, end, received, stamp)
+                if side != IN or not self._is_echo(said, stamp):
+                    slots = self._instruct(said, flaw, begin, end, received, stamp)
                 continue
             slot = slots.pop(number, None)
             if slot is None:
@@ -145,8 +144,7 @@ class Tracker:
                             self._asked[2], self._deferred)
 
     def _forget(self) -> None:
-        self.pending = NO_PLAN
-        self.slots = {}
+        self.pending, self.slots = NO_PLAN, {}
         self._given_up = _NO_SLOTS
         self._deferred = None
 
@@ -157,7 +155,8 @@ class Tracker:
         self.pending, self.slots = NO_PLAN, {}
 
     @property
-    def asked(self) -> int:                    # the stamp of the last instruction, or 0
+    def asked(self) -> int:
+        """The stamp of the last instruction, 0 before the first."""
         return self._asked[2]
 
     def _instruct(self, said: Said, flaw: Flaw | None, begin: int, end: int, received: int,
@@ -315,7 +314,7 @@ class Tracker:
         if side == IN and noise > GLITCH:      # what came before the question is no matter
             noise = min(noise, max(0, frame[0] - self.quiet_from))
         self._noise = noise
-        damage = pairing.DAMAGE_IN if side == IN else pairing.DAMAGE
+        damage, loud = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
         if reason:
             if noise > GLITCH:
                 self._state = pairing.NEXT[self._state][damage]
@@ -323,7 +322,7 @@ class Tracker:
             return True
         device = self._registry.devices.get(frame[3]) if frame[2] == IS_STATUS else None
         if noise > GLITCH:
-            self._state = pairing.NEXT[self._state][damage + pairing.NOISE]
+            self._state = pairing.NEXT[self._state][loud]
         elif noise:
             self._evidence.counts[ev.GLITCH] += 1
         if is_repaired and device is not None:
@@ -368,7 +367,8 @@ class Tracker:
         """End the pending instruction; following: the next one, which began there."""
         slots = self._given_up = self.slots
         slots.pop(BROADCAST, None)
-        question = self._question(due := [*filter(self._policy.is_due, slots.values())])
+        due = [*filter(self._policy.is_due, slots.values())]
+        question = self._question(due)
         now = int(self._on_wire(began, received, stamp))
         if due and self.unread.leaves(question, now, self.byte_ns):
             self._given_up = _NO_SLOTS

@@ -82,7 +82,7 @@ def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
 
 def _eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
     torque = case.values[device.id].get('Torque Enable')
-    least = 1 if torque else _enough(case, device, FEW)    # that it is on explains a single one
+    least = _enough(case, device, FEW) if torque is None else 1    # it is on: that explains one
     for (instruction, address, error), count in _refused(case, device).items():
         if count >= least and instruction in WRITES and _is_locked(device, address, error) \
                 and (torque is None or torque.value.raw):

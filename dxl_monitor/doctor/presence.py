@@ -319,9 +319,8 @@ def _is_ping_only(case: Case, device: DeviceReport) -> bool:
             and totals.answers == totals.pongs > 0:
         return True
     is_since = device.id in case.gone and totals.data_missed == totals.missed   # no Ping was
-    asked = totals if is_since else case.lately(device, GONE_S)
-    return asked.answers == asked.pongs >= 2 - is_since and asked.data_missed >= FEW \
-        and not asked.spoilt
+    asked, least = (totals, 1) if is_since else (case.lately(device, GONE_S), 2)
+    return asked.answers == asked.pongs >= least and asked.data_missed >= FEW and not asked.spoilt
 
 
 def _ping_only(case: Case, device: DeviceReport) -> Found | None:

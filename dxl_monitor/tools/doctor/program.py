@@ -92,14 +92,19 @@ class Ending(NamedTuple):
 
 
 class Openings:
-    """How often the ports of a program are open; is_robbed: another has read what came for it."""
+    """
+    How often the ports of a program are open.
+
+    is_robbed: another has read what came for it; found: by bus, that two ask in turns, or that
+    one robs the other.
+    """
 
     def __init__(self) -> None:
         self.is_robbed = False
+        self.found: dict[str, str] = {}
         self._ports: dict[str, tuple[set[int], list[int]]] = {}        # who wrote, in turns
 
-    def others(self, bus: str, record: TapRecord) -> str:
-        """Take a record; return who else asks, if two do in turns, or one robs the other."""
+    def take(self, bus: str, record: TapRecord) -> None:
         opened, turns = self._ports.setdefault(bus, (set(), []))
         is_shared, is_other = len(opened) > 1, turns[-1:] != [record.opening]
         if record.kind == OPENED:
@@ -111,8 +116,9 @@ class Openings:
         elif record.side and is_other:
             turns[:] = [*turns, record.opening][-TURNS:]
         if is_shared and self.is_robbed:
-            return ROBBER
-        return OWN if is_shared and len(turns) == TURNS > len({*turns}) else ''
+            self.found[bus] = ROBBER
+        elif is_shared and len(turns) == TURNS > len({*turns}):
+            self.found.setdefault(bus, OWN)
 
 
 class Program(Source):
@@ -128,7 +134,7 @@ class Program(Source):
         self.ports: list[str] = []
         self._was_stopped = False
         self._unheard = ''
-        self.users: dict[str, list[str]] = {}          # who else has a port open, by its bus
+        self._others: dict[str, list[str]] = {}        # programs that have a port open, by its bus
         self._openings = Openings()
         self._look_who([
             word for word in command if os.path.exists(word) and Path(word).is_char_device()])
@@ -157,9 +163,16 @@ class Program(Source):
 
     def _look_who(self, ports: Sequence[str]) -> None:
         for port in ports:
-            found = self.users.setdefault(ntpath.basename(port), [])
+            found = self._others.setdefault(ntpath.basename(port), [])
             found += [one.name for one in holders(port)
                       if not one.is_maker and one.name not in found]
+
+    @property
+    def users(self) -> dict[str, list[str]]:
+        """Who else has a port open, by its bus: other programs, another part of this one."""
+        own = self._openings.found
+        return {bus: [*self._others.get(bus, ()), *filter(None, [own.get(bus)])]
+                for bus in {*self._others, *own}}
 
     @property
     def ending(self) -> Ending:
@@ -169,7 +182,7 @@ class Program(Source):
             code=128 - code if code < 0 else code, was_stopped=self._was_stopped or code < 0,
             unheard=self._unheard,
             users=tuple(one for port in self.ports
-                        for one in self.users[ntpath.basename(port)] if OWN not in one))
+                        for one in self._others[ntpath.basename(port)]))
 
     def _some(self, records: list[TapRecord]) -> Iterator[Chunk | None]:
         for record in records:
@@ -188,10 +201,7 @@ class Program(Source):
         if record.kind == OPENED and record.port not in self.ports:
             self.ports.append(record.port)
         bus = ntpath.basename(record.port)           # works for both kinds of path
-        users = self.users.setdefault(bus, [])
-        own = self._openings.others(bus, record)
-        if own and not {own, ROBBER} & {*users}:
-            users[:] = [*(one for one in users if one != OWN), own]
+        self._openings.take(bus, record)
         if record.side:
             return Chunk(record.stamp, bus, record.data, record.side)
         if record.change is None or not bus:
