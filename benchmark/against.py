@@ -86,12 +86,10 @@ class Worker:
 
     def us(self, case):
         """Return the CPU time per packet, in us."""
-        assert self._process.stdin is not None
         print(json.dumps([str(case.file), *case[1:]]), file=self._process.stdin, flush=True)
         return float(self._hear())
 
     def _hear(self):
-        assert self._process.stdout is not None
         for line in self._process.stdout:
             return json.loads(line)
         raise ChildProcessError('a measuring process ended early; its error stands above')
@@ -100,7 +98,6 @@ class Worker:
         return self
 
     def __exit__(self, *error):
-        assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait()
 

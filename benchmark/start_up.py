@@ -8,6 +8,7 @@ dxl/diagnostics in another process, discovery included, at the default publish_r
 imported is compiled beforehand, as an installation has it.
 """
 
+from contextlib import contextmanager
 from functools import partial
 import os
 import select
@@ -60,14 +61,21 @@ def run(options):
     return figures
 
 
-def _to_frame(env, module, *arguments):
-    """Return the seconds until the first byte is at the other end."""
+@contextmanager
+def _started(env, module, arguments):
+    """Start a module on a pty; give the time of that and the pty."""
     with Pty() as pty:
         begin = time.monotonic()
         with Child(module, *(one.format(port=pty.path) for one in arguments), env=env, quiet=True):
-            if not select.select([pty.master], [], [], LIMIT_S)[0]:
-                raise TimeoutError(f'{module}: no frame in {LIMIT_S:g} s; run it alone to see why')
-            return time.monotonic() - begin
+            yield begin, pty
+
+
+def _to_frame(env, module, *arguments):
+    """Return the seconds until the first byte is at the other end."""
+    with _started(env, module, arguments) as (begin, pty):
+        if not select.select([pty.master], [], [], LIMIT_S)[0]:
+            raise TimeoutError(f'{module}: no frame in {LIMIT_S:g} s; run it alone to see why')
+        return time.monotonic() - begin
 
 
 def _to_message(env, listener, topic, module, *arguments):
@@ -75,13 +83,11 @@ def _to_message(env, listener, topic, module, *arguments):
     came = []
     subscription = listener.create_subscription(
         DiagnosticArray, topic, lambda message: came.append(time.monotonic()), 10)
-    with Pty() as pty:
-        begin = time.monotonic()
-        with Child(module, *(one.format(port=pty.path) for one in arguments), env=env, quiet=True):
-            while not came:
-                rclpy.spin_once(listener, timeout_sec=0.1)
-                if time.monotonic() - begin > LIMIT_S:
-                    raise TimeoutError(f'{module}: nothing on {topic} in {LIMIT_S:g} s; '
-                                       'run it alone to see why')
+    with _started(env, module, arguments) as (begin, _):
+        while not came:
+            rclpy.spin_once(listener, timeout_sec=0.1)
+            if time.monotonic() - begin > LIMIT_S:
+                raise TimeoutError(f'{module}: nothing on {topic} in {LIMIT_S:g} s; '
+                                   'run it alone to see why')
     listener.destroy_subscription(subscription)
     return came[0] - begin

@@ -219,13 +219,11 @@ class Child:
 
     def line(self):
         """Return the next line that the child says."""
-        assert self._process.stdout is not None
         if line := self._process.stdout.readline():
             return line
         raise ChildProcessError(f'python -m {self._module}: ended early; run it alone to see why')
 
     def tell(self, thing):
-        assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(thing) + '\n')
         self._process.stdin.flush()
 
