@@ -55,6 +55,7 @@ from msg_defs.timing import Series
 
 _LINE_ERRORS = {OVERRUN: 'overrun', PARITY: 'parity', FRAMING: 'frame', BREAK: 'breaks'}
 WINDOW_S = 10
+_SERIES = ('time_per_buffer', 'ms'), ('time_between_buffers', 'ms'), ('bytes_per_buffer', 'B')
 TICK_NS = 1_000_000_000
 CYCLES_REPORTED = 32
 LAG_NS = 200_000_000               # bytes that were read may wait for so long to be fed
@@ -82,7 +83,7 @@ class Monitor:
 
     | attributes | who writes them |
     |---|---|
-    | _fed, _last, _time_per_buffer, _time_between, _buffer_size | feed() |
+    | _fed, _last, _series | feed() |
     | _listened, _resumed | feed(), flush_if_idle(), report() where idle is not reported |
     | _line_errors, _deaf, _failed, _users | change(), report(), end() |
     | _ticks, _next_tick, _noise_seen | feed() or report(), once a second |
@@ -127,10 +128,11 @@ class Monitor:
 
     def feed_pieces(self, pieces: Sequence[tuple[bytes, int, str]]) -> None:
         """Take what one read brought, in pieces with a stamp and a side each, as feed() does."""
-        said, stamp, size = self.decoder, 0, 0
+        said, clock, stamp = self.decoder, self._clock, 0
         with self._lock:
-            began = self._clock()
-            before = self._last
+            began = clock()
+            before, fed = self._last, self._fed
+            spent, between, sizes = self._series
             for chunk, stamp, side in pieces:
                 if self._idle_is_told:
                     self._listen_until(stamp)
@@ -145,11 +147,10 @@ class Monitor:
                 if stamp >= self._next_tick:
                     self._tick(stamp)
                 self._last = stamp
-                size += len(chunk)
             if before:
-                self._time_between.add((stamp - before) / 1e6, stamp)
-            self._buffer_size.add(float(size), stamp)      # sorted in faster than an int
-            self._time_per_buffer.add((self._clock() - began) / 1e6, stamp)
+                between.add((stamp - before) / 1e6, stamp)
+            sizes.add(float(self._fed - fed), stamp)       # sorted in faster than an int
+            spent.add((clock() - began) / 1e6, stamp)
 
     def change(self, change: Change, stamp: int) -> None:
         """Take what the source reported besides bytes (msg_defs/event.py)."""
@@ -278,8 +279,7 @@ class Monitor:
         self._base = self._counters()
         self._base['Bytes'] -= self._base.pop('Pending Bytes')     # these are counted again
         self._ticks: deque[tuple[int, Activity]] = deque(maxlen=WINDOW_S)
-        self._time_per_buffer, self._time_between = Series(WINDOW_S), Series(WINDOW_S)
-        self._buffer_size = Series(WINDOW_S)
+        self._series = [Series(WINDOW_S) for _ in _SERIES]
         self.decoder.clock.reset()
 
     def _listen_until(self, now: int) -> None:
@@ -377,15 +377,12 @@ class Monitor:
         return found if len(found) >= SCAN else ()
 
     def _metrics(self, now: int, rates: dict[str, float]) -> tuple[Metric, ...]:
-        series = (('time_per_buffer', 'ms', self._time_per_buffer),
-                  ('time_between_buffers', 'ms', self._time_between),
-                  ('bytes_per_buffer', 'B', self._buffer_size))
         values = [('byte_rate', 'B/s', rates['bytes']), ('packet_rate', 'Hz', rates['packets']),
                   ('error_rate', 'Hz', rates['errors'])]
         if self.decoder.byte_ns:          # the rate is known
             values.append(('bus_load', '%', rates['bytes'] * self.decoder.byte_ns / 1e7))
         return (*(Metric(name, unit, one.summary(now), one.total(), bus=self.name)
-                  for name, unit, one in series),
+                  for (name, unit), one in zip(_SERIES, self._series, strict=True)),
                 *self.decoder.clock.metrics(now, self.name),
                 *(Metric(name, unit, value=value, bus=self.name) for name, unit, value in values))
 

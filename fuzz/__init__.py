@@ -4,7 +4,6 @@
 Fuzz targets: one module per input that comes from outside, each with check(data).
 
 check() takes any bytes, turns them into that input and asserts what must hold; its docstring
-names the invariants. Three things call it: hypothesis and the kept corpus (test/test_fuzz.py),
-and the coverage-guided fuzzer (python -m fuzz TARGET --seconds N). `whole` has a loop of its
-own: it makes its cases from seeds, for the whole program at once.
+names the invariants; hypothesis and the kept corpus call it (test/test_fuzz.py). `whole` has a
+loop of its own: it makes its cases from seeds, for the whole program at once.
 """

@@ -26,7 +26,7 @@ LINES = (
     b'# bus x port /dev/x\n', b'garbage\n')
 BUSES = ('', 'left', 'a b', 'tty\u00e9', '-', '%2D', '#', '(', 'x' * 60)
 CHUNK = re.compile(rb'\((\d+)\.(\d+)\) ([!-~]+) ((?:[0-9a-f]{2})+)\n')
-REMARK = re.compile(rb'# (?!bus\b|dxl_capture\b)[ -~]*\n')
+REMARK = re.compile(rb'# (?! *(?:bus|dxl_capture)\b)[ -~]*\n')
 BROKEN = re.compile(rb'[^(#\s][!-~]*\n|\([^) ]*\n|# bus\n|# bus \w+\n|# dxl_capture [19] \n')
 
 

@@ -244,10 +244,10 @@ class MixedFramer:
     def frames(self, chunk: Data) -> Frames:
         """Return what this chunk completes, in the order of the wire."""
         first = self._first
-        is_proven = bool(self._detector.proven)
-        if is_proven or self._is_open or first.is_looking:
+        proven = self._detector.proven
+        if proven or self._is_open or first.is_looking:
             self._look_closely()
-        if (is_proven and first.is_shared and _TAIL not in chunk and not chunk.endswith(_ENDINGS)
+        if (proven and first.is_shared and _TAIL not in chunk and not chunk.endswith(_ENDINGS)
                 and first.has_nothing()):
             at = first.bytes           # no packet of 2.0 begins, goes on or ends in this chunk
             self.bytes = first.pass_over(chunk)

@@ -35,8 +35,9 @@ body_crc = crc16_behind(HEADER)    # CRC of a frame from its ID on: the header i
 HEADER_CRC = crc16(HEADER)
 _RUN = b'\xff\xff\xfd'
 _crc_at = Struct('<H').unpack_from
-# The first byte of a header; ID, Length, instruction, error. Single bytes cost more.
-_head_at = Struct('<B3xBHBB').unpack_from
+# The header as a number, ID, Length, instruction, error. Single bytes and searches cost more.
+_head_at = Struct('<IBHBB').unpack_from
+_WHOLE = int.from_bytes(HEADER, 'little')
 NOISE_KEPT = 256
 
 
@@ -199,47 +200,54 @@ class Framer(StreamFramer):
             and body_crc(data[mark + 3:end - 2]) == data[end - 2] | data[end - 1] << 8
 
     def _scan(self, data: bytes, final: bool) -> Frames:
-        find = data.find
         crc_of = bare_crc16
         size = len(data)
         base = self.bytes - size
         header = base - 1          # from the second FF of a header to the offset of the first
         found: Frames = []
         damaged = 0
-        noisy = self.noise_length
+        is_flawed = self.noise_length > 0      # noise or a damaged header is ahead
         is_usual = True
         done = 0                   # everything in front of it is decided
         wanted = 0                 # as many bytes are needed to go on
-        mark = find(_TAIL)         # where the second FF of a header is
+        mark = 1                   # where the second FF of a header is, if it follows directly
+        sought = 0                 # else it is searched for from here
         judged = size - 5 if final else size - 6       # with its instruction, if that may come
         heads = b'\0%b\0\0' % data    # the first header may begin too late, the last end too early
-        while 0 <= mark < judged:
-            first, number, length, code, error = _head_at(heads, mark)
+        while mark < judged or 0 <= (mark := data.find(_TAIL, sought)) < judged:
+            head, number, length, code, error = _head_at(heads, mark)
+            if head != _WHOLE:
+                is_flawed = True
+                if head | 0xFF != _WHOLE:
+                    mark = size        # it does not follow
+                    continue
             end = mark + 6 + length
             if end <= size:
-                body = data[mark + 3:end - 2]
+                crc = end - 2
+                body = data[mark + 3:crc]
                 if (length <= MAX_LENGTH and crc_of(body, HEADER_CRC, CRC16_TABLE)
-                        == _crc_at(data, end - 2)[0] and length > 2
-                        and (code != STATUS or length > 3)):
+                        == _crc_at(data, crc)[0]
+                        and (length > 3 or (length == 3 and code != STATUS))):
                     flaw = None
-                    if noisy or mark != done + 1 or first != 0xFF:
+                    if is_flawed:
                         flaw = self._flaw(data, done, mark)
-                        is_usual = False
-                        noisy = 0
+                        is_flawed = is_usual = False
+                    done = sought = end
                     found.append(
                         (header + mark, base + end, IS_STATUS, number, error, body[5:], flaw)
                         if code == STATUS else
                         (header + mark, base + end, INSTRUCTION_2, number, code, body[4:], flaw))
-                    done = end
-                    mark = find(_TAIL, end)
+                    mark = end + 1
                     continue
             elif length <= MAX_LENGTH and not final:
                 wanted = end
                 break
-            if mark > done and first == 0xFF:
+            if mark > done and head == _WHOLE:
                 found.append(self._damaged(data, base, done, mark, length))
                 damaged += 1
-            mark = find(_TAIL, mark + 1)
+            is_flawed = True
+            sought = mark + 1
+            mark = size
         count = len(found) - damaged
         self.packets += count
         if not is_usual or data.count(_RUN, 0, done) != count:      # one in each header

@@ -9,29 +9,26 @@ One thread adds; any other thread may read or reset. A reader may see the newest
 taken in (counted, but not yet in the mean), never anything worse.
 """
 
-from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable
+from math import asinh
 from math import ceil
+from math import floor
+from math import log
+from math import sinh
 from math import sqrt
 from threading import Lock
 from typing import NamedTuple
 
 SLICES = 10                 # in a window: it slides in steps of a tenth
 LIMIT = 1e12                # larger values are refused, as NaN and infinities are
-_RATIO = 1.025              # width of a bucket: bounds the error of a percentile
-_SMALLEST = 1e-6            # what is closer to zero shares one bucket on each side
-_LARGEST = 1e9
+_SMALLEST = 1e-6            # buckets are not much narrower than a fortieth of this
+_PER_E = 1 / log(1.025)     # buckets per factor of e; the width of one bounds a percentile's error
 
 
-def _edges() -> tuple[float, ...]:
-    positive = [_SMALLEST]
-    while positive[-1] < _LARGEST:
-        positive.append(positive[-1] * _RATIO)
-    return (-LIMIT, *(-edge for edge in reversed(positive)), 0.0, *positive, LIMIT)
-
-
-_EDGES = _edges()           # bucket i holds _EDGES[i - 1] <= value < _EDGES[i]
+def _edge(bucket: int) -> float:
+    """Return the smallest value of a bucket."""
+    return _SMALLEST * sinh(bucket / _PER_E)
 
 
 class Summary(NamedTuple):
@@ -108,7 +105,7 @@ def _quantile(part: _Partial, order: list[int], share: float) -> float:
         if below + n >= rank:
             break
         below += n
-    low, high = _EDGES[bucket - 1], _EDGES[bucket]
+    low, high = _edge(bucket), _edge(bucket + 1)
     value = low + (high - low) * (rank - below - 0.5) / n
     return min(max(value, part.minimum), part.maximum)
 
@@ -149,7 +146,7 @@ class Series:
         if now_ns >= self._end:
             self._open_slice(value, now_ns)
         piece = self._slice
-        piece.buckets[bisect_right(_EDGES, value)] += 1
+        piece.buckets[floor(asinh(value / _SMALLEST) * _PER_E)] += 1
         distance = value - piece.pivot
         piece.sum += distance
         piece.squares += distance * distance

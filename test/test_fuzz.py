@@ -10,9 +10,8 @@ from importlib import import_module
 from pathlib import Path
 import random
 import re
-import subprocess
-import sys
 
+from harness import output_of
 from hypothesis import given
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -21,6 +20,7 @@ from hypothesis.stateful import invariant
 from hypothesis.stateful import rule
 from hypothesis.stateful import RuleBasedStateMachine
 import pytest
+from tracked_bus import words
 
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
@@ -75,36 +75,25 @@ def test_the_corpus_stays_small():
     assert len(files) <= 60 * len(EXAMPLES)
 
 
-
-
 def test_a_volume_of_hostile_bytes():
     """A little of what docs/reliability.md says of 10^8 bytes."""
-    done = subprocess.run([sys.executable, '-m', 'fuzz.volume', '--bytes', '2500000'],
-                          capture_output=True, text=True, cwd=Path(__file__).parents[1])
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count('devices made up []') == 4
+    said = output_of('fuzz.volume', '--bytes', '2500000')
+    assert said.count('devices made up []') == 4
 
 
 @pytest.mark.ros
 def test_the_whole_program():
     """A little of what the nightly job does."""
-    done = subprocess.run([sys.executable, '-m', 'fuzz.whole', '--cases', '60'],
-                          capture_output=True, text=True, cwd=Path(__file__).parents[1])
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.startswith('60 cases in ')
+    assert output_of('fuzz.whole', '--cases', '60').startswith('60 cases in ')
 
 
 def test_every_length_of_a_packet():
     frames = [encode(number % 253, 0x93, bytes([number % 251]) * (number - 3))
               for number in range(3, 1025)]
-    headers = [HEADER + b'\1' + u16(length) for length in (0, 1, 2, *range(1025, 65536, 61))]
+    headers = [HEADER + b'\1' + words(length) for length in (0, 1, 2, *range(1025, 65536, 61))]
     stream = b''.join([*frames, *headers, frames[0]])
     found, damaged = feed([stream], Stream(stream))
     assert (len(found), len(damaged)) == (len(frames) + 1, len(headers))
-
-
-def u16(value):
-    return value.to_bytes(2, 'little')
 
 
 class MonitorMachine(RuleBasedStateMachine):
@@ -125,13 +114,13 @@ class MonitorMachine(RuleBasedStateMachine):
 
     @rule(number=IDS, address=ADDRESSES, data=SPAN)
     def read(self, number, address, data):
-        self.hear(encode(number, 2, u16(address) + u16(len(data))))
+        self.hear(encode(number, 2, words(address, len(data))))
         self.hear(encode(number, STATUS, data, 0))
         self.learn(number, address, data)
 
     @rule(number=IDS, address=ADDRESSES, data=SPAN, registered=st.booleans())
     def write(self, number, address, data, registered):
-        self.hear(encode(number, 4 if registered else 3, u16(address) + data))
+        self.hear(encode(number, 4 if registered else 3, words(address) + data))
         self.hear(encode(number, STATUS, b'', 0))
         if registered:
             self.tables_hold_what_was_said()       # nothing is done before the Action
@@ -141,13 +130,13 @@ class MonitorMachine(RuleBasedStateMachine):
 
     @rule(address=ADDRESSES, data=SPAN)
     def write_to_all(self, address, data):
-        self.hear(encode(BROADCAST, 3, u16(address) + data))
+        self.hear(encode(BROADCAST, 3, words(address) + data))
         for number in self.monitor.decoder.registry.devices:
             self.learn(number, address, data)
 
     @rule(number=IDS, address=ADDRESSES, error=st.integers(1, 127))
     def refused_write(self, number, address, error):
-        self.hear(encode(number, 3, u16(address) + b'\xee'))
+        self.hear(encode(number, 3, words(address) + b'\xee'))
         self.hear(encode(number, STATUS, b'', error))
 
     @rule(spans=st.dictionaries(IDS, st.tuples(ADDRESSES, SPAN), min_size=1, max_size=5),
@@ -155,7 +144,7 @@ class MonitorMachine(RuleBasedStateMachine):
     def bulk(self, spans, silent, how):
         """Hold that each device has its own, be it listed before or behind the others."""
         listed = b''.join(
-            bytes([number]) + u16(address) + u16(len(data)) + data * (how == 'write')
+            bytes([number]) + words(address, len(data)) + data * (how == 'write')
             for number, (address, data) in spans.items())
         code = {'bulk': 0x92, 'fast': 0x9A, 'write': 0x93}[how]
         self.hear(encode(BROADCAST, code, listed))
@@ -176,7 +165,7 @@ class MonitorMachine(RuleBasedStateMachine):
         listed = b''.join(bytes([number]) + part * (how == 'write')
                           for number, part in parts.items())
         code = {'sync': 0x82, 'fast': 0x8A, 'write': 0x83}[how]
-        self.hear(encode(BROADCAST, code, u16(210) + u16(size) + listed))
+        self.hear(encode(BROADCAST, code, words(210, size) + listed))
         if how == 'fast':
             self.hear(fast_reply([(0, number, part) for number, part in parts.items()]))
         for at, (number, part) in enumerate(parts.items()):
@@ -188,7 +177,7 @@ class MonitorMachine(RuleBasedStateMachine):
 
     @rule()
     def sync_write_that_makes_no_sense(self):
-        where = u16(210) + u16(2)
+        where = words(210, 2)
         self.hear(encode(BROADCAST, 0x83, where + b'\1ab\2cd'))
         self.learn(1, 210, b'ab')
         self.learn(2, 210, b'cd')
@@ -207,7 +196,7 @@ class MonitorMachine(RuleBasedStateMachine):
     @rule(noise=st.binary(min_size=4, max_size=30))
     def noise_then_an_answer(self, noise):
         """Answer what the noise may have hidden: life, and nothing for the table."""
-        self.hear(encode(1, 2, u16(210) + u16(2)))
+        self.hear(encode(1, 2, words(210, 2)))
         before = self.table(1).bytes(210, 2)
         self.hear(noise, 1_000_000)
         self.monitor.flush_if_idle(self.now + 30_000_000)

@@ -63,3 +63,15 @@ def test_one_program_is_not_two(seed):
 
 def test_what_is_finer_than_the_chunks_is_not_judged():
     assert two_timers(last(clock(20.0, 1), clock(30.03, 2, 7.0)), 16.0 * MS) is None
+
+
+@pytest.mark.parametrize('count', [2, KEPT])
+def test_stamps_that_are_equal_are_of_no_timer(count):
+    assert two_timers([MS] * count, 0.0) is None
+
+
+def test_two_loops_are_the_same_however_far_their_stamps_are_from_zero():
+    stamps = last(clock(20.0, 0), clock(30.03, 100, 7.0))
+    found = two_timers(stamps, BLUR_NS)
+    assert found is not None
+    assert two_timers([stamp + (1 << 90) for stamp in stamps], BLUR_NS) == found

@@ -144,7 +144,7 @@ class CycleClock:
             return CycleTimes(self._period / 1e6, unknown=unknown) if self._period else None
         means = [round(one.mean, 3) for series in self._series.values()
                  if (one := series.summary(now))]
-        if not means:
+        if len(means) < len(PARTS):            # a part is refused where stamps are of ages apart
             return None
         cycle, wire, device, waiting, program = means
         rates = {number: rate.per_second(now) for number, rate in [*self._waits.items()]}

@@ -49,10 +49,11 @@ def two_timers(stamps: Sequence[int], blur_ns: float
 def _timers(stamps: Sequence[int], blur_ns: float, least: float = 0.0) -> Iterator[PeriodicTimer]:
     """Yield the timers of at least so many stamps, from the first stamp to the last."""
     least = max(ENOUGH, least)
-    for stamp in stamps[1:1 + TRIES]:
-        period = stamp - stamps[0]
+    # From the first one on: a float holds no nanoseconds of stamps that are far from 0.
+    stamps = [stamp - stamps[0] for stamp in stamps]
+    for period in stamps[1:1 + TRIES]:
         # Fitted to its stamps a period becomes shorter, but by less than its slack.
-        if (stamps[-1] - stamps[0]) / (1 - 1 / BLURRED) < (least - 1) * period:
+        if stamps[-1] / (1 - 1 / BLURRED) < (least - 1) * period:
             return
         timer = _timer(stamps, float(period), blur_ns)
         if timer is not None and len(timer.places) >= least:
@@ -60,22 +61,21 @@ def _timers(stamps: Sequence[int], blur_ns: float, least: float = 0.0) -> Iterat
 
 
 def _timer(stamps: Sequence[int], period: float, blur_ns: float) -> PeriodicTimer | None:
-    """Return the timer of about this period from the first stamp on, None where there is none."""
-    begin, end = stamps[0], stamps[-1]
+    """Return the timer of about this period from the first stamp, 0, on, None where none is."""
     places, periods = [0], 0
-    due = begin + period
-    while due <= end:
+    due = period
+    while due <= stamps[-1]:
         periods += 1
         slack = max(SLACK * blur_ns, FINE * period)
-        if period < BLURRED * slack:
+        if period <= BLURRED * slack:      # 0 too, where stamps are equal
             return None
         at = _nearest(stamps, due, places[-1] + 1)
         if abs(stamps[at] - due) <= slack:
             places.append(at)
-            period = (stamps[at] - begin) / periods
+            period = stamps[at] / periods
         elif periods - len(places) >= 2 + (1 - FULL) * periods:
             return None
-        due = begin + (periods + 1) * period
+        due = (periods + 1) * period
     if len(places) < ENOUGH or len(places) < FULL * (periods + 1):
         return None
     return PeriodicTimer(period, tuple(places))

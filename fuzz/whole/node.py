@@ -4,6 +4,7 @@
 
 from contextlib import ExitStack
 from contextlib import redirect_stdout
+from functools import lru_cache
 from importlib import import_module
 import io
 import json
@@ -12,6 +13,7 @@ from types import SimpleNamespace
 from unittest.mock import MagicMock
 from unittest.mock import patch
 
+from dxl_monitor import monitor
 from dxl_monitor import monitored_bus
 from dxl_monitor import timers
 from dxl_monitor.model.models import Models
@@ -38,6 +40,8 @@ dxl_node = import_module('dxl_monitor.monitor_node')
 MODELS = Models()
 OPEN = []                          # listeners
 WALL = 1_790_000_000 * S
+ROS = MagicMock()                  # one for all cases: it takes long to make
+monitor.Layouts = lru_cache(monitor.Layouts)     # the same ones: they take a tenth of the time
 
 
 def print_nothing(text):
@@ -80,7 +84,7 @@ class Dashboard:
         self.state = State()
         self.file = folder / 'history'
         self.recorder, self.version = HistorySampler(), 0
-        self.history = HistoryWriter(self.file if is_on else ':memory:')
+        self.history = HistoryWriter(self.file) if is_on else None
         self.terminal = terminal.Display(self.state, None, True)
 
     def take(self, topic, message, now_s):
@@ -110,8 +114,8 @@ class Dashboard:
 
     def remember(self):
         """Ask the history for all that it has, as the page and a spreadsheet do."""
-        self.history.close()
         if self.is_on:
+            self.history.close()
             reader = HistoryReader(self.file)
             asked = Question(0, 1e11 - 1)
             for points in (1, 600):
@@ -138,7 +142,8 @@ def through_node(case, folder):
         'capture': str(folder / 'bus.txt'), 'timing_topics': 'all',
         'capture_size': 0.002 if len(case.heard) % 5 == 0 else 100.0}
     log = SimpleNamespace(info=print_nothing, warning=print_nothing, error=print_nothing)
-    ros = MagicMock(
+    ROS.reset_mock()
+    ROS.configure_mock(
         get_fully_qualified_name=lambda: '/rover/dxl_monitor', get_logger=lambda: log,
         get_clock=lambda: SimpleNamespace(
             now=lambda: SimpleNamespace(nanoseconds=WALL + clock.now)),
@@ -148,7 +153,7 @@ def through_node(case, folder):
     stopped = SimpleNamespace(monotonic=lambda: clock.now / 1e9, time_ns=lambda: WALL + clock.now,
                               monotonic_ns=lambda: clock.now)
     with ExitStack() as changed:
-        for name, value in (('Node', lambda *_: ros), ('declare', lambda *_: values),
+        for name, value in (('Node', lambda *_: ROS), ('declare', lambda *_: values),
                             ('load_models', lambda _: MODELS),
                             ('Clock', lambda **_: None), ('resident_memory_mb', lambda: 50.0),
                             ('time', stopped), ('overridable_publisher',
