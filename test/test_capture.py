@@ -228,10 +228,18 @@ def test_a_pipe_that_nobody_reads_is_refused(tmp_path):
         Recorder(str(path), 10**6, 2)
 
 
-def test_a_pipe_is_not_rotated(tmp_path):
+@pytest.fixture
+def pipe(tmp_path):
+    """Return the path of a pipe and the end that reads it."""
     path = tmp_path / 'pipe'
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    yield path, reader
+    os.close(reader)
+
+
+def test_a_pipe_is_not_rotated(tmp_path, pipe):
+    path, reader = pipe
     recorder = Recorder(str(path), 1000, 2)
     recorder.take(WIRE, Chunk(1, WIRE.name, bytes(1000)))
     recorder.take(WIRE, Chunk(2, WIRE.name, bytes(1000)))
@@ -240,18 +248,14 @@ def test_a_pipe_is_not_rotated(tmp_path):
     assert recorder.problem == ''
     assert os.read(reader, 65536).count(b'# dxl_capture') == 1
     assert os.listdir(tmp_path) == ['pipe']
-    os.close(reader)
 
 
-def test_a_pipe_whose_reader_sleeps_does_not_hold_up_the_end(tmp_path, monkeypatch):
+def test_a_pipe_whose_reader_sleeps_does_not_hold_up_the_end(pipe, monkeypatch):
     monkeypatch.setattr('dxl_monitor.record.capture_recorder.STOP_S', 0.2)
-    path = tmp_path / 'pipe'
-    os.mkfifo(path)
-    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    path, _ = pipe
     recorder = Recorder(str(path), 10**6, 2)
     recorder.take(WIRE, Chunk(1, WIRE.name, bytes(200_000)))
     recorder.start()
     recorder.stop()
     assert recorder.words == (f'capture stopped: {path}: no data could be written; what was not '
                               'written yet is lost')
-    os.close(reader)

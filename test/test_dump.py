@@ -419,12 +419,9 @@ def test_ctrl_c_ends_it_and_the_summary_still_comes(bus):
 
 def test_a_closed_pipe_ends_it(bus):
     for source in (bus, '-'):
-        done = subprocess.run(
-            f'yes | {sys.executable} -m {DUMP} {source} --baud 2000000 '
-            '| head -n 2; echo ${PIPESTATUS[1]}', shell=True, executable='/bin/bash', cwd=ROOT,
-            capture_output=True, text=True, timeout=DEADLINE_S)
-        assert done.stdout.splitlines()[-1] == '0'
-        assert done.stderr == ''
+        code, _, err = shell(f'yes | dxl_dump {source} --baud 2000000 | head -n 2; '
+                             'exit ${PIPESTATUS[1]}')
+        assert (code, err) == (0, '')
 
 
 def test_a_silent_port_is_no_blank_screen(tmp_path):
@@ -475,12 +472,9 @@ def test_a_port_without_a_single_packet_is_asked_about(tmp_path):
 
 
 def test_a_capture_can_go_through_a_pipe(bus):
-    done = subprocess.run(
-        f'{sys.executable} -m {DUMP} {bus} -w - --seconds 1 '
-        f'| {sys.executable} -m {DUMP} - --summary', shell=True, cwd=ROOT,
-        capture_output=True, text=True, timeout=DEADLINE_S)
-    assert json.loads(done.stdout)['packets'] > 0
-    assert done.stderr == ''
+    _, out, err = shell(f'dxl_dump {bus} -w - --seconds 1 | dxl_dump - --summary')
+    assert json.loads(out)['packets'] > 0
+    assert err == ''
 
 
 @pytest.mark.parametrize('size', [1, 15])
@@ -555,14 +549,12 @@ def test_check_models(tmp_path):
 def test_a_capture_with_bad_lines_is_read_and_said(recorded):
     good = dump(recorded, '--summary')
     recorded.write_bytes(recorded.read_bytes() + b'(12.5 b')
-    process = subprocess.run(
-        [sys.executable, '-m', DUMP, str(recorded), '--summary'], cwd=ROOT,
-        capture_output=True, text=True, timeout=DEADLINE_S)
-    assert process.stdout == good
-    assert '1 lines do not belong in a capture' in process.stderr
+    _, out, err = shell(f'dxl_dump {recorded} --summary')
+    assert out == good
+    assert '1 lines do not belong in a capture' in err
 
 
-@pytest.mark.parametrize('view', [['--summary'], ['--json'], ['--stats'], []])
+@pytest.mark.parametrize('view', ['--summary', '--json', '--stats', ''])
 def test_a_file_without_a_single_packet_is_asked_about(tmp_path, view):
     """It is no mistake that could be told from a bus at another rate: nothing else is changed."""
     noise = tmp_path / 'noise'
@@ -571,10 +563,8 @@ def test_a_file_without_a_single_packet_is_asked_about(tmp_path, view):
     empty.write_bytes(b'')
     for path, lines in (noise, [f'dxl_dump: {noise}: 3100 bytes, but no packet; check that it is '
                                 'a recording of a servo bus, made at its baud rate']), (empty, []):
-        done = subprocess.run([sys.executable, '-m', DUMP, str(path), *view],
-                              cwd=ROOT, capture_output=True, text=True, timeout=DEADLINE_S)
-        assert done.returncode == 0
-        assert done.stderr.splitlines() == lines
+        code, _, err = shell(f'dxl_dump {path} {view}')
+        assert (code, err.splitlines()) == (0, lines)
 
 
 def test_help_has_examples():
@@ -584,16 +574,11 @@ def test_help_has_examples():
     assert max(map(len, text.splitlines())) < 100
 
 
-
 def test_it_never_writes_over_what_it_reads(recorded, tmp_path):
     link = tmp_path / 'another_name'
     link.symlink_to(recorded)
     before = Path(recorded).read_bytes()
-    done = subprocess.run(
-        [sys.executable, '-m', DUMP, str(recorded), '-w', str(link)],
-        cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2
-    assert 'is also the source' in done.stderr
+    assert 'is also the source' in dump(recorded, '-w', link, code=2)
     assert Path(recorded).read_bytes() == before
 
 

@@ -21,6 +21,7 @@ from usb_files import hear
 from usb_files import log
 from usb_files import MMAPPED
 from usb_files import pcap
+from usb_files import ports_in
 from usb_files import REAL
 
 from dxl_monitor.bus.expected import parse_all
@@ -36,7 +37,6 @@ from dxl_monitor.port.usb_port import Place
 from dxl_monitor.port.usb_port import UsbPort
 from dxl_monitor.port.usb_ring import HEADER_SIZE
 from dxl_monitor.port.usb_ring import kept_of
-from dxl_monitor.port.usb_survey import Survey
 from dxl_monitor.record.opening import open_source
 from dxl_monitor.tools.start_program import environment
 from mecarover_fakes.fake_bus import default_devices
@@ -151,10 +151,7 @@ def test_usbmon_that_is_not_there_or_not_allowed(monkeypatch, tmp_path):
 @pytest.mark.parametrize('name', ['healthy', 'missing', 'acm'])
 def test_what_the_ring_leaves_out_says_nothing(name):
     whole = (REAL / f'{name}.bin').read_bytes()
-    survey = Survey()
-    for event in events(whole):
-        survey.take(event)
-    one, = survey.ports()
+    one, = ports_in(events(whole))
     ends = frozenset((one.place.bulk_in | 0x80, one.place.bulk_out))
     kept, at = [], 0
     for _, event in cut(whole):

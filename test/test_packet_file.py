@@ -13,6 +13,7 @@ from test_dump import dump
 from test_dump import SECOND
 from usb_files import MMAPPED
 from usb_files import pcapng
+from usb_files import tshark
 
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
@@ -108,10 +109,7 @@ def test_tshark_sees_direction_time_comments_and_the_same_bytes(tmp_path):
     dump(text, '-w', file)
     fields = ('frame.interface_name', 'frame.packet_flags_direction', 'frame.comment', 'data.data',
               'frame.time_epoch')
-    out = subprocess.run(['tshark', '-r', file, '-T', 'fields', *(
-        word for name in fields for word in ('-e', name))],
-        capture_output=True, text=True, check=True).stdout
-    rows = [line.split('\t') for line in out.splitlines()]
+    rows = tshark(file, fields)
     assert {row[0] for row in rows} == {'arm'}
     assert {int(row[1], 0) for row in rows if row[3]} == {1, 2}
     assert rows[-1][2] == 'event: unplugged 1'

@@ -28,8 +28,10 @@ from usb_files import log
 from usb_files import MMAPPED
 from usb_files import pcap
 from usb_files import pcapng
+from usb_files import ports_in
 from usb_files import REAL
 from usb_files import side
+from usb_files import tshark
 from usb_files import USBPCAP
 
 from dxl_monitor.port import adapters
@@ -41,7 +43,6 @@ from dxl_monitor.port.adapters import Ftdi
 from dxl_monitor.port.adapters import Setup
 from dxl_monitor.port.adapters import UsbIdentity
 from dxl_monitor.port.usb_port import UsbPort
-from dxl_monitor.port.usb_survey import Survey
 from dxl_monitor.port.usbmon import Records
 from dxl_monitor.record.pcap import PcapReader
 from dxl_monitor.record.usb_events import is_usb
@@ -100,12 +101,8 @@ def test_tshark_sees_the_same_payloads(session):
     file = REAL / f'{session}.pcap'
     fields = ('usb.endpoint_address', 'ftdi-ft.if_a_rx_payload', 'ftdi-ft.if_a_tx_payload',
               'usb.capdata')
-    out = subprocess.run(['tshark', '-r', file, '-Y', 'usb.transfer_type == 3', '-T', 'fields',
-                          *(word for name in fields for word in ('-e', name))],
-                         capture_output=True, text=True, check=True).stdout
     theirs = {OUT: b'', IN: b''}
-    for line in out.splitlines():
-        endpoint, *payloads = line.split('\t')
+    for endpoint, *payloads in tshark(file, fields, '-Y', 'usb.transfer_type == 3'):
         text = next((one for one in payloads if one), '')
         incoming = int(endpoint.split(',')[0], 0) & 0x80
         theirs[IN if incoming else OUT] += bytes.fromhex(text.replace(',', '').replace(':', ''))
@@ -159,13 +156,9 @@ def test_ftdi_status_bytes(size):
     assert Ftdi(size).received(b'') == (b'', [])
 
 
-def test_lines_and_errors_of_the_others():
-    acm = CdcAcm()
-    assert acm.control(Setup(0x21, 0x22, 2, 0), b'') == [('dtr', 0), ('rts', 1)]
-    assert acm.interrupt(bytes.fromhex('a1200000010002005000')) == [('framing', 1), ('overrun', 1)]
-    assert Ch341().control(Setup(0x40, 0xA4, 0xFF9F, 0), b'') == [('dtr', 1), ('rts', 1)]
-    assert Cp210x().control(Setup(0x41, 0x07, 0x0301, 0), b'') == [('dtr', 1), ('rts', 0)]
-    assert Cp210x().control(Setup(0x41, 0x12, 0x000F, 0), b'') == [('purged', 3)]
+def test_errors_of_a_cdc_adapter():
+    assert CdcAcm().interrupt(bytes.fromhex('a1200000010002005000')) == [
+        ('framing', 1), ('overrun', 1)]
 
 
 @pytest.mark.parametrize(('adapter', 'setup', 'said'), [
@@ -176,9 +169,13 @@ def test_lines_and_errors_of_the_others():
     (Ftdi(), (0x40, 1, 0x0200), [('rts', 0)]),         # the high byte says which are meant
     (Ftdi(), (0x40, 9, 1), [('latency_timer_ms', 1)]),
     (Ftdi(), (0xC0, 10, 0), []),                       # it asks for that one
+    (Ch341(), (0x40, 0xA4, 0xFF9F), [('dtr', 1), ('rts', 1)]),
+    (Cp210x(), (0x41, 0x07, 0x0301), [('dtr', 1), ('rts', 0)]),
+    (Cp210x(), (0x41, 0x12, 0x0005), [('purged', 2)]),
     (Cp210x(), (0x41, 0x01, 0x20), [('baud', 115_200)]),
     (Cp210x(), (0x41, 0x01, 0), []),
     (Cp210x(), (0xC1, 0x1D, 0), []),
+    (CdcAcm(), (0x21, 0x22, 2), [('dtr', 0), ('rts', 1)]),
     (CdcAcm(), (0xA1, 0x21, 0), []),
     (CdcAcm(), (0x21, 0x23, 0xFFFF), []),              # a break that the master sends
 ])
@@ -228,8 +225,8 @@ def test_escapes_of_a_cp210x_may_be_cut_anywhere(data, size):
 def test_byte_with_an_error_in_the_data_of_a_cp210x():
     adapter = Cp210x()
     adapter.control(Setup(0x41, 0x15, 0xEC, 0), b'')
-    assert adapter.received(b'a\xec\x01\x08\xecb\xec\x02\x20\xec\x03\x10c') == (
-        b'a\xecbc', [('framing', 1)])
+    assert adapter.received(b'a\xec\x01\x08\xec\x00b\xec\x02\x20\xec\x03\x10c') == (
+        b'a\xec\x00bc', [('framing', 1)])
     assert adapter.received(b'd\xec') == (b'd', [])
     assert adapter.received(b'\x00e') == (b'\xece', [])
 
@@ -241,7 +238,7 @@ def test_the_page_names_every_family(name):
 
 
 def test_every_family_has_a_fake():
-    assert {type(survey_of(FakeAdapter(name).plug(BEGAN)).ports()[0].adapter)
+    assert {type(ports_in(events(FakeAdapter(name).plug(BEGAN)))[0].adapter)
             for name in FAMILIES} == {*adapters.FAMILIES}
 
 
@@ -270,7 +267,8 @@ def test_the_short_way_through_the_stream_says_the_same(family, chunks, transfer
     head = len(adapter.plug(BEGAN))
     for at in data.draw(st.lists(st.integers(head, len(whole) - 1), max_size=3)):
         whole[at] ^= data.draw(st.sampled_from((1, 0x0E, 0x80)))
-    place, kind = next((one.place, type(one.adapter)) for one in survey_of(whole[:head]).ports())
+    one, *_ = ports_in(events(bytes(whole[:head])))
+    place, kind = one.place, type(one.adapter)
     size = FAMILIES[family].packet_size
     slow, fast = UsbPort(place, kind(size)), UsbPort(place, kind(size))
     expected = [one for event in Records().events(bytes(whole)) if (one := slow.take(event))]
@@ -285,17 +283,10 @@ def test_the_short_way_through_the_stream_says_the_same(family, chunks, transfer
 
 def test_nearly_all_of_a_real_capture_goes_the_short_way():
     whole = (REAL / 'healthy.bin').read_bytes()
-    one, = survey_of(whole).ports()
+    one, = ports_in(events(whole))
     port, found = UsbPort(one.place, one.adapter), []
     list(Records().events(whole, partial(port.skim, found=found)))
     assert len(found) > 0.9 * len([heard for heard in hear(events(whole)) if heard.data])
-
-
-def survey_of(whole):
-    survey = Survey()
-    for event in events(bytes(whole)):
-        survey.take(event)
-    return survey
 
 
 def test_port_is_known_without_its_descriptors():
@@ -311,10 +302,8 @@ def test_port_is_known_without_its_descriptors():
 
 def test_keyboards_and_disks_are_no_serial_ports():
     adapter = FakeAdapter('cp210x')
-    survey = Survey()
-    for event in events(adapter.sent(b'USBC1234', BEGAN) + adapter.received(b'data', BEGAN)):
-        survey.take(event)
-    assert survey.ports() == []
+    said = adapter.sent(b'USBC1234', BEGAN) + adapter.received(b'data', BEGAN)
+    assert ports_in(events(said)) == []
 
 
 # --- files -------------------------------------------------------------------------------------
@@ -400,10 +389,7 @@ def test_any_bytes_never_raise(data):
 def hear_all(data):
     """Read a file with any content, and hear every port."""
     found, _ = read(data)
-    survey = Survey()
-    for event in found:
-        survey.take(event)
-    for one in survey.ports():
+    for one in ports_in(found):
         port = UsbPort(one.place, one.adapter)
         for event in found:
             port.take(event)

@@ -4,6 +4,7 @@
 
 from pathlib import Path
 import struct
+import subprocess
 
 from dxl_monitor.port.usb_port import UsbPort
 from dxl_monitor.port.usb_survey import Survey
@@ -76,15 +77,27 @@ def events(records):
     return list(Records().events(records))
 
 
-def hear(found):
-    """Return what the only port in these events said."""
+def ports_in(found):
+    """Return the serial ports in these events."""
     survey = Survey()
-    found = list(found)
     for event in found:
         survey.take(event)
-    one, = survey.ports()
+    return survey.ports()
+
+
+def hear(found):
+    """Return what the only port in these events said."""
+    one, = ports_in(found)
     port = UsbPort(one.place, one.adapter)
     return [heard for event in found if (heard := port.take(event)) is not None]
+
+
+def tshark(file, fields, *options):
+    """Return what tshark says of each packet of a file, field by field."""
+    said = subprocess.run(['tshark', '-r', file, *options, '-T', 'fields', *(
+        word for name in fields for word in ('-e', name))],
+        capture_output=True, text=True, check=True).stdout
+    return [line.split('\t') for line in said.splitlines()]
 
 
 def side(heard, which):

@@ -72,7 +72,8 @@ class Adapter:
     """
     An adapter that carries the bytes of the line alone; others override what differs.
 
-    packet_size: of its bulk endpoint towards the host. is_multi: the chip has several ports.
+    packet_size: of its bulk endpoint towards the host. is_multi: the chip has several ports. From
+    the host all adapters carry these bytes alone.
     """
 
     name = 'unknown adapter'
@@ -99,10 +100,6 @@ class Adapter:
 
     def bare(self, data: bytes) -> bytes | None:
         """Return what received() does where it has nothing else to say; None: ask that."""
-        return data
-
-    def sent(self, data: bytes) -> bytes:
-        """Return the bytes of the line in one transfer from the host."""
         return data
 
     def control(self, setup: Setup, data: bytes) -> Changes:

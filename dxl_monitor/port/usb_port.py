@@ -99,7 +99,7 @@ class UsbPort:
             elif kept != moved or (status and side is IN):
                 break
             else:
-                line = bare(data[begin:end]) if side is IN else self.adapter.sent(data[begin:end])
+                line = bare(data[begin:end]) if side is IN else data[begin:end]
                 if line is None:
                     break
                 if side is OUT:
@@ -135,13 +135,13 @@ class UsbPort:
             return Heard(event.stamp, IN, data, changes) if data or changes else None
         if not event.is_done:
             _remember(self._sizes, event.number, event.size)
-            data = self.adapter.sent(event.data)
-            return Heard(event.stamp, OUT, data, self._cut(event)) if data or event.size else None
+            return Heard(event.stamp, OUT, event.data, self._cut(event)) \
+                if event.data or event.size else None
         missing = self._sizes.pop(event.number, event.size) - event.size
         if not event.status:
             return None
-        is_lost = event.status != 0 and missing > 0
-        return self._heard(event, [Change(NOT_SENT, missing)] * is_lost + self._end_words(event))
+        return self._heard(
+            event, [Change(NOT_SENT, missing)] * (missing > 0) + self._end_words(event))
 
     @staticmethod
     def _cut(event: UsbEvent) -> Changes:

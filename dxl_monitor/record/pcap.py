@@ -22,7 +22,7 @@ LINK_USER0 = 147                   # ours: record/packet_file.py
 
 _PCAP_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}        # ns in a unit of the fraction
 SECTION, SECTION_MAGIC = 0x0A0D0D0A, 0x1A2B3C4D
-INTERFACE, _OLD_PACKET, _SIMPLE, ENHANCED = 1, 2, 3, 6
+INTERFACE, ENHANCED = 1, 6       # blocks; packets without a time are of no use here
 NAME, ABOUT, SPEED, RESOLUTION, _OFFSET = 2, 3, 8, 9, 14       # options of an interface
 COMMENT, FLAGS = 1, 2            # options of a packet
 _NS = 1_000_000_000
@@ -35,7 +35,6 @@ class Interface(NamedTuple):
     """What a file says of the interface of a packet; speed: bit/s, 0 where it does not say."""
 
     link: int
-    snap_length: int = 0
     units_per_second: int = 1_000_000
     offset_s: int = 0
     name: str = ''
@@ -44,7 +43,7 @@ class Interface(NamedTuple):
 
 
 class CapturedPacket(NamedTuple):
-    """One packet; stamp: ns since 1970 (0 where the file has none). order: '<' or '>'."""
+    """One packet; stamp: ns since 1970. order: '<' or '>'."""
 
     interface: Interface
     stamp: int
@@ -123,10 +122,8 @@ class PcapReader:
             body = self._body(size)
             if kind == INTERFACE:
                 self._interface(body)
-            elif kind in (ENHANCED, _OLD_PACKET, _SIMPLE):
-                packet = self._packet(kind, body)
-                if packet is not None:
-                    yield packet
+            elif kind == ENHANCED:
+                yield self._packet(body)
 
     def _section(self, length: bytes = b'') -> None:
         length = length or self._exactly(4, 'the header of a section')
@@ -152,8 +149,7 @@ class PcapReader:
     def _interface(self, body: bytes) -> None:
         if len(body) < 8 or len(self._interfaces) >= INTERFACES_LIMIT:
             raise _Damaged('a description of an interface that makes no sense: damaged')
-        link, _, snap_length = self._unpack('HHI', body)
-        one = Interface(link, snap_length)
+        one = Interface(self._unpack('H', body)[0])
         for code, value in self._options(body[8:]):
             if code == RESOLUTION and value:
                 base, power = (2, value[0] & 0x7F) if value[0] & 0x80 else (10, value[0])
@@ -177,15 +173,10 @@ class PcapReader:
             yield code, body[at + 4:at + 4 + size]
             at += 4 + size + -size % 4
 
-    def _packet(self, kind: int, body: bytes) -> CapturedPacket | None:
-        if kind == _SIMPLE:
-            return self._simple(body)
+    def _packet(self, body: bytes) -> CapturedPacket:
         if len(body) < 20:
             raise _Damaged('a packet without its header: damaged')
-        if kind == ENHANCED:
-            number, high, low, kept = self._unpack('IIII', body)
-        else:
-            number, _, high, low, kept = self._unpack('HHIII', body)
+        number, high, low, kept = self._unpack('IIII', body)
         if number >= len(self._interfaces) or kept > len(body) - 20:
             raise _Damaged('a packet of no interface, or cut: damaged')
         one = self._interfaces[number]
@@ -197,14 +188,6 @@ class PcapReader:
             elif code == COMMENT:
                 comments.append(_text(value))
         return CapturedPacket(one, stamp, self._order, body[20:20 + kept], flags, tuple(comments))
-
-    def _simple(self, body: bytes) -> CapturedPacket | None:
-        if not self._interfaces or len(body) < 4:
-            raise _Damaged('a packet of no interface: damaged')
-        one = self._interfaces[0]
-        size = self._unpack('I', body)[0]
-        kept = min(size, one.snap_length or size, len(body) - 4)
-        return CapturedPacket(one, 0, self._order, body[4:4 + kept])
 
     # --- bytes ---------------------------------------------------------------------------------
 

@@ -3,7 +3,6 @@
 """Which entries dxl_dump shows: --id, --about, --instruction, --errors. Pure."""
 
 import argparse
-from collections.abc import Callable
 
 from dxl_monitor.tools.dump.listing import DAMAGED
 from dxl_monitor.tools.dump.listing import Entry
@@ -11,25 +10,17 @@ from dxl_monitor.tools.dump.listing import MISSED
 from dxl_monitor.tools.dump.listing import PACKET
 
 
-class Filter:
-    """options: ids, about, instructions (sets, or None for all), errors and json."""
-
-    def __init__(self, options: argparse.Namespace) -> None:
-        self._tests: list[Callable[[Entry], bool]] = []
-        ids, about, codes = options.ids, options.about, options.instructions
-        if options.json:
-            self._tests.append(lambda entry: entry.kind == PACKET)
-        if ids is not None or about is not None:
-            exact, broad = ids or frozenset(), about or frozenset()
-            self._tests.append(lambda entry: _id(entry) in exact or not broad.isdisjoint(
-                _ids(entry)))
-        if codes is not None:
-            self._tests.append(lambda entry: _code(entry) in codes)
-        if options.errors:
-            self._tests.append(_is_error)
-
-    def wants(self, entry: Entry) -> bool:
-        return all(test(entry) for test in self._tests)
+def is_wanted(entry: Entry, options: argparse.Namespace) -> bool:
+    """Tell whether options ask for it: ids, about, instructions (sets, or None for all), ..."""
+    if options.json and entry.kind != PACKET:
+        return False
+    if options.errors and not _is_error(entry):
+        return False
+    if options.instructions is not None and _code(entry) not in options.instructions:
+        return False
+    if options.ids is None and options.about is None:
+        return True
+    return _id(entry) in (options.ids or ()) or not _ids(entry).isdisjoint(options.about or ())
 
 
 def _id(entry: Entry) -> int | None:

@@ -31,7 +31,7 @@ from dxl_monitor.record.opening import open_source
 from dxl_monitor.record.packet_file import is_packet_file
 from dxl_monitor.tools.doctor.no_data import reasons
 from dxl_monitor.tools.dump.decode import Interpreter
-from dxl_monitor.tools.dump.filter import Filter
+from dxl_monitor.tools.dump.filter import is_wanted
 from dxl_monitor.tools.dump.json import json_line
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.listing import Listing
@@ -77,7 +77,6 @@ class Session:
         self._next_look = 0                    # stamp
         self._monitors: dict[str, Monitor] = {}
         self._listings: dict[str, Listing] = {}
-        self._filter = Filter(options)
         self._screen = Screen(sys.stdout, options.colours)
         self._lines: Lines | None = None
         self._shown = 0
@@ -160,7 +159,7 @@ class Session:
 
     def _show(self, bus: str, interpreter: Interpreter, entry: Entry) -> None:
         """Show an entry, if it is wanted."""
-        if not self._filter.wants(entry) or self._has_enough():
+        if not is_wanted(entry, self._options) or self._has_enough():
             return
         began = self._source.began
         stamp = entry.stamp - began.stamp + began.wall
