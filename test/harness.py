@@ -50,6 +50,14 @@ def wait(condition, deadline_s=DEADLINE_S):
     return met
 
 
+def output_of(module, *arguments):
+    """Run a module of ours to its end, which has to be a good one; return what it prints."""
+    done = subprocess.run([sys.executable, '-m', module, *arguments], capture_output=True,
+                          text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
 class Background:
     """Does what `_run` does, in a thread, as long as it is entered; then `_done` is set."""
 

@@ -209,6 +209,11 @@ class SyntheticRobot:
             Metric('frame_rate', 'Hz', value=20.0 + wave),
             Metric('resident_memory', 'MB', value=48.3))]
 
+    def tell(self, state, time_s, at_s=None):
+        """Let a state take the reports of one second; at_s: when they come, if it is another."""
+        for topic, message in self.messages(time_s):
+            state.take(topic, message, time_s if at_s is None else at_s)
+
     def messages(self, time_s, all_topics=True):
         """Return (topic, bytes) of one second's reports, at most 20 statuses in each."""
         self._made_s = None

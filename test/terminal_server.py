@@ -24,10 +24,15 @@ class _Tty(serial.Serial):
 
 
 class TerminalServer:
-    """Serves one client at a time; `tty` is the port, and shows what the client has set."""
+    """
+    Serves one client at a time; `tty` is the port, and shows what the client has set.
+
+    carried  what each connection has brought for the port
+    """
 
     def __init__(self, path):
         self.tty = _Tty(path, 9600)
+        self.carried: list[bytearray] = []
         self._door = socket.create_server(('127.0.0.1', 0))
         self.url = f'rfc2217://127.0.0.1:{self._door.getsockname()[1]}'
         self._client = None
@@ -51,6 +56,7 @@ class TerminalServer:
 
     def _serve(self):
         manager = PortManager(self.tty, self)
+        self.carried.append(bytearray())
         while True:
             ready, _, _ = select.select([self._client, self.tty.fd], [], [])
             if self.tty.fd in ready:
@@ -58,7 +64,9 @@ class TerminalServer:
             if self._client in ready:
                 if not (chunk := self._client.recv(4096)):
                     return
-                os.write(self.tty.fd, b''.join(manager.filter(chunk)))
+                data = b''.join(manager.filter(chunk))
+                os.write(self.tty.fd, data)
+                self.carried[-1] += data
 
     def __enter__(self):
         self._thread.start()

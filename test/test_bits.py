@@ -13,6 +13,7 @@ from dxl_monitor.doctor import bits
 from dxl_monitor.doctor.bits import Shape
 from dxl_monitor.doctor.bits import Wreck
 from dxl_monitor.doctor.bits import WrongBit
+from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_instruction import Instruction as I
 from rigs.bus import frames
 from rigs.bus import uart
@@ -71,8 +72,7 @@ def test_a_single_bit_is_found_wherever_it_is(place, bit):
 
 
 def test_in_protocol_1_the_sum_tells_bit_and_direction():
-    body = bytes((32, 4, 0, 0, 0))
-    right = b'\xff\xff' + body + bytes((~sum(body) & 0xFF,))
+    right = encode_1(32, 0, bytes(2))
     assert right.hex() == 'ffff2004000000db'
     wrong = right[:-1] + b'\xfb'                       # as a user posted it
     [wreck] = bits.wrecks(wrong, (Shape(right[:5], 8, 32),))

@@ -33,6 +33,7 @@ from dxl_monitor.bus.table import READ
 from dxl_monitor.bus.table import Table
 from dxl_monitor.bus.tracker import Tracker
 from dxl_monitor.model.models import Models
+from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Instruction as I
@@ -122,8 +123,7 @@ def test_a_damaged_frame_is_noted_by_what_is_wrong(kind, code, reason, expected)
 
 def packet_1(number, size):
     """Return a packet of Protocol 1.0 with this Length."""
-    rest = bytes([number, size]) + bytes(size - 1)
-    return b'\xff\xff' + rest + bytes([~sum(rest) & 0xFF])
+    return encode_1(number, 0, bytes(size - 2))
 
 
 @pytest.mark.parametrize(('noise', 'fresh', 'devices'), [

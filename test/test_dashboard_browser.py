@@ -560,8 +560,16 @@ def test_theme_follows_the_system_until_chosen(dashboard, robot, open_page):
     assert page.evaluate('document.documentElement.dataset.theme') == 'dark'
 
 
+TOO_SMALL = """() => [...document.querySelectorAll(
+    'main button, main a:not(.cell), main input, .views a, .top button')]
+    .filter((one) => one.checkVisibility() && !one.closest('.figures'))
+    .map((one) => [one.textContent, one.className, one.getBoundingClientRect()])
+    .filter(([, , {width, height}]) => width && height < 43.5)
+    .map(([text, kind, box]) => `${text} (${kind}) ${box.width} x ${box.height}`)"""
+
+
 @pytest.mark.parametrize('size', SIZES)
-def test_every_view_fits(dashboard, robot, open_page, size):
+def test_every_view_fits_and_fingers_find_their_targets(dashboard, robot, open_page, size):
     robot.lost, robot.warned, robot.findings = {7, 11}, {14}, FINDINGS
     page = open_page(dashboard.address, size)
     for view in VIEWS:
@@ -569,6 +577,8 @@ def test_every_view_fits(dashboard, robot, open_page, size):
         page.locator('main .panel, main .tile').first.wait_for()
         wide = page.evaluate('document.documentElement.scrollWidth - innerWidth')
         assert wide <= 0, f'{view} is {wide} px too wide'
+        if size != 'desktop':
+            assert page.evaluate(TOO_SMALL) == [], view
 
 
 def test_the_whole_overview_fits_the_touch_display(dashboard, robot, open_page):
@@ -603,22 +613,6 @@ def test_accessibility(dashboard, robot, open_page, size):
                    [node['html'] for node in one['nodes']][:3]) for one in result['violations']]
     assert [one for one in found if one[3] in ('serious', 'critical')] == []
     assert found == []
-
-
-@pytest.mark.parametrize('size', ['phone', 'panel', 'touch'])
-def test_fingers_find_their_targets(dashboard, robot, open_page, size):
-    robot.lost = {7}
-    page = open_page(dashboard.address, size)
-    for view in VIEWS:
-        show(page, view)
-        page.locator('main .panel, main .tile').first.wait_for()
-        small = page.evaluate("""() => [...document.querySelectorAll(
-            'main button, main a:not(.cell), main input, .views a, .top button')]
-            .filter((one) => one.checkVisibility() && !one.closest('.figures'))
-            .map((one) => [one.textContent, one.className, one.getBoundingClientRect()])
-            .filter(([, , {width, height}]) => width && height < 43.5)
-            .map(([text, kind, box]) => `${text} (${kind}) ${box.width} x ${box.height}`)""")
-        assert small == [], view
 
 
 def test_the_list_stands_still_while_it_is_paused(page, robot):

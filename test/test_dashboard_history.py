@@ -72,8 +72,7 @@ def read(path, from_s=0, to_s=NIGHT * 2, of=()):
 def looked_at(robot, seconds, recorder=None):
     recorder, state = recorder or HistorySampler(), State()
     for second in seconds:
-        for topic, message in robot.messages(second):
-            state.take(topic, message, second)
+        robot.tell(state, second)
         recorder.look(state, second, NIGHT + second)
     return recorder.taken()
 
@@ -92,50 +91,47 @@ def test_what_is_kept_of_a_window():
     assert events == []
 
 
-def test_events():
-    robot, recorder, state = SyntheticRobot(), HistorySampler(), State()
+class Watched:
+    """A state and the sampler that looks at it."""
 
-    def told(second):
-        for topic, message in robot.messages(second):
-            state.take(topic, message, second)
-        state.expire(second)
-        recorder.look(state, second, NIGHT + second)
+    def __init__(self):
+        self._state, self._sampler = State(), HistorySampler()
+
+    def events(self, second, robot=None):
+        """Return the events of a second; robot: who reports in it."""
+        if robot:
+            robot.tell(self._state, second)
+        self._state.expire(second)
+        self._sampler.look(self._state, second, NIGHT + second)
         return [(event.kind, event.level, event.source.name.rpartition(': ')[2], event.text)
-                for event in recorder.taken()[1]]
+                for event in self._sampler.taken()[1]]
 
-    assert told(100.0) == []
+
+def test_events():
+    robot, watched = SyntheticRobot(), Watched()
+    assert watched.events(100.0, robot) == []
     robot.lost, robot.findings = {7}, FINDINGS[:1]
-    found = told(101.0)
+    found = watched.events(101.0, robot)
     assert ('state', 2, '007 left_knee', 'disconnected: 7 answers missed') in found
     assert ('finding', 1, 'bus', f'missing termination: {FINDINGS[0].message}') in found
     assert len(found) == 2                      # nothing of the answers that it missed
-    assert told(101.0) == []
+    assert watched.events(101.0, robot) == []
     robot.lost, robot.findings = set(), ()
-    found = told(102.0)
+    found = watched.events(102.0, robot)
     assert ('state', 0, '007 left_knee', 'connected') in found
     assert ('over', 0, 'bus', 'missing termination') in found
-    state.expire(200.0)
-    recorder.look(state, 200.0, NIGHT + 200.0)
-    silent = recorder.taken()[1]
-    assert {(event.level, event.text) for event in silent} == {
+    assert {(level, text) for _, level, _, text in watched.events(200.0)} == {
         (Level.STALE, 'No report from dxl_monitor: nothing is known of its 24 devices'),
         (Level.STALE, 'No report from vel2d_bridge: nothing is known of the rover; its last '
                       'state: driving')}
-    assert {one[2:] for one in told(201.0)} == {
+    assert {one[2:] for one in watched.events(201.0, robot)} == {
         ('link', 'driving'), ('bus', 'All 24 devices connected')}
 
 
 def written(*reports):
-    """Return the events of reports (second, robot, whether it is silent from then on)."""
-    state, recorder, events = State(), HistorySampler(), []
-    for second, robot in reports:
-        for topic, message in robot.messages(second) if robot else ():
-            state.take(topic, message, second)
-        state.expire(second)
-        recorder.look(state, second, NIGHT + second)
-        events += [(event.kind, int(event.level), event.source.name.rpartition(': ')[2],
-                    event.text) for event in recorder.taken()[1]]
-    return events
+    """Return the events of reports (second, robot or None)."""
+    watched = Watched()
+    return [event for report in reports for event in watched.events(*report)]
 
 
 def test_one_loss_is_one_event():
@@ -190,8 +186,7 @@ def test_what_was_not_recorded_is_said(writer, path):
 
 def test_noise_does_not_fill_the_file():
     robot, recorder, state = SyntheticRobot(), HistorySampler(), State()
-    for topic, message in robot.messages(100.0):
-        state.take(topic, message, 100.0)
+    robot.tell(state, 100.0)
     row = next(state.reports('buses')).row
     row['errors'] = [(100.0 + at / 100, 'noise') for at in range(200)]
     recorder.look(state, 102.0, NIGHT + 102.0)
@@ -239,8 +234,7 @@ def test_no_error_is_noted_twice_where_the_two_clocks_are_read_late():
     robot.stumbles = {7}
     noted = []
     for second, late in ((100.0, 0.0), (100.1, 0.4), (100.15, -0.2), (100.2, 2.0)):
-        for topic, message in robot.messages(100.0):
-            state.take(topic, message, second)
+        robot.tell(state, 100.0, second)
         recorder.look(state, second, NIGHT + second + late)
         noted.append([event.text for event in recorder.taken()[1] if event.kind == 'error'])
     assert noted[0] and noted[1:] == [[], [], []]
@@ -297,14 +291,6 @@ def test_a_file_of_the_same_version_goes_on(path):
     assert [one.at for one in read(path, NIGHT)[0]] == [NIGHT, NIGHT + 600]
 
 
-def test_two_dashboards_do_not_share_a_file(path):
-    first = HistoryRecorder(path)
-    with pytest.raises(HistoryError, match='another dashboard writes to it; give another'):
-        HistoryRecorder(path)
-    first.close()
-    HistoryRecorder(path).close()
-
-
 def test_a_link_in_place_of_the_lock_is_refused_and_its_target_left_alone(path):
     precious = path.with_name('precious')
     precious.write_text('kept')
@@ -328,6 +314,7 @@ def test_two_robots_on_one_machine(monkeypatch, tmp_path, capsys):
     assert (second.path.name, without) == ('rover2.sqlite', '')
     first.close()
     second.close()
+    HistoryRecorder(first.path).close()
 
 
 def test_a_place_that_cannot_be_written(tmp_path):

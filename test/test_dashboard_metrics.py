@@ -46,8 +46,7 @@ def samples(state):
 def told(*robots):
     state = State()
     for robot in robots:
-        for topic, message in robot.messages(100.0):
-            state.take(topic, message, 100.0)
+        robot.tell(state, 100.0)
     return state
 
 

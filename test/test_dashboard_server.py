@@ -41,6 +41,10 @@ def ask(dashboard, path='/', method='GET', **headers):
     return response, body
 
 
+def connect(dashboard, **options):
+    return socket.create_connection(('127.0.0.1', dashboard.port), timeout=20, **options)
+
+
 class Stream:
     """The events of one page; `id` is what it would resume with."""
 
@@ -224,31 +228,28 @@ def test_stop_ends_open_streams(dashboard):
     stream.close()
 
 
-def test_an_inbox_that_nobody_empties_is_bounded():
+def test_an_inbox_that_nobody_empties_is_bounded(dashboard):
     from mecarover_dashboard.web_server import INBOX
-    with Dashboard() as dashboard:
-        dashboard.stop()
-        for _ in range(2 * INBOX):
-            dashboard.server.take('/diagnostics', b'')
-        assert len(dashboard.server._inbox) == INBOX
+    dashboard.stop()
+    for _ in range(2 * INBOX):
+        dashboard.server.take('/diagnostics', b'')
+    assert len(dashboard.server._inbox) == INBOX
 
 
-def test_an_inbox_is_bounded_in_bytes_too(monkeypatch):
+def test_an_inbox_is_bounded_in_bytes_too(dashboard, monkeypatch):
     monkeypatch.setattr('mecarover_dashboard.web_server.INBOX_BYTES', 1000)
-    with Dashboard() as dashboard:
-        dashboard.stop()
-        for _ in range(20):
-            dashboard.server.take('/diagnostics', bytes(300))
-        assert len(dashboard.server._inbox) == 3
-
-
-def test_a_message_beyond_all_bounds_takes_no_room_of_others():
-    from mecarover_dashboard.web_server import INBOX_BYTES
-    with Dashboard() as dashboard:
-        dashboard.stop()
+    dashboard.stop()
+    for _ in range(20):
         dashboard.server.take('/diagnostics', bytes(300))
-        dashboard.server.take('/diagnostics', bytes(INBOX_BYTES + 1))
-        assert [len(message) for _, message, _ in dashboard.server._inbox] == [300, 0]
+    assert len(dashboard.server._inbox) == 3
+
+
+def test_a_message_beyond_all_bounds_takes_no_room_of_others(dashboard):
+    from mecarover_dashboard.web_server import INBOX_BYTES
+    dashboard.stop()
+    dashboard.server.take('/diagnostics', bytes(300))
+    dashboard.server.take('/diagnostics', bytes(INBOX_BYTES + 1))
+    assert [len(message) for _, message, _ in dashboard.server._inbox] == [300, 0]
 
 
 def test_versions_that_clients_claim_do_not_pile_up(dashboard):
@@ -265,7 +266,7 @@ def test_versions_that_clients_claim_do_not_pile_up(dashboard):
     b'POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: -5',
     b'GET / HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\nzz'])
 def test_what_is_no_request_is_answered_and_not_logged(dashboard, request_, caplog):
-    with socket.create_connection(('127.0.0.1', dashboard.port), timeout=20) as client:
+    with connect(dashboard) as client:
         client.sendall(request_ + b'\r\n\r\n')
         # aiohttp 3.9 of Ubuntu 24.04 leaves no Host to us, and takes the first of two.
         older = {b'GET / HTTP/1.1': b'421',
@@ -278,7 +279,7 @@ def test_what_is_no_request_is_answered_and_not_logged(dashboard, request_, capl
 def test_connections_are_limited(dashboard, monkeypatch):
     """The files of the process are those of its ROS node too."""
     monkeypatch.setattr('mecarover_dashboard.connection_limit.MOST_CONNECTIONS', 3)
-    idle = [socket.create_connection(('127.0.0.1', dashboard.port), timeout=20) for _ in range(9)]
+    idle = [connect(dashboard) for _ in range(9)]
     assert [_is_closed(client) for client in idle[3:]] == [True] * 6
     for client in idle:
         client.close()
@@ -287,10 +288,9 @@ def test_connections_are_limited(dashboard, monkeypatch):
 
 def test_one_address_leaves_room_for_others(dashboard, monkeypatch):
     monkeypatch.setattr('mecarover_dashboard.connection_limit.MOST_OF_ADDRESS', 3)
-    idle = [socket.create_connection(('127.0.0.1', dashboard.port), timeout=20) for _ in range(3)]
+    idle = [connect(dashboard) for _ in range(3)]
     wait(lambda: not _answers(dashboard))
-    other = socket.create_connection(('127.0.0.1', dashboard.port), timeout=20,
-                                     source_address=('127.0.0.2', 0))
+    other = connect(dashboard, source_address=('127.0.0.2', 0))
     other.sendall(b'GET / HTTP/1.0\r\nHost: localhost\r\n\r\n')
     assert other.recv(12) == b'HTTP/1.0 200'
     for client in (*idle, other):
@@ -299,14 +299,14 @@ def test_one_address_leaves_room_for_others(dashboard, monkeypatch):
 
 def test_a_head_that_does_not_come_is_not_waited_for(dashboard, monkeypatch):
     monkeypatch.setattr('mecarover_dashboard.connection_limit.HEAD_S', 0.3)
-    client = socket.create_connection(('127.0.0.1', dashboard.port), timeout=20)
+    client = connect(dashboard)
     client.sendall(b'GET / HTTP/1.1\r\nHost: loc')
     assert _is_closed(client)
     assert _answers(dashboard)
 
 
 def test_a_head_in_pieces_is_understood(dashboard):
-    client = socket.create_connection(('127.0.0.1', dashboard.port), timeout=20)
+    client = connect(dashboard)
     for piece in (b'GE', b'T / HTTP/1.0\r\nHost: ', b'localhost\r\n\r', b'\n'):
         client.sendall(piece)
     assert client.recv(12) == b'HTTP/1.0 200'

@@ -66,8 +66,18 @@ class Robot:
         assert done.returncode == 0, done.stderr
         return done.stdout
 
+    def uninstall(self):
+        return self.run('--uninstall', '--yes')
+
     def read(self, path):
         return (self.root / path).read_text()
+
+    def command(self):
+        """Install, and return what the unit of the bridge starts."""
+        self.install()
+        [command] = re.findall('^ExecStart=(.*)$', self.read('etc/systemd/system/' + UNITS[0]),
+                               re.M)
+        return command
 
     def files(self):
         return sorted(str(path.relative_to(self.root))
@@ -86,7 +96,7 @@ def test_usbmon_is_for_the_service_alone(robot):
     assert robot.read('etc/modules-load.d/mecarover_usbmon.conf') == 'usbmon\n'
     assert 'usermod' not in told
     assert 'nothing to do' in robot.install('--usbmon')
-    robot.run('--uninstall', '--yes')
+    robot.uninstall()
     assert not [file for file in robot.files() if 'usbmon' in file]
     refused = robot.run('--mcu', '/dev/ttyAMA0', '--usbmon', '--yes')
     assert (refused.returncode, refused.stderr) == (
@@ -113,7 +123,7 @@ def test_the_page_alone_and_its_undoing(robot):
         'etc/mecarover_serial/environment', 'etc/systemd/system/dxl_dashboard.service',
         'etc/udev/rules.d/70-mecarover_serial.rules']
     assert robot.run('--dashboard', '--yes').stdout == 'install: nothing to do\n'
-    assert robot.run('--uninstall', '--yes').returncode == 0
+    assert robot.uninstall().returncode == 0
     assert 'etc/systemd/system/dxl_dashboard.service' not in robot.files()
 
 
@@ -143,15 +153,15 @@ def test_edited_settings_survive(robot):
     settings.write_text('mine')
     robot.install()
     assert settings.read_text() == 'mine'
-    assert robot.run('--uninstall', '--yes').returncode == 0
+    assert robot.uninstall().returncode == 0
     assert (robot.root / 'etc/mecarover_serial.removed/bridge.yaml').read_text() == 'mine'
 
 
 def test_uninstall_leaves_only_the_settings_aside(robot):
     robot.install()
-    assert robot.run('--uninstall', '--yes').returncode == 0
+    assert robot.uninstall().returncode == 0
     assert {Path(name).parts[1] for name in robot.files()} == {'mecarover_serial.removed'}
-    again = robot.run('--uninstall', '--yes')
+    again = robot.uninstall()
     assert (again.returncode, again.stdout) == (0, 'install: nothing to do\n')
 
 
@@ -224,18 +234,14 @@ def test_a_mistake_is_one_line(robot, options, words):
 
 
 def test_a_workspace_is_sourced_and_a_venv_is_not(robot):
-    robot.install()
-    [command] = re.findall('^ExecStart=(.*)$', robot.read('etc/systemd/system/' + UNITS[0]), re.M)
-    assert f'{robot.prefix.parent}/setup.bash' in command
+    assert f'{robot.prefix.parent}/setup.bash' in robot.command()
     (robot.prefix / 'pyvenv.cfg').touch()
-    robot.install()
-    [command] = re.findall('^ExecStart=(.*)$', robot.read('etc/systemd/system/' + UNITS[0]), re.M)
-    assert command.startswith(f'{robot.prefix}/lib/mecarover_serial/vel2d_bridge --ros-args')
+    assert robot.command().startswith(
+        f'{robot.prefix}/lib/mecarover_serial/vel2d_bridge --ros-args')
     (robot.prefix / 'bin').mkdir()
     (robot.prefix / 'bin/vel2d_bridge').touch()
-    robot.install()
-    [command] = re.findall('^ExecStart=(.*)$', robot.read('etc/systemd/system/' + UNITS[0]), re.M)
-    assert command.startswith(f'{robot.prefix}/bin/vel2d_bridge --ros-args'), 'its own Python'
+    assert robot.command().startswith(
+        f'{robot.prefix}/bin/vel2d_bridge --ros-args'), 'its own Python'
 
 
 def test_the_command_line_survives_systemd(robot, tmp_path):
@@ -245,8 +251,7 @@ def test_the_command_line_survives_systemd(robot, tmp_path):
     (robot.prefix.parent / 'setup.bash').write_text('export SOURCED=yes\n')
     node = robot.prefix / 'lib/mecarover_serial/vel2d_bridge'
     node.write_text('#!/bin/sh\necho "$SOURCED $*"\n')
-    robot.install()
-    [command] = re.findall('^ExecStart=(.*)$', robot.read('etc/systemd/system/' + UNITS[0]), re.M)
+    command = robot.command()
     said = 'yes --ros-args -p disabled_file:=%S/mecarover_serial/bridge_disabled ' \
         '--params-file /etc/mecarover_serial/bridge.yaml'
     for more in ('', ' --enclave /vel2d_bridge'):

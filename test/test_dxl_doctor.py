@@ -422,6 +422,7 @@ def test_a_text_that_is_not_known_is_one_line():
 def test_what_explain_prints():
     text = '\n'.join(explain.lines(explain.find('[RxPacketError] Overload error!')))
     assert 'hardware error' in text
+    assert '  Possible causes, the likeliest first: .' not in explain.lines(explain.explanations())
     assert max(map(len, text.splitlines())) <= 80
 
 

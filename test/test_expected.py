@@ -18,7 +18,7 @@ from mecarover_serial.parameters import ParameterError
     ('11::left_knee', [Expected(11, '', 'left_knee')]),
     ('1-3:MX-64', [Expected(1, 'MX-64'), Expected(2, 'MX-64'), Expected(3, 'MX-64')]),
     (' 0 - 1 : MX-64 ', [Expected(0, 'MX-64'), Expected(1, 'MX-64')]),
-    ('252', [Expected(252)]),
+    ('253', [Expected(253)]),
     ('100:Rhoban DXL Board', [Expected(100, 'Rhoban DXL Board')]),
     ('1-2:MX-64,7:MX-106:hip', [Expected(1, 'MX-64'), Expected(2, 'MX-64'),
                                 Expected(7, 'MX-106', 'hip')]),

@@ -55,11 +55,6 @@ def make_master(pattern='moving', faults=(), *, devices=DEFAULT_DEVICES, baud=BA
                   truth=WholeTruth(line), **options)
 
 
-def tables(truth):
-    assert isinstance(truth, WholeTruth)
-    return truth.tables
-
-
 def play(master, seconds=3.0):
     return list(master.bursts(round(seconds * S)))
 
@@ -123,12 +118,9 @@ def test_master_that_was_there_before_sends_no_ping():
 def test_joints_swing_and_goals_lead():
     master = make_master('sync', devices=('1:MX-106',))
     play(master, 2.0)
-    known = tables(master.truth)[1]
+    known = master.truth.tables[1]
     motion = master.line.chain[0].motion
-    assert motion is not None
-    model = MODELS.by_name('MX-106')
-    assert model is not None
-    field = model.by_name['Present Position']
+    field = MODELS.by_name('MX-106').by_name['Present Position']
     raw = bytes(known.table[at] for at in range(field.at, field.end))
     assert field.decode(raw).number == pytest.approx(motion.angle(1.99), abs=0.02)
 
@@ -170,7 +162,7 @@ def assert_agrees(report, truth):
         totals = device.totals
         assert (totals.answers, totals.missed, totals.not_served) == \
             (known.answered, known.missed, known.waiting), number
-        learned = tables(truth)[number]
+        learned = truth.tables[number]
         assert (device.model_number, device.firmware) == (learned.model_number, learned.firmware)
         seen = {value.field.name: value for value in device.observed}
         for field in device.model.fields:
@@ -331,7 +323,6 @@ def test_outlet_counts_what_nobody_took_as_unheard_then_as_overrun(outlet):
 def test_bus_in_real_time_is_the_bus_on_paper():
     paper = b''.join(burst.data for burst in play(make_master(), 1.0))
     bus = FakeBus(make_master(), tap=True)
-    assert bus.tap is not None
     readers = [Reader(bus.path), Reader(bus.tap.path)]
     bus.start(1.0)
     deadline = time.monotonic() + DEADLINE_S

@@ -30,9 +30,7 @@ TORQUE, LED, GOAL, POSITION, WATCHDOG = 64, 65, 116, 132, 98
 
 
 def make(number=1, name='XM430-W350', *, motion=None, return_delay=0, firmware=0):
-    model = MODELS.by_name(name)
-    assert model is not None
-    device = FakeDevice(number, model, baud=BAUD, motion=motion)
+    device = FakeDevice(number, MODELS.by_name(name), baud=BAUD, motion=motion)
     device.set('Return Delay Time', return_delay)
     device.firmware = firmware or device.firmware
     return device
@@ -45,7 +43,6 @@ def write(device, address, data):
 @pytest.mark.parametrize('number', MODELS.names())
 def test_every_model_answers_for_all_its_registers_and_moves(number):
     model = MODELS.get(number)
-    assert model is not None
     device = FakeDevice(1, model, motion=Sine(amplitude=0.5))
     device.set('Torque Enable', 1)
     for field in model.fields:

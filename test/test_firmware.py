@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """firmware/ on this machine, with sanitizers: the receiver and its examples."""
 import math
-from pathlib import Path
 import shutil
 import subprocess
-import sys
 
+from harness import output_of
 import pytest
 
 from msg_defs.crc import CRC_INPUTS
@@ -38,10 +37,7 @@ def test_the_receiver(tmp_path, options):
 
 def test_the_same_verdict_as_the_reader_in_python():
     """On each of 10^6 bytes; docs/firmware.md has the figures of 10^8."""
-    done = subprocess.run([sys.executable, '-m', 'fuzz.firmware', '--bytes', '1000000'],
-                          capture_output=True, text=True, cwd=Path(__file__).parents[1])
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert ' 0 wrong' in done.stdout
+    assert ' 0 wrong' in output_of('fuzz.firmware', '--bytes', '1000000')
 
 
 @pytest.mark.parametrize('name', EXAMPLES)

@@ -298,7 +298,7 @@ def read_2(number, at, size):
     return read(number, at, size), encode(number, STATUS, bytes(size), error=0)
 
 
-ASKED = packet(1, 2, 56, 2)
+ASKED, ACKED = packet(1, 2, 56, 2), packet(1, 3, 40, 1)
 COLLIDED = b'\xdf\xdf\1\0\0\x20\0\xfd'       # two servos answered
 CLIPPED = *8 * (b'\xff\xff\1\4\0\0\2\x80',), b'\xff\xff\x88\xf0\4\0\2\xf0'
 SILENT_WRITE = write_2(2, 64, 1)[0], b''
@@ -330,7 +330,105 @@ def lost_acks(each):
                             read_2(number, 132, 4), rounds=1)
 
 
+def locks(*registers):
+    """Write to EEPROM of a Feetech servo, and to Lock (55), then move it."""
+    first = [(packet(1, *one), packet(1, 0, *(one[0] == 2) * (9, 3))) for one in registers]
+    yield from goes((packet(1, 3, 41, 50, 0, 8, 0, 0, 9, 0), packet(1, 0)), (
+        packet(1, 2, 56, 15), packet(1, 0, *bytes(15))), first=[
+            *first, (packet(1, 3, 40, 1), packet(1, 0))])
+
+
+def read_in_part(comes, whole=1):
+    """Write to and read two servos; of what comes only as much is read as is due, or none."""
+    yield 0, '', EMPTY
+    for turn in count():
+        number = 1 + turn % 2
+        asked, answer = packet(number, 2, 56, 2), packet(number, 0, turn % 200, 8)
+        if turn % 3 < 2:
+            asked, answer = packet(number, 3, 42, turn % 200, 8), packet(number, 0)
+        came, size = comes(number, asked, answer), whole * len(answer)
+        yield 40, OUT, asked
+        yield 1, IN, came[:size]
+        yield 0.1, '', Change(UNREAD, len(came) - size)
+        yield 0, '', Change(PURGED, 1)
+        yield 0, '', EMPTY
+
+
+def streams(waiting):
+    """Write to all servos and read nothing, while so many bytes come."""
+    while True:
+        yield 20, OUT, packet(254, 3, 40, 1)
+        yield 9, '', Change(UNREAD, waiting)
+        yield 0, '', Change(PURGED, 1)
+
+
+def cut_off(unread):
+    """End on an acknowledgement after a stray byte, of which so many bytes are not read."""
+    yield from goes(SEARCH[2], rounds=1)
+    yield 5, OUT, ACKED
+    yield 1, IN, b'\xfe' + packet(1, 0)[:-1]
+    yield 0, '', Change(UNREAD, unread)
+
+
+def looks_for(ms):
+    """End on a Sync Read that the second of two does not answer, so long after the first."""
+    yield 0, '', EMPTY
+    yield 5, OUT, encode(254, 0x82, bytes((132, 0, 4, 0, 1, 2)))
+    yield 1, IN, encode(1, STATUS, bytes(4), error=0)
+    yield ms, '', Change(GAVE_UP, 0)
+
+
+def all_away(but):
+    """Ask three servos that are silent together for a while, or all but one."""
+    for turn in count():
+        number = 1 + turn % 3
+        is_away = 8 < turn < 20 and number != but
+        yield from islice(goes((packet(number, 2, 56, 2), b'' if is_away else packet(
+            number, 0, turn % 200, 8)), rounds=1), 1, 3)
+
+
+def paces(slow):
+    """Ask every 40 ms, in some turns later."""
+    for turn in count():
+        yield 39 + slow(turn), OUT, ASKED
+        yield 1, IN, packet(1, 0, 0, 8)
+
+
+def by_chance(each):
+    """Damage the answers of three servos; an error byte comes with a good sum, one in so many."""
+    for turn in count():
+        number = 1 + turn % 3
+        yield 20, OUT, packet(number, 2, 56, 2)
+        error = 32 * (turn % each == 1)
+        answer = packet(number, error, turn % 200, 8)
+        yield 1, IN, answer if error or turn % 2 else answer[:-1] + b'\x55'
+
+
 @pytest.mark.parametrize(('said', 'failed', 'found'), [
+    (locks((3, 55, 1), (3, 9, 0, 1)), '', 'lock'),
+    (locks((2, 3, 2), (3, 55, 1), (3, 9, 0, 1), (3, 55, 1)), '', 'lock'),
+    (locks((2, 3, 2), (3, 55, 0), (3, 9, 0, 1), (3, 55, 1)), '', ''),
+    (read_in_part(lambda _, asked, answer: answer, 0), '', 'impatient_master'),
+    (read_in_part(lambda _, asked, answer: answer), '', ''),
+    (read_in_part(lambda _, asked, answer: asked + answer), '', 'echo'),
+    (read_in_part(lambda number, asked, answer: number % 2 * b'\0\0' + answer), '', ''),
+    (read_in_part(lambda _, asked, answer: b'\xfe\0\xfe\0' + answer), '', 'noise'),
+    (read_in_part(lambda number, asked, answer: answer + number % 2 * b'\x28\1'), '',
+     'duplicate_id'),
+    (read_in_part(lambda number, asked, answer: answer + b'\0'), '', ''),
+    (read_in_part(lambda number, asked, answer: answer if number == 2 else
+                  answer[:3] + b'\x64' + answer[4:]), '', 'damaged_answers'),
+    (streams(8), '', 'echo'), (streams(0), '', ''), (streams(9), '', ''),
+    (cut_off(1), RAISED, ''), (cut_off(0), RAISED, 'damaged_answers'),
+    (goes((ACKED, COLLIDED), rounds=1, first=SEARCH[2:3]), RAISED, 'damaged_answers'),
+    (goes((ACKED, COLLIDED), rounds=1, first=SEARCH[2:3]), '', ''),
+    (goes((ASKED, b''), rounds=4), '', 'all_silent'), (goes((ASKED, b''), rounds=2), '', ''),
+    (goes(write_2(1, 64, 1), SILENT_WRITE, rounds=9), '', 'no_answer'),
+    (looks_for(12), FAILED, 'no_answer'), (looks_for(4), FAILED, ''),
+    (all_away(0), '', 'brown_out'), (all_away(2), '', ''),
+    (paces(lambda turn: turn * 7919 % 97 if turn % 3 == 2 else 0), '', 'jitter'),
+    (paces(lambda turn: 60 * (turn % 3 == 2)), '', ''),
+    (by_chance(90), '', 'noise'), (by_chance(3), '', 'hardware_error noise'),
     (goes((ASKED, COLLIDED)), '', 'damaged_answers'), (goes((ASKED, b'')), '', 'no_answer'),
     (goes((ASKED, b'\0\xfe' + packet(1, 0, 0, 8))), '', ''),
     (goes(SEARCH[1], SEARCH[2], (packet(3, 1), COLLIDED), (packet(4, 1), b''), rounds=1), RAISED,
@@ -424,3 +522,18 @@ def test_a_search_over_rates_is_no_silence_once_it_finds(finds, levels):
     bus.monitor.end(bus.now)
     log.take(bus.report())
     assert [one.finding.level for one in log.entries() if one.finding.level] == levels
+
+
+@pytest.mark.parametrize(('answer', 'is_unknown'), [(b'', True), (packet(1, 0), False)])
+def test_writes_without_one_byte_back_are_no_clean_bill(answer, is_unknown):
+    bus = Bus()
+    for _ in range(10):
+        bus.monitor.feed(packet(1, 3, 42, 0, 8), bus.now, OUT)
+        bus.wait(0.01)
+        if answer:
+            bus.monitor.feed(answer, bus.now, IN)
+        bus.wait(0.5)
+    bus.monitor.end(bus.now)
+    report = bus.report()
+    assert any('not one byte' in one.message for one in report.doubts) == is_unknown
+    assert not report.findings

@@ -42,13 +42,15 @@ IO = {'os', 'socket', 'select', 'time', 'serial', 'subprocess', 'pathlib'}
 FILES = [path for package in LAYERS for path in sorted((ROOT / package).rglob('*.py'))]
 
 
-def imports(path):
+def imports(path, known=()):
+    """Yield what a file imports; `from a import b` is a.b if that is a known module."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f'{path}: relative import'
-            yield node.module
+            yield from {full if (full := f'{node.module}.{alias.name}') in known else node.module
+                        for alias in node.names}
 
 
 def is_ros(module):
@@ -87,14 +89,7 @@ def modules():
 
 def imported(path, known):
     """Return which of the known modules a file imports, wherever in it."""
-    names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            names |= {full if (full := f'{node.module}.{alias.name}') in known else node.module
-                      for alias in node.names}
-    return sorted(names & known.keys())
+    return sorted(set(imports(path, known)) & known.keys())
 
 
 def circle_in(arrows):

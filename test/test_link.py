@@ -475,10 +475,9 @@ def test_a_terminal_server_drives_the_rover_stops_it_and_has_no_use_for_a_deadma
         with linked(server.url, deadman=Alive()) as link:
             drive(link, mcu)
             server.hang_up()
-            wait(lambda: link.state().losses == 1)
-            frames = len(velocities(mcu))
-            wait(lambda: link.state().openings == 2 and len(velocities(mcu)) > frames)
-            assert velocities(mcu)[frames] == STOP      # the first of the new connection
+            wait(lambda: len(server.carried) == 2 and len(server.carried[1]) >= FRAME_SIZE)
+            assert decode(bytes(server.carried[1][:FRAME_SIZE])) == STOP
+            assert (link.state().losses, link.state().openings) == (1, 2)
             drive(link, mcu)
             state = link.state()
             assert state.deadman == 'no use'

@@ -24,7 +24,6 @@ from mecarover_serial.pty import Pty
 pytestmark = pytest.mark.alone
 
 
-
 def _wait_longer(found, than):
     wait(lambda: len(found) > than)
 
@@ -59,23 +58,6 @@ def collector(cable):
     collector.wait_open()
     yield collector
     collector.listener.stop()
-
-
-def test_hands_on_every_byte_in_order_with_growing_stamps(cable, collector):
-    sent = b''
-    for part in range(100):
-        data = bytes([part]) * (1 + part % 7)
-        sent += data
-        os.write(cable.master, data)
-    wait(lambda: len(collector.data) == len(sent))
-    assert collector.data == sent
-    stamps = [stamp for _, stamp in collector.chunks]
-    assert stamps == sorted(stamps)
-    assert stamps[-1] <= time.monotonic_ns()
-    counters = collector.listener.counters
-    assert counters.bytes == len(sent)
-    assert counters.reads == len(collector.chunks)
-    assert counters.openings == 1
 
 
 def test_tells_that_the_line_is_idle_and_how_far_it_listened(cable, collector):

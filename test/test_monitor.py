@@ -15,6 +15,7 @@ from heard_bus import READ
 from heard_bus import REPLY
 from heard_bus import SECOND
 import pytest
+from tracked_bus import damaged
 from tracked_bus import packets
 import yaml
 
@@ -37,10 +38,6 @@ from msg_defs.event import UNKNOWN
 from msg_defs.reports import Level
 
 POSITIONS = encode(BROADCAST, I.SYNC_READ, struct.pack('<HH', 132, 4) + b'\x01\x02\x03')
-
-
-def damaged(packet):
-    return packet[:-1] + bytes([packet[-1] ^ 1])
 
 
 HEARD = yaml.safe_load(Path(__file__).with_name('monitor.yaml').read_text(encoding='utf-8'))

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 
 from harness import wait
 import pytest
@@ -68,7 +69,9 @@ def test_equal_bytes_in_equal_order(cable, in_thread):
     assert b''.join(chunk for chunk, _ in chunks) == sent
     stamps = [stamp for _, stamp in chunks]
     assert stamps == sorted(stamps)
+    assert stamps[-1] <= time.monotonic_ns()
     assert listener.counters.reads == len(chunks)
+    assert listener.counters.openings == 1
 
 
 def test_only_the_process_reads_and_nobody_can_write(cable, collector):

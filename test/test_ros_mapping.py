@@ -21,9 +21,11 @@ S = 1_000_000_000
 
 
 @pytest.fixture
-def ros():
+def ros(monkeypatch):
     pytest.importorskip('rclpy', reason='skipped: no ROS here')
-    return importlib.import_module('msg_defs.ros')
+    ros = importlib.import_module('msg_defs.ros')
+    monkeypatch.setattr(ros, 'statistics_msgs', STAND_IN)
+    return ros
 
 
 def checked(message):
@@ -225,8 +227,7 @@ def publish(ros, metrics, prefix='dxl', buses=(), topics='all'):
     return node
 
 
-def test_timing_topics_of_a_node_without_buses(ros, monkeypatch):
-    monkeypatch.setattr(ros, 'statistics_msgs', STAND_IN)
+def test_timing_topics_of_a_node_without_buses(ros):
     node = publish(ros, [metric(), Metric('frame_rate', 'Hz', value=20.0),
                          Metric('stamp_age', 'ms')], prefix='vel2d', topics='headline')
     assert {topic: kind.__name__ for topic, kind in node.types.items()} == {
@@ -244,8 +245,7 @@ def test_timing_topics_of_a_node_without_buses(ros, monkeypatch):
     assert over_the_wire(node.published['vel2d/timing/write_ms'][0]).data == 3.0
 
 
-def test_timing_topics_of_several_buses_with_devices(ros, monkeypatch):
-    monkeypatch.setattr(ros, 'statistics_msgs', STAND_IN)
+def test_timing_topics_of_several_buses_with_devices(ros):
     load = [Metric('bus_load', '%', value=50.0, bus=bus) for bus in ('left arm', 'left-arm')]
     node = publish(ros, [*load, metric('reply_latency', bus='left arm', device='011')],
                    buses=['left arm', 'left-arm'])
@@ -263,8 +263,7 @@ def test_no_timing_topics(ros):
     assert publish(ros, [metric()], topics='off').types == {}
 
 
-def test_metrics_message_follows_rclcpp(ros, monkeypatch):
-    monkeypatch.setattr(ros, 'statistics_msgs', STAND_IN)
+def test_metrics_message_follows_rclcpp(ros):
     node = publish(ros, [metric(values=(1.0, 2.0, 6.0))], prefix='vel2d')
     message = node.published['vel2d/statistics/write'][0]
     assert message.measurement_source_name == 'vel2d_node/write'
@@ -277,8 +276,7 @@ def test_metrics_message_follows_rclcpp(ros, monkeypatch):
     assert all(type(point.data) is float for point in message.statistics)
 
 
-def test_metrics_message_says_nan_where_there_is_no_data(ros, monkeypatch):
-    monkeypatch.setattr(ros, 'statistics_msgs', STAND_IN)
+def test_metrics_message_says_nan_where_there_is_no_data(ros):
     node = publish(ros, [Metric('write', 'ms'), Metric('frame_rate', 'Hz', value=20.0)])
     empty = [point.data for point in node.published['dxl/statistics/write'][0].statistics]
     value = [point.data for point in node.published['dxl/statistics/frame_rate'][0].statistics]
@@ -290,8 +288,7 @@ def test_metrics_message_says_nan_where_there_is_no_data(ros, monkeypatch):
 
 
 @pytest.mark.parametrize('value', [nan, inf, -inf])
-def test_no_figure_is_published_that_is_no_number(ros, monkeypatch, value):
-    monkeypatch.setattr(ros, 'statistics_msgs', STAND_IN)
+def test_no_figure_is_published_that_is_no_number(ros, value):
     node = publish(ros, [Metric('frame_rate', 'Hz', value=value)])
     assert node.published['dxl/timing/frame_rate_hz'] == []
     [message, _] = node.published['dxl/statistics/frame_rate']

@@ -22,6 +22,7 @@ from mecarover_dashboard.state import State
 from mecarover_dashboard.status_lines import exit_code
 from mecarover_dashboard.status_lines import screen
 from mecarover_dashboard.status_lines import status_lines
+from mecarover_dashboard.status_lines import table
 from msg_defs.reports import Level
 from msg_defs.reports import Status
 
@@ -69,7 +70,9 @@ def test_level_and_message_are_those_of_the_status(model):
 def test_robots_are_told_apart_and_a_namespace_has_its_own():
     robots = [SyntheticRobot(namespace=f'rover{number}') for number in (1, 2)]
     robots[1].lost = {7}
-    lines = screen(status_lines(told(*robots), 100.0))
+    state = told(*robots)
+    assert table(state, 100.0, 'm')[1].startswith('ERROR')          # it misses most
+    lines = screen(status_lines(state, 100.0))
     assert [line for line in lines if ' 007 left_knee ' in line] == [
         'ERROR   rover2  007 left_knee  disconnected: 7 answers missed']
     assert 'rover2' in lines[0]

@@ -17,9 +17,9 @@ from dxl_monitor.bus.dxl1_classifier import AnyFramer
 from dxl_monitor.bus.dxl1_classifier import Dxl1Classifier
 from dxl_monitor.bus.dxl1_classifier import Parts
 from dxl_monitor.bus.dxl1_classifier import SLOW_NS
+from dxl_monitor.bus.echo import EchoCounter
 from dxl_monitor.bus.evidence import Evidence
 from dxl_monitor.bus.expected import Expected
-from dxl_monitor.bus.planner import NO_PLAN
 from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.report import CycleTimes
 from dxl_monitor.bus.report import PROTOCOL_2
@@ -83,6 +83,7 @@ class BusDecoder:
         self._last_in = 0                     # stamp of the last bytes to the master, if known
         self._noise_in = 0                    # bytes of noise to it that were looked at
         self.evidence = Evidence()
+        self.echo = EchoCounter(self.evidence)
         self.clock = CycleClock()
         self.registry = DeviceRegistry(models, settings.devices, settings.baud, self.evidence)
         self.choice = DialectChoice(models, settings.protocol)
@@ -121,9 +122,11 @@ class BusDecoder:
             wire_ns = len(chunk) * self.byte_ns
             if side == OUT:
                 self._turn(stamp)
+                self.echo.send(chunk)
                 awaited, wait = self.tracker.slots, self._last_wait()
                 stamp += int(wire_ns)
             else:
+                self.echo.hear(chunk)
                 self._last_in = stamp
                 self.clock.answer(stamp, wire_ns)
         framer.stamp = stamp
@@ -146,9 +149,11 @@ class BusDecoder:
         framer = self.framers.get(IN)
         if framer is None:
             return
-        if stamp - self._last_in > self.idle_ns and framer.pending:
+        plan, came = self.tracker.pending, framer.bytes - self.tracker.quiet_from
+        if framer.pending and (stamp - self._last_in > self.idle_ns or came >= plan.answers_size):
             self._flush(IN, framer, self._last_in)
         self._note_noise(framer)
+        self.tracker.unread.end_answer(plan, came, framer.noise_length > 0)
         self.tracker.quiet_from = framer.bytes - framer.pending
         self.tracker.unread.expire(stamp, self.byte_ns)
 
@@ -217,8 +222,7 @@ class BusDecoder:
             self.tracker.unread.say(value, received, stamp)
         elif what == PURGED:
             if value & 1:
-                self.tracker.unread.purge(
-                    NO_PLAN if self.tracker.slots else self.tracker.pending, stamp)
+                self._purge(stamp)
             if value & 2 and stamp < self.tracker.asked + AT_ONCE_NS:
                 self.tracker.unread.unsent = self.tracker.asked
         elif what == GAVE_UP:
@@ -229,8 +233,26 @@ class BusDecoder:
         elif what in (CLOSED, GONE, LOST):
             self._end(stamp, value if what == LOST else 0)
 
+    def _purge(self, stamp: int) -> None:
+        """Take note that the program threw away what waited."""
+        tracker = self.tracker
+        self._leave(stamp)
+        tracker.unread.purge(tracker.pending, tracker.slots, tracker.asked, tracker.quiet_from,
+                             stamp)
+
+    def _leave(self, stamp: int) -> None:
+        """Take note that the program does not read what waits: an answer may have lost its end."""
+        unread, framer = self.tracker.unread, self.framers.get(IN)
+        self.echo.drop(unread.waiting, bool(self.tracker.slots))
+        unread.dropped += unread.waiting
+        if unread.waiting and framer is not None and framer.pending:
+            until, unread.until = unread.until, 0
+            self._flush(IN, framer, stamp)
+            unread.until = until
+
     def _end(self, stamp: int, lost: int = 0) -> None:
         """Take what is left as whole; what comes now has nothing to do with it."""
+        self._leave(stamp)
         for side, framer in self.framers.items():
             self._flush(side, framer, stamp)
         self._settle()

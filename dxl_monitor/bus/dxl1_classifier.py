@@ -97,7 +97,6 @@ class Dxl1Classifier:
         self._asked: Said = (-1, -1, b'')  # the last instruction
         self._asked_ns = 0.0               # when it ended
         self._has_decided = False          # the last packet decided the dialect
-        self._is_echoing = False           # what the master sends comes back to it
         self._awaited: dict[int, int] = {} # statuses to come: parameters, by ID
         self._errors: dict[int, int] = {}  # error byte of the last status, by ID
         self._meanings: dict[Said, Meaning] = {}
@@ -253,11 +252,9 @@ class Dxl1Classifier:
         """Return whether what came to the master is an instruction, mostly its own."""
         number, code, params = said
         if number == BROADCAST or code > STATUS_BITS:
-            self._is_echoing |= said == self._asked
             return True
-        if said != self._asked or (len(params) == awaited and not self._is_echoing):
+        if said != self._asked or (len(params) == awaited and not self._evidence.counts[ev.ECHO]):
             return False
-        self._is_echoing = True
         self._asked = (-1, -1, b'')        # it comes back once
         return True
 

@@ -140,6 +140,7 @@ FAST_CUT = IncidentKind[Sizes]('fast reply cut')
 REPEATED = IncidentKind[Again]('repeated')
 UNSTUFFED = IncidentKind[Code]('unstuffed')                   # FF FF FD without its FD
 BAUD_WRITTEN = IncidentKind[Written]('Baud Rate written')     # the code
+LOCKED = IncidentKind[Written]('locked')                      # EEPROM; the address
 OPEN = IncidentKind[Code]('undecided packet')                 # an instruction or a status (1.0)
 CALIBRATED = IncidentKind[Nothing]('calibrated')              # the position became the middle
 OFFSET_WRITTEN = IncidentKind[Offsets]('offset written')       # Homing Offset of Feetech
@@ -152,6 +153,7 @@ PROTOCOL_1 = IncidentKind[Code]('protocol 1.0')
 ECHO = IncidentKind[Nothing]('echo')                          # counted only: the master's
 FOREIGN = IncidentKind[Code]('foreign instruction')           # it came to the master
 NOT_SENT = IncidentKind[Code]('not sent')
+THROWN_AWAY = IncidentKind[Code]('answers thrown away')       # unread
 SOURCE_LOST = IncidentKind[Much]('source lost')
 LEFT_OPEN = IncidentKind[Lateness]('last question open')      # it ended too soon to know
 

@@ -10,6 +10,7 @@ tracker looks a plan up by the bytes that say who and where, and an answer finds
 from collections import deque
 from collections.abc import Callable
 from enum import Enum
+from math import inf
 from struct import Struct
 from typing import Any
 
@@ -33,6 +34,7 @@ Effect = tuple[Action, tuple[Any, ...]]
 Begin = Callable[[bytes, int], Effect | None]
 STAMPS_KEPT = 64
 _NO_SIZE = -1
+AROUND, AROUND_1 = 11, 6           # bytes of a status without its data; in the 1.0 family
 
 
 class Due(Enum):
@@ -54,6 +56,11 @@ class Slot:
         self.span = address, length
         self.size = length
         self.take = take
+
+    @property
+    def status_size(self) -> int:
+        """How many bytes the status has on the wire."""
+        return self.size + (AROUND if self.device.dialect is None else AROUND_1)
 
 
 def combined_slot(first: Device) -> Slot:
@@ -173,6 +180,12 @@ class Plan:
             waiting += 1
         served = len(due) - max(0, waiting - 1)
         return served, due[served - 1].device.number
+
+    @property
+    def answers_size(self) -> float:
+        """How many bytes answer it, infinite where that is not known."""
+        known = self.slots and BROADCAST not in self.slots
+        return sum(slot.status_size for slot in self.slots.values()) if known else inf
 
     @property
     def is_understood(self) -> bool:

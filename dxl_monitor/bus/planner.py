@@ -13,7 +13,6 @@ from functools import partial
 from itertools import islice
 from struct import Struct
 from typing import Any
-from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.device import Device
@@ -49,6 +48,7 @@ TARGETS_KEPT = 64                  # different lists of IDs in Sync Writes
 SLOTS_KEPT = 32_768                # the size of all plans together: 3000 different reads
 BYTES_PER_SLOT = 32                # so many bytes of a plan's key count as one slot
 _ADDRESS_SIZE = 2                  # in front of what is written
+_span_at = Struct('<HH').unpack_from
 NO_PLAN = Plan(Request(0, 0xFF, Answers.NONE), {})
 
 _KEY_SIZE = {code: kind.key_size for code, kind in KINDS.items()}
@@ -56,14 +56,8 @@ _KEY_SIZE = {code: kind.key_size for code, kind in KINDS.items()}
 # write, the parameters in front of them, and how many there are in all.
 Said = tuple[int, int, int, bytes]
 Key = Said | tuple[int, int, int, bytes, int]
-
-
-class Target(NamedTuple):
-    """One device of a Sync Write; is_changed: the write may change what the device is or does."""
-
-    device: Device
-    keep: Take
-    is_changed: bool
+# One device of a Sync Write; whether the write may change what the device is or does.
+Target = tuple[Device, Take, bool]
 
 
 class Planner:
@@ -240,13 +234,11 @@ class Planner:
 
     def _sync_write(self, params: bytes, stamp: int) -> None:
         """Write to many. Robots send this most of all, so it is not parsed each time."""
-        address = params[0] | params[1] << 8
-        size = params[2] | params[3] << 8
+        span = address, size = _span_at(params)
         ids = params[4::size + 1]
         if 4 + len(ids) * (size + 1) != len(params):
             self._note_malformed(Instruction.SYNC_WRITE, params, stamp)
             return
-        span = address, size
         key = params[:4] + ids
         targets, layout = self._targets.get(key) or self._find_targets(key, address, size, ids)
         parts = layout.unpack_from(params, 4)      # all at once: slices of each cost more
@@ -265,7 +257,7 @@ class Planner:
         for device in devices:
             device.uses(address, size)
         found = self._targets[key] = [
-            Target(one, one.table.keep, one.is_changed_by(address, size))
+            (one, one.table.keep, one.is_changed_by(address, size))
             for one in devices], Struct(f'x{size}s' * len(ids))
         return found
 

@@ -304,10 +304,15 @@ class DeviceRegistry:
         """Note what a write to EEPROM or to Status Return Level changes about the device."""
         self.resolve(device)
         field = device.model.by_address.get(address)
-        device.counts.eeprom_writes += field is not None and field.memory == 'eeprom'
+        is_kept = field is not None and field.memory == 'eeprom'
+        device.counts.eeprom_writes += is_kept
+        lock = device.model.by_name.get('Lock')
+        is_locked = is_kept and lock is not None and device.table.byte(lock.at) == 1
         for name, value in device.special_values(address, data):
             if alone or name != 'ID':
                 self._followers[name](device, value, stamp)
+        if is_locked:
+            self._evidence.note(stamp, ev.LOCKED, device.number, ev.Written(address))
 
     def _follow_baud(self, device: Device, value: int, stamp: int) -> None:
         self._evidence.note(stamp, ev.BAUD_WRITTEN, device.number, ev.Written(value))

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.evidence import Evidence
+from dxl_monitor.bus.plan import AROUND
 from dxl_monitor.bus.plan import Due
 from dxl_monitor.bus.plan import Effect
 from dxl_monitor.bus.plan import Plan
@@ -21,7 +22,6 @@ from dxl_monitor.bus.registry import DeviceRegistry
 from dxl_monitor.bus.report import Wait
 from msg_defs.frame import GLITCH
 
-AROUND = 11                        # bytes of a status without its data
 ACKS_LEARNED = 3                   # writes without an answer, from a device that answers reads
 
 

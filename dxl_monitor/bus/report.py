@@ -126,6 +126,7 @@ class Counts:
     garbled: int = 0               # damage where its answer was due
     fast_answers: int = 0          # its parts of fast replies
     pongs: int = 0                 # answers to Pings
+    surplus: int = 0               # bytes came after its answer, or too many in its place
     data_missed: int = 0           # `missed` without the acks: data that it was asked for
 
     @property

@@ -62,8 +62,7 @@ class Tracker:
         self._known = planner.known
         self._evidence, self._note = evidence, evidence.note
         self._policy = ReplyPolicy(write_acks, missed_limit, registry, evidence)
-        self._state = pairing.DOUBTFUL
-        self._noise = 0                        # bytes of it ahead of the last flawed frame
+        self._state, self._noise = pairing.DOUBTFUL, 0     # bytes ahead of the last flawed frame
         self.quiet_from = 0                    # offset of what it received after it asked
         self.pending: Plan = NO_PLAN           # the instruction that answers belong to
         self._last = _NOTHING                  # its kind, ID, code and parameters
@@ -89,8 +88,7 @@ class Tracker:
                 if side != IN or not self._is_echo(said, stamp):
                     slots = self._instruct(said, flaw, begin, end, received, stamp)
                 continue
-            slot = slots.pop(number, None)
-            if slot is None:
+            if (slot := slots.pop(number, None)) is None:
                 self._unasked(number, code, data, stamp)
                 continue
             device = slot.device
@@ -104,22 +102,14 @@ class Tracker:
             else:
                 device.counts.answers += 1
                 device.heard = stamp
-                slot.take(slot.span, data, stamp, READ)
+                take = slot.take       # calling it as an attribute costs more
+                take(slot.span, data, stamp, READ)
 
     def _is_echo(self, said: Said, stamp: int) -> bool:
         """Take an instruction that came to the master; return whether it is its own."""
-        is_own = said == self._last
-        self._evidence.counts[ev.ECHO] += is_own
+        is_own = said == self._last or bool(self._evidence.counts[ev.ECHO])
         if not is_own:
             self._note(stamp, ev.FOREIGN, said[1], ev.Code(said[2]))
-        return is_own
-
-    def _is_own(self, number: int, code: int, data: bytes) -> bool:
-        """Return whether a status is the instruction itself: in 1.0 both look alike."""
-        kind, asked, _, said = self._last
-        is_own = kind != INSTRUCTION_2 and number == asked and bool(data and code) \
-            and data in (said[::2], said[:1] + said[2:])       # a Read, a Write
-        self._evidence.counts[ev.ECHO] += is_own
         return is_own
 
     def not_sent(self, stamp: int) -> None:
@@ -171,10 +161,10 @@ class Tracker:
         self._before, self.pending, self._last = self.pending, plan, said
         plan.asked += 1
         plan.stamps.append(stamp)
-        if plan.begin is not None:             # nothing waits: _close() has ended that
+        if (start := plan.begin) is not None:  # nothing waits: _close() has ended that
             if flaw is not None and flaw.unstuffed and plan.request.accesses:
                 self._note(stamp, ev.UNSTUFFED, said[1], ev.Code(said[2]))
-            self._deferred = plan.begin(said[3], stamp)
+            self._deferred = start(said[3], stamp)
         self._asked = end, received, stamp
         self._unresolved, self._state = True, pairing.SURE
         self.slots = slots = plan.slots.copy()
@@ -182,9 +172,7 @@ class Tracker:
 
     def _unusual(self, slot: Slot, number: int, error: int, data: bytes, stamp: int) -> None:
         """Take an awaited status that is damaged in its context, an error or a return."""
-        if self._is_own(number, error, data):
-            self.slots[number] = slot
-        elif number == BROADCAST:
+        if number == BROADCAST:
             if self.is_doubtful or not self._take_whole(error, data, stamp):
                 wire = fast_wire(error, data)
                 self._combined(wire + body_crc(wire).to_bytes(2, 'little'), stamp)
@@ -206,7 +194,8 @@ class Tracker:
                 device.counts.answers += 1
                 device.heard = stamp
                 device.last_error = 0
-                slot.take(slot.span, data, stamp, READ)
+                take = slot.take
+                take(slot.span, data, stamp, READ)
         self.slots.clear()
         return True
 
@@ -248,8 +237,7 @@ class Tracker:
         blocks = split_combined(body, accesses)        # each part that holds proves itself
         there = max(len(blocks), blocks_in(body, accesses))
         for block in blocks:
-            slot = self.slots.pop(block.id, None)
-            if slot is not None:
+            if (slot := self.slots.pop(block.id, None)) is not None:
                 slot.device.counts.fast_answers += 1
                 self._answer(slot, block.error, block.data, stamp)
         if len(blocks) < there:
@@ -265,8 +253,6 @@ class Tracker:
 
     def _unasked(self, number: int, error: int, data: bytes, stamp: int) -> None:
         """Take a status that was not due: a sign of life, no more."""
-        if self._is_own(number, error, data):
-            return
         if number > self._registry.highest:
             self._note(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
             return
@@ -314,6 +300,8 @@ class Tracker:
         if side == IN and noise > GLITCH:      # what came before the question is no matter
             noise = min(noise, max(0, frame[0] - self.quiet_from))
         self._noise = noise
+        if reason == 'cut' and self.unread.cuts(frame, noise, self.slots, stamp):
+            return True
         damage, loud = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
         if reason:
             if noise > GLITCH:

@@ -13,21 +13,24 @@ from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.device import Device
 from dxl_monitor.bus.device import OWED_NS
 from dxl_monitor.bus.evidence import Evidence
+from dxl_monitor.bus.plan import AROUND
+from dxl_monitor.bus.plan import AROUND_1
 from dxl_monitor.bus.plan import Due
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.plan import Slot
 from dxl_monitor.bus.registry import DeviceRegistry
-from dxl_monitor.bus.reply_policy import AROUND
 from dxl_monitor.bus.reply_policy import OpenQuestion
 from dxl_monitor.bus.reply_policy import ReplyPolicy
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.table import READ
 from msg_defs.dxl_instruction import ALERT
+from msg_defs.frame import Frame
 from msg_defs.frame import Frames
+from msg_defs.frame import GLITCH
 
-AROUND_1 = 6                       # bytes of a status without its data in the 1.0 family
 READ_LATE_NS = 10_000_000_000
 ADAPTER_NS = 17_000_000            # a latency timer of 16 ms, and Return Delay Time
+SPARE_NS, TIMES = 5_000_000, 2     # what an adapter is at most slower than it was before
 AT_ONCE_NS = 500_000               # who looks no longer than that did not wait for an answer
 KEPT = 16                          # questions
 
@@ -40,11 +43,13 @@ class Unread:
     that was said, 0: never. left: the questions whose answers may be there or come, the oldest
     first; last: what was open when the port was closed. given_up: the answer that a question to
     one device did not get, and when. patience_ns: for how long such an answer may still come.
-    unsent: the stamp of the question that was thrown away while it was sent.
+    waiting: how many bytes wait. dropped: how many were thrown away since the question. unsent:
+    the stamp of the question that was thrown away while it was sent.
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, duty: ReplyPolicy) -> None:
-        self.until = self.stamp = self._purged = self._waiting = self._looked = self._since = 0
+        self.until = self.stamp = self._purged = self.waiting = self._looked = self._since = 0
+        self.dropped = 0
         self.patience_ns, self.unsent = OWED_NS, -1
         self.left: deque[OpenQuestion] = deque(maxlen=KEPT)
         self.last: list[OpenQuestion] = []
@@ -55,7 +60,7 @@ class Unread:
 
     def say(self, waiting: int, received: int, stamp: int) -> None:
         """Take note of how many bytes wait, after `received` that were read."""
-        self._waiting, self.until = waiting, waiting and received + waiting
+        self.waiting, self.until = waiting, waiting and received + waiting
         self._since = received
         self.stamp, self.patience_ns = stamp, READ_LATE_NS
 
@@ -65,7 +70,7 @@ class Unread:
 
     def leaves(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
         """Take a question that is over; return whether its answer may be there or come."""
-        if self._is_unsent(question, now):
+        if self._notes_unsent(question, now):
             return True
         if not self.until and (
                 not self.stamp or question.is_spoilt or self._looked > question.asked + AT_ONCE_NS
@@ -78,7 +83,8 @@ class Unread:
             self.left.append(question)
         return True
 
-    def _is_unsent(self, question: OpenQuestion, now: int) -> bool:
+    def _notes_unsent(self, question: OpenQuestion, now: int) -> bool:
+        """Note a question that was thrown away while it was sent; return whether it was."""
         is_unsent, request = self.unsent == question.asked, question.plan.request
         if is_unsent:
             self._evidence.note(now, ev.NOT_SENT, request.id, ev.Code(request.instruction))
@@ -89,33 +95,76 @@ class Unread:
         while not self.until and self.left and self._has_had_time(self.left[0], now, byte_ns):
             self._duty.judge(self.left.popleft(), now, now)
 
-    def _has_had_time(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
+    def _has_had_time(self, question: OpenQuestion, now: int, byte_ns: float,
+                      adapter_ns: float = ADAPTER_NS) -> bool:
         size = sum(slot.size + AROUND for slot in question.due)
-        return now - question.asked >= ADAPTER_NS + byte_ns * size
+        return now - question.asked >= adapter_ns + byte_ns * size
 
-    def purge(self, before: Plan, stamp: int) -> None:
+    def _slowest_ns(self) -> float:
+        """Return how long to wait for data, by how soon answers came before."""
+        known = [device.latency.total() for device in self._registry.devices.values()]
+        return min(ADAPTER_NS, SPARE_NS + TIMES * 1e6 * max(
+            (one.maximum for one in known if one is not None), default=ADAPTER_NS))
+
+    def purge(self, plan: Plan, slots: dict[int, Slot], asked: int, received: int,
+              stamp: int) -> None:
         """
         Take note that the program threw away what it had received.
 
-        That may be the answer that it gave up last; else, where it has all that it asked one
-        device for, as many bytes again are from a second device with that ID.
+        slots: what it waits for; received: the offset where that begins. If it never looked for
+        it, and just that is there, it throws away what it asked for. Else that may be the
+        answer that it gave up last; or, where it has all that it asked one device for, as many
+        bytes again are from a second device with that ID.
         """
-        slot, given_up = self.given_up
-        late = slot is not None and stamp - given_up < OWED_NS
-        if not late:
-            slot = before.slots.get(before.request.id)
-        if slot is not None and self._waiting == slot.size + (
-                AROUND if slot.device.dialect is None else AROUND_1):
-            number = slot.device.number
-            if late:
-                self._registry.heard(slot.device, 0, stamp)
-                self._evidence.note(stamp, ev.LATE, number, ev.Lateness(0))
-            else:
-                self._evidence.note(stamp, ev.SECOND_ANSWER, number,
-                                    ev.Code(before.request.instruction))
-        self.until = self._waiting = 0
+        request = plan.request
+        if slots and self._looked <= asked and self._since == received \
+                and self.waiting == sum(slot.status_size for slot in slots.values()):
+            self._evidence.note(stamp, ev.THROWN_AWAY, request.id, ev.Code(request.instruction))
+            for one in slots.values():
+                self._registry.heard(one.device, 0, stamp)
+            slots.clear()
+        else:
+            self._take_rest(None if slots else plan.slots.get(request.id), plan, stamp)
+        self.until = self.waiting = 0
         self._purged = stamp
         self.left.clear()
+
+    def _take_rest(self, slot: Slot | None, plan: Plan, stamp: int) -> None:
+        """Take what nothing waits for and is thrown away; slot: what was answered before."""
+        given_up, when = self.given_up
+        late = given_up is not None and stamp - when < OWED_NS
+        slot = given_up if late else slot
+        if slot is None or self.waiting != slot.status_size:
+            return
+        if late:
+            self._registry.heard(slot.device, 0, stamp)
+            self._evidence.note(stamp, ev.LATE, slot.device.number, ev.Lateness(0))
+        else:
+            self._evidence.note(stamp, ev.SECOND_ANSWER, slot.device.number,
+                                ev.Code(plan.request.instruction))
+
+    def cuts(self, frame: Frame, noise: int, slots: dict[int, Slot], stamp: int) -> bool:
+        """Take an answer of which the program threw the end away, after noise; or return False."""
+        begin, end, _, number, _, _, flaw = frame
+        if not self.dropped or flaw is None:
+            return False
+        slot = slots.get(number)
+        if slot is None or noise > GLITCH or end - begin + self.dropped != slot.status_size:
+            return False
+        del slots[number]
+        self.dropped = 0
+        slot.device.counts.answers += 1
+        self._registry.heard(slot.device, 0, stamp)
+        self._evidence.counts[ev.GLITCH] += noise > 0
+        self._evidence.waits.append(Wait(stamp, 0, number, True))      # it got no whole answer
+        return True
+
+    def end_answer(self, plan: Plan, received: int, is_noisy: bool) -> None:
+        """Count an answer that was longer, by no stray byte; is_noisy: no packet was its end."""
+        if (is_noisy or self.dropped) and len(plan.slots) == 1 and not (self.left or self.until):
+            slot = next(iter(plan.slots.values()))
+            slot.device.counts.surplus += received + self.dropped > slot.status_size + 1
+        self.dropped = 0
 
     def take(self, frames: Frames, stamp: int, received: int, before: Plan) -> Frames:
         """Take the answers that are old; return the other frames; before: the last but one."""
@@ -136,7 +185,7 @@ class Unread:
                 else:
                     rest.append(frame)
         if received >= self.until:             # all of it is read
-            self.until = self._waiting = 0
+            self.until = self.waiting = 0
         return rest
 
     def _take_extra(self, device: Device, code: int, data: bytes, stamp: int,
@@ -197,14 +246,16 @@ class Unread:
             is_passed = bool(slots) and slots[-1] not in question.due      # the others had a turn
             if is_passed:
                 now = max(now, question.asked + 1)
-            waited = failed and self._looked > question.asked + AT_ONCE_NS
+            waited = failed and (question.is_spoilt
+                                 or self._looked > question.asked + AT_ONCE_NS)
             due = [slot for slot in question.due if self._duty.is_due(slot)
                    or (waited and slot.device.acks is None)]
-            if not due or now < question.asked or self._is_unsent(question, now):
+            if not due or now < question.asked or self._notes_unsent(question, now):
                 continue
             us = (now - question.asked) // 1000
             is_known = is_passed or question.is_spoilt or question.spoke or (
-                self._has_had_time(question, now, byte_ns)
+                self._has_had_time(question, now, byte_ns, self._slowest_ns() if all(
+                    slot.due is not Due.ACK for slot in due) else ADAPTER_NS)
                 and not self.until and self._purged < question.asked)
             if failed and is_known:
                 self._duty.judge(question._replace(due=due), now, now, us)

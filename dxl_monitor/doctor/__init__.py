@@ -39,6 +39,7 @@ from msg_defs.reports import worst
 
 S = 1_000_000_000
 HUSH_S = 0.5                       # no byte for so long: there is nothing to judge
+WEAK_S = 1.5                       # what one answer says, where many are damaged
 HOLD_NS = 3 * S                    # a claim lasts so much longer than its evidence
 
 # In the order in which they are reported where levels are equal: the causes of others first.
@@ -78,7 +79,8 @@ class Doctor:
                 if isinstance(found, Claim):
                     key = rule.name, found.device
                     since[key] = self._since.get(key, case.now)
-                    if found.is_certain or case.now - since[key] >= rule.onset_s * S:
+                    onset_s = WEAK_S if case.is_weak and rule in health.RULES else rule.onset_s
+                    if found.is_certain or case.now - since[key] >= onset_s * S:
                         self._standing[key] = rule, found, case.now
                 else:
                     doubts.append(Finding(rule.name, Level.OK, found.device, found.reason))

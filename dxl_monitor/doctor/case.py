@@ -44,6 +44,7 @@ RHYTHM_NS = 750 * MS               # between two looks at the rhythms: they cost
 QUIET_NS = 625 * MS                # without an instruction: nothing new is judged
 PAUSES_NS = 60 * S                 # so far back pauses of the master are usual ones
 ALWAYS = 0.9                       # this share of the time: as good as each time
+WEAK = 5                           # damaged answers
 GONE_S = 1.5                       # unanswered for so long: gone, rather than starting again
 
 _DAMAGE = (ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH)
@@ -153,6 +154,11 @@ class Case:
     def damage(self) -> int:
         """How many frames in the window were damaged."""
         return sum(self.count(kind) for kind in _DAMAGE)
+
+    @property
+    def is_weak(self) -> bool:
+        """Whether a damaged answer may pass for a whole one: many are, and sums have one byte."""
+        return self.damage + self.spoilt >= WEAK and self.report.protocol != words.PROTOCOL_2
 
     @cached_property
     def damage_s(self) -> float:

@@ -365,7 +365,7 @@ RULES = (
     Rule(MODELS, Level.OK, _models),
     Rule('eeprom_wear', Level.WARN, _eeprom_wear, ('torque_off',), each=True),
     Rule('fast_read_unsupported', Level.WARN, _fast_reads,
-         (*SILENCE, 'all_silent', 'noise', 'damaged_answers', 'wrong_address')),
+         (*SILENCE, 'all_silent', 'noise', 'damaged_answers', 'wrong_address', 'dropout')),
     Rule('sync_read_unsupported', Level.WARN, _sync_reads, ('jitter',)),
     Rule('unstuffed', Level.WARN, _unstuffed),
     Rule('no_acks', Level.OK, _no_acks, ('missed_answers', 'no_answer'), onset_s=ONSET_S,

@@ -45,7 +45,7 @@ BURST_NS = 1_000_000_000           # a source may hand over so much wire time la
 ECHO_US = 100
 WRITTEN_S = 0.5                    # an acknowledgement and a write to Lock may follow
 AT_ONCE = 1.5                      # answers right after one's own, to those at any time
-ECHO_S = (1.0, 10.0)              # soon, where much is said
+ECHOED = 0.1                       # share of the instructions: some run into answers
 ONSET_S = 1.0                      # by then it has shown whether something else does it
 
 _OF_THE_WIRE = ('noise', 'damaged_answers', 'turnaround', 'stray_bytes', 'missed_answers',
@@ -196,6 +196,10 @@ def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     models = window.model_changes >= 2 and window.spoilt >= FEW
     at_end = case.report.failed == words.RAISED and twice == case.count(ev.SECOND_ANSWER)
     others = case.count(ev.UNASKED, device.id) + case.count(ev.LATE, device.id)
+    if _says_too_much(case, device):
+        return Claim(device.id, 'more bytes come than its answers have, not so from others: two '
+                     'devices have this ID; unplug one and change the ID of the other',
+                     {'answers': window.surplus})
     if (twice < (1 if at_end else FEW) or twice < AT_ONCE * others) and not models:
         return None
     also = ', by two models' if window.model_changes >= 2 else ''
@@ -205,6 +209,15 @@ def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
                   'second answers': twice,
                   'damaged': window.spoilt,
                   'model changes': window.model_changes})
+
+
+def _says_too_much(case: Case, device: DeviceReport) -> bool:
+    """Tell whether bytes follow the answers of this device alone: a cable only changes them."""
+    surplus, asked = device.window.surplus, device.window.asked
+    others = [one.window for one in case.report.devices
+              if one is not device and one.window.answers >= surplus]
+    return surplus >= max(SOME, BOTH_WAYS * asked) and bool(others) and all(
+        10 * one.surplus <= surplus for one in others) and not case.count(ev.LATE)
 
 
 def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
@@ -273,8 +286,11 @@ def _stray_bytes(case: Case) -> Claims:
 
 def _echo(case: Case) -> Claims:
     if case.report.has_sides:          # what it says twice it says itself
-        heard_back = max(_echoes(case, seconds) for seconds in ECHO_S)
-        if heard_back:
+        least, heard_back, asked = SOME, case.counted('echoes'), case.counted('instructions')
+        if case.report.failed:         # it may have ended on the first
+            least, heard_back, asked = 1, case.report.kinds.get(ev.ECHO, 0), \
+                case.report.counters['Instructions']
+        if heard_back >= least and heard_back > ECHOED * asked:
             yield Claim(None, 'the master receives what it sends: its adapter echoes; switch the '
                         'echo off, or let the program skip it',
                         {'echoes': heard_back})
@@ -285,16 +301,6 @@ def _echo(case: Case) -> Claims:
         yield Claim(None, 'every instruction is heard twice: the adapter echoes what its master '
                           'sends; switch the echo off. Losses counted here are not real',
                     {'echoes': len(again)})
-
-
-def _echoes(case: Case, seconds: float) -> int:
-    """Return how many instructions came back, where most of them do; else 0."""
-    heard_back, asked = case.counted('echoes', seconds), case.counted('instructions', seconds)
-    least = SOME
-    if case.report.failed == words.RAISED:     # it may have ended on the first
-        least, heard_back = 1, case.report.kinds.get(ev.ECHO, 0)
-        asked = case.report.counters['Instructions']
-    return heard_back if heard_back >= least and heard_back > 0.5 * asked else 0
 
 
 def _foreign_answers(case: Case, device: DeviceReport) -> Found | None:
@@ -367,8 +373,8 @@ RULES = (
     Rule('protocol_1', Level.WARN, _protocol_1,
          ('stray_bytes', 'wrong_baud')),
     Rule('echo', Level.WARN, _echo,
-         (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'jitter', 'impatient_master',
-          'late_answers', 'goal_limits', 'refused', 'hardware_error')),
+         (*_ALL_ELSE, 'wrong_length', 'wrong_address', 'goal_limits', 'refused', 'hardware_error',
+          'torque_off')),
     Rule('duplicate_id', Level.ERROR, _duplicate_id,
          (*DAMAGE, 'turnaround', 'late_answers', 'rebooted'), each=True),
     Rule('foreign_answers', Level.WARN, _foreign_answers,

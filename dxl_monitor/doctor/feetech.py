@@ -9,6 +9,7 @@ from collections import defaultdict
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.health import RECENT_S
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import Doubt
@@ -43,18 +44,20 @@ def _baud_code(case: Case, device: DeviceReport) -> Found | None:
 def _locked(case: Case, device: DeviceReport) -> Found | None:
     values = case.values[device.id]
     lock = values.get('Lock')
-    if lock is not None and lock.value.raw != 1:
+    written = [device.model.by_address[one.detail.value].name for one in
+               case.incidents(ev.LOCKED, device.id) if one.detail.value in device.model.by_address]
+    if lock is None or lock.value.raw == 1:
+        written += [one.field.name for one in device.observed if one.source == 'w'
+                    and one.field.memory == 'eeprom' and (
+                        lock is None or one.age_s < min(lock.age_s, RECENT_S))]
+    if not written:
         return None
-    written = [one.field.name for one in device.observed if one.source == 'w'
-              and one.field.memory == 'eeprom' and (lock is None or one.age_s < lock.age_s)]
-    if written and lock is None:
+    if lock is None:
         return Doubt(device.id, f'{written[0]} written, and Lock never read: while Lock is 1 the '
                                 'servo ignores that, or forgets it at power-off')
-    if not written or not device.window.eeprom_writes:
-        return None
     effect, remedy = _OF_LOCK[device.model.protocol]
     return Claim(device.id, f'{written[0]} written while Lock is 1: the servo {effect}; {remedy}',
-                 {'written': ', '.join(written)})
+                 {'written': ', '.join(dict.fromkeys(written))})
 
 
 def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:

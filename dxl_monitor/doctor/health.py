@@ -33,6 +33,7 @@ GOAL_SIZE = 2                      # bytes: with four a position does not end th
 FRESH_S = 3.0
 WATCHED_NS = 500_000_000
 FEW, TWICE = 3, 2
+BY_CHANCE = 8                      # damaged answers to one error byte: their sum has one byte
 _FREE_IT = ('free the joint or reduce its load; then switch its torque off and on, or its power '
             'if that does not help')
 # What to do about an error bit of the 1.0 family, by a part of its name; the first that fits.
@@ -91,12 +92,14 @@ def is_watched(case: Case, device: DeviceReport, place: Observed) -> bool:
 
 def latched(device: DeviceReport) -> Claim | None:
     """Return the hardware error of a device, by its alert bit."""
-    if not device.alert or not device.window.alerts:
+    is_2 = device.protocol == words.PROTOCOL_2
+    if not device.alert or not device.window.alerts \
+            or (not is_2 and BY_CHANCE * device.window.alerts <= device.window.spoilt):
         return None
     values = {one.field.name: one for one in device.observed}
     torque = ', torque is off' if is_off(values.get('Torque Enable')) else ''
     figures = {'answers with alert': device.window.alerts}
-    if device.protocol != words.PROTOCOL_2:    # bits that say what is, with nothing to read
+    if not is_2:                               # bits that say what is, with nothing to read
         remedy = next((remedy for bit, remedy in _REMEDIES.items() if bit in device.last_error),
                       'switch it off and on')
         return Claim(device.id, f'{device.last_error} error in its answers{torque}: {remedy}',

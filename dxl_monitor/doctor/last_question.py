@@ -12,8 +12,11 @@ from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import Doubt
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.reports import Level
 
 S = 1_000_000_000
+MANY = 4                           # as `missed_limit`
+FEW = 3                            # vain waits that show it
 
 
 def ended_on(case: Case) -> Wait | None:
@@ -41,11 +44,17 @@ def is_used(device: DeviceReport) -> bool:
 
 
 def unacknowledged(case: Case) -> Claims:
-    """Look for devices that were only written to, and never heard; others acknowledge writes."""
+    """Look for devices that were only written to, and never heard."""
+    if not case.report.is_answered and any(one.acks_missing for one in case.report.devices) \
+            and case.report.is_over and not case.report.failed and len(case.report.waits) < FEW:
+        yield Doubt(None, 'writes are sent, and not one byte comes back: no power, another baud '
+                          'rate, or Status Return Level below 2; let your program read once')
     for device in case.report.devices if any(one.acks for one in case.report.devices) else ():
         if device.last_heard_s is None and device.acks_missing \
                 and not device.window.spoilt and not device.moved_to:
             says = (f'never heard, and did not acknowledge {device.acks_missing} writes, as '
                     'others do: check its power, cable and ID, or its Status Return Level if it '
                     'answers a Ping')
-            yield Claim(device.id, says) if case.report.failed else Doubt(device.id, says)
+            failed, is_over = case.report.failed, case.report.is_over
+            yield Claim(device.id, says, level=None if failed else Level.WARN) \
+                if failed or (is_over and device.acks_missing > MANY) else Doubt(device.id, says)

@@ -18,7 +18,16 @@ from dxl_monitor.doctor.case import is_waiting
 from dxl_monitor.doctor.case import Sample
 from dxl_monitor.doctor.health import is_off
 from dxl_monitor.doctor.health import is_watched
+from dxl_monitor.doctor.joint import does_not_follow
+from dxl_monitor.doctor.joint import FOLLOW_S
+from dxl_monitor.doctor.joint import is_ignored
+from dxl_monitor.doctor.joint import lately
+from dxl_monitor.doctor.joint import MOVES
+from dxl_monitor.doctor.joint import since_it_moved
+from dxl_monitor.doctor.joint import span
+from dxl_monitor.doctor.joint import STOPPED_S
 from dxl_monitor.doctor.last_question import ended_on
+from dxl_monitor.doctor.last_question import FEW
 from dxl_monitor.doctor.last_question import is_used
 from dxl_monitor.doctor.last_question import unacknowledged
 from dxl_monitor.doctor.rule import about
@@ -33,21 +42,18 @@ from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import share
 from dxl_monitor.doctor.states import RATES
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_packet import BROADCAST
 from msg_defs.reports import Level
 
 S = 1_000_000_000
 MS = 1_000_000
 AWAY_MS = 100                      # shorter than any start; longer than an answer or two lost
 DIP = 0.9                          # below this share of the voltage now the supply sagged
-MOVES, STANDS = 20, 6              # raw steps of a goal, of a position: it does not follow
 FAR = 200                          # the same: farther than what holds a joint bends
-STOPPED_S = 1.0                    # standing still for so long means something
-FOLLOW_S = 4.0                     # samples of so long tell whether it follows
 STANDS_S = 2.5                     # it does not move for so long of them; its torque was not read
 SETTLED_S = 2.0                    # after a return: by then a restart has shown
 TICK_TURN_S = 32.768               # Realtime Tick begins at 0 again (e-Manual)
 TICK_SLACK_S = 0.5
-FEW = 3
 LOSS = 0.01
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate and protocol"
 
@@ -56,7 +62,7 @@ def _all_silent(case: Case) -> Claims:
     asked, heard = case.counted('instructions', GONE_S), case.counted('answers', GONE_S)
     missing = [device.id for device in case.report.devices
                if device.missed_in_a_row or is_waiting(device)]
-    figures = {'instructions': asked}
+    figures, is_over = {'instructions': asked}, case.report.is_over
     is_new = all(device.last_heard_s is None for device in case.report.devices)
     if _waits_for_one(case, missing):
         return
@@ -67,8 +73,8 @@ def _all_silent(case: Case) -> Claims:
         hint = '' if case.report.has_sides else '; or only the master is heard'
         yield Claim(None, f'none of {len(missing)} devices answers the master: check power and '
                           f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
-    elif not case.report.is_answered and (case.report.is_over or len(
-            case.report.tried) <= RATES) and (case.report.failed or any(
+    elif not case.report.is_answered and (is_over or len(case.report.tried) <= RATES) and (
+            case.report.failed or (is_over and len(case.report.waits) >= FEW) or any(
                 cycle.instruction == Instruction.PING for cycle in case.report.cycles)):
         yield Claim(None, 'not one byte comes back to the program: check power and first cable'
                           f'{_OF_THE_MASTER}', figures)
@@ -180,7 +186,8 @@ def _dropout(case: Case, device: DeviceReport) -> Found | None:
             device.window.missed:
         return None
     absences = [one for one in _absences(case, device.id)
-                if _talks_since(case, one) and case.now - one.stamp > SETTLED_S * S]
+                if _talks_since(case, one)
+                and (case.now - one.stamp > SETTLED_S * S or case.report.is_over)]
     if not absences:
         return None
     away = max(one.detail.ms for one in absences)
@@ -220,6 +227,22 @@ def _brown_out(case: Case) -> Claims:
         yield Claim(None, f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
                           'check battery and cables, set up again',
                     {'devices': in_full(ids), 'seen by': proofs[0]}, covers=tuple(ids))
+    elif _was_with_all(case, last, ids):
+        yield Claim(None, f'{listed(ids, 2)} were silent together for {last.detail.ms} ms: the '
+                    'supply or the first cable failed for a moment; check both, and whether '
+                    'torque and settings are as before',
+                    {'devices': in_full(ids)}, Level.WARN, covers=tuple(ids))
+
+
+def _was_with_all(case: Case, back: Incident[ev.SilentFor], ids: list[int]) -> bool:
+    """Tell whether nothing at all answered while a device was away, and several were asked."""
+    begin = back.stamp - back.detail.ms * MS
+    waits = [one for one in case.report.waits if begin < one.stamp <= back.stamp]
+    asked = {cycle.ids[0] for cycle in case.report.cycles for stamp in cycle.stamps
+             if cycle.ids != (BROADCAST,) and (begin < stamp < back.stamp or (
+                 begin < cycle.stamps[0] and len(cycle.stamps) < cycle.asked))}     # or unknown
+    return len(waits) >= FEW and not any(one.is_spoilt for one in waits) and {*ids} >= asked \
+        and len({one.device for one in waits}) > 1
 
 
 def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
@@ -233,8 +256,8 @@ def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     after = [one for one in samples if one.stamp > back.stamp]
     if before and after and _tick_jumped(before[-1], after[0]):
         return 'Realtime Tick jumped back'
-    if _stands(after) and _way([one.position for one in before]) >= MOVES \
-            and not _stands(before) and not case.devices[back.device].alert:
+    if does_not_follow(after) and span([one.position for one in before]) >= MOVES \
+            and not does_not_follow(before) and not case.devices[back.device].alert:
         return 'no longer follows its goal'
     return ''
 
@@ -247,29 +270,11 @@ def _tick_jumped(before: Sample, after: Sample) -> bool:
     return TICK_SLACK_S < off < TICK_TURN_S - TICK_SLACK_S and after.tick < expected
 
 
-def _stands(samples: list[Sample]) -> bool:
-    """Tell whether the goal moves and the position does not."""
-    samples = samples[1:]
-    if len(samples) < 2 or samples[-1].stamp - samples[0].stamp < STOPPED_S * S:
-        return False
-    return _way([one.goal for one in samples]) >= MOVES \
-        and 0 <= _way([one.position for one in samples]) <= STANDS
-
-
-def _way(places: list[float | None]) -> float:
-    """Return how far apart places are; -1 where none is known."""
-    known = [place for place in places if place is not None]
-    return max(known) - min(known) if known else -1.0
-
-
-def _lately(case: Case, number: int) -> list[Sample]:
-    return [one for one in case.samples.get(number, ()) if one.stamp > case.now - FOLLOW_S * S]
-
-
 def _torque_off(case: Case, device: DeviceReport) -> Found | None:
-    samples = _lately(case, device.id)
+    samples = since_it_moved(lately(case, device.id))
     place = case.values[device.id].get('Present Position')
-    if place is None or place.source != 'r' or place.age_s > STOPPED_S or not _stands(samples):
+    if place is None or place.source != 'r' or place.age_s > STOPPED_S \
+            or not does_not_follow(samples):
         return None
     torque = case.values[device.id].get('Torque Enable')
     if torque is not None and not torque.value.raw \
@@ -277,30 +282,24 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
         return Claim(device.id, 'goals are sent to it, but its torque is off: switch it on '
                      '(Torque Enable 1); after a restart, write all its settings again')
     if (torque is None or torque.source == 'w') and not device.alert \
-            and is_watched(case, device, place) and _is_ignored(
+            and is_watched(case, device, place) and is_ignored(
                 [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
         return Claim(device.id, 'its goals are on both sides of its position, and it does not '
                      'move: its torque is off, or its motor has no supply; write 1 to Torque '
                      'Enable')
     if torque is not None and torque.value.raw and not _absences(case, device.id):
         return None                    # it is on, so something holds it, or it is where it can be
-    who = ', others do' if any(_way([one.position for one in _lately(case, other)]) >= MOVES
-                               for other in case.samples if other != device.id) else ''
+    since = samples[1].stamp
+    who = ', others do' if any(span([
+        one.position for one in lately(case, other) if one.stamp >= since]) >= MOVES
+        for other in case.samples if other != device.id) else ''
     if not who and torque is None and case.report.has_sides and device.model.protocol == '2' \
-            and _way([one.goal for one in samples[1:]]) >= FAR:
+            and span([one.goal for one in samples[1:]]) >= FAR:
         who = ', nothing set its torque'
     if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not who:
         return None
     return Claim(device.id, f'its goal changes but the joint does not move{who}: its '
                  'torque is off or it is blocked; read Torque Enable, switch it on')
-
-
-def _is_ignored(samples: list[Sample], least: float) -> bool:
-    """Tell whether the goal was on both sides of a joint: one that is blocked ignores one side."""
-    ways = [one.goal - one.position for one in samples[1:]
-            if one.goal is not None and one.position is not None]
-    return _stands(samples) and min(sum(way > least for way in ways),
-                                    sum(way < -least for way in ways)) > 1
 
 
 def _dip(case: Case, number: int) -> str:

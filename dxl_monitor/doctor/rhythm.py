@@ -37,7 +37,7 @@ INSIDE = 8                         # repetitions of one rhythm while the other w
 BINS = 16
 ALTERNATE = 0.9                    # share of the periods with just one of the other in it
 UNEVEN = 0.05                      # relative: from the next whole number
-FINE = 0.02                        # the same, of means of many periods
+FINE = 0.02                        # the same, of means of many periods, of those of a clock
 
 
 class Rhythm(NamedTuple):
@@ -81,6 +81,12 @@ class Rhythm(NamedTuple):
     def is_even(self) -> bool:
         """Whether its periods hardly differ: a clock makes them, not the work between them."""
         return self.spread < EVEN
+
+    @property
+    def is_paced(self) -> bool:
+        """Whether a clock makes most of its periods, and the others are longer."""
+        alike = sum(abs(one - self.base) < FINE * self.base for one in self.periods)
+        return 2 * alike > len(self.periods)
 
     @property
     def is_steady(self) -> bool:

@@ -23,6 +23,7 @@ from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import SILENCE
 from dxl_monitor.model.control_table import Model
+from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
 from msg_defs.reports import Level
 
@@ -47,7 +48,9 @@ _ELSEWHERE = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX and 
 def _factory_id(case: Case) -> Claims:
     first = case.devices.get(FACTORY_ID)
     absent = [device.id for device in case.report.devices if device is not first
-              and device.last_heard_s is None and device.missed_in_a_row >= FEW]
+              and device.last_heard_s is None
+              and max(device.missed_in_a_row, device.acks_missing) >= FEW
+              and 2 * device.window.garbled <= device.window.missed]
     if first is None or not absent or not _clashes(case, first):
         return
     yield Claim(FACTORY_ID, f'several servos answer as 001, and {listed(absent, 3)} never did: '
@@ -113,8 +116,11 @@ def _layout(case: Case, device: DeviceReport) -> Found | None:
         if cycle.address is None or device.id not in cycle.ids or cycle.asked < FEW \
                 or cycle.stamps[-1] < case.now - RECENT_NS:
             continue
+        first = device.model.by_address.get(cycle.address)
+        is_low_byte = first is not None and first.at == cycle.address not in _ELSEWHERE \
+            and cycle.length == 1 and cycle.instruction == Instruction.WRITE
         unfit = _unfit(device.model, cycle.address, cycle.length)
-        if unfit:
+        if unfit and not is_low_byte:      # which is enough for a small number
             return Claim(device.id, f'{name_of(cycle.instruction)} of {cycle.length} at '
                          f'{cycle.address}, {unfit}: use the table of {device.model_name}',
                          {'address': cycle.address, 'times': cycle.asked})

@@ -75,10 +75,12 @@ SOON_US = 500                      # Return Delay Time as from the factory (e-Ma
 
 
 def _impatient(case: Case) -> Claims:
-    again = Counter(case.repeats.values())
+    spoilt = [wait.stamp for wait in case.report.waits if wait.is_spoilt]      # asked once more
+    again = Counter(code for stamp, code in case.repeats.items()
+                    if not any(0 <= stamp - one < TOGETHER_NS for one in spoilt))
     again.update(one.detail.instruction for one in _hidden_repeats(case))
     again.update(one.detail.instruction for one in _repeats_into_answers(case))
-    if again.total() >= FEW:
+    if again.total() >= FEW + case.counted('glitches'):        # after which it asks once more
         worst = again.most_common(1)[0][0]
         yield Claim(None, f'the master repeats {name_of(worst)} at once, {again.total()} times in '
                     '10 s: its time-out is shorter than the answers take; raise it',
@@ -90,6 +92,12 @@ def _impatient(case: Case) -> Claims:
         yield Claim(None, 'the master does not wait for answers and sends during them: it gives '
                           f'up within {SOON_US} us, before a servo with factory settings answers; '
                           'raise its time-out', {'given up at once': len(hasty)})
+        return
+    thrown = sum(one.detail.instruction not in WRITES for one in case.incidents(ev.THROWN_AWAY))
+    if thrown >= MANY:
+        yield Claim(None, f'the program asks, and throws the answers away unread, {thrown} times '
+                    'in 10 s: let it wait for each answer and read it, or not ask',
+                    {'answers thrown away': thrown})
         return
     times = _questions_into_acks(case)
     if times:
@@ -352,7 +360,7 @@ def _jitter(case: Case) -> Claims:
     edge = len(ordered) // 10
     low, high = ordered[edge] / MS, ordered[-1 - edge] / MS
     if best.jitter > JITTERY and high - low > BLURRED * case.blur_ms \
-            and key_of(best.cycle) in case.steady:
+            and (key_of(best.cycle) in case.steady or best.is_paced):
         yield Claim(None, "the master's cycle is no longer regular: its computer is busy, or its "
                           'loop does too much; give it a higher priority',
                     {'spread': f'{best.spread:.2f}',
@@ -362,7 +370,7 @@ def _jitter(case: Case) -> Claims:
 RULES = (
     Rule('two_masters', Level.ERROR, _two_masters,
          (*DAMAGE, 'impatient_master', 'late_answers', 'duplicate_id', 'foreign_answers',
-          'turnaround'),
+          'turnaround', 'brown_out'),
          onset_s=1.0),
     Rule('impatient_master', Level.WARN, _impatient,
          (*SILENCE, *DAMAGE, 'late_answers', 'duplicate_id', 'factory_id', 'all_silent',
