@@ -319,6 +319,21 @@ def test_what_a_dead_reader_left_is_removed():
     assert os.listdir(folder()) == []
 
 
+def test_a_reader_that_begins_removes_no_other_that_begins(monkeypatch):
+    """A second one looks around between bind() and listen() of the first."""
+    listen, others = socket.socket.listen, []
+    with monkeypatch.context() as patch:
+        def late(one):
+            patch.setattr(socket.socket, 'listen', listen)
+            others.append(TapReader('robot'))
+            listen(one)
+
+        patch.setattr(socket.socket, 'listen', late)
+        with TapReader('robot') as reader, others.pop() as other:
+            assert {*os.listdir(folder())} == {
+                os.path.basename(one._path) for one in (reader, other)}
+
+
 def test_folder_that_others_can_write_to_is_refused():
     os.mkdir(folder(), 0o777)
     os.chmod(folder(), 0o777)

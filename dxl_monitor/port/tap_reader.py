@@ -37,6 +37,7 @@ _NAME_OF_PORT = 1000                       # characters
 _NAME_CHARACTERS = frozenset('abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-')
 _NAME_LIMIT = 40                           # the path of a Unix socket has 107 characters
 _READ_SIZE = 1 << 16
+_NEW = '.new'                              # as long as SUFFIX
 TOO_LONG = ('the path of the socket is too long; set XDG_RUNTIME_DIR to a shorter folder, for the '
             'program too')
 
@@ -137,14 +138,15 @@ class TapReader:
             raise PermissionError(1, 'other users may write to it; remove it, or chmod 700', place)
         self._remove_dead(place, name)
         self._path = os.path.join(place, f'{name}.{secrets.token_hex(4)}{sent.SUFFIX}')
-        self._listener = self._listen()
+        self._listener = self._listen(self._path.removesuffix(sent.SUFFIX) + _NEW)
         self._listener.setblocking(False)
 
-    def _listen(self) -> socket.socket:
+    def _listen(self, new: str) -> socket.socket:
+        """Listen, then show the path: other readers remove one without a listener."""
         if hasattr(socket, 'AF_UNIX'):
             listener = socket.socket(socket.AF_UNIX)
             try:
-                listener.bind(self._path)
+                listener.bind(new)
             except OSError as error:
                 listener.close()
                 if error.errno is not None:
@@ -154,10 +156,11 @@ class TapReader:
             listener = socket.socket(socket.AF_INET)
             listener.bind(('127.0.0.1', 0))
             self._secret = secrets.token_hex(32)
-            file = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            file = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
             os.write(file, f'{listener.getsockname()[1]} {self._secret}'.encode())
             os.close(file)
         listener.listen()
+        os.rename(new, self._path)
         return listener
 
     @staticmethod
