@@ -135,6 +135,14 @@ def test_killed(ros, mcu, cmd_vel):
         wait(lambda: not is_alive(deadman))
 
 
+def stops_and_leaves(mcu, pids, *killed):
+    begin = time.monotonic_ns()
+    for pid in killed:
+        os.kill(pid, signal.SIGKILL)
+    assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
+    wait(lambda: not any(map(is_alive, pids)), OUTLIVE_S)
+
+
 CLOSED = ['>&- 2>&-', '>/dev/null 2>&-', '<&- >&-']
 
 
@@ -148,10 +156,7 @@ def test_killed_with_closed_streams(ros, mcu, cmd_vel, streams):
         pids = family(running.pid)
         assert len(pids) == 3
         assert all(os.path.exists(f'/proc/{pid}/fd/{fd}') for pid in pids for fd in range(3))
-        begin = time.monotonic_ns()
-        running.signal(signal.SIGKILL)
-        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
-        wait(lambda: not any(map(is_alive, pids)), OUTLIVE_S)
+        stops_and_leaves(mcu, pids, running.pid)
 
 
 @pytest.mark.usefixtures('again')
@@ -162,10 +167,7 @@ def test_killed_with_more_than_a_thousand_descriptors(ros, graph, mcu, cmd_vel):
         wait(lambda: mcu.velocity == Vel2d(0.3, 0.1, 0.5))
         graph.wait_status('vel2d_bridge: link', 'Deadman=ready')
         pids = family(running.pid)
-        begin = time.monotonic_ns()
-        running.signal(signal.SIGKILL)
-        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
-        wait(lambda: not any(map(is_alive, pids)), OUTLIVE_S)
+        stops_and_leaves(mcu, pids, running.pid)
 
 
 @pytest.mark.usefixtures('again')
@@ -190,11 +192,7 @@ def test_every_process_that_carries_the_name_is_killed(ros, mcu, cmd_vel):
         pids = family(running.pid)
         carry = [pid for pid in pids if b'vel2d' in Path(f'/proc/{pid}/cmdline').read_bytes()
                  or 'vel2d' in Path(f'/proc/{pid}/comm').read_text()]
-        begin = time.monotonic_ns()
-        for pid in carry:
-            os.kill(pid, signal.SIGKILL)
-        assert mcu.stopped_at(begin) / 1e9 < 0.3 + LATE_S
-        wait(lambda: not any(map(is_alive, pids)))
+        stops_and_leaves(mcu, pids, *carry)
 
 
 @pytest.mark.usefixtures('again')

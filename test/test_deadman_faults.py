@@ -169,14 +169,19 @@ def test_a_frozen_dead_man_is_replaced(mcu):
         assert family.end()['deadman'][0] in ('starting', 'ready')
 
 
+def freeze_and_wake(server, dead_man):
+    """Freeze both for 2 s; wake the server."""
+    for pid in (server, dead_man):
+        os.kill(pid, STOP)
+    time.sleep(2.0)
+    os.kill(server, CONT)
+
+
 def test_a_family_that_was_frozen_as_a_whole_is_left_as_it_is(mcu):
     """As the machine is suspended, or a container paused; the server wakes up first."""
     with driving(mcu) as family:
         dead_man, server = family.guards()
-        for pid in (server, dead_man):
-            os.kill(pid, STOP)
-        time.sleep(2.0)
-        os.kill(server, CONT)
+        freeze_and_wake(server, dead_man)
         time.sleep(0.1)
         os.kill(dead_man, CONT)
         time.sleep(1.5)
@@ -187,10 +192,7 @@ def test_the_state_is_true(mcu):
     """Frozen, both killed: it is said, and no longer when it is over."""
     with driving(mcu) as family:
         dead_man, server = family.guards()
-        for pid in (server, dead_man):
-            os.kill(pid, STOP)
-        time.sleep(2.0)
-        os.kill(server, CONT)
+        freeze_and_wake(server, dead_man)
         wait(lambda: dead_man not in family.living())
         dead_man, server = family.guards()
         time.sleep(0.5)

@@ -475,7 +475,7 @@ def test_command_line():
 
 def test_signal_reaches_the_program():
     script = "import signal, time; signal.signal(signal.SIGTERM, lambda *_: exit(5)); " \
-             "print('ready', flush=True); time.sleep(60)"
+             "print('ready', flush=True)\nwhile True: time.sleep(0.1)"
     with subprocess.Popen([sys.executable, '-m', 'dxl_monitor.tools.tap', 'arm', '--',
                            sys.executable, '-c', script], cwd=ROOT, stdout=subprocess.PIPE,
                           stderr=subprocess.DEVNULL, text=True) as child:
