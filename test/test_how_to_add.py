@@ -4,16 +4,13 @@
 
 from pathlib import Path
 import re
-import shutil
 import subprocess
 import sys
 
 import pytest
+from test_packaging import copy_tree
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ('msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor', 'mecarover_dashboard',
-            'mecarover_fakes', 'docs', 'config', 'resource', 'benchmark', 'fuzz', 'rigs', 'test',
-            'wireshark')
 MOST_LINES = 15
 GRIPPER = """model_numbers: {4660: Gripper}
 source: firmware/registers.h
@@ -36,10 +33,7 @@ class Copy:
     def __init__(self, folder, kind):
         self.folder = folder
         self.section = section(kind)
-        for name in PACKAGES:
-            shutil.copytree(ROOT / name, folder / name,
-                            ignore=shutil.ignore_patterns('__pycache__', '*.png', 'corpus'))
-        shutil.copy(ROOT / 'pyproject.toml', folder)
+        copy_tree(folder, '*.png', 'corpus')
 
     def change(self, path, *edits, named=''):
         """Put text in front of an anchor that stands in the file once; a file may be new."""

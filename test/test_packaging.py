@@ -17,12 +17,17 @@ ROOT = Path(__file__).parents[1]
 NAME = 'mecarover_serial'
 
 
+def copy_tree(to, *keep_out):
+    shutil.copytree(ROOT, to, dirs_exist_ok=True, ignore=shutil.ignore_patterns(
+        '.venv', '.git', '.*_cache', '.hypothesis', 'build', '*.egg-info', '__pycache__',
+        *keep_out))
+
+
 @pytest.fixture(scope='module')
 def prefix(tmp_path_factory):
     """Install a copy of the tree, as `pip install .` does, without asking the network."""
     tree = tmp_path_factory.mktemp('tree') / NAME
-    keep_out = ('.venv', '.git', '.*_cache', '.hypothesis', 'build', '*.egg-info', '__pycache__')
-    shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*keep_out))
+    copy_tree(tree)
     prefix = tmp_path_factory.mktemp('prefix')
     subprocess.run([sys.executable, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-index',
                     '--no-build-isolation', '--ignore-installed', '--prefix', prefix, '.'],

@@ -11,19 +11,18 @@ import json
 import os
 from pathlib import Path
 import re
-import shutil
 import subprocess
 import sys
 import time
 
 import pytest
+from test_packaging import copy_tree
 from test_packaging import NAME
 from test_packaging import ROOT
 
 from dxl_monitor.tools.doctor.issue_report import CAPTURE
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone]
-KEEP_OUT = ('.venv', '.git', '.*_cache', '.hypothesis', 'build', '*.egg-info', '__pycache__')
 DECLARED = {NAME, 'dxl-doctor', 'crcmod-plus', 'pyserial', 'PyYAML', 'setuptools', 'pip'}
 SERVOS = ('1:XL430-W250', '2:XL430-W250', '3:XL430-W250')
 # A first program of somebody's own: it asks three servos for their position, and prints it.
@@ -66,7 +65,7 @@ print('imported:', *(name for name in ('rclpy', 'aiohttp', 'sqlite3') if name in
 def home(tmp_path_factory):
     """Return the folder of a person whose Python has the wheel and what it declares, no more."""
     tree = tmp_path_factory.mktemp('tree') / NAME
-    shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*KEEP_OUT))
+    copy_tree(tree)
     home = tmp_path_factory.mktemp('home')
     pip = [sys.executable, '-m', 'pip', '--quiet', '--disable-pip-version-check']
     subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', home, '.',
