@@ -47,6 +47,8 @@ from vel2d_bridge.link import Link
 deadman = Deadman()
 link = Link(sys.argv[1], 115200, Gate(), deadman=deadman)
 link.start()
+while len(deadman.pids) < 2:
+    time.sleep(0.01)
 print(*deadman.pids, flush=True)
 ending = threading.Thread(target=sys.stdin.readline, daemon=True)
 ending.start()

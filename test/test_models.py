@@ -249,7 +249,7 @@ REPEATS = levels("{repeat: 4096, step: 1, prefix: 'B {n}', fields: [",
 
 
 @pytest.mark.parametrize(('text', 'words'), [
-    ('[' * 100_000, 'line 1: not YAML: more than 50 levels'),
+    ('[' * 100_000, 'line 1: not YAML: '),             # a newer libyaml says it itself
     ('{a: ' * 100_000, 'line 1: not YAML: more than 50 levels'),
     ('- ' * 100_000, 'line 1: not YAML: more than 50 levels'),
     ('? ' * 100_000, 'line 1: not YAML: more than 50 levels'),
