@@ -461,6 +461,7 @@ def by_chance(each):
     (passed_by(2, twice=True), '', 'duplicate_id'),
     (passed_by(1, 2, 3, twice=False), '', ''),
     (echoed(), '', 'echo'), (echoed(2), '', 'hardware_error'),
+    (echoed(1), '', 'voltage'), (echoed(33), '', 'hardware_error'),
     (sync_reads(0), '', 'sync_read_unsupported'),
     (searches(packet(1, 0)), '', ''), (searches(b''), '', 'all_silent'),
     (sets_rate(False), '', 'baud_moved'), (sets_rate(True), '', ''),

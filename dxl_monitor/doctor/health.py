@@ -44,6 +44,7 @@ _REMEDIES = {
                    'on, its sensor is broken',
     'overload': _FREE_IT,
     'current': _FREE_IT}
+_OF_SUPPLY = 'voltage'     # ends the name of the first bit of the 1.0 family where it is alone
 _ERRORS = ('Hardware Error Status', 'Error Code')
 
 
@@ -157,18 +158,15 @@ def _voltage(case: Case) -> Claims:
     unknown = []
     found = []
     for device in case.report.devices:
+        said = latched(device) if device.last_error.endswith(_OF_SUPPLY) else None
         volts = fresh(case, device, 'Present Input Voltage')
         if volts is None or volts < ALIVE_VOLTS:
+            found += [said] if said else []
             continue
         low, source = limit_of(case, device, 'Min Voltage Limit', 'low')
         high, _ = limit_of(case, device, 'Max Voltage Limit', 'high')
-        if low is None and high is None:
-            if 'voltage' in device.last_error and device.protocol != words.PROTOCOL_2:
-                found.append(_supply(device, volts, True, 'beyond its own limits, as its voltage '
-                                     'error says: compare it with the label of the servo, check '
-                                     'battery and cables'))
-            elif device.model.number is not None:
-                unknown.append(device.id)
+        if low is None and high is None and not said and device.model.number is not None:
+            unknown.append(device.id)
         if low is not None and volts < low + NEAR_VOLTS:
             found.append(_supply(device, volts, volts < low, f'below its limit of {low:.1f} V'
                                  f'{source}: charge the battery, check cable gauge and the load '
@@ -177,12 +175,14 @@ def _voltage(case: Case) -> Claims:
             found.append(_supply(device, volts, volts > high, f'above its limit of {high:.1f} V'
                                  f'{source}: lower the supply voltage, or use a supply that '
                                  'takes the braking current'))
+        elif said:
+            found.append(said._replace(figures={'voltage (V)': f'{volts:.1f}'}))
     yield from found
     if len(found) >= FEW:
         yield Claim(None, f'{len(found)} devices near or beyond a voltage limit: the supply is '
                           'the cause; measure it, charge the battery, check cable gauge',
                     {'devices': in_full([one.device for one in found if one.device])},
-                    _level(any(one.level is Level.ERROR for one in found)))
+                    _level(any(one.level is not Level.WARN for one in found)))
     if unknown:
         yield Doubt(None, f'{listed(unknown, 3)}: voltage limits never read')
 
@@ -228,7 +228,8 @@ def _range_wraps(case: Case, device: DeviceReport) -> Found | None:
 
 
 RULES = (
-    Rule('hardware_error', Level.ERROR, lambda _, device: latched(device), ('torque_off',),
+    Rule('hardware_error', Level.ERROR, lambda _, device: None
+         if device.last_error.endswith(_OF_SUPPLY) else latched(device), ('torque_off',),
          holds=False, each=True),
     Rule('watchdog', Level.ERROR, _watchdog, ('wrong_address', 'refused', 'torque_off'),
          each=True),
