@@ -176,7 +176,7 @@ def test_an_absence_is_noted_from_50_ms_on(away_ms, is_noted):
     one.heard(device, 0, 2 * S)                    # it was not asked: no absence
     device.miss(2 * S, 2 * S, False)
     one.heard(device, 0, 2 * S + int(away_ms * MS))
-    assert notes(one) == [(ev.RETURNED, 4, ev.SilentFor(50, 1))] * is_noted
+    assert notes(one) == [(ev.RETURNED, 4, ev.SilentFor(50, 1, 1))] * is_noted
     assert device.missed_in_a_row == 0
 
 

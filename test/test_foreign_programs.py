@@ -425,7 +425,7 @@ def by_chance(each):
     (goes((ASKED, b''), rounds=4), '', 'all_silent'), (goes((ASKED, b''), rounds=2), '', ''),
     (goes(write_2(1, 64, 1), SILENT_WRITE, rounds=9), '', 'no_answer'),
     (looks_for(12), FAILED, 'no_answer'), (looks_for(4), FAILED, ''),
-    (all_away(0), '', 'brown_out'), (all_away(2), '', ''),
+    (all_away(0), '', 'brown_out'), (all_away(2), '', 'dropout'),
     (paces(lambda turn: turn * 7919 % 97 if turn % 3 == 2 else 0), '', 'jitter'),
     (paces(lambda turn: 60 * (turn % 3 == 2)), '', ''),
     (by_chance(90), '', 'noise'), (by_chance(3), '', 'hardware_error noise'),

@@ -78,10 +78,11 @@ class Again(NamedTuple):
 
 
 class SilentFor(NamedTuple):
-    """ms of silence; torque: Torque Enable before it, -1 unknown."""
+    """ms of silence; torque: Torque Enable before it, -1 unknown; answers missed in a row."""
 
     ms: int
     torque: int
+    missed: int
 
 
 class Lateness(NamedTuple):

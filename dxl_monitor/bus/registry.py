@@ -113,7 +113,8 @@ class DeviceRegistry:
             silence_ms = (stamp - device.heard) // 1_000_000
             if device.heard and silence_ms >= ABSENCE_MS:
                 self._evidence.note(stamp, ev.RETURNED, device.number,
-                                    ev.SilentFor(silence_ms, self._torque(device)))
+                                    ev.SilentFor(silence_ms, self._torque(device),
+                                                 device.missed_in_a_row))
             device.missed_in_a_row = 0
         alert = error >= ALERT
         if alert:

@@ -182,14 +182,13 @@ def _data_ages(device: DeviceReport) -> list[float]:
 
 
 def _dropout(case: Case, device: DeviceReport) -> Found | None:
-    if not case.count(ev.DISCONNECTED, device.id) or device.window.spoilt * 2 > \
-            device.window.missed:
+    if device.window.spoilt * 2 > device.window.missed:
         return None
     absences = [one for one in _absences(case, device.id)
-                if _talks_since(case, one)
+                if one.detail.missed >= FEW and _talks_since(case, one)
                 and (case.now - one.stamp > SETTLED_S * S or case.report.is_over)]
-    if not absences:
-        return None
+    if not absences or sum(one.detail.missed for one in absences) * 2 < device.window.missed:
+        return None                    # else answers are lost by chance
     away = max(one.detail.ms for one in absences)
     return Claim(device.id, f'no answers for {away} ms: a loose plug or a restart; read Torque '
                  'Enable or Realtime Tick to find out',
