@@ -50,6 +50,15 @@ def wait(condition, deadline_s=DEADLINE_S):
     return met
 
 
+def shown_on(terminal):
+    """Return all that came to a terminal, from its master, until its other end is closed."""
+    shown = b''
+    with suppress(OSError), open(terminal, 'rb', buffering=0) as screen:
+        while piece := screen.read(4096):
+            shown += piece
+    return shown.decode().replace('\r\n', '\n')
+
+
 def output_of(module, *arguments):
     """Run a module of ours to its end, which has to be a good one; return what it prints."""
     done = subprocess.run([sys.executable, '-m', module, *arguments], capture_output=True,

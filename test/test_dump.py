@@ -18,6 +18,7 @@ import time
 
 from harness import DEADLINE_S
 from harness import Program
+from harness import shown_on
 from harness import wait
 from packets import packets_in
 from packets import packets_left
@@ -303,12 +304,9 @@ def on_a_terminal(columns, *arguments, **env):
         [sys.executable, '-m', DUMP, *map(str, arguments)], cwd=ROOT,
         stdin=subprocess.DEVNULL, stdout=slave, env={**plain, 'TERM': 'xterm', **env})
     os.close(slave)
-    shown = b''
-    with suppress(OSError), open(master, 'rb', buffering=0) as screen:
-        while piece := screen.read(4096):
-            shown += piece
+    shown = shown_on(master)
     assert process.wait(DEADLINE_S) == 0
-    return shown.decode().replace('\r\n', '\n')
+    return shown
 
 
 @pytest.mark.parametrize('columns', [60, 80, 132])

@@ -74,9 +74,9 @@ print('my program ends')
 
 def read_until(terminal, pattern):
     """Return what was written to a terminal, until a pattern is there."""
-    text = ''
-    while not re.search(pattern, text):
-        text += os.read(terminal, 65536).decode()
+    data = b''
+    while not re.search(pattern, text := data.decode(errors='ignore')):     # it may be cut
+        data += os.read(terminal, 65536)
     return text
 
 

@@ -291,7 +291,7 @@ def test_an_error_bit_of_feetech_is_what_is_now():
         program.read(encode(number, int(number == 3 and turn > 60), b'\x00\x08'))
     program.end()
     [entry] = [one for one in verdict_of(program).wrong if one.level > Level.OK]
-    assert (entry.rule, entry.who[:3]) == ('hardware_error', '003')
+    assert (entry.rule, entry.who[:3]) == ('voltage', '003')
     assert entry.message.startswith('voltage error in its answers')
     assert 'Reboot' not in entry.message
 

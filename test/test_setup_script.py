@@ -8,6 +8,7 @@ import pty
 import shutil
 import subprocess
 
+from harness import shown_on
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -67,9 +68,7 @@ def test_a_terminal_gets_one_line_that_is_written_again(tree):
     master, slave = pty.openpty()
     run_setup(tree, stdout=slave, INSTALLING_S='2')
     os.close(slave)
-    text = os.read(master, 100_000).decode()
-    os.close(master)
-    first, progress, last = text.replace('\r\n', '\n').strip('\n').split('\n')
+    first, progress, last = shown_on(master).strip('\n').split('\n')
     assert first.startswith('setup: installing dashboard ros')
     states = [state.removesuffix('\033[K') for state in progress.split('\r') if state]
     assert states[2].startswith('setup:   3 packages found (')

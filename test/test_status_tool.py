@@ -1,7 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """mecarover_status: which lines it shows, its exit codes, and two robots with real processes."""
-from contextlib import suppress
 import fcntl
 import os
 import pty
@@ -13,6 +12,7 @@ import termios
 
 from harness import Program
 from harness import ROOT
+from harness import shown_on
 import pytest
 from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
@@ -128,12 +128,8 @@ def test_on_a_terminal_it_draws_in_place_and_cuts_no_line():
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack('4H', 12, 60, 0, 0))
     with subprocess.Popen([sys.executable, '-c', ON_A_TERMINAL], cwd=ROOT, stdout=theirs):
         os.close(theirs)
-        text = b''
-        with suppress(OSError):                         # EIO: it has ended
-            while chunk := os.read(ours, 4096):
-                text += chunk
-    os.close(ours)
-    first, *others = text.decode().split('\033[H')[1:]
+        text = shown_on(ours)
+    first, *others = text.split('\033[H')[1:]
     assert len(others) == 1
     rows = [row.replace('\033[K', '').rstrip() for row in first.split('\n')]
     assert 0 < max(len(re.sub(r'\033\[\d*m', '', row)) for row in rows) < 60
