@@ -256,6 +256,12 @@ def echoed_once(again):
         yield 1, IN, again or packet(number, 2, 56, 2)
 
 
+def pinged_back(waiting, more=b''):
+    yield 5, OUT, packet(1, 1)
+    yield 1, IN, packet(1, 1) + more
+    yield 1, '', Change(UNREAD, waiting)
+
+
 def skipped(*ids):
     """End at once on a Sync Read of three servos that only these answer, after some whole ones."""
     for turn in range(9):
@@ -484,6 +490,8 @@ def by_chance(each):
     (limited(2), '', 'goal_limits'), (limited(1), '', ''),
     (echoed_once(b''), RAISED, 'echo'),
     (echoed_once(packet(1, 0, 56, 2)), RAISED, ''),
+    (pinged_back(6), RAISED, 'echo'), (pinged_back(0), RAISED, ''),
+    (pinged_back(0, packet(1, 0)), RAISED, 'echo'),
     (skipped(1, 3), FAILED, 'no_answer'), (skipped(1), FAILED, ''),
     (waited_for(3, 0), FAILED, 'no_answer'), (waited_for(3, 0), '', ''),
     (waited_for(3, 3), FAILED, ''), (waited_for(1, 0), FAILED, 'no_answer'),

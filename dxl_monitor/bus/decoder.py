@@ -220,6 +220,7 @@ class BusDecoder:
         elif what == UNREAD:
             received = self.framers[IN].bytes if IN in self.framers else 0
             self.tracker.unread.say(value, received, stamp)
+            self.echo.wait(value)
         elif what == PURGED:
             if value & 1:
                 self._purge(stamp)

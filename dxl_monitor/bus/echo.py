@@ -21,15 +21,18 @@ class EchoCounter:
         self._sent: deque[bytes] = deque(maxlen=KEPT)
         self._came = b''                       # since then
         self._alone = b''                      # a Read, or an answer like it
+        self._is_last = False                  # that, and nothing else may come
 
     def send(self, chunk: bytes) -> None:
         """Take what the master sends."""
         if self._came:
             self._end()
         self._sent.append(chunk)
+        self._is_last = False
 
     def hear(self, chunk: bytes) -> None:
         """Look for what the master sent in what it receives."""
+        self.wait(len(chunk))
         if self._sent:
             self._came = (self._came + chunk)[-MUCH:]
         while self._sent and (at := self._came.find(self._sent[0])) >= 0:
@@ -37,7 +40,15 @@ class EchoCounter:
             size = len(said)
             self._came = self._came[at + size:]
             before, self._alone = self._alone or said, b'' if self._came else said
-            self._count(size > (READ if before == self._alone else LONGER))
+            is_echo = size > (READ if before == self._alone else LONGER) \
+                or bool(self._came and not self._sent)
+            self._count(is_echo)
+            self._is_last = not (is_echo or self._sent)
+
+    def wait(self, waiting: int) -> None:
+        """Take how many bytes came or wait since; one write has one answer."""
+        self._count(self._is_last and waiting > 0)
+        self._is_last = False
 
     def drop(self, waiting: int, is_due: bool) -> None:
         """Take note that the master throws so many bytes away; is_due: answers may be there."""

@@ -374,7 +374,7 @@ RULES = (
          ('stray_bytes', 'wrong_baud')),
     Rule('echo', Level.WARN, _echo,
          (*_ALL_ELSE, 'wrong_length', 'wrong_address', 'goal_limits', 'refused', 'hardware_error',
-          'torque_off')),
+          'torque_off', 'voltage', 'not_sent')),
     Rule('duplicate_id', Level.ERROR, _duplicate_id,
          (*DAMAGE, 'turnaround', 'late_answers', 'rebooted'), each=True),
     Rule('foreign_answers', Level.WARN, _foreign_answers,
