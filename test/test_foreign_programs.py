@@ -262,6 +262,16 @@ def pinged_back(waiting, more=b''):
     yield 1, '', Change(UNREAD, waiting)
 
 
+def behind(ms, other=0, waiting=0):
+    """Get the answer to a write so long after the next question, and take it for that one's."""
+    yield from goes((packet(2, 1), packet(2, 0)), rounds=1)
+    yield 5, OUT, packet(2, 3, 33, 0)
+    yield 50, '', Change(GAVE_UP, 0)
+    yield 0.1, OUT, packet(2 + other, 2, 56, 2)
+    yield ms, IN, packet(2, 0)
+    yield 0.5, '', Change(UNREAD, waiting)
+
+
 def skipped(*ids):
     """End at once on a Sync Read of three servos that only these answer, after some whole ones."""
     for turn in range(9):
@@ -492,6 +502,8 @@ def by_chance(each):
     (echoed_once(packet(1, 0, 56, 2)), RAISED, ''),
     (pinged_back(6), RAISED, 'echo'), (pinged_back(0), RAISED, ''),
     (pinged_back(0, packet(1, 0)), RAISED, 'echo'),
+    (behind(30), RAISED, 'late_answers'), (behind(30, 1), RAISED, 'late_answers'),
+    (behind(30), '', ''), (behind(1, waiting=8), RAISED, 'late_answers'),
     (skipped(1, 3), FAILED, 'no_answer'), (skipped(1), FAILED, ''),
     (waited_for(3, 0), FAILED, 'no_answer'), (waited_for(3, 0), '', ''),
     (waited_for(3, 3), FAILED, ''), (waited_for(1, 0), FAILED, 'no_answer'),

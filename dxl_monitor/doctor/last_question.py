@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rule import Claim
@@ -22,7 +24,7 @@ FEW = 3                            # vain waits that show it
 def ended_on(case: Case) -> Wait | None:
     """Return the vain wait on which a program ended with an error, None if that is unknown."""
     last = case.last_wait
-    if not case.report.failed or last is None or last.is_spoilt:
+    if not case.report.failed or last is None or last.is_spoilt or read_late(case):
         return None
     if case.report.failed == words.RAISED:
         return last
@@ -35,6 +37,15 @@ def ended_on(case: Case) -> Wait | None:
     alike = [one.stamp for one in case.report.waits
              if (one.instruction == Instruction.PING) == is_ping]
     return None if len(alike) > 1 and alike[0] < case.now - answered * S else last
+
+
+def read_late(case: Case) -> Incident[ev.Lateness] | None:
+    """Return the late answer that a program got for its last question, on which it ended."""
+    last = case.last_wait
+    asked = [one.stamp - 1000 * one.detail.us for one in case.incidents(ev.LEFT_OPEN)] \
+        if last is None else [last.stamp - 1000 * last.us]
+    return next((one for one in case.incidents(ev.LATE) if case.report.failed
+                 and asked and one.stamp > asked[-1]), None)
 
 
 def is_used(device: DeviceReport) -> bool:

@@ -29,6 +29,7 @@ from dxl_monitor.doctor.joint import STOPPED_S
 from dxl_monitor.doctor.last_question import ended_on
 from dxl_monitor.doctor.last_question import FEW
 from dxl_monitor.doctor.last_question import is_used
+from dxl_monitor.doctor.last_question import read_late
 from dxl_monitor.doctor.last_question import unacknowledged
 from dxl_monitor.doctor.rule import about
 from dxl_monitor.doctor.rule import Claim
@@ -98,10 +99,12 @@ def _gone(case: Case, blocking: bool) -> Claims:
 
 def _at_the_end(case: Case) -> Claims:
     """Look at the question on which a program ended by itself, with an error."""
+    yield from unacknowledged(case)
+    if read_late(case):
+        return
     for one in case.incidents(ev.LEFT_OPEN):
         yield Doubt(one.device, f'the program ended {one.detail.us / 1000:.0f} ms after it asked: '
                     'whether this answers is unknown')
-    yield from unacknowledged(case)
     last, fatal = case.last_wait, ended_on(case)
     if case.report.failed and fatal is None and last is not None and not last.is_spoilt:
         yield Doubt(last.device, 'the last question got no answer; whether the program ended for '

@@ -25,6 +25,7 @@ from dxl_monitor.doctor.case import key_of
 from dxl_monitor.doctor.collision import is_collision
 from dxl_monitor.doctor.collision import ran_into_answers
 from dxl_monitor.doctor.cycle_rule import cycle_time
+from dxl_monitor.doctor.last_question import read_late
 from dxl_monitor.doctor.rhythm import answer_ns
 from dxl_monitor.doctor.rhythm import AT_ONCE_NS
 from dxl_monitor.doctor.rhythm import is_independent
@@ -170,17 +171,17 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
 
 
 def _late_answers(case: Case) -> Claims:
-    late = case.incidents(ev.LATE)
+    late, fatal = case.incidents(ev.LATE), read_late(case)
     first: Counter[int] = Counter()
     before = 0
     for one in late:
         if one.stamp - before > TOGETHER_NS:
             first[one.device] += 1
         before = one.stamp
-    for number, count in first.most_common(1):
+    for number, count in [(fatal.device, 1)] if fatal else first.most_common(1):
         device = case.devices.get(number)
-        if count < FEW or (device is not None and (
-                device.window.not_served >= count or count < SHARE * device.window.asked)):
+        if not fatal and (count < FEW or (device is not None and (
+                device.window.not_served >= count or count < SHARE * device.window.asked))):
             return
         if _is_cut_short(case):
             yield Doubt(number, 'the next instruction comes during its answers: two programs, one '
