@@ -272,6 +272,18 @@ def behind(ms, other=0, waiting=0):
     yield 0.5, '', Change(UNREAD, waiting)
 
 
+def flushed_first(others):
+    """Read three servos; throw away what waits first, the second answer of ID 2 too."""
+    for turn in count():
+        number, again = 1 + turn % 3, packet(2, 0, turn % 200, 3)
+        is_late = turn // 3 % 2
+        yield 0.2, '', Change(UNREAD, 8 * (number == (1 if is_late else 3)) * others)
+        yield 0, '', Change(PURGED, 1)
+        yield 0, OUT, packet(number, 2, 56, 2)
+        yield 1, IN, again if others and is_late and number == 3 else packet(
+            number, 0, turn % 200, 2)
+
+
 def skipped(*ids):
     """End at once on a Sync Read of three servos that only these answer, after some whole ones."""
     for turn in range(9):
@@ -504,6 +516,7 @@ def by_chance(each):
     (pinged_back(0, packet(1, 0)), RAISED, 'echo'),
     (behind(30), RAISED, 'late_answers'), (behind(30, 1), RAISED, 'late_answers'),
     (behind(30), '', ''), (behind(1, waiting=8), RAISED, 'late_answers'),
+    (flushed_first(1), '', 'duplicate_id'), (flushed_first(0), '', ''),
     (skipped(1, 3), FAILED, 'no_answer'), (skipped(1), FAILED, ''),
     (waited_for(3, 0), FAILED, 'no_answer'), (waited_for(3, 0), '', ''),
     (waited_for(3, 3), FAILED, ''), (waited_for(1, 0), FAILED, 'no_answer'),

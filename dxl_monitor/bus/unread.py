@@ -112,14 +112,17 @@ class Unread:
         Take note that the program threw away what it had received.
 
         slots: what it waits for; received: the offset where that begins. If it never looked for
-        it, and just that is there, it throws away what it asked for. Else that may be the
-        answer that it gave up last; or, where it has all that it asked one device for, as many
-        bytes again are from a second device with that ID.
+        it, and just that is there, it throws away what it asked for; it may have taken other
+        bytes for that. Else that may be the answer that it gave up last; or, where it has all
+        that it asked one device for, as many bytes again are from a second device with that ID.
         """
         request = plan.request
-        if slots and self._looked <= asked and self._since == received \
+        if slots and self._looked <= asked \
                 and self.waiting == sum(slot.status_size for slot in slots.values()):
-            self._evidence.note(stamp, ev.THROWN_AWAY, request.id, ev.Code(request.instruction))
+            if self._since == received:
+                self._evidence.note(
+                    stamp, ev.THROWN_AWAY, request.id, ev.Code(request.instruction))
+            self.dropped = 0
             for one in slots.values():
                 self._registry.heard(one.device, 0, stamp)
             slots.clear()
