@@ -415,6 +415,17 @@ def all_away(but):
             number, 0, turn % 200, 8)), rounds=1), 1, 3)
 
 
+def stands(goal):
+    """Switch a torque on, then send goals to a joint that stays where it is."""
+    yield from goes((packet(1, 3, 40, 1), packet(1, 0)), rounds=1)
+    for turn in range(50):
+        yield 200, OUT, packet(1, 3, 42, *goal(turn).to_bytes(2, 'little'))
+        yield 1, IN, packet(1, 0)
+        yield 5, OUT, ASKED
+        yield 1, IN, packet(1, 0, *(2000).to_bytes(2, 'little'))
+        yield 0, '', EMPTY
+
+
 def paces(slow):
     """Ask every 40 ms, in some turns later."""
     for turn in count():
@@ -454,6 +465,9 @@ def by_chance(each):
     (goes(write_2(1, 64, 1), SILENT_WRITE, rounds=9), '', 'no_answer'),
     (looks_for(12), FAILED, 'no_answer'), (looks_for(4), FAILED, ''),
     (all_away(0), '', 'brown_out'), (all_away(2), '', 'dropout'),
+    (stands(lambda turn: 2000 + 400 * (turn % 16 > 7)), '', 'torque_off'),
+    (stands(lambda turn: 2000 + 400 * (turn > 16)), '', ''),
+    (stands(lambda turn: 2400 + 400 * (turn % 16 > 7)), '', ''),    # a gripper that holds it
     (paces(lambda turn: turn * 7919 % 97 if turn % 3 == 2 else 0), '', 'jitter'),
     (paces(lambda turn: 60 * (turn % 3 == 2)), '', ''),
     (by_chance(90), '', 'noise'), (by_chance(3), '', 'hardware_error noise'),

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from operator import ne
+
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Sample
 
@@ -41,8 +43,13 @@ def since_it_moved(samples: list[Sample]) -> list[Sample]:
 
 
 def is_ignored(samples: list[Sample], least: float) -> bool:
-    """Tell whether the goal was on both sides of a joint: one that is blocked ignores one side."""
+    """
+    Tell whether no goal moves a joint, on both sides of it, or away from it and back again.
+
+    One that is blocked ignores one side, and what a gripper holds is not let go at each turn.
+    """
     ways = [one.goal - one.position for one in samples[1:]
             if one.goal is not None and one.position is not None]
-    return does_not_follow(samples) and min(
-        sum(one > least for one in ways), sum(one < -least for one in ways)) > 1
+    ends = [abs(one) > least for one in ways if not least / 3 < abs(one) < 3 * least]
+    return does_not_follow(samples) and (sum(map(ne, ends, ends[1:])) > 2 or min(
+        sum(one > least for one in ways), sum(one < -least for one in ways)) > 1)

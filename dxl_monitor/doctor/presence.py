@@ -286,9 +286,9 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
     if (torque is None or torque.source == 'w') and not device.alert \
             and is_watched(case, device, place) and is_ignored(
                 [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
-        return Claim(device.id, 'its goals are on both sides of its position, and it does not '
-                     'move: its torque is off, or its motor has no supply; write 1 to Torque '
-                     'Enable')
+        return Claim(device.id, 'goals leave its position on both sides or repeatedly, and it '
+                     'does not move: write 1 to Torque Enable, or check its motor and what '
+                     'blocks it')
     if torque is not None and torque.value.raw and not _absences(case, device.id):
         return None                    # it is on, so something holds it, or it is where it can be
     since = samples[1].stamp
