@@ -327,6 +327,7 @@ def read_2(number, at, size):
 
 
 ASKED, ACKED = packet(1, 2, 56, 2), packet(1, 3, 40, 1)
+LOCKS, LIMITED = packet(1, 3, 55, 1), (packet(1, 3, 9, 0, 1), packet(1, 0))
 COLLIDED = b'\xdf\xdf\1\0\0\x20\0\xfd'       # two servos answered
 CLIPPED = *8 * (b'\xff\xff\1\4\0\0\2\x80',), b'\xff\xff\x88\xf0\4\0\2\xf0'
 SILENT_WRITE = write_2(2, 64, 1)[0], b''
@@ -447,6 +448,9 @@ def by_chance(each):
     (locks((3, 55, 1), (3, 9, 0, 1)), '', 'lock'),
     (locks((2, 3, 2), (3, 55, 1), (3, 9, 0, 1), (3, 55, 1)), '', 'lock'),
     (locks((2, 3, 2), (3, 55, 0), (3, 9, 0, 1), (3, 55, 1)), '', ''),
+    (goes((LOCKS, packet(1, 0)), LIMITED, rounds=1), '', 'lock'),
+    (goes((packet(1, 3, 55, 0), packet(1, 0)), LIMITED, (LOCKS, packet(1, 0)), rounds=1), '', ''),
+    (goes((packet(1, 2, 55, 1), packet(1, 0, 1)), LIMITED, rounds=1), '', ''),    # or a 1.0
     (read_in_part(lambda _, asked, answer: answer, 0), '', 'impatient_master'),
     (read_in_part(lambda _, asked, answer: answer), '', ''),
     (read_in_part(lambda _, asked, answer: asked + answer), '', 'echo'),

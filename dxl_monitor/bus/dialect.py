@@ -26,6 +26,7 @@ DYNAMIXEL_AT = {(24, 1), (25, 1), (30, 2), (30, 4), (32, 2), (36, 2), (36, 4), (
 FEETECH_AT = {(41, 7), (42, 2), (42, 6), (55, 1), (56, 2), (56, 4), (56, 6), (56, 8), (56, 15),
               (58, 2), (60, 2), (62, 1), (63, 1)}
 _READ = 0x02
+_LOCKS = 0x03, (55, 1)             # a write of Lock: no Dynamixel 1.0 has a register there
 _BY_NAME = {'1': DYNAMIXEL_1, 'feetech': FEETECH}
 
 
@@ -57,7 +58,7 @@ class DialectChoice:
         if code in FEETECH.entries and code not in DYNAMIXEL_1.entries:
             return self._vote(FEETECH, STRONG)
         if where in FEETECH_AT:
-            return self._vote(FEETECH, WEAK)
+            return self._vote(FEETECH, STRONG if (code, where) == _LOCKS else WEAK)
         return False
 
     def decides(self, request: Request, data: bytes) -> bool:

@@ -36,7 +36,7 @@ _X_SERIES = re.compile(r'2?X[A-Z]\d|2X|MX-\d+$')       # MX(2.0) has the same ta
 _COMMON = ('Torque Enable', 'Goal Position', 'Goal Velocity', 'Present Position',
            'Present Velocity', 'Present Load', 'Present Input Voltage', 'Present Temperature',
            'Hardware Error Status', 'Lock', 'ID', 'Baud Rate')
-_BASIC = ('ID', 'Baud Rate')
+_BASIC = ('ID', 'Baud Rate', 'Lock')
 # STS and SCS of Feetech differ in the order of bytes: one of these says which.
 _TELLS_ORDER = ('Lock', 'Acceleration')
 POSITIONS = ('Goal Position', 'Present Position')      # signed in some tables
