@@ -180,6 +180,19 @@ def thrown_away(waiting, gives_up):
                 yield 1, IN, packet(number, 0, 0, 8)
 
 
+def late_once(late):
+    """Give up the last answer, after many good ones and some that were late."""
+    yield 0, '', EMPTY
+    for turn in range(68):
+        yield 9, '', Change(UNREAD, 8 * (0 < turn <= late))
+        yield 0, '', Change(PURGED, 1)
+        yield 0, OUT, packet(1, 2, 56, 2)
+        if late <= turn < 67:
+            yield 1, IN, packet(1, 0, 0, 8)
+        else:
+            yield 40, '', Change(GAVE_UP, 0)
+
+
 def flushes(ms, answered, of_2):
     """Throw away what is to be sent, after each question; so many of five are answered."""
     yield 0, '', EMPTY
@@ -517,6 +530,9 @@ def by_chance(each):
     (mode(1), '', 'eeprom_locked'), (mode(0), '', ''),
     (ahead(), '', ''), (ahead(damaged=1), '', 'damaged_answers'),
     (thrown_away(8, gives_up=True), '', 'late_answers'),
+    (islice(thrown_away(8, gives_up=True), 16 * 4 - 1), RAISED, 'late_answers'),
+    (islice(thrown_away(0, gives_up=True), 16 * 4 - 1), RAISED, 'no_answer'),
+    (late_once(5), RAISED, 'late_answers no_answer'), (late_once(0), RAISED, 'no_answer'),
     (thrown_away(8, gives_up=False), '', 'duplicate_id'),
     (thrown_away(1, gives_up=False), '', ''),
     (flushes(0.2, 2, 3), '', 'not_sent'), (flushes(0.2, 5, 5), '', ''),

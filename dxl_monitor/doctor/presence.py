@@ -56,6 +56,7 @@ SETTLED_S = 2.0                    # after a return: by then a restart has shown
 TICK_TURN_S = 32.768               # Realtime Tick begins at 0 again (e-Manual)
 TICK_SLACK_S = 0.5
 LOSS = 0.01
+LATE = 0.1                         # share of its answers
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate and protocol"
 
 
@@ -74,7 +75,8 @@ def _all_silent(case: Case) -> Claims:
         hint = '' if case.report.has_sides else '; or only the master is heard'
         yield Claim(None, f'none of {len(missing)} devices answers the master: check power and '
                           f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
-    elif not case.report.is_answered and (is_over or len(case.report.tried) <= RATES) and (
+    elif not (case.report.is_answered or case.count(ev.LATE)) and (
+            is_over or len(case.report.tried) <= RATES) and (
             case.report.failed or (is_over and len(case.report.waits) >= FEW) or any(
                 cycle.instruction == Instruction.PING for cycle in case.report.cycles)):
         yield Claim(None, 'not one byte comes back to the program: check power and first cable'
@@ -117,7 +119,13 @@ def _at_the_end(case: Case) -> Claims:
     if case.report.failed == words.RAISED or {*lost} & {*absent}:
         lost += absent                 # it asked all, then complained of those
     yield from (_claim_gone(case, number) for number in dict.fromkeys(lost)
-                if number in case.devices and number not in case.gone)
+                if number in case.devices and number not in case.gone
+                and not _is_late(case, case.devices[number]))
+
+
+def _is_late(case: Case, device: DeviceReport) -> bool:
+    """Tell whether a device answers too late so often that the last question is one more."""
+    return case.count(ev.LATE, device.id) >= max(FEW, LATE * device.window.asked)
 
 
 def _claim_gone(case: Case, number: int) -> Claim:
