@@ -229,7 +229,7 @@ def _range_wraps(case: Case, device: DeviceReport) -> Found | None:
 
 RULES = (
     Rule('hardware_error', Level.ERROR, lambda _, device: None
-         if device.last_error.endswith(_OF_SUPPLY) else latched(device), ('torque_off',),
+         if device.last_error.endswith(_OF_SUPPLY) else latched(device),
          holds=False, each=True),
     Rule('watchdog', Level.ERROR, _watchdog, ('wrong_address', 'refused', 'torque_off'),
          each=True),

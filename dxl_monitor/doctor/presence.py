@@ -284,14 +284,14 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
     samples = since_it_moved(lately(case, device.id))
     place = case.values[device.id].get('Present Position')
     if place is None or place.source != 'r' or place.age_s > STOPPED_S \
-            or not does_not_follow(samples):
-        return None
+            or device.alert or not does_not_follow(samples):
+        return None                    # or its error says why
     torque = case.values[device.id].get('Torque Enable')
     if torque is not None and not torque.value.raw \
             and (torque.source == 'w' or torque.age_s < FOLLOW_S):
         return Claim(device.id, 'goals are sent to it, but its torque is off: switch it on '
                      '(Torque Enable 1); after a restart, write all its settings again')
-    if (torque is None or torque.source == 'w') and not device.alert \
+    if (torque is None or torque.source == 'w') \
             and is_watched(case, device, place) and is_ignored(
                 [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
         return Claim(device.id, 'goals leave its position on both sides or repeatedly, and it '
