@@ -369,7 +369,8 @@ def by_chance(each):
     (read_in_part(lambda number, asked, answer: answer + b'\0'), '', ''),
     (read_in_part(lambda number, asked, answer: answer if number == 2 else
                   answer[:3] + b'\x64' + answer[4:]), '', 'damaged_answers'),
-    (cut_off(1), RAISED, ''), (cut_off(0), RAISED, 'damaged_answers'),
+    (cut_off(1), RAISED, 'stray_bytes'), (cut_off(1), '', ''),
+    (cut_off(0), RAISED, 'damaged_answers'),
     (goes((ACKED, COLLIDED), rounds=1, first=SEARCH[2:3]), RAISED, 'damaged_answers'),
     (goes((ACKED, COLLIDED), rounds=1, first=SEARCH[2:3]), '', ''),
     (goes((ASKED, b''), rounds=4), '', 'all_silent'), (goes((ASKED, b''), rounds=2), '', ''),

@@ -282,6 +282,12 @@ def _stray_bytes(case: Case) -> Claims:
         yield Claim(None, f'one or two stray bytes before {share(stray, packets)} of the packets: '
                           'driver enable switches late or the line floats; add bias resistors',
                     {'packets': stray})
+    last, spoilt = case.last_wait, sum(one.is_spoilt for one in case.report.waits)
+    if case.report.failed == words.RAISED and last is not None and last.is_spoilt and not last.us \
+            and spoilt <= case.report.kinds.get(ev.GLITCH, 0):     # it left the end of no other
+        yield Claim(None, 'a stray byte before the answer on which the program ended: driver '
+                          'enable switches late or the line floats; add bias resistors',
+                    {}, Level.WARN)
 
 
 def _echo(case: Case) -> Claims:
