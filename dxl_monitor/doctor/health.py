@@ -155,13 +155,16 @@ def _level(is_beyond: bool) -> Level:
 
 
 def _voltage(case: Case) -> Claims:
-    unknown = []
+    unknown, pinged = [], []
     found = []
     for device in case.report.devices:
         said = latched(device) if device.last_error.endswith(_OF_SUPPLY) else None
         volts = fresh(case, device, 'Present Input Voltage')
+        if said and device.totals.answers == device.totals.pongs:
+            pinged.append(device.id)
+        elif said and (volts is None or volts < ALIVE_VOLTS):
+            found.append(said)
         if volts is None or volts < ALIVE_VOLTS:
-            found += [said] if said else []
             continue
         low, source = limit_of(case, device, 'Min Voltage Limit', 'low')
         high, _ = limit_of(case, device, 'Max Voltage Limit', 'high')
@@ -185,6 +188,9 @@ def _voltage(case: Case) -> Claims:
                     _level(any(one.level is not Level.WARN for one in found)))
     if unknown:
         yield Doubt(None, f'{listed(unknown, 3)}: voltage limits never read')
+    if pinged:
+        yield Doubt(None, f'{listed(pinged, 3)}: what answers the Pings is the same as the Pings: '
+                          'an echo of the adapter, or a voltage error; read a register')
 
 
 def _supply(device: DeviceReport, volts: float, is_beyond: bool, where: str) -> Claim:
