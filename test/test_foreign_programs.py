@@ -249,7 +249,6 @@ def read_2(number, at, size):
 
 
 ASKED, ACKED = packet(1, 2, 56, 2), packet(1, 3, 40, 1)
-LOCKS, LIMITED = packet(1, 3, 55, 1), (packet(1, 3, 9, 0, 1), packet(1, 0))
 COLLIDED = b'\xdf\xdf\1\0\0\x20\0\xfd'       # two servos answered
 CLIPPED = *8 * (b'\xff\xff\1\4\0\0\2\x80',), b'\xff\xff\x88\xf0\4\0\2\xf0'
 SILENT_WRITE = write_2(2, 64, 1)[0], b''
@@ -322,17 +321,6 @@ def all_away(but):
             number, 0, turn % 200, 8)), rounds=1), 1, 3)
 
 
-def stands(goal):
-    """Switch a torque on, then send goals to a joint that stays where it is."""
-    yield from goes((packet(1, 3, 40, 1), packet(1, 0)), rounds=1)
-    for turn in range(50):
-        yield 200, OUT, packet(1, 3, 42, *goal(turn).to_bytes(2, 'little'))
-        yield 1, IN, packet(1, 0)
-        yield 5, OUT, ASKED
-        yield 1, IN, packet(1, 0, *(2000).to_bytes(2, 'little'))
-        yield 0, '', EMPTY
-
-
 def paces(slow):
     """Ask every 40 ms, in some turns later."""
     for turn in count():
@@ -356,9 +344,6 @@ def by_chance(each):
     (locks((3, 55, 1), (3, 9, 0, 1)), '', 'lock'),
     (locks((2, 3, 2), (3, 55, 1), (3, 9, 0, 1), (3, 55, 1)), '', 'lock'),
     (locks((2, 3, 2), (3, 55, 0), (3, 9, 0, 1), (3, 55, 1)), '', ''),
-    (goes((LOCKS, packet(1, 0)), LIMITED, rounds=1), '', 'lock'),
-    (goes((packet(1, 3, 55, 0), packet(1, 0)), LIMITED, (LOCKS, packet(1, 0)), rounds=1), '', ''),
-    (goes((packet(1, 2, 55, 1), packet(1, 0, 1)), LIMITED, rounds=1), '', ''),    # or a 1.0
     (read_in_part(lambda _, asked, answer: answer, 0), '', 'impatient_master'),
     (read_in_part(lambda _, asked, answer: answer), '', ''),
     (read_in_part(lambda _, asked, answer: asked + answer), '', 'echo'),
@@ -376,9 +361,6 @@ def by_chance(each):
     (goes((ASKED, b''), rounds=4), '', 'all_silent'), (goes((ASKED, b''), rounds=2), '', ''),
     (goes(write_2(1, 64, 1), SILENT_WRITE, rounds=9), '', 'no_answer'),
     (all_away(0), '', 'brown_out'), (all_away(2), '', 'dropout'),
-    (stands(lambda turn: 2000 + 400 * (turn % 16 > 7)), '', 'torque_off'),
-    (stands(lambda turn: 2000 + 400 * (turn > 16)), '', ''),
-    (stands(lambda turn: 2400 + 400 * (turn % 16 > 7)), '', ''),    # a gripper that holds it
     (paces(lambda turn: turn * 7919 % 97 if turn % 3 == 2 else 0), '', 'jitter'),
     (paces(lambda turn: 60 * (turn % 3 == 2)), '', ''),
     (by_chance(90), '', 'noise'), (by_chance(3), '', 'hardware_error noise'),
