@@ -125,7 +125,8 @@ def _at_the_end(case: Case) -> Claims:
 
 def _is_late(case: Case, device: DeviceReport) -> bool:
     """Tell whether a device answers too late so often that the last question is one more."""
-    return case.count(ev.LATE, device.id) >= max(FEW, LATE * device.window.asked)
+    return case.count(ev.LATE, device.id) >= max(FEW, LATE * device.window.asked) \
+        or (device.last_heard_s is not None and not device.totals.answers)
 
 
 def _claim_gone(case: Case, number: int) -> Claim:
