@@ -64,6 +64,20 @@ def played(parts):
                 ) if make else Change(what, int(said))
 
 
+def throws_the_rest_away():
+    """Read three by a Sync Read; where an answer is damaged, leave the next one unread, or not."""
+    first, second, third = (encode(number, STATUS, bytes(4), error=0) for number in (1, 2, 3))
+    yield 0, '', EMPTY
+    for turn in count():
+        is_left = turn % 4 == 1
+        yield 20, OUT, encode(254, 0x82, bytes((132, 0, 4, 0, 1, 2, 3)))
+        yield 1, IN, first + (second[:-1] + b'\x55' if turn % 4 < 2 else second) + (
+            b'' if is_left else third)
+        yield 0.1, '', Change(UNREAD, 15 * is_left)
+        yield 0, '', Change(PURGED, 1)
+        yield 0, '', EMPTY
+
+
 def twice(ms, servos=3):
     """Read three servos in turn; of ID 2 there are two, or a master that is not heard."""
     for turn in count():
@@ -344,6 +358,7 @@ def by_chance(each):
     (locks((3, 55, 1), (3, 9, 0, 1)), '', 'lock'),
     (locks((2, 3, 2), (3, 55, 1), (3, 9, 0, 1), (3, 55, 1)), '', 'lock'),
     (locks((2, 3, 2), (3, 55, 0), (3, 9, 0, 1), (3, 55, 1)), '', ''),
+    (throws_the_rest_away(), '', 'damaged_answers'),
     (read_in_part(lambda _, asked, answer: answer, 0), '', 'impatient_master'),
     (read_in_part(lambda _, asked, answer: answer), '', ''),
     (read_in_part(lambda _, asked, answer: asked + answer), '', 'echo'),

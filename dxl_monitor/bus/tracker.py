@@ -361,10 +361,10 @@ class Tracker:
         if due and self.unread.leaves(question, now, self.byte_ns):
             self._given_up = _NO_SLOTS
         elif due:
-            if len(slots) == 1:
-                self.unread.given_up = due[0], now
             if question.is_spoilt:
                 self._policy.look_at_noise(question, self._noise, slots.values(), now)
+            elif len(slots) == 1:
+                self.unread.given_up = due[0], now
             self._policy.judge(question, now, stamp, us := self._since_asked(now))
             if following == self._last:
                 self._note(now, ev.REPEATED, due[0].device.number, ev.Again(following[2], us))
