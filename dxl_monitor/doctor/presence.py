@@ -57,6 +57,7 @@ TICK_TURN_S = 32.768               # Realtime Tick begins at 0 again (e-Manual)
 TICK_SLACK_S = 0.5
 LOSS = 0.01
 LATE = 0.1                         # share of its answers
+HELD_US = 20_000                   # so long an adapter may hold an answer back (latency timer)
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate and protocol"
 
 
@@ -66,7 +67,7 @@ def _all_silent(case: Case) -> Claims:
                if device.missed_in_a_row or is_waiting(device)]
     figures, is_over = {'instructions': asked}, case.report.is_over
     is_new = all(device.last_heard_s is None for device in case.report.devices)
-    if _waits_for_one(case, missing):
+    if _waits_for_one(case, missing) or _hurries(case):
         return
     if len(missing) > 1 and ((case.report.failed and is_new)
                              or (asked >= 5 and heard <= 0 and case.gone)):
@@ -91,8 +92,14 @@ def _waits_for_one(case: Case, missing: list[int]) -> bool:
         for device in map(case.devices.__getitem__, missing))
 
 
+def _hurries(case: Case) -> bool:
+    """Tell whether the master waits too short a time for most adapters, and answers come late."""
+    return bool(case.count(ev.LATE)) and min(
+        (one.us for one in case.report.waits), default=HELD_US) < HELD_US
+
+
 def _gone(case: Case, blocking: bool) -> Claims:
-    for number in case.gone:
+    for number in case.gone if not _hurries(case) else ():
         after = [device.id for device in case.report.devices
                   if device.waiting_behind == number and is_waiting(device)]
         if bool(after) is blocking:
