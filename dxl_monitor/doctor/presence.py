@@ -67,7 +67,7 @@ def _all_silent(case: Case) -> Claims:
                if device.missed_in_a_row or is_waiting(device)]
     figures, is_over = {'instructions': asked}, case.report.is_over
     is_new = all(device.last_heard_s is None for device in case.report.devices)
-    if _waits_for_one(case, missing) or _hurries(case):
+    if _waits_for_one(case, missing) or _hurries(case, 1):
         return
     if len(missing) > 1 and ((case.report.failed and is_new)
                              or (asked >= 5 and heard <= 0 and case.gone)):
@@ -92,9 +92,9 @@ def _waits_for_one(case: Case, missing: list[int]) -> bool:
         for device in map(case.devices.__getitem__, missing))
 
 
-def _hurries(case: Case) -> bool:
+def _hurries(case: Case, least: int = FEW) -> bool:
     """Tell whether the master waits too short a time for most adapters, and answers come late."""
-    return bool(case.count(ev.LATE)) and min(
+    return case.count(ev.LATE) >= least and min(
         (one.us for one in case.report.waits), default=HELD_US) < HELD_US
 
 
