@@ -1,6 +1,8 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """Commands switched off: by service, parameter and file, over a restart, and without a cable."""
+from pathlib import Path
+import shlex
 import signal
 
 from harness import bridge
@@ -10,6 +12,7 @@ import pytest
 pytestmark = pytest.mark.ros
 NODE = '/vel2d_bridge'
 COMMANDS = 'vel2d_bridge: commands'
+ROOT = Path(__file__).parents[1]
 
 
 def enable(graph, ros, on):
@@ -57,15 +60,26 @@ def test_started_without_a_cable_it_does_not_say_that_the_rover_stands(graph, mc
         end(running)
 
 
-def test_switched_off_it_stays_off_over_a_restart(ros, graph, mcu, cmd_vel, tmp_path):
-    path = tmp_path / 'disabled'
-    with bridge(mcu, disabled_file=path) as running:
+def of_the_service(folder, mcu):
+    """Return the arguments that systemd gives the bridge, with the file that is installed."""
+    [line] = [one for one in (ROOT / 'deploy/vel2d_bridge.service').read_text().splitlines()
+              if one.startswith('ExecStart=')]
+    given = line.partition('--ros-args ')[2].replace('%S/mecarover_serial', str(folder)).replace(
+        '/etc/mecarover_serial', str(ROOT / 'config'))
+    return [*shlex.split(given)[:-1], '-p', f'port:={mcu.path}']     # the last: more of a user
+
+
+@pytest.mark.parametrize('is_service', [False, True])
+def test_switched_off_it_stays_off_over_a_restart(ros, graph, mcu, cmd_vel, tmp_path, is_service):
+    path = tmp_path / ('bridge_disabled' if is_service else 'disabled')
+    arguments = of_the_service(tmp_path, mcu) if is_service else ('-p', f'disabled_file:={path}')
+    with bridge(mcu, *arguments) as running:
         running.wait_for('open at')
         assert enable(graph, ros, False).success
         assert path.exists()
         running.signal(signal.SIGKILL)
         running.exit_code()
-    with bridge(mcu, disabled_file=path) as running, \
+    with bridge(mcu, *arguments) as running, \
             ros.Teleop(cmd_vel, lambda: ros.twist(0.3), rate=50):
         running.wait_for(f'{path}: exists because')
         running.wait_for('refused: disabled')
@@ -74,6 +88,12 @@ def test_switched_off_it_stays_off_over_a_restart(ros, graph, mcu, cmd_vel, tmp_
         assert enable(graph, ros, True).success
         assert not path.exists()
         wait(lambda: mcu.receiver.wheels.x == 300.0)
+        end(running)
+
+
+def test_a_file_that_cannot_be_made_is_said_at_the_start(mcu, tmp_path):
+    with bridge(mcu, disabled_file=tmp_path / 'no' / 'disabled') as running:
+        running.wait_for('commands that are switched off will be accepted after a restart')
         end(running)
 
 
@@ -95,7 +115,7 @@ def test_what_cannot_be_kept_is_said_and_the_rover_stops_all_the_same(ros, graph
         wait(lambda: mcu.receiver.wheels.x == 300.0)
         answer = enable(graph, ros, False)
         assert not answer.success
-        assert answer.message.startswith('/proc/disabled: ')
+        assert answer.message.startswith('stopped; commands are refused until enabled; /proc/')
         assert 'commands will be accepted after a restart' in answer.message
         wait(lambda: mcu.receiver.wheels.is_stop)
         end(running)

@@ -252,8 +252,8 @@ def test_the_command_line_survives_systemd(robot, tmp_path):
     node = robot.prefix / 'lib/mecarover_serial/vel2d_bridge'
     node.write_text('#!/bin/sh\necho "$SOURCED $*"\n')
     command = robot.command()
-    said = 'yes --ros-args -p disabled_file:=%S/mecarover_serial/bridge_disabled ' \
-        '--params-file /etc/mecarover_serial/bridge.yaml'
+    said = 'yes --ros-args --params-file /etc/mecarover_serial/bridge.yaml ' \
+        '-p disabled_file:=%S/mecarover_serial/bridge_disabled'
     for more in ('', ' --enclave /vel2d_bridge'):
         done = subprocess.run(['bash', '-c', command.replace('$$', '$')], capture_output=True,
                               text=True, env={**os.environ, 'VEL2D_BRIDGE_ROS_ARGS': more})

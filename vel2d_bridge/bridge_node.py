@@ -62,6 +62,7 @@ from vel2d_bridge.pacer import Sent
 from vel2d_bridge.port_log import PortLog
 from vel2d_bridge.switch import is_kept_off
 from vel2d_bridge.switch import keep
+from vel2d_bridge.switch import why_not_kept
 
 WATCH_S = 0.25              # between looks at the graph, logs and levels
 REPORT_S = 1.0
@@ -152,6 +153,8 @@ class Bridge:
 
     def _starts_enabled(self) -> bool:
         path = self._values['disabled_file']
+        if problem := why_not_kept(path):
+            self._log.warning(problem)
         if is_kept_off(path):
             self._log.warning(f'{path}: exists because commands were switched off when the last '
                               'bridge ended, so they are refused; call ~/enable with data: true')
@@ -193,7 +196,8 @@ class Bridge:
             self._refused = verdict, now
             if now - self._told.get(verdict, -THROTTLE_NS) >= THROTTLE_NS:
                 self._told[verdict] = now
-                self._log.warning(refusal(
+                say = self._log.debug if verdict is Outcome.SHUTDOWN else self._log.warning
+                say(refusal(
                     full_name(self.node), self._subscriber.topic, velocity, verdict,
                     self._surroundings.clock_stands()))
         if twist.linear.z or twist.angular.x or twist.angular.y:
@@ -322,13 +326,11 @@ class Bridge:
     def _enable(self, request: Any, response: Any) -> Any:
         # By way of the parameter, so that the two cannot disagree.
         self.node.set_parameters([Parameter('enabled', value=request.data)])
-        problems = [self._not_kept] if self._not_kept else []
-        if not request.data and self._link.state().owes_stop:
-            problems.insert(0, NO_STOP)
-        response.success = not problems
-        response.message = '; '.join(problems) or (
-            'commands are accepted' if request.data else
-            'stopped; commands are refused until enabled')
+        moves = not request.data and self._link.state().owes_stop
+        done = NO_STOP if moves else 'commands are accepted' if request.data else \
+            'stopped; commands are refused until enabled'
+        response.success = not (moves or self._not_kept)
+        response.message = '; '.join(filter(None, (done, self._not_kept)))
         return response
 
     def _reset_statistics(self, request: Any, response: Any) -> Any:

@@ -16,6 +16,15 @@ def is_kept_off(path: str) -> bool:
     return bool(path) and os.path.lexists(path)
 
 
+def why_not_kept(path: str) -> str:
+    """Return why the file could not be made, before there is a need for it; '' where it can."""
+    folder = os.path.dirname(os.path.abspath(path))
+    if not path or os.access(folder, os.W_OK | os.X_OK):
+        return ''
+    return _problem(path, f'the folder {folder} is not there, or this user may not write to it',
+                    'commands that are switched off will be accepted')
+
+
 def keep(path: str, is_on: bool) -> str:
     """Keep whether commands are taken; return why that cannot be, '' when it is done."""
     if not path:
@@ -32,6 +41,10 @@ def keep(path: str, is_on: bool) -> str:
                 os.close(fd)
     except OSError as error:
         what = 'commands may be refused' if is_on else 'commands will be accepted'
-        return (f'{path}: {error.strerror}, so {what} after a restart; set disabled_file to a '
-                'file in a folder that this user may write to')
+        return _problem(path, error.strerror, what)
     return ''
+
+
+def _problem(path: str, reason: str | None, what: str) -> str:
+    return (f'{path}: {reason}, so {what} after a restart; set disabled_file to a file in a '
+            'folder that this user may write to')
