@@ -42,6 +42,8 @@ from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import ENDING
 from mecarover_serial.cli import WRONG_USAGE
+from mecarover_serial.fast_dds import spare_shared_memory
+from mecarover_serial.fast_dds import wrong_domain
 from mecarover_serial.namesakes import DISCOVERED_NS
 from mecarover_serial.namesakes import Namesakes
 from mecarover_serial.parameters import convert
@@ -57,9 +59,6 @@ from mecarover_serial.standard_streams import StandardStreams
 from mecarover_serial.systemd import Systemd
 
 STEP_S = 1.0                    # the system clock was set when it jumps by more
-_SHARED_MEMORY = '/dev/shm'
-_ROOM = 4_000_000               # bytes: a participant takes 0.5 MB and something for each port
-_TRANSPORTS = 'FASTDDS_BUILTIN_TRANSPORTS'
 _LARGEST = 1e9                  # means "no upper limit" in a range, which needs both ends
 
 
@@ -109,7 +108,9 @@ class _SystemClock:
 
 def _run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None,
          signals: _Signals, clock: _SystemClock) -> int:
-    _spare_shared_memory(name)
+    spare_shared_memory(name)
+    if problem := wrong_domain(os.environ.get('ROS_DOMAIN_ID', '')):
+        return _complain(name, problem, WRONG_USAGE)
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:      # RCLError is private; its cause is what the user typed
@@ -146,16 +147,6 @@ def _remedy() -> str:
         return 'see ros2 run --help'
     return ('ROS_SECURITY_ENABLE is true: give --enclave, set ROS_SECURITY_KEYSTORE, use ROS 2 '
             'from apt (the wheels of PyPI have no security)')
-
-
-def _spare_shared_memory(name: str) -> None:
-    """Have Fast DDS do without shared memory where there is no room: it would die of SIGBUS."""
-    with suppress(OSError):
-        room = os.statvfs(_SHARED_MEMORY)
-        if room.f_bavail * room.f_frsize < _ROOM and _TRANSPORTS not in os.environ:
-            os.environ[_TRANSPORTS] = 'UDPv4'
-            print(f'{name}: {_SHARED_MEMORY}: is full, so messages go over the network only; make '
-                  'room there and start again', file=sys.stderr, flush=True)
 
 
 def _spin(app: Stoppable, signals: _Signals, clock: _SystemClock) -> None:
