@@ -189,4 +189,4 @@ def _example(parameter: Parameter) -> str:
     default = parameter.default
     if isinstance(default, bool):
         return str(default).lower()
-    return repr(default)
+    return repr(default or 0.5) if isinstance(default, float) else repr(default)      # 0: off

@@ -27,6 +27,7 @@ from mecarover_serial.port_users import tty_of
 
 _FOREIGN = {stat.S_IFDIR: 'a directory', stat.S_IFREG: 'a file', stat.S_IFBLK: 'a disk',
             stat.S_IFIFO: 'a pipe', stat.S_IFSOCK: 'a socket'}
+DEADMAN = 'deadman '                # what a bridge leaves where it was killed
 _SCREENS = re.compile(r'tty\d*|console|ptmx')
 
 
@@ -113,7 +114,9 @@ def _absent(path: str) -> Reason:
     if os.path.islink(path):
         return Reason('absent', f'points to {os.readlink(path)}, which is not there',
                       f'plug the adapter in, or correct the link; {ports_here()}')
-    return Reason('absent', 'is not there', f'plug it in or set another port; {ports_here()}')
+    whole = f'write /dev/{path}, or ' if path.startswith('tty') else ''
+    return Reason('absent', 'is not there',
+                  f'{whole}plug it in or set another port; {ports_here()}')
 
 
 def _wrong_kind(path: str, root: Path) -> Reason | None:
@@ -190,8 +193,10 @@ def _busy(path: str) -> Reason:
     who = holders(path)
     if who:
         in_the_way = [one for one in who if not one.is_maker] or who
-        return Reason('busy', f'in use by {", ".join(one.name for one in in_the_way)}',
-                      'stop that program')
+        programs = [one for one in in_the_way if not one.name.startswith(DEADMAN)]
+        names = ', '.join(one.name for one in programs or in_the_way)
+        return Reason('busy', f'in use by {names}', 'stop that program' if programs else
+                      'it stops the rover of a bridge that ended, and leaves by itself')
     return Reason('busy', 'in use by another process',
                   f'stop that program; sudo fuser -v {path} names it')
 

@@ -20,6 +20,7 @@ TYPE_NAMES = {
     'geometry_msgs/msg/Twist': TWIST,
     'geometry_msgs/msg/TwistStamped': TWIST_STAMPED,
 }
+_KILLED = '; one that was killed counts for up to 20 s more'      # its lease with Fast DDS
 
 
 class Publisher(NamedTuple):
@@ -102,7 +103,7 @@ def complaints(choice: Choice, publishers: Sequence[Publisher], topic: str,
             lines.append(
                 f'{topic}: {one.node} is not heard, as it publishes {one.type} and the bridge '
                 f'subscribes {choice.message_type}; make all publishers agree, or set '
-                'message_type')
+                f'message_type{_KILLED}')
         elif one.conflict:
             lines.append(f'{topic}: {one.node} is not heard, as its QoS is not compatible '
                          f'({one.conflict}); change its QoS or our qos_overrides')
@@ -110,5 +111,5 @@ def complaints(choice: Choice, publishers: Sequence[Publisher], topic: str,
              if TYPE_NAMES.get(one.type) == choice.message_type and not one.conflict]
     if len(heard) > 1:
         lines.append(f"{topic}: {len(heard)} publishers compete ({', '.join(sorted(heard))}); "
-                     'stop all but one, or use twist_mux')
+                     f'stop all but one, or use twist_mux{_KILLED}')
     return lines
