@@ -30,7 +30,8 @@ from mecarover_serial.plain import plain_streams
 
 NAME = 'mecarover_status'
 SETTLED_S = 1.5             # without a new name: all have come, as reports come once a second
-WAIT_S = 6.0                # discovery takes up to 2.5 s
+LEAST_S = 3.5               # discovery takes up to 2.5 s, a report a second
+WAIT_S = 6.0
 SHOW_S = 0.5
 NO_REPORT = ('no report on /diagnostics; start the nodes, with the same ROS_DOMAIN_ID and '
              'discovery range as here')
@@ -47,9 +48,10 @@ class Display:
     """
 
     def __init__(self, state: State, wait_s: float | None, every_device: bool,
-                 nothing: str = NO_REPORT) -> None:
+                 nothing: str = NO_REPORT, least_s: float = 0.0) -> None:
+        """Take the longest wait for all there is (None: show it until the end), the shortest."""
         self._state = state
-        self._wait_s = wait_s
+        self._wait_s, self._least_s = wait_s, least_s
         self._every_device = every_device
         self._nothing = nothing
         self._terminal = os.dup(sys.stdout.fileno()) if sys.stdout.isatty() else None
@@ -92,7 +94,9 @@ class Display:
 
     def _once(self, now_s: float, wait_s: float) -> bool:
         grown = self._state.grown_s
-        if now_s - self._begin < wait_s and not (grown and now_s - grown > SETTLED_S):
+        waited_s = now_s - self._begin
+        is_settled = grown and now_s - grown > SETTLED_S and waited_s > self._least_s
+        if waited_s < wait_s and not is_settled:
             return False
         found = status_lines(self._state, now_s, self._every_device)
         self.code = exit_code(self._state)
@@ -135,7 +139,8 @@ def main(args: Sequence[str] | None = None) -> int:
     except ImportError as error:
         return no_ros(NAME, error)
     state = State()
-    display = Display(state, options.wait if options.once else None, options.all)
+    display = Display(state, options.wait if options.once else None, options.all,
+                      least_s=LEAST_S)
     try:
         return run(NAME, lambda: StatusSubscriber(state, display.look, not options.once),
                    arguments) or display.code

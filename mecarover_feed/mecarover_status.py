@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 
@@ -34,6 +35,8 @@ def _run(arguments: list[str]) -> int:
     if options.source is None:
         raise UsageError('SOURCE: none given, and ROS 2 is not sourced; name a port or a '
                          'recording')
+    if os.path.isfile(options.source) and not sys.stdout.isatty():
+        options.once = True                    # to play it is for a person
     options.source = [options.source]
     feed, state = Feed(), State()
     feed.out = lambda topic, statuses: state.take(topic, statuses, time.monotonic())
