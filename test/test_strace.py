@@ -226,6 +226,25 @@ def test_every_byte_of_a_program(kind, request):
 
 @needs_strace
 @pytest.mark.alone
+@pytest.mark.parametrize('has_strace', [True, False])
+def test_a_library_that_opens_ports_by_itself_is_heard(has_strace, tmp_path):
+    """Strace joins at its import; pyserial is not heard twice then, and as before without."""
+    (tmp_path / 'rustypot.py').touch()
+    script = 'import rustypot\n' + textwrap.dedent(PLAIN)
+    with peers(lambda data: data) as (far,), TapReader('robot') as reader:
+        done = tap('robot', '--', sys.executable, '-c', script.format(path=far.pty.path, times=20),
+                   PYTHONPATH=str(tmp_path), **{} if has_strace else {'PATH': str(tmp_path)})
+        assert (done.returncode, done.stdout) == (0, 'done\n')
+        assert ('is heard through strace' if has_strace else
+                'is not heard: strace is not installed') in done.stderr
+        told = listen(reader, lambda told: not reader.programs and closed(1)(told))
+        told += reader.rest()
+        assert heard(told, OUT, far.pty.path) == far.got != b''
+        assert heard(told, IN, far.pty.path) == far.sent
+
+
+@needs_strace
+@pytest.mark.alone
 def test_the_doctor_hears_a_program_to_its_end():
     with peers(lambda data: data) as (far,):
         done = subprocess.run(

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Sequence
 from contextlib import suppress
 import fcntl
@@ -35,6 +36,7 @@ _PRIORITY = ('the program has threads with real-time priority: while it uses {} 
              'strace, which has none; do not rely on its timing')
 _MISSED = ('{} is open, but not through pyserial, and is not heard; write --by strace in front of '
            '--')
+_Pair = tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]
 _ROOT = Path(__file__).parents[2]
 _RELAY = ('import sys; sys.path.insert(0, {!r}); '
           'from dxl_monitor.port.strace_relay import main; main()')
@@ -83,7 +85,7 @@ def loses_rights(program: str) -> bool:
 
 
 def start(command: Sequence[str], env: dict[str, str], name: str, folder: str,
-          stdout: int | None) -> tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]:
+          stdout: int | None) -> _Pair:
     """
     Start a program as our child; return it and the relay, which sends to listeners of a tap.
 
@@ -91,7 +93,22 @@ def start(command: Sequence[str], env: dict[str, str], name: str, folder: str,
     the last process of the program, or with strace; strace ends with the relay, and leaves the
     program alone.
     """
-    fifo = os.path.join(folder, 'strace')      # strace opens it: not for the program
+    return _run(env, name, folder, lambda options: subprocess.Popen(
+        [*options, '--', *command], env=env, stdout=stdout))
+
+
+def attach(process: int, env: dict[str, str], name: str, folder: str) -> _Pair:
+    """Let strace hear a process that runs; return strace and the relay, as start() does."""
+    return _run(env, name, folder, lambda options: subprocess.Popen(
+        [one for one in options if one != OPTIONS[0]] + ['-p', str(process)],
+        start_new_session=True), process)
+
+
+def _run(env: dict[str, str], name: str, folder: str,
+         begin: Callable[[list[str]], subprocess.Popen[bytes]],
+         process: int = 0) -> _Pair:
+    """Begin strace; process: which it traces, 0: its own."""
+    fifo = os.path.join(folder, 'strace')      # it opens that: not for the program
     os.mkfifo(fifo, 0o600)
     theirs = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
     ours = os.open(fifo, os.O_WRONLY)          # without it the relay would be at the end at once
@@ -103,10 +120,10 @@ def start(command: Sequence[str], env: dict[str, str], name: str, folder: str,
             [sys.executable, '-I', '-S', '-c', _RELAY.format(str(_ROOT)), name], env=env,
             stdin=theirs, stdout=subprocess.DEVNULL, start_new_session=True)
         paths = [part for path in sorted(ports()) for part in ('-P', path)]
-        child = subprocess.Popen(['strace', *OPTIONS, *paths, '-o', fifo, '--', *command],
-                                 env=env, stdout=stdout)
+        child = begin(['strace', *OPTIONS, *paths, '-o', fifo])
         until_s = time.monotonic() + START_S
-        while not tracer(child.pid) and child.poll() is None and time.monotonic() < until_s:
+        while not tracer(process or child.pid) and child.poll() is None \
+                and time.monotonic() < until_s:
             time.sleep(0.002)
     finally:
         os.close(theirs)

@@ -18,6 +18,7 @@ import time
 from typing import Any
 
 _PORT = '_mecarover_tap_port'                  # attribute of an open Serial: its number
+_OTHERS = ('rustypot', 'reachy_mini_motor_controller')       # they open ports by themselves
 _PLAIN = (bytes, bytearray, memoryview, list, tuple)
 _MODULES = ('serial.serialposix', 'serial.serialwin32', 'serial.serialcli')
 _HANDLERS = 'serial.urlhandler.protocol_'
@@ -197,6 +198,9 @@ class _Finder:
         self._sender = sender
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
+        if name in _OTHERS:
+            with suppress(Exception):
+                self._sender.give_way()
         if name not in _MODULES and not name.startswith(_HANDLERS):
             return None
         for finder in sys.meta_path:

@@ -28,6 +28,7 @@ from weakref import WeakSet
 TAP_NAME = 'MECAROVER_TAP'                 # environment: the name that the user gave
 TAP_MARK = 'MECAROVER_TAP_MARK'            # and a file that says how far it got:
 LOADED, USED = b'tap\n', b'port '          # a tap was loaded; the port that was opened, a line
+TRACE = b'trace '                          # the process that strace shall hear from now on, a line
 SUFFIX = '.tap'                            # ends the name of a listener's socket
 
 # A record: its kind as a place in KINDS, the number of the port, a stamp (ns, monotonic), the size
@@ -44,6 +45,8 @@ POLL_S = 0.02
 LOOK_S = 0.2                               # between two looks for new readers
 END_S = 0.3                                # how long the end of the program waits for a reader
 READERS_LIMIT = 8
+TRACED_S = 2.0                             # how long a program waits for strace, once
+_SET_PTRACER = 0x59616D61                  # prctl: who may trace (kernel, Yama)
 _NO_SIGNAL = getattr(socket, 'MSG_NOSIGNAL', 0)
 
 
@@ -125,6 +128,7 @@ class Sender:
         self._announced: set[int] = set()      # ports that listeners know as open
         self.serials: WeakSet[Any] = WeakSet() # the ports of pyserial that were opened
         self._numbers = 0
+        self._is_traced = False                # strace hears the ports of this process
         self._lock = threading.Lock()
         self._forget()
         self._mark(LOADED)
@@ -147,6 +151,8 @@ class Sender:
 
     def put(self, kind: str, port: int, data: bytes, stamp: int = 0) -> None:
         """Take a record, at once, of now or `stamp`; called in the program's reads and writes."""
+        if port and self._is_traced:
+            return
         if len(self.queue) < QUEUE_LIMIT:
             self.queue.append((kind, port, stamp or time.monotonic_ns(), data))
         else:
@@ -176,6 +182,20 @@ class Sender:
     def closed(self, port: int, stamp: int = 0) -> None:
         self._ports.pop(port, None)
         self.put('closed', port, b'', stamp)
+
+    def give_way(self) -> None:
+        """Ask for strace, where a library opens ports by itself; wait until it is there."""
+        if sys.platform != 'linux' or self._is_traced:
+            return
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_SET_PTRACER, ctypes.c_ulong(-1), 0, 0, 0)     # else ancestors
+        self._mark(TRACE + b'%d\n' % os.getpid())
+        until = time.monotonic() + TRACED_S
+        while not self._is_traced and time.monotonic() < until:
+            time.sleep(POLL_S / 10)
+            with open('/proc/self/status') as file:
+                self._is_traced = '\nTracerPid:\t0\n' not in file.read()
 
     def end(self) -> None:
         """Let readers have what they did not get yet, but not for long."""

@@ -30,15 +30,19 @@ from types import ModuleType
 from dxl_monitor.port.site import __file__ as SITE
 from dxl_monitor.port.tap_sender import TAP_MARK
 from dxl_monitor.port.tap_sender import TAP_NAME
+from dxl_monitor.port.tap_sender import TRACE
 from dxl_monitor.port.tap_sender import USED
 
 TAP, STRACE = 'tap', 'strace'
 WAYS = (TAP, STRACE)
 BY = ('how to hear it: tap, inside a Python program that uses pyserial, or strace, any program on '
       'Linux (default: what fits)')
+TRACED = ('heard through strace: an exchange with a servo takes 0.2 ms longer, each other system '
+          'call 0.03 ms')
 STOPPED = 'strace was ended; the program goes on and is no longer heard'
 HANDED_ON = ('SIGTERM', 'SIGHUP', 'SIGQUIT', 'SIGUSR1', 'SIGUSR2')
 LOOK_S = 0.5                       # between two looks at what the program does
+LOOKS = 20                         # at what it asks for, meanwhile: it waits
 REST_S = 1.0                       # for what the relay heard last
 _PYTHON = re.compile(r'(python|pypy)[\d.]*w?(\.exe)?')
 _SCRIPT = re.compile(rb"#!.*(python|pypy)|#!/bin/sh\n'''exec'")
@@ -56,7 +60,9 @@ class StartedProgram:
         self._tool = tool
         self._command = command[0]
         self._relay: subprocess.Popen[bytes] | None = None
-        outside = own_environment()
+        self._strace: subprocess.Popen[bytes] | None = None       # that joined a running program
+        self._name = name
+        self._env = outside = own_environment()
         program = _find(command, outside)
         self.way = by or (TAP if sys.platform != 'linux' or is_python(program) else STRACE)
         self._folder = tempfile.TemporaryDirectory(prefix=f'{tool}_')
@@ -66,7 +72,7 @@ class StartedProgram:
             if self.way == STRACE:
                 self._start_traced(program, command, outside, name, stdout)
             else:
-                self._say(f'{program} is heard through pyserial')
+                self.say(f'{program} is heard through pyserial')
                 self.child = subprocess.Popen([program, *command[1:]], stdout=stdout,
                                               env=environment(name, outside))
         except OSError:
@@ -89,10 +95,9 @@ class StartedProgram:
             raise OSError(0, f'{problem}; or write --by {TAP}, if the command starts Python',
                           self._command)
         if strace.loses_rights(program):
-            self._say(f'{program} runs without the rights that its file gives it: strace takes '
+            self.say(f'{program} runs without the rights that its file gives it: strace takes '
                       f'them away; write sudo {self._tool} ...')
-        self._say(f'{program} is heard through strace: an exchange with a servo takes 0.2 ms '
-                  'longer, each other system call 0.03 ms')
+        self.say(f'{program} is {TRACED}')
         self.child, self._relay = strace.start(
             [program, *command[1:]], env, name, self._folder.name, stdout)
 
@@ -101,14 +106,17 @@ class StartedProgram:
         """Whether nothing more comes from strace."""
         return self._relay is None or self._relay.poll() is not None
 
-    def _say(self, text: str) -> None:
+    def say(self, text: str) -> None:
+        """Print a line about the program."""
         print(f'{self._tool}: {text}', file=sys.stderr, flush=True)
 
     def _watch(self, strace: ModuleType) -> None:
         """Say once what is not heard."""
         before, said = set[str](), set[str]()
         while not said & {STOPPED}:
-            time.sleep(LOOK_S)
+            for _ in range(LOOKS):
+                time.sleep(LOOK_S / LOOKS)
+                self._join(strace)
             if self.way == TAP:
                 found = strace.doubts(self.child.pid, set(map(os.path.realpath, self._used())))
             else:
@@ -117,15 +125,33 @@ class StartedProgram:
             if self.child.returncode is not None:
                 return
             for text in sorted(found & before - said):
-                self._say(text)
+                self.say(text)
             said |= found & before
             before = found
 
+    def _join(self, strace: ModuleType) -> None:
+        """Let strace hear a program in Python that asks for it, once."""
+        asked = self._marked(TRACE)
+        if not asked or self._strace is not None or self._relay is not None:
+            return
+        problem = strace.why_not()
+        if problem:
+            self.say(f'{self._command} opens ports without pyserial, and is not heard: {problem}')
+            self._strace = self.child
+            return
+        self.say(f'{self._command} opens ports without pyserial and is {TRACED}')
+        self._strace, self._relay = strace.attach(
+            int(asked[0]), self._env, self._name, self._folder.name)
+
     def _used(self) -> list[str]:
         """Return the ports that were heard to be opened."""
+        return self._marked(USED)
+
+    def _marked(self, begin: bytes) -> list[str]:
+        """Return what the tap has said in lines that begin so."""
         with suppress(OSError):
-            return [line.removeprefix(USED).decode() for line in
-                    self._mark.read_bytes().splitlines() if line.startswith(USED)]
+            return [line.removeprefix(begin).decode() for line in
+                    self._mark.read_bytes().splitlines() if line.startswith(begin)]
         return []
 
     def end(self) -> str:
@@ -134,13 +160,17 @@ class StartedProgram:
         if self._relay is not None and not self._used():
             with suppress(subprocess.TimeoutExpired):
                 self._relay.wait(REST_S)
-        used, is_loaded = self._used(), self._mark.exists()
+        why = self.why_unheard()
         self._folder.cleanup()
-        if used:
+        return why
+
+    def why_unheard(self) -> str:
+        """Return why nothing has been heard up to now, '' where a port was opened."""
+        if self._used():
             return ''
         if self.way == STRACE:
             return f'{self._command} opened no serial port'
-        reason = 'opened no port through pyserial' if is_loaded else \
+        reason = 'opened no port through pyserial' if self._mark.exists() else \
             'did not load the tap: it is not Python, or PYTHONPATH did not reach it (python -E ' \
             'or -I, sudo, an emptied environment)'
         return f'{self._command} {reason}; to hear any program, write --by {STRACE} in front of --'
