@@ -325,6 +325,32 @@ def test_a_program_that_ends_on_a_question(error, code, rules, meeting_place):
     assert bool(rules) != any('is unknown' in text for text in found['cannot_tell'])
 
 
+LASTS = """
+import serial
+port = serial.Serial({!r}, 1000000, timeout=0.01)
+for _ in range(20):
+    port.write(bytes((255, 255, 1, 2, 1, 251)))
+    port.read(6)
+input()
+"""
+
+
+@pytest.mark.alone
+def test_it_answers_in_time_while_the_program_goes_on(meeting_place, tmp_path):
+    with Pty(str(tmp_path / 'bus')) as pty, subprocess.Popen(
+            [sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', '--json', '--seconds', '3',
+             'run', '--', sys.executable, '-c', LASTS.format(pty.path)],
+            env={**os.environ, 'XDG_RUNTIME_DIR': meeting_place}, cwd=ROOT, text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as tool:
+        answer = json.loads(tool.stdout.readline())
+        assert [one['rule'] for one in answer['buses'][0]['findings']] == ['no_answer']
+        assert tool.poll() is None
+        _, said = tool.communicate('\n', timeout=60)
+    assert 'the program goes on and is no longer heard; Ctrl-C ends it' in said
+    assert tool.returncode == ERROR
+    assert 'uses its port too' not in str(answer)
+
+
 SHARES = """import serial; serial.Serial({!r}).write(bytes((255, 255, 1, 2, 1, 251)))
 raise serial.SerialException('returned no data (disconnected or multiple access on port?)')"""
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import closing
 import json
 import os
 import shlex
@@ -86,13 +87,21 @@ def _run(arguments: list[str]) -> int:
     check_report(options.report)
     flight = _flight(options)
     examination = Examination(models, options.devices, options.protocol, flight)
-    source = _open(options, command)
-    try:
-        seconds = _listen(source, examination, options.seconds)
-    finally:
-        source.close()
-        if flight is not None:
-            flight.stop()
+    with closing(_open(options, command)) as source:
+        try:
+            seconds = _listen(source, examination, options.seconds)
+        finally:
+            if flight is not None:
+                flight.stop()
+        said = _answer(source, examination, seconds, options, command)
+        for problem in [*source.problems(), *([flight.words] if flight is not None else [])]:
+            print(f'dxl_doctor: {printable(problem)}', file=sys.stderr)
+    return said.code
+
+
+def _answer(source: Source, examination: Examination, seconds: float,
+            options: argparse.Namespace, command: Sequence[str]) -> Verdict:
+    """Print what was found and write the report; a program may go on."""
     buses = examination.buses(source.is_timed)
     why = [] if examination.bytes else _why_quiet(options.source, source, command)
     if isinstance(source, Program):
@@ -106,9 +115,7 @@ def _run(arguments: list[str]) -> int:
     _show(said, as_json(said, buses, seconds) | more, options)
     if options.report:
         _write_report(source, examination, seconds, options, command)
-    for problem in [*source.problems(), *([flight.words] if flight is not None else [])]:
-        print(f'dxl_doctor: {printable(problem)}', file=sys.stderr)
-    return said.code
+    return said
 
 
 def _explain(pasted: str) -> int:
@@ -166,7 +173,7 @@ def _listen(source: Source, examination: Examination, limit_s: float | None) -> 
             is_over = not source.is_live
     failed, users = '', {}
     if isinstance(source, Program):
-        is_over, users = True, source.users
+        is_over, users = source.ending.is_over, source.users
         if not source.ending.users:            # else they may have read what is missing
             failed = source.ending.failed
     ended = source.ended if is_over else 0
@@ -230,11 +237,11 @@ def _why_quiet(name: str, source: Source, command: Sequence[str]) -> list[str]:
 
 def _show(said: Verdict, for_programs: dict[str, Any], options: argparse.Namespace) -> None:
     if options.json:
-        print(json.dumps(for_programs))
+        print(json.dumps(for_programs), flush=True)
         return
     if options.source == RUN:
         print()                        # the program may have left a line without an end
-    print('\n'.join(screen(said, has_colours())))
+    print('\n'.join(screen(said, has_colours())), flush=True)
 
 
 def _write_report(source: Source, examination: Examination, seconds: float,

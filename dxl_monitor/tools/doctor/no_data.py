@@ -53,7 +53,7 @@ def of_tap(name: str) -> list[str]:
 
 def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> list[str]:
     """Return why a program said nothing; ports: those that it opened."""
-    ended = f'{command[0]} ended'
+    ended = f'{command[0]} ended' if ending.is_over else f'{command[0]} runs'
     if ending.error:
         ended += f' with {ending.error.rstrip(".")}'
     elif ending.code:

@@ -50,6 +50,9 @@ LIBRARIES = frozenset((
     'dynamixel_api', 'pyax12', 'feetech_cli'))
 
 
+SIGNALLED = 128                    # and the number of a signal: the exit code that a shell has
+CRASHES = {getattr(signal, f'SIG{name}', None) for name in (
+    'ILL', 'TRAP', 'ABRT', 'BUS', 'FPE', 'SEGV', 'SYS')}
 TURNS = 4                          # between two who ask: a parent that hands on has fewer
 _ROBBED = 'multiple access on port'        # as pyserial says
 
@@ -64,6 +67,7 @@ class Ending(NamedTuple):
     was_stopped: bool = False      # by Ctrl-C or another signal
     users: tuple[str, ...] = ()    # who else has one of its ports open
     unheard: str = ''              # why the tap heard nothing
+    is_over: bool = True
 
     @property
     def failed(self) -> str:
@@ -85,7 +89,10 @@ class Ending(NamedTuple):
         """Return what is unknown of a program that ended with another error."""
         found = [f'{", ".join(self.users)} uses its port too: what that asks is not heard here'
                  ] if self.users else []
-        if self.failed == FAILED:
+        if self.code > SIGNALLED and self.code - SIGNALLED != signal.SIGINT:
+            number = self.code - SIGNALLED
+            found.append(f'the program was ended by signal {number} ({signal.strsignal(number)})')
+        elif self.failed == FAILED:
             error = self.error or 'what it printed says why'
             found.append(f'the program ended with exit code {self.code}: {error}')
         return found
@@ -133,7 +140,7 @@ class Program(Source):
         self._ending = Ending()
         self.ports: list[str] = []
         self._was_stopped = False
-        self._unheard = ''
+        self._unheard: str | None = None       # unknown as long as it runs
         self._others: dict[str, list[str]] = {}        # programs that have a port open, by its bus
         self._openings = Openings()
         self._look_who([
@@ -159,7 +166,7 @@ class Program(Source):
                 and time.monotonic() < until_s:
             yield from self._some(self._reader.wait(TICK_S))
         yield from self._some(self._reader.rest())
-        self._look_who(self.ports)
+        self._look_who(self.ports)             # while it ran it was one of them
 
     def _look_who(self, ports: Sequence[str]) -> None:
         for port in ports:
@@ -179,10 +186,12 @@ class Program(Source):
         """How it ended, as far as it has."""
         code = self._child.returncode or 0
         return self._ending._replace(
-            code=128 - code if code < 0 else code, was_stopped=self._was_stopped or code < 0,
-            unheard=self._unheard,
+            code=128 - code if code < 0 else code,
+            was_stopped=self._was_stopped or (code < 0 and -code not in CRASHES),
+            unheard=self._started.why_unheard() if self._unheard is None else self._unheard,
+            is_over=self._child.returncode is not None,
             users=tuple(one for port in self.ports
-                        for one in self._others[ntpath.basename(port)]))
+                        for one in self._others.get(ntpath.basename(port), ())))
 
     def _some(self, records: list[TapRecord]) -> Iterator[Chunk | None]:
         for record in records:
@@ -213,6 +222,8 @@ class Program(Source):
         return Wire(bus, 0)
 
     def close(self) -> None:
-        """Wait for the program, and stop to listen."""
-        self._unheard = self._started.end()
+        """Stop to listen, and wait for the program."""
         self._reader.close()
+        if self._child.poll() is None:
+            self._started.say('the program goes on and is no longer heard; Ctrl-C ends it')
+        self._unheard = self._started.end()
