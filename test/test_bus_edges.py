@@ -229,8 +229,8 @@ def test_an_offset_is_noted_when_it_changes():
     one = registry(Expected(2, 'STS3215'))
     for value in (0, 7, 7, 9):
         one.write(one.device(2), 31, bytes([value, 0]), S)
-    assert notes(one) == [(ev.OFFSET_WRITTEN, 2, ev.Offsets(7, 0)),
-                          (ev.OFFSET_WRITTEN, 2, ev.Offsets(9, 7))]
+    assert notes(one) == [(ev.OFFSET_WRITTEN, 2, ev.Offsets(7, 0, 0)),
+                          (ev.OFFSET_WRITTEN, 2, ev.Offsets(9, 7, 0))]
     one.write(one.device(2), 40, b'\x7f', S)
     assert len(notes(one)) == 2
     one.write(one.device(2), 40, b'\x80', S)

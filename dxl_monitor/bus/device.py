@@ -56,8 +56,8 @@ class Device:
     | model, model_number, firmware, followed_end | DeviceRegistry.resolve(), become(): the \
     model that it said it is; no write from followed_end on changes what it is or does |
     | dialect | DeviceRegistry.speaks(): that of the 1.0 family; None with Protocol 2.0 |
-    | identity, identity_stamp, is_unresolved | pinged(): what it said it is, as bytes; the model \
-    of that was not looked up yet |
+    | identity, identity_stamp, is_unresolved | identify(): what it said it is, as bytes; the \
+    model of that was not looked up yet |
     | return_level, acks, acks_missing | set_return_level(), acknowledged(), ReplyPolicy; acks: \
     whether it acknowledges writes, None while unknown |
     | heard, alert, is_unusual, missed_in_a_row | DeviceRegistry.heard(), Tracker, miss(); \
@@ -172,6 +172,10 @@ class Device:
     def pinged(self, span: Span, data: bytes, stamp: int, source: int) -> None:
         """Keep the answer to a Ping: model number, firmware version; none in the 1.0 family."""
         self.counts.pongs += 1
+        self.identify(data, stamp)
+
+    def identify(self, data: bytes, stamp: int) -> None:
+        """Keep what it says it is: model number, firmware version."""
         if data == self.identity or not data:
             return
         if self.identity and data[:2] != self.identity[:2]:

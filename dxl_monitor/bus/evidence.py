@@ -105,10 +105,11 @@ class Much(NamedTuple):
 
 
 class Offsets(NamedTuple):
-    """Homing Offset of Feetech, raw: now, and before."""
+    """Homing Offset of Feetech, raw: now, and before; Present Position before it, 0 unknown."""
 
     now: int
     before: int
+    place: int
 
 
 class Written(NamedTuple):

@@ -48,7 +48,8 @@ _RESET_KEEPS: dict[str, tuple[str, ...]] = {
     'all': (), 'all except ID': ('ID',), 'all except ID and Baud Rate': ('ID', 'Baud Rate'),
     '': ('ID', 'Baud Rate'),
 }
-_CALIBRATED = ('Present Position', 'Homing Offset')
+PLACE = 'Present Position'
+_CALIBRATED = (PLACE, OFFSET)
 _DIALECTS = {dialect.protocol: dialect for dialect in DIALECTS}
 _CLEARS = {MULTI_TURN: 'Present Position', ERROR: 'Hardware Error Status'}
 
@@ -70,7 +71,7 @@ class DeviceRegistry:
         self.devices: dict[int, Device] = {}
         self.dialect = UNDECIDED           # in the 1.0 family, for devices that speak it
         self.highest = MAX_ID              # the largest ID that a device can have here
-        self._offsets: dict[Device, int] = {}
+        self._offset = self._place = 0     # raw, before what was written last
         self._renamed: dict[int, int] = {}     # IDs that were changed: the new ones
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.changed: Callable[[], None] = lambda: None
@@ -187,7 +188,7 @@ class DeviceRegistry:
         firmware = b''
         if field is not None and field.size == 1 and field.at >= address:
             firmware = data[field.at - address:field.end - address]
-        device.pinged(NO_SPAN, number + firmware, stamp, READ)
+        device.identify(number + firmware, stamp)
 
     def is_impossible(self, number: int) -> bool:
         """Tell whether no device can have this ID, and it is not everybody's either."""
@@ -239,9 +240,12 @@ class DeviceRegistry:
         device.counts.writes += 1
         if device.is_unresolved:
             self.resolve(device)           # its model says how much of the table is kept
+        if address >= device.followed_end or not device.is_changed_by(address, len(data)):
+            device.table.keep((address, len(data)), data, stamp, WRITTEN)
+            return
+        self._offset, self._place = (_raw(device, name) for name in (OFFSET, PLACE))
         device.table.keep((address, len(data)), data, stamp, WRITTEN)
-        if address < device.followed_end and device.is_changed_by(address, len(data)):
-            self.follow(device, address, data, stamp, alone)
+        self.follow(device, address, data, stamp, alone)
 
     def renames(self, effect: Effect, number: int) -> bool:
         """
@@ -322,11 +326,9 @@ class DeviceRegistry:
         self._moved(device, baud, f'{baud} Bd' if baud else f'an unknown baud rate (code {value})')
 
     def _follow_offset(self, device: Device, value: int, stamp: int) -> None:
-        before = self._offsets.get(device, 0)
-        self._offsets[device] = value
-        if value != before:
+        if value != self._offset:
             self._evidence.note(stamp, ev.OFFSET_WRITTEN, device.number,
-                                ev.Offsets(value, before))
+                                ev.Offsets(value, self._offset, self._place))
 
     def _follow_torque(self, device: Device, value: int, stamp: int) -> None:
         if value == MIDDLE:
@@ -369,3 +371,10 @@ class DeviceRegistry:
         field = device.model.by_name.get('Torque Enable')
         torque = device.table.byte(field.at) if field is not None else None
         return -1 if torque is None else torque
+
+
+def _raw(device: Device, name: str) -> int:
+    """Return what is known of a register, 0 where nothing is."""
+    field = device.model.by_name.get(name)
+    data = device.table.bytes(field.at, field.size) if field is not None else None
+    return 0 if field is None or data is None else field.code_of(data)

@@ -368,6 +368,8 @@ class Tracker:
             self._policy.judge(question, now, stamp, us := self._since_asked(now))
             if following == self._last:
                 self._note(now, ev.REPEATED, due[0].device.number, ev.Again(following[2], us))
+        elif slots:
+            self.unread.pass_over(self._question([*slots.values()]))
         if not due or question.is_spoilt:
             self._carry_out()
         self._deferred = None

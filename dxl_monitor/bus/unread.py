@@ -52,6 +52,7 @@ class Unread:
         self.dropped = 0
         self.patience_ns, self.unsent = OWED_NS, -1
         self.left: deque[OpenQuestion] = deque(maxlen=KEPT)
+        self._unknown: deque[OpenQuestion] = deque(maxlen=KEPT)    # left, or thrown away
         self.last: list[OpenQuestion] = []
         self.given_up: tuple[Slot | None, int] = None, 0
         self._registry = registry
@@ -79,9 +80,13 @@ class Unread:
         waited, slot = now - question.asked, question.due[0]
         if waited < byte_ns * (AROUND_1 + slot.size):      # no answer is over so soon
             self._evidence.waits.append(Wait(now, waited // 1000, slot.device.number, False))
-        if self._purged < question.asked:      # else it is unknown
-            self.left.append(question)
+        (self.left if self._purged < question.asked else self._unknown).append(question)
         return True
+
+    def pass_over(self, question: OpenQuestion) -> None:
+        """Take a write that is over, of which it is unknown whether it is acknowledged."""
+        if self.stamp:
+            self._unknown.append(question)
 
     def _notes_unsent(self, question: OpenQuestion, now: int) -> bool:
         """Note a question that was thrown away while it was sent; return whether it was."""
@@ -112,22 +117,30 @@ class Unread:
         Take note that the program threw away what it had received.
 
         slots: what it waits for; received: the offset where that begins. If it never looked for
-        it, and just that is there, it throws away what it asked for; it may have taken other
-        bytes for that. Else that may be the answer that it gave up last; or, where it has all
-        that it asked one device for, as many bytes again are from a second device with that ID.
+        it, and just that is there, or with it what it left, it throws away what it asked for; it
+        may have taken other bytes for that. Else that may be the answer that it gave up last; or,
+        where it has all that it asked one device for, as many bytes again are from a second
+        device with that ID.
         """
         request = plan.request
-        if slots and self._looked <= asked \
-                and self.waiting == sum(slot.status_size for slot in slots.values()):
+        left = [slot for question in (*self.left, *self._unknown) for slot in question.due
+                if stamp - question.asked < OWED_NS]
+        if slots and self._looked <= asked and self.waiting == sum(
+                slot.status_size for slot in (*left, *slots.values())):
             if self._since == received:
                 self._evidence.note(
                     stamp, ev.THROWN_AWAY, request.id, ev.Code(request.instruction))
             self.dropped = 0
-            for one in slots.values():
+            for one in (*left, *slots.values()):
                 self._registry.heard(one.device, 0, stamp)
+                if one.due is Due.ACK:
+                    one.device.acknowledged()
             slots.clear()
         else:
             self._take_rest(None if slots else plan.slots.get(request.id), plan, stamp)
+        self._unknown.extend(self.left)
+        if self.waiting:
+            self._unknown.clear()
         self.until = self.waiting = 0
         self._purged = stamp
         self.left.clear()
@@ -195,7 +208,9 @@ class Unread:
                     before: Plan) -> None:
         """Take an answer that waited and that nothing asked for, as far as is known."""
         self._registry.heard(device, code, stamp)
-        if not device.pays(stamp, self.patience_ns) and before.asks(device, len(data)):
+        if device.pays(stamp, self.patience_ns):
+            self._evidence.note(stamp, ev.LATE, device.number, ev.Lateness(0))
+        elif before.asks(device, len(data)):
             self._evidence.note(stamp, ev.SECOND_ANSWER, device.number,
                                 ev.Code(before.request.instruction))
 

@@ -10,8 +10,8 @@ from itertools import pairwise
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus.report import CONNECTED
-from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import DeviceReport
+from dxl_monitor.doctor import group_reads
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.last_question import ended_on
@@ -21,10 +21,8 @@ from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
-from dxl_monitor.doctor.rule import SILENCE
 from dxl_monitor.model.control_table import UNKNOWN
-from msg_defs.dxl1_instruction import DYNAMIXEL_1
-from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
@@ -41,22 +39,18 @@ POLLED = 20                        # reads of a device that was never written
 POLLED_S = 3.0
 ACKS_LEARNED = 3
 WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
-FAST = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
 OTHERWISE_S = 2.0                  # an answer to something else, so lately: it is there
 STOPPED = 'master_stopped'
 MODELS = 'models'
 STOPPED_S = 1.2
 RESTED_S = 10.0                    # a shorter pause may be meant
-WORKED_S = 3.0                     # a program that ran so long has stopped; a command is done
+WORKED_S = 2.5                     # a program that ran so long has stopped; a command is done
 NO_IDS = (0xFD, 0xFF)
 _NO_NAMES = 'so registers have no names and some causes cannot be found'
 MOSTLY = 0.7                       # share of the instructions
 ONSET_S = 1.0                      # acknowledgements that get lost come again by then
 SCANS = 15                         # broadcast Pings in 10 s: each needs 0.8 s
 PINGS_NS = 10 * S
-# Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
-_FAST_SINCE = (((30, 311, 321), 256), (range(1190, 1250), 46), (range(1000, 1400), 45),
-               (range(2000, 2130), 12))
 
 # Addresses of other series that programs use by mistake (e-Manual, PRO), with their registers.
 _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: 'Goal Torque',
@@ -111,7 +105,11 @@ def _goal_limits(case: Case, device: DeviceReport) -> Found | None:
 def _goals_beyond(case: Case, device: DeviceReport) -> Found | None:
     """Look for goals that Position Control Mode refuses; nothing answers a Sync Write."""
     goal, mode = map(case.values[device.id].get, ('Goal Position', 'Operating Mode'))
-    if goal is None or goal.source != 'w' or device.model.protocol != '2' \
+    if goal is None or goal.source != 'w':
+        return None
+    if device.model.protocol == FEETECH.protocol and (mode is None or not mode.value.raw):
+        return _goals_held_back(case, device)
+    if device.model.protocol != '2' \
             or round(TURN * (goal.field.scale or 0), 2) != 6.28 \
             or (mode is not None and mode.value.raw != POSITION_CONTROL):
         return None
@@ -125,6 +123,19 @@ def _goals_beyond(case: Case, device: DeviceReport) -> Found | None:
     return Claim(device.id, f'goals beyond 0 to {TURN - 1} are sent, which Position Control Mode '
                  'refuses: keep them within, or set Extended Position Control Mode',
                  {'the last': beyond[-1].goal})
+
+
+def _goals_held_back(case: Case, device: DeviceReport) -> Found | None:
+    """Look for goals beyond the limits of a Feetech servo, which it answers as any other."""
+    low, high = (one.value.raw if one is not None else 0 for one in map(
+        case.values[device.id].get, ('Min Position Limit', 'Max Position Limit')))
+    beyond = {one.goal for one in case.samples.get(device.id, ())
+              if one.goal is not None and not low <= one.goal <= high}
+    if not low < high or len(beyond) < TWICE:
+        return None                            # without limits both are 0
+    return Claim(device.id, f'goals beyond its limits of {low} to {high} are sent: it stops '
+                 'there; keep goals within them, or set wider ones (Min and Max Position Limit)',
+                 {'the farthest': max(beyond, key=lambda goal: abs(2 * goal - low - high))})
 
 
 def _wrong_address(case: Case, device: DeviceReport) -> Found | None:
@@ -177,60 +188,6 @@ def _no_acks(case: Case, device: DeviceReport) -> Found | None:
                  f"{level or 'below 2'}): a master that waits for it loses a time-out each time; "
                  f"use Sync Write or level 2{'; if it has that, check its plugs' * has_ended}",
                  level=Level.WARN if has_ended else None, is_certain=has_ended)
-
-
-def _fast_reads(case: Case) -> Claims:
-    """Look at the first device of each fast read that never gave its part of one."""
-    known = set()
-    for cycle in case.report.cycles:
-        if cycle.instruction not in FAST or not cycle.stamps or cycle.asked < FEW \
-                or case.now - cycle.stamps[-1] > 2 * S:
-            continue
-        first = next((number for number in cycle.ids if number in case.devices
-                      and not case.devices[number].totals.fast_answers), None)
-        found = None if first is None or first in known else \
-            _fast_read(case, case.devices[first], cycle)
-        if found is not None and first is not None:
-            known.add(first)
-            yield found
-
-
-def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
-    refused = sum(one.detail.instruction in FAST and one.detail.error == UNKNOWN_TO_IT
-                  for one in case.incidents(ev.REFUSED, device.id))
-    is_able = device.firmware is not None and not _lacks_fast_reads(device) \
-        and case.lately(device, OTHERWISE_S).answers < FEW
-    if refused < FEW and (is_able or not device.totals.answers):
-        return None                            # perhaps it is not there
-    firmware = '' if device.firmware is None else f', firmware {device.firmware}'
-    after = cycle.ids[cycle.ids.index(device.id):]
-    return Claim(device.id, 'answers, but never a fast read '
-                 f'({device.model_name}{firmware}), so devices after it are never read: update it '
-                 'or use plain Sync Read',
-                 {'fast reads': cycle.asked}, covers=tuple(after))
-
-
-def _sync_reads(case: Case) -> Claims:
-    """Look for Sync Reads that nothing answers, where other instructions are answered."""
-    if case.report.protocol not in (DYNAMIXEL_1.name, UNDECIDED.name) or case.count(ev.UNASKED):
-        return
-    answered = sum(device.totals.answers for device in case.report.devices)
-    for cycle in case.report.cycles:
-        asked = sum(stamp > case.now - OTHERWISE_S * S for stamp in cycle.stamps)
-        if cycle.instruction == Instruction.SYNC_READ and asked >= FEW and answered >= FEW:
-            yield Claim(None, 'the master sends Sync Reads, which Dynamixel has in Protocol 2.0 '
-                        'only, and Feetech SCS not at all: none is answered, other instructions '
-                        'are; read one after the other',
-                        {'Sync Reads': cycle.asked})
-
-
-def _lacks_fast_reads(device: DeviceReport) -> bool:
-    """Tell whether its firmware is older than fast reads (e-Manual, Fast Sync Read)."""
-    if device.firmware is None or device.model_number is None:
-        return False
-    since = next((firmware for numbers, firmware in _FAST_SINCE if device.model_number in numbers),
-                 0)
-    return device.firmware < since
 
 
 def _unstuffed(case: Case) -> Claims:
@@ -364,9 +321,7 @@ RULES = (
          ('noise', 'damaged_answers', 'stray_bytes', 'turnaround', 'jitter'), holds=False),
     Rule(MODELS, Level.OK, _models),
     Rule('eeprom_wear', Level.WARN, _eeprom_wear, ('torque_off',), each=True),
-    Rule('fast_read_unsupported', Level.WARN, _fast_reads,
-         (*SILENCE, 'all_silent', 'noise', 'damaged_answers', 'wrong_address', 'dropout')),
-    Rule('sync_read_unsupported', Level.WARN, _sync_reads, ('jitter',)),
+    *group_reads.RULES,
     Rule('unstuffed', Level.WARN, _unstuffed),
     Rule('no_acks', Level.OK, _no_acks, ('missed_answers', 'no_answer'), onset_s=ONSET_S,
          holds=False, each=True),

@@ -30,16 +30,15 @@ from msg_defs.dxl_instruction import NAMES
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 
-FEW = 3
-SOME = 5
-NOISY = 0.001                      # damaged of all packets
-GLITCHY = 0.001                    # packets after a stray byte
+TWICE, FEW, SOME = 2, 3, 5
+NOISY = GLITCHY = 0.001            # damaged of all packets; packets after a stray byte
 HEADERS = 0.01                     # answers with a damaged first byte
 BY_CHANCE = 1 / 8                  # share of damage that hits a first byte by chance
 MOSTLY = 0.7
 BOTH_WAYS = 0.2                    # share of damage in instructions: both directions suffer
 GARBLED = 0.005                    # by chance, this share of the bytes is packets at most
 BYTES_NEEDED = 300
+START = b'\xff\xff'                # two servos that collide leave it whole
 IMPOSSIBLE = 120.0                 # % of the wire time
 BURST_NS = 1_000_000_000           # a source may hand over so much wire time late
 ECHO_US = 100
@@ -50,10 +49,10 @@ ONSET_S = 1.0                      # by then it has shown whether something else
 
 _OF_THE_WIRE = ('noise', 'damaged_answers', 'turnaround', 'stray_bytes', 'missed_answers',
                 'duplicate_id', 'foreign_answers', 'dropout')
-_ALL_ELSE = (*_OF_THE_WIRE, 'no_answer', 'sync_read_stops', 'broken_cable', 'all_silent', 'echo',
-             'rebooted', 'brown_out', 'jitter', 'protocol_1', 'impatient_master', 'late_answers',
-             'latency_timer', 'two_masters', 'bus_too_slow', 'never_written', 'overrun',
-             'fast_read_unsupported', 'ping_only', 'no_acks', 'return_delay')
+_ALL_ELSE = (*_OF_THE_WIRE, 'factory_id', 'no_answer', 'sync_read_stops', 'broken_cable',
+             'all_silent', 'echo', 'rebooted', 'brown_out', 'jitter', 'protocol_1', 'overrun',
+             'impatient_master', 'late_answers', 'latency_timer', 'two_masters', 'bus_too_slow',
+             'never_written', 'fast_read_unsupported', 'ping_only', 'no_acks', 'return_delay')
 # What is said of a bus without a packet where the bytes are too few for the rule.
 NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and check that it is a '
               'servo bus and that D+ and D- are not swapped')
@@ -69,13 +68,17 @@ def _wrong_baud(case: Case) -> Claims:
         yield Claim(None, f'more bytes than {report.baud} Bd can carry: the bus is faster; set '
                           f'{case.names.bauds} to its rate', {'load (%)': f'{load:.0f}'})
         return
+    whose = case.names.bauds
+    if report.has_sides and len(report.devices) >= TWICE and START not in report.noise \
+            and all(device.last_heard_s is None for device in report.devices):
+        got, good, whose = got - good, 0, 'the rate of the program'    # what that sends is whole
     if got < BYTES_NEEDED or good > GARBLED * got or case.count(ev.PROTOCOL_1):
         return
     rate = likely_rate(report.noise, report.baud)
-    remedy = f'the bytes look like {rate} Bd: set {case.names.bauds} to it' if rate \
-        else f'the right rate is unknown: set {case.names.bauds} to the rate of the bus'
-    yield Claim(None, f'{got} bytes, but no packets at {report.baud} Bd: {remedy}',
-                {'bytes': got, 'framing errors': errors})
+    remedy = f'the bytes look like {rate} Bd: set {whose} to it' if rate else \
+        f'the right rate is unknown: set {whose} to the rate of the bus'
+    yield Claim(None, f'{got} bytes, but no packets at {report.baud} Bd: {remedy}', {
+        'bytes': got, 'framing errors': errors})
 
 
 def _load(case: Case) -> float:

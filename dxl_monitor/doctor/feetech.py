@@ -24,6 +24,8 @@ FEETECH = 'feetech'
 # What LeRobot takes these codes for (its tables of Feetech motors, commit 7427f31).
 LEROBOT_BAUDS = {5: 57_600, 6: 38_400, 7: 19_200}
 TWICE = 2
+MIDDLE, STEPS = 2047, 1           # where LeRobot puts the middle; as near as a goal is met
+SIGN = 0x800                       # in Homing Offset (Feetech, STS memory table)
 # What Lock does to a write of EEPROM (e-Manual, Protocol 1.0; Feetech, STS memory table).
 _OF_LOCK = {'1': ('ignores it', 'switch its power off and on to unlock it'),
             FEETECH: ('forgets it at power-off', 'write 0 to Lock before it, and 1 after it')}
@@ -67,12 +69,21 @@ def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
                      'position becomes the middle; do it once, with the joint in the middle',
                      {'times': times})
     offsets = case.incidents(ev.OFFSET_WRITTEN, device.id)
+    for now, before, place in (one.detail for one in offsets):
+        if now and before and abs(_signed(now) - (place - MIDDLE)) <= STEPS:
+            return Claim(device.id, f'Homing Offset {_signed(now)} written: its position less '
+                         f'{MIDDLE}, as it was with the offset {_signed(before)}, so the new one '
+                         'is wrong by that; write 0, measure again')
     last = offsets[-1] if len(offsets) >= TWICE else None
-    if last is None or not all(last.detail):
+    if last is None or not (last.detail.now and last.detail.before):
         return None
     return Claim(device.id, f'Homing Offset written {len(offsets)} times within 10 s, {TWICE} '
                  'without 0 between: the new offset includes the old one; write 0, measure '
                  'again', {'now, before': f'{last.detail.now}, {last.detail.before}'})
+
+
+def _signed(offset: int) -> int:
+    return offset if offset < SIGN else SIGN - offset
 
 
 def _mixed_firmware(case: Case) -> Claims:

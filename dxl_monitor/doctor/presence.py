@@ -201,8 +201,10 @@ def _data_ages(device: DeviceReport) -> list[float]:
 
 
 def _dropout(case: Case, device: DeviceReport) -> Found | None:
-    if device.window.spoilt * 2 > device.window.missed:
-        return None
+    totals = device.totals
+    if device.window.spoilt * 2 > device.window.missed \
+            or (totals.data_missed and totals.answers == totals.pongs):
+        return None                    # or it answers Pings only
     absences = [one for one in _absences(case, device.id)
                 if one.detail.missed >= FEW and _talks_since(case, one)
                 and (case.now - one.stamp > SETTLED_S * S or case.report.is_over)]
@@ -259,8 +261,8 @@ def _was_with_all(case: Case, back: Incident[ev.SilentFor], ids: list[int]) -> b
     asked = {cycle.ids[0] for cycle in case.report.cycles for stamp in cycle.stamps
              if cycle.ids != (BROADCAST,) and (begin < stamp < back.stamp or (
                  begin < cycle.stamps[0] and len(cycle.stamps) < cycle.asked))}     # or unknown
-    return len(waits) >= FEW and not any(one.is_spoilt for one in waits) and {*ids} >= asked \
-        and len({one.device for one in waits}) > 1
+    return len(waits) >= FEW and not _hurries(case) and {*ids} >= asked \
+        and not any(one.is_spoilt for one in waits) and len({one.device for one in waits}) > 1
 
 
 def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:

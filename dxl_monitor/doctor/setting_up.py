@@ -112,9 +112,10 @@ def _layout(case: Case, device: DeviceReport) -> Found | None:
             and (order.value.raw == 1) != (place.byte_order == 'big'):
         return Claim(device.id, f'reports that its numbers are {order.value.text}, but those of '
                      f'{device.model_name} are not: set its real model in {case.names.devices}')
+    refused = {one.detail.address for one in case.incidents(ev.REFUSED, device.id)}
     for cycle in case.report.cycles:
         if cycle.address is None or device.id not in cycle.ids or cycle.asked < FEW \
-                or cycle.stamps[-1] < case.now - RECENT_NS:
+                or cycle.address in refused or cycle.stamps[-1] < case.now - RECENT_NS:
             continue
         first = device.model.by_address.get(cycle.address)
         is_low_byte = first is not None and first.at == cycle.address not in _ELSEWHERE \
@@ -147,6 +148,5 @@ RULES = (
           'wrong_length', 'late_answers', 'cycle_time')),
     Rule('wrong_supply', Level.ERROR, _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
          onset_s=ONSET_S, protocols=FAMILY_1),
-    Rule('layout', Level.WARN, _layout, ('wrong_address',), each=True, protocols=FAMILY_1,
-         needs_model=True),
+    Rule('layout', Level.WARN, _layout, each=True, protocols=FAMILY_1, needs_model=True),
 )

@@ -38,6 +38,8 @@ from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import DAMAGE
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
+from dxl_monitor.doctor.rule import in_full
+from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import SILENCE
 from msg_defs.dxl_instruction import Instruction
@@ -188,10 +190,12 @@ def _late_answers(case: Case) -> Claims:
                         'that does not wait, or two devices with this ID')
         else:
             known = [one.us for one in case.report.waits]
-            yield Claim(number, 'answers after the master gave up, during the next instruction: '
-                        'lower its Return Delay Time or raise the time-out',
+            also = sorted(one for one, times in first.items() if times >= FEW and one != number)
+            yield Claim(number, 'answers after the master gave up, during the next instruction'
+                        f'{f", as {listed(also, 2)} do" if also else ""}: raise the time-out, or '
+                        'lower its Return Delay Time',
                         {'late answers': count, 'waits': f'{median(known) / 1000:.1f} ms'
-                            if known else 'unknown'},
+                            if known else 'unknown', **({'also': in_full(also)} if also else {})},
                         covers=tuple(case.devices))
 
 
