@@ -84,6 +84,15 @@ class Robot:
                       for path in self.root.rglob('*') if path.is_file())
 
 
+def test_who_reads_it_may_have_enough(robot):
+    with subprocess.Popen(
+            [sys.executable, INSTALLER, '--root', robot.root, '--prefix', robot.prefix, '--user',
+             'ubuntu', '--mcu', '/dev/ttyAMA0', '--dry-run'], stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True) as shown:
+        shown.stdout.close()
+        assert (shown.stderr.read(), shown.wait(60)) == ('', 1)
+
+
 def test_usbmon_is_for_the_service_alone(robot):
     told = robot.install('--usbmon')
     assert 'keyboards and disks too' in told
