@@ -351,6 +351,20 @@ def test_it_answers_in_time_while_the_program_goes_on(meeting_place, tmp_path):
     assert 'uses its port too' not in str(answer)
 
 
+@pytest.mark.alone
+@pytest.mark.parametrize('name', ['SEGV', 'KILL'])
+def test_a_program_that_a_signal_ended_is_not_called_well(meeting_place, tmp_path, name):
+    with Pty(str(tmp_path / 'bus')) as pty:
+        script = LASTS.format(pty.path).replace(
+            'input()', f'import os, signal; os.kill(os.getpid(), signal.SIG{name})')
+        done = doctor('--json', 'run', '--', sys.executable, '-c', script,
+                      env={'XDG_RUNTIME_DIR': meeting_place})
+    said = json.loads(done.stdout)
+    words = signal.strsignal(getattr(signal, f'SIG{name}'))
+    assert f'the program was ended by a signal: {words}' in said['cannot_tell']
+    assert said['program']['exit'] == 128 + getattr(signal, f'SIG{name}')
+
+
 SHARES = """import serial; serial.Serial({!r}).write(bytes((255, 255, 1, 2, 1, 251)))
 raise serial.SerialException('returned no data (disconnected or multiple access on port?)')"""
 
@@ -369,6 +383,7 @@ def test_another_program_on_its_port_is_named(meeting_place, tmp_path):
 @pytest.mark.parametrize(('options', 'script', 'words'), [
     (('no_such.py',), '', 'ended with exit code 2: there is no file no_such.py in this folder'),
     ((), 'raise SystemExit(7)', 'ended with exit code 7. - The output of the program says why'),
+    ((), 'import os; os.abort()', 'ended by a signal (Aborted). - The output of the program'),
     ((), 'raise OSError("[Errno 2] could not open port /dev/ttyNONE0: it")',
      '/dev/ttyNONE0: is not there; plug it in or set another port'),
     ((), 'import no_such_package', 'lacks that package. Name the Python of your program'),

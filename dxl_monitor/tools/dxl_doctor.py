@@ -173,7 +173,7 @@ def _listen(source: Source, examination: Examination, limit_s: float | None) -> 
             is_over = not source.is_live
     failed, users = '', {}
     if isinstance(source, Program):
-        is_over, users = source.ending.is_over, source.users
+        is_over, users = True, source.users
         if not source.ending.users:            # else they may have read what is missing
             failed = source.ending.failed
     ended = source.ended if is_over else 0
@@ -181,7 +181,8 @@ def _listen(source: Source, examination: Examination, limit_s: float | None) -> 
         examination.pass_time(ended)
         examination.finish(ended, is_over=False)
     else:
-        examination.finish(examination.last if is_over else time.monotonic_ns(), is_over, failed,
+        goes_on = not is_over or (isinstance(source, Program) and not source.ending.is_over)
+        examination.finish(time.monotonic_ns() if goes_on else examination.last, is_over, failed,
                            users)
     return time.monotonic() - began_s if source.is_live else examination.seconds
 

@@ -12,6 +12,7 @@ import argparse
 from collections.abc import Sequence
 import os
 import shlex
+import shutil
 
 from dxl_monitor.bus.decoder import DEFAULTS
 from dxl_monitor.bus.decoder import PROTOCOLS
@@ -60,6 +61,9 @@ def parse_run(parser: argparse.ArgumentParser,
         command = with_python(arguments[at:])
         raise UsageError(f'{RUN}: -- is missing in front of the program; write {parser.prog} '
                          + shlex.join([*arguments[:at], '--', *command]))
+    if left and first and mark == len(arguments) and shutil.which(first):
+        raise UsageError(f'{first}: a program; write {parser.prog} {RUN} -- '
+                         + shlex.join(arguments[arguments.index(first):]))
     if left:
         parser.error(f'unrecognized arguments: {" ".join(left)}')
     command = list(arguments[mark + 1:])

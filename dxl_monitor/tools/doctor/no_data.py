@@ -56,6 +56,8 @@ def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> 
     ended = f'{command[0]} ended' if ending.is_over else f'{command[0]} runs'
     if ending.error:
         ended += f' with {ending.error.rstrip(".")}'
+    elif ending.ended_by:
+        ended += f' by a signal ({ending.ended_by})'
     elif ending.code:
         ended += f' with exit code {ending.code}'
     if ending.error.startswith(_IMPORT_ERRORS):

@@ -77,6 +77,11 @@ class Ending(NamedTuple):
         is_of_library = self.packages & LIBRARIES or explain.find(self.error or '-')
         return RAISED if is_of_library else FAILED
 
+    @property
+    def ended_by(self) -> str:
+        """The signal that ended it, in words, '' for none."""
+        return signal.strsignal(self.code - SIGNALLED) or '' if self.code > SIGNALLED else ''
+
     def trouble(self) -> Trouble | None:
         """Return what is wrong with a program that its servo library has ended."""
         if self.failed != RAISED:
@@ -89,9 +94,8 @@ class Ending(NamedTuple):
         """Return what is unknown of a program that ended with another error."""
         found = [f'{", ".join(self.users)} uses its port too: what that asks is not heard here'
                  ] if self.users else []
-        if self.code > SIGNALLED and self.code - SIGNALLED != signal.SIGINT:
-            number = self.code - SIGNALLED
-            found.append(f'the program was ended by signal {number} ({signal.strsignal(number)})')
+        if self.ended_by not in ('', signal.strsignal(signal.SIGINT)):
+            found.append(f'the program was ended by a signal: {self.ended_by}')
         elif self.failed == FAILED:
             error = self.error or 'what it printed says why'
             found.append(f'the program ended with exit code {self.code}: {error}')
