@@ -68,15 +68,15 @@ def _wrong_baud(case: Case) -> Claims:
         yield Claim(None, f'more bytes than {report.baud} Bd can carry: the bus is faster; set '
                           f'{case.names.bauds} to its rate', {'load (%)': f'{load:.0f}'})
         return
-    whose = case.names.bauds
+    rate_of = case.names.bauds
     if report.has_sides and len(report.devices) >= TWICE and START not in report.noise \
             and all(device.last_heard_s is None for device in report.devices):
-        got, good, whose = got - good, 0, 'the rate of the program'    # what that sends is whole
+        got, good, rate_of = got - good, 0, 'the rate of the program'    # what that sends is whole
     if got < BYTES_NEEDED or good > GARBLED * got or case.count(ev.PROTOCOL_1):
         return
     rate = likely_rate(report.noise, report.baud)
-    remedy = f'the bytes look like {rate} Bd: set {whose} to it' if rate else \
-        f'the right rate is unknown: set {whose} to the rate of the bus'
+    remedy = f'the bytes look like {rate} Bd: set {rate_of} to it' if rate else \
+        f'the right rate is unknown: set {rate_of} to the rate of the bus'
     yield Claim(None, f'{got} bytes, but no packets at {report.baud} Bd: {remedy}', {
         'bytes': got, 'framing errors': errors})
 
@@ -94,8 +94,8 @@ def _load(case: Case) -> float:
 def _written(case: Case, device: DeviceReport, name: str) -> int:
     """Return what was written, where no model was known then and it says nothing since; or -1."""
     one = case.values[device.id].get(name)
-    if one is None or one.source != 'w' or device.id not in case.gone \
-            or device.model.number is not None \
+    is_gone = device.id in case.gone or (case.report.failed and device.missed_in_a_row >= FEW)
+    if one is None or one.source != 'w' or not is_gone or device.model.number is not None \
             or (device.last_heard_s or 0.0) < one.age_s - WRITTEN_S:
         return -1
     return int(one.value.raw)
