@@ -438,7 +438,7 @@ def test_it_says_when_the_port_is_lost_and_goes_on(tmp_path):
         wait(lambda: pty.is_open)
         wait(lambda: os.write(pty.master, encode(1, I.PING)) and tool.said('Ping'))
     with tool:
-        tool.wait_for('lost')
+        tool.wait_for(f'{link}: ')          # lost, or already why it does not open again
         with Pty(str(link)) as pty:
             tool.wait_for('the port is open again')
             wait(lambda: os.write(pty.master, encode(2, I.PING)) and tool.said('002'))

@@ -60,7 +60,7 @@ class StartedProgram:
         self._tool = tool
         self._command = command[0]
         self._relay: subprocess.Popen[bytes] | None = None
-        self._strace: subprocess.Popen[bytes] | None = None       # that joined a running program
+        self._has_joined = False               # strace, or it could not
         self._name = name
         self._env = outside = own_environment()
         program = _find(command, outside)
@@ -96,7 +96,7 @@ class StartedProgram:
                           self._command)
         if strace.loses_rights(program):
             self.say(f'{program} runs without the rights that its file gives it: strace takes '
-                      f'them away; write sudo {self._tool} ...')
+                     f'them away; write sudo {self._tool} ...')
         self.say(f'{program} is {TRACED}')
         self.child, self._relay = strace.start(
             [program, *command[1:]], env, name, self._folder.name, stdout)
@@ -132,16 +132,17 @@ class StartedProgram:
     def _join(self, strace: ModuleType) -> None:
         """Let strace hear a program in Python that asks for it, once."""
         asked = self._marked(TRACE)
-        if not asked or self._strace is not None or self._relay is not None:
+        if not asked or self._has_joined:
             return
+        self._has_joined = True
         problem = strace.why_not()
         if problem:
             self.say(f'{self._command} opens ports without pyserial, and is not heard: {problem}')
-            self._strace = self.child
             return
         self.say(f'{self._command} opens ports without pyserial and is {TRACED}')
-        self._strace, self._relay = strace.attach(
-            int(asked[0]), self._env, self._name, self._folder.name)
+        with suppress(OSError):                # the program has ended
+            self._strace, self._relay = strace.attach(
+                int(asked[0]), self._env, self._name, self._folder.name)
 
     def _used(self) -> list[str]:
         """Return the ports that were heard to be opened."""
