@@ -51,7 +51,7 @@ _RESET_KEEPS: dict[str, tuple[str, ...]] = {
 PLACE = 'Present Position'
 _CALIBRATED = (PLACE, OFFSET)
 _DIALECTS = {dialect.protocol: dialect for dialect in DIALECTS}
-_CLEARS = {MULTI_TURN: 'Present Position', ERROR: 'Hardware Error Status'}
+_CLEARS = {MULTI_TURN: PLACE, ERROR: 'Hardware Error Status'}
 
 
 class DeviceRegistry:
@@ -240,12 +240,12 @@ class DeviceRegistry:
         device.counts.writes += 1
         if device.is_unresolved:
             self.resolve(device)           # its model says how much of the table is kept
-        if address >= device.followed_end or not device.is_changed_by(address, len(data)):
-            device.table.keep((address, len(data)), data, stamp, WRITTEN)
-            return
-        self._offset, self._place = (_raw(device, name) for name in (OFFSET, PLACE))
+        changes = address < device.followed_end and device.is_changed_by(address, len(data))
+        if changes:
+            self._offset, self._place = _raw(device, OFFSET), _raw(device, PLACE)
         device.table.keep((address, len(data)), data, stamp, WRITTEN)
-        self.follow(device, address, data, stamp, alone)
+        if changes:
+            self.follow(device, address, data, stamp, alone)
 
     def renames(self, effect: Effect, number: int) -> bool:
         """

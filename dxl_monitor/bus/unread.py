@@ -138,9 +138,10 @@ class Unread:
             slots.clear()
         else:
             self._take_rest(None if slots else plan.slots.get(request.id), plan, stamp)
-        self._unknown.extend(self.left)
         if self.waiting:
             self._unknown.clear()
+        else:
+            self._unknown.extend(self.left)
         self.until = self.waiting = 0
         self._purged = stamp
         self.left.clear()

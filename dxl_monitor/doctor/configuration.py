@@ -31,7 +31,7 @@ from msg_defs.reports import Level
 
 S = 1_000_000_000
 FEW, TWICE = 3, 2
-RANGE, LENGTH, LIMIT, ACCESS, UNKNOWN_TO_IT = 4, 5, 6, 7, 2
+RANGE, LENGTH, LIMIT, ACCESS = 4, 5, 6, 7
 TURN, POSITION_CONTROL = 4096, 3   # steps (X, MX 2.0); of Operating Mode (e-Manual)
 STANDS = 6                         # steps: a joint does not move
 WORN = 30                          # EEPROM writes in 10 s: no start-up writes as many
