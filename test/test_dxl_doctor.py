@@ -383,6 +383,7 @@ def test_another_program_on_its_port_is_named(meeting_place, tmp_path):
 @pytest.mark.parametrize(('options', 'script', 'words'), [
     (('no_such.py',), '', 'ended with exit code 2: there is no file no_such.py in this folder'),
     ((), 'raise SystemExit(7)', 'ended with exit code 7. - The output of the program says why'),
+    ((), 'raise SystemExit(-1)', 'ended with exit code 255. - The output of the program says why'),
     ((), 'import os; os.abort()', 'ended by a signal (Aborted). - The output of the program'),
     ((), 'raise OSError("[Errno 2] could not open port /dev/ttyNONE0: it")',
      '/dev/ttyNONE0: is not there; plug it in or set another port'),

@@ -50,7 +50,6 @@ LIBRARIES = frozenset((
     'dynamixel_api', 'pyax12', 'feetech_cli'))
 
 
-SIGNALLED = 128                    # and the number of a signal: the exit code that a shell has
 CRASHES = {getattr(signal, f'SIG{name}', None) for name in (
     'ILL', 'TRAP', 'ABRT', 'BUS', 'FPE', 'SEGV', 'SYS')}
 TURNS = 4                          # between two who ask: a parent that hands on has fewer
@@ -68,6 +67,7 @@ class Ending(NamedTuple):
     users: tuple[str, ...] = ()    # who else has one of its ports open
     unheard: str = ''              # why the tap heard nothing
     is_over: bool = True
+    signal: int = 0                # that ended it, 0: none
 
     @property
     def failed(self) -> str:
@@ -80,7 +80,7 @@ class Ending(NamedTuple):
     @property
     def ended_by(self) -> str:
         """The signal that ended it, in words, '' for none."""
-        return signal.strsignal(self.code - SIGNALLED) or '' if self.code > SIGNALLED else ''
+        return signal.strsignal(self.signal) or '' if self.signal else ''
 
     def trouble(self) -> Trouble | None:
         """Return what is wrong with a program that its servo library has ended."""
@@ -94,7 +94,7 @@ class Ending(NamedTuple):
         """Return what is unknown of a program that ended with another error."""
         found = [f'{", ".join(self.users)} uses its port too: what that asks is not heard here'
                  ] if self.users else []
-        if self.ended_by not in ('', signal.strsignal(signal.SIGINT)):
+        if self.signal not in (0, signal.SIGINT):
             found.append(f'the program was ended by a signal: {self.ended_by}')
         elif self.failed == FAILED:
             error = self.error or 'what it printed says why'
@@ -193,7 +193,7 @@ class Program(Source):
             code=128 - code if code < 0 else code,
             was_stopped=self._was_stopped or (code < 0 and -code not in CRASHES),
             unheard=self._started.why_unheard() if self._unheard is None else self._unheard,
-            is_over=self._child.returncode is not None,
+            is_over=self._child.returncode is not None, signal=max(0, -code),
             users=tuple(one for port in self.ports
                         for one in self._others.get(ntpath.basename(port), ())))
 
