@@ -19,6 +19,7 @@ from dxl_monitor.doctor import RULES
 from dxl_monitor.doctor.case import OPTIONS
 from dxl_monitor.doctor.case import PARAMETERS
 from dxl_monitor.doctor.rule import Claim
+from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_status import bus_status
@@ -103,6 +104,18 @@ def test_a_cause_hides_its_consequence(monkeypatch, cause, consequence, hidden):
                         rule('cause', saying(cause), 'effect'))
     expected = [('cause', cause.device)] + [('effect', consequence.device)] * (not hidden)
     assert sorted(names(doctor.examine(plain_report(S))), key=str) == sorted(expected, key=str)
+
+
+@pytest.mark.parametrize(('cause', 'level', 'hidden'), [
+    (Claim(None, 'a'), Level.WARN, True),
+    (Claim(None, 'a'), Level.OK, False),
+    (Claim(5, 'a'), Level.WARN, False),
+])
+def test_what_the_bus_has_leaves_no_doubt_of_its_devices(monkeypatch, cause, level, hidden):
+    doctor = with_rules(monkeypatch, rule('effect', saying(Doubt(5, 'b'))),
+                        rule('cause', saying(cause), 'effect', level=level))
+    doubts = doctor.examine(plain_report(S)).doubts
+    assert [one.rule for one in doubts] == ['effect'] * (not hidden)
 
 
 def test_the_worst_comes_first_and_is_the_message(monkeypatch):

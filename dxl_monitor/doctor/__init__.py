@@ -90,10 +90,11 @@ class Doctor:
             if 0 <= case.now - stamp <= (HOLD_NS if rule.holds else 0)}
         findings = self._told()
         claimed = {(finding.rule, finding.device) for finding in findings}
-        self._doubts = tuple(
-            one for one in doubts if (one.rule, one.device) not in claimed and not any(
-                one.rule in rule.explains and claim.device is None and claim.level is not Level.OK
-                for rule, claim, _ in self._standing.values()))
+        explained = {name for finding in findings if finding.device is None
+                     and finding.level is not Level.OK
+                     for name in RULES[_RANK[finding.rule]].explains}
+        self._doubts = tuple(one for one in doubts if one.rule not in explained
+                             and (one.rule, one.device) not in claimed)
         return _with(case, findings, self._doubts)
 
     def _last_told(self, case: Case) -> tuple[Finding, ...]:
