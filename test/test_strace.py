@@ -231,9 +231,12 @@ def test_a_library_that_opens_ports_by_itself_is_heard(has_strace, tmp_path):
     """Strace joins at its import; pyserial is not heard twice then, and as before without."""
     (tmp_path / 'rustypot.py').touch()
     script = 'import rustypot\n' + textwrap.dedent(PLAIN)
+    more = {'PYTHONPATH': str(tmp_path), **({} if has_strace else {'PATH': str(tmp_path)})}
+    silent = tap('robot', '--', sys.executable, '-c', 'import rustypot', **more)
+    assert ('opened no serial port' if has_strace else 'through pyserial; to') in silent.stderr
     with peers(lambda data: data) as (far,), TapReader('robot') as reader:
         done = tap('robot', '--', sys.executable, '-c', script.format(path=far.pty.path, times=20),
-                   PYTHONPATH=str(tmp_path), **{} if has_strace else {'PATH': str(tmp_path)})
+                   **more)
         assert (done.returncode, done.stdout) == (0, 'done\n')
         assert ('is heard through strace' if has_strace else
                 'is not heard: strace is not installed') in done.stderr

@@ -169,7 +169,7 @@ class StartedProgram:
         """Return why nothing has been heard up to now, '' where a port was opened."""
         if self._used():
             return ''
-        if self.way == STRACE:
+        if self._relay is not None:            # strace, from the start or since an import
             return f'{self._command} opened no serial port'
         reason = 'opened no port through pyserial' if self._mark.exists() else \
             'did not load the tap: it is not Python, or PYTHONPATH did not reach it (python -E ' \
