@@ -368,7 +368,7 @@ class Tracker:
             self._policy.judge(question, now, stamp, us := self._since_asked(now))
             if following == self._last:
                 self._note(now, ev.REPEATED, due[0].device.number, ev.Again(following[2], us))
-        elif slots:
+        elif slots and self.unread.stamp:      # only a tap says what waits
             self.unread.pass_over(self._question([*slots.values()]))
         if not due or question.is_spoilt:
             self._carry_out()

@@ -85,8 +85,7 @@ class Unread:
 
     def pass_over(self, question: OpenQuestion) -> None:
         """Take a write that is over, of which it is unknown whether it is acknowledged."""
-        if self.stamp:
-            self._unknown.append(question)
+        self._unknown.append(question)
 
     def _notes_unsent(self, question: OpenQuestion, now: int) -> bool:
         """Note a question that was thrown away while it was sent; return whether it was."""
