@@ -72,7 +72,7 @@ class Case(NamedTuple):
     heard: tuple[Heard, ...]
 
 
-@lru_cache(maxsize=2 * SCENES_AT_ONCE)
+@lru_cache(maxsize=None)
 def recorded(number):
     """Return what is said in a scene: (silence in front of it, bytes, side)."""
     said = []
