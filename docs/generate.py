@@ -199,8 +199,8 @@ def parameters() -> str:
              'it, then `--params-file FILE` or the launch argument `config:=$PWD/FILE`), or with '
              'the launch argument of the same name (`ros2 launch mecarover_serial '
              'bridge.launch.py -s` lists them). A launch argument wins over the file. A wrong '
-             'value ends the node with one line and exit code 2. **Bold**: `ros2 param set` '
-             'changes it while the node runs.\n']
+             'value ends the node with one line and exit code 2 (1 for a `port` that cannot be '
+             'one). **Bold**: `ros2 param set` changes it while the node runs.\n']
     for node, some in (('vel2d_bridge', BRIDGE), ('dxl_monitor', MONITOR)):
         parts += [f'## {node}\n', _table(('parameter', 'default', 'values', 'meaning'),
                                          [_parameter_row(one) for one in some])]

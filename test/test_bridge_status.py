@@ -220,6 +220,7 @@ def test_what_is_no_report_is_logged_as_ever(text):
     ('max_rate', 3.0, 'cmd_vel_timeout: 0.5 s is less than two frames at max_rate 3 Hz'),
     ('max_rate', 34.0, 'max_rate: 34 Hz is more than the MCU takes'),
     ('resend_rate', 0.0, 'resend_rate: 0 sends each set-point once'),
+    ('max_stamp_age', 0.3, 'max_stamp_age: a Twist has no time stamp and is accepted at any age'),
     ('baud', 9600, 'baud: 9600 bit/s is too slow for the rover to stop in the time'),
     ('deadman', False, 'deadman: false, so the rover drives on when this process is killed'),
 ])

@@ -92,6 +92,9 @@ def doubts(values: dict[str, Any]) -> list[str]:
     if values['baud'] < SLOWEST_BAUD:
         lines.append(f'baud: {values["baud"]} bit/s is too slow for the rover to stop in the time '
                      f'that is promised; set {SLOWEST_BAUD} or more')
+    if values['max_stamp_age'] and values['message_type'] != TWIST_STAMPED:
+        lines.append('max_stamp_age: a Twist has no time stamp and is accepted at any age; set '
+                     'message_type to twist_stamped')
     if not values['deadman']:
         lines.append('deadman: false, so the rover drives on when this process is killed; set '
                      'true')

@@ -34,6 +34,7 @@ from mecarover_serial.port_error import PortError
 from mecarover_serial.preflight import why_not
 
 HEAD_SIZE = 64
+REPORT = '# dxl_doctor report'         # how a report of dxl_doctor begins
 _HEARS = {
     'dxl_doctor': 'dxl_doctor run -- {}',
     'dxl_dashboard': 'dxl_dashboard run -- {}',
@@ -123,7 +124,9 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
         return CaptureFile(name, file, baud)
     if is_regular and is_text(begin):
         file.close()
-        raise UsageError(f'{name}: a text file, not a recording; {_instead(name, tool)}')
+        raise UsageError(f'{name}: a report of dxl_doctor; write: dxl_doctor {shlex.quote(name)}'
+                         if begin.startswith(REPORT.encode()) else
+                         f'{name}: a text file, not a recording; {_instead(name, tool)}')
     return RawFile(name, file, baud)
 
 

@@ -14,6 +14,7 @@ import os
 from typing import Any
 from typing import NamedTuple
 
+from dxl_monitor.record.opening import REPORT
 from dxl_monitor.tools.doctor.answer_screen import screen
 from dxl_monitor.tools.doctor.error_window import packed
 from dxl_monitor.tools.doctor.verdict import as_json
@@ -22,7 +23,6 @@ from dxl_monitor.tools.doctor.verdict import Verdict
 from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import printable
 
-MAGIC = '# dxl_doctor report'
 VERSION = 1
 VERDICT, CAPTURE, END = '# verdict', '# capture', '# end'
 _ABOUT = ('# Attach this file to an issue. `dxl_doctor FILE` shows it again.',
@@ -56,8 +56,8 @@ def check_report(path: str | None) -> None:
     if not os.path.isfile(path):
         raise UsageError(f'--report {path}: is not a file; give another name')
     with open(path, 'rb') as file:
-        head = file.read(len(MAGIC))
-    if head and head != MAGIC.encode():
+        head = file.read(len(REPORT))
+    if head and head != REPORT.encode():
         raise UsageError(f'--report {path}: exists and is not a report; give another name')
 
 
@@ -79,7 +79,7 @@ def report(said: Verdict, buses: Sequence[BusSummary], seconds: float, maker: Ma
     """Return the text of a report; said and buses are those of the names in it."""
     stored = {'verdict': said._asdict(), 'json': as_json(said, buses, seconds),
               'devices': list(maker.devices), 'protocol': maker.protocol}
-    lines = [f'{MAGIC} {VERSION}', *_ABOUT, '', *screen(said, height=1000), '', 'System:']
+    lines = [f'{REPORT} {VERSION}', *_ABOUT, '', *screen(said, height=1000), '', 'System:']
     lines += [f'  {printable(text)}' for text in (*maker.system, *maker.adapters, *maker.host)]
     for bus in buses:
         lines += ['', *_figures(bus)]

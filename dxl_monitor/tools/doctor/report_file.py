@@ -26,6 +26,7 @@ from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import lines
 from dxl_monitor.record.capture import Reader
 from dxl_monitor.record.capture import Wire
+from dxl_monitor.record.opening import REPORT
 from dxl_monitor.tools.doctor import issue_report
 from dxl_monitor.tools.doctor.verdict import DeviceGroup
 from dxl_monitor.tools.doctor.verdict import Trouble
@@ -63,7 +64,7 @@ def load(path: str) -> SavedReport | None:
     """Return the report in a file, None where it is something else; OSError as of open."""
     with open(path, 'rb') as file:
         data = _unpacked(file.read(SIZE_LIMIT))
-    begin = data.find(issue_report.MAGIC.encode(), 0, _HEAD_SIZE)
+    begin = data.find(REPORT.encode(), 0, _HEAD_SIZE)
     if begin < 0:
         return None
     parts = _parts(data[begin:].decode('utf-8', 'replace'))
