@@ -18,6 +18,7 @@ import signal
 import socket
 import subprocess
 import sys
+import textwrap
 import zipfile
 
 from harness import Program
@@ -209,6 +210,16 @@ def test_it_is_one_screen(faults):
     assert len(lines) < 24
     assert max(map(len, lines)) <= 80
     assert len(found.wrong) >= (0, 1, 2, 3)[FAULTS.index(faults)]
+
+
+def test_a_larger_terminal_has_room_for_the_evidence():
+    found = said(heard('silent:4:2'))
+    [small], [large] = ([line for line in lines if 'Evidence: ' in line]
+                        for lines in (screen(found), screen(found, width=200, height=50)))
+    assert len(small) < len(large) <= 99
+    whole = textwrap.wrap(f'Evidence: {found.wrong[0].evidence}', 95)
+    assert [line.strip() for line in screen(found, width=200, height=50)
+            if line.strip() in whole] == whole
 
 
 def test_a_hundred_devices_are_one_screen_too():

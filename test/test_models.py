@@ -193,6 +193,7 @@ def test_names_are_found_as_people_write_them():
         assert model.number == 1020
     assert MODELS.by_name('XM431-W350') is None
     assert MODELS.closest('XM431-W350') == 'XM430-W350'
+    assert MODELS.closest('STS3125') == 'STS3215'              # STS3250 is as near
     assert MODELS.closest('teapot') is None
 
 

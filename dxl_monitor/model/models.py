@@ -98,8 +98,10 @@ class Models:
     def closest(self, name: str) -> str | None:
         """Return the known name most like this one, for an error message; of a series all."""
         plain = _plain(name)
+        near = difflib.get_close_matches(plain, self._by_name, 5, 0.5)
+        near.sort(key=lambda one: sorted(one) != sorted(plain))        # two exchanged: the first
         found = [one for one in self._by_name if len(plain) > 2 and one.startswith(plain)] \
-            or difflib.get_close_matches(plain, self._by_name, 1, 0.5)
+            or near[:1]
         return ' or '.join(self._index[self._by_name[one]][1] for one in found[:4]) or None
 
     def names(self) -> dict[int, str]:

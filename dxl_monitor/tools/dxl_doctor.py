@@ -10,6 +10,7 @@ from contextlib import closing
 import json
 import os
 import shlex
+import shutil
 import sys
 import time
 from typing import Any
@@ -26,7 +27,9 @@ from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor import machine
 from dxl_monitor.tools.doctor import no_data
 from dxl_monitor.tools.doctor import report_file
+from dxl_monitor.tools.doctor.answer_screen import HEIGHT
 from dxl_monitor.tools.doctor.answer_screen import screen
+from dxl_monitor.tools.doctor.answer_screen import WIDTH
 from dxl_monitor.tools.doctor.examination import ARRIVAL_NS
 from dxl_monitor.tools.doctor.examination import Examination
 from dxl_monitor.tools.doctor.examination import SILENCE_S
@@ -242,7 +245,9 @@ def _show(said: Verdict, for_programs: dict[str, Any], options: argparse.Namespa
         return
     if options.source == RUN:
         print()                        # the program may have left a line without an end
-    print('\n'.join(screen(said, has_colours())), flush=True)
+    width, height = shutil.get_terminal_size((WIDTH, HEIGHT + 1))
+    print('\n'.join(screen(said, has_colours(), width, max(HEIGHT, height - 1))),
+          flush=True)
 
 
 def _write_report(source: Source, examination: Examination, seconds: float,

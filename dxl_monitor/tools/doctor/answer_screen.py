@@ -19,10 +19,13 @@ from dxl_monitor.tools.dump.packet_lines import fit
 from dxl_monitor.tools.dump.packet_lines import GREEN
 from dxl_monitor.tools.dump.packet_lines import paint
 from dxl_monitor.tools.dump.screen import COLOURS
+from mecarover_serial.cli import WIDEST
 from msg_defs.reports import Level
 
 WIDTH, HEIGHT = 80, 23             # the shell takes one of the 24 lines
+NARROWEST = 40
 IN_FULL = 3                        # findings
+_EVIDENCE_LINES = 3                # where there are more lines than HEIGHT; else one
 _HEARD_LINES = 5
 _UNKNOWN_LINES = 3
 _CYCLES = 2
@@ -31,11 +34,12 @@ _INDENT = '    '
 
 def screen(said: Verdict, colours: bool = False, width: int = WIDTH,
            height: int = HEIGHT) -> list[str]:
-    """Return the lines, none longer than width columns."""
+    """Return the lines, none longer than width columns (40 to WIDEST)."""
+    width = min(max(NARROWEST, width), WIDEST)
     head = [_paint(_head(said, width), BOLD, colours)]
     if said.quiet:
         return [*head, '', 'Nothing was heard:', *_bullets(said.quiet, width)]
-    wrong = _wrong(said.wrong, colours, width)
+    wrong = _wrong(said.wrong, colours, width, _EVIDENCE_LINES if height > HEIGHT else 1)
     unknown = _unknown(said.unknown, width)
     cycles = [fit(f'  {one}', width) for one in said.cycles[:_CYCLES]]
     room = height - len(head) - len(wrong) - len(cycles) - 3
@@ -61,14 +65,14 @@ def _heard(said: Verdict, width: int, most: int) -> list[str]:
     return [fit(heard, width), *lines]
 
 
-def _wrong(entries: Sequence[Trouble], colours: bool, width: int) -> list[str]:
+def _wrong(entries: Sequence[Trouble], colours: bool, width: int, evidence: int) -> list[str]:
     if not entries:
         return [_paint('Wrong: nothing that listening can find', GREEN, colours)]
     lines = ['Wrong:']
     if entries[0].level is Level.OK:
         lines = [_paint('Wrong: nothing that listening can find', GREEN, colours), 'Advice:']
     for number, entry in enumerate(entries[:IN_FULL], 1):
-        lines += _in_full(number, entry, colours, width)
+        lines += _in_full(number, entry, colours, width, evidence)
     rest = entries[IN_FULL:]
     shown = rest if len(rest) <= IN_FULL else rest[:IN_FULL - 1]
     lines += [fit(f'  {_title(number, entry)}: {entry.message}', width)
@@ -78,12 +82,12 @@ def _wrong(entries: Sequence[Trouble], colours: bool, width: int) -> list[str]:
     return lines
 
 
-def _in_full(number: int, entry: Trouble, colours: bool, width: int) -> list[str]:
+def _in_full(number: int, entry: Trouble, colours: bool, width: int, evidence: int) -> list[str]:
     title = fit(f'  {_title(number, entry)}', width)
     lines = [_paint(title, COLOURS.get(entry.level), colours)]
     lines += _wrapped(entry.message, width, 2)
     if entry.evidence and entry.rule:
-        lines += _wrapped(f'Evidence: {entry.evidence}', width, 1)
+        lines += _wrapped(f'Evidence: {entry.evidence}', width, evidence)
     elif entry.evidence:               # the error of a program
         lines += _wrapped(f'This means: {entry.evidence}', width, 3)
     return lines
