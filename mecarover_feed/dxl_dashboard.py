@@ -43,7 +43,7 @@ def _run(arguments: list[str]) -> int:
     if not options.source:
         raise UsageError('SOURCE: none given, and ROS 2 is not sourced; name a port or a '
                          f'recording, or write {NAME} {RUN} -- python my_script.py')
-    if len(options.source) == 1 and os.path.isfile(options.source[0]):
+    if not command and len(options.source) == 1 and os.path.isfile(options.source[0]):
         options.history = options.history or serve.NONE    # its times are not of now
     feed = Feed()
     run = make_run(NAME, options, command, feed)

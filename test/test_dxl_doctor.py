@@ -90,11 +90,11 @@ def capture(path, *faults, seconds=6.0):
     return path
 
 
-def doctor(*arguments, env=None):
+def doctor(*arguments, env=None, cwd=ROOT):
     """Run dxl_doctor where there is no terminal."""
-    return subprocess.run([sys.executable, '-m', DOCTOR, *map(str, arguments)], cwd=ROOT,
-                          timeout=60, capture_output=True, text=True,
-                          stdin=subprocess.DEVNULL, env={**os.environ, **(env or {})})
+    return subprocess.run([sys.executable, '-m', DOCTOR, *map(str, arguments)], cwd=cwd,
+                          timeout=60, capture_output=True, text=True, stdin=subprocess.DEVNULL,
+                          env={**os.environ, 'PYTHONPATH': str(ROOT), **(env or {})})
 
 
 def test_a_bus_that_is_well():
@@ -598,6 +598,28 @@ def test_a_report_overwrites_no_other_file(tmp_path):
     done = doctor('--report', mine, capture(tmp_path / 'bus.txt'))
     assert (done.returncode, mine.read_text()) == (2, 'years of work')
     assert 'is not a report' in done.stderr
+
+
+def test_a_report_gives_back_all_that_was_said(tmp_path):
+    whole = said(heard('silent:4:2'))._replace(cycles=('50 Hz', 'a wait'), quiet=('no power',))
+    maker = issue_report.Maker((), (), (), (), 'auto')
+    (tmp_path / 'report').write_text(issue_report.report(whole, [], 1.0, maker, b''))
+    assert report_file.load(str(tmp_path / 'report')).said == whole
+
+
+def test_a_chunk_larger_than_a_report_is_left_out():
+    window = ErrorWindow()
+    window.take(Chunk(1, 'bus', bytes(2_000_000)), WIRE)
+    window.take(Chunk(2, 'bus', b'\1'), WIRE)
+    assert [one.data for one in Reader(io.BytesIO(window.capture({})))] == [b'\1']
+
+
+def test_a_file_called_run_is_no_source(tmp_path):
+    (tmp_path / 'run').write_text('# dxl_doctor report 1\n')
+    done = doctor('--flight-recorder', tmp_path / 'faults', 'run', '--', sys.executable, '-c', '',
+                  cwd=tmp_path)
+    assert done.returncode == NOTHING_HEARD
+    assert 'flight recorder: ready' in done.stderr
 
 
 def test_a_report_is_bounded():

@@ -15,12 +15,9 @@ import time
 
 from harness import wait
 import pytest
-from usb_files import cut
 from usb_files import events
 from usb_files import hear
 from usb_files import log
-from usb_files import MMAPPED
-from usb_files import pcap
 from usb_files import ports_in
 from usb_files import REAL
 
@@ -57,6 +54,9 @@ from mecarover_serial.port_error import PortError
 from mecarover_serial.pty import Pty
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from rigs.usb_pcap import cut
+from rigs.usb_pcap import MMAPPED
+from rigs.usb_pcap import pcap
 
 MODELS = Models()
 ROOT = Path(__file__).parents[1]

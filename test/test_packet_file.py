@@ -11,8 +11,6 @@ from test_dump import bursts
 from test_dump import capture
 from test_dump import dump
 from test_dump import SECOND
-from usb_files import MMAPPED
-from usb_files import pcapng
 from usb_files import tshark
 
 from dxl_monitor.record.capture import Chunk
@@ -28,6 +26,8 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.frame import IS_STATUS
 from msg_defs.uart import byte_ns
+from rigs.usb_pcap import MMAPPED
+from rigs.usb_pcap import pcapng
 
 BAUD = 1_000_000
 FAULTS = ('silent:2:0.2', 'noise::0.4:0.3')

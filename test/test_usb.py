@@ -20,19 +20,13 @@ from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
 from usb_files import changes
-from usb_files import cut
 from usb_files import events
 from usb_files import hear
-from usb_files import LINUX
 from usb_files import log
-from usb_files import MMAPPED
-from usb_files import pcap
-from usb_files import pcapng
 from usb_files import ports_in
 from usb_files import REAL
 from usb_files import side
 from usb_files import tshark
-from usb_files import USBPCAP
 
 from dxl_monitor.port import adapters
 from dxl_monitor.port.adapters import adapter_of
@@ -51,6 +45,12 @@ from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from rigs.usb_pcap import cut
+from rigs.usb_pcap import LINUX
+from rigs.usb_pcap import MMAPPED
+from rigs.usb_pcap import pcap
+from rigs.usb_pcap import pcapng
+from rigs.usb_pcap import USBPCAP
 
 SESSIONS = ('healthy', 'missing', 'acm')
 STEADY = settings(derandomize=True, deadline=None, database=None, max_examples=60)
@@ -393,6 +393,17 @@ def hear_all(data):
         port = UsbPort(one.place, one.adapter)
         for event in found:
             port.take(event)
+
+
+@pytest.mark.parametrize('link', [LINUX, MMAPPED, USBPCAP])
+@pytest.mark.parametrize('family', FAMILIES)
+def test_packets_that_are_cut_short_are_passed_over(family, link):
+    adapter = FakeAdapter(family)
+    whole = b''.join((adapter.plug(BEGAN), adapter.set_baud(1_000_000, BEGAN),
+                      adapter.sent(b'\xff\xff', BEGAN), adapter.received(b'\1', BEGAN)))
+    for size in range(100):
+        hear_all(pcap(link, whole) + pcap(link, whole, change=lambda data, size=size: data[:size])[
+            24:])
 
 
 def test_other_packets_are_named():

@@ -18,11 +18,7 @@ from test_dump import objects
 from test_dump import SECOND
 from test_packet_file import with_sides
 from test_tracker import TRACE
-from usb_files import LINUX
-from usb_files import MMAPPED
-from usb_files import pcap
 from usb_files import REAL
-from usb_files import USBPCAP
 
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
@@ -32,6 +28,10 @@ from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
+from rigs.usb_pcap import LINUX
+from rigs.usb_pcap import MMAPPED
+from rigs.usb_pcap import pcap
+from rigs.usb_pcap import USBPCAP
 
 WIRESHARK = Path(__file__).parents[1] / 'wireshark'
 DEVICES = '1-3:MX-106,4:XL430-W250'

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections import defaultdict
 
 from dxl_monitor.bus import evidence as ev
@@ -96,12 +97,14 @@ def _mixed_firmware(case: Case) -> Claims:
             if len(parts) == 2:
                 by_model[device.model_name][device.id] = '.'.join(parts)
     for name, versions in by_model.items():
-        if len(set(versions.values())) > 1:
-            least = min(set(versions.values()), key=list(versions.values()).count)
-            odd = sorted(number for number, one in versions.items() if one == least)
-            yield Claim(None, f'{name} with different firmware, {least} in {listed(odd)}: LeRobot '
-                        "refuses that; update them to one version with Feetech's debugger",
-                        {'versions': ', '.join(sorted(set(versions.values())))})
+        count = Counter(versions.values())
+        if len(count) > 1:
+            least = ', '.join(
+                f'{version} in {listed([one for one in versions if versions[one] == version])}'
+                for version in sorted(count) if count[version] == min(count.values()))
+            yield Claim(None, f'{name} with different firmware, {least}: LeRobot refuses that; '
+                        "update them to one version with Feetech's debugger",
+                        {'versions': ', '.join(sorted(count))})
 
 
 RULES = (

@@ -161,7 +161,7 @@ class Survey:
                 del self._setups[next(iter(self._setups))]
             self._setups[key] = event.setup
         packet = event.setup or self._setups.get(key)
-        if not packet or len(packet) < 8:
+        if not packet:
             return
         setup = Setup.of(packet)
         if (setup.kind, setup.request) == _GET_DESCRIPTOR:

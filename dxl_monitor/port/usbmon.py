@@ -109,6 +109,7 @@ def decode_usbpcap(packet: bytes, stamp: int) -> UsbEvent | None:
             and packet[_PCAP_HEAD.size] == _SETUP_STAGE:
         setup, data = data[:SETUP_SIZE], data[SETUP_SIZE:]
         size -= len(setup)
+        setup = setup if len(setup) == SETUP_SIZE else b''
     is_done = bool(info & 1)
     return UsbEvent(stamp, bus, device, endpoint, transfer, is_done, _errno(status), number, setup,
                     b'' if transfer == ISO else data, size)

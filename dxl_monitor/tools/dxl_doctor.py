@@ -84,11 +84,12 @@ def _run(arguments: list[str]) -> int:
         return _explain(options.explain)
     _check(options)
     models = models_of(options)
-    stored = report_file.load(options.source) if os.path.isfile(options.source) else None
+    is_file = not command and os.path.isfile(options.source)
+    stored = report_file.load(options.source) if is_file else None
     if stored is not None:
         return _retell(stored, models, options)
     check_report(options.report)
-    flight = _flight(options)
+    flight = _flight(options, is_file)
     examination = Examination(models, options.devices, options.protocol, flight)
     with closing(_open(options, command)) as source:
         try:
@@ -138,10 +139,10 @@ def _check(options: argparse.Namespace) -> None:
                          'python my_script.py')
 
 
-def _flight(options: argparse.Namespace) -> FlightRecorder | None:
+def _flight(options: argparse.Namespace, is_file: bool) -> FlightRecorder | None:
     if not options.flight_recorder:
         return None
-    if os.path.isfile(options.source):
+    if is_file:
         raise UsageError(f'--flight-recorder: {options.source} is a recording already; leave it '
                          'out')
     try:

@@ -21,6 +21,7 @@ from dxl_monitor.tools import dxl_doctor as doctor
 from dxl_monitor.tools import dxl_dump as dump
 from dxl_monitor.tools import replay
 from dxl_monitor.tools import run as common
+from dxl_monitor.tools.doctor import error_window
 from fuzz.whole.node import FedListener
 from fuzz.whole.node import MODELS
 from fuzz.whole.node import print_nothing
@@ -34,6 +35,11 @@ from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
 from mecarover_feed import mecarover_status as status
 from msg_defs.event import OUT
+from rigs.usb_pcap import LINUX
+from rigs.usb_pcap import MMAPPED
+from rigs.usb_pcap import pcap
+from rigs.usb_pcap import pcapng
+from rigs.usb_pcap import USBPCAP
 
 RUNS = Counter()
 DUMP = (['--json'], ['--summary'], ['--stats'], ['--errors'], ['--full'],
@@ -66,25 +72,16 @@ def usb(case, capture, chance):
     return whole
 
 
-def pcap(case, capture, chance):
-    """Return the same as a pcap or pcapng file."""
-    events, is_new = usb(case, capture, chance), chance.random() < 0.5
-    out = [_block(0x0A0D0D0A, struct.pack('<IHHq', 0x1A2B3C4D, 1, 0, -1)),
-           _block(1, struct.pack('<HHI', 220, 0, 0) + chance.choice((
-               b'', struct.pack('<HHI', 9, 1, chance.randrange(256)))))] if is_new else [
-        struct.pack('<IHHiIII', 0xA1B2C3D4, 2, 4, 0, 0, 1 << 18, 220)]
-    while events:
-        size = 64 + struct.unpack_from('<I', events, 36)[0]
-        stamp, packet = chance.choice((1, 1 << 62)), events[:size]
-        out.append(_block(6, struct.pack('<IIIII', 0, stamp >> 32, stamp & 0xFFFFFFFF, size, size)
-                          + packet) if is_new else struct.pack('<IIII', 1, 1, size, size) + packet)
-        events = events[size:]
-    return b''.join(out)
-
-
-def _block(kind, body):
-    size = struct.pack('<I', len(body) + -len(body) % 4 + 12)
-    return struct.pack('<I', kind) + size + body + bytes(-len(body) % 4) + size
+def packets(case, capture, chance):
+    """Return the same as a pcap or pcapng file of any link type, with packets that are cut."""
+    events, short = usb(case, capture, chance), chance.choice((0, 0, 0.05, 0.5))
+    link, change = chance.choice((LINUX, MMAPPED, USBPCAP)), lambda data: (
+        data[:chance.randrange(len(data))] if chance.random() < short else data)
+    if chance.random() < 0.5:
+        return pcap(link, events, change=change)
+    digits = chance.choice((6, 9, chance.randrange(256)))
+    return pcapng(link, events, change=change).replace(
+        struct.pack('<HHB', 9, 1, 6), struct.pack('<HHB', 9, 1, digits), 1)
 
 
 def raw(case, capture, chance):
@@ -103,7 +100,7 @@ def wrong(data, chance):
     return data
 
 
-FORMS = (lambda case, capture, chance: capture, usb, raw, pcap, spoilt)
+FORMS = (lambda case, capture, chance: capture, usb, raw, packets, spoilt)
 
 
 def run_dump(case, path, chance):
@@ -120,7 +117,8 @@ def run_dump(case, path, chance):
 
 def run_doctor(case, path, chance):
     options = chance.choice(([], ['--json'], ['--report', f'{path}.report']))
-    code, out = tool(doctor, case, path, options, chance)
+    with patch.object(error_window, 'SIZE_LIMIT', chance.choice((100, error_window.SIZE_LIMIT))):
+        code, out = tool(doctor, case, path, options, chance)
     if '--json' in options and out:
         json.loads(out)
     if '--report' in options and Path(f'{path}.report').exists():

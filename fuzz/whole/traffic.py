@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is heard in one case: traffic of all families, mutated; frames of any form; any stamps."""
 
-from functools import lru_cache
+from functools import cache
 from functools import partial
 import random
 import re
@@ -72,7 +72,7 @@ class Case(NamedTuple):
     heard: tuple[Heard, ...]
 
 
-@lru_cache(maxsize=None)
+@cache
 def recorded(number):
     """Return what is said in a scene: (silence in front of it, bytes, side)."""
     said = []

@@ -44,8 +44,8 @@ class ErrorWindow:
         self._chunks.append((chunk, wire))
         self._size += len(chunk.data)
         before = self.first_error - _HALF_NS if self.first_error else chunk.stamp - 2 * _HALF_NS
-        while self._chunks[0][0].stamp < before or (
-                self._size > SIZE_LIMIT and not self.first_error):
+        while self._chunks and (self._chunks[0][0].stamp < before or (
+                self._size > SIZE_LIMIT and not self.first_error)):
             self._size -= len(self._chunks.popleft()[0].data)
 
     def capture(self, names: Mapping[str, str]) -> bytes:

@@ -157,7 +157,7 @@ def _verdict(stored: dict[str, Any]) -> Verdict | None:
             tuple(Trouble(Level(level), _text(who), _text(rule), _text(message), _text(evidence))
                   for level, who, rule, message, evidence in said['wrong'][:_LIST_LIMIT]),
             tuple(_texts(said['unknown'])), tuple(_texts(said['quiet'])),
-            _text(said.get('protocol', '')))
+            _text(said.get('protocol', '')), tuple(_texts(said.get('cycles'))))
     except (KeyError, TypeError, ValueError):
         return None
 
