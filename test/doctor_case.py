@@ -81,12 +81,12 @@ COUNTERS = dict.fromkeys(('Bytes', 'Packet Bytes', 'Packets', 'Instructions', 'N
 
 
 def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=None, rhythms=None,
-         steady=None, counts=None, quiet_s=0.0, **report):
+         steady=None, quiet_s=0.0, **report):
     """Return a bus of 1 MBd, heard since 60 s. marks: what was counted, by how long ago (s)."""
     by_kind = {}
     for one in notes:
         by_kind.setdefault(one.kind, deque()).append(one)
-    nothing = dict.fromkeys(Mark._fields[1:], 0)
+    nothing = dict.fromkeys(Mark._fields[1:], 0) | {'totals': {}}
     told = BusReport(
         'arm', NOW, NOW - 60 * S, 1_000_000, Level.OK, 'ok', tuple(devices),
         COUNTERS | (counters or {}), {}, (), (), (), (), (), b'', 0.01, {})._replace(**report)
@@ -96,7 +96,7 @@ def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=No
         deque(Mark(**{**(nothing if age else now), 'stamp': NOW - int(age * S), **values})
               for age, values in sorted((marks or {10: {}, 0: {}}).items(), reverse=True)),
         {number: deque(some) for number, some in (samples or {}).items()}, repeats or {},
-        rhythms or [], deque(counts or [(NOW - 10 * S, {})]), steady or set())
+        rhythms or [], steady or set())
     found.quiet_s = quiet_s
     return found
 
@@ -186,6 +186,12 @@ def _sample(ago_s, goal=None, position=None, tick=None, voltage=None):
     return Sample(NOW - int(ago_s * S), goal, position, tick, voltage)
 
 
+def _mark(totals=None, **counted):
+    if totals is not None:
+        counted['totals'] = {number: Counts(**counts) for number, counts in totals.items()}
+    return counted
+
+
 _READ = {
     'covers': tuple, 'scanned': tuple, 'chain': tuple, 'level': Level.__getitem__,
     'devices': lambda rows: [_device(**row) for row in rows],
@@ -195,6 +201,5 @@ _READ = {
     'waits': lambda rows: tuple(one for row in rows for one in _waits(**row)),
     'samples': lambda of: {number: [_sample(*row) for row in rows]
                            for number, rows in of.items()},
-    'counts': lambda rows: [(NOW - ago, {number: Counts(**counts)
-                                         for number, counts in of.items()}) for ago, of in rows],
+    'marks': lambda of: {ago_s: _mark(**counted) for ago_s, counted in of.items()},
 }

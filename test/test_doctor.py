@@ -65,7 +65,7 @@ def saying(*claims, until=1 << 60):
 
 
 def rule(name, check, *explains, level=Level.WARN, holds=True):
-    return Rule(name, level, check, explains, 0.0, holds)
+    return Rule(name, check, explains, level, 0.0, holds)
 
 
 def names(report):
@@ -73,31 +73,31 @@ def names(report):
 
 
 def test_a_claim_outlives_its_evidence_a_little(monkeypatch):
-    doctor = with_rules(monkeypatch, rule('bad', saying(Claim(None, 'words'), until=2 * S)))
+    doctor = with_rules(monkeypatch, rule('bad', saying(Claim('words'), until=2 * S)))
     seen = [bool(doctor.examine(plain_report(at * S)).findings) for at in range(1, 8)]
     assert seen == [True, True, True, True, False, False, False]
 
 
 def test_what_needs_to_last_is_told_after_a_while(monkeypatch):
-    slow = rule('bad', saying(Claim(None, 'words')))._replace(onset_s=2.0)
+    slow = rule('bad', saying(Claim('words')))._replace(onset_s=2.0)
     doctor = with_rules(monkeypatch, slow)
     assert [bool(doctor.examine(plain_report(at * S)).findings) for at in range(1, 5)] \
         == [False, False, True, True]
 
 
 def test_a_state_ends_with_the_state(monkeypatch):
-    doctor = with_rules(monkeypatch, rule('bad', saying(Claim(None, 'words'), until=2 * S),
+    doctor = with_rules(monkeypatch, rule('bad', saying(Claim('words'), until=2 * S),
                                           holds=False))
     assert doctor.examine(plain_report(S)).findings
     assert not doctor.examine(plain_report(2 * S)).findings
 
 
 @pytest.mark.parametrize(('cause', 'consequence', 'hidden'), [
-    (Claim(None, 'a'), Claim(5, 'b'), True),
-    (Claim(5, 'a'), Claim(5, 'b'), True),
-    (Claim(5, 'a'), Claim(None, 'b'), True),
-    (Claim(5, 'a'), Claim(6, 'b'), False),
-    (Claim(5, 'a', covers=(5, 6)), Claim(6, 'b'), True),
+    (Claim('a'), Claim('b', device=5), True),
+    (Claim('a', device=5), Claim('b', device=5), True),
+    (Claim('a', device=5), Claim('b'), True),
+    (Claim('a', device=5), Claim('b', device=6), False),
+    (Claim('a', device=5, covers=(5, 6)), Claim('b', device=6), True),
 ])
 def test_a_cause_hides_its_consequence(monkeypatch, cause, consequence, hidden):
     doctor = with_rules(monkeypatch, rule('effect', saying(consequence)),
@@ -107,20 +107,20 @@ def test_a_cause_hides_its_consequence(monkeypatch, cause, consequence, hidden):
 
 
 @pytest.mark.parametrize(('cause', 'level', 'hidden'), [
-    (Claim(None, 'a'), Level.WARN, True),
-    (Claim(None, 'a'), Level.OK, False),
-    (Claim(5, 'a'), Level.WARN, False),
+    (Claim('a'), Level.WARN, True),
+    (Claim('a'), Level.OK, False),
+    (Claim('a', device=5), Level.WARN, False),
 ])
 def test_what_the_bus_has_leaves_no_doubt_of_its_devices(monkeypatch, cause, level, hidden):
-    doctor = with_rules(monkeypatch, rule('effect', saying(Doubt(5, 'b'))),
+    doctor = with_rules(monkeypatch, rule('effect', saying(Doubt('b', 5))),
                         rule('cause', saying(cause), 'effect', level=level))
     doubts = doctor.examine(plain_report(S)).doubts
     assert [one.rule for one in doubts] == ['effect'] * (not hidden)
 
 
 def test_the_worst_comes_first_and_is_the_message(monkeypatch):
-    doctor = with_rules(monkeypatch, rule('some', saying(Claim(None, 'a warning'))),
-                        rule('worse', saying(Claim(None, 'an error')), level=Level.ERROR))
+    doctor = with_rules(monkeypatch, rule('some', saying(Claim('a warning'))),
+                        rule('worse', saying(Claim('an error')), level=Level.ERROR))
     report = doctor.examine(plain_report(S))
     assert names(report) == [('worse', None), ('some', None)]
     assert report.message == 'an error'

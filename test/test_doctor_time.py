@@ -90,7 +90,7 @@ def test_what_cannot_be_told_is_said(row):
     rule, parts, reason, _, too_little = row
     found = {name: part for name, part in parts.items() if name != 'whom'}
     assert [one for one in told(rule, **found) if isinstance(one, Doubt)] \
-        == [Doubt(parts.get('whom'), reason)]
+        == [Doubt(reason, parts.get('whom'))]
     for less in too_little:
         assert told(rule, **{**found, **less}) == [], less
 
@@ -310,9 +310,9 @@ def two_clocks(**parts):
 
 def test_one_instruction_of_two_loops_is_two_programs_where_packets_collide():
     words = 'Read of 003 at 132 every 20 ms and every 31 ms: two programs, or '
-    assert two_clocks() == [Doubt(None, words + 'one with two timers')]
+    assert two_clocks() == [Doubt(words + 'one with two timers')]
     assert two_clocks(cycles=(asks(I.READ, 3),), protocol='Dynamixel 2.0', notes=CLASHES) == [
-        Claim(None, words + 'two threads without a lock; let only one ask',
+        Claim(words + 'two threads without a lock; let only one ask',
               {'damaged packets': 3})]
 
 
@@ -352,8 +352,8 @@ def test_the_count_of_so_long_ago_is_the_newest_that_is_old_enough():
 
 def test_what_happened_lately_to_a_device_is_counted_from_then_on():
     one = device(totals={'answers': 9})
-    found = case(one, counts=[(NOW - 3 * S, {1: Counts(answers=2)}),
-                              (NOW - 2 * S, {1: Counts(answers=5)})])
+    found = case(one, marks={3: {'totals': {1: Counts(answers=2)}},
+                             2: {'totals': {1: Counts(answers=5)}}})
     assert [found.lately(one, age).answers for age in (9, 3, 2.5, 2, 1)] == [7, 7, 7, 4, 4]
     assert found.lately(device(2, totals={'answers': 4}), 2).answers == 4
 
@@ -456,7 +456,9 @@ def test_a_mark_counts_what_the_driver_and_the_devices_did():
         counters={'Bytes': 9, 'Packet Bytes': 8, 'Packets': 7, 'Instructions': 6},
         kinds={ev.GLITCH: 4, ev.ECHO: 5},
         line_errors=LineErrors(overrun=1, buf_overrun=2, frame=10, parity=40, breaks=20)).report)
-    assert tuple(found.mark(0)) == (NOW, 9, 8, 7, 6, 5, 4, 5, 3, 30)
+    *counts, totals = found.mark(0)
+    assert counts == [NOW, 9, 8, 7, 6, 5, 4, 5, 3, 30]
+    assert [one.answers for one in totals.values()] == [2, 3]
 
 
 def test_samples_are_those_of_the_last_ten_seconds():

@@ -170,12 +170,12 @@ def test_a_finding(copy):
     code.change('dxl_monitor/doctor/health.py',
                 ('RULES = (', """\
 def _nameless(case: Case, device: DeviceReport) -> Found | None:
-    return None if device.joint else Claim(device.id, 'it has no joint name; give it one')
+    return None if device.joint else Claim('it has no joint name; give it one')
 
 
 """),
                 ("    Rule('watchdog',", """\
-    Rule('nameless', Level.WARN, _nameless, each=True),
+    Rule('nameless', _nameless, each=True),
 """), named='dxl_monitor/doctor/FAMILY.py')
     code.change('docs/doctor.md', (
         '| `watchdog` ', '| `nameless` WARN | no joint name | name it in `devices` |\n'))

@@ -120,13 +120,10 @@ class Doctor:
 
 def found_by(rule: Rule, case: Case) -> list[Found]:
     """Return what a rule finds, where what it needs is known."""
-    if (rule.noted and case.kinds.isdisjoint(rule.noted)) \
-            or (rule.protocols and case.protocols.isdisjoint(rule.protocols)):
-        return []
     try:
-        if not rule.each:
+        if not (rule.each or rule.noted):
             return [*rule.check(case)]
-        return [found for device in _whom(rule, case)
+        return [found._replace(device=device.id) for device in _whom(rule, case)
                 if (found := rule.check(case, device)) is not None]
     except Exception as mistake:               # the other rules go on
         survive(f'the rule {rule.name}', mistake)

@@ -51,7 +51,6 @@ _DAMAGE = (ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH)
 _FOLLOWED = ('Goal Position', 'Present Position', 'Realtime Tick', 'Present Input Voltage')
 
 
-Counted = tuple[int, dict[int, Counts]]        # stamp, the totals of each device
 Key = tuple[int, tuple[int, ...], int | None]  # a cycle's instruction, IDs, address
 
 
@@ -88,6 +87,7 @@ class Mark(NamedTuple):
     echoes: int
     overruns: int
     framing: int                   # errors that the driver counted
+    totals: dict[int, Counts]      # by device
 
 
 class Sample(NamedTuple):
@@ -110,7 +110,6 @@ class Case:
     samples: dict[int, deque[Sample]]
     repeats: dict[int, int]            # stamp and instruction: asked again at once
     rhythms: list[Rhythm]              # what the master repeats, most frequent first
-    counts: deque[Counted]
     steady: set[Key]                   # instructions that kept time, once
     names: Names = PARAMETERS
     quiet_s: float = 0.0               # since the last instruction, where that is unusual
@@ -122,13 +121,14 @@ class Case:
     def now(self) -> int:
         return self.report.stamp
 
-    def incidents(self, kind: IncidentKind[D], device: int | None = None) -> list[Incident[D]]:
+    def incidents(self, kind: IncidentKind[D],
+                  device: DeviceReport | None = None) -> list[Incident[D]]:
         """Return the incidents of a kind in the window, those of one device or all."""
         if device is None:
             return list(self.seen.get(kind, ()))
-        return self._by_device.get((kind, device), [])
+        return self._by_device.get((kind, device.id), [])
 
-    def count(self, kind: IncidentKind[Any], device: int | None = None) -> int:
+    def count(self, kind: IncidentKind[Any], device: DeviceReport | None = None) -> int:
         """Return how many incidents of a kind there were in the window."""
         return len(self.incidents(kind, device))
 
@@ -139,16 +139,6 @@ class Case:
             for one in many:
                 found[one.kind, one.device].append(one)
         return found
-
-    @cached_property
-    def kinds(self) -> set[str]:
-        """The kinds of incidents in the window."""
-        return {kind for kind, many in self.seen.items() if many}
-
-    @cached_property
-    def protocols(self) -> set[str]:
-        """What the models of the devices speak, as model files call it."""
-        return {device.model.protocol for device in self.report.devices}
 
     @cached_property
     def damage(self) -> int:
@@ -166,9 +156,9 @@ class Case:
         stamps = [one.stamp for kind in _DAMAGE for one in self.seen.get(kind, ())]
         return (max(stamps) - min(stamps)) / S if stamps else 0.0
 
-    def looks_like(self, device: int | None = None) -> dict[str, str]:
+    def looks_like(self, device: DeviceReport | None = None) -> dict[str, str]:
         """Return what the damage of a device or of all looks like, as a figure; {} if unclear."""
-        said = look([one for one in self.wrecks if device in (None, one.device)])
+        said = look([one for one in self.wrecks if device is None or one.device == device.id])
         return {'looks like': said} if said else {}
 
     @cached_property
@@ -204,20 +194,13 @@ class Case:
 
     def lately(self, device: DeviceReport, seconds: float) -> Counts:
         """Return what happened to a device since so long ago, or since it is known."""
-        before = self.now - int(seconds * S)
-        past = next((counts for stamp, counts in reversed(self.counts) if stamp <= before),
-                    self.counts[0][1])
-        return device.totals.since(past.get(device.id, Counts()))
+        return device.totals.since(self.mark(seconds).totals.get(device.id, Counts()))
 
     def mark(self, seconds: float) -> Mark:
         """Return the counts of so long ago, or the oldest there are."""
         before = self.now - int(seconds * S)
-        found = self.marks[0]
-        for mark in self.marks:
-            if mark.stamp > before:
-                break
-            found = mark
-        return found
+        return next((mark for mark in reversed(self.marks) if mark.stamp <= before),
+                    self.marks[0])
 
     def counted(self, name: str, seconds: float = 10.0) -> int:
         """Return how much a count of a Mark grew in so long a time."""
@@ -280,7 +263,6 @@ class History:
         self._samples: dict[int, deque[Sample]] = {}
         self._repeats: dict[int, int] = {}
         self._rhythms: tuple[int, list[Rhythm]] = (0, [])
-        self._counts: deque[Counted] = deque(maxlen=KEPT)
         self._steady: set[Key] = set()
         self._highest: dict[int, float] = {}
         self._clocks: dict[Key, TwoClocks] = {}
@@ -297,10 +279,8 @@ class History:
         self._take_incidents(report.incidents)
         before = report.stamp - WINDOW_NS
         self._marks.append(mark)
-        self._counts.append((report.stamp, {one.id: one.totals for one in report.devices}))
         while self._marks[0].stamp < before:
             self._marks.popleft()
-            self._counts.popleft()
         for many in self._seen.values():
             while many and many[0].stamp < before:
                 many.popleft()
@@ -310,7 +290,7 @@ class History:
             self._steady |= {key_of(one.cycle) for one in self._rhythms[1] if one.is_even}
             self._look_for_clocks(report, before)
         case = Case(report, self._seen, self._marks, self._samples, self._repeats,
-                    self._rhythms[1], self._counts, self._steady, self._names,
+                    self._rhythms[1], self._steady, self._names,
                     self._quiet_s(report), self._recognised(report, before),
                     [*self._clocks.values()], self._highest)
         self._sample(case, before)
@@ -396,4 +376,5 @@ def mark_of(report: BusReport) -> Mark:
                 sum(device.totals.answers for device in report.devices),
                 report.kinds.get(ev.GLITCH, 0), report.kinds.get(ev.ECHO, 0),
                 errors.overrun + errors.buf_overrun if errors else 0,
-                errors.frame + errors.breaks if errors else 0)
+                errors.frame + errors.breaks if errors else 0,
+                {one.id: one.totals for one in report.devices})

@@ -59,12 +59,12 @@ _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: '
 
 def _refused(case: Case, device: DeviceReport) -> Counter[ev.Refusal]:
     """Return what it refused in the window."""
-    return Counter(one.detail for one in case.incidents(ev.REFUSED, device.id))
+    return Counter(one.detail for one in case.incidents(ev.REFUSED, device))
 
 
 def _enough(case: Case, device: DeviceReport, few: int) -> int:
     """Return how many refusals say something: one on which a program ended does."""
-    found = case.incidents(ev.REFUSED, device.id)
+    found = case.incidents(ev.REFUSED, device)
     return 1 if case.report.failed and found and found[-1].stamp >= case.report.asked else few
 
 
@@ -82,7 +82,7 @@ def _eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
                 and (torque is None or torque.value.raw):
             name = device.model.by_address[address].name
             times = f'{count} times' if count > 1 else 'once'
-            return Claim(device.id, f'write to {name} ({address}) refused {times}: EEPROM '
+            return Claim(f'write to {name} ({address}) refused {times}: EEPROM '
                          'cannot be written while the torque is on; switch it off first',
                          {'refused': count})
     return None
@@ -90,13 +90,13 @@ def _eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
 
 def _goal_limits(case: Case, device: DeviceReport) -> Found | None:
     """Look for Data Limit errors, in Dynamixel 1.0 angle limit errors."""
-    found = Counter(one.detail.address for one in case.incidents(ev.REFUSED, device.id)
+    found = Counter(one.detail.address for one in case.incidents(ev.REFUSED, device)
                     if one.detail.error == LIMIT and one.detail.instruction in WRITES)
     for address, count in found.most_common(1):
         field = device.model.by_address.get(address)
         if count >= _enough(case, device, TWICE):
             name = field.name if field else f'address {address}'
-            return Claim(device.id, f'value for {name} refused, beyond its limits: keep goals '
+            return Claim(f'value for {name} refused, beyond its limits: keep goals '
                          'within these, or set wider ones (as Max Position Limit)',
                          {'refused': count})
     return _goals_beyond(case, device)
@@ -120,7 +120,7 @@ def _goals_beyond(case: Case, device: DeviceReport) -> Found | None:
     if len(beyond) < TWICE or (mode is None and (      # in another mode it would go there
             still < TWICE or {*places}.issuperset(one.position for one in samples))):
         return None
-    return Claim(device.id, f'goals beyond 0 to {TURN - 1} are sent, which Position Control Mode '
+    return Claim(f'goals beyond 0 to {TURN - 1} are sent, which Position Control Mode '
                  'refuses: keep them within, or set Extended Position Control Mode',
                  {'the last': beyond[-1].goal})
 
@@ -133,18 +133,18 @@ def _goals_held_back(case: Case, device: DeviceReport) -> Found | None:
               if one.goal is not None and not low <= one.goal <= high}
     if not low < high or len(beyond) < TWICE:
         return None                            # without limits both are 0
-    return Claim(device.id, f'goals beyond its limits of {low} to {high} are sent: it stops '
+    return Claim(f'goals beyond its limits of {low} to {high} are sent: it stops '
                  'there; keep goals within them, or set wider ones (Min and Max Position Limit)',
                  {'the farthest': max(beyond, key=lambda goal: abs(2 * goal - low - high))})
 
 
 def _wrong_address(case: Case, device: DeviceReport) -> Found | None:
-    found = Counter(one.detail[1:] for one in case.incidents(ev.REFUSED, device.id)
+    found = Counter(one.detail[1:] for one in case.incidents(ev.REFUSED, device)
                     if one.detail.error in (ACCESS, LENGTH, RANGE)
                     and not _is_locked(device, *one.detail[1:]))
     for (address, error), count in found.most_common(1):
         if count >= _enough(case, device, FEW):
-            return Claim(device.id, f'address {address} refused {count} times '
+            return Claim(f'address {address} refused {count} times '
                          f'({error_text(error)}): {_what_is_there(device, address, error)}',
                          {'refused': count})
     return None
@@ -166,7 +166,7 @@ def _eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
     if count < WORN:
         return None
     hours = 100_000 / (count / 10) / 3600
-    return Claim(device.id, f'EEPROM written {count} times in 10 s: it lasts about 100 000 '
+    return Claim(f'EEPROM written {count} times in 10 s: it lasts about 100 000 '
                  f'writes, {hours:.1f} hours at this rate; write only what changes',
                  {'writes in 10 s': count})
 
@@ -178,13 +178,13 @@ def _no_acks(case: Case, device: DeviceReport) -> Found | None:
     if not has_ended and (not case.lately(device, OTHERWISE_S).answers
                           or device.missed_in_a_row > ACKS_LEARNED):
         return None                            # it answers nothing at present
-    unanswered = case.count(ev.ACKS_STOPPED, device.id) or device.acks_missing >= ACKS_LEARNED
+    unanswered = case.count(ev.ACKS_STOPPED, device) or device.acks_missing >= ACKS_LEARNED
     if device.acks and device.acks_missing < ACKS_LEARNED:
         return None                            # it does again: some were lost
     if not (has_ended or unanswered or device.status_return_level in (0, 1)):
         return None
     level = device.status_return_level
-    return Claim(device.id, 'does not acknowledge writes (Status Return Level '
+    return Claim('does not acknowledge writes (Status Return Level '
                  f"{level or 'below 2'}): a master that waits for it loses a time-out each time; "
                  f"use Sync Write or level 2{'; if it has that, check its plugs' * has_ended}",
                  level=Level.WARN if has_ended else None, is_certain=has_ended)
@@ -194,10 +194,10 @@ def _unstuffed(case: Case) -> Claims:
     notes = case.incidents(ev.UNSTUFFED)
     if notes:
         last = notes[-1]
-        yield Claim(None, 'the master sends FF FF FD without byte stuffing '
-                          f'({name_of(last.detail.instruction)} to {last.device:03}), like the '
-                          'Python SDK: a device may miss the packet; correct its '
-                          'library', {'packets': len(notes)})
+        yield Claim('the master sends FF FF FD without byte stuffing '
+                    f'({name_of(last.detail.instruction)} to {last.device:03}), like the '
+                    'Python SDK: a device may miss the packet; correct its '
+                    'library', {'packets': len(notes)})
 
 
 def _never_written(case: Case, device: DeviceReport) -> Found | None:
@@ -207,9 +207,9 @@ def _never_written(case: Case, device: DeviceReport) -> Found | None:
         return None
     written = [one.id for one in case.report.devices if one.window.writes]
     if not written:
-        return Doubt(device.id, 'read but never written, like all others: this master may only '
+        return Doubt('read but never written, like all others: this master may only '
                      'monitor')
-    return Claim(device.id, f'read {device.totals.reads} times but never written, others are '
+    return Claim(f'read {device.totals.reads} times but never written, others are '
                  f'({listed(written, 2)}): check whether the program forgot it',
                  {'reads': device.totals.reads})
 
@@ -220,7 +220,7 @@ def _refusals(case: Case, device: DeviceReport) -> Found | None:
         return None
     for (instruction, address, error), count in _refused(case, device).most_common(1):
         if count >= FEW and address >= 0:
-            return Claim(device.id, f'refuses {name_of(instruction)} at {address} '
+            return Claim(f'refuses {name_of(instruction)} at {address} '
                          f'({error_text(error)}): set its model in {case.names.devices} to learn '
                          'which register that is', {'refused': count})
     return None
@@ -234,7 +234,7 @@ def _master_stopped(case: Case) -> Claims:
     since = (report.asked - report.started) / S
     if since < WORKED_S:
         return                                 # a command, and it is done
-    yield Claim(None, f'the master stopped {since:.1f} s after listening began: check its '
+    yield Claim(f'the master stopped {since:.1f} s after listening began: check its '
                       'program; device states date from then',
                 {'stopped after (s)': f'{since:.1f}'},
                 Level.OK if case.quiet_s < RESTED_S else None)
@@ -248,7 +248,7 @@ def _impossible_id(case: Case) -> Claims:
             continue
         asked = sum(stamp > case.now - PINGS_NS for stamp in cycle.stamps)
         if asked >= FEW:
-            yield Claim(None, f'the master reads from ID {number}, all devices at once, which '
+            yield Claim(f'the master reads from ID {number}, all devices at once, which '
                         'none answers: use Sync Read' if reads_all else
                         f'the master asks ID {number}, which no device can have (0 to 252): '
                         'correct the ID in its program', {'asked in 10 s': asked})
@@ -263,13 +263,13 @@ def _scan(case: Case) -> Claims:
     if pings >= SCANS or (pings >= FEW and case.damage >= FEW and pings > MOSTLY * case.counted(
             'instructions')):
         collide = case.damage >= FEW
-        yield Claim(None, 'the master sends broadcast Pings without a '
+        yield Claim('the master sends broadcast Pings without a '
                           f"pause{', and the answers collide' if collide else ''}: let it wait "
                           '0.8 s after each, the time that all IDs need',
                     {'broadcast Pings in 10 s': pings},
                     Level.WARN if collide else Level.OK)
     elif case.report.scanned:
-        yield Claim(None, f'a scan: {len(case.report.scanned)} IDs were pinged and do not answer, '
+        yield Claim(f'a scan: {len(case.report.scanned)} IDs were pinged and do not answer, '
                     f'{len(case.report.devices)} devices are known',
                     {'without an answer': listed(case.report.scanned)}, stands_alone=True)
 
@@ -282,8 +282,8 @@ def _models(case: Case) -> Claims:
     if found and case.heard_s >= POLLED_S:
         known = '; '.join(f'{listed(ids, 3)}: model not known, {registers}'
                           for registers, ids in found.items())
-        yield Doubt(None, f'{known}; add ID:MODEL to {case.names.devices}, or let your program '
-                          'ping the servos')
+        yield Doubt(f'{known}; add ID:MODEL to {case.names.devices}, or let your program '
+                    'ping the servos')
 
 
 def _registers(device: DeviceReport, none: str) -> str:
@@ -309,21 +309,21 @@ def _remedy(device: DeviceReport, names: Names) -> str:
 
 
 RULES = (
-    Rule('eeprom_locked', Level.WARN, _eeprom_locked, ('refused',), each=True,
-         noted=(ev.REFUSED,)),
-    Rule('wrong_address', Level.WARN, _wrong_address, each=True, noted=(ev.REFUSED,),
+    Rule('eeprom_locked', _eeprom_locked, ('refused',), noted=(ev.REFUSED,)),
+    Rule('wrong_address', _wrong_address, noted=(ev.REFUSED,),
          needs_model=True),
-    Rule('goal_limits', Level.WARN, _goal_limits, ('refused', 'torque_off'), each=True),
-    Rule('refused', Level.WARN, _refusals, each=True, noted=(ev.REFUSED,)),
-    Rule('impossible_id', Level.WARN, _impossible_id),
-    Rule(STOPPED, Level.WARN, _master_stopped, holds=False),
-    Rule('scan', Level.OK, _scan,
-         ('noise', 'damaged_answers', 'stray_bytes', 'turnaround', 'jitter'), holds=False),
-    Rule(MODELS, Level.OK, _models),
-    Rule('eeprom_wear', Level.WARN, _eeprom_wear, ('torque_off',), each=True),
+    Rule('goal_limits', _goal_limits, ('refused', 'torque_off'), each=True),
+    Rule('refused', _refusals, noted=(ev.REFUSED,)),
+    Rule('impossible_id', _impossible_id),
+    Rule(STOPPED, _master_stopped, holds=False),
+    Rule('scan', _scan,
+         ('noise', 'damaged_answers', 'stray_bytes', 'turnaround', 'jitter'), holds=False,
+         level=Level.OK),
+    Rule(MODELS, _models, level=Level.OK),
+    Rule('eeprom_wear', _eeprom_wear, ('torque_off',), each=True),
     *group_reads.RULES,
-    Rule('unstuffed', Level.WARN, _unstuffed),
-    Rule('no_acks', Level.OK, _no_acks, ('missed_answers', 'no_answer'), onset_s=ONSET_S,
-         holds=False, each=True),
-    Rule('never_written', Level.OK, _never_written, each=True),
+    Rule('unstuffed', _unstuffed),
+    Rule('no_acks', _no_acks, ('missed_answers', 'no_answer'), onset_s=ONSET_S,
+         holds=False, each=True, level=Level.OK),
+    Rule('never_written', _never_written, each=True, level=Level.OK),
 )

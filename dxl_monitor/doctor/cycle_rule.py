@@ -26,13 +26,13 @@ def cycle_time(case: Case) -> Claims:
     most = MOST * times.cycle
     if times.program > most:
         if case.rhythms and min(one.spread for one in case.rhythms) > EVEN:
-            yield Claim(None, 'most of each cycle is the program itself, between an answer and '
-                              'the next instruction: do less there, or in another thread')
+            yield Claim('most of each cycle is the program itself, between an answer and '
+                        'the next instruction: do less there, or in another thread')
     elif times.waiting and times.waiting[0][1] > most and times.waiting[0][0] in case.gone:
-        yield Claim(times.waiting[0][0], 'most of each cycle is a time-out for its answer: leave '
-                                         'it out, or shorten the time-out')
+        yield Claim('most of each cycle is a time-out for its answer: leave '
+                    'it out, or shorten the time-out', device=times.waiting[0][0])
     elif times.wire + times.device > most:
-        yield from (Claim(None, todo) for todo in _faster(case))
+        yield from (Claim(todo) for todo in _faster(case))
 
 
 def _faster(case: Case) -> Iterator[str]:

@@ -65,8 +65,8 @@ def _wrong_baud(case: Case) -> Claims:
         return
     load = _load(case)
     if load > IMPOSSIBLE:
-        yield Claim(None, f'more bytes than {report.baud} Bd can carry: the bus is faster; set '
-                          f'{case.names.bauds} to its rate', {'load (%)': f'{load:.0f}'})
+        yield Claim(f'more bytes than {report.baud} Bd can carry: the bus is faster; set '
+                    f'{case.names.bauds} to its rate', {'load (%)': f'{load:.0f}'})
         return
     rate_of = case.names.bauds
     if report.has_sides and len(report.devices) >= TWICE and START not in report.noise \
@@ -77,7 +77,7 @@ def _wrong_baud(case: Case) -> Claims:
     rate = likely_rate(report.noise, report.baud)
     remedy = f'the bytes look like {rate} Bd: set {rate_of} to it' if rate else \
         f'the right rate is unknown: set {rate_of} to the rate of the bus'
-    yield Claim(None, f'{got} bytes, but no packets at {report.baud} Bd: {remedy}', {
+    yield Claim(f'{got} bytes, but no packets at {report.baud} Bd: {remedy}', {
         'bytes': got, 'framing errors': errors})
 
 
@@ -106,7 +106,7 @@ def _baud_moved(case: Case, device: DeviceReport) -> Found | None:
     to = device.moved_to or (f'code {code}' if code >= 0 else '')
     if not to or to.startswith(words.NEW_ID) or not (code >= 0 or device.state == words.MOVED):
         return None
-    return Claim(device.id, f'its baud rate was set to {to}, but the bus is at '
+    return Claim(f'its baud rate was set to {to}, but the bus is at '
                  f'{case.report.baud} Bd: undo that at the new rate, or set the '
                  'others and the master to it')
 
@@ -116,14 +116,14 @@ def _id_moved(case: Case, device: DeviceReport) -> Found | None:
     to = device.moved_to if device.state == words.MOVED else f'{words.NEW_ID}{number:03}'
     if not to.startswith(words.NEW_ID) or (to != device.moved_to and number in (-1, device.id)):
         return None
-    return Claim(device.id, f'set to {to} by a write, and still asked as '
+    return Claim(f'set to {to} by a write, and still asked as '
                  f'{device.id:03}: use the new ID in the program')
 
 
 def _overrun(case: Case) -> Claims:
     lost = case.counted('overruns')
     if lost > 0:
-        yield Claim(None, f'this computer lost bytes {lost} times, so packets seem missing or '
+        yield Claim(f'this computer lost bytes {lost} times, so packets seem missing or '
                           'damaged: give the monitor a higher priority or a better adapter',
                     {'overruns': lost})
 
@@ -137,12 +137,12 @@ def _noise(case: Case) -> Claims:
     if asked < BOTH_WAYS * case.damage and _most_hit(case) is not None:
         return
     if is_collision(case):
-        yield Doubt(None, 'packets overlap: two programs, two devices with one ID, or a master '
-                          'that does not wait for answers')
+        yield Doubt('packets overlap: two programs, two devices with one ID, or a master '
+                    'that does not wait for answers')
         return
     way = 'in both directions' if asked >= BOTH_WAYS * case.damage else 'in answers'
     share_of = about(case.damage, packets + case.damage)
-    yield Claim(None, f'{share_of} of the packets damaged, {way}, of '
+    yield Claim(f'{share_of} of the packets damaged, {way}, of '
                 'several devices: check termination, ground, shielding and motor cables',
                 {**case.looks_like(),
                  'share': share(case.damage, packets + case.damage),
@@ -171,44 +171,44 @@ def _damaged_answers(case: Case) -> Claims:
         if not device.missed_in_a_row or not device.window.spoilt or (
                 case.report.failed != words.RAISED and (last is None or device.id != last.device)):
             continue
-        yield Claim(device.id, 'its last answer was damaged, so the program ended: a bad cable, '
+        yield Claim('its last answer was damaged, so the program ended: a bad cable, '
                     'or a second device with its ID: it answers a Ping while this one is '
                     'unplugged',
-                    is_certain=True)
+                    is_certain=True, device=device.id)
     if worst is None or _asked_damaged(case) >= \
             BOTH_WAYS * max(case.damage, case.spoilt):
         return
-    if case.count(ev.TOO_LONG, worst.id) >= FEW and ran_into_answers(case):
-        yield Doubt(worst.id, 'the master sends during its answers')
+    if case.count(ev.TOO_LONG, worst) >= FEW and ran_into_answers(case):
+        yield Doubt('the master sends during its answers', worst.id)
         return
     window = worst.window
     others = ', others whole' if any(
         device.window.answers for device in case.report.devices if device is not worst) else ''
-    yield Claim(worst.id, f'{about(window.spoilt, window.asked)} of its answers damaged{others}: '
+    yield Claim(f'{about(window.spoilt, window.asked)} of its answers damaged{others}: '
                 'a bad cable or a second device with its ID; unplug it and ping its ID',
-                {**case.looks_like(worst.id),
+                {**case.looks_like(worst),
                  'share': share(window.spoilt, window.asked),
-                 'damaged': f'{window.spoilt} of {window.asked}'})
+                 'damaged': f'{window.spoilt} of {window.asked}'}, device=worst.id)
 
 
 def _duplicate_id(case: Case, device: DeviceReport) -> Found | None:
-    twice = case.count(ev.SECOND_ANSWER, device.id)
+    twice = case.count(ev.SECOND_ANSWER, device)
     if not twice and _alone_answers_again(case, device):
-        twice = case.count(ev.ANSWERED_AGAIN, device.id)
+        twice = case.count(ev.ANSWERED_AGAIN, device)
     window = device.window
     models = window.model_changes >= 2 and window.spoilt >= FEW
     at_end = case.report.failed == words.RAISED and twice == case.count(ev.SECOND_ANSWER)
-    others = case.count(ev.UNASKED, device.id) + case.count(ev.LATE, device.id)
+    others = case.count(ev.UNASKED, device) + case.count(ev.LATE, device)
     if _says_too_much(case, device):
-        return Claim(device.id, 'more bytes come than its answers have, not so from others: two '
+        return Claim('more bytes come than its answers have, not so from others: two '
                      'devices have this ID; unplug one and change the ID of the other',
                      {'answers': window.surplus})
     if (twice < (1 if at_end else FEW) or twice < AT_ONCE * others) and not models:
         return None
     also = ', by two models' if window.model_changes >= 2 else ''
-    return Claim(device.id, f'answered twice{also}: two devices have this ID; unplug one and '
+    return Claim(f'answered twice{also}: two devices have this ID; unplug one and '
                  'change the ID of the other',
-                 {**case.looks_like(device.id),
+                 {**case.looks_like(device),
                   'second answers': twice,
                   'damaged': window.spoilt,
                   'model changes': window.model_changes})
@@ -231,9 +231,9 @@ def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
     and the damage would hit the answers of others too. What a device of Protocol 1.0 says is
     damage as long as it is not proven to be that.
     """
-    if case.count(ev.PROTOCOL_1, device.id):
+    if case.count(ev.PROTOCOL_1, device):
         return False
-    again = case.count(ev.ANSWERED_AGAIN, device.id)
+    again = case.count(ev.ANSWERED_AGAIN, device)
     others = [one for one in case.report.devices
               if one is not device and one.window.answers >= again]
     return len(others) > 1 and again == case.count(ev.ANSWERED_AGAIN) \
@@ -254,7 +254,7 @@ def _turnaround(case: Case) -> Claims:
         first = sum(_first_bytes(device) for device in hit)
         stray = case.counted('glitches')
         answers = sum(_spoken(device) for device in hit)
-        yield Claim(None, f'first byte of {share(first, answers)} of the answers damaged, '
+        yield Claim(f'first byte of {share(first, answers)} of the answers damaged, '
                           f'{len(hit)} devices: the line switches too late; raise Return Delay '
                           'Time or correct the driver enable',
                     {'answers': first,
@@ -263,9 +263,9 @@ def _turnaround(case: Case) -> Claims:
         return
     for device in hit:
         first = _first_bytes(device)
-        yield Claim(device.id, f'first byte of {share(first, _spoken(device))} of its answers '
+        yield Claim(f'first byte of {share(first, _spoken(device))} of its answers '
                     'damaged: it answers before the line switches; raise its Return Delay Time by '
-                    'a step or two', {'answers': first})
+                    'a step or two', {'answers': first}, device=device.id)
 
 
 def _first_bytes(device: DeviceReport) -> int:
@@ -282,13 +282,13 @@ def _stray_bytes(case: Case) -> Claims:
     stray = case.counted('glitches')
     packets = case.counted('packets')
     if stray >= SOME and stray > GLITCHY * packets:
-        yield Claim(None, f'one or two stray bytes before {share(stray, packets)} of the packets: '
+        yield Claim(f'one or two stray bytes before {share(stray, packets)} of the packets: '
                           'driver enable switches late or the line floats; add bias resistors',
                     {'packets': stray})
     last, spoilt = case.last_wait, sum(one.is_spoilt for one in case.report.waits)
     if case.report.failed == words.RAISED and last is not None and last.is_spoilt and not last.us \
             and spoilt <= case.report.kinds.get(ev.GLITCH, 0):     # it left the end of no other
-        yield Claim(None, 'a stray byte before the answer on which the program ended: driver '
+        yield Claim('a stray byte before the answer on which the program ended: driver '
                           'enable switches late or the line floats; add bias resistors',
                     {}, Level.WARN)
 
@@ -300,24 +300,24 @@ def _echo(case: Case) -> Claims:
             least, heard_back, asked = 1, case.report.kinds.get(ev.ECHO, 0), \
                 case.report.counters['Instructions']
         if heard_back >= least and heard_back > ECHOED * asked:
-            yield Claim(None, 'the master receives what it sends: its adapter echoes; switch the '
+            yield Claim('the master receives what it sends: its adapter echoes; switch the '
                         'echo off, or let the program skip it',
                         {'echoes': heard_back})
         return
     again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_US]
     answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
     if len(again) >= SOME and answered and len(again) > 0.5 * case.count(ev.REPEATED):
-        yield Claim(None, 'every instruction is heard twice: the adapter echoes what its master '
+        yield Claim('every instruction is heard twice: the adapter echoes what its master '
                           'sends; switch the echo off. Losses counted here are not real',
                     {'echoes': len(again)})
 
 
 def _foreign_answers(case: Case, device: DeviceReport) -> Found | None:
-    unasked = case.count(ev.UNASKED, device.id)
-    if unasked < FEW or case.count(ev.PROTOCOL_1, device.id) \
-            or case.count(ev.SECOND_ANSWER, device.id) >= AT_ONCE * unasked:
+    unasked = case.count(ev.UNASKED, device)
+    if unasked < FEW or case.count(ev.PROTOCOL_1, device) \
+            or case.count(ev.SECOND_ANSWER, device) >= AT_ONCE * unasked:
         return None
-    return Claim(device.id, f'{unasked} answers that this master did not ask for: another master, '
+    return Claim(f'{unasked} answers that this master did not ask for: another master, '
                  'on a segment that is not monitored; find and stop it',
                  {'answers': unasked})
 
@@ -340,7 +340,7 @@ def _protocol_1(case: Case) -> Claims:
     remedy = 'give these devices a bus of their own'
     if name != FEETECH.name:           # which has no setting for it
         remedy = f'set these devices to Protocol {to} if they have it, or give them another bus'
-    yield Claim(None, f'{who}, ID {listed(ids, 4)}, on a bus of {host}: {remedy}',
+    yield Claim(f'{who}, ID {listed(ids, 4)}, on a bus of {host}: {remedy}',
                 {'packets': case.count(ev.PROTOCOL_1)})
 
 
@@ -348,8 +348,8 @@ def source_lost(case: Case) -> Iterator[Doubt]:
     """Say how much the source could not hand over."""
     lost = sum(one.detail.number for one in case.incidents(ev.SOURCE_LOST))
     if lost:
-        yield Doubt(None, f'{lost} USB events or bytes were lost: lost data looks like silence; '
-                          'take other devices off this USB bus')
+        yield Doubt(f'{lost} USB events or bytes were lost: lost data looks like silence; '
+                    'take other devices off this USB bus')
 
 
 def _not_sent(case: Case) -> Claims:
@@ -357,7 +357,7 @@ def _not_sent(case: Case) -> Claims:
     count = case.count(ev.NOT_SENT)
     if count >= (1 if case.report.failed else FEW):
         asked = sorted({one.device for one in case.incidents(ev.NOT_SENT)})
-        yield Claim(None, f'{count} instructions never left the adapter: in the program, switch '
+        yield Claim(f'{count} instructions never left the adapter: in the program, switch '
                           'flow control off and do not flush output after a write; else plug the '
                           'adapter in again',
                     {'instructions': count, 'to': in_full(asked)})
@@ -368,33 +368,33 @@ def _elsewhere(case: Case) -> Claims:
     yield from _noise(case)
     yield from source_lost(case)
     if 0 < case.damage < SOME:
-        yield Doubt(None, f'{case.damage} damaged packets in 10 s are too few to find a cause')
+        yield Doubt(f'{case.damage} damaged packets in 10 s are too few to find a cause')
 
 
 RULES = (
-    Rule('wrong_baud', Level.ERROR, _wrong_baud, _ALL_ELSE),
-    Rule('overrun', Level.WARN, _overrun,
+    Rule('wrong_baud', _wrong_baud, _ALL_ELSE, level=Level.ERROR),
+    Rule('overrun', _overrun,
          (*_OF_THE_WIRE, 'jitter')),
-    Rule('baud_moved', Level.WARN, _baud_moved,
+    Rule('baud_moved', _baud_moved,
          (*SILENCE, 'cycle_time'), holds=False, each=True),
-    Rule('id_moved', Level.WARN, _id_moved,
+    Rule('id_moved', _id_moved,
          (*SILENCE, 'all_silent', 'cycle_time'), holds=False, each=True),
-    Rule('protocol_1', Level.WARN, _protocol_1,
+    Rule('protocol_1', _protocol_1,
          ('stray_bytes', 'wrong_baud')),
-    Rule('echo', Level.WARN, _echo,
+    Rule('echo', _echo,
          (*_ALL_ELSE, 'wrong_length', 'wrong_address', 'goal_limits', 'refused', 'hardware_error',
           'torque_off', 'voltage', 'not_sent')),
-    Rule('duplicate_id', Level.ERROR, _duplicate_id,
-         (*DAMAGE, 'turnaround', 'late_answers', 'rebooted'), each=True),
-    Rule('foreign_answers', Level.WARN, _foreign_answers,
+    Rule('duplicate_id', _duplicate_id,
+         (*DAMAGE, 'turnaround', 'late_answers', 'rebooted'), each=True, level=Level.ERROR),
+    Rule('foreign_answers', _foreign_answers,
          ('duplicate_id', 'missed_answers', 'noise', 'damaged_answers', 'stray_bytes',
-          'turnaround'), each=True, noted=(ev.UNASKED,)),
-    Rule('turnaround', Level.WARN, _turnaround,
+          'turnaround'), noted=(ev.UNASKED,)),
+    Rule('turnaround', _turnaround,
          ('turnaround', 'stray_bytes', 'damaged_answers', 'missed_answers', 'dropout')),
-    Rule('noise', Level.WARN, _elsewhere,
+    Rule('noise', _elsewhere,
          ('damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')),
-    Rule('damaged_answers', Level.WARN, _damaged_answers,
+    Rule('damaged_answers', _damaged_answers,
          ('missed_answers', 'dropout', 'stray_bytes', 'jitter'), onset_s=ONSET_S),
-    Rule('not_sent', Level.WARN, _not_sent, ('all_silent', 'no_acks', 'torque_off')),
-    Rule('stray_bytes', Level.OK, _stray_bytes),
+    Rule('not_sent', _not_sent, ('all_silent', 'no_acks', 'torque_off')),
+    Rule('stray_bytes', _stray_bytes, level=Level.OK),
 )

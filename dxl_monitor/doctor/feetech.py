@@ -19,7 +19,6 @@ from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import SILENCE
-from msg_defs.reports import Level
 
 FEETECH = 'feetech'
 # What LeRobot takes these codes for (its tables of Feetech motors, commit 7427f31).
@@ -33,13 +32,13 @@ _OF_LOCK = {'1': ('ignores it', 'switch its power off and on to unlock it'),
 
 
 def _baud_code(case: Case, device: DeviceReport) -> Found | None:
-    code = case.incidents(ev.BAUD_WRITTEN, device.id)[-1].detail.value
+    code = case.incidents(ev.BAUD_WRITTEN, device)[-1].detail.value
     taken_for = LEROBOT_BAUDS.get(code)
     field = device.model.by_name.get('Baud Rate')      # the servo may prove to be another one
     if taken_for is None or field is None:
         return None
     meant = field.decode(field.bytes_of(code)).text
-    return Claim(device.id, f'Baud Rate {code} was written: that is {meant} for Feetech and '
+    return Claim(f'Baud Rate {code} was written: that is {meant} for Feetech and '
                  f'{taken_for} in LeRobot; look for the servo at {meant} Bd',
                  {'code': code})
 
@@ -48,7 +47,7 @@ def _locked(case: Case, device: DeviceReport) -> Found | None:
     values = case.values[device.id]
     lock = values.get('Lock')
     written = [device.model.by_address[one.detail.value].name for one in
-               case.incidents(ev.LOCKED, device.id) if one.detail.value in device.model.by_address]
+               case.incidents(ev.LOCKED, device) if one.detail.value in device.model.by_address]
     if lock is None or lock.value.raw == 1:
         written += [one.field.name for one in device.observed if one.source == 'w'
                     and one.field.memory == 'eeprom' and (
@@ -56,29 +55,29 @@ def _locked(case: Case, device: DeviceReport) -> Found | None:
     if not written:
         return None
     if lock is None:
-        return Doubt(device.id, f'{written[0]} written, and Lock never read: while Lock is 1 the '
-                                'servo ignores that, or forgets it at power-off')
+        return Doubt(f'{written[0]} written, and Lock never read: while Lock is 1 the '
+                     'servo ignores that, or forgets it at power-off')
     effect, remedy = _OF_LOCK[device.model.protocol]
-    return Claim(device.id, f'{written[0]} written while Lock is 1: the servo {effect}; {remedy}',
+    return Claim(f'{written[0]} written while Lock is 1: the servo {effect}; {remedy}',
                  {'written': ', '.join(dict.fromkeys(written))})
 
 
 def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
-    times = case.count(ev.CALIBRATED, device.id)
+    times = case.count(ev.CALIBRATED, device)
     if times >= TWICE:
-        return Claim(device.id, f'calibrated {times} times within 10 s: each time its present '
+        return Claim(f'calibrated {times} times within 10 s: each time its present '
                      'position becomes the middle; do it once, with the joint in the middle',
                      {'times': times})
-    offsets = case.incidents(ev.OFFSET_WRITTEN, device.id)
+    offsets = case.incidents(ev.OFFSET_WRITTEN, device)
     for now, before, place in (one.detail for one in offsets):
         if now and before and abs(_signed(now) - (place - MIDDLE)) <= STEPS:
-            return Claim(device.id, f'Homing Offset {_signed(now)} written: its position less '
+            return Claim(f'Homing Offset {_signed(now)} written: its position less '
                          f'{MIDDLE}, as it was with the offset {_signed(before)}, so the new one '
                          'is wrong by that; write 0, measure again')
     last = offsets[-1] if len(offsets) >= TWICE else None
     if last is None or not (last.detail.now and last.detail.before):
         return None
-    return Claim(device.id, f'Homing Offset written {len(offsets)} times within 10 s, {TWICE} '
+    return Claim(f'Homing Offset written {len(offsets)} times within 10 s, {TWICE} '
                  'without 0 between: the new offset includes the old one; write 0, measure '
                  'again', {'now, before': f'{last.detail.now}, {last.detail.before}'})
 
@@ -102,17 +101,16 @@ def _mixed_firmware(case: Case) -> Claims:
             least = ', '.join(
                 f'{version} in {listed([one for one in versions if versions[one] == version])}'
                 for version in sorted(count) if count[version] == min(count.values()))
-            yield Claim(None, f'{name} with different firmware, {least}: LeRobot refuses that; '
+            yield Claim(f'{name} with different firmware, {least}: LeRobot refuses that; '
                         "update them to one version with Feetech's debugger",
                         {'versions': ', '.join(sorted(count))})
 
 
 RULES = (
-    Rule('baud_code', Level.WARN, _baud_code,
+    Rule('baud_code', _baud_code,
          (*SILENCE, 'baud_moved'),
-         each=True, noted=(ev.BAUD_WRITTEN,), protocols=(FEETECH,)),
-    Rule('lock', Level.WARN, _locked, each=True, protocols=FAMILY_1),
-    Rule('calibrated_twice', Level.WARN, _calibrated_twice, each=True,
-         noted=(ev.CALIBRATED, ev.OFFSET_WRITTEN)),
-    Rule('mixed_firmware', Level.WARN, _mixed_firmware, protocols=(FEETECH,)),
+         noted=(ev.BAUD_WRITTEN,), protocols=(FEETECH,)),
+    Rule('lock', _locked, each=True, protocols=FAMILY_1),
+    Rule('calibrated_twice', _calibrated_twice, noted=(ev.CALIBRATED, ev.OFFSET_WRITTEN)),
+    Rule('mixed_firmware', _mixed_firmware),
 )

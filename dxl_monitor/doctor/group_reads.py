@@ -17,7 +17,6 @@ from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl_instruction import Instruction
-from msg_defs.reports import Level
 
 S = 1_000_000_000
 FEW = 3
@@ -48,17 +47,17 @@ def _fast_reads(case: Case) -> Claims:
 
 def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
     refused = sum(one.detail.instruction in FAST and one.detail.error == UNKNOWN_TO_IT
-                  for one in case.incidents(ev.REFUSED, device.id))
+                  for one in case.incidents(ev.REFUSED, device))
     is_able = device.firmware is not None and not _lacks_fast_reads(device) \
         and case.lately(device, OTHERWISE_S).answers < FEW
     if refused < FEW and (is_able or not device.totals.answers):
         return None                            # perhaps it is not there
     firmware = '' if device.firmware is None else f', firmware {device.firmware}'
     after = cycle.ids[cycle.ids.index(device.id):]
-    return Claim(device.id, 'answers, but never a fast read '
+    return Claim('answers, but never a fast read '
                  f'({device.model_name}{firmware}), so devices after it are never read: update it '
                  'or use plain Sync Read',
-                 {'fast reads': cycle.asked}, covers=tuple(after))
+                 {'fast reads': cycle.asked}, covers=tuple(after), device=device.id)
 
 
 def _sync_reads(case: Case) -> Claims:
@@ -72,7 +71,7 @@ def _sync_reads(case: Case) -> Claims:
         asked = sum(stamp > case.now - OTHERWISE_S * S for stamp in cycle.stamps)
         if cycle.instruction == Instruction.SYNC_READ and asked >= FEW and answered >= FEW \
                 and (not is_feetech or _answer_all_else(case, cycle)):
-            yield Claim(None, 'the master sends Sync Reads, which Dynamixel has in Protocol 2.0 '
+            yield Claim('the master sends Sync Reads, which Dynamixel has in Protocol 2.0 '
                         'only, and Feetech SCS not at all: none is answered, other instructions '
                         'are; read one after the other',
                         {'Sync Reads': cycle.asked})
@@ -96,8 +95,8 @@ def _lacks_fast_reads(device: DeviceReport) -> bool:
 
 
 RULES = (
-    Rule('fast_read_unsupported', Level.WARN, _fast_reads,
+    Rule('fast_read_unsupported', _fast_reads,
          (*SILENCE, 'all_silent', 'noise', 'damaged_answers', 'wrong_address', 'dropout')),
-    Rule('sync_read_unsupported', Level.WARN, _sync_reads,
+    Rule('sync_read_unsupported', _sync_reads,
          ('jitter', 'missed_answers', 'sync_read_stops')),
 )

@@ -103,15 +103,16 @@ def latched(device: DeviceReport) -> Claim | None:
     if not is_2:                               # bits that say what is, with nothing to read
         remedy = next((remedy for bit, remedy in _REMEDIES.items() if bit in device.last_error),
                       'switch it off and on')
-        return Claim(device.id, f'{device.last_error} error in its answers{torque}: {remedy}',
-                     figures)
+        return Claim(f'{device.last_error} error in its answers{torque}: {remedy}',
+                     figures, device=device.id)
     seen = next((values[name] for name in _ERRORS
                  if name in values and values[name].value.raw), None)
     if seen is None:
-        return Claim(device.id, f'alert in its answers{torque}: an error is latched; read '
-                     'Hardware Error Status, then reboot it', figures, Level.WARN)
-    return Claim(device.id, f'{seen.value.text} error latched{torque}: remove the cause, then '
-                 'send Reboot; until then it does not move', figures)
+        return Claim(f'alert in its answers{torque}: an error is latched; read '
+                     'Hardware Error Status, then reboot it', figures, Level.WARN,
+                     device=device.id)
+    return Claim(f'{seen.value.text} error latched{torque}: remove the cause, then '
+                 'send Reboot; until then it does not move', figures, device=device.id)
 
 
 def is_off(torque: Observed | None) -> bool:
@@ -142,12 +143,12 @@ def _too_hot(case: Case) -> Claims:
             unknown.append(device.id)
         elif limit is not None and temperature >= limit - NEAR_DEGREES:
             is_above = temperature >= limit
-            yield Claim(device.id, f'{"above" if is_above else "near"} its shutdown limit of '
+            yield Claim(f'{"above" if is_above else "near"} its shutdown limit of '
                         f'{limit:.0f} °C{source}: reduce load or holding torque, let it cool',
                         {'temperature (°C)': f'{temperature:.0f}', 'limit (°C)': f'{limit:.0f}'},
-                        _level(is_above))
+                        _level(is_above), device=device.id)
     if unknown:
-        yield Doubt(None, f'{listed(unknown, 3)}: Temperature Limit never read')
+        yield Doubt(f'{listed(unknown, 3)}: Temperature Limit never read')
 
 
 def _level(is_beyond: bool) -> Level:
@@ -182,20 +183,20 @@ def _voltage(case: Case) -> Claims:
             found.append(said._replace(figures={'voltage (V)': f'{volts:.1f}'}))
     yield from found
     if len(found) >= FEW:
-        yield Claim(None, f'{len(found)} devices near or beyond a voltage limit: the supply is '
+        yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
                           'the cause; measure it, charge the battery, check cable gauge',
                     {'devices': in_full([one.device for one in found if one.device])},
                     _level(any(one.level is not Level.WARN for one in found)))
     if unknown:
-        yield Doubt(None, f'{listed(unknown, 3)}: voltage limits never read')
+        yield Doubt(f'{listed(unknown, 3)}: voltage limits never read')
     if pinged:
-        yield Doubt(None, f'{listed(pinged, 3)}: what answers the Pings is the same as the Pings: '
-                          'an echo of the adapter, or a voltage error; read a register')
+        yield Doubt(f'{listed(pinged, 3)}: what answers the Pings is the same as the Pings: '
+                    'an echo of the adapter, or a voltage error; read a register')
 
 
 def _supply(device: DeviceReport, volts: float, is_beyond: bool, where: str) -> Claim:
-    return Claim(device.id, f'its supply is near or {where}', {'voltage (V)': f'{volts:.1f}'},
-                 _level(is_beyond))
+    return Claim(f'its supply is near or {where}', {'voltage (V)': f'{volts:.1f}'},
+                 _level(is_beyond), device=device.id)
 
 
 def _watchdog(case: Case, device: DeviceReport) -> Found | None:
@@ -203,12 +204,12 @@ def _watchdog(case: Case, device: DeviceReport) -> Found | None:
     if seen is None:
         return None
     refused = sum(one.detail.error == RANGE and _is_goal(device, one.detail.address)
-                  for one in case.incidents(ev.REFUSED, device.id)) \
-        if case.count(ev.REFUSED, device.id) else 0
+                  for one in case.incidents(ev.REFUSED, device)) \
+        if case.count(ev.REFUSED, device) else 0
     tripped = seen.source == 'r' and seen.value.raw in TRIPPED
     if not tripped and not (refused >= FEW and seen.value.raw):
         return None
-    return Claim(device.id, f'Bus Watchdog tripped, {refused} goals refused: the master was '
+    return Claim(f'Bus Watchdog tripped, {refused} goals refused: the master was '
                  'silent too long; write 0 to Bus Watchdog, then send goals without such gaps',
                  {'goals refused': refused, 'read': 'yes' if tripped else 'no'})
 
@@ -228,18 +229,18 @@ def _range_wraps(case: Case, device: DeviceReport) -> Found | None:
     beyond = [place < EDGE for place in places if place < EDGE or TURN - EDGE <= place < TURN]
     if len(beyond) < len(places) or sum(map(ne, beyond, beyond[1:])) < TWICE:
         return None                            # it goes the long way, as it can
-    return Claim(device.id, f'its joint moves across the end of the turn, from {TURN - 1} to 0, '
+    return Claim(f'its joint moves across the end of the turn, from {TURN - 1} to 0, '
                  'where goals make it turn the long way round: calibrate it again, with the joint '
                  'in the middle of its range')
 
 
 RULES = (
-    Rule('hardware_error', Level.ERROR, lambda _, device: None
+    Rule('hardware_error', lambda _, device: None
          if device.last_error.endswith(_OF_SUPPLY) else latched(device),
-         holds=False, each=True),
-    Rule('watchdog', Level.ERROR, _watchdog, ('wrong_address', 'refused', 'torque_off'),
-         each=True),
-    Rule('too_hot', Level.ERROR, _too_hot),
-    Rule('voltage', Level.ERROR, _voltage, ('voltage',)),
-    Rule('range_wraps', Level.WARN, _range_wraps, each=True),
+         holds=False, each=True, level=Level.ERROR),
+    Rule('watchdog', _watchdog, ('wrong_address', 'refused', 'torque_off'),
+         each=True, level=Level.ERROR),
+    Rule('too_hot', _too_hot, level=Level.ERROR),
+    Rule('voltage', _voltage, ('voltage',), level=Level.ERROR),
+    Rule('range_wraps', _range_wraps, each=True),
 )

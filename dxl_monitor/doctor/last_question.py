@@ -58,8 +58,8 @@ def unacknowledged(case: Case) -> Claims:
     """Look for devices that were only written to, and never heard."""
     if not case.report.is_answered and any(one.acks_missing for one in case.report.devices) \
             and case.report.is_over and not case.report.failed and len(case.report.waits) < FEW:
-        yield Doubt(None, 'writes are sent, and not one byte comes back: no power, another baud '
-                          'rate, or Status Return Level below 2; let your program read once')
+        yield Doubt('writes are sent, and not one byte comes back: no power, another baud '
+                    'rate, or Status Return Level below 2; let your program read once')
     for device in case.report.devices if any(one.acks for one in case.report.devices) else ():
         if device.last_heard_s is None and device.acks_missing \
                 and not device.window.spoilt and not device.moved_to:
@@ -67,5 +67,6 @@ def unacknowledged(case: Case) -> Claims:
                     'others do: check its power, cable and ID, or its Status Return Level if it '
                     'answers a Ping')
             failed, is_over = case.report.failed, case.report.is_over
-            yield Claim(device.id, says, level=None if failed else Level.WARN) \
-                if failed or (is_over and device.acks_missing > MANY) else Doubt(device.id, says)
+            yield Claim(says, level=None if failed else Level.WARN, device=device.id) \
+                if failed or (is_over and device.acks_missing > MANY) \
+                else Doubt(says, device.id)

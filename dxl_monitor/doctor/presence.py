@@ -74,14 +74,14 @@ def _all_silent(case: Case) -> Claims:
         first = case.gone[0] if len(case.gone) == 1 else None
         alone = '' if first is None else f'; or {first:03} is dead and the others wait for it'
         hint = '' if case.report.has_sides else '; or only the master is heard'
-        yield Claim(None, f'none of {len(missing)} devices answers the master: check power and '
-                          f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
+        yield Claim(f'none of {len(missing)} devices answers the master: check power and '
+                    f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
     elif not (case.report.is_answered or case.count(ev.LATE)) and (
             is_over or len(case.report.tried) <= RATES) and (
             case.report.failed or (is_over and len(case.report.waits) >= FEW) or any(
                 cycle.instruction == Instruction.PING for cycle in case.report.cycles)):
-        yield Claim(None, 'not one byte comes back to the program: check power and first cable'
-                          f'{_OF_THE_MASTER}', figures)
+        yield Claim('not one byte comes back to the program: check power and first cable'
+                    f'{_OF_THE_MASTER}', figures)
 
 
 def _waits_for_one(case: Case, missing: list[int]) -> bool:
@@ -112,12 +112,13 @@ def _at_the_end(case: Case) -> Claims:
     if read_late(case):
         return
     for one in case.incidents(ev.LEFT_OPEN):
-        yield Doubt(one.device, f'the program ended {one.detail.us / 1000:.0f} ms after it asked: '
-                    'whether this answers is unknown')
+        yield Doubt(f'the program ended {one.detail.us / 1000:.0f} ms after it asked: '
+                    'whether this answers is unknown', device=one.device)
     last, fatal = case.last_wait, ended_on(case)
     if case.report.failed and fatal is None and last is not None and not last.is_spoilt:
-        yield Doubt(last.device, 'the last question got no answer; whether the program ended for '
-                    'that is unknown: it went on after earlier ones, or only searched')
+        yield Doubt('the last question got no answer; whether the program ended for '
+                    'that is unknown: it went on after earlier ones, or only searched',
+                    last.device)
     lost = [] if fatal is None else [fatal.device]
     absent = [device.id for device in case.report.devices
               if device.last_heard_s is None and device.missed_in_a_row
@@ -132,7 +133,7 @@ def _at_the_end(case: Case) -> Claims:
 
 def _is_late(case: Case, device: DeviceReport) -> bool:
     """Tell whether a device answers too late so often that the last question is one more."""
-    return case.count(ev.LATE, device.id) >= max(FEW, LATE * device.window.asked) \
+    return case.count(ev.LATE, device) >= max(FEW, LATE * device.window.asked) \
         or (device.last_heard_s is not None and not device.totals.answers)
 
 
@@ -145,15 +146,15 @@ def _claim_gone(case: Case, number: int) -> Claim:
         case.lately(other, GONE_S).answers for other in case.report.devices) else ''
     what = 'cable and ID' if device.last_heard_s is not None else 'cable, ID and baud rate' if any(
         other.totals.answers for other in case.report.devices) else f'cable and ID{_OF_THE_MASTER}'
-    return Claim(number, f'no answer, {since}{others}: check its power, {what}',
+    return Claim(f'no answer, {since}{others}: check its power, {what}',
                  {'requests without an answer': device.missed_in_a_row,
-                  **_waiting(case, number)})
+                  **_waiting(case, number)}, device=number)
 
 
 def _claim_blocking(case: Case, number: int, after: list[int]) -> Claim:
-    return Claim(number, f'silent, and the Sync Read ends there: {listed(after, 2)} after it are '
+    return Claim(f'silent, and the Sync Read ends there: {listed(after, 2)} after it are '
                          'never read; check its power and cable, or leave it out',
-                 {'not served': in_full(after), **_waiting(case, number)})
+                 {'not served': in_full(after), **_waiting(case, number)}, device=number)
 
 
 def _waiting(case: Case, number: int) -> dict[str, str]:
@@ -169,9 +170,9 @@ def _broken_cable(case: Case) -> Claims:
         tail += 1
     lost = chain[len(chain) - tail:]
     if 0 < tail < len(chain) and sum(number in case.gone for number in lost) > 1:
-        yield Claim(lost[0], 'it and everything downstream are silent: the cable between '
+        yield Claim('it and everything downstream are silent: the cable between '
                     f'{chain[-1 - tail]:03} and {lost[0]:03} is broken or unplugged',
-                    {'silent': in_full(lost)}, covers=tuple(lost))
+                    {'silent': in_full(lost)}, covers=tuple(lost), device=lost[0])
 
 
 def _cut_off(case: Case, number: int) -> bool:
@@ -180,7 +181,7 @@ def _cut_off(case: Case, number: int) -> bool:
 
 # --- away and back -----------------------------------------------------------------------------
 
-def _absences(case: Case, device: int | None = None) -> list[Incident[ev.SilentFor]]:
+def _absences(case: Case, device: DeviceReport | None = None) -> list[Incident[ev.SilentFor]]:
     """Return the returns after an absence that no Reboot or Factory Reset accounts for."""
     if not case.count(ev.RETURNED):
         return []
@@ -205,13 +206,13 @@ def _dropout(case: Case, device: DeviceReport) -> Found | None:
     if device.window.spoilt * 2 > device.window.missed \
             or (totals.data_missed and totals.answers == totals.pongs):
         return None                    # or it answers Pings only
-    absences = [one for one in _absences(case, device.id)
+    absences = [one for one in _absences(case, device)
                 if one.detail.missed >= FEW and _talks_since(case, one)
                 and (case.now - one.stamp > SETTLED_S * S or case.report.is_over)]
     if not absences or sum(one.detail.missed for one in absences) * 2 < device.window.missed:
         return None                    # else answers are lost by chance
     away = max(one.detail.ms for one in absences)
-    return Claim(device.id, f'no answers for {away} ms: a loose plug or a restart; read Torque '
+    return Claim(f'no answers for {away} ms: a loose plug or a restart; read Torque '
                  'Enable or Realtime Tick to find out',
                  {'absences': len(absences), 'longest (ms)': away})
 
@@ -219,10 +220,10 @@ def _dropout(case: Case, device: DeviceReport) -> Found | None:
 def _rebooted(case: Case, device: DeviceReport) -> Found | None:
     if device.window.spoilt * 2 > device.window.missed:
         return None
-    for one in _absences(case, device.id):
+    for one in _absences(case, device):
         proof = _restart_proof(case, one)
         if proof and _talks_since(case, one):
-            return Claim(device.id, f'restarted by itself, no answers for {one.detail.ms} ms '
+            return Claim(f'restarted by itself, no answers for {one.detail.ms} ms '
                          f'({proof}): check its supply and plug, then set it up again, torque too',
                          {'away (ms)': one.detail.ms, 'seen by': proof})
     return None
@@ -244,11 +245,11 @@ def _brown_out(case: Case) -> Claims:
     proofs = [proof for one in together if (proof := _restart_proof(case, one) or
                                             _dip(case, one.device))]
     if len(ids) > 1 and proofs:
-        yield Claim(None, f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
+        yield Claim(f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
                           'check battery and cables, set up again',
                     {'devices': in_full(ids), 'seen by': proofs[0]}, covers=tuple(ids))
     elif _was_with_all(case, last, ids):
-        yield Claim(None, f'{listed(ids, 2)} were silent together for {last.detail.ms} ms: the '
+        yield Claim(f'{listed(ids, 2)} were silent together for {last.detail.ms} ms: the '
                     'supply or the first cable failed for a moment; check both, and whether '
                     'torque and settings are as before',
                     {'devices': in_full(ids)}, Level.WARN, covers=tuple(ids))
@@ -299,15 +300,15 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
     torque = case.values[device.id].get('Torque Enable')
     if torque is not None and not torque.value.raw \
             and (torque.source == 'w' or torque.age_s < FOLLOW_S):
-        return Claim(device.id, 'goals are sent to it, but its torque is off: switch it on '
+        return Claim('goals are sent to it, but its torque is off: switch it on '
                      '(Torque Enable 1); after a restart, write all its settings again')
     if (torque is None or torque.source == 'w') \
             and is_watched(case, device, place) and is_ignored(
                 [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
-        return Claim(device.id, 'goals leave its position on both sides or repeatedly, and it '
+        return Claim('goals leave its position on both sides or repeatedly, and it '
                      'does not move: write 1 to Torque Enable, or check its motor and what '
                      'blocks it')
-    if torque is not None and torque.value.raw and not _absences(case, device.id):
+    if torque is not None and torque.value.raw and not _absences(case, device):
         return None                    # it is on, so something holds it, or it is where it can be
     since = samples[1].stamp
     who = ', others do' if any(span([
@@ -318,7 +319,7 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
         who = ', nothing set its torque'
     if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not who:
         return None
-    return Claim(device.id, f'its goal changes but the joint does not move{who}: its '
+    return Claim(f'its goal changes but the joint does not move{who}: its '
                  'torque is off or it is blocked; read Torque Enable, switch it on')
 
 
@@ -345,7 +346,7 @@ def _is_ping_only(case: Case, device: DeviceReport) -> bool:
 def _ping_only(case: Case, device: DeviceReport) -> Found | None:
     if not _is_ping_only(case, device):
         return None
-    return Claim(device.id, 'answers Pings only: set its Status Return Level to 2, or 1 for '
+    return Claim('answers Pings only: set its Status Return Level to 2, or 1 for '
                  'reads; if it no longer answers a Ping, check its power and cable',
                  {'missed': f'{device.window.missed} of {device.window.asked}'})
 
@@ -353,13 +354,13 @@ def _ping_only(case: Case, device: DeviceReport) -> Found | None:
 def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
     window = device.window
     lost = window.missed - window.spoilt - sum(     # what came in the next one's time is there
-        case.count(kind, device.id) for kind in (ev.LATE, ev.SECOND_ANSWER))
+        case.count(kind, device) for kind in (ev.LATE, ev.SECOND_ANSWER))
     if lost < FEW or lost <= LOSS * window.asked or device.id in case.gone \
-            or device.missed_in_a_row > FEW or case.count(ev.MISSED, device.id) < FEW \
+            or device.missed_in_a_row > FEW or case.count(ev.MISSED, device) < FEW \
             or len(case.report.tried) > RATES \
-            or case.count(ev.REBOOTED, device.id):
+            or case.count(ev.REBOOTED, device):
         return None
-    return Claim(device.id, f'{about(lost, window.asked)} of its answers missing, with no bytes '
+    return Claim(f'{about(lost, window.asked)} of its answers missing, with no bytes '
                  'in their place: check its plugs; a device that did not get the instruction '
                  'looks the same',
                  {'loss': share(lost, window.asked),
@@ -372,28 +373,28 @@ def _no_answer(case: Case) -> Claims:
     for device in case.report.devices:
         if device.state == words.EXPECTED and device.last_heard_s is None \
                 and not (device.window.asked or device.window.not_served):
-            yield Doubt(device.id, f'in {case.names.devices}, but the master never asks it')
+            yield Doubt(f'in {case.names.devices}, but the master never asks it', device.id)
 
 
 RULES = (
-    Rule('brown_out', Level.ERROR, _brown_out,
-         ('rebooted', 'dropout', 'missed_answers', 'voltage', 'jitter', 'torque_off')),
-    Rule('all_silent', Level.ERROR, _all_silent,
+    Rule('brown_out', _brown_out,
+         ('rebooted', 'dropout', 'missed_answers', 'voltage', 'jitter', 'torque_off'),
+         level=Level.ERROR),
+    Rule('all_silent', _all_silent,
          ('no_answer', 'sync_read_stops', 'broken_cable', 'ping_only', 'jitter', 'cycle_time'),
-         holds=False),
-    Rule('broken_cable', Level.ERROR, _broken_cable,
-         ('no_answer', 'sync_read_stops', 'missed_answers', 'jitter'), holds=False),
-    Rule('sync_read_stops', Level.ERROR, lambda case: _gone(case, True),
-         ('no_answer', 'missed_answers', 'jitter'),
-         holds=False),
-    Rule('no_answer', Level.ERROR, _no_answer, ('missed_answers', 'jitter'), holds=False),
-    Rule('rebooted', Level.ERROR, _rebooted,
-         ('dropout', 'missed_answers', 'jitter', 'torque_off'), each=True, noted=(ev.RETURNED,)),
-    Rule('torque_off', Level.WARN, _torque_off, each=True),
-    Rule('ping_only', Level.WARN, _ping_only,
+         holds=False, level=Level.ERROR),
+    Rule('broken_cable', _broken_cable,
+         ('no_answer', 'sync_read_stops', 'missed_answers', 'jitter'), holds=False,
+         level=Level.ERROR),
+    Rule('sync_read_stops', lambda case: _gone(case, True),
+         ('no_answer', 'missed_answers', 'jitter'), holds=False, level=Level.ERROR),
+    Rule('no_answer', _no_answer, ('missed_answers', 'jitter'), holds=False, level=Level.ERROR),
+    Rule('rebooted', _rebooted, ('dropout', 'missed_answers', 'jitter', 'torque_off'),
+         noted=(ev.RETURNED,), level=Level.ERROR),
+    Rule('torque_off', _torque_off, each=True),
+    Rule('ping_only', _ping_only,
          ('dropout', 'rebooted', 'no_answer', 'sync_read_stops', 'missed_answers', 'no_acks',
           'jitter'), each=True),
-    Rule('dropout', Level.WARN, _dropout,
-         ('missed_answers', 'jitter'), each=True, noted=(ev.RETURNED,)),
-    Rule('missed_answers', Level.WARN, _missed_answers, each=True),
+    Rule('dropout', _dropout, ('missed_answers', 'jitter'), noted=(ev.RETURNED,)),
+    Rule('missed_answers', _missed_answers, each=True),
 )

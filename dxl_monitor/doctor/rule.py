@@ -27,13 +27,13 @@ FAMILY_1 = ('1', 'feetech')        # as model files call the protocols of the 1.
 class Claim(NamedTuple):
     """A cause found; device None = the bus. covers: devices with trouble of this cause."""
 
-    device: int | None
     message: str
     figures: Mapping[str, object] = {}
     level: Level | None = None     # where it is not the rule's
     covers: tuple[int, ...] = ()
     is_certain: bool = False       # it needs no onset
     stands_alone: bool = False     # it explains no other claim
+    device: int | None = None
 
     @property
     def evidence(self) -> tuple[tuple[str, str], ...]:
@@ -44,8 +44,8 @@ class Claim(NamedTuple):
 class Doubt(NamedTuple):
     """Something is wrong or unknown, and the evidence does not say what."""
 
-    device: int | None
     reason: str
+    device: int | None = None
 
 
 _PERCENT = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
@@ -59,15 +59,15 @@ class Rule(NamedTuple):
     """
     One cause. name: as in the key finding.<name> and in docs/doctor.md.
 
-    check: from a case to what is found; with `each` from a case and a device to what is found of
-    it, or None. explains: rules with claims that follow from this one, on its device and those it
-    covers, and of the bus; a claim about the bus explains those of all devices.
+    check: from a case to what is found; with `each` or `noted` from a case and a device to what
+    is found of it, or None. explains: rules with claims that follow from this one, on its device
+    and those it covers, and of the bus; a claim about the bus explains those of all devices.
     """
 
     name: str
-    level: Level
     check: Callable[..., Any]
     explains: tuple[str, ...] = ()
+    level: Level = Level.WARN
     onset_s: float = 0.0           # claimed without a break for so long, before it is reported
     holds: bool = True             # lasts some seconds longer than its evidence; a state does not
     each: bool = False

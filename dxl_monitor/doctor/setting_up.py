@@ -53,17 +53,17 @@ def _factory_id(case: Case) -> Claims:
               and 2 * device.window.garbled <= device.window.missed]
     if first is None or not absent or not _clashes(case, first):
         return
-    yield Claim(FACTORY_ID, f'several servos answer as 001, and {listed(absent, 3)} never did: '
+    yield Claim(f'several servos answer as 001, and {listed(absent, 3)} never did: '
                 'new ones still have ID 1; connect one at a time and give each its own ID',
                 {'never heard': in_full(absent),
                  'spoilt': f'{first.window.spoilt} of {first.window.asked}'},
-                covers=tuple(absent))
+                covers=tuple(absent), device=FACTORY_ID)
 
 
 def _clashes(case: Case, device: DeviceReport) -> bool:
     """Tell whether more than one device answers: twice, or over each other most of the time."""
     window = device.window
-    return case.count(ev.SECOND_ANSWER, device.id) >= FEW or (
+    return case.count(ev.SECOND_ANSWER, device) >= FEW or (
         window.spoilt >= FEW and window.spoilt >= CLASHES * window.asked)
 
 
@@ -88,8 +88,8 @@ def _wrong_supply(case: Case) -> Claims:
     yield from _supply_claims(low, 'while its limit is {limit:.1f} V: a servo for 12 V on a lower '
                               'supply{others}, slow and weak; supply 12 V', Level.WARN)
     if unknown:
-        yield Doubt(None, f'{listed(unknown, 3)}: Max Voltage Limit never read, so it is unknown '
-                          'whether they fit the supply')
+        yield Doubt(f'{listed(unknown, 3)}: Max Voltage Limit never read, so it is unknown '
+                    'whether they fit the supply')
 
 
 def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
@@ -99,10 +99,10 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
     many = len(found) >= ALL
     for device, volts, limit in found[:1] if many else found:
         others = f', {len(ids) - 1} others too' if many else ''
-        yield Claim(device.id, f'at {volts:.0f} V, ' + words.format(limit=limit, others=others),
+        yield Claim(f'at {volts:.0f} V, ' + words.format(limit=limit, others=others),
                     {'voltage (V)': f'{volts:.1f}',
                      'limit (V)': f'{limit:.1f}',
-                     'devices': in_full(ids)}, level, covers=ids)
+                     'devices': in_full(ids)}, level, covers=ids, device=device.id)
 
 
 def _layout(case: Case, device: DeviceReport) -> Found | None:
@@ -110,9 +110,9 @@ def _layout(case: Case, device: DeviceReport) -> Found | None:
     place = device.model.by_name.get('Present Position')
     if order is not None and place is not None \
             and (order.value.raw == 1) != (place.byte_order == 'big'):
-        return Claim(device.id, f'reports that its numbers are {order.value.text}, but those of '
+        return Claim(f'reports that its numbers are {order.value.text}, but those of '
                      f'{device.model_name} are not: set its real model in {case.names.devices}')
-    refused = {one.detail.address for one in case.incidents(ev.REFUSED, device.id)}
+    refused = {one.detail.address for one in case.incidents(ev.REFUSED, device)}
     for cycle in case.report.cycles:
         if cycle.address is None or device.id not in cycle.ids or cycle.asked < FEW \
                 or cycle.address in refused or cycle.stamps[-1] < case.now - RECENT_NS:
@@ -122,7 +122,7 @@ def _layout(case: Case, device: DeviceReport) -> Found | None:
             and cycle.length == 1 and cycle.instruction == Instruction.WRITE
         unfit = _unfit(device.model, cycle.address, cycle.length)
         if unfit and not is_low_byte:      # which is enough for a small number
-            return Claim(device.id, f'{name_of(cycle.instruction)} of {cycle.length} at '
+            return Claim(f'{name_of(cycle.instruction)} of {cycle.length} at '
                          f'{cycle.address}, {unfit}: use the table of {device.model_name}',
                          {'address': cycle.address, 'times': cycle.asked})
     return None
@@ -143,10 +143,10 @@ def _unfit(model: Model, begin: int, length: int) -> str:
 
 
 RULES = (
-    Rule('factory_id', Level.ERROR, _factory_id,
+    Rule('factory_id', _factory_id,
          (*SILENCE, *DAMAGE, 'duplicate_id', 'all_silent', 'turnaround', 'foreign_answers',
-          'wrong_length', 'late_answers', 'cycle_time')),
-    Rule('wrong_supply', Level.ERROR, _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
-         onset_s=ONSET_S, protocols=FAMILY_1),
-    Rule('layout', Level.WARN, _layout, each=True, protocols=FAMILY_1, needs_model=True),
+          'wrong_length', 'late_answers', 'cycle_time'), level=Level.ERROR),
+    Rule('wrong_supply', _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
+         onset_s=ONSET_S, level=Level.ERROR),
+    Rule('layout', _layout, each=True, protocols=FAMILY_1, needs_model=True),
 )

@@ -85,26 +85,26 @@ def _impatient(case: Case) -> Claims:
     again.update(one.detail.instruction for one in _repeats_into_answers(case))
     if again.total() >= FEW + case.counted('glitches'):        # after which it asks once more
         worst = again.most_common(1)[0][0]
-        yield Claim(None, f'the master repeats {name_of(worst)} at once, {again.total()} times in '
+        yield Claim(f'the master repeats {name_of(worst)} at once, {again.total()} times in '
                     '10 s: its time-out is shorter than the answers take; raise it',
                     {'repeated': again.total()})
         return
     hasty = [one.us for one in case.waits(WAITED_S) if not one.is_spoilt]
     if len(hasty) >= MANY and median(hasty) < SOON_US and case.damage >= FEW \
             and any(case.lately(device, WAITED_S).answers for device in case.report.devices):
-        yield Claim(None, 'the master does not wait for answers and sends during them: it gives '
-                          f'up within {SOON_US} us, before a servo with factory settings answers; '
-                          'raise its time-out', {'given up at once': len(hasty)})
+        yield Claim('the master does not wait for answers and sends during them: it gives '
+                    f'up within {SOON_US} us, before a servo with factory settings answers; '
+                    'raise its time-out', {'given up at once': len(hasty)})
         return
     thrown = sum(one.detail.instruction not in WRITES for one in case.incidents(ev.THROWN_AWAY))
     if thrown >= MANY:
-        yield Claim(None, f'the program asks, and throws the answers away unread, {thrown} times '
+        yield Claim(f'the program asks, and throws the answers away unread, {thrown} times '
                     'in 10 s: let it wait for each answer and read it, or not ask',
                     {'answers thrown away': thrown})
         return
     times = _questions_into_acks(case)
     if times:
-        yield Claim(None, 'the master does not wait for the acknowledgement of a write: its next '
+        yield Claim('the master does not wait for the acknowledgement of a write: its next '
                           f'instruction ran into it {times} times in 10 s; let it wait, or use '
                           'Sync Write',
                     {'instructions into an acknowledgement': times})
@@ -186,17 +186,17 @@ def _late_answers(case: Case) -> Claims:
                 device.window.not_served >= count or count < SHARE * device.window.asked))):
             return
         if _is_cut_short(case):
-            yield Doubt(number, 'the next instruction comes during its answers: two programs, one '
-                        'that does not wait, or two devices with this ID')
+            yield Doubt('the next instruction comes during its answers: two programs, one '
+                        'that does not wait, or two devices with this ID', device=number)
         else:
             known = [one.us for one in case.report.waits]
             also = sorted(one for one, times in first.items() if times >= FEW and one != number)
-            yield Claim(number, 'answers after the master gave up, during the next instruction'
+            yield Claim('answers after the master gave up, during the next instruction'
                         f'{f", as {listed(also, 2)} do" if also else ""}: raise the time-out, or '
                         'lower its Return Delay Time',
                         {'late answers': count, 'waits': f'{median(known) / 1000:.1f} ms'
                             if known else 'unknown', **({'also': in_full(also)} if also else {})},
-                        covers=tuple(case.devices))
+                        covers=tuple(case.devices), device=number)
 
 
 def _is_cut_short(case: Case) -> bool:
@@ -206,11 +206,11 @@ def _is_cut_short(case: Case) -> bool:
 
 
 def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
-    wrong = case.incidents(ev.WRONG_SIZE, device.id)
-    if len(wrong) < FEW or 4 * case.count(ev.LATE, device.id) > len(wrong):
+    wrong = case.incidents(ev.WRONG_SIZE, device)
+    if len(wrong) < FEW or 4 * case.count(ev.LATE, device) > len(wrong):
         return None
     size, asked = wrong[-1].detail.got, wrong[-1].detail.wanted
-    return Claim(device.id, f'answers {size} bytes to a read of {asked}: its firmware is at '
+    return Claim(f'answers {size} bytes to a read of {asked}: its firmware is at '
                  'fault, or a second device has its ID; update it, then unplug it and ping its ID',
                  {'answers': len(wrong)})
 
@@ -241,13 +241,13 @@ def _latency_timer(case: Case) -> Claims:
         return                                 # the answers were there long before
     if latent and sum(abs(gap - HZ_60_NS) < HZ_60_NS // 100 for _, gap in latent) \
             >= MOSTLY * len(latent):
-        yield Doubt(None, 'instructions come every 16.7 ms: a loop at 60 Hz, or a latency timer '
-                          'of 16 ms in the adapter of the master')
+        yield Doubt('instructions come every 16.7 ms: a loop at 60 Hz, or a latency timer '
+                    'of 16 ms in the adapter of the master')
         return
     slow = [kinds for kinds, _ in latent]
     other = any(number != following for number, following in slow)
     if len(slow) >= 10 and len(slow) >= LATENT * len(gaps) and other:
-        yield Claim(None, 'most instructions come 16 ms after the previous answer: the latency '
+        yield Claim('most instructions come 16 ms after the previous answer: the latency '
                           "timer of the master's adapter; set it to 1 ms",
                     {'16 ms later': f'{len(slow)} of {len(gaps)}'})
 
@@ -275,9 +275,10 @@ def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
     known = delay_ms if delay_ms is not None else measured or 0.0
     how = 'Return Delay Time' if delay_ms is not None else 'reply latency'
     rate = device.totals.reads / case.heard_s if case.heard_s > 0 else 0.0
-    return Claim(device.id, f'waits {known:.1f} ms before each answer ({how}): write 0 to Return '
+    return Claim(f'waits {known:.1f} ms before each answer ({how}): write 0 to Return '
                  f'Delay Time, which saves {known * rate:.0f} ms of bus time per second',
-                 {'delay (ms)': f'{known:.2f}', 'read': 'yes' if delay_ms else 'measured'})
+                 {'delay (ms)': f'{known:.2f}', 'read': 'yes' if delay_ms else 'measured'},
+                 device=device.id)
 
 
 def _bus_too_slow(case: Case) -> Claims:
@@ -291,7 +292,7 @@ def _bus_too_slow(case: Case) -> Claims:
         per_cycle = f', {got / seconds * steady.period / S:.0f} bytes per cycle' if steady else ''
         harm = case.damage or any(device.window.missed and not device.missed_in_a_row
                                   for device in case.report.devices)      # one is not just dead
-        yield Claim(None, f'the line is busy for more than {LOADED:.0f} % of the time{per_cycle}: '
+        yield Claim(f'the line is busy for more than {LOADED:.0f} % of the time{per_cycle}: '
                     'no room for a retry; raise the baud rate, or read less',
                     {'load (%)': f'{load:.0f}', 'bytes per second': f'{got / seconds:.0f}'},
                     Level.WARN if harm else Level.OK)
@@ -300,14 +301,14 @@ def _bus_too_slow(case: Case) -> Claims:
 def _two_masters(case: Case) -> Claims:
     foreign = case.count(ev.FOREIGN)
     if foreign >= FOREIGN_ENOUGH:
-        yield Claim(None, f'the master received {foreign} instructions that it did not send: '
-                          'another program uses this bus; stop '
-                          'one', {'instructions': foreign})
+        yield Claim(f'the master received {foreign} instructions that it did not send: '
+                    'another program uses this bus; stop '
+                    'one', {'instructions': foreign})
         return
     lost = sum(one.window.missed for one in case.report.devices if one.id not in case.gone)
     harm = lost + case.damage + case.count(ev.LATE) + FEW * case.count(ev.UNASKED)
     if ROBBER in case.report.users or (case.report.users and harm >= FEW):
-        yield Claim(None, f'{", ".join(case.report.users)} uses this port too, and answers get '
+        yield Claim(f'{", ".join(case.report.users)} uses this port too, and answers get '
                           'lost or damaged: let only one use it',
                     {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
         return
@@ -319,7 +320,7 @@ def _two_masters(case: Case) -> Claims:
             if is_collision(case):
                 yield _two(case, words)
             else:
-                yield Doubt(None, f'{words}: two programs, or one with two timers')
+                yield Doubt(f'{words}: two programs, or one with two timers')
             return
     else:
         one, other = pair
@@ -342,7 +343,7 @@ def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
 
 
 def _two(case: Case, words: str) -> Claim:
-    return Claim(None, f'{words}: two programs, or two threads without a lock; let only one ask',
+    return Claim(f'{words}: two programs, or two threads without a lock; let only one ask',
                  {'damaged packets': case.damage})
 
 
@@ -366,27 +367,27 @@ def _jitter(case: Case) -> Claims:
     low, high = ordered[edge] / MS, ordered[-1 - edge] / MS
     if best.jitter > JITTERY and high - low > BLURRED * case.blur_ms \
             and (key_of(best.cycle) in case.steady or best.is_paced):
-        yield Claim(None, "the master's cycle is no longer regular: its computer is busy, or its "
+        yield Claim("the master's cycle is no longer regular: its computer is busy, or its "
                           'loop does too much; give it a higher priority',
                     {'spread': f'{best.spread:.2f}',
                      'cycle (ms)': f'{low:.1f} to {high:.1f}, usually {best.period / MS:.1f}'})
 
 
 RULES = (
-    Rule('two_masters', Level.ERROR, _two_masters,
+    Rule('two_masters', _two_masters,
          (*DAMAGE, 'impatient_master', 'late_answers', 'duplicate_id', 'foreign_answers',
           'turnaround', 'brown_out'),
-         onset_s=1.0),
-    Rule('impatient_master', Level.WARN, _impatient,
+         onset_s=1.0, level=Level.ERROR),
+    Rule('impatient_master', _impatient,
          (*SILENCE, *DAMAGE, 'late_answers', 'duplicate_id', 'factory_id', 'all_silent',
           'no_acks')),
-    Rule('late_answers', Level.WARN, _late_answers,
+    Rule('late_answers', _late_answers,
          (*DAMAGE, 'duplicate_id', 'foreign_answers', 'turnaround', 'cycle_time')),
-    Rule('wrong_length', Level.WARN, _wrong_length, each=True, noted=(ev.WRONG_SIZE,)),
-    Rule('latency_timer', Level.WARN, _latency_timer, ('jitter', 'cycle_time')),
-    Rule('bus_too_slow', Level.WARN, _bus_too_slow,
+    Rule('wrong_length', _wrong_length, noted=(ev.WRONG_SIZE,)),
+    Rule('latency_timer', _latency_timer, ('jitter', 'cycle_time')),
+    Rule('bus_too_slow', _bus_too_slow,
          ('jitter', 'two_masters', 'impatient_master', 'cycle_time')),
-    Rule('jitter', Level.WARN, _jitter, ('cycle_time',), onset_s=JITTER_ONSET_S),
-    Rule('return_delay', Level.OK, _return_delay, ('cycle_time',)),
-    Rule('cycle_time', Level.OK, cycle_time, onset_s=1.0),
+    Rule('jitter', _jitter, ('cycle_time',), onset_s=JITTER_ONSET_S),
+    Rule('return_delay', _return_delay, ('cycle_time',), level=Level.OK),
+    Rule('cycle_time', cycle_time, onset_s=1.0, level=Level.OK),
 )
