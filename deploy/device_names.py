@@ -36,7 +36,13 @@ def parse_bus(text: str) -> tuple[str, str]:
 
 def name_rules(links: Sequence[tuple[str, str]]) -> list[str]:
     """Return the rules that give each adapter its name; links: (device, name) of each."""
+    names = Counter(os.path.realpath(device) for device, _ in links)
+    if twice := [name for name, times in names.items() if times > 1]:
+        raise InstallError(f'{twice[0]}: given twice; each port has one reader')
     facts = {device: _udev_facts(device) for device, _ in links}
+    for device, of in facts.items():
+        if of.get('SUBSYSTEM', 'tty') != 'tty':
+            raise InstallError(f'{device}: not a serial port; give e.g. /dev/ttyUSB0')
     identities = Counter(_identity(one) for one in facts.values())
     return [_rule(device, facts[device], link, identities[_identity(facts[device])] == 1)
             for device, link in links]

@@ -68,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f'install: {error}', file=sys.stderr)
         return 1
     except KeyboardInterrupt:
+        print('\ninstall: ended before all was done; run it again')
         return 1
     except BrokenPipeError:                # who reads it has enough, as head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -111,7 +112,7 @@ def _carry_out(steps: Sequence[Step], options: argparse.Namespace) -> int:
             print(''.join(f'    | {line}\n' for line in step.content.splitlines()), end='')
     if options.dry_run:
         return 0
-    if not options.yes and input('\nRun these commands? [y/N] ').strip().lower() != 'y':
+    if not (options.yes or _is_wanted()):
         print('install: nothing was changed')
         return 1
     for step in steps:
@@ -122,6 +123,14 @@ def _carry_out(steps: Sequence[Step], options: argparse.Namespace) -> int:
                                'again, it continues from here')
     print('install: done')
     return 0
+
+
+def _is_wanted() -> bool:
+    try:
+        return input('\nRun these commands? [y/N] ').strip().lower() == 'y'
+    except EOFError:                       # no terminal, or Ctrl-D
+        print()
+        return False
 
 
 class Site:
@@ -147,6 +156,8 @@ class Site:
         if not services:
             raise InstallError('nothing to install; give --mcu DEVICE, --bus DEVICE or '
                                '--dashboard')
+        if self._options.user == 'root':
+            print('note: the services will run as root; give --user NAME for another user')
         rules = list(self._file(RULES, self._rules(), 'udev rules'))
         yield from rules
         yield from self._settings(services)

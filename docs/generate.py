@@ -206,7 +206,7 @@ def parameters() -> str:
                                          [_parameter_row(one) for one in some])]
     parts.append('And `qos_overrides./cmd_vel.subscription` of the bridge, '
                  '`qos_overrides./dxl/joint_states.publisher` of the monitor: `.reliability`, '
-                 '`.history`, `.depth`.\n')
+                 '`.history`, `.depth`. The topic is the one that `ros2 topic list` shows.\n')
     return '\n'.join(parts)
 
 

@@ -36,6 +36,7 @@ from mecarover_serial.ros_node import declare
 from mecarover_serial.ros_node import overridable_publisher
 from mecarover_serial.ros_node import Stoppable
 from mecarover_serial.ros_node import Surroundings
+from mecarover_serial.ros_node import warn_of_overrides
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
 from msg_defs.reports import Metric
@@ -150,8 +151,13 @@ class MonitorNode(Stoppable):
             return []
         self._timers.add(1.0 / rate, self._publish_joints)
         parts = topic_names([one.bus.label for one in self._buses if one.bus.label])
-        return [JointStates(self.node, one.monitor, '/'.join(filter(None, (
-            'dxl/joint_states', parts.get(one.bus.label))))) for one in self._buses]
+        topics = ['/'.join(filter(None, ('dxl/joint_states', parts.get(one.bus.label))))
+                  for one in self._buses]
+        found = [JointStates(self.node, one.monitor, topic)
+                 for one, topic in zip(self._buses, topics, strict=True)]
+        warn_of_overrides(self.node, [f'{self.node.resolve_topic_name(topic)}.publisher'
+                                      for topic in topics])
+        return found
 
     def _publish_joints(self) -> None:
         now, now_ros = time.monotonic_ns(), self.node.get_clock().now().nanoseconds

@@ -33,8 +33,8 @@ SETTLED_S = 1.5             # without a new name: all have come, as reports come
 LEAST_S = 3.5               # discovery takes up to 2.5 s, a report a second
 WAIT_S = 6.0
 SHOW_S = 0.5
-NO_REPORT = ('no report on /diagnostics; start the nodes, with the same ROS_DOMAIN_ID and '
-             'discovery range as here')
+NO_REPORT = ('no report on /diagnostics; start the nodes, with the same ROS_DOMAIN_ID, discovery '
+             'range and namespace as here')
 _HOME, _CLEAR_LINE, _CLEAR_BELOW = '\033[H', '\033[K', '\033[J'
 _COLOURS = {'ERROR': '\033[31m', 'WARN': '\033[33m'}
 _STEPS = {'UP': -1, 'DOWN': 1, 'k': -1, 'j': 1, 'PAGE_UP': -10, 'PAGE_DOWN': 10, ' ': 10}

@@ -86,12 +86,11 @@ def convert(parameter: Parameter, raw: Any) -> Any:
     return values
 
 
-def unknown(parameters: Sequence[Parameter], given: Sequence[str]) -> list[str]:
+def unknown(names: Sequence[str], given: Sequence[str]) -> list[str]:
     """Return a line for each given name that is not a parameter, with the one probably meant."""
-    names = [parameter.name for parameter in parameters]
     lines = []
     for name in given:
-        if name in names or name.startswith('qos_overrides.') or name in _OF_RCLPY:
+        if name in names or name in _OF_RCLPY:
             continue
         near = difflib.get_close_matches(name, names, 1)
         remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'

@@ -21,6 +21,7 @@ import struct
 import termios
 import time
 from typing import Any
+from urllib.parse import urlsplit
 
 import serial
 
@@ -186,6 +187,9 @@ def _configured(path_or_url: str, baud: int) -> Any:
     try:
         if baud <= 0:           # 0 would hang up
             raise ValueError('a baud rate must be positive')
+        url = urlsplit(path_or_url)
+        if url.scheme in ('socket', 'rfc2217') and url.port is None:
+            raise ValueError('it has no port number')
         device = serial.serial_for_url(path_or_url, do_not_open=True)
         device.baudrate = baud
         device.timeout = 0

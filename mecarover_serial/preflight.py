@@ -196,7 +196,8 @@ def _busy(path: str) -> Reason:
         programs = [one for one in in_the_way if not one.name.startswith(DEADMAN)]
         names = ', '.join(one.name for one in programs or in_the_way)
         return Reason('busy', f'in use by {names}', 'stop that program' if programs else
-                      'it stops the rover of a bridge that ended, and leaves by itself')
+                      'it stops the rover of a bridge that ended or froze, and leaves by '
+                      'itself')
     return Reason('busy', 'in use by another process',
                   f'stop that program; sudo fuser -v {path} names it')
 

@@ -58,6 +58,7 @@ from mecarover_serial.settings_file import SettingsError
 from mecarover_serial.standard_streams import StandardStreams
 from mecarover_serial.systemd import Systemd
 
+_OVERRIDES = 'qos_overrides.'
 STEP_S = 1.0                    # the system clock was set when it jumps by more
 _LARGEST = 1e9                  # means "no upper limit" in a range, which needs both ends
 
@@ -191,6 +192,15 @@ def overridable_publisher(node: Node, kind: type, topic: str, profile: QoSProfil
             'set e.g. reliability to reliable, depth to 10') from error
 
 
+def warn_of_overrides(node: Node, endpoints: Sequence[str]) -> None:
+    """Warn of qos_overrides.* that none of these took (as '/cmd_vel.subscription')."""
+    policies = [f'{_OVERRIDES}{of}.{one}' for of in endpoints
+                for one in ('reliability', 'depth', 'history')]
+    for line in unknown(policies, [one for one in given(node) if one.startswith(_OVERRIDES)
+                                   and not node.has_parameter(one)]):
+        node.get_logger().warning(line)
+
+
 class Surroundings:
     """What is wrong around a node, by the graph: another one of its name, a clock that stopped."""
 
@@ -261,7 +271,7 @@ def declare(node: Node, parameters: Sequence[Parameter],
         declared = node.declare_parameter(
             parameter.name, _default(parameter), _descriptor(parameter))
         values[parameter.name] = convert(parameter, declared.value)
-    for line in unknown(parameters, list(wanted)):
+    for line in unknown(list(known), [one for one in wanted if not one.startswith(_OVERRIDES)]):
         node.get_logger().warning(line)
 
     def before_set(changed: list[Any]) -> list[Any]:

@@ -3,7 +3,8 @@
 """
 Detector: whether the 1.0 family is spoken on a wire where 2.0 is looked for as well.
 
-One right sum of eight bits proves little, several packets directly after each other do.
+One right sum of eight bits proves little, several packets directly after each other do, and so
+does a packet that the program wrote as a whole: no byte in front of it, none after it.
 """
 
 from typing import Any
@@ -41,14 +42,18 @@ class Detector:
         self.streak: list[Candidate] = []      # directly after each other, not yet proof
         self._single = 0                       # good frames that were given up
 
-    def proves(self, one: Candidate) -> bool:
-        """Take a frame that may be chance; return whether it is proof, with those in `proof`."""
+    def proves(self, one: Candidate, is_whole: bool) -> bool:
+        """
+        Take a frame that may be chance; return whether it is proof, with those in `proof`.
+
+        is_whole: it is all that the program wrote at once.
+        """
         flaw = one.frame[6]
         if flaw is not None and flaw.noise_length > GLITCH:
             self.reject()
         self.streak.append(one)
         one.framer.held += one.frame[1] - one.frame[0]
-        if len(self.streak) < PROOF \
+        if not is_whole and len(self.streak) < PROOF \
                 and not (self._single >= MUCH and MUCH * self._single > one.framer.wrong):
             return False
         for held in self.streak[:-1]:

@@ -17,6 +17,7 @@ from msg_defs import dxl1_packet
 from msg_defs.dxl1_detector import Candidate
 from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl_packet import Framer
+from msg_defs.event import OUT
 from msg_defs.frame import ahead
 from msg_defs.frame import EITHER_1
 from msg_defs.frame import Flaw
@@ -244,22 +245,21 @@ class MixedFramer:
     def frames(self, chunk: Data) -> Frames:
         """Return what this chunk completes, in the order of the wire."""
         first = self._first
-        proven = self._detector.proven
+        begin, proven = first.bytes, self._detector.proven
         if proven or self._is_open or first.is_looking:
             self._look_closely()
+        self.has_other = self.held > 0
         if (proven and first.is_shared and _TAIL not in chunk and not chunk.endswith(_ENDINGS)
                 and first.has_nothing()):
-            at = first.bytes           # no packet of 2.0 begins, goes on or ends in this chunk
-            self.bytes = first.pass_over(chunk)
-            self.has_other = self.held > 0
-            found = self._look(at, chunk)
+            self.bytes = first.pass_over(chunk)    # no packet of 2.0 begins, goes on or ends in it
+            found = self._look(begin, chunk)
         else:
             found = first.frames(chunk)
             self.bytes = first.bytes
-            self.has_other = self.held > 0
             if first.gaps or self._is_open:
                 found = self._mixed(found)
-        return self._believed(found) if self.has_other else found
+        return self._believed(found, self.side == OUT and (begin, self.bytes)) \
+            if self.has_other else found
 
     def flush_frames(self) -> Frames:
         """Decide what is left, because the line is idle."""
@@ -276,11 +276,10 @@ class MixedFramer:
         """Have each gap looked at, if any may belong to a packet of the 1.0 family."""
         self._first.is_looking = self._is_open or bool(self._detector.proven)
 
-    def _believed(self, found: Frames) -> Frames:
-        """Mark the frames of the 1.0 family that are no packets, as far as that is known."""
-        detector = self._detector
+    def _believed(self, found: Frames, whole: object = None) -> Frames:
+        """Mark frames of the 1.0 family that are no packets; whole: what was written at once."""
+        detector, proven = self._detector, self._detector.proven
         detector.proof = []
-        proven = detector.proven
         for at, frame in enumerate(found):
             begin, end, kind, number, code, content, flaw = frame
             if kind != EITHER_1:
@@ -291,7 +290,8 @@ class MixedFramer:
                 self.claim(frame)
                 continue
             else:
-                is_one = detector.proves(Candidate(self, frame, self.stamp, self.bytes, self.side))
+                one = Candidate(self, frame, self.stamp, self.bytes, self.side)
+                is_one = detector.proves(one, (begin, end) == whole)
             if not is_one:
                 found[at] = begin, end, UNPROVEN_1, number, code, content, flaw
         if detector.streak and self.noise_length > GLITCH:

@@ -251,6 +251,10 @@ def test_without_room_in_shared_memory_it_stops_the_rover_all_the_same(mcu):
 
 @pytest.mark.parametrize(('options', 'code', 'line'), [
     ({'port': '/tmp'}, 1, '/tmp: a directory; give the port itself; '),
+    ({'port': "''"}, 2, 'port: none given; set a path, as /dev/ttyAMA0'),
+    ({'port': 'socket://rover'}, 1,
+     'socket://rover: not a URL that pyserial knows (it has no port number)'),
+    ({'disabled_file': '/tmp'}, 2, 'disabled_file: /tmp is a folder; set a file in it'),
     ({'port': '/dev/null'}, 1, '/dev/null: a device, but not a serial port; '),
     ({'port': 'nonsense://x'}, 1, 'nonsense://x: not a URL that pyserial knows'),
     ({'baud': 3}, 2, 'baud: 3 is not possible; set an integer in bit/s'),
@@ -294,8 +298,15 @@ def test_the_command_line_wins_over_a_file_of_another_type(graph, mcu, tmp_path)
 
 
 def test_mistyped_names_are_said(mcu):
-    with bridge(mcu, bauds=9600) as running:
+    override = 'qos_overrides.{}.subscription.reliability'
+    with bridge(mcu, bauds=9600, **{override.format('/cmdvel'): 'best_effort'}) as running:
         running.wait_for('WARN', 'bauds: no such parameter, ignored; did you mean baud?')
+        running.wait_for('WARN', f'{override.format("/cmdvel")}: no such parameter, ignored; did '
+                                 f'you mean {override.format("/cmd_vel")}?')
+    with bridge(mcu, '-r', '__ns:=/rover', '-r', 'cmd_vel:=Drive',
+                **{override.format('/rover/Drive'): 'best_effort'}) as running:
+        running.wait_for('WARN', '/rover/Drive: no node publishes it')
+        assert not running.said('no such parameter')
 
 
 def test_a_console_on_the_port_is_said(ros, graph, tmp_path):

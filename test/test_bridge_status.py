@@ -80,7 +80,12 @@ def test_link(state, warnings, level, message):
      '/cmd_vel: commands are refused: not finite; correct its publisher'),
     (OPEN, HEARD._replace(timeout_s=0.0), Level.WARN, 'cmd_vel_timeout: 0 holds'),
     (OPEN, HEARD._replace(timeout_s=0.0, choice=Choice('twist', False)), Level.WARN,
-     'cmd_vel_timeout: 0 holds the last command for ever, and best effort may lose'),
+     'cmd_vel_timeout: 0 holds the last command for ever, and the rover is driving, and best '
+     'effort may lose the command to stop; set 0.5'),
+    (OPEN, HEARD._replace(timeout_s=0.0, complaints=[FIGHT]), Level.WARN,
+     'cmd_vel_timeout: 0 holds the last command for ever, and the rover is driving; set 0.5'),
+    (OPEN._replace(driving=False), HEARD._replace(timeout_s=0.0), Level.WARN,
+     'cmd_vel_timeout: 0 holds the last command for ever; set 0.5'),
     (OPEN, HEARD._replace(period=periods(0.1, 0.1, 0.1)), Level.OK, 'driving'),
     (OPEN, HEARD._replace(period=periods(0.8, 0.8, 0.8)), Level.WARN,
      '/cmd_vel: a command every 0.8 s, slower than cmd_vel_timeout (0.5 s), so the rover stops'),

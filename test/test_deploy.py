@@ -141,9 +141,10 @@ def test_shows_and_asks_before_it_does(robot):
     shown = robot.run(*options, '--dry-run')
     assert shown.returncode == 0
     assert '    | User=ubuntu\n' in shown.stdout
-    refused = robot.run(*options, answer='n\n')
-    assert refused.returncode == 1
-    assert 'nothing was changed' in refused.stdout
+    for answer in ('n\n', ''):                     # or there is none: Ctrl-D
+        refused = robot.run(*options, answer=answer)
+        assert (refused.returncode, refused.stderr) == (1, '')
+        assert 'nothing was changed' in refused.stdout
     assert robot.files() == []
     assert robot.run(*options, answer='y\n').returncode == 0
     assert 'etc/systemd/system/vel2d_bridge.service' in robot.files()
@@ -154,6 +155,15 @@ def test_settings_name_the_stable_ports(robot):
     assert '    port: /dev/mecarover_mcu\n' in robot.read('etc/mecarover_serial/bridge.yaml')
     assert "    ports: ['/dev/mecarover_dxl', '/dev/mecarover_dxl_left']\n" \
         in robot.read('etc/mecarover_serial/monitor.yaml')
+
+
+def test_what_is_no_serial_port_is_refused(robot):
+    robot.facts({'SUBSYSTEM': 'mem'})
+    done = robot.run('--mcu', '/dev/ttyUSB0', '--yes')
+    assert done.stderr == 'install: /dev/ttyUSB0: not a serial port; give e.g. /dev/ttyUSB0\n'
+    robot.facts({'SUBSYSTEM': 'tty'} | USB)
+    done = robot.run('--mcu', '/dev/ttyUSB0', '--user', 'root', '--yes')
+    assert 'note: the services will run as root; give --user NAME' in done.stdout
 
 
 def test_edited_settings_survive(robot):
@@ -226,6 +236,7 @@ def test_two_adapters_with_one_serial_number_are_known_by_their_sockets(robot, t
 @pytest.mark.parametrize('options, words', [
     ((), 'nothing to install; give --mcu'),
     (('--bus', 'ttyUSB0'), "--bus 'ttyUSB0': not a device; give"),
+    (('--mcu', '/dev/ttyAMA0', '--bus', '/dev/ttyAMA0'), '/dev/ttyAMA0: given twice; each port'),
     (('--bus', '/dev/ttyUSB*'), "--bus '/dev/ttyUSB*': not a device; give"),
     (('--mcu', '/dev/tty*'), "--mcu '/dev/tty*': not a device; give e.g. /dev/ttyUSB0"),
     (('--mcu', '/dev/ttyAMA0", RUN+="/bin/x'), 'not a device; give e.g. /dev/ttyUSB0'),

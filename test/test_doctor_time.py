@@ -15,6 +15,7 @@ from doctor_case import note
 from doctor_case import NOW
 from doctor_case import RULE
 from doctor_case import S
+from doctor_case import seen
 from doctor_case import told
 import pytest
 import yaml
@@ -341,6 +342,17 @@ def test_a_cycle_that_was_regular_and_is_not(gaps, parts, is_told):
                               'steady': {key_of(cycle)}, **parts})
     assert [dict(one.evidence) for one in found if isinstance(one, Claim)] == [
         {'spread': '0.67', 'cycle (ms)': '20.0 to 40.0, usually 30.0'}] * is_told
+
+
+@pytest.mark.parametrize(('off_s', 'is_told'), [(1.1, True), (1.0, False), (0.1, False)])
+def test_a_goal_is_without_torque_where_it_was_sent_after_the_torque_went_off(off_s, is_told):
+    one = device(registers={'Present Position': 5})
+    one = one._replace(observed=one.observed + seen(one, {'Goal Position': 120}, 'w', age_s=1.0)
+                       + seen(one, {'Torque Enable': 0}, 'w', age_s=off_s))
+    samples = [Sample(NOW - int(ago_s * S), goal, place, None, None) for ago_s, goal, place in (
+        (1.05, 1000, 1000), (1, 100, 200), (0, 120, 206))]
+    found = told('torque_off', devices=[one], samples={1: samples})
+    assert [one.message[:18] for one in found] == ['goals are sent to '] * is_told
 
 
 # --- what is remembered ----------------------------------------------------------------------

@@ -300,6 +300,22 @@ def test_a_2_0_frame_is_never_searched():
     assert set(bus.devices()) == {1}
 
 
+@pytest.mark.parametrize(('pieces', 'devices'), [
+    ([(OUT, PING), (IN, PING)], [1]),
+    ([(OUT, encode(9, 2, b'\x38\2'))], [9]),
+    ([(OUT, PING[:3]), (OUT, PING[3:])], []),
+    ([(OUT, PING + b'\0')], []), ([(OUT, b'\0' + PING)], []), ([(IN, PING)], []),
+])
+def test_one_packet_that_the_program_wrote_as_a_whole_is_enough(pieces, devices):
+    bus = Monitor('', Models())
+    for number, (side, data) in enumerate(pieces):
+        bus.feed(data, (1 + number) * 1_000_000, side)
+    bus.flush_if_idle(1_000_000_000)
+    report = bus.report(1_000_000_000)
+    assert [one.id for one in report.devices] == devices
+    assert report.counters['Packets'] == (len(pieces) if devices else 0)
+
+
 class Told(Detector):
     """Believes all or nothing."""
 
@@ -307,7 +323,7 @@ class Told(Detector):
         super().__init__()
         self._believes_all = believes_all
 
-    def proves(self, one):
+    def proves(self, one, is_whole):
         if self._believes_all:
             one.framer.claim(one.frame)
         return self._believes_all

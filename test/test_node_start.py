@@ -39,7 +39,10 @@ def test_joint_states_can_be_reliable(ros, tmp_path, graph):
     with Program('dxl_monitor.start', *words, f'{option}:=sometimes') as node:
         assert node.exit_code() == 2
     assert node.lines[-1].startswith(f'dxl_monitor: qos_overrides.{topic}.publisher: ')
-    with Program('dxl_monitor.start', *words, f'{option}:=reliable'):
+    with Program('dxl_monitor.start', *words, f'{option}:=reliable', '-p',
+                 'qos_overrides./dxl/joint_state.publisher.reliability:=reliable') as node:
+        node.wait_for('joint_state.publisher.reliability: no such parameter, ignored; did you '
+                      f'mean {option}?')
         wait(lambda: graph.publishers(topic))
         [publisher] = graph.node.get_publishers_info_by_topic(topic)
         assert publisher.qos_profile.reliability == ros.qos().reliability

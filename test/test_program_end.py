@@ -252,7 +252,7 @@ def test_a_program_to_which_not_one_byte_comes_back(rates):
         program.write(encode(0xFE, PING, b''), after=800.0)
     program.end(after=800.0)
     assert told(program)[0] == {('all_silent', 'the')}
-    assert 'baud rate and protocol' in verdict_of(program).wrong[0].message
+    assert 'baud rate, protocol and ID' in verdict_of(program).wrong[0].message
 
 
 def test_broadcast_pings_faster_than_their_answers_are_no_noise():

@@ -26,6 +26,7 @@ from mecarover_serial.inspection import Inspection
 from mecarover_serial.port_error import PortError
 from mecarover_serial.ros_node import declare
 from mecarover_serial.ros_node import Surroundings
+from mecarover_serial.ros_node import warn_of_overrides
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
@@ -42,6 +43,7 @@ from vel2d_bridge.bridge_settings import doubts
 from vel2d_bridge.bridge_settings import gate_settings
 from vel2d_bridge.bridge_settings import PARAMETERS
 from vel2d_bridge.bridge_settings import refuse_at_run_time
+from vel2d_bridge.bridge_settings import refuse_at_start
 from vel2d_bridge.bridge_settings import taken_away
 from vel2d_bridge.bridge_status import Commands
 from vel2d_bridge.bridge_status import commands_status
@@ -88,6 +90,7 @@ class Bridge:
         self.node = Node('vel2d_bridge')
         self._log = self.node.get_logger()
         self._values = declare(self.node, PARAMETERS, self._apply)
+        refuse_at_start(self._values)
         self._port = self._values['port']
         self._timing = Timing()
         self._mcu = McuLog()
@@ -108,6 +111,7 @@ class Bridge:
         self._subscriber = CmdVelSubscriber(
             self.node, self._values['message_type'], self._on_command, self._on_type,
             self._on_left)
+        warn_of_overrides(self.node, [f'{self._subscriber.topic}.subscription'])
         self._surroundings = Surroundings(self.node)
         self._around: list[str] = []
         self.node.create_service(SetBool, '~/enable', self._enable)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import os
 from typing import Any
 
 from mecarover_serial.parameters import Parameter
@@ -55,6 +56,15 @@ PARAMETERS = (
 def gate_settings(values: dict[str, Any]) -> GateSettings:
     """Pick what the gate needs; its names are the parameters'."""
     return GateSettings(**{name: values[name] for name in GateSettings._fields})
+
+
+def refuse_at_start(values: dict[str, Any]) -> None:
+    """Raise ParameterError for a value of the right type that cannot be meant."""
+    if not values['port']:
+        raise ParameterError('port: none given; set a path, as /dev/ttyAMA0')
+    if os.path.isdir(values['disabled_file']):
+        raise ParameterError(f'disabled_file: {values["disabled_file"]} is a folder; set a file '
+                             'in it')
 
 
 def refuse_at_run_time(changes: dict[str, Any]) -> None:

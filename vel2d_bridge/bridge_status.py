@@ -161,6 +161,12 @@ def _complaints(node: str, state: LinkState, commands: Commands) -> list[str]:
     elif commands.refused is not None:
         lines.append(f'{commands.topic}: commands are refused: {commands.refused.value}; '
                      f'{_remedy(commands.refused, node, commands.clock_stands)}')
+    if commands.timeout_s == 0:
+        lines.append('cmd_vel_timeout: 0 holds the last command for ever'
+                     + (', and the rover is driving' if state.driving else '')
+                     + ('' if commands.choice.reliable else
+                        ', and best effort may lose the command to stop')
+                     + '; set 0.5')
     lines += commands.complaints
     period = commands.period
     if period is not None and _stutters(period, commands.timeout_s):
@@ -168,11 +174,6 @@ def _complaints(node: str, state: LinkState, commands: Commands) -> list[str]:
             f'{commands.topic}: a command every {number(round(period.p50 / 1000, 2))} s, slower '
             f'than cmd_vel_timeout ({number(commands.timeout_s)} s), so the rover stops in '
             'between; publish faster or raise cmd_vel_timeout')
-    if commands.timeout_s == 0:
-        lines.append('cmd_vel_timeout: 0 holds the last command for ever'
-                     + ('' if commands.choice.reliable else
-                        ', and best effort may lose the command to stop')
-                     + '; set 0.5')
     return lines
 
 

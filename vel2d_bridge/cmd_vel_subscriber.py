@@ -166,7 +166,7 @@ def _clocks() -> tuple[int, int]:
 
 def _overridden(node: Node, topic: str) -> list[QoSPolicyKind]:
     """Return only the policies that are given: a declared default could follow no publisher."""
-    names = {name.lower() for name in given(node)}
+    names = given(node)
     return [policy for policy in QoSPolicyKind
             if f'qos_overrides.{topic}.subscription.{policy.name.lower()}' in names]
 

@@ -235,7 +235,7 @@ def _master_stopped(case: Case) -> Claims:
     if since < WORKED_S:
         return                                 # a command, and it is done
     yield Claim(f'the master stopped {since:.1f} s after listening began: check its '
-                      'program; device states date from then',
+                'program; device states date from then',
                 {'stopped after (s)': f'{since:.1f}'},
                 Level.OK if case.quiet_s < RESTED_S else None)
 
@@ -264,8 +264,8 @@ def _scan(case: Case) -> Claims:
             'instructions')):
         collide = case.damage >= FEW
         yield Claim('the master sends broadcast Pings without a '
-                          f"pause{', and the answers collide' if collide else ''}: let it wait "
-                          '0.8 s after each, the time that all IDs need',
+                    f"pause{', and the answers collide' if collide else ''}: let it wait "
+                    '0.8 s after each, the time that all IDs need',
                     {'broadcast Pings in 10 s': pings},
                     Level.WARN if collide else Level.OK)
     elif case.report.scanned:

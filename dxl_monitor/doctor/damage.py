@@ -124,7 +124,7 @@ def _overrun(case: Case) -> Claims:
     lost = case.counted('overruns')
     if lost > 0:
         yield Claim(f'this computer lost bytes {lost} times, so packets seem missing or '
-                          'damaged: give the monitor a higher priority or a better adapter',
+                    'damaged: give the monitor a higher priority or a better adapter',
                     {'overruns': lost})
 
 
@@ -255,8 +255,8 @@ def _turnaround(case: Case) -> Claims:
         stray = case.counted('glitches')
         answers = sum(_spoken(device) for device in hit)
         yield Claim(f'first byte of {share(first, answers)} of the answers damaged, '
-                          f'{len(hit)} devices: the line switches too late; raise Return Delay '
-                          'Time or correct the driver enable',
+                    f'{len(hit)} devices: the line switches too late; raise Return Delay '
+                    'Time or correct the driver enable',
                     {'answers': first,
                      'packets with a stray byte': stray,
                      'devices': in_full([one.id for one in hit])})
@@ -283,13 +283,13 @@ def _stray_bytes(case: Case) -> Claims:
     packets = case.counted('packets')
     if stray >= SOME and stray > GLITCHY * packets:
         yield Claim(f'one or two stray bytes before {share(stray, packets)} of the packets: '
-                          'driver enable switches late or the line floats; add bias resistors',
+                    'driver enable switches late or the line floats; add bias resistors',
                     {'packets': stray})
     last, spoilt = case.last_wait, sum(one.is_spoilt for one in case.report.waits)
     if case.report.failed == words.RAISED and last is not None and last.is_spoilt and not last.us \
             and spoilt <= case.report.kinds.get(ev.GLITCH, 0):     # it left the end of no other
         yield Claim('a stray byte before the answer on which the program ended: driver '
-                          'enable switches late or the line floats; add bias resistors',
+                    'enable switches late or the line floats; add bias resistors',
                     {}, Level.WARN)
 
 
@@ -308,7 +308,7 @@ def _echo(case: Case) -> Claims:
     answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
     if len(again) >= SOME and answered and len(again) > 0.5 * case.count(ev.REPEATED):
         yield Claim('every instruction is heard twice: the adapter echoes what its master '
-                          'sends; switch the echo off. Losses counted here are not real',
+                    'sends; switch the echo off. Losses counted here are not real',
                     {'echoes': len(again)})
 
 
@@ -358,8 +358,8 @@ def _not_sent(case: Case) -> Claims:
     if count >= (1 if case.report.failed else FEW):
         asked = sorted({one.device for one in case.incidents(ev.NOT_SENT)})
         yield Claim(f'{count} instructions never left the adapter: in the program, switch '
-                          'flow control off and do not flush output after a write; else plug the '
-                          'adapter in again',
+                    'flow control off and do not flush output after a write; else plug the '
+                    'adapter in again',
                     {'instructions': count, 'to': in_full(asked)})
 
 

@@ -184,7 +184,7 @@ def _voltage(case: Case) -> Claims:
     yield from found
     if len(found) >= FEW:
         yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
-                          'the cause; measure it, charge the battery, check cable gauge',
+                    'the cause; measure it, charge the battery, check cable gauge',
                     {'devices': in_full([one.device for one in found if one.device])},
                     _level(any(one.level is not Level.WARN for one in found)))
     if unknown:

@@ -58,16 +58,17 @@ TICK_SLACK_S = 0.5
 LOSS = 0.01
 LATE = 0.1                         # share of its answers
 HELD_US = 20_000                   # so long an adapter may hold an answer back (latency timer)
-_OF_THE_MASTER = ", and that the program uses the servos' baud rate and protocol"
+_OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
 
 
 def _all_silent(case: Case) -> Claims:
     asked, heard = case.counted('instructions', GONE_S), case.counted('answers', GONE_S)
     missing = [device.id for device in case.report.devices
                if device.missed_in_a_row or is_waiting(device)]
-    figures, is_over = {'instructions': asked}, case.report.is_over
+    figures = {'instructions': asked or case.report.counters['Instructions']}     # or too short
     is_new = all(device.last_heard_s is None for device in case.report.devices)
-    if _waits_for_one(case, missing) or _hurries(case, 1):
+    if _waits_for_one(case, missing) or _hurries(case, 1) or (missing and all(
+            _is_ping_only(case, case.devices[number]) for number in missing)):
         return
     if len(missing) > 1 and ((case.report.failed and is_new)
                              or (asked >= 5 and heard <= 0 and case.gone)):
@@ -77,8 +78,8 @@ def _all_silent(case: Case) -> Claims:
         yield Claim(f'none of {len(missing)} devices answers the master: check power and '
                     f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
     elif not (case.report.is_answered or case.count(ev.LATE)) and (
-            is_over or len(case.report.tried) <= RATES) and (
-            case.report.failed or (is_over and len(case.report.waits) >= FEW) or any(
+            case.report.is_over or len(case.report.tried) <= RATES) and (
+            case.report.failed or (case.report.is_over and len(case.report.waits) >= FEW) or any(
                 cycle.instruction == Instruction.PING for cycle in case.report.cycles)):
         yield Claim('not one byte comes back to the program: check power and first cable'
                     f'{_OF_THE_MASTER}', figures)
@@ -246,7 +247,7 @@ def _brown_out(case: Case) -> Claims:
                                             _dip(case, one.device))]
     if len(ids) > 1 and proofs:
         yield Claim(f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
-                          'check battery and cables, set up again',
+                    'check battery and cables, set up again',
                     {'devices': in_full(ids), 'seen by': proofs[0]}, covers=tuple(ids))
     elif _was_with_all(case, last, ids):
         yield Claim(f'{listed(ids, 2)} were silent together for {last.detail.ms} ms: the '
@@ -298,8 +299,10 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
             or device.alert or not does_not_follow(samples):
         return None                    # or its error says why
     torque = case.values[device.id].get('Torque Enable')
-    if torque is not None and not torque.value.raw \
-            and (torque.source == 'w' or torque.age_s < FOLLOW_S):
+    goal = case.values[device.id].get('Goal Position')
+    if torque is not None and not torque.value.raw and (
+            torque.age_s < FOLLOW_S if torque.source == 'r'
+            else goal is not None and goal.age_s < torque.age_s):
         return Claim('goals are sent to it, but its torque is off: switch it on '
                      '(Torque Enable 1); after a restart, write all its settings again')
     if (torque is None or torque.source == 'w') \
@@ -344,11 +347,10 @@ def _is_ping_only(case: Case, device: DeviceReport) -> bool:
 
 
 def _ping_only(case: Case, device: DeviceReport) -> Found | None:
-    if not _is_ping_only(case, device):
-        return None
     return Claim('answers Pings only: set its Status Return Level to 2, or 1 for '
                  'reads; if it no longer answers a Ping, check its power and cable',
-                 {'missed': f'{device.window.missed} of {device.window.asked}'})
+                 {'missed': f'{device.window.missed} of {device.window.asked}'}) \
+        if _is_ping_only(case, device) else None
 
 
 def _missed_answers(case: Case, device: DeviceReport) -> Found | None:
@@ -377,24 +379,22 @@ def _no_answer(case: Case) -> Claims:
 
 
 RULES = (
-    Rule('brown_out', _brown_out,
-         ('rebooted', 'dropout', 'missed_answers', 'voltage', 'jitter', 'torque_off'),
-         level=Level.ERROR),
+    Rule('brown_out', _brown_out, level=Level.ERROR, explains=(
+        'rebooted', 'dropout', 'missed_answers', 'voltage', 'jitter', 'torque_off')),
     Rule('all_silent', _all_silent,
          ('no_answer', 'sync_read_stops', 'broken_cable', 'ping_only', 'jitter', 'cycle_time'),
          holds=False, level=Level.ERROR),
-    Rule('broken_cable', _broken_cable,
-         ('no_answer', 'sync_read_stops', 'missed_answers', 'jitter'), holds=False,
-         level=Level.ERROR),
+    Rule('broken_cable', _broken_cable, holds=False, level=Level.ERROR, explains=(
+        'no_answer', 'sync_read_stops', 'missed_answers', 'jitter')),
     Rule('sync_read_stops', lambda case: _gone(case, True),
          ('no_answer', 'missed_answers', 'jitter'), holds=False, level=Level.ERROR),
     Rule('no_answer', _no_answer, ('missed_answers', 'jitter'), holds=False, level=Level.ERROR),
     Rule('rebooted', _rebooted, ('dropout', 'missed_answers', 'jitter', 'torque_off'),
          noted=(ev.RETURNED,), level=Level.ERROR),
     Rule('torque_off', _torque_off, each=True),
-    Rule('ping_only', _ping_only,
-         ('dropout', 'rebooted', 'no_answer', 'sync_read_stops', 'missed_answers', 'no_acks',
-          'jitter'), each=True),
+    Rule('ping_only', _ping_only, (
+        'dropout', 'rebooted', 'no_answer', 'sync_read_stops', 'missed_answers', 'no_acks',
+        'jitter'), each=True),
     Rule('dropout', _dropout, ('missed_answers', 'jitter'), noted=(ev.RETURNED,)),
     Rule('missed_answers', _missed_answers, each=True),
 )

@@ -105,8 +105,8 @@ def _impatient(case: Case) -> Claims:
     times = _questions_into_acks(case)
     if times:
         yield Claim('the master does not wait for the acknowledgement of a write: its next '
-                          f'instruction ran into it {times} times in 10 s; let it wait, or use '
-                          'Sync Write',
+                    f'instruction ran into it {times} times in 10 s; let it wait, or use '
+                    'Sync Write',
                     {'instructions into an acknowledgement': times})
 
 
@@ -248,7 +248,7 @@ def _latency_timer(case: Case) -> Claims:
     other = any(number != following for number, following in slow)
     if len(slow) >= 10 and len(slow) >= LATENT * len(gaps) and other:
         yield Claim('most instructions come 16 ms after the previous answer: the latency '
-                          "timer of the master's adapter; set it to 1 ms",
+                    "timer of the master's adapter; set it to 1 ms",
                     {'16 ms later': f'{len(slow)} of {len(gaps)}'})
 
 
@@ -309,7 +309,7 @@ def _two_masters(case: Case) -> Claims:
     harm = lost + case.damage + case.count(ev.LATE) + FEW * case.count(ev.UNASKED)
     if ROBBER in case.report.users or (case.report.users and harm >= FEW):
         yield Claim(f'{", ".join(case.report.users)} uses this port too, and answers get '
-                          'lost or damaged: let only one use it',
+                    'lost or damaged: let only one use it',
                     {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
         return
     pair = _apart(case)
@@ -368,7 +368,7 @@ def _jitter(case: Case) -> Claims:
     if best.jitter > JITTERY and high - low > BLURRED * case.blur_ms \
             and (key_of(best.cycle) in case.steady or best.is_paced):
         yield Claim("the master's cycle is no longer regular: its computer is busy, or its "
-                          'loop does too much; give it a higher priority',
+                    'loop does too much; give it a higher priority',
                     {'spread': f'{best.spread:.2f}',
                      'cycle (ms)': f'{low:.1f} to {high:.1f}, usually {best.period / MS:.1f}'})
 

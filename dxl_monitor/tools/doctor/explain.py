@@ -92,7 +92,7 @@ def lines(found: Sequence[Explanation]) -> list[str]:
             text += ['', *_paragraph(f'Possible causes, the likeliest first: {names}.')]
         text += ['', *_paragraph(one.do)] if one.do else []
     listen = 'dxl_doctor run -- COMMAND listens, and says which it is.'
-    return [*text, '', *_paragraph(listen)]
+    return [*text, '', *_paragraph(listen)] if any(one.findings for one in found) else text
 
 
 def _paragraph(text: str) -> list[str]:
