@@ -446,6 +446,17 @@ def test_a_foreign_program_meets_a_fault(said, failed, found):
     assert ' '.join(sorted(met)) == found
 
 
+def test_one_that_answers_no_reads_either_is_an_error_at_the_end_too():
+    bus = Bus()
+    for ms, side, what in islice(written_first(), 300):
+        bus.wait(ms / 1000)
+        bus.monitor.feed(what, bus.now, side)
+        bus.report()
+    bus.monitor.end(bus.now)
+    [found] = [one for one in bus.report().findings if one.device == 1]
+    assert (found.rule, found.level) == ('no_answer', Level.ERROR)
+
+
 @pytest.mark.parametrize(('finds', 'levels'), [(True, []), (False, [Level.ERROR])])
 def test_a_search_over_rates_is_no_silence_once_it_finds(finds, levels):
     bus, log = Bus(), FindingLog()

@@ -31,10 +31,12 @@ def names(tmp_path):
     (tmp_path / 'empty').write_text(CAPTURE)
     (tmp_path / 'capture').write_text(
         f'{CAPTURE}# bus bus baud 2000000 latency_timer_ms 0 port \n(1.000000000) bus ff\n')
+    (tmp_path / 'header').write_text(f'{CAPTURE}# bus bus baud 9600 latency_timer_ms 0 port \n')
     (tmp_path / 'report').write_text('# dxl_doctor report 1\n')
     os.mkfifo(tmp_path / 'pipe')
     return {'long': '9' * 4000, 'escape': '\x1b', **{
-        name: tmp_path / name for name in ('packed', 'empty', 'capture', 'pipe', 'report')}}
+        name: tmp_path / name
+        for name in ('packed', 'empty', 'capture', 'pipe', 'report', 'header')}}
 
 
 @pytest.mark.parametrize(('program', 'typed', 'code', 'said'), ROWS)

@@ -62,6 +62,7 @@ def unacknowledged(case: Case) -> Claims:
                     'rate, or Status Return Level below 2; let your program read once')
     for device in case.report.devices if any(one.acks for one in case.report.devices) else ():
         if device.last_heard_s is None and device.acks_missing \
+                and not (device.id in case.gone and device.totals.data_missed) \
                 and not device.window.spoilt and not device.moved_to:
             says = (f'never heard, and did not acknowledge {device.acks_missing} writes, as '
                     'others do: check its power, cable and ID, or its Status Return Level if it '

@@ -79,8 +79,9 @@ def _all_silent(case: Case) -> Claims:
                     f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
     elif not (case.report.is_answered or case.count(ev.LATE)) and (
             case.report.is_over or len(case.report.tried) <= RATES) and (
-            case.report.failed or (case.report.is_over and len(case.report.waits) >= FEW) or any(
-                cycle.instruction == Instruction.PING for cycle in case.report.cycles)):
+            case.report.failed or (case.report.is_over and len(case.report.waits) >= FEW) or sum(
+                cycle.asked for cycle in case.report.cycles
+                if cycle.instruction == Instruction.PING) >= (1 if case.report.is_over else FEW)):
         yield Claim('not one byte comes back to the program: check power and first cable'
                     f'{_OF_THE_MASTER}', figures)
 
@@ -298,8 +299,7 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
     if place is None or place.source != 'r' or place.age_s > STOPPED_S \
             or device.alert or not does_not_follow(samples):
         return None                    # or its error says why
-    torque = case.values[device.id].get('Torque Enable')
-    goal = case.values[device.id].get('Goal Position')
+    torque, goal = map(case.values[device.id].get, ('Torque Enable', 'Goal Position'))
     if torque is not None and not torque.value.raw and (
             torque.age_s < FOLLOW_S if torque.source == 'r'
             else goal is not None and goal.age_s < torque.age_s):

@@ -167,6 +167,7 @@ def _wires(options: argparse.Namespace) -> dict[str, Wire]:
                          'give a file')
     source = open_file(options.capture, options.baud, options.adapter, tool='dxl_replay')
     wires = dict(source.wires)
+    is_empty = next(_chunks(source, options.side), None) is None
     source.close()
     if is_capture(options.capture):
         with open(options.capture, 'rb') as file:
@@ -174,13 +175,14 @@ def _wires(options: argparse.Namespace) -> dict[str, Wire]:
             list(reader)
         wires = {name: wire if options.baud is None else wire._replace(baud=options.baud)
                  for name, wire in reader.wires.items()}
+    if is_empty:
+        what = 'no bytes' if options.side is None else f'no bytes of --side {options.side}'
+        raise UsageError(f'{options.capture}: it holds {what}; give another capture')
     if options.bus is not None:
         if options.bus not in wires:
             raise UsageError(f'--bus {options.bus}: not in this capture; there are: '
                              f'{", ".join(wires)}')
         return {options.bus: wires[options.bus]}
-    if not wires:
-        raise UsageError(f'{options.capture}: it holds no bytes; give another capture')
     return wires
 
 
