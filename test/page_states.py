@@ -15,6 +15,7 @@ from urllib.request import urlopen
 
 from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
+import yaml
 
 from benchmark import confusion
 from benchmark.confusion_cases import Scene
@@ -83,78 +84,25 @@ class Robot:
 
 
 class Row:
-    """A cause, and what of it each way to look at a robot must say (a pattern)."""
+    """A cause, and what of it each way to look at a robot must say (page_states.yaml)."""
 
-    def __init__(self, cause, headline, mark, problem, *robots, level=2, count=''):
+    def __init__(self, cause, headline, mark='', problem='', level=2, count='', robots=()):
         self.cause, self.headline, self.mark, self.problem = cause, headline, mark, problem
-        self.robots, self.level, self.count = robots or (Robot(),), level, count
+        self.robots, self.level, self.count = [
+            _robot(**one) for one in robots] or [Robot()], level, count
 
 
-def rows():
-    lost = heard('silent:3:1', waits=False)
-    return [
-        Row('all is well', 'All 6 devices connected', '', '', level=0, count='6/6'),
-        Row('one servo lost', 'Lost: 003, no answer', '1 lost', 'lost',
-            Robot(buses={'': lost}), count='5/6'),
-        Row('first servo of a Sync Read dead', 'none of 6 devices answers.*check power',
-            'no device answers', 'no device answers',
-            Robot(buses={'': heard('silent:1:1')}), count='0/6'),
-        Row('supply or first cable', 'none of 6 devices answers.*check power',
-            'no device answers', 'no device answers',
-            Robot(buses={'': heard('cable:1:1')}), count='0/6'),
-        Row('cable broken in the middle', 'Lost: 003, .*after it are never read',
-            '1 lost', 'lost', Robot(buses={'': heard('cable:3:1')}), count='2/6'),
-        Row('servo too hot', 'Error: 003, .*80 °C', '1 error', 'error',
-            Robot(buses={'': heard('hot:3:1')}), count='6/6'),
-        Row('hardware error', 'Error: 003, .*overload', '1 error', 'error',
-            Robot(buses={'': heard('latched:3:1')}), count='6/6'),
-        Row('supply low', 'Error: 003, .*9.5 V', '1 error', 'error',
-            Robot(buses={'': heard('low_voltage:3:1')}), count='6/6'),
-        Row('late answers', 'Warning: 003, ', '1 warning', 'warning',
-            Robot(buses={'': heard('late:3:1')}), level=1, count='6/6'),
-        Row('supply failed for a moment', 'restarted together', 'error', 'error',
-            Robot(buses={'': heard('brownout::3')}), count='6/6'),
-        Row('noise', 'damaged|[Nn]oise', 'warning', 'warning',
-            Robot(buses={'': heard('noise::1')}), level=1),
-        Row('wrong baud rate', 'no packet', 'no device answers', 'no device answers',
-            Robot(buses={'': unheard(b'\x80\x13\xf0\x07' * 8)}), count='0/6'),
-        Row('nothing heard yet', 'nothing heard yet', 'silent', 'silent',
-            Robot(buses={'': unheard()}), count='0/6'),
-        Row('master stopped', 'the master stopped', 'silent', 'silent',
-            Robot(buses={'': heard(silence_s=10.0)}), level=3, count='0/6'),
-        Row('adapter unplugged', 'no such device; plug it in', 'port closed', 'port closed',
-            Robot(port=GONE), count=r'\?/6'),
-        Row('adapter unplugged while a servo is lost', 'no such device; plug it in',
-            'port closed', 'port closed', Robot(buses={'': lost}, port=GONE), count=r'\?/6'),
-        Row('monitor dead', 'No report from dxl_monitor: nothing is known of its 6 devices',
-            'no report', 'no report', Robot(silent=('dxl_monitor',)), level=3, count=r'\?/6'),
-        Row('monitor frozen while a servo is lost', 'No report from dxl_monitor',
-            'no report', 'no report', Robot(buses={'': lost}, silent=('dxl_monitor',)),
-            level=3, count=r'\?/6'),
-        Row('bridge killed while driving', 'No report from vel2d_bridge.*last state: driving',
-            'bridge: no report', 'no report', Robot(silent=('vel2d_bridge',)), level=3),
-        Row('MCU unplugged', 'there is no such device', 'bridge: lost', 'lost',
-            Robot(problem='/dev/ttyAMA0: there is no such device; plug it in')),
-        Row('robot switched off', 'No report from', 'bridge: no report, no report', 'no report',
-            Robot(silent=('dxl_monitor', 'vel2d_bridge')), level=3),
-    ]
+def _robot(bus=None, port='', **of):
+    if bus is not None:
+        of['buses'] = {'': unheard(8 * bytes.fromhex(bus['chunk'])) if 'chunk' in bus else heard(
+            *filter(None, [bus.get('faults')]), waits=bus.get('waits', True),
+            silence_s=bus.get('silence_s', 0.0))}
+    return Robot(port=port and GONE, **of)
 
 
-def rows_of_two():
-    lost = heard('silent:3:1', waits=False)
-    return [
-        Row('two robots: one has lost a servo', 'Lost: 003, no answer', 'rover2: 1 lost', 'lost',
-            Robot('rover1'), Robot('rover2', buses={'': lost}), count='5/6'),
-        Row('two robots: the monitor of one is dead', 'No report from rover1/dxl_monitor',
-            'rover1: no report', 'no report', Robot('rover1', silent=('dxl_monitor',)),
-            Robot('rover2'), level=3, count=r'\?/6'),
-        Row('two robots: two causes', 'none of 6 devices answers',
-            'rover1: no device answers, rover2: bridge: no report', 'no device answers',
-            Robot('rover1', buses={'': heard('cable:1:1')}),
-            Robot('rover2', silent=('vel2d_bridge',)), count='0/6'),
-        Row('two robots: two buses, one port closed', 'no such device', 'rover2: .*port closed',
-            'port closed', Robot('rover1'), Robot('rover2', port=GONE), count=r'\?/6'),
-    ]
+def rows(of):
+    table = Path(__file__).with_suffix('.yaml').read_text(encoding='utf-8')
+    return [Row(**row) for row in yaml.safe_load(table)[of]]
 
 
 class Clock:

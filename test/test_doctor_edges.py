@@ -38,27 +38,6 @@ ENOUGH = [
           *((level, raw, 'above its limit of 14.0', 'lower the supply voltage, or use a '
              'supply that takes the braking current') for level, raw in (
               (Level.WARN, 138), (Level.WARN, 140), (Level.ERROR, 141))))),
-    *(('layout', {'devices': [device(model='STS3215')],
-                  'cycles': (asks(I.WRITE, 1, at=at, size=size),)},
-       f'Write of {size} at {at}, {why}: use the table of STS3215',
-       {'address': str(at), 'times': '30'}, [])
-      for at, size, why in (
-          (73, 4, 'where STS3215 has no register'), (255, 1, 'where STS3215 has no register'),
-          (50, 1, 'where STS3215 has no register'),
-          (132, 4, 'where STS3215 has no register (Present Position of X)'),
-          (116, 4, 'where STS3215 has no register (Goal Position of X)'))),
-    *(('wrong_address', {'devices': [device()],
-                         'notes': note(ev.REFUSED, ev.Refusal(I.WRITE, at, error), 3)},
-       f'address {at} refused 3 times ({why}', {'refused': '3'}, [])
-      for at, error, why in (
-          (132, 7, 'Access): Present Position (r, 4 bytes) does not allow this access'),
-          (116, 5, 'Data Length): Goal Position (rw, 4 bytes) does not allow this access'),
-          *((at, 7, f'Access): {name} of the PRO series; use the control table of XL430-W250')
-            for at, name in ((562, 'Torque Enable'), (596, 'Goal Position'),
-                             (600, 'Goal Velocity'), (604, 'Goal Torque'),
-                             (611, 'Present Position'), (615, 'Present Velocity'))),
-          (15, 4, 'Data Range): XL430-W250 has no register there; check the control table in '
-                   'use'))),
 ]
 
 

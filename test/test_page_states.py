@@ -17,7 +17,6 @@ from page_states import alerts
 from page_states import Clock
 from page_states import Robot
 from page_states import rows
-from page_states import rows_of_two
 from page_states import Stage
 import pytest
 
@@ -63,9 +62,9 @@ def look(page, row, stage):
     return seen | {'metrics': problems, 'alerts': alerts(problems), 'terminal': stage.terminal()}
 
 
-@pytest.mark.parametrize(('make', 'healthy'), [
-    (rows, [Robot()]), (rows_of_two, [Robot('rover1'), Robot('rover2')])])
-def test_all_six_say_the_same(make, healthy, monkeypatch):
+@pytest.mark.parametrize(('of', 'healthy'), [
+    ('one robot', [Robot()]), ('two robots', [Robot('rover1'), Robot('rover2')])])
+def test_all_six_say_the_same(of, healthy, monkeypatch):
     folder = os.environ.get('PAGE_STATES')
     clock = Clock(monkeypatch)
     with dashboard_page.browser() as chromium, Dashboard() as dashboard:
@@ -74,14 +73,14 @@ def test_all_six_say_the_same(make, healthy, monkeypatch):
         width, height = SIZES['phone']
         page = chromium.new_page(viewport={'width': width, 'height': height})
         page.goto(dashboard.address)
-        for at, row in enumerate(make()):
+        for at, row in enumerate(rows(of)):
             stage.play(healthy)
             wait(lambda: page.evaluate(WELL))
             stage.play(row.robots)
             seen = look(page, row, stage)
             check(row, seen, height)
             if folder:
-                page.screenshot(path=Path(folder) / f'{make.__name__}-{at:02}.png')
+                page.screenshot(path=Path(folder) / f'{of}-{at:02}.png')
 
 
 def check(row, seen, height):

@@ -45,6 +45,7 @@ from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from rigs.tables import rows_of
 from rigs.usb_pcap import cut
 from rigs.usb_pcap import LINUX
 from rigs.usb_pcap import MMAPPED
@@ -161,26 +162,12 @@ def test_errors_of_a_cdc_adapter():
         ('framing', 1), ('overrun', 1)]
 
 
-@pytest.mark.parametrize(('adapter', 'setup', 'said'), [
-    (Ftdi(), (0x40, 0, 1), [('purged', 1)]),
-    (Ftdi(), (0x40, 0, 2), [('purged', 2)]),
-    (Ftdi(), (0x40, 0, 0), []),                        # a reset
-    (Ftdi(), (0x40, 1, 0x0303), [('dtr', 1), ('rts', 1)]),
-    (Ftdi(), (0x40, 1, 0x0200), [('rts', 0)]),         # the high byte says which are meant
-    (Ftdi(), (0x40, 9, 1), [('latency_timer_ms', 1)]),
-    (Ftdi(), (0xC0, 10, 0), []),                       # it asks for that one
-    (Ch341(), (0x40, 0xA4, 0xFF9F), [('dtr', 1), ('rts', 1)]),
-    (Cp210x(), (0x41, 0x07, 0x0301), [('dtr', 1), ('rts', 0)]),
-    (Cp210x(), (0x41, 0x12, 0x0005), [('purged', 2)]),
-    (Cp210x(), (0x41, 0x01, 0x20), [('baud', 115_200)]),
-    (Cp210x(), (0x41, 0x01, 0), []),
-    (Cp210x(), (0xC1, 0x1D, 0), []),
-    (CdcAcm(), (0x21, 0x22, 2), [('dtr', 0), ('rts', 1)]),
-    (CdcAcm(), (0xA1, 0x21, 0), []),
-    (CdcAcm(), (0x21, 0x23, 0xFFFF), []),              # a break that the master sends
-])
-def test_what_the_requests_of_a_driver_set(adapter, setup, said):
-    assert adapter.control(Setup(*setup, 0), b'') == said
+@pytest.mark.parametrize(('family', 'kind', 'code', 'value', 'said'), rows_of(
+    Path(__file__).with_name('usb_requests.tsv')))
+def test_what_the_requests_of_a_driver_set(family, kind, code, value, said):
+    setup = Setup(*(int(one, 16) for one in (kind, code, value)), 0)
+    changes = getattr(adapters, family)().control(setup, b'')
+    assert ', '.join(f'{one.what} {one.value}' for one in changes) == said
 
 
 @pytest.mark.parametrize(('registers', 'baud'), [
