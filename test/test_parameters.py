@@ -52,11 +52,11 @@ def test_refused_in_one_line(parameter, raw):
 
 
 def test_unknown_names():
-    assert unknown([PORT, BAUD], ['port', 'use_sim_time', 'qos_overrides./x.depth',
-                                  'start_type_description_service']) == []
-    assert unknown([PORT, BAUD], ['prot']) == [
+    names = [PORT.name, BAUD.name]
+    assert unknown(names, ['port', 'use_sim_time', 'start_type_description_service']) == []
+    assert unknown(names, ['prot']) == [
         'prot: no such parameter, ignored; did you mean port?']
-    assert unknown([PORT, BAUD], ['zzz']) == [
+    assert unknown(names, ['zzz']) == [
         'zzz: no such parameter, ignored; there are: port, baud']
 
 
