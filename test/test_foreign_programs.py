@@ -206,6 +206,32 @@ def hurries(ms, *spoilt):
         before = packet(3, 0, 0, 2)
 
 
+def gives_up(ms, pause, *delays):
+    """Throw away what is there, ask, wait so long; servos answer after these times."""
+    now = said = 0.0
+    is_vain, due = False, []
+    for turn in count():
+        number = 1 + turn % len(delays)
+        rest = pause if number == 1 else 0.1
+        now += rest
+        waiting = sum(at <= now for at, _ in due)
+        due = due[waiting:]
+        vain = [('', Change(GAVE_UP, int(1000 * rest)))] * is_vain
+        steps = [('', Change(UNREAD, 8 * waiting)), *vain, ('', Change(PURGED, 1)), *vain,
+                 (OUT, packet(number, 2, 56, 2))]
+        for side, what in steps:
+            yield now - said, side, what
+            said = now
+        due = sorted([*due, (now + delays[number - 1], number)])
+        is_vain = due[0][0] > now + ms
+        if is_vain:
+            now += ms
+        else:
+            now, number = due.pop(0)
+            yield now - said, IN, packet(number, 0, turn % 200, 8)
+            said = now
+
+
 def breaks_off(silent):
     """Read six servos by Fast Sync Read, of which the fifth is silent, or not asked."""
     ids = bytes((1, 2, 3, 4, 5, 6) if silent else (1, 2, 3, 4))
@@ -423,6 +449,9 @@ def by_chance(each):
     (islice(flushes(4, 5, 0), 7), RAISED, 'no_answer'),
     (hurries(1.04, *CLIPPED), '', 'impatient_master'), (hurries(1.04), '', ''),
     (hurries(2), '', ''),
+    (gives_up(1, 3, 4, 0.3), '', 'late_answers'), (gives_up(1, 3, 4, 4), '', 'late_answers'),
+    (gives_up(2, 20, 0.3, 4, 0.3), '', 'late_answers'), (gives_up(5, 20, 9), '', 'late_answers'),
+    (gives_up(2, 20, 4, 4, 4), '', 'late_answers'), (gives_up(5, 20, 0.3, 4), '', ''),
     (breaks_off(silent=True), '', 'sync_read_stops'), (breaks_off(silent=False), '', ''),
     (limited(2), '', 'goal_limits'), (limited(1), '', ''),
     (waited_for(3, 0), FAILED, 'no_answer'), (waited_for(3, 0), '', ''),
@@ -488,3 +517,20 @@ def test_writes_without_one_byte_back_are_no_clean_bill(answer, is_unknown):
     report = bus.report()
     assert any('not one byte' in one.message for one in report.doubts) == is_unknown
     assert not report.findings
+
+
+@pytest.mark.parametrize(('parts', 'is_behind'), [
+    (['* 5 unread 8; 0 > 1 2 56 2; 1 < 1 0 t 8'], True),
+    (['* 5 unread 8; 0 > 1 2 56 2; 1 < 1 0 t 8; 5 unread 0; 0 > 1 2 56 2; 1 < 1 0 t 8'], False),
+    (['* 5 unread 8; 0 purged 1; 0 > 1 2 56 2; 1 < 1 0 t 8'], False),
+    (['* 5 unread 6; 0 > 1 3 42 0 8'], False),
+])
+def test_a_program_that_reads_old_answers_may_not_mean_to(parts, is_behind):
+    bus = Bus()
+    for ms, side, what in islice(played(parts), 280):
+        bus.wait(ms / 1000)
+        if side:
+            bus.monitor.feed(what, bus.now, side)
+        else:
+            bus.monitor.change(what, bus.now)
+    assert any('an earlier answer' in one.message for one in bus.report().doubts) == is_behind

@@ -131,6 +131,8 @@ def test_nothing_that_strace_may_print_raises(changes):
     (['10 ioctl(3<P>, 0x5417, [0x2]) = 0', '10 ioctl(3<P>, 0x5418, [0x2]) = 0'],
      [(DTR, 0), (DTR, 1), (RTS, 0)]),
     (['10 ioctl(3<P>, 0x540b, 0x1) = 0'], [(PURGED, 2)]),
+    (['10 read(3<P>, ``, 1) = 0', '10 ioctl(3<P>, 0x540b, 0x0) = 0', '10 write(3<P>, `b`, 1) = 1'],
+     [(GAVE_UP, 1000), (PURGED, 1), (GAVE_UP, 2000), (OUT, b'b')]),
     (['10 ioctl(3<P>, 0x5402, {c_cflag=0x1008|0x30}) = 0',
       '10 ioctl(3<P>, 0x541f, 0x7f) = 0', '10 ioctl(3<P>, 0x5402, {c_cflags=0xf}) = 0'],
      [(BAUD, 1000000)]),

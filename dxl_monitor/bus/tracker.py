@@ -364,7 +364,7 @@ class Tracker:
             if question.is_spoilt:
                 self._policy.look_at_noise(question, self._noise, slots.values(), now)
             elif len(slots) == 1:
-                self.unread.given_up = due[0], now
+                self.unread.give_up(due[0], question.asked, now)
             self._policy.judge(question, now, stamp, us := self._since_asked(now))
             if following == self._last:
                 self._note(now, ev.REPEATED, due[0].device.number, ev.Again(following[2], us))

@@ -8,6 +8,7 @@ questions that it did not wait for. What was not there when it closed its port d
 """
 
 from collections import deque
+from itertools import accumulate
 
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.device import Device
@@ -33,6 +34,7 @@ ADAPTER_NS = 17_000_000            # a latency timer of 16 ms, and Return Delay 
 SPARE_NS, TIMES = 5_000_000, 2     # what an adapter is at most slower than it was before
 AT_ONCE_NS = 500_000               # who looks no longer than that did not wait for an answer
 KEPT = 16                          # questions
+BEHIND = 20                        # in a row, each while an answer waited
 
 
 class Unread:
@@ -41,26 +43,32 @@ class Unread:
 
     until: the offset of the stream to the master up to which it is old, 0: nothing; stamp: when
     that was said, 0: never. left: the questions whose answers may be there or come, the oldest
-    first; last: what was open when the port was closed. given_up: the answer that a question to
-    one device did not get, and when. patience_ns: for how long such an answer may still come.
+    first; last: what was open when the port was closed. patience_ns: for how long an
+    answer that was given up may still come.
     waiting: how many bytes wait. dropped: how many were thrown away since the question. unsent:
     the stamp of the question that was thrown away while it was sent.
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, duty: ReplyPolicy) -> None:
         self.until = self.stamp = self._purged = self.waiting = self._looked = self._since = 0
-        self.dropped = 0
-        self.patience_ns, self.unsent = OWED_NS, -1
+        self.dropped = self._behind = 0
+        self.patience_ns, self.unsent, self._came_late = OWED_NS, -1, -1
         self.left: deque[OpenQuestion] = deque(maxlen=KEPT)
         self._unknown: deque[OpenQuestion] = deque(maxlen=KEPT)    # left, or thrown away
         self.last: list[OpenQuestion] = []
-        self.given_up: tuple[Slot | None, int] = None, 0
+        self._given_up: deque[tuple[Slot, int]] = deque(maxlen=KEPT)
         self._registry = registry
         self._evidence = evidence
         self._duty = duty
 
     def say(self, waiting: int, received: int, stamp: int) -> None:
         """Take note of how many bytes wait, after `received` that were read."""
+        if not waiting:
+            self._behind = 0
+        elif received > self._since:
+            self._behind += 1
+            if self._behind % BEHIND == 0:
+                self._evidence.note(stamp, ev.BEHIND, ev.NO_DEVICE, ev.NOTHING)
         self.waiting, self.until = waiting, waiting and received + waiting
         self._since = received
         self.stamp, self.patience_ns = stamp, READ_LATE_NS
@@ -136,27 +144,38 @@ class Unread:
                     one.device.acknowledged()
             slots.clear()
         else:
-            self._take_rest(None if slots else plan.slots.get(request.id), plan, stamp)
+            self._take_rest(slots, plan, asked, stamp)
         if self.waiting:
             self._unknown.clear()
         else:
             self._unknown.extend(self.left)
-        self.until = self.waiting = 0
+        self.until = self.waiting = self._behind = 0
         self._purged = stamp
         self.left.clear()
 
-    def _take_rest(self, slot: Slot | None, plan: Plan, stamp: int) -> None:
-        """Take what nothing waits for and is thrown away; slot: what was answered before."""
-        given_up, when = self.given_up
-        late = given_up is not None and stamp - when < OWED_NS
-        slot = given_up if late else slot
-        if slot is None or self.waiting != slot.status_size:
-            return
-        if late:
+    def give_up(self, slot: Slot, asked: int, now: int) -> None:
+        """Take an answer that may come late, if no adapter holds one back for so long."""
+        if asked != self._came_late and now - asked < ADAPTER_NS:
+            self._given_up.append((slot, now))
+
+    def _take_rest(self, slots: dict[int, Slot], plan: Plan, asked: int, stamp: int) -> None:
+        """Take what is thrown away; slots: what was looked for in vain since it was asked."""
+        given_up = [one for one in self._given_up if stamp - one[1] < OWED_NS]
+        due = [slot for slot, _ in given_up]
+        due += slots.values() if len(slots) == 1 else ()
+        sizes = [0, *accumulate(slot.status_size for slot in due)]
+        begin, end = (0, sizes.index(self.waiting)) if self.waiting in sizes else next(
+            ((at, at + 1) for at, slot in enumerate(due) if slot.status_size == self.waiting),
+            (0, 0))
+        for slot in due[begin:end]:
             self._registry.heard(slot.device, 0, stamp)
             self._evidence.note(stamp, ev.LATE, slot.device.number, ev.Lateness(0))
-        else:
-            self._evidence.note(stamp, ev.SECOND_ANSWER, slot.device.number,
+        if end > len(given_up):
+            self._came_late = asked
+        self._given_up = deque(given_up[:begin] + given_up[end:], KEPT)
+        answered = None if slots or end else plan.slots.get(plan.request.id)
+        if answered is not None and self.waiting == answered.status_size:
+            self._evidence.note(stamp, ev.SECOND_ANSWER, answered.device.number,
                                 ev.Code(plan.request.instruction))
 
     def cuts(self, frame: Frame, noise: int, slots: dict[int, Slot], stamp: int) -> bool:

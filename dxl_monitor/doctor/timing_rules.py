@@ -173,6 +173,9 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
 
 
 def _late_answers(case: Case) -> Claims:
+    if case.count(ev.BEHIND):
+        yield Doubt('each time the program asks, an earlier answer still waits to be read: if it '
+                    'takes that for the new one, let it clear its input before it asks')
     late, fatal = case.incidents(ev.LATE), read_late(case)
     first: Counter[int] = Counter()
     before = 0

@@ -183,12 +183,13 @@ class StraceParser:
     def _write(self, port: str, stamp: int, held: float) -> PortEvents:
         """Say what the program did before a write: looked for bytes in vain, waited for strace."""
         yield from self._vain(port, stamp)
+        self._looked.pop(port, None)
         self._traced[port] = self._traced.get(port, 0) + int(held)
         if self._traced[port] >= TRACED_NS:
             yield PortEvent(stamp, port, TRACED, value=self._traced.pop(port) // 1000)
 
     def _vain(self, port: str, stamp: int) -> PortEvents:
-        looked, result = self._looked.pop(port, (0, 1))
+        looked, result = self._looked.get(port, (0, 1))
         if not result:
             yield PortEvent(stamp, port, GAVE_UP, value=max(0, stamp - looked) // 1000)
 
@@ -212,6 +213,7 @@ class StraceParser:
         if request in _SET_AND_FLUSH:
             yield PortEvent(stamp, port, PURGED, value=1)
         elif request == _TCFLSH:
+            yield from self._vain(port, stamp)
             yield PortEvent(stamp, port, PURGED, value=int(argument, 0) + 1)
         elif request == _FIONREAD and argument == b'[0]':
             self._looked[port] = stamp, 0

@@ -50,8 +50,8 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
     def write(self: Any, data: Any, *args: Any, **kwargs: Any) -> Any:
         size = port = 0
         try:
-            _say_waiting(sender, self)         # answers to earlier questions
-            _say_vain(sender, self)
+            _say_before(sender, self)          # answers to earlier questions
+            self.__dict__[_VAIN] = 0
         except Exception:
             pass
         try:
@@ -132,9 +132,15 @@ def _say_waiting(sender: Any, serial: Any) -> None:
 
 def _say_vain(sender: Any, serial: Any) -> None:
     """Say for how long a port was not read since it was looked at in vain."""
-    vain = serial.__dict__.pop(_VAIN, 0)
+    vain = serial.__dict__.get(_VAIN, 0)
     if vain:
         sender.number('gave_up_us', getattr(serial, _PORT), (time.monotonic_ns() - vain) // 1000)
+
+
+def _say_before(sender: Any, serial: Any) -> None:
+    """Say how a port stands before a write, or before what it received is thrown away."""
+    _say_waiting(sender, serial)
+    _say_vain(sender, serial)
 
 
 def _say_unread(sender: Any, serial: Any) -> None:
@@ -152,7 +158,7 @@ _WRAPPERS: dict[str, Callable[[Any, _Method], _Method]] = {
     '_reconfigure_port': _wrap_after(
         lambda sender, serial, port: sender.rate(port, int(serial._baudrate))),
     'reset_input_buffer': _wrap_after(
-        lambda sender, serial, port: sender.number('purged', port, 1), _say_waiting),
+        lambda sender, serial, port: sender.number('purged', port, 1), _say_before),
     'reset_output_buffer': _wrap_after(
         lambda sender, serial, port: sender.number('purged', port, 2)),
 }
