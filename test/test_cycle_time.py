@@ -21,6 +21,7 @@ from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import verdict
 from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_packet import encode
+from msg_defs.event import AWAY
 from msg_defs.event import Change
 from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
@@ -152,6 +153,27 @@ def test_each_part_of_a_cycle(pattern, program, servo, timeout):
 def test_what_strace_takes_is_not_the_programs():
     times = Robot(10.0, 0.5, traced_us=400).run('Sync Read').cycle
     assert (times.program, times.tracer) == pytest.approx((10.0, 0.4), abs=0.01)
+
+
+@pytest.mark.parametrize('away_ms', [19, 5, 0])
+def test_a_sleep_before_an_answer_is_the_programs_and_no_latency(away_ms):
+    robot = Robot(1.0, 0.5)
+    instruction, answers = sync_read(dead=())
+    data = b''.join(answer for _, answer in answers)
+    while robot.now < 6 * S:
+        robot.say(instruction, robot.now, OUT)
+        robot.now += 20 * MS
+        if away_ms:
+            robot.bus.change(Change(AWAY, 1000 * away_ms), robot.now)
+        robot.say(data, robot.now, IN)
+        robot.now += robot.program
+        report = robot.bus.report(robot.now)
+    wire = (len(instruction) + len(data)) * BYTE_NS / MS
+    device = max(0, 20 - wire - away_ms)
+    assert report.cycle.device == pytest.approx(device, abs=0.01)
+    assert report.cycle.program == pytest.approx(21 - wire - device, abs=0.01)
+    assert (report.devices[0].latency.total is None) == (away_ms == 19)
+    assert any('not sleep' in one.message for one in report.findings) == (away_ms == 19)
 
 
 def test_bytes_that_come_when_time_is_up_are_waited_for():

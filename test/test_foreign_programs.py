@@ -18,6 +18,8 @@ import yaml
 from dxl_monitor.bus.report import FAILED
 from dxl_monitor.bus.report import RAISED
 from dxl_monitor.tools.doctor.finding_log import FindingLog
+from dxl_monitor.tools.doctor.verdict import BusSummary
+from dxl_monitor.tools.doctor.verdict import verdict
 from msg_defs.dxl_packet import body_crc
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import HEADER
@@ -534,3 +536,19 @@ def test_a_program_that_reads_old_answers_may_not_mean_to(parts, is_behind):
         else:
             bus.monitor.change(what, bus.now)
     assert any('an earlier answer' in one.message for one in bus.report().doubts) == is_behind
+
+
+def test_what_late_answers_spoil_has_a_cause():
+    bus, log = Bus(), FindingLog()
+    for turn, (ms, side, what) in enumerate(islice(gives_up(2, 20, 4, 4, 0.3), 2000)):
+        bus.wait(ms / 1000)
+        if side:
+            bus.monitor.feed(what, bus.now, side)
+        else:
+            bus.monitor.change(what, bus.now)
+        if turn % 40 == 39:
+            log.take(bus.report())
+    said = verdict('run', [BusSummary.of('', log.last, log, True)], 10, True)
+    assert [(one.rule, one.who) for one in said.wrong] == [('late_answers', '001')]
+    assert any(one.level for one in log.last.devices if one.id != 1)
+    assert not any('too few' in one for one in said.unknown)

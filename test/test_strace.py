@@ -34,6 +34,7 @@ from dxl_monitor.port import strace
 from dxl_monitor.port.strace_parser import OPENED
 from dxl_monitor.port.strace_parser import StraceParser
 from dxl_monitor.port.tap_reader import TapReader
+from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import CLOSED
 from msg_defs.event import DTR
@@ -92,7 +93,8 @@ def test_a_recorded_program():
     assert {one.port for one in found} == {'/dev/pts/0'}
     assert [(one.what, one.data or one.value) for one in found] == [
         (OPENED, 0), (BAUD, 38400), (PURGED, 1), (BAUD, 57600), (BAUD, 1500000), (GAVE_UP, 626),
-        (OUT, b'hello'), (IN, b'hello'), (OUT, b'ab\xff\xfe'), (IN, b'ab\xff\xfe'), (PURGED, 1),
+        (OUT, b'hello'), (IN, b'hello'), (OUT, b'ab\xff\xfe'), (AWAY, 53637), (IN, b'ab\xff\xfe'),
+        (PURGED, 1),
         (TRACED, 563), (OUT, b'more'), (IN, b'more'),
         (OUT, b'child'), (IN, b'child'), (OUT, b'x'), (CLOSED, 0)]
     stamps = [one.stamp for one in found]
@@ -137,7 +139,11 @@ def test_nothing_that_strace_may_print_raises(changes):
       '10 ioctl(3<P>, 0x541f, 0x7f) = 0', '10 ioctl(3<P>, 0x5402, {c_cflags=0xf}) = 0'],
      [(BAUD, 1000000)]),
     (['10 ioctl(3<P>, 0x5401, {c_cflag=0xd}) = 0', '10 read(3<P>, `a`, 1) = 1'],
-     [(BAUD, 9600), (IN, b'a')]),
+     [(BAUD, 9600), (AWAY, 1000), (IN, b'a')]),
+    (['10 read(3<P>, `a`, 1) = 1 <0.000300000>', '10 poll([{fd=3<P>, events=0x1}], 1, 9) = 1',
+      '10 read(3<P>, `b`, 1) = 1'], [(IN, b'a'), (AWAY, 700), (IN, b'b')]),
+    (['10 epoll_ctl(4, 0x1, 3<P>, {events=0x1}) = 0', '10 read(3<P>, `a`, 1) = 1'],
+     [(IN, b'a')]),
     (['11 read(3<P>,  <unfinished ...>', '20 write(3<P>, `b`, 1) = 1',
       '11 <... read resumed>`a`, 1) = 1', '12 read(3<P>,  <unfinished ...>',
       '12 +++ exited with 0 +++', '11 <... read resumed>`a`, 1) = 1'], [(OUT, b'b'), (IN, b'a')]),

@@ -34,6 +34,7 @@ from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import CLOSED
 from msg_defs.event import GAVE_UP
@@ -412,6 +413,27 @@ def test_what_is_thrown_away_and_what_is_looked_for_in_vain():
             if one.kind in (UNREAD, PURGED, GAVE_UP)] == [
         (UNREAD, 0), (UNREAD, 3), (PURGED, 1), (UNREAD, 0), (GAVE_UP, 0), (PURGED, 1), (UNREAD, 0),
         (GAVE_UP, 0)]
+
+
+def test_a_sleep_between_a_question_and_its_answer_is_reported():
+    script = """
+        import serial, time
+        port = serial.Serial({path!r}, 9600, timeout=1)
+        for turn in range(4):
+            port.write(b'abc')
+            if turn != 1: time.sleep(0.2)
+            assert port.read(3 if turn else port.in_waiting) == b'abc'
+            if turn == 2: port.fileno()        # from now on it may wait for bytes by itself
+        port.close()
+        print('done')
+    """
+    with peers(lambda data: data) as [peer], TapReader('robot') as reader, \
+            program(script.format(path=peer.pty.path)) as child:
+        mine = listen(reader, closed(1))
+        assert done(child) == 'done\n'
+    said = [one.kind for one in mine if one.kind in (OUT, IN)
+            or (one.kind == AWAY and one.value > 150_000)]
+    assert said == [OUT, AWAY, IN, OUT, IN, OUT, AWAY, IN, OUT, IN]
 
 
 def test_queue_is_bounded_and_what_is_lost_is_told():

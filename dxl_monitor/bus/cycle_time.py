@@ -53,7 +53,7 @@ class CycleClock:
     def interrupt(self) -> None:
         """Forget the present cycle: not all of it was heard."""
         self._began = self._last = 0
-        self._gave_up, self._gap = -1, 0.0
+        self._gave_up, self._gap, self._away = -1, 0.0, 0
         self._start_cycle(0)
 
     def _start_cycle(self, began: int) -> None:
@@ -64,6 +64,10 @@ class CycleClock:
     def give_up(self, ns: int) -> None:
         """Take note that the master looked for bytes in vain until so long before its write."""
         self._gave_up = ns
+
+    def look_away(self, ns: int) -> None:
+        """Take note that the bytes which follow may have been there for so long."""
+        self._away = ns
 
     def trace(self, ns: int) -> None:
         """Take note of what strace took since the write before."""
@@ -113,7 +117,10 @@ class CycleClock:
         if self._last:
             on_wire = min(wire_ns, max(0, stamp - self._last))
             self._wire += on_wire
-            self._gap = max(0.0, stamp - self._last - on_wire)
+            gap = max(0.0, stamp - self._last - on_wire)
+            away, self._away = min(gap, self._away), 0
+            self._program += away
+            self._gap = gap - away
             self._device += self._gap
             self._last = max(stamp, self._last)
 

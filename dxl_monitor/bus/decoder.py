@@ -32,6 +32,7 @@ from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import REASONS
+from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
@@ -229,6 +230,9 @@ class BusDecoder:
         elif what == GAVE_UP:
             self.clock.give_up(1000 * value)
             self.tracker.unread.look(stamp - 1000 * value)
+        elif what == AWAY:
+            self.clock.look_away(1000 * value)
+            self.tracker.look_away(value, stamp)
         elif what == TRACED:
             self.clock.trace(1000 * value)
         elif what in (CLOSED, GONE, LOST):

@@ -156,6 +156,7 @@ ECHO = IncidentKind[Nothing]('echo')                          # counted only: th
 FOREIGN = IncidentKind[Code]('foreign instruction')           # it came to the master
 NOT_SENT = IncidentKind[Code]('not sent')
 THROWN_AWAY = IncidentKind[Code]('answers thrown away')       # unread
+AWAY = IncidentKind[Lateness]('away')                        # the master, while it was answered
 BEHIND = IncidentKind[Nothing]('behind')                      # it reads old answers
 SOURCE_LOST = IncidentKind[Much]('source lost')
 LEFT_OPEN = IncidentKind[Lateness]('last question open')      # it ended too soon to know

@@ -58,13 +58,14 @@ class Error(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """A named cause, from the doctor; device None = the bus."""
+    """A named cause, from the doctor; device None = the bus; covers: who else suffers from it."""
 
     rule: str
     level: Level
     device: int | None
     message: str                   # what a person does about it
     evidence: tuple[tuple[str, str], ...] = ()
+    covers: tuple[int, ...] = ()
 
 
 D = TypeVar('D')

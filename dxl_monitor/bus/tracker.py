@@ -112,6 +112,12 @@ class Tracker:
             self._note(stamp, ev.FOREIGN, said[1], ev.Code(said[2]))
         return is_own
 
+    def look_away(self, us: int, stamp: int) -> None:
+        """Take note that the answer that follows may have been there for so long."""
+        if self.slots:
+            self._unresolved &= 2000 * us < stamp - self._asked[2]
+            self._evidence.note_often(stamp, ev.AWAY, ev.NO_DEVICE, ev.Lateness(us))
+
     def not_sent(self, stamp: int) -> None:
         """Take note that the pending instruction did not get to the bus, or not all of it."""
         if self.pending is not NO_PLAN:

@@ -112,7 +112,7 @@ class Doctor:
         claims = self._standing.values()
         findings = [
             Finding(rule.name, rule.level if claim.level is None else claim.level, claim.device,
-                    claim.message, claim.evidence)
+                    claim.message, claim.evidence, claim.covers)
             for rule, claim, _ in claims
             if not any(_explains(other, by, rule.name, claim) for other, by, _ in claims)]
         return tuple(sorted(findings, key=lambda one: (-one.level, _RANK[one.rule])))

@@ -6,7 +6,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from statistics import median
 
+from dxl_monitor.bus import evidence as ev
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rhythm import EVEN
 from dxl_monitor.doctor.rule import Claim
@@ -15,6 +17,7 @@ from msg_defs.dxl_instruction import Instruction
 
 MOST = 0.5                         # share of the cycle
 SEVERAL = 3                        # Reads that one Sync Read replaces
+MANY = 20                          # sleeps in 10 s
 SLOW_MS = 0.4                      # reply latency: Return Delay Time from the factory is 0.5 ms
 
 
@@ -24,7 +27,11 @@ def cycle_time(case: Case) -> Claims:
     if times is None or times.unknown:
         return
     most = MOST * times.cycle
-    if times.program > most:
+    slept = [one.detail.us for one in case.incidents(ev.AWAY)]
+    if times.program > most and len(slept) >= MANY:
+        yield Claim(f'the program reads {median(slept) / 1000:.0f} ms after it asks, and the '
+                    'answer is there by then: let it read at once, with a time-out, not sleep')
+    elif times.program > most:
         if case.rhythms and min(one.spread for one in case.rhythms) > EVEN:
             yield Claim('most of each cycle is the program itself, between an answer and '
                         'the next instruction: do less there, or in another thread')

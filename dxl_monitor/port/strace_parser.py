@@ -20,6 +20,7 @@ import termios
 from typing import NamedTuple
 
 from dxl_monitor.port.tap_sender import OPENED
+from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import CLOSED
 from msg_defs.event import DTR
@@ -33,6 +34,8 @@ from msg_defs.event import TRACED
 
 PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
 AT_ONCE_NS = 200_000               # between two calls: strace, not the program
+AWAY_NS = 500_000                  # who looks as often does not sleep
+SHARE = 8                          # it did not wait who waited for less than an eighth of that
 TRACED_NS = 500_000                # strace took so long: worth an event
 LATE_NS = 20_000_000               # a write that takes longer has the time before its end
 DATA_LIMIT = 65_536                # bytes that strace prints of a call
@@ -40,7 +43,8 @@ _WRITES = frozenset(('write', 'pwrite64', 'writev', 'pwritev', 'pwritev2'))
 _READS = frozenset(('read', 'pread64', 'readv', 'preadv', 'preadv2'))
 _WAITS = frozenset(('poll', 'ppoll', 'select', 'pselect6'))
 _UNSEEN = frozenset(('splice', 'sendfile', 'copy_file_range'))      # strace prints no bytes
-_OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3', 'fcntl', 'ioctl')
+_OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3', 'fcntl', 'ioctl',
+           'epoll_ctl')
 # -DDD: the program stays the child of who starts it; strace is out of the terminal's reach.
 # -I1: strace ends, and leaves the program alone, when its output has no reader.
 OPTIONS = ('-DDD', '-f', '-I1', '-q', '-y', '-v', '-xx', '-X', 'raw', '-s', str(DATA_LIMIT),
@@ -93,6 +97,8 @@ class StraceParser:
         self._odd_rates: set[str] = set()                      # ports with a divisor of their own
         self._unfinished: dict[int, bytes] = {}                # a call by thread
         self._looked: dict[str, tuple[int, int]] = {}          # by port: for bytes, when, result
+        self._away: dict[str, int] = {}                        # ns by port, until bytes were found
+        self._awaited: set[str] = set()                        # ports that epoll waits for
         self._ended: dict[int, int] = {}                       # the last call, by thread
         self._resume = 0.0                                     # ns from a call to the next one
         self._short = 0.0                                      # ns of a call without a wait
@@ -135,8 +141,10 @@ class StraceParser:
               end: int) -> PortEvents:
         name, arguments, result = found[1].decode(), found[2], int(found[3])
         gap = begin - self._ended.get(thread, 0)
-        self._ended[thread] = end
         took = end - begin
+        away = gap if gap >= AWAY_NS and took < max(AT_ONCE_NS, gap // SHARE) \
+            and thread in self._ended else 0
+        self._ended[thread] = end
         if gap < AT_ONCE_NS:
             self._resume = _median(self._resume, gap)
         if took > (AT_ONCE_NS if name in _WRITES else 2 * self._short):
@@ -144,8 +152,7 @@ class StraceParser:
         else:
             self._held[thread] = self._held.get(thread, 0.0) + took + (
                 gap if gap < 2 * self._resume else self._resume)
-        if name in _WAITS and result >= 0:
-            self._looked.update((_text(path), (end, result)) for _, path in _FD.findall(arguments))
+        self._wait(name, {_text(path) for _, path in _FD.findall(arguments)}, result, end, away)
         yield from self._hold(_text(found[4] or b''), thread, result, end)
         first = _FD.match(arguments)
         port = '' if first is None else _text(first[2])
@@ -169,10 +176,19 @@ class StraceParser:
             yield from self._transfer(port, OUT, arguments, result, stamp, thread)
         elif name in _READS and result > 0:
             yield from self._rate(port, end)
-            yield from self._transfer(port, IN, arguments, result,
-                                      self._arrived(port, begin, end), thread)
+            arrived = self._arrived(port, begin, end)
+            yield from self._was_away(port, arrived, away)
+            yield from self._transfer(port, IN, arguments, result, arrived, thread)
         elif name in _READS:                   # also -1: EAGAIN
             self._looked[port] = end, 0
+
+    def _wait(self, name: str, ports: set[str], result: int, end: int, away: int) -> None:
+        """Take note of what a program waits for; away: as in _was_away(), 0: it waited."""
+        if name in _WAITS and result >= 0:
+            self._looked |= dict.fromkeys(ports, (end, result))
+            self._away |= dict.fromkeys(ports, away)
+        elif name == 'epoll_ctl':
+            self._awaited |= ports
 
     def _arrived(self, port: str, begin: int, end: int) -> int:
         """Return when the bytes of a read were there: after a wait for them at its end."""
@@ -184,9 +200,16 @@ class StraceParser:
         """Say what the program did before a write: looked for bytes in vain, waited for strace."""
         yield from self._vain(port, stamp)
         self._looked.pop(port, None)
+        self._away.pop(port, None)
         self._traced[port] = self._traced.get(port, 0) + int(held)
         if self._traced[port] >= TRACED_NS:
             yield PortEvent(stamp, port, TRACED, value=self._traced.pop(port) // 1000)
+
+    def _was_away(self, port: str, stamp: int, away: int) -> PortEvents:
+        """Say for how long (ns) a program had not looked for what was there when it did."""
+        away = self._away.pop(port, 0) or away
+        if away and port not in self._awaited:
+            yield PortEvent(stamp, port, AWAY, value=away // 1000)
 
     def _vain(self, port: str, stamp: int) -> PortEvents:
         looked, result = self._looked.get(port, (0, 1))

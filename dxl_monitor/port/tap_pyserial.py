@@ -25,6 +25,9 @@ _HANDLERS = 'serial.urlhandler.protocol_'
 _TEXT_LIMIT = 2000                             # characters of an error
 _LEFT = '_mecarover_tap_left'                  # and how much it had not read, last time
 _VAIN = '_mecarover_tap_vain'                  # when it last looked for bytes in vain, ns
+_LOOKED = '_mecarover_tap_looked'              # when it last wrote, read or looked in vain, ns
+_WAITS = '_mecarover_tap_waits'                # it waits for the descriptor, which is not seen
+AWAY_NS = 500_000                              # who looks as often does not sleep
 _Method = Callable[..., Any]
 
 
@@ -32,12 +35,22 @@ def _wrap_read(sender: Any, original: _Method) -> _Method:
     put, now = sender.put, time.monotonic_ns
 
     def read(self: Any, *args: Any, **kwargs: Any) -> Any:
+        known, away = self.__dict__, 0
+        try:
+            away = now() - known.get(_LOOKED, now())
+            if away < AWAY_NS or _WAITS in known or not self.in_waiting:
+                away = 0
+        except Exception:
+            pass
         data = original(self, *args, **kwargs)
         try:
             if data:
-                put('in', getattr(self, _PORT), bytes(data))
+                if away:
+                    sender.number('away_us', known[_PORT], away // 1000)
+                put('in', known[_PORT], bytes(data))
             is_short = not data or (self._timeout and len(data) < (args[0] if args else 1))
-            self.__dict__[_VAIN] = now() if is_short else 0
+            known[_LOOKED] = now()
+            known[_VAIN] = known[_LOOKED] if is_short else 0
         except Exception:
             pass
         return data
@@ -68,6 +81,7 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
         except BaseException:
             _not_sent(sender, port, size)
             raise
+        self.__dict__[_LOOKED] = time.monotonic_ns()
         if size and isinstance(written, int) and written < size:
             _not_sent(sender, port, size - written)
         return written
@@ -122,6 +136,22 @@ def _wrap_close(sender: Any, original: _Method) -> _Method:
     return close
 
 
+def _wrap_in_waiting(sender: Any, original: Any) -> Any:
+    def in_waiting(self: Any) -> Any:
+        waiting = original.fget(self)
+        if not waiting:
+            self.__dict__[_LOOKED] = time.monotonic_ns()
+        return waiting
+    return property(in_waiting)
+
+
+def _wrap_fileno(sender: Any, original: _Method) -> _Method:
+    def fileno(self: Any) -> Any:
+        self.__dict__[_WAITS] = True           # its caller waits for bytes by itself
+        return original(self)
+    return fileno
+
+
 def _say_waiting(sender: Any, serial: Any) -> None:
     """Say how much of what a port received is not read yet, if it is not nothing as before."""
     waiting = serial.in_waiting
@@ -153,6 +183,8 @@ def _say_unread(sender: Any, serial: Any) -> None:
 _WRAPPERS: dict[str, Callable[[Any, _Method], _Method]] = {
     'read': _wrap_read,
     'write': _wrap_write,
+    'in_waiting': _wrap_in_waiting,
+    'fileno': _wrap_fileno,
     'open': _wrap_open,
     'close': _wrap_close,
     '_reconfigure_port': _wrap_after(

@@ -113,7 +113,8 @@ def verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: 
         unknown += [f'{doubt.rule.replace("_", " ")}, {bus.who(doubt.device)}: {doubt.message}'
                     for doubt in bus.report.doubts if is_timed or doubt.rule not in _NEEDS_TIMES]
         unknown += [f'{bus.who(one.id)}: {printable(one.message)}, too few to find a cause'
-                    for one in _unnamed(bus) if _is_slight(one)]
+                    for one in _unnamed(bus) if _is_slight(one)
+                    and not any(one.id in by.finding.covers for by in bus.logged)]
     wrong = [entry for bus in buses for entry in _wrong(bus)] + [one for one in [ended] if one]
     return Verdict(printable(source), (*map(os.path.basename, ports[:PORTS_NAMED]),
                                        *_head(buses, seconds, is_timed)),
@@ -210,8 +211,8 @@ def _alike(logged: Sequence[Logged]) -> list[list[Logged]]:
     """Return findings of several devices that say the same together, the others alone."""
     groups: dict[tuple[str, Level, str, bool], list[Logged]] = {}
     for one in logged:
-        rule, level, _, message, _ = one.finding
-        groups.setdefault((rule, level, message, one.stands), []).append(one)
+        said = one.finding
+        groups.setdefault((said.rule, said.level, said.message, one.stands), []).append(one)
     return list(groups.values())
 
 

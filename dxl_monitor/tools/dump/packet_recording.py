@@ -21,6 +21,7 @@ from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.listing import Listing
 from dxl_monitor.tools.dump.listing import MISSED
 from dxl_monitor.tools.dump.text_format import FLAWS
+from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
@@ -60,7 +61,7 @@ class PacketRecording:
 
     def change(self, bus: str, change: Change, stamp: int, listing: Listing) -> None:
         """Write what happened besides bytes; what a packet lacks then will not come."""
-        if change.what in (UNREAD, GAVE_UP, TRACED):
+        if change.what in (UNREAD, GAVE_UP, AWAY, TRACED):
             self._comments[bus].append(PacketWriter.comment(change))
             return
         if change.what in (BAUD, CLOSED, GONE, LOST):
