@@ -107,6 +107,8 @@ def _question(request: web.Request) -> tuple[Question, int]:
     from_s = _time(query.get('from'), to_s - 3600, 'from')
     if from_s > to_s:
         raise ValueError('from: is later than to; swap them')
+    if query.get('format', 'json') not in ('json', 'csv'):
+        raise ValueError('format: not known; give json or csv')
     points = query.get('points', str(_POINTS))
     if not points.isdecimal() or not 1 <= int(points[:9]) <= 10_000:
         raise ValueError('points: not a number from 1 to 10000; correct it')

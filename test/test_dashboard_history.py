@@ -402,6 +402,7 @@ def test_many_sources_share_the_points_of_an_answer(path, monkeypatch):
     ({'from': 'yesterday'}, "from: 'yesterday' is not a time; give Unix seconds"),
     ({'to': '-1'}, "to: '-1' is not a time"), ({'to': 'nan'}, "to: 'nan' is not a time"),
     ({'from': 5, 'to': 4}, 'from: is later than to; swap them'),
+    ({'format': 'xml'}, 'format: not known; give json or csv'),
     ({'points': '0'}, 'points: not a number from 1 to 10000; correct it')])
 def test_questions_that_make_no_sense(path, query, words):
     with Dashboard(history=path) as dashboard, pytest.raises(HTTPError) as caught:

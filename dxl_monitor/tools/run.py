@@ -65,7 +65,8 @@ def parse_run(parser: argparse.ArgumentParser,
         raise UsageError(f'{first}: a program; write {parser.prog} {RUN} -- '
                          + shlex.join(arguments[arguments.index(first):]))
     if left:
-        parser.error(f'unrecognized arguments: {" ".join(left)}')
+        wrong = [one for one in left if one.startswith('-')] or left
+        parser.error(f'unrecognized arguments: {" ".join(wrong)}')
     command = list(arguments[mark + 1:])
     if options.by and not command:
         raise UsageError(f'--by {options.by}: only for run -- COMMAND; leave it out')

@@ -151,7 +151,7 @@ def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[
     if is_timed:
         parts.append(f'{seconds:.1f} s')
     packets = sum(report.counters['Packets'] for report in reports)
-    parts.append(f'{packets} packets')
+    parts.append(f'{packets} packet{"s" * (packets != 1)}')
     loads = [metric.value or 0.0 for report in reports for metric in report.metrics
              if metric.name == 'bus_load' and report.stamp - report.started > LOAD_NS
              ] if is_timed else []
