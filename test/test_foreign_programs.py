@@ -461,12 +461,7 @@ def by_chance(each):
 ], ids=lambda one: getattr(one, '__name__', None))
 def test_a_foreign_program_meets_a_fault(said, failed, found):
     bus, met = Bus(), set()
-    for turn, (ms, side, what) in enumerate(said):
-        bus.now += int(ms * 1_000_000)
-        if isinstance(what, Change):
-            bus.monitor.change(what, bus.now)
-        else:
-            bus.monitor.feed(what, bus.now, side)
+    for turn, side in enumerate(heard(bus, said)):
         if turn % 40 == 39 or not side:
             met |= {one.rule for one in bus.report().findings if one.level > Level.OK}
         if turn == 280:
@@ -477,11 +472,20 @@ def test_a_foreign_program_meets_a_fault(said, failed, found):
     assert ' '.join(sorted(met)) == found
 
 
+def heard(bus, said):
+    """Let a bus hear what is said; yield the side of each."""
+    for ms, side, what in said:
+        bus.wait(ms / 1000)
+        if side:
+            bus.monitor.feed(what, bus.now, side)
+        else:
+            bus.monitor.change(what, bus.now)
+        yield side
+
+
 def test_one_that_answers_no_reads_either_is_an_error_at_the_end_too():
     bus = Bus()
-    for ms, side, what in islice(written_first(), 300):
-        bus.wait(ms / 1000)
-        bus.monitor.feed(what, bus.now, side)
+    for _ in heard(bus, islice(written_first(), 300)):
         bus.report()
     bus.monitor.end(bus.now)
     [found] = [one for one in bus.report().findings if one.device == 1]
@@ -529,23 +533,13 @@ def test_writes_without_one_byte_back_are_no_clean_bill(answer, is_unknown):
 ])
 def test_a_program_that_reads_old_answers_may_not_mean_to(parts, is_behind):
     bus = Bus()
-    for ms, side, what in islice(played(parts), 280):
-        bus.wait(ms / 1000)
-        if side:
-            bus.monitor.feed(what, bus.now, side)
-        else:
-            bus.monitor.change(what, bus.now)
+    assert [*heard(bus, islice(played(parts), 280))]
     assert any('an earlier answer' in one.message for one in bus.report().doubts) == is_behind
 
 
 def test_what_late_answers_spoil_has_a_cause():
     bus, log = Bus(), FindingLog()
-    for turn, (ms, side, what) in enumerate(islice(gives_up(2, 20, 4, 4, 0.3), 2000)):
-        bus.wait(ms / 1000)
-        if side:
-            bus.monitor.feed(what, bus.now, side)
-        else:
-            bus.monitor.change(what, bus.now)
+    for turn, _ in enumerate(heard(bus, islice(gives_up(2, 20, 4, 4, 0.3), 2000))):
         if turn % 40 == 39:
             log.take(bus.report())
     said = verdict('run', [BusSummary.of('', log.last, log, True)], 10, True)

@@ -157,7 +157,7 @@ FOREIGN = IncidentKind[Code]('foreign instruction')           # it came to the m
 NOT_SENT = IncidentKind[Code]('not sent')
 THROWN_AWAY = IncidentKind[Code]('answers thrown away')       # unread
 AWAY = IncidentKind[Lateness]('away')                        # the master, while it was answered
-BEHIND = IncidentKind[Nothing]('behind')                      # it reads old answers
+STALE = IncidentKind[Nothing]('stale answers')                # it reads those, not the new ones
 SOURCE_LOST = IncidentKind[Much]('source lost')
 LEFT_OPEN = IncidentKind[Lateness]('last question open')      # it ended too soon to know
 

@@ -34,7 +34,7 @@ ADAPTER_NS = 17_000_000            # a latency timer of 16 ms, and Return Delay 
 SPARE_NS, TIMES = 5_000_000, 2     # what an adapter is at most slower than it was before
 AT_ONCE_NS = 500_000               # who looks no longer than that did not wait for an answer
 KEPT = 16                          # questions
-BEHIND = 20                        # in a row, each while an answer waited
+STALE = 20                         # in a row, each while an answer waited
 
 
 class Unread:
@@ -51,7 +51,7 @@ class Unread:
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, duty: ReplyPolicy) -> None:
         self.until = self.stamp = self._purged = self.waiting = self._looked = self._since = 0
-        self.dropped = self._behind = 0
+        self.dropped = self._stale = 0
         self.patience_ns, self.unsent, self._came_late = OWED_NS, -1, -1
         self.left: deque[OpenQuestion] = deque(maxlen=KEPT)
         self._unknown: deque[OpenQuestion] = deque(maxlen=KEPT)    # left, or thrown away
@@ -64,11 +64,11 @@ class Unread:
     def say(self, waiting: int, received: int, stamp: int) -> None:
         """Take note of how many bytes wait, after `received` that were read."""
         if not waiting:
-            self._behind = 0
+            self._stale = 0
         elif received > self._since:
-            self._behind += 1
-            if self._behind % BEHIND == 0:
-                self._evidence.note(stamp, ev.BEHIND, ev.NO_DEVICE, ev.NOTHING)
+            self._stale += 1
+            if self._stale % STALE == 0:
+                self._evidence.note(stamp, ev.STALE, ev.NO_DEVICE, ev.NOTHING)
         self.waiting, self.until = waiting, waiting and received + waiting
         self._since = received
         self.stamp, self.patience_ns = stamp, READ_LATE_NS
@@ -149,7 +149,7 @@ class Unread:
             self._unknown.clear()
         else:
             self._unknown.extend(self.left)
-        self.until = self.waiting = self._behind = 0
+        self.until = self.waiting = self._stale = 0
         self._purged = stamp
         self.left.clear()
 

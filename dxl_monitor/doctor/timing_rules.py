@@ -173,7 +173,7 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
 
 
 def _late_answers(case: Case) -> Claims:
-    if case.count(ev.BEHIND):
+    if case.count(ev.STALE):
         yield Doubt('each time the program asks, an earlier answer still waits to be read: if it '
                     'takes that for the new one, let it clear its input before it asks')
     late, fatal = case.incidents(ev.LATE), read_late(case)
