@@ -8,6 +8,7 @@ flushes, blocks in a thread, forks and copies its descriptor.
 """
 
 import json
+from operator import itemgetter
 import os
 from pathlib import Path
 import shutil
@@ -29,6 +30,7 @@ from test_tap import peers
 from test_tap import PLAIN
 from test_tap import ROOT
 from test_tap import tap
+import yaml
 
 from dxl_monitor.port import strace
 from dxl_monitor.port.strace_parser import OPENED
@@ -37,13 +39,10 @@ from dxl_monitor.port.tap_reader import TapReader
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import CLOSED
-from msg_defs.event import DTR
 from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
-from msg_defs.event import LOST
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
-from msg_defs.event import RTS
 from msg_defs.event import TRACED
 
 RECORDED = Path(__file__).with_name('strace_6.1.txt').read_bytes()
@@ -124,40 +123,12 @@ def test_nothing_that_strace_may_print_raises(changes):
         assert one.what in (OUT, IN) or not one.data
 
 
-@pytest.mark.parametrize(('calls', 'expected'), [
-    (['10 write(3<P>, `abc`, 3) = 2 <0.000000001>'], [(OUT, b'ab')]),
-    (['10 write(3<P>, `abc`, 3) = -1 EAGAIN (Resource temporarily unavailable)'], []),
-    (['10 write(3<P>, `ab`..., 9) = 9'], [(OUT, b'ab'), (LOST, 7)]),
-    (['10 splice(3<P>, NULL, 4<\\x2f>, NULL, 99, 0) = 7'], [(LOST, 1)]),
-    (['10 ioctl(3<P>, 0x5416, [0x2|0x4]) = 0'], [(DTR, 1), (RTS, 1)]),
-    (['10 ioctl(3<P>, 0x5417, [0x2]) = 0', '10 ioctl(3<P>, 0x5418, [0x2]) = 0'],
-     [(DTR, 0), (DTR, 1), (RTS, 0)]),
-    (['10 ioctl(3<P>, 0x540b, 0x1) = 0'], [(PURGED, 2)]),
-    (['10 read(3<P>, ``, 1) = 0', '10 ioctl(3<P>, 0x540b, 0x0) = 0', '10 write(3<P>, `b`, 1) = 1'],
-     [(GAVE_UP, 1000), (PURGED, 1), (GAVE_UP, 2000), (OUT, b'b')]),
-    (['10 ioctl(3<P>, 0x5402, {c_cflag=0x1008|0x30}) = 0',
-      '10 ioctl(3<P>, 0x541f, 0x7f) = 0', '10 ioctl(3<P>, 0x5402, {c_cflags=0xf}) = 0'],
-     [(BAUD, 1000000)]),
-    (['10 ioctl(3<P>, 0x5401, {c_cflag=0xd}) = 0', '10 read(3<P>, `a`, 1) = 1'],
-     [(BAUD, 9600), (AWAY, 1000), (IN, b'a')]),
-    (['10 read(3<P>, `a`, 1) = 1 <0.000300000>', '10 poll([{fd=3<P>, events=0x1}], 1, 9) = 1',
-      '10 read(3<P>, `b`, 1) = 1'], [(IN, b'a'), (AWAY, 700), (IN, b'b')]),
-    (['10 epoll_ctl(4, 0x1, 3<P>, {events=0x1}) = 0', '10 read(3<P>, `a`, 1) = 1'],
-     [(IN, b'a')]),
-    (['11 read(3<P>,  <unfinished ...>', '20 write(3<P>, `b`, 1) = 1',
-      '11 <... read resumed>`a`, 1) = 1', '12 read(3<P>,  <unfinished ...>',
-      '12 +++ exited with 0 +++', '11 <... read resumed>`a`, 1) = 1'], [(OUT, b'b'), (IN, b'a')]),
-    (['12 close(3<P>(deleted)) = 0', '10 write(4<P>, `b`, 1) = 1'],
-     [(CLOSED, 0), (OPENED, 0), (OUT, b'b')]),
-    (['20 write(3<P>, `b`, 1) = 1', '11 close(3<P>) = 0', '20 +++ killed by SIGKILL +++'],
-     [(OUT, b'b'), (CLOSED, 0)]),
-    (['10 fcntl(3<P>, 0x406, 0) = 4<P>', '11 close(3<P>) = 0', '11 +++ exited with 0 +++',
-      '12 close(4<P>) = 0'], [(CLOSED, 0)]),
-    (['10 write(1<\\x2f\\x64\\x65\\x76\\x2f\\x74\\x74\\x79\\x31>, `a`, 1) = 1'], []),
-])
-def test_single_calls(calls, expected):
-    assert said('10 openat(-100<\\x2f>, `/dev/ttyUSB0`, 0x2) = 3<P>', *calls) == [
-        (OPENED, 0), *expected]
+@pytest.mark.parametrize('case', yaml.safe_load(
+    Path(__file__).with_name('strace_calls.yaml').read_text()), ids=itemgetter('calls'))
+def test_single_calls(case):
+    found = said('10 openat(-100<\\x2f>, `/dev/ttyUSB0`, 0x2) = 3<P>', *case['calls'].splitlines())
+    assert '; '.join(f'{what} {value.decode() if what in (OUT, IN) else value}'
+                     for what, value in found) == f'{OPENED} 0; {case["said"]}'.removesuffix('; ')
 
 
 def test_who_reads_and_writes_is_known():
