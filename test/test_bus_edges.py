@@ -41,6 +41,8 @@ from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import IN
+from msg_defs.event import OUT
 from msg_defs.frame import EITHER_1
 from msg_defs.frame import Flaw
 from msg_defs.frame import INSTRUCTION_2
@@ -106,17 +108,18 @@ def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
     assert evidence.counts[ev.PROTOCOL_1] == 4
 
 
-@pytest.mark.parametrize(('kind', 'code', 'reason', 'expected'), [
-    (INSTRUCTION_2, 0, 'crc', (ev.DAMAGED_INSTRUCTION, 7, ev.Front(0, 259))),
-    (IS_STATUS, 9, 'crc', (ev.DAMAGED_STATUS, 7, ev.Front(0x55, 259))),
-    (INSTRUCTION_2, 2, 'length', (ev.BAD_LENGTH, -1, ev.Length(259))),
-    (INSTRUCTION_2, 2, 'cut', (ev.CUT, -1, ev.Front(2, 259))),
-    (EITHER_1, 2, 'open', (ev.OPEN, 7, ev.Code(2))),
+@pytest.mark.parametrize(('kind', 'code', 'reason', 'expected', 'side'), [
+    (INSTRUCTION_2, 0, 'crc', (ev.DAMAGED_INSTRUCTION, 7, ev.Front(0, 259)), IN),
+    (IS_STATUS, 9, 'crc', (ev.DAMAGED_STATUS, 7, ev.Front(0x55, 259)), IN),
+    (INSTRUCTION_2, 2, 'length', (ev.BAD_LENGTH, -1, ev.Length(259)), IN),
+    (INSTRUCTION_2, 2, 'cut', (ev.CUT, -1, ev.Front(2, 259)), IN),
+    (INSTRUCTION_2, 2, 'crc', (ev.WRONG_PACKET, 7, ev.Code(2)), OUT),
+    (EITHER_1, 2, 'open', (ev.OPEN, 7, ev.Code(2)), IN),
 ])
-def test_a_damaged_frame_is_noted_by_what_is_wrong(kind, code, reason, expected):
+def test_a_damaged_frame_is_noted_by_what_is_wrong(kind, code, reason, expected, side):
     evidence = Evidence()
     flaw = Flaw(reason, length=259)
-    evidence.note_damage(1, (0, 9, kind, 7, code, b'', flaw), flaw)
+    evidence.note_damage(1, (0, 9, kind, 7, code, b'', flaw), flaw, side)
     [found] = evidence.incidents
     assert (found.kind, found.device, found.detail) == expected
 

@@ -173,7 +173,7 @@ def test_a_sleep_before_an_answer_is_the_programs_and_no_latency(away_ms):
     assert report.cycle.device == pytest.approx(device, abs=0.01)
     assert report.cycle.program == pytest.approx(21 - wire - device, abs=0.01)
     assert (report.devices[0].latency.total is None) == (away_ms == 19)
-    assert any('not sleep' in one.message for one in report.findings) == (away_ms == 19)
+    assert any('not sleep before' in one.message for one in report.findings) == (away_ms == 19)
 
 
 def test_bytes_that_come_when_time_is_up_are_waited_for():
@@ -224,7 +224,8 @@ def test_metrics_screen_and_json_say_the_same():
     assert found == {
         'cycle': values['cycle'].window.mean, 'wire': mean['cycle_wire'],
         'device': mean['cycle_device'], 'program': mean['cycle_program'],
-        'tracer': pytest.approx(0.0, abs=1e-6), 'is_blurred': False, 'unknown': ''}
+        'tracer': pytest.approx(0.0, abs=1e-6), 'is_blurred': False, 'unknown': '',
+        'asleep': 0.0}
 
 
 def test_a_pause_is_no_cycle():

@@ -48,6 +48,7 @@ class CycleClock:
         self._series = {part: Series() for part in PARTS}
         self._waits: defaultdict[int, Rate] = defaultdict(Rate)
         self._blurred = Rate()
+        self._sleeps = Series()
         self.interrupt()
 
     def interrupt(self) -> None:
@@ -58,7 +59,7 @@ class CycleClock:
 
     def _start_cycle(self, began: int) -> None:
         self._began = began
-        self._wire = self._device = self._program = self._traced = 0.0
+        self._wire = self._device = self._program = self._traced = self._asleep = 0.0
         self._waiting: defaultdict[int, float] = defaultdict(float)
 
     def give_up(self, ns: int) -> None:
@@ -109,6 +110,7 @@ class CycleClock:
                   self._program - traced)
         for series, value in zip(self._series.values(), values, strict=True):
             series.add(value / 1e6, now)
+        self._sleeps.add(self._asleep / 1e6, now)
         for number, ns in self._waiting.items():
             self._waits[number].add(ns, now)
 
@@ -120,6 +122,7 @@ class CycleClock:
             gap = max(0.0, stamp - self._last - on_wire)
             away, self._away = min(gap, self._away), 0
             self._program += away
+            self._asleep += away
             self._gap = gap - away
             self._device += self._gap
             self._last = max(stamp, self._last)
@@ -158,6 +161,8 @@ class CycleClock:
         share = waiting / (sum(rates.values()) or 1.0)
         tracer = round(max(0.0, cycle - wire - device - waiting - program), 3)
         blurred = self._blurred.per_second(now) * share
+        slept = self._sleeps.summary(now)
         return CycleTimes(cycle, wire, device, program, tracer, tuple(sorted(
             ((number, round(rate * share, 3)) for number, rate in rates.items() if rate),
-            key=lambda one: -one[1])), blurred > BLURRED * cycle)
+            key=lambda one: -one[1])), blurred > BLURRED * cycle,
+            asleep=round(slept.mean, 3) if slept else 0.0)

@@ -21,6 +21,7 @@ from dxl_monitor.bus.report import Wait
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import OUT
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
 from msg_defs.frame import IS_STATUS
@@ -156,7 +157,7 @@ ECHO = IncidentKind[Nothing]('echo')                          # counted only: th
 FOREIGN = IncidentKind[Code]('foreign instruction')           # it came to the master
 NOT_SENT = IncidentKind[Code]('not sent')
 THROWN_AWAY = IncidentKind[Code]('answers thrown away')       # unread
-AWAY = IncidentKind[Lateness]('away')                        # the master, while it was answered
+WRONG_PACKET = IncidentKind[Code]('wrong packet')             # of the master: no device takes it
 STALE = IncidentKind[Nothing]('stale answers')                # it reads those, not the new ones
 SOURCE_LOST = IncidentKind[Much]('source lost')
 LEFT_OPEN = IncidentKind[Lateness]('last question open')      # it ended too soon to know
@@ -185,6 +186,7 @@ _TEXTS: dict[str, str] = {
     UNKNOWN_INSTRUCTION: 'unknown {instruction}',
     MALFORMED: '{instruction} that makes no sense ({length} bytes)',
     BAD_ID: 'packet with ID {value}',
+    WRONG_PACKET: '{instruction} with a wrong CRC, checksum or Length',
     FOREIGN: '{instruction} of another master',
     NOT_SENT: '{instruction} that did not leave the adapter',
     SOURCE_LOST: '{number} events or bytes that were not heard',
@@ -218,12 +220,14 @@ class Evidence:
         else:
             self.counts[kind] += 1
 
-    def note_damage(self, stamp: int, frame: Frame, flaw: Flaw) -> None:
-        """Note a damaged frame, or one of which it is open what it is."""
+    def note_damage(self, stamp: int, frame: Frame, flaw: Flaw, side: str) -> None:
+        """Note a damaged frame, or one of which it is open what it is; what goes out is whole."""
         _, _, kind, number, code, _, _ = frame
         code = STATUS if kind == IS_STATUS else code
         if flaw.reason == OPEN_FRAME:
             self.note(stamp, OPEN, number, Code(code))
+        elif side == OUT:
+            self.note(stamp, WRONG_PACKET, number, Code(code))
         elif flaw.reason == 'length':
             self.note(stamp, BAD_LENGTH, NO_DEVICE, Length(flaw.length))
         elif flaw.reason == 'cut':

@@ -227,7 +227,8 @@ class CycleTimes(NamedTuple):
     The mean cycle of the last 10 s, in ms: cycle is the sum of the others.
 
     waiting: by device that did not answer; tracer: what strace adds. unknown: why there are no
-    parts, '' where there are; is_blurred: waiting includes what the program did after it gave up.
+    parts, '' where there are; is_blurred: waiting includes what the program did after it gave up;
+    asleep: of `program`, while an answer may have been there and it did not look.
     """
 
     cycle: float
@@ -238,6 +239,7 @@ class CycleTimes(NamedTuple):
     waiting: tuple[tuple[int, float], ...] = ()
     is_blurred: bool = False
     unknown: str = ''
+    asleep: float = 0.0
 
 
 class BusReport(NamedTuple):

@@ -114,9 +114,7 @@ class Tracker:
 
     def look_away(self, us: int, stamp: int) -> None:
         """Take note that the answer that follows may have been there for so long."""
-        if self.slots:
-            self._unresolved &= 2000 * us < stamp - self._asked[2]
-            self._evidence.note_often(stamp, ev.AWAY, ev.NO_DEVICE, ev.Lateness(us))
+        self._unresolved &= 2000 * us < stamp - self._asked[2]
 
     def not_sent(self, stamp: int) -> None:
         """Take note that the pending instruction did not get to the bus, or not all of it."""
@@ -312,7 +310,7 @@ class Tracker:
         if reason:
             if noise > GLITCH:
                 self._state = pairing.NEXT[self._state][damage]
-            self._state = pairing.NEXT[self._state][self._damaged(frame, flaw, stamp, damage)]
+            self._state = pairing.NEXT[self._state][self._damaged(frame, flaw, stamp, side)]
             return True
         device = self._registry.devices.get(frame[3]) if frame[2] == IS_STATUS else None
         if noise > GLITCH:
@@ -335,14 +333,15 @@ class Tracker:
         """Whether an answer may not belong to what is pending."""
         return self._state == pairing.DOUBTFUL
 
-    def _damaged(self, frame: Frame, flaw: Flaw, stamp: int, damage: int) -> int:
-        """Note a damaged frame; return what happened to the pairing: mostly `damage`."""
+    def _damaged(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> int:
+        """Note a damaged frame; return what happened to the pairing."""
+        damage, _ = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
         is_status, number, code, data = frame[2] == IS_STATUS, *frame[3:6]
         if is_status and number == BROADCAST and BROADCAST in self.slots:
             del self.slots[BROADCAST]
             if self._combined(data, stamp):    # nothing is damaged: the next one is silent
                 return pairing.BROKE_OFF
-        self._evidence.note_damage(stamp, frame, flaw)
+        self._evidence.note_damage(stamp, frame, flaw, side)
         if is_status and number == BROADCAST:
             return damage
         slot = self.pending.slots.get(number) if is_status else None

@@ -25,6 +25,7 @@ from dxl_monitor.bus.reply_policy import ReplyPolicy
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.table import READ
 from msg_defs.dxl_instruction import ALERT
+from msg_defs.event import IN
 from msg_defs.frame import Frame
 from msg_defs.frame import Frames
 from msg_defs.frame import GLITCH
@@ -210,7 +211,7 @@ class Unread:
             if kind or not (is_old or self.left):
                 rest.append(frame)
             elif flaw is not None and flaw.reason:
-                self._evidence.note_damage(stamp, frame, flaw)
+                self._evidence.note_damage(stamp, frame, flaw, IN)
                 self._spoil(number, stamp)
             elif not self._answer(number, code, data, stamp):
                 if begin < self._since:        # it was hidden by damage

@@ -17,10 +17,12 @@ from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.last_question import ended_on
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
+from dxl_monitor.doctor.rule import DAMAGE
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
 from dxl_monitor.doctor.rule import Rule
+from dxl_monitor.doctor.rule import SILENCE
 from dxl_monitor.model.control_table import UNKNOWN
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl_instruction import error_text
@@ -49,6 +51,8 @@ NO_IDS = (0xFD, 0xFF)
 _NO_NAMES = 'so registers have no names and some causes cannot be found'
 MOSTLY = 0.7                       # share of the instructions
 ONSET_S = 1.0                      # acknowledgements that get lost come again by then
+SENT = 30                          # bytes: three packets
+START = b'\xff\xff'
 SCANS = 15                         # broadcast Pings in 10 s: each needs 0.8 s
 PINGS_NS = 10 * S
 
@@ -308,7 +312,27 @@ def _remedy(device: DeviceReport, names: Names) -> str:
             'master read Model Number')
 
 
+def _wrong_packets(case: Case) -> Claims:
+    """Look at what a program sends, where that is heard as it wrote it."""
+    report, wrong = case.report, case.incidents(ev.WRONG_PACKET)
+    sent = report.counters['Bytes']
+    if len(wrong) >= FEW:
+        most = Counter((one.detail.instruction, one.device) for one in wrong)
+        [((code, number), _)] = most.most_common(1)
+        yield Claim(f'{len(wrong)} packets of the program have a wrong checksum, CRC or Length, '
+                    f'as {name_of(code)} to {number:03}: no servo takes them; correct the program',
+                    {'packets': len(wrong)})
+    elif report.has_sides and not report.is_answered and sent >= SENT \
+            and report.counters['Packet Bytes'] == 0:
+        what = 'correct their checksum, CRC or Length' if START in report.noise else \
+            'packets begin with FF FF; send them as bytes, not as text'
+        yield Claim(f'none of the {sent} bytes that the program sent is part of a packet that a '
+                    f'servo takes: {what}', {'bytes': sent})
+
+
 RULES = (
+    Rule('wrong_packets', _wrong_packets,
+         (*SILENCE, *DAMAGE, 'wrong_baud', 'all_silent', 'cycle_time'), level=Level.ERROR),
     Rule('eeprom_locked', _eeprom_locked, ('refused',), noted=(ev.REFUSED,)),
     Rule('wrong_address', _wrong_address, noted=(ev.REFUSED,),
          needs_model=True),

@@ -6,9 +6,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from statistics import median
 
-from dxl_monitor.bus import evidence as ev
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rhythm import EVEN
 from dxl_monitor.doctor.rule import Claim
@@ -17,7 +15,6 @@ from msg_defs.dxl_instruction import Instruction
 
 MOST = 0.5                         # share of the cycle
 SEVERAL = 3                        # Reads that one Sync Read replaces
-MANY = 20                          # sleeps in 10 s
 SLOW_MS = 0.4                      # reply latency: Return Delay Time from the factory is 0.5 ms
 
 
@@ -27,10 +24,10 @@ def cycle_time(case: Case) -> Claims:
     if times is None or times.unknown:
         return
     most = MOST * times.cycle
-    slept = [one.detail.us for one in case.incidents(ev.AWAY)]
-    if times.program > most and len(slept) >= MANY:
-        yield Claim(f'the program reads {median(slept) / 1000:.0f} ms after it asks, and the '
-                    'answer is there by then: let it read at once, with a time-out, not sleep')
+    if times.asleep > most:
+        yield Claim(f'{times.asleep:.0f} of {times.cycle:.0f} ms of each cycle the program does '
+                    'not look for answers that are there: let it read at once, with a time-out, '
+                    'not sleep before it reads')
     elif times.program > most:
         if case.rhythms and min(one.spread for one in case.rhythms) > EVEN:
             yield Claim('most of each cycle is the program itself, between an answer and '

@@ -35,7 +35,6 @@ from msg_defs.event import TRACED
 PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
 AT_ONCE_NS = 200_000               # between two calls: strace, not the program
 AWAY_NS = 500_000                  # who looks as often does not sleep
-SHARE = 8                          # it did not wait who waited for less than an eighth of that
 TRACED_NS = 500_000                # strace took so long: worth an event
 LATE_NS = 20_000_000               # a write that takes longer has the time before its end
 DATA_LIMIT = 65_536                # bytes that strace prints of a call
@@ -142,8 +141,7 @@ class StraceParser:
         name, arguments, result = found[1].decode(), found[2], int(found[3])
         gap = begin - self._ended.get(thread, 0)
         took = end - begin
-        away = gap if gap >= AWAY_NS and took < max(AT_ONCE_NS, gap // SHARE) \
-            and thread in self._ended else 0
+        away = gap if gap >= AWAY_NS and took < AT_ONCE_NS and thread in self._ended else 0
         self._ended[thread] = end
         if gap < AT_ONCE_NS:
             self._resume = _median(self._resume, gap)
