@@ -179,7 +179,7 @@ class Monitor:
         self.change(Change(CLOSED, 1), now)
         with self._lock:
             self._failed, self._users = failed, tuple(users)
-            self._tracker.unread.end(bool(failed), self.decoder.byte_ns)
+            self._tracker.unread.end(now, bool(failed), self.decoder.byte_ns)
 
     def alarms(self) -> int:
         """Return how often so far a device was lost, came back or had an alert."""

@@ -38,8 +38,8 @@ NOW = 100 * S
 RULE = {one.name: one for one in RULES}
 OF_THE_BUS = {'wrong_baud', 'overrun', 'noise', 'stray_bytes', 'echo', 'not_sent', 'all_silent',
               'brown_out', 'master_stopped', 'impossible_id', 'scan', 'impatient_master',
-              'bus_too_slow', 'wrong_packets', 'two_masters', 'latency_timer', 'jitter',
-              'sync_read_unsupported'}
+              'bus_too_slow', 'wrong_packets', 'unread_answers', 'two_masters', 'latency_timer',
+              'jitter', 'sync_read_unsupported'}
 
 def summary(p50, p95=0.0, count=5):
     return Summary(count, p50, 0.0, p50, p95, p50, p95 or p50, p95 or p50)

@@ -157,7 +157,8 @@ ECHO = IncidentKind[Nothing]('echo')                          # counted only: th
 FOREIGN = IncidentKind[Code]('foreign instruction')           # it came to the master
 NOT_SENT = IncidentKind[Code]('not sent')
 THROWN_AWAY = IncidentKind[Code]('answers thrown away')       # unread
-WRONG_PACKET = IncidentKind[Code]('wrong packet')             # of the master: no device takes it
+WRONG_PACKET = IncidentKind[Code]('wrong packet')             # the master's: none takes it
+HUNG = IncidentKind[Lateness]('question never given up')
 STALE = IncidentKind[Nothing]('stale answers')                # it reads those, not the new ones
 SOURCE_LOST = IncidentKind[Much]('source lost')
 LEFT_OPEN = IncidentKind[Lateness]('last question open')      # it ended too soon to know
@@ -227,7 +228,8 @@ class Evidence:
         if flaw.reason == OPEN_FRAME:
             self.note(stamp, OPEN, number, Code(code))
         elif side == OUT:
-            self.note(stamp, WRONG_PACKET, number, Code(code))
+            # One FF more in front is ID 255 of the 1.0 family, taken for a header.
+            self.note(stamp, WRONG_PACKET, 0xFF if flaw.noise_length == 1 else number, Code(code))
         elif flaw.reason == 'length':
             self.note(stamp, BAD_LENGTH, NO_DEVICE, Length(flaw.length))
         elif flaw.reason == 'cut':

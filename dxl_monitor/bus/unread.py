@@ -34,7 +34,9 @@ READ_LATE_NS = 10_000_000_000
 ADAPTER_NS = 17_000_000            # a latency timer of 16 ms, and Return Delay Time
 SPARE_NS, TIMES = 5_000_000, 2     # what an adapter is at most slower than it was before
 AT_ONCE_NS = 500_000               # who looks no longer than that did not wait for an answer
+HUNG_NS = 2_000_000_000            # a time-out is shorter
 KEPT = 16                          # questions
+ALIVE = 3                          # missed in a row, before it may be dead
 STALE = 20                         # in a row, each while an answer waited
 
 
@@ -155,8 +157,10 @@ class Unread:
         self.left.clear()
 
     def give_up(self, slot: Slot, asked: int, now: int) -> None:
-        """Take an answer that may come late, if no adapter holds one back for so long."""
-        if asked != self._came_late and now - asked < ADAPTER_NS:
+        """Take an answer that may come late: of one that lives, or soon, as an adapter is slow."""
+        device = slot.device
+        if asked != self._came_late and (now - asked < ADAPTER_NS or (
+                device.heard and device.missed_in_a_row < ALIVE)):
             self._given_up.append((slot, now))
 
     def _take_rest(self, slots: dict[int, Slot], plan: Plan, asked: int, stamp: int) -> None:
@@ -272,13 +276,20 @@ class Unread:
                 self.left.remove(question)
                 self._duty.judge(question, stamp, stamp)
 
-    def end(self, failed: bool, byte_ns: float) -> None:
+    def end(self, end: int, failed: bool, byte_ns: float) -> None:
         """
         Judge the questions that a program ended with, if their answers had their time.
 
-        failed: it ended by itself with an error.
+        end: when it was heard last; failed: it ended by itself with an error.
         """
+        end = max(end, self.stamp, self._looked)
         for question in self.last:
+            first = question.due[0] if question.due else None
+            if end - question.asked > HUNG_NS and first is not None and not self.until \
+                    and first.due is not Due.ACK and self._purged < question.asked:
+                self._evidence.note(end, ev.HUNG, first.device.number,
+                                    ev.Lateness((end - question.asked) // 1000))
+                continue
             now = max(self.stamp, self._looked)
             slots = [*question.plan.slots.values()]
             is_passed = bool(slots) and slots[-1] not in question.due      # the others had a turn

@@ -48,6 +48,7 @@ STOPPED_S = 1.2
 RESTED_S = 10.0                    # a shorter pause may be meant
 WORKED_S = 2.5                     # a program that ran so long has stopped; a command is done
 NO_IDS = (0xFD, 0xFF)
+_NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
 _NO_NAMES = 'so registers have no names and some causes cannot be found'
 MOSTLY = 0.7                       # share of the instructions
 ONSET_S = 1.0                      # acknowledgements that get lost come again by then
@@ -254,8 +255,7 @@ def _impossible_id(case: Case) -> Claims:
         if asked >= FEW:
             yield Claim(f'the master reads from ID {number}, all devices at once, which '
                         'none answers: use Sync Read' if reads_all else
-                        f'the master asks ID {number}, which no device can have (0 to 252): '
-                        'correct the ID in its program', {'asked in 10 s': asked})
+                        f'the master asks ID {number}{_NO_ID}', {'asked in 10 s': asked})
             return
 
 
@@ -312,6 +312,21 @@ def _remedy(device: DeviceReport, names: Names) -> str:
             'master read Model Number')
 
 
+def _unread_answers(case: Case) -> Claims:
+    """Look for a program that asks while bytes of earlier answers wait; only a tap knows that."""
+    if not case.count(ev.STALE):
+        return
+    words = 'each time the program asks, bytes of earlier answers still wait to be read'
+    lost = sum(device.window.missed for device in case.report.devices)
+    if case.damage + lost >= FEW:
+        yield Claim(f'{words}: it reads too few, or takes old answers for new ones; let it read '
+                    'whole answers, and clear its input before it asks',
+                    {'missed or damaged': case.damage + lost}, covers=tuple(case.devices))
+    else:
+        yield Doubt(f'{words}: if it takes those for the new ones, let it clear its input before '
+                    'it asks')
+
+
 def _wrong_packets(case: Case) -> Claims:
     """Look at what a program sends, where that is heard as it wrote it."""
     report, wrong = case.report, case.incidents(ev.WRONG_PACKET)
@@ -319,9 +334,11 @@ def _wrong_packets(case: Case) -> Claims:
     if len(wrong) >= FEW:
         most = Counter((one.detail.instruction, one.device) for one in wrong)
         [((code, number), _)] = most.most_common(1)
-        yield Claim(f'{len(wrong)} packets of the program have a wrong checksum, CRC or Length, '
-                    f'as {name_of(code)} to {number:03}: no servo takes them; correct the program',
-                    {'packets': len(wrong)})
+        yield Claim(f'the master asks ID {number}{_NO_ID}', {'packets': len(wrong)}) \
+            if number == NO_IDS[1] else \
+            Claim(f'{len(wrong)} packets of the program have a wrong checksum, CRC or Length, as '
+                  f'{name_of(code)} to {number:03}: no servo takes them; correct the program',
+                  {'packets': len(wrong)})
     elif report.has_sides and not report.is_answered and sent >= SENT \
             and report.counters['Packet Bytes'] == 0:
         what = 'correct their checksum, CRC or Length' if START in report.noise else \
@@ -331,6 +348,9 @@ def _wrong_packets(case: Case) -> Claims:
 
 
 RULES = (
+    Rule('unread_answers', _unread_answers,
+         (*SILENCE, *DAMAGE, 'impatient_master', 'late_answers', 'brown_out', 'turnaround',
+          'all_silent', 'foreign_answers', 'no_acks', 'wrong_length', 'rebooted', 'cycle_time')),
     Rule('wrong_packets', _wrong_packets,
          (*SILENCE, *DAMAGE, 'wrong_baud', 'all_silent', 'cycle_time'), level=Level.ERROR),
     Rule('eeprom_locked', _eeprom_locked, ('refused',), noted=(ev.REFUSED,)),

@@ -52,7 +52,8 @@ _OF_THE_WIRE = ('noise', 'damaged_answers', 'turnaround', 'stray_bytes', 'missed
 _ALL_ELSE = (*_OF_THE_WIRE, 'factory_id', 'no_answer', 'sync_read_stops', 'broken_cable',
              'all_silent', 'echo', 'rebooted', 'brown_out', 'jitter', 'protocol_1', 'overrun',
              'impatient_master', 'late_answers', 'latency_timer', 'two_masters', 'bus_too_slow',
-             'never_written', 'fast_read_unsupported', 'ping_only', 'no_acks', 'return_delay')
+             'never_written', 'unread_answers', 'ping_only', 'no_acks', 'return_delay',
+             'fast_read_unsupported')
 # What is said of a bus without a packet where the bytes are too few for the rule.
 NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and check that it is a '
               'servo bus and that D+ and D- are not swapped')
@@ -63,24 +64,22 @@ def _wrong_baud(case: Case) -> Claims:
     got, good, errors = (case.counted(name, 2.0) for name in ('bytes', 'packet_bytes', 'framing'))
     if not report.baud:                # it is still to be learned
         return
-    load = _load(case)
-    if load > IMPOSSIBLE:
+    if (load := _load(case)) > IMPOSSIBLE:
         yield Claim(f'more bytes than {report.baud} Bd can carry: the bus is faster; set '
                     f'{case.names.bauds} to its rate', {'load (%)': f'{load:.0f}'})
         return
     rate_of = case.names.bauds
-    if report.has_sides and not report.is_answered:
-        return                         # the program's own bytes are whole at any rate
     if report.has_sides and len(report.devices) >= TWICE and START not in report.noise \
             and all(device.last_heard_s is None for device in report.devices):
         got, good, rate_of = got - good, 0, 'the rate of the program'    # what that sends is whole
-    if got < BYTES_NEEDED or good > GARBLED * got or case.count(ev.PROTOCOL_1):
+    if not report.is_answered or got < max(BYTES_NEEDED, good / GARBLED) \
+            or case.count(ev.PROTOCOL_1):
         return
     rate = likely_rate(report.noise, report.baud)
     remedy = f'the bytes look like {rate} Bd: set {rate_of} to it' if rate else \
         f'the right rate is unknown: set {rate_of} to the rate of the bus'
-    yield Claim(f'{got} bytes, but no packets at {report.baud} Bd: {remedy}', {
-        'bytes': got, 'framing errors': errors})
+    yield Claim(f'{got} bytes, but no packets at {report.baud} Bd: {remedy}',
+                {'bytes': got, 'framing errors': errors})
 
 
 def _load(case: Case) -> float:
@@ -303,8 +302,7 @@ def _echo(case: Case) -> Claims:
                 case.report.counters['Instructions']
         if heard_back >= least and heard_back > ECHOED * asked:
             yield Claim('the master receives what it sends: its adapter echoes; switch the '
-                        'echo off, or let the program skip it',
-                        {'echoes': heard_back})
+                        'echo off, or let the program skip it', {'echoes': heard_back})
         return
     again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_US]
     answered = sum(cycle.asked > 0 for cycle in case.report.cycles)

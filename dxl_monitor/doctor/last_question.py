@@ -18,6 +18,7 @@ from msg_defs.reports import Level
 
 S = 1_000_000_000
 MANY = 4                           # as `missed_limit`
+HUNG_NS = 2 * S                    # a program that waits longer has no time-out
 FEW = 3                            # vain waits that show it
 
 
@@ -46,6 +47,22 @@ def read_late(case: Case) -> Incident[ev.Lateness] | None:
         if last is None else [last.stamp - 1000 * last.us]
     return next((one for one in case.incidents(ev.LATE) if case.report.failed
                  and asked and one.stamp > asked[-1]), None)
+
+
+def left_open(case: Case) -> Claims:
+    """Look at what a program waited for when it was heard last."""
+    hung = [(one.device, one.detail.us / 1e6) for one in case.incidents(ev.HUNG)]
+    last = case.last_wait
+    if last is not None and not last.is_spoilt and last.instruction != Instruction.PING \
+            and case.report.is_over and case.now - last.stamp > HUNG_NS:
+        hung.append((last.device, (case.now - last.stamp) / S))
+    for number, seconds in hung:
+        yield Claim('did not answer the last question, and the program asked nothing more for '
+                    f'{seconds:.0f} s: check its power and cable, and let the program read '
+                    'with a time-out', device=number)
+    for one in case.incidents(ev.LEFT_OPEN):
+        yield Doubt(f'the program ended {one.detail.us / 1000:.0f} ms after it asked: '
+                    'whether this answers is unknown', device=one.device)
 
 
 def is_used(device: DeviceReport) -> bool:

@@ -29,6 +29,7 @@ from dxl_monitor.doctor.joint import STOPPED_S
 from dxl_monitor.doctor.last_question import ended_on
 from dxl_monitor.doctor.last_question import FEW
 from dxl_monitor.doctor.last_question import is_used
+from dxl_monitor.doctor.last_question import left_open
 from dxl_monitor.doctor.last_question import read_late
 from dxl_monitor.doctor.last_question import unacknowledged
 from dxl_monitor.doctor.rule import about
@@ -46,15 +47,13 @@ from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.reports import Level
 
-S = 1_000_000_000
-MS = 1_000_000
+S, MS = 1_000_000_000, 1_000_000
 AWAY_MS = 100                      # shorter than any start; longer than an answer or two lost
 DIP = 0.9                          # below this share of the voltage now the supply sagged
 FAR = 200                          # the same: farther than what holds a joint bends
 STANDS_S = 2.5                     # it does not move for so long of them; its torque was not read
 SETTLED_S = 2.0                    # after a return: by then a restart has shown
-TICK_TURN_S = 32.768               # Realtime Tick begins at 0 again (e-Manual)
-TICK_SLACK_S = 0.5
+TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again (e-Manual)
 LOSS = 0.01
 LATE = 0.1                         # share of its answers
 HELD_US = 20_000                   # so long an adapter may hold an answer back (latency timer)
@@ -101,10 +100,13 @@ def _hurries(case: Case, least: int = FEW) -> bool:
 
 
 def _gone(case: Case, blocking: bool) -> Claims:
-    for number in case.gone if not _hurries(case) else ():
+    for number in case.gone:
         after = [device.id for device in case.report.devices
                   if device.waiting_behind == number and is_waiting(device)]
-        if bool(after) is blocking:
+        if _hurries(case):
+            yield from [] if blocking else [Doubt('no answer in time, and others are late: raise '
+                                                  'the time-out, or check power and ID', number)]
+        elif bool(after) is blocking:
             yield _claim_blocking(case, number, after) if after else _claim_gone(case, number)
 
 
@@ -113,9 +115,7 @@ def _at_the_end(case: Case) -> Claims:
     yield from unacknowledged(case)
     if read_late(case):
         return
-    for one in case.incidents(ev.LEFT_OPEN):
-        yield Doubt(f'the program ended {one.detail.us / 1000:.0f} ms after it asked: '
-                    'whether this answers is unknown', device=one.device)
+    yield from left_open(case)
     last, fatal = case.last_wait, ended_on(case)
     if case.report.failed and fatal is None and last is not None and not last.is_spoilt:
         yield Doubt('the last question got no answer; whether the program ended for '

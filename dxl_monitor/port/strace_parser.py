@@ -44,11 +44,12 @@ _WAITS = frozenset(('poll', 'ppoll', 'select', 'pselect6'))
 _UNSEEN = frozenset(('splice', 'sendfile', 'copy_file_range'))      # strace prints no bytes
 _OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3', 'fcntl', 'ioctl',
            'epoll_ctl')
+_DEADLY = 'SEGV,ABRT,BUS,ILL,FPE,SYS,TRAP,KILL,TERM,INT,HUP'        # else their end is not printed
 # -DDD: the program stays the child of who starts it; strace is out of the terminal's reach.
 # -I1: strace ends, and leaves the program alone, when its output has no reader.
 OPTIONS = ('-DDD', '-f', '-I1', '-q', '-y', '-v', '-xx', '-X', 'raw', '-s', str(DATA_LIMIT),
            '--absolute-timestamps=format:unix,precision:ns', '--relative-timestamps=ns',
-           '--syscall-times=ns', '-e', 'signal=none', '-e', 'trace=' + ','.join(
+           '--syscall-times=ns', '-e', 'signal=' + _DEADLY, '-e', 'trace=' + ','.join(
                f'?{name}' for name in (*sorted(_WRITES | _READS | _WAITS | _UNSEEN), *_OTHERS)))
 
 _LINE = re.compile(rb' *(\d+) +(\d+)\.(\d{9}) \(\+ +(\d+)\.(\d{9})\) (.*)')

@@ -165,11 +165,16 @@ class StartedProgram:
         self._folder.cleanup()
         return why
 
+    @property
+    def is_traced(self) -> bool:
+        """Whether strace hears the program."""
+        return self._relay is not None
+
     def why_unheard(self) -> str:
         """Return why nothing has been heard up to now, '' where a port was opened."""
         if self._used():
             return ''
-        if self._relay is not None:            # strace, from the start or since an import
+        if self.is_traced:                     # from the start or since an import
             return f'{self._command} opened no serial port'
         reason = 'opened no port through pyserial' if self._mark.exists() else \
             'did not load the tap: it is not Python, or PYTHONPATH did not reach it (python -E ' \

@@ -68,7 +68,8 @@ def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> 
     if ending.code and script and not isfile(script):
         return [f'{ended}: there is no file {script} in this folder.']
     if ports:
-        return [f'{ended}; it opened {", ".join(ports)} and sent nothing.']
+        return [f'{ended}; it opened {", ".join(ports)} and sent nothing'
+                f'{ending.unheard and f" through pyserial; {ending.unheard}"}.']
     if port := re.search(r"could not open port '?(.+?)'?: ", ending.error):      # pyserial
         why = why_not(port[1], OSError(ending.error))
         return [f'{ended}.', f'{port[1]}: {why.reason}; {why.remedy}.']

@@ -35,6 +35,7 @@ from dxl_monitor.record.source import Source
 from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor.verdict import Trouble
 from dxl_monitor.tools.start_program import StartedProgram
+from dxl_monitor.tools.start_program import STRACE
 from mecarover_serial.plain import printable
 from mecarover_serial.port_users import holders
 from msg_defs.event import CLOSED
@@ -53,6 +54,7 @@ LIBRARIES = frozenset((
 CRASHES = {getattr(signal, f'SIG{name}', None) for name in (
     'ILL', 'TRAP', 'ABRT', 'BUS', 'FPE', 'SEGV', 'SYS')}
 TURNS = 4                          # between two who ask: a parent that hands on has fewer
+_BESIDES = f'if it writes to the descriptor itself, write --by {STRACE} in front of --'
 _ROBBED = 'multiple access on port'        # as pyserial says
 
 
@@ -192,7 +194,8 @@ class Program(Source):
         return self._ending._replace(
             code=128 - code if code < 0 else code,
             was_stopped=self._was_stopped or (code < 0 and -code not in CRASHES),
-            unheard=self._started.why_unheard() if self._unheard is None else self._unheard,
+            unheard=(self._started.why_unheard() if self._unheard is None else self._unheard)
+            or ('' if self._started.is_traced else _BESIDES),
             is_over=self._child.returncode is not None, signal=max(0, -code),
             users=tuple(one for port in self.ports
                         for one in self._others.get(ntpath.basename(port), ())))

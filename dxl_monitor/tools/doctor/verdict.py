@@ -112,9 +112,8 @@ def verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: 
     for bus in buses:
         unknown += [f'{doubt.rule.replace("_", " ")}, {bus.who(doubt.device)}: {doubt.message}'
                     for doubt in bus.report.doubts if is_timed or doubt.rule not in _NEEDS_TIMES]
-        unknown += [f'{bus.who(one.id)}: {printable(one.message)}, too few to find a cause'
-                    for one in _unnamed(bus) if _is_slight(one)
-                    and not any(one.id in by.finding.covers for by in bus.logged)]
+        unknown += [f'{bus.who(one.id)}: {printable(one.message)}; the cause is unknown'
+                    for one in _unnamed(bus) if _is_slight(one)]
     wrong = [entry for bus in buses for entry in _wrong(bus)] + [one for one in [ended] if one]
     return Verdict(printable(source), (*map(os.path.basename, ports[:PORTS_NAMED]),
                                        *_head(buses, seconds, is_timed)),
@@ -192,7 +191,8 @@ def _wrong(bus: BusSummary) -> list[Trouble]:
 
 
 def _named(bus: BusSummary) -> set[int | None]:
-    return {one.device for one in bus.report.findings} | {one.finding.device for one in bus.logged}
+    findings = [*bus.report.findings, *(one.finding for one in bus.logged)]
+    return {one.device for one in findings}.union(*(one.covers for one in findings))
 
 
 def _unnamed(bus: BusSummary) -> list[DeviceReport]:
