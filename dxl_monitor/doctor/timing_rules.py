@@ -92,8 +92,8 @@ def _impatient(case: Case) -> Claims:
                   {'repeated': again.total()})
         return
     hasty = [one.us for one in case.waits(WAITED_S) if not one.is_spoilt]
-    if len(hasty) >= max(MANY, MOSTLY * len(case.waits(WAITED_S))) \
-            and median(hasty) < SOON_US and case.damage >= FEW \
+    least = MOSTLY * len(case.waits(WAITED_S)) if case.report.has_sides else 0.0
+    if len(hasty) >= max(MANY, least) and median(hasty) < SOON_US and case.damage >= FEW \
             and any(case.lately(device, WAITED_S).answers for device in case.report.devices):
         yield Claim('the master does not wait for answers and sends during them: it gives '
                     f'up within {SOON_US} us, before a servo with factory settings answers; '
