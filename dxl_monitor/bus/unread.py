@@ -135,13 +135,16 @@ class Unread:
         request = plan.request
         left = [slot for question in (*self.left, *self._unknown) for slot in question.due
                 if stamp - question.asked < OWED_NS]
+        thrown = [*slots.values()]
+        if self.waiting > sum(slot.status_size for slot in thrown):
+            thrown = [*left, *thrown]
         if slots and self._looked <= asked and self.waiting == sum(
-                slot.status_size for slot in (*left, *slots.values())):
+                slot.status_size for slot in thrown):
             if self._since == received:
                 self._evidence.note(
                     stamp, ev.THROWN_AWAY, request.id, ev.Code(request.instruction))
             self.dropped = 0
-            for one in (*left, *slots.values()):
+            for one in thrown:
                 self._registry.heard(one.device, 0, stamp)
                 if one.due is Due.ACK:
                     one.device.acknowledged()
@@ -159,15 +162,15 @@ class Unread:
     def give_up(self, slot: Slot, asked: int, now: int) -> None:
         """Take an answer that may come late: of one that lives, or soon, as an adapter is slow."""
         device = slot.device
-        if asked != self._came_late and (now - asked < ADAPTER_NS or (
-                device.heard and device.missed_in_a_row < ALIVE)):
+        lives = device.heard and device.missed_in_a_row < ALIVE
+        if self._looked > asked != self._came_late and (lives or now - asked < ADAPTER_NS):
             self._given_up.append((slot, now))
 
     def _take_rest(self, slots: dict[int, Slot], plan: Plan, asked: int, stamp: int) -> None:
         """Take what is thrown away; slots: what was looked for in vain since it was asked."""
         given_up = [one for one in self._given_up if stamp - one[1] < OWED_NS]
         due = [slot for slot, _ in given_up]
-        due += slots.values() if len(slots) == 1 else ()
+        due += slots.values() if len(slots) == 1 and self._looked > asked else ()
         sizes = [0, *accumulate(slot.status_size for slot in due)]
         begin, end = (0, sizes.index(self.waiting)) if self.waiting in sizes else next(
             ((at, at + 1) for at, slot in enumerate(due) if slot.status_size == self.waiting),
