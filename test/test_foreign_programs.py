@@ -546,3 +546,15 @@ def test_what_late_answers_spoil_has_a_cause():
     assert [(one.rule, one.who) for one in said.wrong] == [('late_answers', '001')]
     assert any(one.level for one in log.last.devices if one.id != 1)
     assert not any('cause is unknown' in one for one in said.unknown)
+
+
+@pytest.mark.parametrize(('last', 'seconds', 'found'), [
+    ('9 > 2 2 56 2', 3, [2]), ('9 > 2 2 56 2', 1, []), ('9 > 2 2 56 2; 40 gave_up_us 0', 3, []),
+    ('9 > 2 3 42 0 8', 3, []), ('9 > 2 2 56 2; 1 < 2 0 0 8', 3, [])])
+def test_a_program_that_waits_for_ever_names_the_device(last, seconds, found):
+    bus = Bus()
+    assert [*heard(bus, islice(played([
+        '0 unread 0', '9 * 9 > 1 2 56 2; 1 < 1 0 t 8; 9 > 2 2 56 2; 1 < 2 0 t 8', last]), 99))]
+    bus.wait(seconds)
+    bus.monitor.end(bus.now)
+    assert [one.device for one in bus.report().findings if one.level is Level.ERROR] == found

@@ -47,9 +47,9 @@ class Unread:
     until: the offset of the stream to the master up to which it is old, 0: nothing; stamp: when
     that was said, 0: never. left: the questions whose answers may be there or come, the oldest
     first; last: what was open when the port was closed. patience_ns: for how long an
-    answer that was given up may still come.
-    waiting: how many bytes wait. dropped: how many were thrown away since the question. unsent:
-    the stamp of the question that was thrown away while it was sent.
+    answer that was given up may still come. waiting: how many bytes wait. dropped: how many were
+    thrown away since the question. unsent: the stamp of the question that was thrown away while
+    it was sent.
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, duty: ReplyPolicy) -> None:
@@ -160,7 +160,7 @@ class Unread:
         self.left.clear()
 
     def give_up(self, slot: Slot, asked: int, now: int) -> None:
-        """Take an answer that may come late: of one that lives, or soon, as an adapter is slow."""
+        """Take an answer that was looked for and may come late: of one that lives, or soon."""
         device = slot.device
         lives = device.heard and device.missed_in_a_row < ALIVE
         if self._looked > asked != self._came_late and (lives or now - asked < ADAPTER_NS):
@@ -287,11 +287,10 @@ class Unread:
         """
         end = max(end, self.stamp, self._looked)
         for question in self.last:
-            first = question.due[0] if question.due else None
-            if end - question.asked > HUNG_NS and first is not None and not self.until \
-                    and first.due is not Due.ACK and self._purged < question.asked:
-                self._evidence.note(end, ev.HUNG, first.device.number,
-                                    ev.Lateness((end - question.asked) // 1000))
+            first, waited = next(iter(question.due), None), end - question.asked
+            if waited > HUNG_NS and first is not None and first.due is not Due.ACK \
+                    and not self.until and max(self._looked, self._purged) < question.asked:
+                self._evidence.note(end, ev.HUNG, first.device.number, ev.Lateness(waited // 1000))
                 continue
             now = max(self.stamp, self._looked)
             slots = [*question.plan.slots.values()]

@@ -137,8 +137,12 @@ def _wrap_close(sender: Any, original: _Method) -> _Method:
 
 
 def _wrap_in_waiting(sender: Any, original: Any) -> Any:
+    ask = getattr(original, 'fget', None)
+    if ask is None:                            # it is no property there
+        return original
+
     def in_waiting(self: Any) -> Any:
-        waiting = original.fget(self)
+        waiting = ask(self)
         if not waiting:
             self.__dict__[_LOOKED] = time.monotonic_ns()
         return waiting
