@@ -393,6 +393,15 @@ def test_what_the_program_sees_stays_as_it_is():
         assert [one.value for one in mine if one.kind == NOT_SENT] == [100_000]
 
 
+def heard_of_an_echoing_port(script):
+    """Return what a script that says 'done' did with a port at which all comes back."""
+    with peers(lambda data: data) as [peer], TapReader('robot') as reader, \
+            program(script.format(path=peer.pty.path)) as child:
+        mine = listen(reader, closed(1))
+        assert done(child) == 'done\n'
+    return mine
+
+
 def test_what_is_thrown_away_and_what_is_looked_for_in_vain():
     script = """
         import serial
@@ -405,10 +414,7 @@ def test_what_is_thrown_away_and_what_is_looked_for_in_vain():
         port.close()
         print('done')
     """
-    with peers(lambda data: data) as [peer], TapReader('robot') as reader, \
-            program(script.format(path=peer.pty.path)) as child:
-        mine = listen(reader, closed(1))
-        assert done(child) == 'done\n'
+    mine = heard_of_an_echoing_port(script)
     assert [(one.kind, one.value * (one.kind != GAVE_UP)) for one in mine
             if one.kind in (UNREAD, PURGED, GAVE_UP)] == [
         (UNREAD, 0), (UNREAD, 3), (PURGED, 1), (UNREAD, 0), (GAVE_UP, 0), (PURGED, 1), (UNREAD, 0),
@@ -427,10 +433,7 @@ def test_a_sleep_between_a_question_and_its_answer_is_reported():
         port.close()
         print('done')
     """
-    with peers(lambda data: data) as [peer], TapReader('robot') as reader, \
-            program(script.format(path=peer.pty.path)) as child:
-        mine = listen(reader, closed(1))
-        assert done(child) == 'done\n'
+    mine = heard_of_an_echoing_port(script)
     said = [one.kind for one in mine if one.kind in (OUT, IN)
             or (one.kind == AWAY and one.value > 150_000)]
     assert said == [OUT, AWAY, IN, OUT, IN, OUT, AWAY, IN, OUT, IN]

@@ -25,6 +25,7 @@ from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import SILENCE
 from dxl_monitor.model.control_table import UNKNOWN
 from msg_defs.dxl1_instruction import FEETECH
+from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
@@ -53,7 +54,6 @@ _NO_NAMES = 'so registers have no names and some causes cannot be found'
 MOSTLY = 0.7                       # share of the instructions
 ONSET_S = 1.0                      # acknowledgements that get lost come again by then
 SENT = 30                          # bytes: three packets
-START = b'\xff\xff'
 SCANS = 15                         # broadcast Pings in 10 s: each needs 0.8 s
 PINGS_NS = 10 * S
 
@@ -334,14 +334,13 @@ def _wrong_packets(case: Case) -> Claims:
     if len(wrong) >= FEW:
         most = Counter((one.detail.instruction, one.device) for one in wrong)
         [((code, number), _)] = most.most_common(1)
-        yield Claim(f'the master asks ID {number}{_NO_ID}', {'packets': len(wrong)}) \
-            if number == NO_IDS[1] else \
-            Claim(f'{len(wrong)} packets of the program have a wrong checksum, CRC or Length, as '
-                  f'{name_of(code)} to {number:03}: no servo takes them; correct the program',
-                  {'packets': len(wrong)})
+        yield Claim(f'the master asks ID {number}{_NO_ID}' if number == NO_IDS[1] else
+                    f'{len(wrong)} packets of the program have a wrong checksum, CRC or Length, '
+                    f'as {name_of(code)} to {number:03}: no servo takes them; correct the program',
+                    {'packets': len(wrong)})
     elif report.has_sides and not report.is_answered and sent >= SENT \
             and report.counters['Packet Bytes'] == 0:
-        what = 'correct their checksum, CRC or Length' if START in report.noise else \
+        what = 'correct their checksum, CRC or Length' if HEADER in report.noise else \
             'packets begin with FF FF; send them as bytes, not as text'
         yield Claim(f'none of the {sent} bytes that the program sent is part of a packet that a '
                     f'servo takes: {what}', {'bytes': sent})

@@ -26,6 +26,7 @@ from dxl_monitor.doctor.rule import share
 from dxl_monitor.doctor.rule import SILENCE
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl_instruction import NAMES
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
@@ -38,7 +39,6 @@ MOSTLY = 0.7
 BOTH_WAYS = 0.2                    # share of damage in instructions: both directions suffer
 GARBLED = 0.005                    # by chance, this share of the bytes is packets at most
 BYTES_NEEDED = 300
-START = b'\xff\xff'                # two servos that collide leave it whole
 IMPOSSIBLE = 120.0                 # % of the wire time
 BURST_NS = 1_000_000_000           # a source may hand over so much wire time late
 ECHO_US = 100
@@ -68,8 +68,8 @@ def _wrong_baud(case: Case) -> Claims:
         yield Claim(f'more bytes than {report.baud} Bd can carry: the bus is faster; set '
                     f'{case.names.bauds} to its rate', {'load (%)': f'{load:.0f}'})
         return
-    rate_of = case.names.bauds
-    if report.has_sides and len(report.devices) >= TWICE and START not in report.noise \
+    rate_of = case.names.bauds         # below: two servos that collide leave the header whole
+    if report.has_sides and len(report.devices) >= TWICE and HEADER not in report.noise \
             and all(device.last_heard_s is None for device in report.devices):
         got, good, rate_of = got - good, 0, 'the rate of the program'    # what that sends is whole
     if not report.is_answered or got < max(BYTES_NEEDED, good / GARBLED) \

@@ -9,6 +9,7 @@ from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import Wait
+from dxl_monitor.bus.unread import HUNG_NS
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
@@ -18,7 +19,6 @@ from msg_defs.reports import Level
 
 S = 1_000_000_000
 MANY = 4                           # as `missed_limit`
-HUNG_NS = 2 * S                    # a program that waits longer has no time-out
 FEW = 3                            # vain waits that show it
 
 

@@ -54,8 +54,7 @@ FAR = 200                          # the same: farther than what holds a joint b
 STANDS_S = 2.5                     # it does not move for so long of them; its torque was not read
 SETTLED_S = 2.0                    # after a return: by then a restart has shown
 TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again (e-Manual)
-LOSS = 0.01
-LATE = 0.1                         # share of its answers
+LOSS, LATE = 0.01, 0.1             # shares of its answers
 HELD_US = 20_000                   # so long an adapter may hold an answer back (latency timer)
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
 
@@ -100,10 +99,11 @@ def _hurries(case: Case, least: int = FEW) -> bool:
 
 
 def _gone(case: Case, blocking: bool) -> Claims:
+    hurries = _hurries(case)
     for number in case.gone:
         after = [device.id for device in case.report.devices
                   if device.waiting_behind == number and is_waiting(device)]
-        if _hurries(case):
+        if hurries:
             yield from [] if blocking else [Doubt('no answer in time, and others are late: raise '
                                                   'the time-out, or check power and ID', number)]
         elif bool(after) is blocking:

@@ -151,7 +151,7 @@ class StraceParser:
         else:
             self._held[thread] = self._held.get(thread, 0.0) + took + (
                 gap if gap < 2 * self._resume else self._resume)
-        self._wait(name, {_text(path) for _, path in _FD.findall(arguments)}, result, end, away)
+        self._wait(name, arguments, result, end, away)
         yield from self._hold(_text(found[4] or b''), thread, result, end)
         first = _FD.match(arguments)
         port = '' if first is None else _text(first[2])
@@ -181,13 +181,14 @@ class StraceParser:
         elif name in _READS:                   # also -1: EAGAIN
             self._looked[port] = end, 0
 
-    def _wait(self, name: str, ports: set[str], result: int, end: int, away: int) -> None:
+    def _wait(self, name: str, arguments: bytes, result: int, end: int, away: int) -> None:
         """Take note of what a program waits for; away: as in _was_away(), 0: it waited."""
         if name in _WAITS and result >= 0:
+            ports = [_text(path) for _, path in _FD.findall(arguments)]
             self._looked |= dict.fromkeys(ports, (end, result))
             self._away |= dict.fromkeys(ports, away)
         elif name == 'epoll_ctl':
-            self._awaited |= ports
+            self._awaited.update(_text(path) for _, path in _FD.findall(arguments))
 
     def _arrived(self, port: str, begin: int, end: int) -> int:
         """Return when the bytes of a read were there: after a wait for them at its end."""
