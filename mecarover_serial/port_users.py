@@ -66,6 +66,12 @@ def controlling(process: Path) -> int:
     return os.makedev(number >> 8 & 0xFFF, number & 0xFF | number >> 12 & 0xFFF00)
 
 
+def is_running(process: int) -> bool:
+    """Tell whether a process is there, and is no zombie."""
+    state = file_text(ROOT / f'proc/{process}/stat').rpartition(')')[2].split()[:1]
+    return state not in ([], ['Z'], ['X'])
+
+
 def _has_open(process: Path, device: int) -> bool:
     """Tell whether a process has a descriptor of `device`; it may end while we look."""
     with suppress(OSError):

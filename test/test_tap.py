@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 import os
 from pathlib import Path
+import re
 import select
 import signal
 import socket
@@ -80,6 +81,70 @@ PLAIN = """
         assert port.read(8) == b'ping%04d' % number
     port.close()
     print('done')
+"""
+
+
+# A program that ends descriptors which it does not know, then has as many of its own.
+CLOSING = """
+    import os, resource, serial, socket, subprocess, sys, time
+    how, limit, path = {how!r}, {limit}, {path!r}
+    resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))
+
+    def exchange():
+        port = serial.Serial(path, 1000000, timeout=10)
+        for number in range(20):
+            port.write(b'p%03d' % number)
+            assert port.read(4) == b'p%03d' % number
+            time.sleep(0.01)
+        return port
+
+    def sockets():
+        names = ['/proc/self/fd/' + one for one in os.listdir('/proc/self/fd')]
+        return [int(os.path.basename(one)) for one in names
+                if os.path.islink(one) and os.readlink(one).startswith('socket:')]
+
+    def work():
+        own = [one for _ in range(8) for one in socket.socketpair()]
+        file = open({file!r}, 'wb')
+        numbers = [*(one.fileno() for one in own), file.fileno()]
+        for number in theirs:
+            if number not in numbers:          # it may still be open
+                os.dup2(own[number % 2].fileno(), number)
+                numbers.append(number)
+        before = [os.fstat(one).st_ino for one in numbers]
+        port = exchange()
+        assert [os.fstat(one).st_ino for one in numbers] == before
+        for one in own:
+            one.setblocking(False)
+            try: raise SystemExit(f'{{one}} got {{one.recv(10000)}}')
+            except BlockingIOError: pass
+        for one in own: one.send(b'mine')      # the other end is there
+        assert os.path.getsize({file!r}) == 0
+        port.close()
+        print('intact', flush=True)
+
+    first = exchange()
+    while not sockets(): time.sleep(0.01)
+    theirs = sockets()
+    if how == 'daemon':
+        if os.fork(): os._exit(0)
+        os.setsid()
+        if os.fork(): os._exit(0)
+        while not sockets(): time.sleep(0.01)
+        theirs = sockets()
+    if how == 'subprocess':
+        subprocess.run([sys.executable, '-c', ''], check=True, close_fds=True,
+                       preexec_fn=lambda: os.closerange(3, 4096))
+    elif how == 'fork':
+        child = os.fork()
+        if not child:
+            os.closerange(3, 4096)
+            work()
+            os._exit(0)
+        assert os.waitpid(child, 0)[1] == 0
+    elif how != 'dup2':
+        os.closerange(3, 4096)
+    work()
 """
 
 
@@ -230,6 +295,58 @@ def test_program_of_several_processes_with_a_port_each():
         for one in far:
             assert heard(told, OUT, one.pty.path) == one.got != b''
             assert heard(told, IN, one.pty.path) == one.sent
+
+
+@pytest.mark.parametrize('limit', [1024, 64])      # a low one leaves no high number for us
+@pytest.mark.parametrize('how', ['closerange', 'daemon', 'dup2', 'fork', 'subprocess'])
+def test_a_program_that_closes_descriptors_gets_no_byte_of_ours(how, limit, tmp_path, again):
+    with peers(lambda data: data) as (far,), TapReader('robot') as reader, \
+            program(CLOSING.format(path=far.pty.path, how=how, limit=limit,
+                                   file=str(tmp_path / 'own'))) as child:
+        told = listen(reader, closed(1))
+        out, err = child.communicate(timeout=SCRIPT_S)
+        assert (out, err) == ('intact\n' * (1 + (how == 'fork')), '')
+        told += reader.wait(0.1)               # who has connected meanwhile
+        while reader.programs:
+            told += reader.wait(0.1)
+        told += reader.rest()
+        assert heard(told, OUT, far.pty.path) == far.got != b''
+        assert [one for one in told if one.kind == LOST] == []
+
+
+@pytest.mark.parametrize(('script', 'words'), [
+    ("""
+        os.environ['XDG_RUNTIME_DIR'] = '/nowhere'     # as after chroot
+        os.closerange(3, 4096)
+        own = socket.socketpair()
+        port = exchange(1.0)
+    """, r'the program closed the connection of the tap after \d\.\d s; what it sent and received '
+         'since then was not heard: write --by strace in front of --'),
+    ("""
+        if os.fork(): os._exit(0)
+        exchange(4.0)
+    """, 'the program goes on in the background and is no longer heard: let it run in the '
+         'foreground, or write --by strace in front of --')], ids=['closed', 'background'])
+def test_doctor_says_what_it_no_longer_hears(script, words):
+    begin = """
+        import os, serial, socket, sys, time
+        def exchange(seconds):
+            port = serial.Serial({path!r}, 1000000, timeout=10)
+            end = time.monotonic() + seconds
+            while time.monotonic() < end:
+                port.write(b'ping')
+                assert port.read(4) == b'ping'
+                time.sleep(0.01)
+            return port
+        port = exchange(0.5)
+    """
+    with peers(lambda data: data) as (far,):
+        whole = textwrap.dedent(begin.format(path=far.pty.path)) + textwrap.dedent(script)
+        done = subprocess.run(
+            [sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', 'run', '--',
+             sys.executable, '-c', whole], cwd=ROOT, capture_output=True, text=True,
+            timeout=SCRIPT_S, env={**os.environ, 'COLUMNS': '300'})
+    assert re.search(words, ' '.join(done.stdout.split())), done
 
 
 def test_child_of_a_program_is_heard_too():

@@ -79,6 +79,7 @@ class _Connection:
     def __init__(self, connection: socket.socket, secret: str) -> None:
         self.socket = connection
         self.ports: dict[int, str] = {}
+        self.process = 0
         self._secret = secret
         self._is_trusted = not secret
         self._rest = b''
@@ -102,8 +103,10 @@ class _Connection:
 
     def _one(self, kind: str, number: int, stamp: int, data: bytes) -> TapRecord | None:
         if kind == 'hello':
+            hello = json.loads(data)
+            self.process = int(hello['pid'])
             self._is_trusted |= secrets.compare_digest(
-                str(json.loads(data).get('secret', '')).encode(), self._secret.encode())
+                str(hello.get('secret', '')).encode(), self._secret.encode())
             return None
         if not self._is_trusted:
             raise ValueError('no secret')
@@ -123,12 +126,14 @@ class TapReader:
     """
     Listens for programs tapped as `name`; OSError where that cannot be.
 
-    programs: how many are connected. wake: a descriptor that ends a wait.
+    programs: those that are connected. left: the processes that were, while they had a port open,
+    and when that was over (monotonic s). wake: a descriptor that ends a wait.
     """
 
     def __init__(self, name: str, wake: int | None = None) -> None:
         self._secret = ''
         self.programs: dict[int, _Connection] = {}
+        self.left: dict[int, float] = {}
         self._held: list[tuple[int, int, TapRecord]] = []
         self._count = 0
         self._wake = wake
@@ -219,14 +224,17 @@ class TapReader:
             data = program.socket.recv(_READ_SIZE)
             for record in program.records(data):
                 self._hold(record, number)
+            self.left.pop(program.process, None)
         except BlockingIOError:
             return
-        except (OSError, ValueError):
+        except (OSError, ValueError, LookupError, TypeError, AttributeError):
             data = b''
         if not data:
             now = time.monotonic_ns()
             for at, port in program.ports.items():     # it ended without closing them
                 self._hold(TapRecord(now, port, CLOSED, b'', 0, at), number)
+            if program.ports and program.process:
+                self.left[program.process] = now / 1e9
             program.socket.close()
             del self.programs[number]
 

@@ -7,6 +7,10 @@ Loaded by file, by port/site/sitecustomize.py, into a program that knows nothing
 So it takes only what the standard library has on every system. It never blocks the program: calls
 put a record into a queue, a thread sends. What a slow reader does not take is counted and left
 out. tap_pyserial.py calls this, tap_reader.py is the other end.
+
+The program may close our descriptor and get its number for a file of its own: before each use of
+the number the kernel is asked whether it is still our socket. Another thread may come in between:
+so the number is a high one, and send() is refused by all but sockets.
 """
 
 from __future__ import annotations
@@ -46,6 +50,7 @@ LOOK_S = 0.2                               # between two looks for new readers
 END_S = 0.3                                # how long the end of the program waits for a reader
 READERS_LIMIT = 8
 TRACED_S = 2.0                             # how long a program waits for strace, once
+HIGH_NUMBERS = (900, 200, 50)              # at least: programs seldom have as many open
 _SET_PTRACER = 0x59616D61                  # prctl: who may trace (kernel, Yama)
 _NO_SIGNAL = getattr(socket, 'MSG_NOSIGNAL', 0)
 
@@ -71,48 +76,90 @@ def record(kind: str, port: int, stamp: int, data: bytes) -> bytes:
     return HEAD.pack(KINDS.index(kind), port, stamp, len(data)) + data
 
 
-class _TapPeer:
-    """One who listens."""
+class _OwnSocket(socket.socket):
+    """A socket that is closed on purpose only: its number may be the program's by then."""
 
-    def __init__(self, path: str) -> None:
+    def __del__(self) -> None:
+        self.detach()
+
+
+def _unix_socket() -> socket.socket:
+    """Return a socket, if possible under a number that the program will not get."""
+    low = _OwnSocket(socket.AF_UNIX)
+    for least in HIGH_NUMBERS:
+        with suppress(ImportError, OSError):   # the limit of open files is lower
+            import fcntl
+
+            high = fcntl.fcntl(low.fileno(), fcntl.F_DUPFD_CLOEXEC, least)
+            if os.path.sameopenfile(high, low.fileno()):       # else the program was faster
+                low.close()
+            return _OwnSocket(socket.AF_UNIX, socket.SOCK_STREAM, 0, high)
+    return low
+
+
+class _TapPeer:
+    """One who listens; `lost`: records that it did not get and does not know of."""
+
+    def __init__(self, path: str, lost: int = 0) -> None:
         secret = ''
+        self.lost = lost
         if hasattr(socket, 'AF_UNIX'):
-            self._socket = socket.socket(socket.AF_UNIX)
+            self._socket = _unix_socket()
             address: object = path
         else:
             with open(path) as file:
                 port, secret = file.read().split()
             self._socket = socket.socket(socket.AF_INET)
             address = ('127.0.0.1', int(port))
+        self._file = self._look_up()
         self._socket.settimeout(0.1)
         try:
             self._socket.connect(address)      # type: ignore[arg-type]
         except OSError:
-            self._socket.close()
+            self.close()
             raise
         self._socket.setblocking(False)
         hello = json.dumps({'pid': os.getpid(), 'program': sys.argv[0] if sys.argv else '',
                             'secret': secret}).encode()
         self.pending = bytearray(record('hello', 0, time.monotonic_ns(), hello))
-        self._lost = 0
+
+    def _look_up(self) -> tuple[int, int] | None:
+        """Return which file our number is of, as the kernel has it now; None: no file."""
+        try:
+            status = os.fstat(self._socket.fileno())
+        except OSError:                        # on Windows a socket is no file
+            return None
+        return status.st_dev, status.st_ino
+
+    def is_ours(self) -> bool:
+        """Tell whether the number is still that of our socket."""
+        return self._look_up() == self._file
+
+    def close(self) -> None:
+        """Close our socket, nothing else."""
+        if self.is_ours():
+            self._socket.close()
+        else:
+            self._socket.detach()
 
     def send(self, records: list[bytes]) -> bool:
         """Send what it takes without waiting; return whether it is still there."""
         if len(self.pending) > PENDING_LIMIT:
-            self._lost += len(records)
+            self.lost += len(records)
         else:
-            if self._lost:
-                self.pending += record('lost', 0, time.monotonic_ns(), NUMBER.pack(self._lost))
-                self._lost = 0
+            if self.lost:
+                self.pending += record('lost', 0, time.monotonic_ns(), NUMBER.pack(self.lost))
+                self.lost = 0
             self.pending += b''.join(records)
         try:
             while self.pending:
+                if not self.is_ours():
+                    return False
                 sent = self._socket.send(self.pending[:65_536], _NO_SIGNAL)
                 del self.pending[:sent]
         except (BlockingIOError, InterruptedError):
             pass
         except OSError:
-            self._socket.close()
             return False
         return True
 
@@ -129,24 +176,29 @@ class Sender:
         self.serials: WeakSet[Any] = WeakSet() # the ports of pyserial that were opened
         self._numbers = 0
         self._is_traced = False                # strace hears the ports of this process
-        self._lock = threading.Lock()
+        self._readers: dict[str, _TapPeer] = {}
         self._forget()
         self._mark(LOADED)
 
     def _forget(self) -> None:
         """Begin as after a fork: the thread and the connections are the parent's."""
         self.queue.clear()
-        self._readers: dict[str, _TapPeer] = {}
+        for reader in self._readers.values():
+            reader.close()
+        self._readers.clear()
+        self._missed: dict[str, int] = {}      # records, by readers whose connection was closed
         self._looked = float('-inf')
         self._is_ending = False
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
 
     def after_fork(self) -> None:
-        """Go on in a child."""
+        """Go on in a child; it has one thread, so nothing comes in between in making a socket."""
         self._forget()
         self._announced.update(self._ports)
         if self._ports:
+            with suppress(Exception):
+                self._look()
             self._begin()
 
     def put(self, kind: str, port: int, data: bytes, stamp: int = 0) -> None:
@@ -234,7 +286,10 @@ class Sender:
     def _look(self) -> None:
         """Connect to who began to listen; each first learns what is open."""
         now = time.monotonic()
-        if now - self._looked < LOOK_S:
+        for path, reader in list(self._readers.items()):
+            if not reader.is_ours():
+                self._drop(path, len(reader.pending) > 0)
+        if now - self._looked < LOOK_S and not (self._is_ending and self._missed):
             return
         self._looked = now
         place = folder()
@@ -246,11 +301,12 @@ class Sender:
             if (name == self.name and file.endswith(SUFFIX) and path not in self._readers
                     and len(self._readers) < READERS_LIMIT):
                 try:
-                    reader = _TapPeer(path)
+                    reader = _TapPeer(path, self._missed.get(path, 0))
                 except (OSError, ValueError):
                     continue
                 self._readers[path] = reader
                 reader.send(self._state())
+        self._missed.clear()
 
     def _state(self) -> list[bytes]:
         """Return what a new reader missed: the ports that were opened before."""
@@ -261,6 +317,8 @@ class Sender:
                              record('baud', number, now, NUMBER.pack(baud)))[:2 if baud else 1]]
 
     def _send(self) -> None:
+        if self._missed:                       # a reader is looked for again
+            return
         records: list[bytes] = []
         while self.queue and len(records) < QUEUE_LIMIT:
             one = self.queue.popleft()
@@ -272,4 +330,16 @@ class Sender:
             records.append(record('lost', 0, time.monotonic_ns(), NUMBER.pack(lost)))
         for path, reader in list(self._readers.items()):
             if not reader.send(records):
-                del self._readers[path]
+                self._drop(path, len(records))
+
+    def _drop(self, path: str, missed: int) -> None:
+        """
+        Leave a reader; where the program closed the connection it is looked for again.
+
+        Not at once: the program may just be opening files of its own.
+        """
+        reader = self._readers.pop(path)
+        if not reader.is_ours():
+            self._missed[path] = reader.lost + missed
+            self._looked = time.monotonic()
+        reader.close()

@@ -38,6 +38,7 @@ from dxl_monitor.tools.start_program import StartedProgram
 from dxl_monitor.tools.start_program import STRACE
 from mecarover_serial.plain import printable
 from mecarover_serial.port_users import holders
+from mecarover_serial.port_users import is_running
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.reports import Level
@@ -54,6 +55,11 @@ LIBRARIES = frozenset((
 CRASHES = {getattr(signal, f'SIG{name}', None) for name in (
     'ILL', 'TRAP', 'ABRT', 'BUS', 'FPE', 'SEGV', 'SYS')}
 TURNS = 4                          # between two who ask: a parent that hands on has fewer
+LEFT_S = 0.5                       # a process that still runs then has closed our connection
+_LEFT = ('the program closed the connection of the tap after {:.1f} s; what it sent and received '
+         f'since then was not heard: write --by {STRACE} in front of --')
+_IN_BACKGROUND = ('the program goes on in the background and is no longer heard: let it run in '
+                  f'the foreground, or write --by {STRACE} in front of --')
 _BESIDES = f'if it writes to the descriptor itself, write --by {STRACE} in front of --'
 _ROBBED = 'multiple access on port'        # as pyserial says
 
@@ -70,6 +76,7 @@ class Ending(NamedTuple):
     unheard: str = ''              # why the tap heard nothing
     is_over: bool = True
     signal: int = 0                # that ended it, 0: none
+    missed: tuple[str, ...] = ()   # why not all of it was heard
 
     @property
     def failed(self) -> str:
@@ -94,8 +101,10 @@ class Ending(NamedTuple):
 
     def doubts(self) -> list[str]:
         """Return what is unknown of a program that ended with another error."""
-        found = [f'{", ".join(self.users)} uses its port too: what that asks is not heard here'
-                 ] if self.users else []
+        found = [*self.missed]
+        if self.users:
+            found.append(f'{", ".join(self.users)} uses its port too: what that asks is not heard '
+                         'here')
         if self.signal not in (0, signal.SIGINT):
             found.append(f'the program was ended by a signal: {self.ended_by}')
         elif self.failed == FAILED:
@@ -149,6 +158,8 @@ class Program(Source):
         self._unheard: str | None = None       # unknown as long as it runs
         self._others: dict[str, list[str]] = {}        # programs that have a port open, by its bus
         self._openings = Openings()
+        self._missed: tuple[str, ...] = ()
+        self._began_s = time.monotonic()
         self._look_who([
             word for word in command if os.path.exists(word) and Path(word).is_char_device()])
         self._reader = TapReader(name)
@@ -167,12 +178,26 @@ class Program(Source):
         """Yield what it reads and writes, until it ends; None when nothing came for a moment."""
         while self._child.poll() is None:
             yield from self._some(self._reader.wait(TICK_S))
+            self._note_left()
         until_s = time.monotonic() + REST_S
-        while (self._reader.programs or not self._started.is_heard_out) \
+        while (self._reader.programs or self._reader.left or not self._started.is_heard_out) \
                 and time.monotonic() < until_s:
             yield from self._some(self._reader.wait(TICK_S))
+            self._note_left()
         yield from self._some(self._reader.rest())
+        if self._reader.programs and not self._started.is_traced:
+            self._missed = (*self._missed, _IN_BACKGROUND)
         self._look_who(self.ports)             # while it ran it was one of them
+
+    def _note_left(self) -> None:
+        """Note a process that is no longer connected and runs, with a port open as we know."""
+        due_s = time.monotonic() - LEFT_S
+        for process, at_s in list(self._reader.left.items()):
+            is_left = is_running(process)
+            if at_s < due_s or not is_left:
+                del self._reader.left[process]
+                if is_left:
+                    self._missed = (*self._missed, _LEFT.format(at_s - self._began_s))
 
     def _look_who(self, ports: Sequence[str]) -> None:
         for port in ports:
@@ -195,8 +220,8 @@ class Program(Source):
             code=128 - code if code < 0 else code,
             was_stopped=self._was_stopped or (code < 0 and -code not in CRASHES),
             unheard=(self._started.why_unheard() if self._unheard is None else self._unheard)
-            or ('' if self._started.is_traced else _BESIDES),
-            is_over=self._child.returncode is not None, signal=max(0, -code),
+            or ('' if self._started.is_traced else '; '.join(self._missed) or _BESIDES),
+            missed=self._missed, is_over=self._child.returncode is not None, signal=max(0, -code),
             users=tuple(one for port in self.ports
                         for one in self._others.get(ntpath.basename(port), ())))
 
