@@ -35,20 +35,19 @@ def holders(path: str, root: Path = ROOT) -> list[PortUser]:
 
 
 def _holders(path: str, root: Path) -> Iterator[PortUser]:
-    try:
-        device = os.stat(path).st_rdev
-    except OSError:
-        device = 0
+    status = None
+    with suppress(OSError):
+        status = os.stat(path)
     name = tty_of(path)
     for process in (root / 'proc').glob('[0-9]*'):
         if int(process.name) == os.getpid():
             continue
         program = file_text(process / 'comm').strip()
         is_login = any(part in program for part in _LOGINS)
-        if (is_login and _is_told_of(process, name)) or (device and (
-                controlling(process) == device or _has_open(process, device))):
+        if (is_login and _is_told_of(process, name)) or (status and (
+                is_controlled_by(process, path, status) or _has_open(process, status))):
             yield PortUser(f'{program or "a process"} (pid {process.name})', is_login,
-                         _has_made(process, device))
+                           status is not None and _has_made(process, status.st_rdev))
 
 
 def _is_told_of(process: Path, tty: str) -> bool:
@@ -58,12 +57,36 @@ def _is_told_of(process: Path, tty: str) -> bool:
         or f'getty@{tty}.service' in file_text(process / 'cgroup')
 
 
-def controlling(process: Path) -> int:
-    """Return the device number of the controlling terminal of a process, 0 for none."""
+def terminal_id(status: os.stat_result) -> tuple[int, ...]:
+    """
+    Return what two names of a terminal have in common, and no other terminal has.
+
+    Of a device its number, in any /dev. Each /dev/pts (a container, a sandbox) begins to number
+    its ptys at 0: there the file system and the file count too.
+    """
+    if os.major(status.st_rdev) in PTYS:
+        return status.st_rdev, status.st_dev, status.st_ino
+    return (status.st_rdev,)
+
+
+def is_controlled_by(process: Path, path: str, status: os.stat_result) -> bool:
+    """
+    Tell whether the controlling terminal of a process is `path`, which has this status.
+
+    The kernel says its number only. Of a pty it counts if the process finds the same one there;
+    whether it does, root knows of all and others of their own processes.
+    """
     fields = file_text(process / 'stat').rpartition(')')[2].split()
     number = int(fields[_TTY_NR]) if len(fields) > _TTY_NR else 0
     # Minor numbers above 255 are in the upper 12 bits of the 32.
-    return os.makedev(number >> 8 & 0xFFF, number & 0xFF | number >> 12 & 0xFFF00)
+    if status.st_rdev != os.makedev(number >> 8 & 0xFFF, number & 0xFF | number >> 12 & 0xFFF00):
+        return False
+    if os.major(status.st_rdev) not in PTYS:
+        return True
+    found = {terminal_id(one) for one in _open_devices(process) if one.st_rdev == status.st_rdev}
+    with suppress(OSError):
+        found = found or {terminal_id(os.stat(f'{process}/root{os.path.realpath(path)}'))}
+    return terminal_id(status) in found
 
 
 def is_running(process: int) -> bool:
@@ -72,15 +95,19 @@ def is_running(process: int) -> bool:
     return state not in ([], ['Z'], ['X'])
 
 
-def _has_open(process: Path, device: int) -> bool:
-    """Tell whether a process has a descriptor of `device`; it may end while we look."""
+def _has_open(process: Path, status: os.stat_result) -> bool:
+    """Tell whether a process has a descriptor of the terminal with this status."""
+    return any(terminal_id(one) == terminal_id(status) for one in _open_devices(process))
+
+
+def _open_devices(process: Path) -> Iterator[os.stat_result]:
+    """Yield the status of each device that a process has open; it may end while we look."""
     with suppress(OSError):
         for entry in (process / 'fd').iterdir():
             with suppress(OSError):
                 status = entry.stat()
-                if stat.S_ISCHR(status.st_mode) and status.st_rdev == device:
-                    return True
-    return False
+                if stat.S_ISCHR(status.st_mode):
+                    yield status
 
 
 def _has_made(process: Path, device: int) -> bool:

@@ -17,6 +17,7 @@ import pytest
 import serial
 from terminal_server import TerminalServer
 
+from dxl_monitor.port import strace
 from mecarover_serial import port as port_module
 from mecarover_serial import preflight
 from mecarover_serial.port import Backoff
@@ -293,7 +294,10 @@ def test_a_login_is_seen_by_its_controlling_terminal(tmp_path):
         device = os.stat(pty.path).st_rdev
         number = os.major(device) << 8 | os.minor(device) & 0xFF | os.minor(device) >> 8 << 20
         root = fake_system(tmp_path, 'laptop')
-        a_process(root, 90, 'agetty', stat=f'90 (a) getty) S 1 90 90 {number} 90 4194560 0\n')
+        agetty = a_process(root, 90, 'agetty',
+                           stat=f'90 (a) getty) S 1 90 90 {number} 90 4194560 0\n')
+        assert preflight.warnings(pty.path, root) == [], 'it may be a pty of a container'
+        (agetty / 'root').symlink_to('/')
         [reason] = preflight.warnings(pty.path, root)
         assert 'agetty (pid 90) offers a login here' in reason.reason
         assert preflight.warnings(other.path, root) == []
@@ -309,6 +313,40 @@ def test_a_real_process_is_seen_by_its_controlling_terminal(tmp_path):
         assert [one.name for one in holders(pty.path)
                 if f'(pid {process.pid})' in one.name] != []
         process.stdin.close()
+
+
+@pytest.mark.parametrize('how', ['open', 'controlling'])
+def test_a_pty_of_another_dev_pts_has_other_users(tmp_path, how):
+    """Containers number their ptys as this machine does; who uses theirs is innocent here."""
+    code = """
+import fcntl, os, subprocess, sys, termios
+subprocess.run(['mount', '-t', 'devpts', '-o', 'newinstance,ptmxmode=0666', 'none', sys.argv[1]],
+               check=True)
+wanted, how = sys.argv[2:]
+kept = []
+while len(kept) // 2 <= int(wanted):
+    kept.append(os.open(sys.argv[1] + '/ptmx', os.O_RDWR | os.O_NOCTTY))
+    fcntl.ioctl(kept[-1], 0x40045431, bytes(4))        # TIOCSPTLCK
+    kept.append(os.open('%s/%d' % (sys.argv[1], len(kept) // 2), os.O_RDWR | os.O_NOCTTY))
+if how == 'controlling':
+    os.setsid()
+    fcntl.ioctl(kept[-1], termios.TIOCSCTTY, 0)
+print(os.fstat(kept[-1]).st_rdev, flush=True)
+sys.stdin.read()
+"""
+    command = ['unshare', '-m', '--propagation', 'private', sys.executable, '-c', code,
+               str(tmp_path)]
+    with Pty() as pty, subprocess.Popen(
+            [*command, os.path.basename(pty.path), how], stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as sandbox:
+        said = sandbox.stdout.readline()
+        if not said:
+            pytest.skip(f'no second devpts: {sandbox.stderr.read().strip()[-200:]}')
+        assert int(said) == os.stat(pty.path).st_rdev, 'the same number'
+        assert [one.name for one in holders(pty.path) if f'pid {sandbox.pid})' in one.name] == []
+        assert preflight.warnings(pty.path) == []
+        assert pty.path in strace.ports()
+        sandbox.stdin.close()
 
 
 def test_who_made_a_pty_is_in_the_way_only_where_there_is_no_other():

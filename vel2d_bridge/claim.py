@@ -18,6 +18,7 @@ import stat
 from zlib import crc32
 
 from mecarover_serial.port_users import file_text
+from mecarover_serial.port_users import terminal_id
 
 _LIST = Path('/proc/net/unix')
 _SYSFS = Path('/sys/dev/char')
@@ -37,7 +38,7 @@ class PortClaim:
             status = os.fstat(fd)
             if not stat.S_ISCHR(status.st_mode):
                 return
-            name = _name(status.st_rdev, path)
+            name = _name(status, path)
             if name == self._name:
                 return
             claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -51,10 +52,10 @@ class PortClaim:
         self._name, self._socket = '', None
 
 
-def is_claimed(device: int, path: str, but: str) -> bool:
+def is_claimed(status: os.stat_result, path: str, but: str) -> bool:
     """Tell whether a bridge has claimed this device, other than the one with the token `but`."""
     with suppress(OSError):
-        return any('@' + _name(device, path) in line and not line.endswith(but)
+        return any('@' + _name(status, path) in line and not line.endswith(but)
                    for line in _LIST.read_text(errors='replace').splitlines())
     return False
 
@@ -81,7 +82,8 @@ def identity(device: int, sysfs: Path = _SYSFS) -> str:
     return str(place)
 
 
-def _name(device: int, path: str) -> str:
-    known_as = identity(device) or os.path.abspath(path)
+def _name(status: os.stat_result, path: str) -> str:
+    device = status.st_rdev
+    known_as = identity(device) or f'{os.path.abspath(path)} {terminal_id(status)}'
     return (f'mecarover_serial/bridge/{os.major(device)}:{os.minor(device)}/'
             f'{crc32(known_as.encode()):08x}/')

@@ -14,6 +14,7 @@ import os
 import struct
 import termios
 
+from mecarover_serial.port_users import terminal_id
 from vel2d_bridge.claim import identity
 from vel2d_bridge.claim import is_claimed
 
@@ -43,14 +44,14 @@ def find(path: str, known_as: str, settings: bytes, claim: str) -> int:
     """
     fd, is_ours = -1, False
     try:
-        device = os.stat(path).st_rdev
-        if not device or identity(device) != known_as:
+        status = os.stat(path)
+        if not status.st_rdev or identity(status.st_rdev) != known_as:
             return -1
         with suppress(OSError):            # somebody has it: who?
             fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            is_ours = os.fstat(fd).st_rdev == device
-        if is_claimed(device, path, claim):
+            is_ours = terminal_id(os.fstat(fd)) == terminal_id(status)
+        if is_claimed(status, path, claim):
             raise TakenOver
         if is_ours:
             _prepare(fd, settings)

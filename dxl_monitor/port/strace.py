@@ -19,9 +19,10 @@ import time
 from dxl_monitor.port.reader_process import PIPE_SIZE
 from dxl_monitor.port.strace_parser import OPTIONS
 from dxl_monitor.port.strace_parser import PORT
-from mecarover_serial.port_users import controlling
 from mecarover_serial.port_users import file_text
+from mecarover_serial.port_users import is_controlled_by
 from mecarover_serial.port_users import PTYS
+from mecarover_serial.port_users import terminal_id
 
 START_S = 5.0                      # within which strace opens the pipe
 _ABSENT = [f'/dev/tty{kind}{number}' for kind in ('USB', 'ACM') for number in range(16)]
@@ -44,15 +45,17 @@ _RELAY = ('import sys; sys.path.insert(0, {!r}); '
 
 def ports() -> set[str]:
     """Return the serial ports, also some that may be plugged in; not the terminal in use."""
-    own = {controlling(Path('/proc/self'))}
+    own = set()
     for standard in range(3):
         with suppress(OSError):
-            device = os.fstat(standard).st_rdev
-            own |= {device} if os.major(device) in PTYS else set()
+            status = os.fstat(standard)
+            own |= {terminal_id(status)} if os.major(status.st_rdev) in PTYS else set()
     found = {*_ABSENT}
     for path in (*Path('/dev').glob('*'), *Path('/dev/pts').glob('*')):
         with suppress(OSError):
-            if PORT.fullmatch(str(path)) and path.lstat().st_rdev not in own:
+            status = path.lstat()
+            if PORT.fullmatch(str(path)) and terminal_id(status) not in own \
+                    and not is_controlled_by(Path('/proc/self'), str(path), status):
                 found.add(str(path))
     return found
 
