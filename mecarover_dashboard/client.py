@@ -82,7 +82,7 @@ class Client:
         await self._write(f'id: {version}\ndata: {text}\n\n')
 
     async def _write(self, text: str) -> None:
-        data = text.encode()
+        data = text.encode(errors='replace')   # half a character pair may be in it
         if self._zip is not None:
             data = self._zip.compress(data) + self._zip.flush(zlib.Z_SYNC_FLUSH)
         await self.response.write(data)

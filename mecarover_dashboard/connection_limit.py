@@ -14,7 +14,7 @@ from aiohttp import web
 
 MOST_CONNECTIONS = 400          # pages, files and silent ones; a process may open 1024 files
 MOST_OF_ADDRESS = 150           # for one machine: three browsers full of pages
-HEAD_S = 10.0                   # for the head of the first request
+HEAD_S = 10.0                   # for the head of a request
 MOST_OF_HEAD = 16_384           # bytes; more is for aiohttp to refuse
 
 

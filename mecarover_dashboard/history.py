@@ -132,7 +132,7 @@ class HistoryWriter:
         """Return by source when its last recorded error was (Unix s)."""
         return dict(self._database.execute(
             "SELECT name, max(at) FROM events JOIN sources ON sources.id = source "
-            "WHERE events.kind = 'error' GROUP BY source"))
+            "WHERE events.kind = 'error' AND typeof(at) IN ('real', 'integer') GROUP BY source"))
 
     def write(self, windows: Iterable[Window], events: Iterable[Event]) -> None:
         """Write and commit; raise sqlite3.Error where the disk does not take it."""

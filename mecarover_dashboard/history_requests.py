@@ -40,6 +40,7 @@ _POINTS = 600
 _MOST_EVENTS = 1000             # on the page; a CSV has them all
 _ALL_EVENTS = 10_000_000
 _ROWS = 2000                    # rows of a CSV written at a time
+_WRONG_VALUE = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError)
 _FORMULA = re.compile(r'(^|;)(?=\s*[=+@-])')    # in many countries a semicolon ends a cell
 _CSV_VALUES = tuple(dict.fromkeys(name for names in VALUES.values() for name in names))
 
@@ -70,33 +71,47 @@ class HistoryRequests:
             question, points = _question(request)
         except ValueError as error:
             return web.Response(status=400, text=f'{error}\n')
-        async with self._free:
-            try:
+        try:
+            async with self._free:
                 reader = await asyncio.to_thread(HistoryReader, self._path)
-            except sqlite3.Error as error:
-                return web.Response(status=503, text=f'{self._path.name}: {error}\n')
-            try:
-                if request.query.get('format') == 'csv':
-                    return await _stream(request, as_csv(reader, question))
-                answer = await asyncio.to_thread(as_json, reader, question, points)
-            finally:
-                reader.close()
-        response = web.Response(text=json_text(answer), content_type='application/json')
-        response.enable_compression()
-        return response
+                try:
+                    if request.query.get('format') == 'csv':
+                        return await _stream(request, as_csv(reader, question))
+                    answer = json_text(await asyncio.to_thread(as_json, reader, question, points))
+                finally:
+                    reader.close()
+        except sqlite3.Error as error:
+            problem = str(error)
+        except _WRONG_VALUE as error:
+            problem = (f'a value is not of its type ({error!r}); move the file away and start the '
+                       'dashboard again')
+        else:
+            response = web.Response(text=answer, content_type='application/json')
+            response.enable_compression()
+            return response
+        return web.Response(status=503, text=f'{self._path.name}: {problem}\n')
 
 
 async def _stream(request: web.Request, lines: Iterator[list[str]]) -> web.StreamResponse:
-    """Send a CSV piece by piece; reading happens outside of the loop."""
+    """
+    Send a CSV piece by piece; reading happens outside of the loop.
+
+    What cannot be read later than in the first piece breaks the download off: so it fails there.
+    """
+    some = await asyncio.to_thread(lambda: list(islice(lines, _ROWS)))
     name = f'{request.path.rpartition("/")[2]}.csv'
     response = web.StreamResponse(headers={
         'Content-Type': 'text/csv; charset=utf-8',
         'Content-Disposition': f'attachment; filename="mecarover-{name}"'})
     await response.prepare(request)
-    while some := await asyncio.to_thread(lambda: list(islice(lines, _ROWS))):
+    while some:
         text = io.StringIO()
         csv.writer(text).writerows(some)
         await response.write(text.getvalue().encode())
+        try:
+            some = await asyncio.to_thread(lambda: list(islice(lines, _ROWS)))
+        except (sqlite3.Error, *_WRONG_VALUE) as error:
+            raise ConnectionError(f'{request.path}: {error!r}') from error
     return response
 
 
@@ -144,11 +159,11 @@ def _values_json(reader: HistoryReader, question: Question, most: int) -> dict[s
 
 def _merge(source: dict[str, Any], window: Window, at: int) -> None:
     """Put a window into the points of its source; those of one step become one."""
-    levels = source['levels']
+    levels, level = source['levels'], Level(window.level)
     if levels and levels[-1][0] == at:
-        levels[-1][1] = worst([Level(levels[-1][1]), Level(window.level)])
+        levels[-1][1] = worst([levels[-1][1], level])
     else:
-        levels.append([at, window.level])
+        levels.append([at, level])
     for points, low, high in zip(source['values'].values(), window.lows, window.highs,
                                  strict=True):
         if low is None or high is None:

@@ -83,7 +83,7 @@ def open_server(options: argparse.Namespace, source: str = '',
     recording, without = open_history(options.history)
     if recording is None and options.history not in (None, NONE):
         return None
-    about = facts(host, port, without) | ({'source': source} if source else {})
+    about = facts(host, port, without) | ({'source': printable(source)} if source else {})
     return Server(listener, about, is_open, recording, options.name, player, signals)
 
 
@@ -150,6 +150,8 @@ def make_parser() -> Parser:
                         'may use, e.g. rover1.example.org')
     parser.add_argument('--history', metavar='FILE', help='file for the history of the last 24 '
                         f'hours; default {default_path()}, {NONE} = keep no history')
+    parser.add_argument('--no-browser', action='store_true',
+                        help='open no browser (over ROS none is opened)')
     return parser
 
 

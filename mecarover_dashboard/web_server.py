@@ -32,6 +32,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 from mecarover_dashboard.client import Client
 from mecarover_dashboard.client import json_text
 from mecarover_dashboard.connection_limit import ConnectionLimit
+from mecarover_dashboard.connection_limit import HEAD_S
 from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_dashboard.history_requests import HistoryRequests
 from mecarover_dashboard.rows import finite
@@ -49,7 +50,7 @@ HASTE_S = 0.05                  # ... once a change of level may be among them
 BEAT_S = 1.0                    # at least one event in this time: the page can tell that we live
 SEND_S = 15.0                   # a client that takes nothing for so long is given up
 MOST_CLIENTS = 50
-KEEP_ALIVE_S = 75.0             # a connection without requests is closed: aiohttp waits an hour
+_OF_A_PAGE = ('/events', '/signals')    # not for pages elsewhere: each costs work as it goes on
 _RESTART = 'restart'             # in place of a topic
 INBOX = 400                     # messages; what does not fit was overtaken anyway
 INBOX_BYTES = 64_000_000
@@ -81,11 +82,12 @@ def is_ours(host: str, names: frozenset[str], any_address: bool) -> bool:
 
 
 class _Mistakes(logging.Filter):
-    """Keeps out of the log what clients do wrong: anybody could fill it."""
+    """Keeps out of the log what clients do wrong, or leave half done: anybody could fill it."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         error = record.exc_info[1] if record.exc_info else None
-        return not isinstance(error, HttpProcessingError | web.RequestPayloadError)
+        return not isinstance(
+            error, ConnectionError | HttpProcessingError | web.RequestPayloadError)
 
 
 class RecordingPlayer(Protocol):
@@ -203,7 +205,7 @@ class Server:
         logger.addFilter(_Mistakes())
         runner = web.AppRunner(self._app(), access_log=None, handle_signals=False,
                                shutdown_timeout=0.5, logger=logger,
-                               keepalive_timeout=KEEP_ALIVE_S)
+                               keepalive_timeout=HEAD_S)       # for each later request too
         await runner.setup()
         handlers = runner.server
         assert handlers is not None
@@ -255,6 +257,9 @@ class Server:
                 'The dashboard does not know this name of its machine. Use '
                 f"http://{self._facts.get('address', 'localhost')}/, or start the dashboard with "
                 '--name and the name that you use.\n'))
+        if request.path in _OF_A_PAGE and request.headers.get('Sec-Fetch-Site', 'none') not in (
+                'same-origin', 'none'):
+            return web.Response(status=403, text='Only a page of this dashboard may do that.\n')
         return await handler(request)
 
     def _push(self) -> None:

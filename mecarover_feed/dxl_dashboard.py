@@ -82,7 +82,6 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add('source', metavar='SOURCE', nargs='*',
         help='ports, usb:PORT, tap:NAME, or a recording; or run, with a command after --')
-    add('--no-browser', action='store_true', help='open no browser')
     add_bus_options(parser)
     return parser
 

@@ -45,7 +45,7 @@ class HeardBus:
     """A bus of a program or of a recording: all that came up to a report was handed on."""
 
     def __init__(self, wire: Wire, models: Models, options: argparse.Namespace) -> None:
-        self._port = wire.port or wire.name
+        self._port = printable(wire.port or wire.name)
         settings = settings_of(wire.name, wire, options.devices, options.protocol)
         self.monitor = Monitor(printable(wire.name), models, settings, idle_is_told=True,
                                names=OPTIONS)

@@ -31,7 +31,7 @@ from mecarover_serial.port_error import PortError
 from mecarover_serial.version import version_of
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
-WIDEST = 99                     # columns of a help text
+NARROWEST, WIDEST = 30, 99      # columns of a help text
 FILES_LEAST = 64                # a node has 31 open
 ENDING = tuple(getattr(signal, name) for name in ('SIGINT', 'SIGTERM', 'SIGHUP', 'SIGQUIT')
                if hasattr(signal, name))       # Windows has two of them
@@ -157,7 +157,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 def wrapped(text: str) -> str:
     """Return a text for the terminal; a line that is too long goes on in its last column."""
-    width = min(WIDEST, shutil.get_terminal_size().columns - 2)
+    width = min(WIDEST, max(NARROWEST, shutil.get_terminal_size().columns - 2))
     return '\n'.join(textwrap.fill(
         line, width, subsequent_indent=' ' * (line.rfind('  ') + 2 if '  ' in line else 0),
         break_long_words=False, break_on_hyphens=False) for line in text.split('\n'))

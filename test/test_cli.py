@@ -87,6 +87,16 @@ def test_a_library_that_went_is_one_line():
     assert done.returncode == 1
 
 
+@pytest.mark.parametrize('tool', COMMANDS)
+def test_help_on_a_terminal_of_one_column(tool):
+    done = subprocess.run(
+        [sys.executable, '-c', f'from mecarover_serial.command import {tool}; {tool}()', '--help'],
+        env={**os.environ, 'COLUMNS': '1'}, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert f'usage: {tool}' in done.stdout or f'run mecarover_serial {tool}' in ' '.join(
+        done.stdout.split())
+
+
 @pytest.mark.parametrize('tool', ['dxl_dump', 'dxl_dashboard', 'fake_mcu', 'vel2d_bridge'])
 @pytest.mark.parametrize('module', ['contextlib', 'argparse'])
 def test_ctrl_c_while_modules_are_imported_shows_no_traceback(tmp_path, tool, module):

@@ -4,9 +4,11 @@
 import json
 import os
 from pathlib import Path
+import socket
 import sqlite3
 import subprocess
 import sys
+import time
 from urllib.error import HTTPError
 from urllib.parse import urlencode
 from urllib.request import urlopen
@@ -408,6 +410,53 @@ def test_questions_that_make_no_sense(path, query, words):
     with Dashboard(history=path) as dashboard, pytest.raises(HTTPError) as caught:
         ask(dashboard, 'values', **query)
     assert (caught.value.code, caught.value.read().decode()[:len(words)]) == (400, words)
+
+
+def last_hour():
+    """Return the beginning of an hour that is kept: older windows go while a page is served."""
+    return int(time.time()) // 600 * 600 - HOURS
+
+
+@pytest.mark.parametrize('damage', [
+    "UPDATE windows SET level = 'much'", "UPDATE windows SET low0 = 'cold'",
+    'UPDATE windows SET level = 99', "UPDATE sources SET kind = 'unknown'",
+    "UPDATE windows SET at = 'noon' WHERE at = (SELECT max(at) FROM windows)"])
+def test_values_of_a_wrong_type_are_one_line(path, writer, damage, caplog):
+    begin = last_hour()
+    writer.write([window(begin + at, 1.0) for at in (0, 10)], [])
+    writer._database.execute(damage)
+    with Dashboard(history=path) as dashboard:
+        for form in ('json', 'csv'):
+            with pytest.raises(HTTPError) as caught:
+                ask(dashboard, 'values', format=form, **{'from': begin, 'to': begin + HOURS})
+            said = caught.value.read().decode()
+            assert (caught.value.code, said.count('\n')) == (503, 1)
+            assert said.startswith('history.sqlite: a value is not of its type')
+    assert caplog.records == []
+
+
+def test_an_error_whose_time_is_a_word_does_not_count(path, writer):
+    name = 'dxl_monitor: bus'
+    writer.write([], [Event(NIGHT, KNEE._replace(name=name, kind='buses'), 'error', 1, '')])
+    writer._database.execute("UPDATE events SET at = 'noon'")
+    assert writer.errors_until() == {}
+
+
+def test_a_download_that_is_broken_off_says_nothing(path, writer, caplog):
+    begin = last_hour()
+    sources = [KNEE._replace(name=f'dxl_monitor: {n:03}') for n in range(50)]
+    writer.write([window(at, 1.0, 2.0, source=one) for one in sources
+                  for at in range(begin, begin + HOURS, WINDOW_S)], [])
+    with Dashboard(history=path) as dashboard:
+        for _ in range(5):
+            with socket.create_connection(('127.0.0.1', dashboard.port), timeout=20) as client:
+                client.sendall(f'GET /history/values?format=csv&from={begin}&to={begin + HOURS} '
+                               'HTTP/1.1\r\nHost: localhost\r\n\r\n'.encode())
+                assert client.recv(12) == b'HTTP/1.1 200'
+        for _ in range(2):                     # the others end meanwhile
+            whole = ask(dashboard, 'values', format='csv', **{'from': begin, 'to': begin + HOURS})
+            assert whole.count('\n') == 1 + 50 * HOURS / WINDOW_S
+    assert caplog.records == []
 
 
 def test_without_a_history():

@@ -305,6 +305,19 @@ def test_a_head_that_does_not_come_is_not_waited_for(dashboard, monkeypatch):
     assert _answers(dashboard)
 
 
+def test_a_second_head_that_does_not_come_is_not_waited_for(monkeypatch):
+    monkeypatch.setattr('mecarover_dashboard.web_server.HEAD_S', 0.3)
+    with Dashboard() as dashboard:
+        client = connect(dashboard)
+        client.sendall(b'GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n')
+        assert client.recv(12) == b'HTTP/1.1 200'
+        client.sendall(b'GET / HTTP/1.1\r\nHost: loc')
+        client.settimeout(10)
+        while client.recv(65536):
+            pass
+        client.close()
+
+
 def test_a_head_in_pieces_is_understood(dashboard):
     client = connect(dashboard)
     for piece in (b'GE', b'T / HTTP/1.0\r\nHost: ', b'localhost\r\n\r', b'\n'):
@@ -337,9 +350,10 @@ def _answers(dashboard):
         return False
 
 
-def test_a_port_in_use_is_one_line_with_a_remedy():
+@pytest.mark.parametrize('more', [(), ('--no-browser',)])
+def test_a_port_in_use_is_one_line_with_a_remedy(more):
     with Dashboard() as dashboard, \
-            Program('mecarover_dashboard.serve', '--port', str(dashboard.port)) as program:
+            Program('mecarover_dashboard.serve', '--port', str(dashboard.port), *more) as program:
         assert program.exit_code() == 1
     assert program.lines == [f'dxl_dashboard: 127.0.0.1:{dashboard.port}: in use; stop the other '
                              'dashboard, or choose another port with --port']
@@ -411,9 +425,11 @@ def test_what_was_not_read_again_is_no_new_point():
     ('/signals', {}, 400, 'Choose 1 to 8 registers'),
     (asked(**{f'Register {n}': 0 for n in range(9)}), {}, 400, 'Choose 1 to 8 registers'),
     (asked(A=0), {'Sec-Fetch-Site': 'cross-site'}, 403, 'Only a page of this dashboard'),
+    ('/events', {'Sec-Fetch-Site': 'cross-site'}, 403, 'Only a page of this dashboard'),
+    ('/events', {'Sec-Fetch-Site': 'same-site'}, 403, 'Only a page of this dashboard'),
     (asked(A=0), {'Host': 'evil.example'}, 421, 'does not know this name'),
     (asked(A='x' * 99, B='-1'), {'Sec-Fetch-Site': 'same-origin'}, 200, '')])
-def test_who_may_ask_for_signals(dashboard, path, headers, status, words):
+def test_who_may_ask_for_streams_and_signals(dashboard, path, headers, status, words):
     response, body = ask(dashboard, path, **headers)
     assert response.status == status
     if words:

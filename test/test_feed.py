@@ -255,6 +255,18 @@ def positions_in(capture):
     return found
 
 
+def test_a_recording_whose_name_is_not_utf_8(tmp_path):
+    capture = os.fsdecode(os.fsencode(tmp_path) + b'/arm_\xff.txt')
+    with open(capture, 'wb') as file:
+        Writer(file, Moment(10**12, 10**12)).take(
+            Wire('arm', 10**6), Chunk(10**12, 'arm', bytes.fromhex('ffff010281007b')))
+    with dashboard(capture) as program:
+        first = next(events(program))
+        assert first['facts']['source'] == f'{tmp_path}/arm_\ufffd.txt'
+    assert program.exit_code() == 0
+    assert 'Traceback' not in ''.join(program.lines)
+
+
 WHY_NOT = dashboard_page.why_not()
 
 
