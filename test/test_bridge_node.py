@@ -69,6 +69,22 @@ def test_vector_when_the_crc_unit_is_fed_words(ros, graph, tmp_path):
         assert mcu.totals()['crc_err'] == 0
 
 
+@pytest.mark.parametrize('watchdog', [False, True])
+def test_the_wrong_crc_input_is_named_while_it_drives(ros, graph, tmp_path, watchdog):
+    """An MCU that reports what it refuses: a stop passes, no command to drive does."""
+    name = f'crc{watchdog:d}'
+    status = f'{name}/{COMMANDS}'
+    with Mcu(str(tmp_path / 'mcu'), crc=crc32_mpeg2_words, talks=True,
+             watchdog=watchdog).running() as mcu, \
+            bridge(mcu, '-r', f'__ns:=/{name}') as running:
+        graph.wait_status(status, 'stopped', level=0)
+        publisher = graph.publisher(f'/{name}/cmd_vel')
+        with ros.Teleop(publisher, lambda: ros.twist(*DRIVE), rate=20):
+            graph.wait_status(status, 'set crc_input to words if it accepts the stops', level=1)
+            assert mcu.receiver.wheels.is_stop
+        running.wait_for('WARN', 'the MCU refuses the commands to drive')
+
+
 def freezes_of(graph):
     """Wait for a new report and return how often the machine has held up the bridge."""
     reports = len(graph.heard['/diagnostics'])
