@@ -260,18 +260,18 @@ def test_two_buses_with_one_name_are_refused(robot, buses, is_here):
         names.name_rules([names.parse_bus(text) for text in buses], is_here)
 
 
-@pytest.mark.parametrize('link', ['{outside}', '/mnt/etc', '../../../../../mnt/etc'])
-def test_links_of_an_image_lead_nowhere_else(robot, tmp_path, link):
+@pytest.mark.parametrize(('link', 'where'), [
+    ('{outside}', '{outside}'), ('../outside', '/outside')])
+def test_links_of_an_image_lead_nowhere_else(robot, tmp_path, link, where):
     outside = tmp_path / 'outside'
     (outside / 'systemd').mkdir(parents=True)
-    (robot.root / 'mnt/etc').mkdir(parents=True)
     (robot.root / 'etc').symlink_to(link.format(outside=outside))
     robot.install()
     assert robot.install().endswith('\ninstall: nothing to do\n')
     assert [path for path in outside.rglob('*') if path.is_file()] == []
     [unit] = robot.root.rglob('vel2d_bridge.service')
-    where = outside.relative_to('/') if 'outside' in link else 'mnt/etc'
-    assert unit == robot.root / where / 'systemd/system/vel2d_bridge.service'
+    assert str(unit) == (f'{robot.root}{where.format(outside=outside)}'
+                         '/systemd/system/vel2d_bridge.service')
     assert robot.uninstall().returncode == 0
     assert list(robot.root.rglob('vel2d_bridge.service')) == []
 
@@ -289,7 +289,7 @@ def test_a_unit_that_is_a_link_is_replaced_not_followed(robot, tmp_path):
 
 
 def test_links_in_a_circle_are_one_line(robot):
-    (robot.root / 'etc').symlink_to('/etc')
+    (robot.root / 'etc').symlink_to('etc')
     done = robot.run('--mcu', '/dev/ttyAMA0', '--yes')
     assert (done.returncode, len(done.stderr.splitlines())) == (1, 1)
     assert 'too many links' in done.stderr
