@@ -18,7 +18,9 @@ import serial
 from terminal_server import TerminalServer
 
 from mecarover_serial import port as port_module
+from mecarover_serial import port_watch
 from mecarover_serial import preflight
+from mecarover_serial.inspection import Inspection
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
 from mecarover_serial.port_error import PortError
@@ -325,6 +327,70 @@ def test_who_made_a_pty_is_in_the_way_only_where_there_is_no_other():
         with pipes(opens, path) as other:
             other.stdout.readline()
             assert re.fullmatch(rf'in use by \S+ \(pid {other.pid}\)', reason())
+
+
+OPENS = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
+
+
+def looked(inspection, opening, now_s):
+    """Let an inspection look, and return what it complains of."""
+    inspection.look(opening, now_s)
+    inspection._thread.join()
+    return inspection.complaints
+
+
+def test_who_opens_a_port_beside_us_is_seen_at_once_and_gone_at_once():
+    with Pty() as pty:
+        port = open_port(pty.path, 115200)
+        inspection = Inspection(pty.path, [])
+        assert looked(inspection, 1, 100.0) == []
+        with pipes(OPENS, pty.path) as other:
+            other.stdout.readline()
+            [line] = looked(inspection, 1, 101.0)
+            assert f'(pid {other.pid}) has it open too; stop that program' in line
+        assert looked(inspection, 1, 102.0) == []
+        port.close()
+        port = open_port(pty.path, 115200)                  # ours is left out
+        assert looked(inspection, 2, 103.0) == []
+        assert looked(inspection, 2, 104.0) == []
+        with pipes(OPENS, pty.path) as other:
+            other.stdout.readline()
+            assert looked(inspection, 2, 105.0) != []       # the watch is set again
+        port.close()
+
+
+def test_who_opens_a_port_and_cannot_be_named_is_said_all_the_same(monkeypatch):
+    """The descriptors of other users' processes are for root alone; some are closed at once."""
+    monkeypatch.setattr(preflight, 'holders', lambda path, root: [])
+    with Pty() as pty:
+        port = open_port(pty.path, 115200)
+        inspection = Inspection(pty.path, [])
+        assert looked(inspection, 1, 100.0) == []
+        with pipes(OPENS, pty.path) as other:
+            other.stdout.readline()
+            assert looked(inspection, 1, 101.0) == [
+                f'{pty.path}: another program has it open too; sudo fuser -v {pty.path} names '
+                'it; stop that program']
+        assert looked(inspection, 1, 102.0) == []
+        subprocess.run(['sh', '-c', 'echo AT > "$0"', pty.path], check=True)
+        [line] = looked(inspection, 1, 103.0)
+        assert 'another program opened it for a moment; it may have sent bytes' in line
+        assert looked(inspection, 1, 104.9) == [line]
+        assert looked(inspection, 1, 105.0) == []
+        port.close()
+
+
+def test_without_a_watch_it_looks_every_30_s(monkeypatch):
+    monkeypatch.setattr(port_watch.ctypes, 'CDLL', lambda name: None)
+    with Pty() as pty:
+        inspection = Inspection(pty.path, [])
+        assert looked(inspection, 1, 100.0) == []
+        with pipes(OPENS, pty.path) as other:
+            other.stdout.readline()
+            assert looked(inspection, 1, 129.9) == []
+            [line] = looked(inspection, 1, 130.0)
+        assert looked(inspection, 1, 159.9) == [line]
+        assert looked(inspection, 1, 160.0) == []
 
 
 def test_who_shares_a_pty_is_told_and_who_made_it_is_not():
