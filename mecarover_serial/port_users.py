@@ -18,7 +18,8 @@ from typing import NamedTuple
 ROOT = Path('/')
 _LOGINS = ('getty', 'login')    # parts of the names of programs that offer one
 PTYS = range(136, 144)          # major numbers
-_TTY_NR = 4                     # field of /proc/PID/stat after the name, see proc_pid_stat(5)
+_READER = 'dxl_reader'          # reads for the program that started it
+_PPID, _TTY_NR = 1, 4           # fields of /proc/PID/stat after the name, see proc_pid_stat(5)
 
 
 class PortUser(NamedTuple):
@@ -31,7 +32,7 @@ class PortUser(NamedTuple):
 
 def holders(path: str, root: Path = ROOT) -> list[PortUser]:
     """Return who else is on the terminal `path`; what only a descriptor shows, for root only."""
-    return sorted(_holders(path, root))
+    return sorted({*_holders(path, root)})
 
 
 def _holders(path: str, root: Path) -> Iterator[PortUser]:
@@ -41,14 +42,18 @@ def _holders(path: str, root: Path) -> Iterator[PortUser]:
         device = 0
     name = tty_of(path)
     for process in (root / 'proc').glob('[0-9]*'):
-        if int(process.name) == os.getpid():
-            continue
         program = file_text(process / 'comm').strip()
+        user = process
+        if program == _READER:          # nobody started that: the command is its parent
+            user = root / 'proc' / str(_stat_field(process, _PPID))
+            program = file_text(user / 'comm').strip()
+        if int(user.name) == os.getpid():
+            continue
         is_login = any(part in program for part in _LOGINS)
         if (is_login and _is_told_of(process, name)) or (device and (
                 controlling(process) == device or _has_open(process, device))):
-            yield PortUser(f'{program or "a process"} (pid {process.name})', is_login,
-                         _has_made(process, device))
+            yield PortUser(f'{program or "a process"} (pid {user.name})', is_login,
+                         _has_made(process, device) or _has_made(user, device))
 
 
 def _is_told_of(process: Path, tty: str) -> bool:
@@ -60,10 +65,14 @@ def _is_told_of(process: Path, tty: str) -> bool:
 
 def controlling(process: Path) -> int:
     """Return the device number of the controlling terminal of a process, 0 for none."""
-    fields = file_text(process / 'stat').rpartition(')')[2].split()
-    number = int(fields[_TTY_NR]) if len(fields) > _TTY_NR else 0
+    number = _stat_field(process, _TTY_NR)
     # Minor numbers above 255 are in the upper 12 bits of the 32.
     return os.makedev(number >> 8 & 0xFFF, number & 0xFF | number >> 12 & 0xFFF00)
+
+
+def _stat_field(process: Path, index: int) -> int:
+    fields = file_text(process / 'stat').rpartition(')')[2].split()
+    return int(fields[index]) if len(fields) > index else 0
 
 
 def _has_open(process: Path, device: int) -> bool:

@@ -13,10 +13,13 @@ import subprocess
 import sys
 import termios
 
+from harness import Program
+from harness import wait
 import pytest
 import serial
 from terminal_server import TerminalServer
 
+from dxl_monitor.port.source_name import ways_to_hear
 from mecarover_serial import port as port_module
 from mecarover_serial import port_watch
 from mecarover_serial import preflight
@@ -391,6 +394,42 @@ def test_without_a_watch_it_looks_every_30_s(monkeypatch):
             [line] = looked(inspection, 1, 130.0)
         assert looked(inspection, 1, 159.9) == [line]
         assert looked(inspection, 1, 160.0) == []
+
+
+def test_who_listens_with_a_reader_is_named_not_its_reader(tmp_path):
+    """Nobody started dxl_reader: it reads for a command."""
+    with Pty(str(tmp_path / 'bus')) as pty, \
+            Program('dxl_monitor.tools.dxl_dump', pty.link) as tool:
+        wait(lambda: [child for child in tool.children() if 'dxl_reader' in name_of(child)])
+        [user] = [one for one in holders(pty.path) if not one.is_maker]
+        assert user.name == f'{name_of(tool.pid)} (pid {tool.pid})'
+        assert f'in use by {user.name}; stop that program' in str(refusal(pty.path))
+        with Program('dxl_monitor.tools.dxl_dump', pty.link) as second:
+            second.wait_for(f'{pty.link}: in use by {user.name}; stop that program, or hear what '
+                            'it does with tap:NAME (dxl_tap NAME -- COMMAND starts it)')
+    assert ways_to_hear('/dev/ttyUSB0').startswith('usb:/dev/ttyUSB0 or tap:NAME (')
+
+
+def name_of(pid):
+    return pathlib.Path(f'/proc/{pid}/comm').read_text().strip()
+
+
+def test_a_port_that_another_program_stopped_takes_bytes():
+    """XOFF by tcflow(3), as Ctrl-S on a terminal: the driver keeps it from opening to opening."""
+    with Pty() as pty:
+        other = os.open(pty.path, os.O_RDWR | os.O_NOCTTY)
+        termios.tcflow(other, termios.TCOOFF)
+        os.close(other)
+        listening = open_port(pty.path, 115200, read_only=True)
+        again = os.open(pty.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        with pytest.raises(BlockingIOError):        # a listener lets nothing go out
+            os.write(again, b'x')
+        os.close(again)
+        listening.close()
+        port = open_port(pty.path, 115200)
+        assert port.write(b'stop') == 4
+        assert os.read(pty.master, 99) == b'stop'
+        port.close()
 
 
 def test_who_shares_a_pty_is_told_and_who_made_it_is_not():
