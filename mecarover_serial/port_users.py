@@ -44,7 +44,7 @@ def _holders(path: str, root: Path) -> Iterator[PortUser]:
     for process in (root / 'proc').glob('[0-9]*'):
         program = file_text(process / 'comm').strip()
         user = process
-        if program == _READER:          # nobody started that: the command is its parent
+        if program == _READER:          # its parent is the command that a person started
             user = root / 'proc' / str(_stat_field(process, _PPID))
             program = file_text(user / 'comm').strip()
         if int(user.name) == os.getpid():

@@ -397,7 +397,7 @@ def test_without_a_watch_it_looks_every_30_s(monkeypatch):
 
 
 def test_who_listens_with_a_reader_is_named_not_its_reader(tmp_path):
-    """Nobody started dxl_reader: it reads for a command."""
+    """A command started the reader, and that is what to stop."""
     with Pty(str(tmp_path / 'bus')) as pty, \
             Program('dxl_monitor.tools.dxl_dump', pty.link) as tool:
         wait(lambda: [child for child in tool.children() if 'dxl_reader' in name_of(child)])
