@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from collections.abc import Mapping
 from collections.abc import Sequence
 import os
@@ -34,11 +35,19 @@ def parse_bus(text: str) -> tuple[str, str]:
     return device, BUS_LINK + (f'_{name}' if name else '')
 
 
-def name_rules(links: Sequence[tuple[str, str]]) -> list[str]:
-    """Return the rules that give each adapter its name; links: (device, name) of each."""
-    names = Counter(os.path.realpath(device) for device, _ in links)
-    if twice := [name for name, times in names.items() if times > 1]:
-        raise InstallError(f'{twice[0]}: given twice; each port has one reader')
+def name_rules(links: Sequence[tuple[str, str]], is_here: bool = True) -> list[str]:
+    """
+    Return the rules that give each adapter its name; links: (device, name) of each.
+
+    is_here: the devices are those of this machine, so its udev knows them.
+    """
+    if twice := _twice(os.path.realpath(device) if is_here else device for device, _ in links):
+        raise InstallError(f'{twice}: given twice; each port has one reader')
+    if twice := _twice(link for _, link in links):
+        raise InstallError(f'--bus: two would be {twice}; give each its name, as '
+                           '--bus left=/dev/ttyUSB0 --bus right=/dev/ttyUSB1')
+    if not is_here:
+        return [_rule_elsewhere(device, link) for device, link in links]
     facts = {device: _udev_facts(device) for device, _ in links}
     for device, of in facts.items():
         if of.get('SUBSYSTEM', 'tty') != 'tty':
@@ -48,13 +57,32 @@ def name_rules(links: Sequence[tuple[str, str]]) -> list[str]:
             for device, link in links]
 
 
+def _twice(names: Iterable[str]) -> str:
+    """Return the first name that is there twice, '' if none is."""
+    return next((name for name, times in Counter(names).items() if times > 1), '')
+
+
+def _rule_elsewhere(device: str, link: str) -> str:
+    """Return the rule for an adapter of another machine: of its name alone."""
+    name = device.removeprefix('/dev/')
+    if name.startswith(('ttyUSB', 'ttyACM')):
+        print(f'note: --root: udev of this machine is not asked, so {link} will be any adapter '
+              f'that is called {name} there; give its /dev/serial/by-id/... name')
+    # 60-serial.rules of udev has made by-id and by-path by then.
+    return f'{"SYMLINK" if "/" in name else "KERNEL"}=="{name}", {_symlink(link)}'
+
+
+def _symlink(link: str) -> str:
+    return f'SYMLINK+="{os.path.basename(link)}", TAG+="systemd"'
+
+
 def _identity(facts: Mapping[str, str]) -> tuple[str | None, ...]:
     return tuple(facts.get(key) for key in _IDENTITY)
 
 
 def _rule(device: str, facts: Mapping[str, str], link: str, is_alone: bool) -> str:
     """Return the rule for one adapter, wherever it is plugged if no other looks the same."""
-    symlink = f'SYMLINK+="{os.path.basename(link)}", TAG+="systemd"'
+    symlink = _symlink(link)
     if facts.get('ID_BUS') != 'usb':
         return f'KERNEL=="{os.path.basename(os.path.realpath(device))}", {symlink}'
     keys: tuple[str, ...] = _IDENTITY

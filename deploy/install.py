@@ -44,6 +44,7 @@ LOGS = Path('/var/log') / NAME          # systemd makes it, LogsDirectory=
 UNITS = Path('/etc/systemd/system')
 GROUP = 'dialout'
 STATE = Path('/var/lib') / NAME         # the same, StateDirectory=
+LINKS_LIMIT = 40                        # on the way to a file, as in the kernel
 HISTORY = Path('/var/lib/mecarover_dashboard')          # systemd makes it, StateDirectory=
 SERVICES = {'vel2d_bridge': 'bridge', 'dxl_monitor': 'monitor', 'dxl_dashboard': ''}
 # ... the unit and its settings file, '' where there is none
@@ -206,7 +207,7 @@ class Site:
 
     def _rules(self) -> str:
         mcu = [(self._options.mcu, MCU_LINK)] if self._options.mcu else []
-        lines = name_rules([*mcu, *self._buses])
+        lines = name_rules([*mcu, *self._buses], self._is_live)
         text = (HERE / RULES.name).read_text()
         return text.replace('#@NAMES@\n', ''.join(line + '\n' for line in lines))
 
@@ -267,7 +268,7 @@ class Site:
     def remove(self) -> Iterator[Step]:
         """Yield what undoes an installation; settings that somebody edited stay."""
         units = [UNITS / f'{service}.service' for service in SERVICES]
-        present = [unit for unit in units if self._at(unit).exists()]
+        present = [unit for unit in units if os.path.lexists(self._at(unit))]
         if present and self._is_live:
             yield self._run('stop the services', 'systemctl', 'disable', '--now',
                             *(unit.stem for unit in present))
@@ -275,6 +276,9 @@ class Site:
             self._tell_what_stays()
         for path in (*present, RULES, *usbmon.FILES):
             yield from self._delete(path)
+        folder = self._at(usbmon.DROP_IN.parent)
+        if folder.is_dir() and not {*os.listdir(folder)} - {usbmon.DROP_IN.name}:
+            yield self._run(f'remove {folder.name}, which is empty', 'rmdir', str(folder))
         if self._is_live and _has_group(usbmon.GROUP):
             # udev leaves them as they are, and the number of the group may be another's next.
             nodes = sorted(map(str, Path('/dev').glob('usbmon*')))
@@ -282,7 +286,7 @@ class Site:
                 yield self._run('let only root read usbmon again', 'chown', 'root:root', *nodes)
                 yield self._run('', 'chmod', '600', *nodes)
             yield self._run('remove the group that may read usbmon', 'groupdel', usbmon.GROUP)
-        if self._at(SETTINGS).exists():
+        if os.path.lexists(self._at(SETTINGS)):
             yield self._run('keep the settings under another name', 'mv', '--backup=numbered',
                             '-T', str(self._at(SETTINGS)), f'{self._at(SETTINGS)}.removed')
         if present and self._is_live:
@@ -315,18 +319,31 @@ class Site:
                       f'sudo systemctl enable --now {getty}')
 
     def _delete(self, path: Path) -> Iterator[Step]:
-        if self._at(path).exists():
+        if os.path.lexists(self._at(path)):
             yield self._run(f'remove {path.name}', 'rm', str(self._at(path)))
 
     # Both
 
     def _at(self, path: Path) -> Path:
-        return self._root / path.relative_to('/')
+        """Return where `path` is below the root; links lead there as on the machine itself."""
+        found, parts, links = self._root, list(path.parent.parts), 0
+        while parts:
+            part = parts.pop(0)
+            if part in ('/', '..'):
+                found = self._root if part == '/' or found == self._root else found.parent
+            elif not (found / part).is_symlink():
+                found /= part
+            elif (links := links + 1) > LINKS_LIMIT:
+                raise InstallError(f'{path}: too many links lead to it; correct them')
+            else:
+                parts = [*Path(os.readlink(found / part)).parts, *parts]
+        return found / path.name
 
     def _file(self, path: Path, content: str, what: str, keep: bool = False) -> Iterator[Step]:
         """Yield the command that puts a file there; nothing when it is, or is to be kept."""
         target = self._at(path)
-        if target.exists() and (keep or target.read_text() == content):
+        is_there = os.path.lexists(target)
+        if is_there and (keep or (not target.is_symlink() and target.read_text() == content)):
             return
         staged = self._staging / path.name
         staged.write_text(content)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+DROP_IN = Path('/etc/systemd/system/dxl_monitor.service.d/usbmon.conf')
 GROUP = 'mecarover_usbmon'
 FILES = {
     Path('/etc/udev/rules.d/71-mecarover_usbmon.rules'): (
@@ -17,7 +18,7 @@ FILES = {
         f'SUBSYSTEM=="usbmon", KERNEL=="usbmon[0-9]*", GROUP="{GROUP}", MODE="0640"\n'),
     Path('/etc/modules-load.d/mecarover_usbmon.conf'): (
         'load usbmon at every boot', 'usbmon\n'),
-    Path('/etc/systemd/system/dxl_monitor.service.d/usbmon.conf'): (
+    DROP_IN: (
         'give the group to this service only',
         f'[Service]\nSupplementaryGroups={GROUP}\n'),
 }

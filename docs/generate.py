@@ -72,7 +72,8 @@ LINK = {
     'Bytes from MCU': '',
     'Lines from MCU': '',
     'Garbage from MCU (B)': 'not text; text is logged',
-    'Refused by MCU: crc mismatch': 'reported by the MCU; WARN for 10 s',
+    'Refused by MCU: crc mismatch': 'reported by the MCU; WARN for 10 s, of `commands` too if it '
+                                    'refuses most commands to drive',
     'Refused by MCU: insufficient bytes': 'the same: a wrong length',
     'Last error': 'kept after recovery',
     'MCU version': 'of the [receiver](firmware.md) in the MCU; WARN if it does not fit. This and '
@@ -89,7 +90,7 @@ COMMANDS = {
     'Topic': '',
     'Message type': 'subscribed now: twist or twist_stamped',
     'Reliability': 'of the subscription: reliable while every publisher is',
-    'State': 'driving, stopped, disabled, or unknown: no stop could be sent',
+    'State': 'driving (by what is sent), stopped, disabled, or unknown: no stop could be sent',
     'Enabled': '',
     'Commands received': '',
     'Commands accepted': '',

@@ -17,7 +17,6 @@ from dxl_monitor.monitor_status import PortState
 from dxl_monitor.port.driver import adapter
 from dxl_monitor.port.listener import TAKE_EVERY_S
 from dxl_monitor.port.listeners import listener_on
-from dxl_monitor.port.reader import NAME as READER_NAME
 from dxl_monitor.port.source_name import is_live
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
@@ -42,7 +41,7 @@ class MonitoredBus:
         self._behind_since = 0
         self._known_adapter: tuple[int, Pairs] = (0, [])
         self._recorders = recorders
-        self._inspection = None if is_live(bus.port) else Inspection(bus.port, [READER_NAME])
+        self._inspection = None if is_live(bus.port) else Inspection(bus.port, [])
         self.listener = listener_on(
             bus.port, bus.settings.baud,
             self._record_and_feed if recorders else self.monitor.feed,

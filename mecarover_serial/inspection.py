@@ -11,13 +11,19 @@ from collections.abc import Sequence
 import threading
 
 from mecarover_serial import preflight
+from mecarover_serial.port_error import Reason
+from mecarover_serial.port_watch import PortWatch
 
 EVERY_S = 30.0              # a look takes 20 ms of CPU where 100 processes run
+APART_S = 1.0               # at least, where a program opens the port again and again
+AGAIN_S = 2.0               # once more after a change: a process that ends has its terminal longer
 
 
 class Inspection:
     """
-    Looks at a port at each opening and every EVERY_S; `ours` are programs that may have it open.
+    Looks at a port at each opening, when another program opens or closes it, and every EVERY_S.
+
+    `ours` are programs that may have it open.
 
     complaints: what was found last, 'port: reason; remedy'. It looks at every process of the
     system, so it does that in a thread, which says nothing: it may outlive ROS.
@@ -28,17 +34,36 @@ class Inspection:
         self._port = port
         self._ours = ours
         self._opening = 0
-        self._due_s = 0.0
+        self._looked_s = self._due_s = 0.0
+        self._watch = PortWatch()
+        self._was_opened = False
         self._thread = threading.Thread()
 
     def look(self, opening: int, now_s: float) -> None:
         """Look if it is time; opening: its number, now_s: monotonic."""
-        if (opening == self._opening and now_s < self._due_s) or self._thread.is_alive():
+        if opening != self._opening:
+            self._watch.begin(self._port)
+        self._watch.read()
+        due_s = self._looked_s + APART_S if self._watch.has_changed else self._due_s
+        if (opening == self._opening and now_s < due_s) or self._thread.is_alive():
             return
-        self._opening, self._due_s = opening, now_s + EVERY_S
+        self._looked_s = now_s
+        self._due_s = now_s + (AGAIN_S if self._watch.has_changed else EVERY_S)
+        self._opening, self._was_opened = opening, self._watch.was_opened
+        self._watch.clear()
         self._thread = threading.Thread(target=self._inspect, name='inspection', daemon=True)
         self._thread.start()
 
     def _inspect(self) -> None:
-        self.complaints = [f'{self._port}: {found.reason}; {found.remedy}'
-                           for found in preflight.warnings(self._port, ours=self._ours)]
+        found = preflight.warnings(self._port, ours=self._ours) or self._of_unknown()
+        self.complaints = [f'{self._port}: {one.reason}; {one.remedy}' for one in found]
+
+    def _of_unknown(self) -> list[Reason]:
+        """Say that somebody opened it: another user's process, or one that has closed it again."""
+        if self._watch.is_open:
+            return [Reason('busy', 'another program has it open too',
+                           f'sudo fuser -v {self._port} names it; stop that program')]
+        if self._was_opened:
+            return [Reason('busy', 'another program opened it for a moment', 'it may have sent '
+                           'bytes; find it (a script, stty, ModemManager) and stop it')]
+        return []

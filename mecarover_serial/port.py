@@ -173,6 +173,8 @@ def open_port(path_or_url: str, baud: int, *, read_only: bool = False) -> Port:
         if port.is_tty and port.fd is not None:
             _check_rate(path_or_url, port.fd, baud)
             _settle(port.fd, read_only)
+            if not read_only:           # a program before us may have stopped it, as by Ctrl-S
+                termios.tcflow(port.fd, termios.TCOON)
     except (OSError, termios.error) as error:
         device.close()
         raise PortError(path_or_url, why_not(path_or_url, OSError(*error.args[:2]))) from error

@@ -18,7 +18,8 @@ from typing import NamedTuple
 ROOT = Path('/')
 _LOGINS = ('getty', 'login')    # parts of the names of programs that offer one
 PTYS = range(136, 144)          # major numbers
-_TTY_NR = 4                     # field of /proc/PID/stat after the name, see proc_pid_stat(5)
+_READER = 'dxl_reader'          # reads for the program that started it
+_PPID, _TTY_NR = 1, 4           # fields of /proc/PID/stat after the name, see proc_pid_stat(5)
 
 
 class PortUser(NamedTuple):
@@ -31,7 +32,7 @@ class PortUser(NamedTuple):
 
 def holders(path: str, root: Path = ROOT) -> list[PortUser]:
     """Return who else is on the terminal `path`; what only a descriptor shows, for root only."""
-    return sorted(_holders(path, root))
+    return sorted({*_holders(path, root)})
 
 
 def _holders(path: str, root: Path) -> Iterator[PortUser]:
@@ -40,14 +41,19 @@ def _holders(path: str, root: Path) -> Iterator[PortUser]:
         status = os.stat(path)
     name = tty_of(path)
     for process in (root / 'proc').glob('[0-9]*'):
-        if int(process.name) == os.getpid():
-            continue
         program = file_text(process / 'comm').strip()
+        user = process
+        if program == _READER:          # its parent is the command that a person started
+            user = root / 'proc' / str(_stat_field(process, _PPID))
+            program = file_text(user / 'comm').strip()
+        if int(user.name) == os.getpid():
+            continue
         is_login = any(part in program for part in _LOGINS)
         if (is_login and _is_told_of(process, name)) or (status and (
                 is_controlled_by(process, path, status) or _has_open(process, status))):
-            yield PortUser(f'{program or "a process"} (pid {process.name})', is_login,
-                           status is not None and _has_made(process, status.st_rdev))
+            yield PortUser(f'{program or "a process"} (pid {user.name})', is_login,
+                           status is not None and (_has_made(process, status.st_rdev)
+                                                   or _has_made(user, status.st_rdev)))
 
 
 def _is_told_of(process: Path, tty: str) -> bool:
@@ -76,8 +82,7 @@ def is_controlled_by(process: Path, path: str, status: os.stat_result) -> bool:
     The kernel says its number only. Of a pty it counts if the process finds the same one there;
     whether it does, root knows of all and others of their own processes.
     """
-    fields = file_text(process / 'stat').rpartition(')')[2].split()
-    number = int(fields[_TTY_NR]) if len(fields) > _TTY_NR else 0
+    number = _stat_field(process, _TTY_NR)
     # Minor numbers above 255 are in the upper 12 bits of the 32.
     if status.st_rdev != os.makedev(number >> 8 & 0xFFF, number & 0xFF | number >> 12 & 0xFFF00):
         return False
@@ -87,6 +92,12 @@ def is_controlled_by(process: Path, path: str, status: os.stat_result) -> bool:
     with suppress(OSError):
         found = found or {terminal_id(os.stat(f'{process}/root{os.path.realpath(path)}'))}
     return terminal_id(status) in found
+
+
+def _stat_field(process: Path, index: int) -> int:
+    """Return a number of /proc/PID/stat after the name, 0 where the process has ended."""
+    fields = file_text(process / 'stat').rpartition(')')[2].split()
+    return int(fields[index]) if len(fields) > index else 0
 
 
 def is_running(process: int) -> bool:

@@ -3,13 +3,20 @@
 """What /diagnostics and the log say of the bridge: levels, messages, keys. No ROS here."""
 import math
 import re
+from types import SimpleNamespace
 
 import pytest
 
+from mecarover_fakes.guarded_receiver import GuardedReceiver
+from mecarover_fakes.receiver import Receiver
 from mecarover_serial.port_error import PortError
 from mecarover_serial.port_error import Reason
+from msg_defs.crc import crc32_mpeg2
+from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.reports import Level
 from msg_defs.timing import Series
+from msg_defs.vel2d import encode
+from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.bridge_settings import doubts
 from vel2d_bridge.bridge_settings import PARAMETERS
@@ -169,7 +176,7 @@ def test_what_the_mcu_refuses_is_counted_and_a_complaint():
     mcu.feed(b'crc mismatch!\r\nboot\r\nCRC Mismatch!\r\ninsufficient bytes received\r\n')
     assert mcu.take(SECOND) == ['boot']
     crc, short = mcu.complaints(SECOND, 'words')
-    assert 'set crc_input to words if the MCU refuses every frame' in crc
+    assert 'crc_input' not in crc       # it refuses stops too
     assert 'no console' in short
     values = dict(link(mcu=mcu).values)
     assert values['Refused by MCU: crc mismatch'] == '2'
@@ -182,6 +189,63 @@ def test_what_the_mcu_refuses_is_counted_and_a_complaint():
     assert (mcu.lines, set(mcu.refused.values())) == (0, {0})
     assert mcu.complaints(20 * SECOND, 'words') == []
     assert link(warnings=[crc], mcu=mcu).level is Level.WARN
+
+
+def send(mcu, velocity, frames, at):
+    """Send frames to an MCU, 50 ms apart from `at`; return when the last was sent."""
+    for _ in range(frames):
+        at += SECOND // 20
+        mcu.receiver.feed(encode(velocity), at)
+        mcu.receiver.advance(at + SECOND // 40)
+        mcu.log.drives += velocity != STOP
+        mcu.log.feed(mcu.receiver.says(at + SECOND // 40).encode(), at)
+    return at
+
+
+@pytest.mark.parametrize('receiver', [Receiver, GuardedReceiver])
+@pytest.mark.parametrize(('crc', 'is_refused'), [(crc32_mpeg2_words, True), (crc32_mpeg2, False)])
+def test_an_mcu_that_accepts_stops_only(receiver, crc, is_refused):
+    """With the wrong crc_input the stops pass, and no command to drive does."""
+    mcu = SimpleNamespace(log=McuLog(), receiver=receiver(crc=crc))
+    at = send(mcu, STOP, 60, SECOND)
+    assert mcu.receiver.totals.crc_err == 0
+    assert mcu.log.complaints(at, 'words') == []
+    at = send(mcu, Vel2d(0.5, -0.25, 1.0), 60, at)
+    refused = mcu.log.refused_drives(at, 'words')
+    assert [line for line in refused if 'set crc_input to words' in line] == refused
+    assert bool(refused) is is_refused
+    assert mcu.log.complaints(at, 'words') == refused       # the cause alone, not the watchdog too
+    heard = HEARD._replace(complaints=refused)
+    assert commands(heard=heard).level is (Level.WARN if is_refused else Level.OK)
+    at = send(mcu, STOP, 30, at)
+    assert mcu.log.refused_drives(at, 'words') == refused
+    at = send(mcu, STOP, 200, at)
+    assert mcu.log.refused_drives(at, 'words') == []        # nothing refused for 10 s
+    mcu.log.reset()
+    assert mcu.log.refused_drives(at, 'words') == []
+
+
+def test_an_mcu_that_is_flashed_again_drives_without_a_warning():
+    mcu = SimpleNamespace(log=McuLog(), receiver=Receiver(crc=crc32_mpeg2_words))
+    drive = Vel2d(0.5, -0.25, 1.0)
+    at = send(mcu, drive, 2000, SECOND)
+    assert mcu.log.refused_drives(at, 'words')
+    mcu.receiver = Receiver(at, crc=crc32_mpeg2)
+    for _ in range(20):
+        at = send(mcu, drive, 20, at)
+        refused = mcu.log.refused_drives(at, 'words')
+    assert refused == []
+
+
+def test_a_bad_cable_is_not_the_crc_input():
+    """Every third frame is damaged."""
+    mcu = McuLog()
+    for _ in range(100):
+        mcu.drives += 3
+        mcu.feed(b'crc mismatch!\r\n')
+    [line] = mcu.complaints(SECOND, 'words')
+    assert line.endswith('check cable and ground')
+    assert mcu.refused_drives(SECOND, 'words') == []
 
 
 def test_what_the_mcu_reports():

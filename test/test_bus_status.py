@@ -5,6 +5,12 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
+from tracked_bus import damaged
+from tracked_bus import ping
+from tracked_bus import pong
+from tracked_bus import read
+from tracked_bus import reply
+from tracked_bus import words
 
 from dxl_monitor.bus.decoder import Settings
 from dxl_monitor.bus.expected import Expected
@@ -101,3 +107,15 @@ def test_errors_can_be_dated():
                              errors=(Error(12_500_000_000, '003: no answer'),))
     values = dict(bus_status('dxl_monitor', '', report, PortState('port', '', ()), True).values)
     assert (values['Running for (s)'], values['error 00']) == ('15', '7.500 s: 003: no answer')
+
+
+def test_error_00_is_the_newest():
+    """That nothing answered is known only when the next question comes, after it was damaged."""
+    monitor = Monitor('', Models(), Settings())
+    monitor.feed(ping(1) + pong(1), 1_000_000_000)
+    monitor.feed(read(1) + damaged(reply(1, words(7, 0))) + read(2) + reply(2, words(7, 0)),
+                 1_500_600_000)
+    report = monitor.report(2_000_000_000)
+    status = bus_status('dxl_monitor', '', report, PortState('port', '', ()), True)
+    errors = [value for key, value in status.values if key.startswith('error ')]
+    assert [error.split(' s: ')[0] for error in errors] == ['0.501', '0.500'], errors

@@ -33,11 +33,17 @@ def robot(tmp_path, monkeypatch):
     (prefix.parent / 'setup.bash').touch()
     tools = tmp_path / 'tools'
     tools.mkdir()
-    (tmp_path / 'facts').write_text('E')
     udevadm = tools / 'udevadm'
-    udevadm.write_text(f'#!/bin/sh\ncase "$*" in *ttyUSB*) cat {tmp_path}/facts;; esac\n')
+    udevadm.write_text(f"""#!/bin/sh
+echo "$*" >> {tmp_path}/asked
+for name in ttyUSB0 ttyUSB1 ttyUSB
+do case "$*" in *$name*) cat {tmp_path}/facts_$name && exit;; esac
+done 2> /dev/null
+exit 0
+""")
     udevadm.chmod(0o755)
     monkeypatch.setenv('PATH', f'{tools}:{os.environ["PATH"]}')
+    monkeypatch.syspath_prepend(str(INSTALLER.parent))
     robot = Robot(tmp_path, prefix)
     robot.facts(USB)
     return robot
@@ -52,8 +58,9 @@ class Robot:
         self.prefix = prefix
         self.root.mkdir()
 
-    def facts(self, facts):
-        (self._folder / 'facts').write_text(''.join(f'{k}={v}\n' for k, v in facts.items()))
+    def facts(self, facts, device='ttyUSB'):
+        (self._folder / f'facts_{device}').write_text(
+            ''.join(f'{k}={v}\n' for k, v in facts.items()))
 
     def run(self, *options, answer=''):
         return subprocess.run(
@@ -107,6 +114,12 @@ def test_usbmon_is_for_the_service_alone(robot):
     assert 'nothing to do' in robot.install('--usbmon')
     robot.uninstall()
     assert not [file for file in robot.files() if 'usbmon' in file]
+    assert not (robot.root / 'etc/systemd/system/dxl_monitor.service.d').exists()
+    robot.install('--usbmon')
+    edited = robot.root / 'etc/systemd/system/dxl_monitor.service.d/override.conf'
+    edited.touch()
+    robot.uninstall()
+    assert edited.exists()                          # as `systemctl edit` makes it
     refused = robot.run('--mcu', '/dev/ttyAMA0', '--usbmon', '--yes')
     assert (refused.returncode, refused.stderr) == (
         1, 'install: --usbmon: no adapter given; give --bus DEVICE\n')
@@ -119,7 +132,7 @@ def test_installs_everything_and_nothing_twice(robot):
         'etc/mecarover_serial/monitor.yaml', 'etc/systemd/system/dxl_monitor.service',
         'etc/systemd/system/vel2d_bridge.service',
         'etc/udev/rules.d/70-mecarover_serial.rules']
-    assert robot.install() == 'install: nothing to do\n'
+    assert robot.install().endswith('\ninstall: nothing to do\n')
 
 
 def test_the_page_alone_and_its_undoing(robot):
@@ -157,11 +170,18 @@ def test_settings_name_the_stable_ports(robot):
         in robot.read('etc/mecarover_serial/monitor.yaml')
 
 
+def name_rules(*links):
+    return importlib.import_module('device_names').name_rules(links)
+
+
 def test_what_is_no_serial_port_is_refused(robot):
     robot.facts({'SUBSYSTEM': 'mem'})
-    done = robot.run('--mcu', '/dev/ttyUSB0', '--yes')
-    assert done.stderr == 'install: /dev/ttyUSB0: not a serial port; give e.g. /dev/ttyUSB0\n'
-    robot.facts({'SUBSYSTEM': 'tty'} | USB)
+    refused = importlib.import_module('device_names').InstallError
+    with pytest.raises(refused, match='/dev/ttyUSB0: not a serial port; give'):
+        name_rules(('/dev/ttyUSB0', '/dev/mecarover_mcu'))
+
+
+def test_services_of_root_are_said(robot):
     done = robot.run('--mcu', '/dev/ttyUSB0', '--user', 'root', '--yes')
     assert 'note: the services will run as root; give --user NAME' in done.stdout
 
@@ -212,23 +232,76 @@ def test_uninstall_says_what_stays_and_what_undoes_it(tmp_path, monkeypatch, cap
 ])
 def test_an_adapter_is_known_by_its_serial_number_or_its_socket(robot, facts, rule):
     robot.facts(facts)
+    assert name_rules(('/dev/ttyAMA0', '/dev/mecarover_mcu'),
+                      ('/dev/ttyUSB0', '/dev/mecarover_dxl')) == [
+        'KERNEL=="ttyAMA0", SYMLINK+="mecarover_mcu", TAG+="systemd"', rule]
+
+
+def test_an_image_is_not_asked_of_the_udev_of_this_machine(robot, tmp_path):
+    told = robot.install('--bus', 'left=/dev/serial/by-id/usb-FTDI-if00-port0')
+    assert not (tmp_path / 'asked').exists()
+    rules = robot.read('etc/udev/rules.d/70-mecarover_serial.rules').splitlines()
+    for rule in ('KERNEL=="ttyAMA0", SYMLINK+="mecarover_mcu", TAG+="systemd"',
+                 'KERNEL=="ttyUSB0", SYMLINK+="mecarover_dxl", TAG+="systemd"',
+                 'SYMLINK=="serial/by-id/usb-FTDI-if00-port0", SYMLINK+="mecarover_dxl_left", '
+                 'TAG+="systemd"'):
+        assert rule in rules
+    [note] = [line for line in told.splitlines() if line.startswith('note: --root: ')]
+    assert '/dev/mecarover_dxl will be any adapter that is called ttyUSB0 there' in note
+
+
+@pytest.mark.parametrize('buses', [
+    ('/dev/ttyUSB0', '/dev/ttyUSB1'), ('left=/dev/ttyUSB0', 'left=/dev/ttyUSB1')])
+@pytest.mark.parametrize('is_here', [True, False])
+def test_two_buses_with_one_name_are_refused(robot, buses, is_here):
+    names = importlib.import_module('device_names')
+    with pytest.raises(names.InstallError, match=r'^--bus: two would be /dev/mecarover_dxl\S*; '
+                       'give each its name, as --bus left='):
+        names.name_rules([names.parse_bus(text) for text in buses], is_here)
+
+
+@pytest.mark.parametrize(('link', 'where'), [
+    ('{outside}', '{outside}'), ('../outside', '/outside')])
+def test_links_of_an_image_lead_nowhere_else(robot, tmp_path, link, where):
+    outside = tmp_path / 'outside'
+    (outside / 'systemd').mkdir(parents=True)
+    (robot.root / 'etc').symlink_to(link.format(outside=outside))
     robot.install()
-    rules = robot.read('etc/udev/rules.d/70-mecarover_serial.rules').splitlines()
-    assert rule in rules
-    assert 'KERNEL=="ttyAMA0", SYMLINK+="mecarover_mcu", TAG+="systemd"' in rules
+    assert robot.install().endswith('\ninstall: nothing to do\n')
+    assert [path for path in outside.rglob('*') if path.is_file()] == []
+    [unit] = robot.root.rglob('vel2d_bridge.service')
+    assert str(unit) == (f'{robot.root}{where.format(outside=outside)}'
+                         '/systemd/system/vel2d_bridge.service')
+    assert robot.uninstall().returncode == 0
+    assert list(robot.root.rglob('vel2d_bridge.service')) == []
 
 
-def test_two_adapters_with_one_serial_number_are_known_by_their_sockets(robot, tmp_path):
+def test_a_unit_that_is_a_link_is_replaced_not_followed(robot, tmp_path):
+    """As `systemctl mask` leaves it; the file at its end belongs to this machine."""
+    (tmp_path / 'null').write_text('of this machine')
+    unit = robot.root / 'etc/systemd/system/vel2d_bridge.service'
+    unit.parent.mkdir(parents=True)
+    unit.symlink_to(tmp_path / 'null')
+    robot.install()
+    assert (tmp_path / 'null').read_text() == 'of this machine'
+    assert not unit.is_symlink()
+    assert unit.is_file()
+
+
+def test_links_in_a_circle_are_one_line(robot):
+    (robot.root / 'etc').symlink_to('etc')
+    done = robot.run('--mcu', '/dev/ttyAMA0', '--yes')
+    assert (done.returncode, len(done.stderr.splitlines())) == (1, 1)
+    assert 'too many links' in done.stderr
+
+
+def test_two_adapters_with_one_serial_number_are_known_by_their_sockets(robot, capsys):
     for number in (0, 1):
-        (tmp_path / f'facts{number}').write_text(''.join(
-            f'{key}={value}\n' for key, value in {**USB, 'ID_PATH': f'usb-0:{number}'}.items()))
-    (tmp_path / 'tools/udevadm').write_text(
-        f'#!/bin/sh\ncase "$*" in *ttyUSB0) cat {tmp_path}/facts0;; '
-        f'*ttyUSB1) cat {tmp_path}/facts1;; esac\n')
-    told = robot.install('--bus', 'left=/dev/ttyUSB1')
+        robot.facts({**USB, 'ID_PATH': f'usb-0:{number}'}, f'ttyUSB{number}')
+    rules = name_rules(('/dev/ttyUSB0', '/dev/mecarover_dxl'),
+                       ('/dev/ttyUSB1', '/dev/mecarover_dxl_left'))
     assert ('note: /dev/ttyUSB1 has the same serial number as another adapter, FT4TFSGE: its name '
-            'belongs to') in told
-    rules = robot.read('etc/udev/rules.d/70-mecarover_serial.rules').splitlines()
+            'belongs to') in capsys.readouterr().out
     for number, name in enumerate(('mecarover_dxl', 'mecarover_dxl_left')):
         assert f'ENV{{ID_PATH}}=="usb-0:{number}", SYMLINK+="{name}", TAG+="systemd"' in rules
 

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 
 from harness import Program
 from harness import wait
@@ -22,6 +23,7 @@ from dxl_monitor.model.models import Models
 from dxl_monitor.monitor_settings import Bus
 from dxl_monitor.port.listener import ListenerState
 from dxl_monitor.record.recorders import Recorders
+from mecarover_serial.inspection import EVERY_S
 from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
@@ -263,6 +265,21 @@ def test_a_login_that_begins_while_it_listens_is_told(tmp_path, heard):
             heard.wait_status('dxl_monitor: bus', 'agetty (pid 812) offers a login here', level=1)
             shutil.rmtree(login)
             heard.wait_status('dxl_monitor: bus', '1 of 1', level=0)
+
+
+def test_who_opens_the_port_beside_it_is_named_at_once(tmp_path, heard):
+    opens = 'import os, sys, time; os.open(sys.argv[1], os.O_NOCTTY); time.sleep(99)'
+    link = tmp_path / 'bus'
+    with fake_bus(link, '--devices', '1:MX-64') as fake:
+        fake.wait_for('2000000 baud')
+        with monitor([link]):
+            heard.wait_status('dxl_monitor: bus', '1 of 1', level=0)
+            begin = time.monotonic()
+            with Program('', str(link), script=opens) as other:
+                heard.wait_status('dxl_monitor: bus', f'(pid {other.pid}) has it open too',
+                                  level=1)
+            heard.wait_status('dxl_monitor: bus', '1 of 1', level=0)
+            assert time.monotonic() - begin < EVERY_S / 2
 
 
 @pytest.mark.parametrize('number', ENDINGS, ids=lambda number: number.name)

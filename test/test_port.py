@@ -13,13 +13,18 @@ import subprocess
 import sys
 import termios
 
+from harness import Program
+from harness import wait
 import pytest
 import serial
 from terminal_server import TerminalServer
 
 from dxl_monitor.port import strace
+from dxl_monitor.port.source_name import ways_to_hear
 from mecarover_serial import port as port_module
+from mecarover_serial import port_watch
 from mecarover_serial import preflight
+from mecarover_serial.inspection import Inspection
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
 from mecarover_serial.port_error import PortError
@@ -363,6 +368,106 @@ def test_who_made_a_pty_is_in_the_way_only_where_there_is_no_other():
         with pipes(opens, path) as other:
             other.stdout.readline()
             assert re.fullmatch(rf'in use by \S+ \(pid {other.pid}\)', reason())
+
+
+OPENS = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
+
+
+def looked(inspection, opening, now_s):
+    """Let an inspection look, and return what it complains of."""
+    inspection.look(opening, now_s)
+    inspection._thread.join()
+    return inspection.complaints
+
+
+def test_who_opens_a_port_beside_us_is_seen_at_once_and_gone_at_once():
+    with Pty() as pty:
+        port = open_port(pty.path, 115200)
+        inspection = Inspection(pty.path, [])
+        assert looked(inspection, 1, 100.0) == []
+        with pipes(OPENS, pty.path) as other:
+            other.stdout.readline()
+            [line] = looked(inspection, 1, 101.0)
+            assert f'(pid {other.pid}) has it open too; stop that program' in line
+        assert looked(inspection, 1, 102.0) == []
+        port.close()
+        port = open_port(pty.path, 115200)                  # ours is left out
+        assert looked(inspection, 2, 103.0) == []
+        assert looked(inspection, 2, 104.0) == []
+        with pipes(OPENS, pty.path) as other:
+            other.stdout.readline()
+            assert looked(inspection, 2, 105.0) != []       # the watch is set again
+        port.close()
+
+
+def test_who_opens_a_port_and_cannot_be_named_is_said_all_the_same(monkeypatch):
+    """The descriptors of other users' processes are for root alone; some are closed at once."""
+    monkeypatch.setattr(preflight, 'holders', lambda path, root: [])
+    with Pty() as pty:
+        port = open_port(pty.path, 115200)
+        inspection = Inspection(pty.path, [])
+        assert looked(inspection, 1, 100.0) == []
+        with pipes(OPENS, pty.path) as other:
+            other.stdout.readline()
+            assert looked(inspection, 1, 101.0) == [
+                f'{pty.path}: another program has it open too; sudo fuser -v {pty.path} names '
+                'it; stop that program']
+        assert looked(inspection, 1, 102.0) == []
+        subprocess.run(['sh', '-c', 'echo AT > "$0"', pty.path], check=True)
+        [line] = looked(inspection, 1, 103.0)
+        assert 'another program opened it for a moment; it may have sent bytes' in line
+        assert looked(inspection, 1, 104.9) == [line]
+        assert looked(inspection, 1, 105.0) == []
+        port.close()
+
+
+def test_without_a_watch_it_looks_every_30_s(monkeypatch):
+    monkeypatch.setattr(port_watch.ctypes, 'CDLL', lambda name: None)
+    with Pty() as pty:
+        inspection = Inspection(pty.path, [])
+        assert looked(inspection, 1, 100.0) == []
+        with pipes(OPENS, pty.path) as other:
+            other.stdout.readline()
+            assert looked(inspection, 1, 129.9) == []
+            [line] = looked(inspection, 1, 130.0)
+        assert looked(inspection, 1, 159.9) == [line]
+        assert looked(inspection, 1, 160.0) == []
+
+
+def test_who_listens_with_a_reader_is_named_not_its_reader(tmp_path):
+    """A command started the reader, and that is what to stop."""
+    with Pty(str(tmp_path / 'bus')) as pty, \
+            Program('dxl_monitor.tools.dxl_dump', pty.link) as tool:
+        wait(lambda: [child for child in tool.children() if 'dxl_reader' in name_of(child)])
+        [user] = [one for one in holders(pty.path) if not one.is_maker]
+        assert user.name == f'{name_of(tool.pid)} (pid {tool.pid})'
+        assert f'in use by {user.name}; stop that program' in str(refusal(pty.path))
+        with Program('dxl_monitor.tools.dxl_dump', pty.link) as second:
+            second.wait_for(f'{pty.link}: in use by {user.name}; stop that program, or hear what '
+                            'it does with tap:NAME (dxl_tap NAME -- COMMAND starts it)')
+    assert ways_to_hear('/dev/ttyUSB0').startswith('usb:/dev/ttyUSB0 or tap:NAME (')
+
+
+def name_of(pid):
+    return pathlib.Path(f'/proc/{pid}/comm').read_text().strip()
+
+
+def test_a_port_that_another_program_stopped_takes_bytes():
+    """XOFF by tcflow(3), as Ctrl-S on a terminal: the driver keeps it from opening to opening."""
+    with Pty() as pty:
+        other = os.open(pty.path, os.O_RDWR | os.O_NOCTTY)
+        termios.tcflow(other, termios.TCOOFF)
+        os.close(other)
+        listening = open_port(pty.path, 115200, read_only=True)
+        again = os.open(pty.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        with pytest.raises(BlockingIOError):        # a listener lets nothing go out
+            os.write(again, b'x')
+        os.close(again)
+        listening.close()
+        port = open_port(pty.path, 115200)
+        assert port.write(b'stop') == 4
+        assert os.read(pty.master, 99) == b'stop'
+        port.close()
 
 
 def test_who_shares_a_pty_is_told_and_who_made_it_is_not():

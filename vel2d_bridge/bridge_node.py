@@ -38,6 +38,7 @@ from msg_defs.ros import QUEUE_DEPTH
 from msg_defs.ros import TimingPublisher
 from msg_defs.ros import to_time
 from msg_defs.vel2d import encode
+from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.bridge_settings import doubts
 from vel2d_bridge.bridge_settings import gate_settings
@@ -105,6 +106,7 @@ class Bridge:
         self._levels: list[Level] = []
         self._not_kept = ''                         # why switching off would not outlast a restart
         self._reported = 0.0
+        [self._other_crc_input] = {*CRC_INPUTS} - {self._values['crc_input']}
         self._link = self._make_link(deadman)
         if not self._link.gate.enabled:             # the file has said so: it is one switch
             self.node.set_parameters([Parameter('enabled', value=False)])
@@ -230,6 +232,7 @@ class Bridge:
 
     def _on_sent(self, sent: Sent) -> None:
         self._timing.sent(sent)
+        self._mcu.drives += sent.velocity != STOP
         if self._log.get_effective_level() <= LoggingSeverity.DEBUG:
             self._sent.append(sent)
 
@@ -287,10 +290,9 @@ class Bridge:
 
     def _link_warnings(self) -> list[str]:
         """Return what disturbs the link: what the port shows, and what the MCU says."""
-        [other] = [one for one in CRC_INPUTS if one != self._values['crc_input']]
         return [*self._inspection.complaints, *(
             f'{self._port}: {line}'
-            for line in self._mcu.complaints(time.monotonic_ns(), other))]
+            for line in self._mcu.complaints(time.monotonic_ns(), self._other_crc_input))]
 
     def _say_new(self, complaints: Sequence[str]) -> None:
         """Warn of a complaint once, when it comes up."""
@@ -319,7 +321,9 @@ class Bridge:
         verdict, refused_at = self._refused or (None, 0)
         commands = Commands(
             subscriber.topic, subscriber.subscribed, self._values['cmd_vel_timeout'],
-            [*self._around, *subscriber.complaints], self._timing.command_period.summary(now),
+            [*(f'{self._port}: {line}'
+               for line in self._mcu.refused_drives(now, self._other_crc_input)),
+             *self._around, *subscriber.complaints], self._timing.command_period.summary(now),
             subscriber.zero_stamps, verdict if now - refused_at < REFUSED_NS else None,
             self._surroundings.clock_stands())
         return [link_status(name, self._port, state, self._link_warnings(), self._mcu, now),

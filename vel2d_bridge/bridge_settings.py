@@ -42,7 +42,8 @@ PARAMETERS = (
     Parameter('write_timeout', 0.05, 'a frame that is not sent within this time is discarded, and '
               'a stop follows; never less than the time of two frames on the wire', 's', 0.005,
               1.0, run_time=True),
-    Parameter('crc_input', 'bytes', 'how the MCU feeds its CRC unit', choices=tuple(CRC_INPUTS)),
+    Parameter('crc_input', 'bytes', 'how the MCU feeds its CRC unit; with the wrong one it '
+              'accepts stops only and never moves', choices=tuple(CRC_INPUTS)),
     Parameter('enabled', True, 'whether commands are accepted; if not, the rover does not move '
               'and stops are still sent. The service ~/enable sets it too', run_time=True),
     Parameter('disabled_file', '', 'a file that exists while commands are switched off; a bridge '

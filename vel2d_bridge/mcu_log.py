@@ -23,6 +23,8 @@ _KEPT = 5                       # lines between two that are taken
 _SECOND = 1_000_000_000
 _GARBAGE_PERIOD = 10 * _SECOND  # between complaints
 _REFUSED_FOR = 10 * _SECOND     # after its last word a refusal is a complaint for so long
+_DRIVES_MIN = 5                 # frames: fewer refused ones may be an accident
+_DRIVES_KEPT = 200              # frames that say whether commands to drive are refused: about 10 s
 CRC_MISMATCH = 'crc mismatch'
 INSUFFICIENT = 'insufficient bytes'
 _KEYS = ('MCU state', 'MCU good frames', 'MCU bad frames', 'MCU refused frames',
@@ -36,6 +38,7 @@ class McuLog:
     def __init__(self) -> None:
         self.reset()
         self._refused_at: dict[str, int] = {}
+        self._drive_refused_at = -_REFUSED_FOR
         self._partial = b''
         self._kept: deque[str] = deque()
         self._skipped = 0
@@ -54,6 +57,9 @@ class McuLog:
         self.refused = {CRC_MISMATCH: 0, INSUFFICIENT: 0}   # frames, as the MCU says
         self._known_refused = dict(self.refused)
         self._known_garbage = 0
+        self.drives = 0             # frames sent that are not stops
+        self._bad = 0               # frames, as its reports say
+        self._drives_before = self._refused_before = self._known_drive_refusals = 0
 
     def feed(self, chunk: bytes, now: int = 0) -> None:
         """Take what came in."""
@@ -72,6 +78,8 @@ class McuLog:
             return
         self.lines += 1
         if (report := parse_report(text)) is not None:
+            if self._report is not None:            # what it counted before the first is not ours
+                self._bad += max(0, report.bad - self._report.bad)
             self._report, self._reported_at = report, now
             return
         for words in self.refused:
@@ -107,14 +115,35 @@ class McuLog:
                 self._known_refused[words] = count
                 self._refused_at[words] = now
         remedies = {
-            CRC_MISMATCH: f'set crc_input to {crc_input} if the MCU refuses every frame, else '
-                          'check cable and ground',
+            CRC_MISMATCH: 'check cable and ground',
             INSUFFICIENT: 'check the cable, and that no console, login or other program writes '
                           'to the port',
         }
-        return [*(f'the MCU refuses frames with "{words}"; {remedies[words]}'
-                  for words, stamp in self._refused_at.items() if now - stamp < _REFUSED_FOR),
-                *self._report_complaints(now)]
+        return self.refused_drives(now, crc_input) or [
+            *(f'the MCU refuses frames with "{words}"; {remedies[words]}'
+              for words, stamp in self._refused_at.items() if now - stamp < _REFUSED_FOR),
+            *self._report_complaints(now)]
+
+    def refused_drives(self, now: int, crc_input: str) -> list[str]:
+        """
+        Return that the MCU refuses most commands to drive, where it does.
+
+        24 zero bytes have the same CRC in both ways: with the wrong crc_input each stop is
+        accepted and no other frame.
+        """
+        refused = self.refused[CRC_MISMATCH] + self._bad
+        if refused != self._known_drive_refusals:
+            self._known_drive_refusals, self._drive_refused_at = refused, now
+        drives = self.drives - self._drives_before
+        refused -= self._refused_before
+        if drives > _DRIVES_KEPT:
+            self._drives_before += drives // 2
+            self._refused_before += refused // 2
+        if refused < _DRIVES_MIN or not 0 < drives < 2 * refused \
+                or now - self._drive_refused_at >= _REFUSED_FOR:
+            return []
+        return ['the MCU refuses the commands to drive, so the rover does not move; set crc_input '
+                f'to {crc_input} if it accepts the stops, else check cable, ground and baud']
 
     def _report_complaints(self, now: int) -> list[str]:
         report = self._report

@@ -10,6 +10,7 @@ What happens with each packet is a counter of the device, not an incident.
 from collections import Counter
 from collections import deque
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 from typing import NamedTuple
 
@@ -250,9 +251,9 @@ class Evidence:
         return tuple(self.incidents[index] for index in range(-count, 0))
 
     def errors(self, register: Register) -> tuple[Error, ...]:
-        """Return the error log, the oldest line first."""
+        """Return the error log, the oldest line first: what is noted later may be older."""
         return tuple(Error(incident.stamp, _line(incident, register))
-                     for incident in self._errors)
+                     for incident in sorted(self._errors, key=attrgetter('stamp')))
 
 
 def text_of(incident: Incident[Any],

@@ -27,10 +27,13 @@ from dxl_monitor.port.driver import LineErrors
 from dxl_monitor.port.driver import set_low_latency
 from dxl_monitor.port.reader_process import ReaderProcess
 from dxl_monitor.port.reader_process import Record
+from dxl_monitor.port.source_name import ways_to_hear
 from mecarover_serial.port import as_port_error
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
+from mecarover_serial.port_error import PortError
+from mecarover_serial.port_error import Reason
 from mecarover_serial.readable import readable
 from msg_defs.event import Change
 from msg_defs.event import UNKNOWN
@@ -159,7 +162,14 @@ class Listener:
 
     def _listen_once(self) -> None:
         """Open the port and listen until it is lost, which raises, or we are stopped."""
-        port = open_port(self.port, self.baud, read_only=True)
+        try:
+            port = open_port(self.port, self.baud, read_only=True)
+        except PortError as error:
+            if error.kind != 'busy':
+                raise
+            raise PortError(self.port, Reason(
+                'busy', error.reason,
+                f'{error.remedy}, or hear what it does with {ways_to_hear(self.port)}')) from error
         try:
             self._prepare(port)
             self._listen(port)

@@ -13,6 +13,7 @@ import os
 
 TAP, USB = 'tap:', 'usb:'
 PREFIXES = (TAP, USB)              # live sources; listeners.py has their listeners
+_USB_TTYS = ('ttyUSB', 'ttyACM')
 DEFAULT_BAUD = 2_000_000
 
 
@@ -30,6 +31,13 @@ def bus_name(name: str) -> str:
     """Return what a bus is called that is heard there: the base name of its port."""
     prefix = next(filter(name.startswith, PREFIXES), '')
     return os.path.basename(name.removeprefix(prefix).rstrip('/')) or name
+
+
+def ways_to_hear(port: str) -> str:
+    """Return which sources hear a program that has this port open."""
+    tty = os.path.basename(os.path.realpath(port))
+    return (f'{USB}{port} or ' if tty.startswith(_USB_TTYS) else '') \
+        + f'{TAP}NAME (dxl_tap NAME -- COMMAND starts it)'
 
 
 def rate_of(name: str, baud: int | None) -> int:

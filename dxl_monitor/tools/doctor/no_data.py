@@ -16,7 +16,7 @@ from mecarover_serial.preflight import warnings
 from mecarover_serial.preflight import why_not
 
 _IMPORT_ERRORS = ('ModuleNotFoundError', 'ImportError')
-_OURS = ('dxl_doctor', 'dxl_dump', 'dxl_reader')
+_OURS = ('dxl_doctor', 'dxl_dump')
 _NOT_BAUD = 'The baud rate is not the cause: a wrong one gives bytes that make no sense.'
 _NO_MASTER = 'No program sends to the servos now: start yours, and listen while it runs.'
 _WIRE = ('The adapter is not connected to the data line: connect D+, D- and ground (TTL: data and '
