@@ -175,7 +175,8 @@ class HistorySampler:
                  for rule, text, severity in row['findings']}
         # What another one accounts for is not reported any more, and not over either.
         causes = set() if bus is None else {rule for rule, _, _ in bus['findings']}
-        is_explained = bool(found.keys() - last.findings.keys())
+        is_explained = any(rule not in last.findings and severity != 'ok'
+                           for rule, _, severity in row['findings'])
         for rule, (level, text) in found.items():
             if rule not in last.findings:
                 last.findings[rule] = text != last.told
