@@ -31,13 +31,20 @@ BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s late at m
 PATIENCE_NS = 2_500_000_000     # longer is not a freeze: its reader hangs; a dashboard waits 4 s
 
 
+def _time_of_day(stamp: int) -> str:
+    """Spell a monotonic stamp as a clock on the wall shows it."""
+    ago_s = (time.monotonic_ns() - stamp) / 1e9
+    return time.strftime('%H:%M:%S', time.localtime(time.time() - ago_s))
+
+
 class MonitoredBus:
     """One bus: its listener and its monitor, and the recorders of all buses."""
 
     def __init__(self, bus: Bus, models: Models, recorders: Recorders,
                  joint_state_rate: float = 0.0, names: Names = PARAMETERS) -> None:
         self.bus = bus
-        self.monitor = Monitor(bus.label, models, bus.settings, idle_is_told=True, names=names)
+        self.monitor = Monitor(bus.label, models, bus.settings, idle_is_told=True,
+                               names=names._replace(time_of_day=_time_of_day))
         self._behind_since = 0
         self._known_adapter: tuple[int, Pairs] = (0, [])
         self._recorders = recorders

@@ -60,6 +60,7 @@ class _LastSeen:
     state: tuple[int, str] | None = None
     told: str = ''              # the text of its last state that was noted
     findings: dict[str, bool] = field(default_factory=dict)     # rules; whether it was noted
+    was_unknown: bool = False   # since they were looked at: another monitor may know less
     row: Row = field(default_factory=dict)
     window: Window | None = None
     is_new: bool = False        # the window is not written as it is now
@@ -95,12 +96,13 @@ class HistorySampler:
                 source = Subject(report.row_name, kind, row['robot'], report.values.unit)
                 part = parts[row['node'], row.get('bus')]
                 is_told = (kind == 'devices' and part.hides_devices) or not part.is_known
+                last.was_unknown |= not part.is_known
                 if row is not last.row and not is_told:
                     last.row = row
                     if kind == 'devices':
-                        self._judge_device(last, source, row, unix_s)
+                        self._judge_device(last, source, row, own.get(part.row_name), unix_s)
                     elif kind == 'buses':
-                        self._judge_findings(last, source, row, unix_s)
+                        self._judge_findings(last, source, row, None, unix_s)
                 if report.arrived == last.arrived:
                     continue
                 last.arrived = report.arrived
@@ -154,7 +156,8 @@ class HistorySampler:
             self._events.append(Event(unix_s, source, 'state', now[0], text))
         last.state = now
 
-    def _judge_device(self, last: _LastSeen, source: Subject, row: Row, unix_s: float) -> None:
+    def _judge_device(self, last: _LastSeen, source: Subject, row: Row, bus: Row | None,
+                      unix_s: float) -> None:
         """Note a change of level or state; what a finding says is noted as that."""
         now = level_of(row), row['state']
         before = last.state or (Level.OK, now[1])
@@ -164,11 +167,16 @@ class HistorySampler:
             last.state, last.told = now, row['message']
         last.state = last.state or before
         if not is_lost(row):
-            self._judge_findings(last, source, row, unix_s)
+            self._judge_findings(last, source, row, bus, unix_s)
 
-    def _judge_findings(self, last: _LastSeen, source: Subject, row: Row, unix_s: float) -> None:
+    def _judge_findings(self, last: _LastSeen, source: Subject, row: Row, bus: Row | None,
+                        unix_s: float) -> None:
         found = {rule: (Level.ERROR if severity == 'error' else Level.WARN, text)
                  for rule, text, severity in row['findings']}
+        # What another one accounts for is not reported any more, and not over either.
+        causes = set() if bus is None else {rule for rule, _, _ in bus['findings']}
+        is_explained = any(rule not in last.findings and severity != 'ok'
+                           for rule, _, severity in row['findings'])
         for rule, (level, text) in found.items():
             if rule not in last.findings:
                 last.findings[rule] = text != last.told
@@ -176,8 +184,10 @@ class HistorySampler:
                     self._events.append(
                         Event(unix_s, source, 'finding', level, f'{_words(rule)}: {text}'))
         for rule in last.findings.keys() - found.keys():
-            if last.findings.pop(rule):
+            if last.findings.pop(rule) and not (
+                    last.was_unknown or is_explained or rule in causes):
                 self._events.append(Event(unix_s, source, 'over', Level.OK, _words(rule)))
+        last.was_unknown = False
 
     def _take_errors(self, last: _LastSeen, source: Subject, row: Row, offset_s: float,
                      away: set[str]) -> None:

@@ -124,7 +124,7 @@ def test_what_is_over_is_told_as_over():
     found = said(heard('silent:4:1:2.5', seconds=9.0))
     told = {entry.rule: entry for entry in found.wrong}
     assert 'dropout' in told or 'rebooted' in told
-    assert all('then cleared' in told[rule].evidence for rule in told if rule == 'no_answer')
+    assert all('not since' in told[rule].evidence for rule in told if rule == 'no_answer')
 
 
 def test_a_device_that_is_lost_for_a_moment_is_a_warning():

@@ -186,7 +186,11 @@ def _nameless(case: Case, device: DeviceReport) -> Found | None:
   too little:
   - devices: [{id: 1, joint: knee}]
 """))
+    code.change('test/value_findings.yaml', ('  models that are not known', """\
+  names: [nameless]
+"""))
     code.passes('test_doctor_edges.py', 'nameless')
+    code.passes('test_value_findings.py', 'in_the_table')
     code.passes('test_doctor_faults.py', 'every_rule')
     code.passes('test_doctor.py', 'every_rule or rules_explain', 2)
     assert code.run('-c', """

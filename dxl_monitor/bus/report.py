@@ -58,7 +58,11 @@ class Error(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """A named cause, from the doctor; device None = the bus; covers: who else suffers from it."""
+    """
+    A named cause, from the doctor; device None = the bus; covers: who else suffers from it.
+
+    read_at: stamp of the value that it rests on, where that is not read any more; 0 where it is.
+    """
 
     rule: str
     level: Level
@@ -66,6 +70,7 @@ class Finding(NamedTuple):
     message: str                   # what a person does about it
     evidence: tuple[tuple[str, str], ...] = ()
     covers: tuple[int, ...] = ()
+    read_at: int = 0
 
 
 D = TypeVar('D')

@@ -4,8 +4,9 @@
 The bus doctor: reports in, named causes out. docs/doctor.md has every one of them.
 
 Rules are data and pure functions, one file per family. Here is what joins them: a claim lasts
-some seconds longer than its evidence, so that nothing flickers, and what another claim accounts
-for is not said. Time comes with the report; no IO, no clock.
+some seconds longer than its evidence, so that nothing flickers, one about a value lasts until that
+is seen again (last_read.py), and what another claim accounts for is not said. Time comes with the
+report; no IO, no clock.
 """
 
 from __future__ import annotations
@@ -28,6 +29,10 @@ from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import History
 from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.case import PARAMETERS
+from dxl_monitor.doctor.last_read import claimed
+from dxl_monitor.doctor.last_read import dated
+from dxl_monitor.doctor.last_read import held
+from dxl_monitor.doctor.last_read import Standing
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
@@ -59,7 +64,7 @@ class Doctor:
     def __init__(self, settings: Settings = DEFAULTS, names: Names = PARAMETERS) -> None:
         self._settings, self._names = settings, names
         self._history = History(names)
-        self._standing: dict[_Key, tuple[Rule, Claim, int]] = {}
+        self._standing: dict[_Key, Standing] = {}
         self._since: dict[_Key, int] = {}          # claimed without a break
         self._doubts: tuple[Finding, ...] = ()
 
@@ -81,20 +86,22 @@ class Doctor:
                     since[key] = self._since.get(key, case.now)
                     onset_s = WEAK_S if case.is_weak and rule in health.RULES else rule.onset_s
                     if found.is_certain or case.now - since[key] >= onset_s * S:
-                        self._standing[key] = rule, found, case.now
+                        self._standing[key] = claimed(case, rule, found,
+                                                      self._standing.get(key))
                 else:
                     doubts.append(Finding(rule.name, Level.OK, found.device, found.reason))
         self._since = since
         self._standing = {
-            key: (rule, claim, stamp) for key, (rule, claim, stamp) in self._standing.items()
-            if 0 <= case.now - stamp <= (HOLD_NS if rule.holds else 0)}
-        findings = self._told()
-        claimed = {(finding.rule, finding.device) for finding in findings}
+            key: lasting for key, one in self._standing.items() if (lasting := one if (
+                0 <= case.now - one.stamp <= (HOLD_NS if one.rule.holds else 0)
+                or (key in since and one.reading is not None)) else held(case, one)) is not None}
+        findings = self._told(case)
+        named = {(finding.rule, finding.device) for finding in findings}
         explained = {name for finding in findings if finding.device is None
                      and finding.level is not Level.OK
                      for name in RULES[_RANK[finding.rule]].explains}
         self._doubts = tuple(one for one in doubts if one.rule not in explained
-                             and (one.rule, one.device) not in claimed)
+                             and (one.rule, one.device) not in named)
         return _with(case, findings, self._doubts)
 
     def _last_told(self, case: Case) -> tuple[Finding, ...]:
@@ -104,18 +111,27 @@ class Doctor:
             rule = RULES[_RANK[name]]
             for found in found_by(rule, case):
                 if isinstance(found, Claim):
-                    self._standing[name, found.device] = rule, found, case.now
-        return self._told()
+                    self._standing[name, found.device] = claimed(case, rule, found, None)
+        return self._told(case)
 
-    def _told(self) -> tuple[Finding, ...]:
-        """Return the standing claims that no other accounts for, the worst first."""
-        claims = self._standing.values()
-        findings = [
-            Finding(rule.name, rule.level if claim.level is None else claim.level, claim.device,
-                    claim.message, claim.evidence, claim.covers)
-            for rule, claim, _ in claims
-            if not any(_explains(other, by, rule.name, claim) for other, by, _ in claims)]
-        return tuple(sorted(findings, key=lambda one: (-one.level, _RANK[one.rule])))
+    def _told(self, case: Case) -> tuple[Finding, ...]:
+        """Return the standing claims that no other accounts for, the worst and newest first."""
+        if not self._standing:
+            return ()
+        standing = [one if one.reading is None else dated(case, one)
+                    for one in self._standing.values()]
+        causes = [one for one in standing if one.rule.explains and not one.claim.stands_alone]
+        findings = [_finding(one) for one in standing
+                    if not any(_explains(by, one) for by in causes)]
+        return tuple(sorted(findings, key=lambda one: (-one.level, one.read_at > 0,
+                                                       _RANK[one.rule])))
+
+
+def _finding(one: Standing) -> Finding:
+    claim = one.claim
+    return Finding(one.rule.name, one.rule.level if claim.level is None else claim.level,
+                   claim.device, claim.message, claim.evidence, claim.covers,
+                   one.reading.stamp if one.is_old and one.reading is not None else 0)
 
 
 def found_by(rule: Rule, case: Case) -> list[Found]:
@@ -140,11 +156,12 @@ def _whom(rule: Rule, case: Case) -> Iterator[DeviceReport]:
             yield device
 
 
-def _explains(rule: Rule, by: Claim, name: str, claim: Claim) -> bool:
-    """Tell whether one claim accounts for another."""
-    if name not in rule.explains or by is claim or by.stands_alone:
+def _explains(one: Standing, other: Standing) -> bool:
+    """Tell whether one claim accounts for another: what was once no longer does for what is."""
+    name, by, claim = other.rule.name, one.claim, other.claim
+    if name not in one.rule.explains or one is other or (one.is_old and not other.is_old):
         return False
-    if rule.name == name:                   # the bus has it, so its devices do; not the reverse
+    if one.rule.name == name:               # the bus has it, so its devices do; not the reverse
         return by.device is None
     return by.device is None or claim.device is None or claim.device == by.device \
         or claim.device in by.covers

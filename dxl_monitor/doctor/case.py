@@ -9,6 +9,7 @@ rests on anything older than the window.
 
 from collections import defaultdict
 from collections import deque
+from collections.abc import Callable
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field
@@ -55,11 +56,16 @@ Key = tuple[int, tuple[int, ...], int | None]  # a cycle's instruction, IDs, add
 
 
 class Names(NamedTuple):
-    """What a remedy asks a person to set, as it is called there: a parameter or an option."""
+    """
+    What a remedy asks a person to set, as it is called there: a parameter or an option.
+
+    time_of_day: spells a stamp ('20:46:30'); None where stamps are not of now.
+    """
 
     bauds: str
     devices: str
     folders: str
+    time_of_day: Callable[[int], str] | None = None
 
 
 PARAMETERS = Names('`bauds`', '`devices`', '`model_dirs`')
@@ -357,6 +363,8 @@ class History:
         for device in case.report.devices:
             values = case.values[device.id]
             if 'Present Position' not in values and 'Present Input Voltage' not in values:
+                if device.id in self._samples:     # it restarted, so they say nothing of now
+                    del self._samples[device.id]
                 continue
             goal, position, tick, voltage = (values.get(name) for name in _FOLLOWED)
             samples = self._samples.setdefault(device.id, deque(maxlen=KEPT))

@@ -15,6 +15,7 @@ from dxl_monitor.doctor import group_reads
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import Names
 from dxl_monitor.doctor.last_question import ended_on
+from dxl_monitor.doctor.rule import ANSWER
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import DAMAGE
@@ -127,20 +128,22 @@ def _goals_beyond(case: Case, device: DeviceReport) -> Found | None:
         return None
     return Claim(f'goals beyond 0 to {TURN - 1} are sent, which Position Control Mode '
                  'refuses: keep them within, or set Extended Position Control Mode',
-                 {'the last': beyond[-1].goal})
+                 {'the last': beyond[-1].goal}, rests_on=('Goal Position', 'Operating Mode'))
 
 
 def _goals_held_back(case: Case, device: DeviceReport) -> Found | None:
     """Look for goals beyond the limits of a Feetech servo, which it answers as any other."""
+    limits = 'Min Position Limit', 'Max Position Limit'
     low, high = (one.value.raw if one is not None else 0 for one in map(
-        case.values[device.id].get, ('Min Position Limit', 'Max Position Limit')))
+        case.values[device.id].get, limits))
     beyond = {one.goal for one in case.samples.get(device.id, ())
               if one.goal is not None and not low <= one.goal <= high}
     if not low < high or len(beyond) < TWICE:
         return None                            # without limits both are 0
     return Claim(f'goals beyond its limits of {low} to {high} are sent: it stops '
                  'there; keep goals within them, or set wider ones (Min and Max Position Limit)',
-                 {'the farthest': max(beyond, key=lambda goal: abs(2 * goal - low - high))})
+                 {'the farthest': max(beyond, key=lambda goal: abs(2 * goal - low - high))},
+                 rests_on=('Goal Position', *limits))
 
 
 def _wrong_address(case: Case, device: DeviceReport) -> Found | None:
@@ -192,7 +195,8 @@ def _no_acks(case: Case, device: DeviceReport) -> Found | None:
     return Claim('does not acknowledge writes (Status Return Level '
                  f"{level or 'below 2'}): a master that waits for it loses a time-out each time; "
                  f"use Sync Write or level 2{'; if it has that, check its plugs' * has_ended}",
-                 level=Level.WARN if has_ended else None, is_certain=has_ended)
+                 level=Level.WARN if has_ended else None, is_certain=has_ended,
+                 rests_on=() if has_ended or unanswered else (ANSWER,))
 
 
 def _unstuffed(case: Case) -> Claims:

@@ -10,13 +10,13 @@ from collections import defaultdict
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
-from dxl_monitor.doctor.health import RECENT_S
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import FAMILY_1
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import listed
+from dxl_monitor.doctor.rule import RECENT_S
 from dxl_monitor.doctor.rule import Rule
 from dxl_monitor.doctor.rule import SILENCE
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from operator import ne
 from operator import sub
 from typing import NamedTuple
@@ -13,16 +14,17 @@ from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.bus.table import Observed
 from dxl_monitor.doctor.case import Case
+from dxl_monitor.doctor.rule import ANSWER
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import Doubt
 from dxl_monitor.doctor.rule import Found
 from dxl_monitor.doctor.rule import in_full
 from dxl_monitor.doctor.rule import listed
+from dxl_monitor.doctor.rule import RECENT_S
 from dxl_monitor.doctor.rule import Rule
 from msg_defs.reports import Level
 
-RECENT_S = 10.0                    # older values say nothing of now
 NEAR_DEGREES = 5.0
 NEAR_VOLTS = 0.3
 ALIVE_VOLTS = 1.0                  # a device with less does not answer: the register is not it
@@ -45,6 +47,8 @@ _REMEDIES = {
     'overload': _FREE_IT,
     'current': _FREE_IT}
 _OF_SUPPLY = 'voltage'     # ends the name of the first bit of the 1.0 family where it is alone
+_HEAT = 'Present Temperature', 'Temperature Limit'
+SUPPLY = 'Present Input Voltage', 'Min Voltage Limit', 'Max Voltage Limit'
 _ERRORS = ('Hardware Error Status', 'Error Code')
 
 
@@ -76,10 +80,10 @@ FACTORY = {
 }
 
 
-def fresh(case: Case, device: DeviceReport, name: str) -> float | None:
-    """Return the value of a register that was read lately."""
+def last_read(case: Case, device: DeviceReport, name: str, within_s: float = inf) -> float | None:
+    """Return the value of a register, as it was read last."""
     seen = case.values[device.id].get(name)
-    return None if seen is None or seen.age_s > RECENT_S or seen.source != 'r' \
+    return None if seen is None or seen.age_s > within_s or seen.source != 'r' \
         else seen.value.number
 
 
@@ -104,15 +108,16 @@ def latched(device: DeviceReport) -> Claim | None:
         remedy = next((remedy for bit, remedy in _REMEDIES.items() if bit in device.last_error),
                       'switch it off and on')
         return Claim(f'{device.last_error} error in its answers{torque}: {remedy}',
-                     figures, device=device.id)
+                     figures, device=device.id, rests_on=(ANSWER,))
     seen = next((values[name] for name in _ERRORS
                  if name in values and values[name].value.raw), None)
     if seen is None:
         return Claim(f'alert in its answers{torque}: an error is latched; read '
                      'Hardware Error Status, then reboot it', figures, Level.WARN,
-                     device=device.id)
+                     device=device.id, rests_on=(ANSWER,))
     return Claim(f'{seen.value.text} error latched{torque}: remove the cause, then '
-                 'send Reboot; until then it does not move', figures, device=device.id)
+                 'send Reboot; until then it does not move', figures, device=device.id,
+                 rests_on=(ANSWER,))
 
 
 def is_off(torque: Observed | None) -> bool:
@@ -135,10 +140,10 @@ def limit_of(case: Case, device: DeviceReport, name: str,
 def _too_hot(case: Case) -> Claims:
     unknown = []
     for device in case.report.devices:
-        temperature = fresh(case, device, 'Present Temperature')
+        temperature = last_read(case, device, _HEAT[0])
         if temperature is None:
             continue
-        limit, source = limit_of(case, device, 'Temperature Limit', 'degrees')
+        limit, source = limit_of(case, device, _HEAT[1], 'degrees')
         if limit is None and device.model.number is not None:
             unknown.append(device.id)
         elif limit is not None and temperature >= limit - NEAR_DEGREES:
@@ -146,7 +151,7 @@ def _too_hot(case: Case) -> Claims:
             yield Claim(f'{"above" if is_above else "near"} its shutdown limit of '
                         f'{limit:.0f} °C{source}: reduce load or holding torque, let it cool',
                         {'temperature (°C)': f'{temperature:.0f}', 'limit (°C)': f'{limit:.0f}'},
-                        _level(is_above), device=device.id)
+                        _level(is_above), device=device.id, rests_on=_HEAT)
     if unknown:
         yield Doubt(f'{listed(unknown, 3)}: Temperature Limit never read')
 
@@ -160,7 +165,8 @@ def _voltage(case: Case) -> Claims:
     found = []
     for device in case.report.devices:
         said = latched(device) if device.last_error.endswith(_OF_SUPPLY) else None
-        volts = fresh(case, device, 'Present Input Voltage')
+        # An error bit of now says more than a value of then.
+        volts = last_read(case, device, SUPPLY[0], RECENT_S if said else inf)
         if said and device.totals.answers == device.totals.pongs:
             pinged.append(device.id)
         elif said and (volts is None or volts < ALIVE_VOLTS):
@@ -186,7 +192,9 @@ def _voltage(case: Case) -> Claims:
         yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
                     'the cause; measure it, charge the battery, check cable gauge',
                     {'devices': in_full([one.device for one in found if one.device])},
-                    _level(any(one.level is not Level.WARN for one in found)))
+                    _level(any(one.level is not Level.WARN for one in found)),
+                    covers=tuple(one.device for one in found if one.device is not None),
+                    rests_on=SUPPLY)
     if unknown:
         yield Doubt(f'{listed(unknown, 3)}: voltage limits never read')
     if pinged:
@@ -196,7 +204,7 @@ def _voltage(case: Case) -> Claims:
 
 def _supply(device: DeviceReport, volts: float, is_beyond: bool, where: str) -> Claim:
     return Claim(f'its supply is near or {where}', {'voltage (V)': f'{volts:.1f}'},
-                 _level(is_beyond), device=device.id)
+                 _level(is_beyond), device=device.id, rests_on=SUPPLY)
 
 
 def _watchdog(case: Case, device: DeviceReport) -> Found | None:
@@ -211,7 +219,8 @@ def _watchdog(case: Case, device: DeviceReport) -> Found | None:
         return None
     return Claim(f'Bus Watchdog tripped, {refused} goals refused: the master was '
                  'silent too long; write 0 to Bus Watchdog, then send goals without such gaps',
-                 {'goals refused': refused, 'read': 'yes' if tripped else 'no'})
+                 {'goals refused': refused, 'read': 'yes' if tripped else 'no'},
+                 rests_on=('Bus Watchdog',) if tripped else ())
 
 
 def _is_goal(device: DeviceReport, address: int) -> bool:
@@ -231,7 +240,7 @@ def _range_wraps(case: Case, device: DeviceReport) -> Found | None:
         return None                            # it goes the long way, as it can
     return Claim(f'its joint moves across the end of the turn, from {TURN - 1} to 0, '
                  'where goals make it turn the long way round: calibrate it again, with the joint '
-                 'in the middle of its range')
+                 'in the middle of its range', rests_on=('Present Position',))
 
 
 RULES = (

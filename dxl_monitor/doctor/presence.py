@@ -56,6 +56,7 @@ SETTLED_S = 2.0                    # after a return: by then a restart has shown
 TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again (e-Manual)
 LOSS, LATE = 0.01, 0.1             # shares of its answers
 HELD_US = 20_000                   # so long an adapter may hold an answer back (latency timer)
+_MOTION = 'Present Position', 'Torque Enable'
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
 
 
@@ -304,13 +305,14 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
             torque.age_s < FOLLOW_S if torque.source == 'r'
             else goal is not None and goal.age_s < torque.age_s):
         return Claim('goals are sent to it, but its torque is off: switch it on '
-                     '(Torque Enable 1); after a restart, write all its settings again')
+                     '(Torque Enable 1); after a restart, write all its settings again',
+                     rests_on=_MOTION)
     if (torque is None or torque.source == 'w') \
             and is_watched(case, device, place) and is_ignored(
                 [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
         return Claim('goals leave its position on both sides or repeatedly, and it '
                      'does not move: write 1 to Torque Enable, or check its motor and what '
-                     'blocks it')
+                     'blocks it', rests_on=_MOTION)
     if torque is not None and torque.value.raw and not _absences(case, device):
         return None                    # it is on, so something holds it, or it is where it can be
     since = samples[1].stamp
@@ -323,7 +325,8 @@ def _torque_off(case: Case, device: DeviceReport) -> Found | None:
     if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not who:
         return None
     return Claim(f'its goal changes but the joint does not move{who}: its '
-                 'torque is off or it is blocked; read Torque Enable, switch it on')
+                 'torque is off or it is blocked; read Torque Enable, switch it on',
+                 rests_on=_MOTION)
 
 
 def _dip(case: Case, number: int) -> str:

@@ -18,14 +18,22 @@ from typing import NamedTuple
 from dxl_monitor.bus.report import IncidentKind
 from msg_defs.reports import Level
 
+RECENT_S = 10.0                    # a value that is older says nothing of now
+
 # What follows from many causes, for `explains`.
 SILENCE = ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter')
 DAMAGE = ('noise', 'damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')
+ANSWER = 'answer'                  # for `rests_on`: the last answer, whatever it was about
 FAMILY_1 = ('1', 'feetech')        # as model files call the protocols of the 1.0 family
 
 
 class Claim(NamedTuple):
-    """A cause found; device None = the bus. covers: devices with trouble of this cause."""
+    """
+    A cause found; device None = the bus. covers: devices with trouble of this cause.
+
+    rests_on: the register of these devices whose value it is about, or ANSWER; then registers that
+    decide what the value means. It does not end while the first is not seen again (last_read.py).
+    """
 
     message: str
     figures: Mapping[str, object] = {}
@@ -34,6 +42,7 @@ class Claim(NamedTuple):
     is_certain: bool = False       # it needs no onset
     stands_alone: bool = False     # it explains no other claim
     device: int | None = None
+    rests_on: tuple[str, ...] = ()
 
     @property
     def evidence(self) -> tuple[tuple[str, str], ...]:

@@ -10,8 +10,9 @@ from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.health import ALIVE_VOLTS
-from dxl_monitor.doctor.health import fresh
+from dxl_monitor.doctor.health import last_read
 from dxl_monitor.doctor.health import limit_of
+from dxl_monitor.doctor.health import SUPPLY
 from dxl_monitor.doctor.rule import Claim
 from dxl_monitor.doctor.rule import Claims
 from dxl_monitor.doctor.rule import DAMAGE
@@ -70,7 +71,7 @@ def _clashes(case: Case, device: DeviceReport) -> bool:
 def _wrong_supply(case: Case) -> Claims:
     high, low, unknown = [], [], []
     for device in case.report.devices:
-        volts = fresh(case, device, 'Present Input Voltage')
+        volts = last_read(case, device, SUPPLY[0])
         if device.model.protocol not in FAMILY_1 or volts is None or volts < ALIVE_VOLTS:
             continue
         limit, is_of_model = limit_of(case, device, 'Max Voltage Limit', 'high')
@@ -102,7 +103,8 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
         yield Claim(f'at {volts:.0f} V, ' + words.format(limit=limit, others=others),
                     {'voltage (V)': f'{volts:.1f}',
                      'limit (V)': f'{limit:.1f}',
-                     'devices': in_full(ids)}, level, covers=ids, device=device.id)
+                     'devices': in_full(ids)}, level, covers=ids, device=device.id,
+                    rests_on=SUPPLY)
 
 
 def _layout(case: Case, device: DeviceReport) -> Found | None:

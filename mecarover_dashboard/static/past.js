@@ -194,7 +194,7 @@ export class Past {
       + `&to=${Math.floor(at) + AROUND_S}`);
     link.hidden = kind === GAP;
     say(link, name.replace(/^.*?: /, ''));
-    say(words, kind === 'over' ? `cleared: ${text}` : text);
+    say(words, kind === 'over' ? `ended: ${text}` : text);
   }
 }
 

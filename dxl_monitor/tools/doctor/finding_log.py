@@ -22,12 +22,17 @@ _SILENT = 'all_silent', None
 
 
 class Logged(NamedTuple):
-    """A finding; first_s, last_s: its times from the first byte; stands: there at the end."""
+    """
+    A finding; first_s, last_s: its times from the first byte; stands: there at the end.
+
+    read_s: when the value that it rests on was seen last, where that is not read any more.
+    """
 
     finding: Finding
     first_s: float
     last_s: float
     stands: bool
+    read_s: float | None = None
 
 
 class FindingLog:
@@ -42,14 +47,17 @@ class FindingLog:
         """Remember what this report says."""
         now_s = max(0, report.stamp - report.started) / 1e9 if report.started else 0.0
         said = {(finding.rule, finding.device): finding for finding in report.findings}
-        self._entries = {key: one._replace(stands=False) for key, one in self._entries.items()}
+        self._entries = {key: one._replace(stands=False, read_s=None)
+                         for key, one in self._entries.items()}
         if _SILENT in said:
             self._rates = self._rates if _SILENT in self._entries else len(report.tried)
         elif report.is_answered and len(report.tried) > self._rates:
             self._entries.pop(_SILENT, None)           # it searched, and has found them
         for key, finding in said.items():
             before = self._entries.get(key)
-            self._entries[key] = Logged(finding, before.first_s if before else now_s, now_s, True)
+            self._entries[key] = Logged(
+                finding, before.first_s if before else now_s, now_s, True,
+                max(0, finding.read_at - report.started) / 1e9 if finding.read_at else None)
         self.last = report
 
     def entries(self) -> list[Logged]:

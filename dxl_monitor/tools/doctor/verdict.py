@@ -230,8 +230,9 @@ def _entry(bus: BusSummary, alike: Sequence[Logged]) -> Trouble:
 def _evidence(one: Logged) -> str:
     """Return the figures of a finding, and its time, as one sentence."""
     figures = [f'{key} {value}' for key, value in one.finding.evidence]
-    when = f'seen from {one.first_s:.1f} s on' if one.stands \
-        else f'seen from {one.first_s:.1f} to {one.last_s:.1f} s, then cleared'
+    when = f'seen from {one.first_s:.1f} to {one.last_s:.1f} s, not since' if not one.stands \
+        else f'seen from {one.first_s:.1f} s on' if one.read_s is None \
+        else f'seen from {one.first_s:.1f} s on, its value is of {one.read_s:.1f} s'
     return printable('; '.join([when, *figures]))
 
 
@@ -263,4 +264,5 @@ def _finding_json(one: Logged, bus: BusSummary) -> dict[str, Any]:
     return {'rule': finding.rule, 'level': finding.level.name, 'device': finding.device,
             'who': bus.who(finding.device), 'message': finding.message,
             'evidence': dict(finding.evidence), 'first_s': round(one.first_s, 3),
-            'last_s': round(one.last_s, 3), 'stands': one.stands}
+            'last_s': round(one.last_s, 3), 'stands': one.stands,
+            'read_s': None if one.read_s is None else round(one.read_s, 3)}
