@@ -35,20 +35,23 @@ def _wrap_read(sender: Any, original: _Method) -> _Method:
     put, now = sender.put, time.monotonic_ns
 
     def read(self: Any, *args: Any, **kwargs: Any) -> Any:
-        known, away = self.__dict__, 0
+        known, began, away = self.__dict__, now(), 0
         try:
-            away = now() - known.get(_LOOKED, now())
+            away = began - known.get(_LOOKED, began)
             if away < AWAY_NS or _WAITS in known or not self.in_waiting:
                 away = 0
         except Exception:
             pass
         data = original(self, *args, **kwargs)
         try:
+            size = args[0] if args else kwargs.get('size', 1)
+            is_short = not data or (self._timeout and len(data) < size)
             if data:
+                if is_short:                   # it waited for more until its time-out
+                    away += now() - began
                 if away:
                     sender.number('away_us', known[_PORT], away // 1000)
                 put('in', known[_PORT], bytes(data))
-            is_short = not data or (self._timeout and len(data) < (args[0] if args else 1))
             known[_LOOKED] = now()
             known[_VAIN] = known[_LOOKED] if is_short else 0
         except Exception:
