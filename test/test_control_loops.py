@@ -23,7 +23,7 @@ S, MS = 1_000_000_000, 1_000_000
 WINDOW_NS = 10 * S
 
 
-def heard(row, has_sides, seconds=12):
+def heard(row, has_sides, seconds=7):
     """Return the report of a program that ran, the findings on the way, and its mean cycle."""
     bus = Monitor('bus', MODELS, Settings(baud=1_000_000, protocol=row.get('protocol', 'auto')))
     found, seen = {}, [0]
@@ -46,26 +46,21 @@ def mean_of(log):
     return (log[-1] - log[0]) / (len(log) - 1) / MS
 
 
-@pytest.mark.parametrize('has_sides', [True, False], ids=('sides', 'wire'))
 @pytest.mark.parametrize('name', PROGRAMS)
-def test_a_cycle_is_that_of_the_control_loop(name, has_sides):
-    report, _, mean_ms = heard(PROGRAMS[name], has_sides)
+def test_a_cycle_is_that_of_the_control_loop(name):
+    """Who sleeps is not asked to do less, who works for most of the cycle is."""
+    report, found, mean_ms = heard(PROGRAMS[name], True)
+    assert not report.cycle.unknown
     assert report.cycle.cycle == pytest.approx(mean_ms, rel=0.05)
-    assert bool(report.cycle.unknown) is not has_sides
+    assert any('do less' in one.message for one in found.values()) \
+        == name.startswith('a program that takes')
 
 
-@pytest.mark.parametrize('name', [name for name, row in PROGRAMS.items()
-                                  if row['loops'][0]['hz']])
-def test_a_program_that_sleeps_is_not_asked_to_do_less(name):
-    _, found, _ = heard(PROGRAMS[name], True)
-    assert not [one.message for (rule, _), one in found.items()
-                if rule == 'cycle_time' and 'do less' in one.message]
-
-
-def test_a_program_that_is_busy_for_most_of_its_cycle_is_named():
-    [name] = [name for name in PROGRAMS if name.startswith('a program that takes')]
-    _, found, _ = heard(PROGRAMS[name], True)
-    assert 'the program itself' in found['cycle_time', None].message
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_a_cycle_is_that_of_the_control_loop_where_the_sides_are_unknown(name):
+    report, _, mean_ms = heard(PROGRAMS[name], False)
+    assert report.cycle.unknown
+    assert report.cycle.cycle == pytest.approx(mean_ms, rel=0.05)
 
 
 # Programs of their own, with pyserial; each notes when its control loop begins.
@@ -73,7 +68,7 @@ COMMON = """
     import sys, threading, time
     import serial
     from msg_defs.dxl_packet import encode
-    port = serial.Serial(sys.argv[1], 1000000, timeout=0.05)
+    port = serial.Serial(sys.argv[1], 1000000, timeout=0.3)
     log, lock, end = [], threading.Lock(), time.monotonic() + 6
 
     def ask(number, code, params, size):
@@ -93,7 +88,7 @@ COMMON = """
 
     def temperatures():
         for number in range(1, 7):
-            assert len(read(number, 146, 1)) == 12
+            read(number, 146, 1)
 
     def every(period, turn):
         due = time.monotonic()
@@ -108,7 +103,7 @@ THEIRS = {
         def turn():
             global seldom
             log.append(time.monotonic_ns())
-            assert len(sync_read()) == 90
+            sync_read()
             sync_write()
             if time.monotonic() > seldom:
                 seldom = time.monotonic() + 0.5
@@ -120,9 +115,9 @@ THEIRS = {
             log.append(time.monotonic_ns())
             sync_read()
             sync_write()
-        other = threading.Thread(target=every, args=(0.1, temperatures))
+        other = threading.Thread(target=every, args=(0.3, temperatures))
         other.start()
-        every(0.025, turn)
+        every(0.1, turn)
         other.join()
     """,
     'sleeps': """
@@ -138,7 +133,7 @@ THEIRS = {
         while time.monotonic() < end:
             log.append(time.monotonic_ns())
             for number in range(1, 8):
-                read(number, 132, 4)           # 7 is not there
+                read(number, 132, 4)           # 7 is not there: 0.3 s
             if time.monotonic() > seldom:
                 seldom = time.monotonic() + 0.5
                 temperatures()
@@ -146,7 +141,7 @@ THEIRS = {
     'reads too much': """
         while time.monotonic() < end:
             log.append(time.monotonic_ns())
-            assert len(ask(1, 2, bytes((132, 0, 4, 0)), 32)) == 15
+            ask(1, 2, bytes((132, 0, 4, 0)), 32)
     """}
 ROOT = Path(__file__).parents[1]
 START_S = 1.5                      # until the loop is recognised
@@ -191,6 +186,7 @@ def test_the_cycle_of_a_real_program_is_that_of_its_log(name, servos, tmp_path, 
     elif name == 'one dead':
         [[number, ms]] = cycle['waiting']
         assert number == 7
-        assert ms == pytest.approx(50, rel=0.2)
+        assert ms == pytest.approx(300, rel=0.1)
     else:
+        assert 2 * cycle['busy'] < cycle['program']
         assert not [one for one in advice if 'do less' in one]

@@ -24,6 +24,7 @@ from dxl_monitor.tools.doctor.verdict import verdict
 from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_packet import encode
 from msg_defs.event import AWAY
+from msg_defs.event import BUSY
 from msg_defs.event import Change
 from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
@@ -262,7 +263,7 @@ def test_metrics_screen_and_json_say_the_same():
         'cycle': values['cycle'].window.mean, 'wire': mean['cycle_wire'],
         'device': mean['cycle_device'], 'program': mean['cycle_program'],
         'tracer': pytest.approx(0.0, abs=1e-6), 'is_blurred': False, 'unknown': '',
-        'asleep': 0.0}
+        'asleep': 0.0, 'busy': None}
 
 
 def test_a_pause_is_no_cycle():
@@ -288,15 +289,21 @@ def test_what_takes_most_of_a_cycle_is_advice(pattern, robot, dead, device, word
     assert {one.level for one in report.findings if one.rule == 'cycle_time'} <= {Level.OK}
 
 
-def test_a_program_that_takes_long_each_time_otherwise_is_named():
+@pytest.mark.parametrize(('busy', 'is_named'), [(None, True), (0.9, True), (0.2, False)])
+def test_a_program_that_takes_long_each_time_otherwise_is_named(busy, is_named):
+    """Unless the source knows that it does not work for most of that time."""
     robot = Robot(0, 0.1)
     asked = [(*sync_read(), False)]
     chance = random.Random(1)
     for _ in range(200):
         robot.program = chance.randint(20, 50) * MS
         robot.turn(asked)
-    [found] = cycle_time(History(PARAMETERS).take(robot.bus.report(robot.now)))
-    assert 'the program itself' in found.message
+        if busy:
+            robot.bus.change(Change(BUSY, int(busy * robot.program) // 1000), robot.now)
+    report = robot.bus.report(robot.now)
+    assert report.cycle.busy == (busy and pytest.approx(busy * report.cycle.program, rel=0.05))
+    found = list(cycle_time(History(PARAMETERS).take(report)))
+    assert ['the program itself' in one.message for one in found] == [True] * is_named
 
 
 @pytest.mark.parametrize('stamps', [range(9 * S, 8 * S, -S // 10),

@@ -21,6 +21,11 @@ from typing import NamedTuple
 from dxl_monitor.bus.plan import Plan
 from dxl_monitor.bus.report import CycleTimes
 from msg_defs.dxl_packet import BROADCAST
+from msg_defs.event import AWAY
+from msg_defs.event import BUSY
+from msg_defs.event import Change
+from msg_defs.event import GAVE_UP
+from msg_defs.event import TRACED
 from msg_defs.reports import Metric
 from msg_defs.timing import Rate
 from msg_defs.timing import Series
@@ -119,6 +124,7 @@ class CycleClock:
         self._waits: defaultdict[int, Rate] = defaultdict(Rate)
         self._blurred = Rate()
         self._sleeps = Series()
+        self._busy: Rate | None = None         # ns per s
         self.interrupt()
 
     def interrupt(self) -> None:
@@ -132,17 +138,18 @@ class CycleClock:
         self._wire = self._device = self._program = self._traced = self._asleep = 0.0
         self._waiting: defaultdict[int, float] = defaultdict(float)
 
-    def give_up(self, ns: int) -> None:
-        """Take note that the master looked for bytes in vain until so long before its write."""
-        self._gave_up = ns
-
-    def look_away(self, ns: int) -> None:
-        """Take note that the bytes which follow may have been there for so long."""
-        self._away = ns
-
-    def trace(self, ns: int) -> None:
-        """Take note of what strace took since the write before."""
-        self._traced += ns
+    def note(self, change: Change, stamp: int) -> None:
+        """Take note of what a source says of the program; each is ahead of its bytes."""
+        what, ns = change.what, 1000 * change.value
+        if what == GAVE_UP:
+            self._gave_up = ns
+        elif what == AWAY:
+            self._away = ns
+        elif what == TRACED:
+            self._traced += ns
+        elif what == BUSY:
+            self._busy = self._busy or Rate()
+            self._busy.add(ns, stamp)
 
     def write(self, began: int, wire_ns: float, awaited: Collection[int], is_missed: bool) -> None:
         """Take bytes of the master; awaited: IDs without an answer; is_missed: it was due."""
@@ -240,4 +247,5 @@ class CycleClock:
         return CycleTimes(cycle, wire, device, program, tracer, tuple(sorted(
             ((number, round(rate * share, 3)) for number, rate in rates.items() if rate),
             key=lambda one: -one[1])), blurred > BLURRED * cycle,
-            asleep=round(slept.mean, 3) if slept else 0.0)
+            asleep=round(slept.mean, 3) if slept else 0.0,
+            busy=round(self._busy.per_second(now) / 1e9 * cycle, 3) if self._busy else None)

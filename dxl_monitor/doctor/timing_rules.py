@@ -395,7 +395,8 @@ def _cycle_time(case: Case) -> Claims:
                     'answers wait: let it read at once as many bytes as come, with a time-out; '
                     'not sleep before it reads, nor ask for more bytes than an answer has')
     elif times.program > most:
-        if of_loop and not any(one.may_sleep for one in of_loop):
+        works = times.busy is None or 2 * times.busy > times.program
+        if of_loop and works and not any(one.may_sleep for one in of_loop):
             yield Claim('most of each cycle is the program itself, between an answer and '
                         'the next instruction: do less there, or in another thread')
     elif times.waiting and times.waiting[0][1] > most and times.waiting[0][0] in case.gone:

@@ -26,6 +26,7 @@ _TEXT_LIMIT = 2000                             # characters of an error
 _LEFT = '_mecarover_tap_left'                  # and how much it had not read, last time
 _VAIN = '_mecarover_tap_vain'                  # when it last looked for bytes in vain, ns
 _LOOKED = '_mecarover_tap_looked'              # when it last wrote, read or looked in vain, ns
+_PAUSE = '_mecarover_tap_pause'                # when it last read, and CPU time then, ns
 _WAITS = '_mecarover_tap_waits'                # it waits for the descriptor, which is not seen
 AWAY_NS = 500_000                              # who looks as often does not sleep
 _Method = Callable[..., Any]
@@ -54,6 +55,7 @@ def _wrap_read(sender: Any, original: _Method) -> _Method:
                 put('in', known[_PORT], bytes(data))
             known[_LOOKED] = now()
             known[_VAIN] = known[_LOOKED] if is_short else 0
+            known[_PAUSE] = known[_LOOKED], time.thread_time_ns()
         except Exception:
             pass
         return data
@@ -67,6 +69,7 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
         size = port = 0
         try:
             _say_before(sender, self)          # answers to earlier questions
+            _say_busy(sender, self)
             self.__dict__[_VAIN] = 0
         except Exception:
             pass
@@ -172,6 +175,15 @@ def _say_vain(sender: Any, serial: Any) -> None:
     vain = serial.__dict__.get(_VAIN, 0)
     if vain:
         sender.number('gave_up_us', getattr(serial, _PORT), (time.monotonic_ns() - vain) // 1000)
+
+
+def _say_busy(sender: Any, serial: Any) -> None:
+    """Say for how much of a pause since it read the program worked."""
+    known = serial.__dict__
+    began, spent = known.pop(_PAUSE, (0, 0))
+    if began and (took := time.monotonic_ns() - began) > AWAY_NS:
+        worked = time.thread_time_ns() - spent         # another thread's, if that read
+        sender.number('busy_us', known[_PORT], max(0, min(worked, took)) // 1000)
 
 
 def _say_before(sender: Any, serial: Any) -> None:
