@@ -191,8 +191,8 @@ class CycleClock:
 
     def _add(self, now: int) -> None:
         traced = min(self._traced, self._program)
-        values = (now - self._began, self._wire, self._device, sum(self._waiting.values()),
-                  self._program - traced)
+        waiting = sum(self._waiting.values()) if self._waiting else 0.0
+        values = now - self._began, self._wire, self._device, waiting, self._program - traced
         for series, value in zip(self._series.values(), values, strict=True):
             series.add(value / 1e6, now)
         self._sleeps.add(self._asleep / 1e6, now)
