@@ -182,7 +182,7 @@ METRICS = {
     'packet_rate': '',
     'error_rate': 'damaged packets',
     'bus_load': 'wire time at 10 bits per byte',
-    'cycle': 'from an instruction to its next repetition; it and its parts are known only where '
+    'cycle': 'one turn of the fastest loop of the program; it and its parts are known only where '
              'the source knows who sent what',
     'cycle_wire': 'bytes on the wire',
     'cycle_device': 'before answers that came: device, adapter and its latency timer',

@@ -23,13 +23,14 @@ OVERRUN, PARITY, FRAMING, BREAK = 'overrun', 'parity', 'framing', 'break'      #
 NOT_SENT = 'not_sent'              # bytes that the master wrote and the adapter did not take
 UNREAD = 'unread'                  # bytes that the master had received and not read
 GAVE_UP = 'gave_up_us'             # the master looked in vain so long before it wrote or closed
+BUSY = 'busy_us'                   # CPU time of the master's thread in the pause before it wrote
 AWAY = 'away_us'                   # what follows was there: the master did not look for so long
 TRACED = 'traced_us'               # what strace took since the master wrote before
 LOST = 'lost'                      # events or bytes that the source itself lost
 CLOSED = 'closed'                  # the master closed its port
 GONE = 'unplugged'
 CHANGES = (BAUD, LATENCY_TIMER, DTR, RTS, PURGED, OVERRUN, PARITY, FRAMING, BREAK, NOT_SENT,
-           UNREAD, GAVE_UP, AWAY, TRACED, LOST, CLOSED, GONE)
+           UNREAD, GAVE_UP, AWAY, BUSY, TRACED, LOST, CLOSED, GONE)
 
 
 class Change(NamedTuple):

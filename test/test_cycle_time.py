@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a cycle's time goes: masters with planted delays, in simulated time."""
 
+import random
+
 import pytest
 from tracked_bus import reply
 from tracked_bus import words
@@ -10,7 +12,7 @@ from dxl_monitor.bus.cycle_time import NO_RATE
 from dxl_monitor.bus.cycle_time import NO_SIDES
 from dxl_monitor.doctor.case import History
 from dxl_monitor.doctor.case import PARAMETERS
-from dxl_monitor.doctor.cycle_rule import cycle_time
+from dxl_monitor.doctor.timing_rules import RULES
 from dxl_monitor.model.models import Models
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor import Settings
@@ -22,6 +24,7 @@ from dxl_monitor.tools.doctor.verdict import verdict
 from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_packet import encode
 from msg_defs.event import AWAY
+from msg_defs.event import BUSY
 from msg_defs.event import Change
 from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
@@ -30,6 +33,7 @@ from msg_defs.event import TRACED
 from msg_defs.event import UNKNOWN
 from msg_defs.reports import Level
 
+cycle_time = next(rule.check for rule in RULES if rule.name == 'cycle_time')
 MODELS = Models()
 BAUD, BYTE_NS = 1_000_000, 10_000
 S, MS = 1_000_000_000, 1_000_000
@@ -192,6 +196,40 @@ def test_bytes_that_come_when_time_is_up_are_waited_for():
     assert dict(times.waiting) == {3: pytest.approx(30.0 - wire, abs=0.01)}
 
 
+@pytest.mark.parametrize('is_marked', [True, False], ids=['marked', 'old capture'])
+def test_a_read_of_too_many_bytes_waits_for_its_time_out_and_not_for_the_servo(is_marked):
+    """A read of 32 for an answer of 15 returns them when its time is up."""
+    robot = Robot(2.0, 0.5)
+    instruction, [(_, data)] = read(1)
+    while robot.now < 12 * S:
+        robot.bus.change(Change(GAVE_UP, robot.program // 1000), robot.now)
+        robot.say(instruction, robot.now, OUT)
+        robot.now += 300 * MS
+        if is_marked:
+            robot.bus.change(Change(AWAY, 300_000), robot.now)
+        robot.say(data, robot.now, IN)
+        robot.now += robot.program
+        report = robot.bus.report(robot.now)
+    times = report.cycle
+    wire = (len(instruction) + len(data)) * BYTE_NS / MS
+    assert (times.device, times.waiting) == (pytest.approx(0.0, abs=0.01), ())
+    assert (times.asleep, times.program) == pytest.approx((300 - wire, 302 - wire), abs=0.01)
+    assert (report.devices[0].latency.total is None) == is_marked
+    [said] = [one.message for one in report.findings if one.rule == 'cycle_time']
+    assert 'more bytes than an answer has' in said
+
+
+def test_looking_once_more_after_the_answer_is_the_programs():
+    robot = Robot(2.0, 0.5)
+    asked = [(*read(1), False)]
+    while robot.now < 4 * S:
+        robot.turn(asked)
+        robot.now += 18 * MS
+        robot.bus.change(Change(GAVE_UP, robot.program // 1000), robot.now)
+    times = robot.bus.report(robot.now).cycle
+    assert (times.asleep, times.program) == pytest.approx((18.0, 20.0), abs=0.01)
+
+
 @pytest.mark.parametrize(('options', 'why'), [
     ({'has_sides': False}, NO_SIDES), ({'baud': 0}, NO_RATE)])
 def test_what_is_not_known_is_said(options, why):
@@ -225,7 +263,7 @@ def test_metrics_screen_and_json_say_the_same():
         'cycle': values['cycle'].window.mean, 'wire': mean['cycle_wire'],
         'device': mean['cycle_device'], 'program': mean['cycle_program'],
         'tracer': pytest.approx(0.0, abs=1e-6), 'is_blurred': False, 'unknown': '',
-        'asleep': 0.0}
+        'asleep': 0.0, 'busy': None}
 
 
 def test_a_pause_is_no_cycle():
@@ -251,14 +289,21 @@ def test_what_takes_most_of_a_cycle_is_advice(pattern, robot, dead, device, word
     assert {one.level for one in report.findings if one.rule == 'cycle_time'} <= {Level.OK}
 
 
-def test_a_program_that_takes_long_each_time_otherwise_is_named():
+@pytest.mark.parametrize(('busy', 'is_named'), [(None, True), (0.9, True), (0.2, False)])
+def test_a_program_that_takes_long_each_time_otherwise_is_named(busy, is_named):
+    """Unless the source knows that it does not work for most of that time."""
     robot = Robot(0, 0.1)
     asked = [(*sync_read(), False)]
-    for number in range(200):
-        robot.program = (20 + number * 7 % 30) * MS
+    chance = random.Random(1)
+    for _ in range(200):
+        robot.program = chance.randint(20, 50) * MS
         robot.turn(asked)
-    [found] = cycle_time(History(PARAMETERS).take(robot.bus.report(robot.now)))
-    assert 'the program itself' in found.message
+        if busy:
+            robot.bus.change(Change(BUSY, int(busy * robot.program) // 1000), robot.now)
+    report = robot.bus.report(robot.now)
+    assert report.cycle.busy == (busy and pytest.approx(busy * report.cycle.program, rel=0.05))
+    found = list(cycle_time(History(PARAMETERS).take(report)))
+    assert ['the program itself' in one.message for one in found] == [True] * is_named
 
 
 @pytest.mark.parametrize('stamps', [range(9 * S, 8 * S, -S // 10),

@@ -37,6 +37,7 @@ from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
+from msg_defs.event import BUSY
 from msg_defs.event import CLOSED
 from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
@@ -554,6 +555,44 @@ def test_a_sleep_between_a_question_and_its_answer_is_reported():
     said = [one.kind for one in mine if one.kind in (OUT, IN)
             or (one.kind == AWAY and one.value > 150_000)]
     assert said == [OUT, AWAY, IN, OUT, IN, OUT, AWAY, IN, OUT, IN]
+
+
+@pytest.mark.parametrize('size', ['32', 'size=32'])
+def test_a_read_of_more_bytes_than_come_is_reported(size):
+    script = f"""
+        import serial
+        port = serial.Serial({{path!r}}, 9600, timeout=0.3)
+        for _ in range(2):
+            port.write(b'abc')
+            assert port.read({size}) == b'abc'
+            assert not port.in_waiting
+        port.close()
+        print('done')
+    """
+    mine = heard_of_an_echoing_port(script)
+    said = [one.kind for one in mine if one.kind in (OUT, IN, GAVE_UP)
+            or (one.kind == AWAY and one.value > 250_000)]
+    assert said == [OUT, AWAY, IN, GAVE_UP, OUT, AWAY, IN, GAVE_UP]
+
+
+def test_whether_a_program_works_in_a_pause_is_reported():
+    script = """
+        import serial, time
+        port = serial.Serial({path!r}, 9600, timeout=5)
+        for turn in range(2):
+            port.write(b'abc')
+            assert port.read(3) == b'abc'
+            end = time.thread_time() + 0.1
+            if turn: time.sleep(0.2)
+            else:
+                while time.thread_time() < end: pass
+        port.write(b'abc')
+        port.close()
+        print('done')
+    """
+    mine = heard_of_an_echoing_port(script)
+    works, sleeps = (one.value for one in mine if one.kind == BUSY and one.stamp > mine[2].stamp)
+    assert works >= 100_000 > 50_000 > sleeps
 
 
 def test_queue_is_bounded_and_what_is_lost_is_told():

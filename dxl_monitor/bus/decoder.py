@@ -44,7 +44,6 @@ from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
-from msg_defs.event import TRACED
 from msg_defs.event import UNKNOWN
 from msg_defs.event import UNREAD
 from msg_defs.frame import Frames
@@ -212,6 +211,7 @@ class BusDecoder:
     def change(self, change: Change, stamp: int) -> None:
         """Take what a source reported besides bytes."""
         what, value = change
+        self.clock.note(change, stamp)
         if what == BAUD and value != self.settings.baud:
             self._set_baud(value, stamp)
         elif what == LATENCY_TIMER:
@@ -228,13 +228,9 @@ class BusDecoder:
             if value & 2 and stamp < self.tracker.asked + AT_ONCE_NS:
                 self.tracker.unread.unsent = self.tracker.asked
         elif what == GAVE_UP:
-            self.clock.give_up(1000 * value)
             self.tracker.unread.look(stamp - 1000 * value)
         elif what == AWAY:
-            self.clock.look_away(1000 * value)
             self.tracker.look_away(value, stamp)
-        elif what == TRACED:
-            self.clock.trace(1000 * value)
         elif what in (CLOSED, GONE, LOST):
             self._end(stamp, value if what == LOST else 0)
 

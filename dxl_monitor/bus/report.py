@@ -233,7 +233,8 @@ class CycleTimes(NamedTuple):
 
     waiting: by device that did not answer; tracer: what strace adds. unknown: why there are no
     parts, '' where there are; is_blurred: waiting includes what the program did after it gave up;
-    asleep: of `program`, while an answer may have been there and it did not look.
+    asleep: of `program`, while an answer may have been there and it did not read it; busy: of
+    `program`, CPU time, None where the source does not know it.
     """
 
     cycle: float
@@ -245,6 +246,7 @@ class CycleTimes(NamedTuple):
     is_blurred: bool = False
     unknown: str = ''
     asleep: float = 0.0
+    busy: float | None = None
 
 
 class BusReport(NamedTuple):

@@ -27,6 +27,7 @@ ENOUGH = 12                        # repetitions
 MOST = 8                           # instructions looked at
 FRESH_NS = 2 * S
 SHORT = 0.35                       # share of the period: asked again before its time
+MANY = 8                           # periods
 AGREE = 0.15                       # share of the period: the same
 EVEN = 0.25                        # spread of a loop that a clock paces
 MOSTLY = 0.8                       # share of the periods
@@ -87,6 +88,18 @@ class Rhythm(NamedTuple):
         """Whether a clock makes most of its periods, and the others are longer."""
         alike = sum(abs(one - self.base) < FINE * self.base for one in self.periods)
         return 2 * alike > len(self.periods)
+
+    @property
+    def may_sleep(self) -> bool:
+        """
+        Whether a program may sleep in it, which is late at times, rather than work.
+
+        A sleep ends late, never early: few periods are much shorter than most. One until the
+        next whole period makes up for a late one: several together vary no more than one.
+        """
+        least = sorted(self.periods)[len(self.periods) // 10]
+        together = spread_of([*map(sub, self.cycle.stamps[MANY:], self.cycle.stamps)])
+        return least > (1 - EVEN) * self.period or together < self.spread * 2 / MANY
 
     @property
     def is_steady(self) -> bool:

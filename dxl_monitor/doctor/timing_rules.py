@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import Counter
+from collections.abc import Iterator
 from itertools import pairwise
 from operator import attrgetter
 from statistics import median
@@ -24,7 +25,6 @@ from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import key_of
 from dxl_monitor.doctor.collision import is_collision
 from dxl_monitor.doctor.collision import ran_into_answers
-from dxl_monitor.doctor.cycle_rule import cycle_time
 from dxl_monitor.doctor.last_question import read_late
 from dxl_monitor.doctor.rhythm import answer_ns
 from dxl_monitor.doctor.rhythm import AT_ONCE_NS
@@ -75,6 +75,9 @@ RARELY = 0.1                      # questions after a write: noise would hit as 
 BEHIND_NS = 2 * MS               # as far as chunks tell time
 MANY = 10                          # vain waits
 SOON_US = 500                      # Return Delay Time as from the factory (e-Manual)
+MOST = 0.5                         # share of the cycle
+SEVERAL = 3                        # Reads that one Sync Read replaces
+SLOW_MS = 0.4                      # reply latency: Return Delay Time from the factory is 0.5 ms
 
 
 def _impatient(case: Case) -> Claims:
@@ -380,6 +383,45 @@ def _jitter(case: Case) -> Claims:
                      'cycle (ms)': f'{low:.1f} to {high:.1f}, usually {best.period / MS:.1f}'})
 
 
+def _cycle_time(case: Case) -> Claims:
+    """Name what takes most of each cycle; not the pause of a program that sleeps."""
+    times = case.report.cycle
+    if times is None or times.unknown:
+        return
+    most = MOST * times.cycle
+    of_loop = [one for one in case.rhythms if one.period < 2 * MS * times.cycle]
+    if times.asleep > most:
+        yield Claim(f'{times.asleep:.0f} of {times.cycle:.0f} ms of each cycle the program lets '
+                    'answers wait: let it read at once as many bytes as come, with a time-out; '
+                    'not sleep before it reads, nor ask for more bytes than an answer has')
+    elif times.program > most:
+        works = times.busy is None or 2 * times.busy > times.program
+        if of_loop and works and not any(one.may_sleep for one in of_loop):
+            yield Claim('most of each cycle is the program itself, between an answer and '
+                        'the next instruction: do less there, or in another thread')
+    elif times.waiting and times.waiting[0][1] > most and times.waiting[0][0] in case.gone:
+        yield Claim('most of each cycle is a time-out for its answer: leave '
+                    'it out, or shorten the time-out', device=times.waiting[0][0])
+    elif times.wire + times.device > most:
+        yield from (Claim(todo) for todo in _faster(case, 2 * MS * times.cycle))
+
+
+def _faster(case: Case, within_ns: float) -> Iterator[str]:
+    """Yield what makes the exchanges of a cycle faster; what is asked less often is none."""
+    alike = Counter((one.address, one.length) for one in case.report.cycles
+                    if one.instruction == Instruction.READ and 2 * one.missed < one.asked
+                    and one.stamps[-1] - one.stamps[0] < within_ns * len(one.stamps))
+    reads = max(alike.values(), default=0)
+    slow = max((one.latency.window.p50 for one in case.report.devices if one.latency.window),
+               default=0.0)
+    if reads >= SEVERAL and '1.0' not in case.report.protocol:     # it has no Sync Read
+        yield (f'{reads} servos are read one by one, which is most of each cycle: use one Sync '
+               'Read for all')
+    elif slow > SLOW_MS:
+        yield ('most of each cycle is waiting for answers that do come: set the latency timer of '
+               'the adapter to 1 ms and Return Delay Time to 0')
+
+
 RULES = (
     Rule('two_masters', _two_masters,
          (*DAMAGE, 'impatient_master', 'late_answers', 'duplicate_id', 'foreign_answers',
@@ -396,5 +438,5 @@ RULES = (
          ('jitter', 'two_masters', 'impatient_master', 'cycle_time')),
     Rule('jitter', _jitter, ('cycle_time',), onset_s=JITTER_ONSET_S),
     Rule('return_delay', _return_delay, ('cycle_time',), level=Level.OK),
-    Rule('cycle_time', cycle_time, onset_s=1.0, level=Level.OK),
+    Rule('cycle_time', _cycle_time, onset_s=1.0, level=Level.OK),
 )

@@ -26,6 +26,7 @@ _TEXT_LIMIT = 2000                             # characters of an error
 _LEFT = '_mecarover_tap_left'                  # and how much it had not read, last time
 _VAIN = '_mecarover_tap_vain'                  # when it last looked for bytes in vain, ns
 _LOOKED = '_mecarover_tap_looked'              # when it last wrote, read or looked in vain, ns
+_PAUSE = '_mecarover_tap_pause'                # when it last read, and CPU time then, ns
 _WAITS = '_mecarover_tap_waits'                # it waits for the descriptor, which is not seen
 AWAY_NS = 500_000                              # who looks as often does not sleep
 _Method = Callable[..., Any]
@@ -35,22 +36,26 @@ def _wrap_read(sender: Any, original: _Method) -> _Method:
     put, now = sender.put, time.monotonic_ns
 
     def read(self: Any, *args: Any, **kwargs: Any) -> Any:
-        known, away = self.__dict__, 0
+        known, began, away = self.__dict__, now(), 0
         try:
-            away = now() - known.get(_LOOKED, now())
+            away = began - known.get(_LOOKED, began)
             if away < AWAY_NS or _WAITS in known or not self.in_waiting:
                 away = 0
         except Exception:
             pass
         data = original(self, *args, **kwargs)
         try:
+            size = args[0] if args else kwargs.get('size', 1)
+            is_short = not data or (self._timeout and len(data) < size)
             if data:
+                if is_short:                   # it waited for more until its time-out
+                    away += now() - began
                 if away:
                     sender.number('away_us', known[_PORT], away // 1000)
                 put('in', known[_PORT], bytes(data))
-            is_short = not data or (self._timeout and len(data) < (args[0] if args else 1))
             known[_LOOKED] = now()
             known[_VAIN] = known[_LOOKED] if is_short else 0
+            known[_PAUSE] = known[_LOOKED], time.thread_time_ns()
         except Exception:
             pass
         return data
@@ -64,6 +69,7 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
         size = port = 0
         try:
             _say_before(sender, self)          # answers to earlier questions
+            _say_busy(sender, self)
             self.__dict__[_VAIN] = 0
         except Exception:
             pass
@@ -169,6 +175,15 @@ def _say_vain(sender: Any, serial: Any) -> None:
     vain = serial.__dict__.get(_VAIN, 0)
     if vain:
         sender.number('gave_up_us', getattr(serial, _PORT), (time.monotonic_ns() - vain) // 1000)
+
+
+def _say_busy(sender: Any, serial: Any) -> None:
+    """Say for how much of a pause since it read the program worked."""
+    known = serial.__dict__
+    began, spent = known.pop(_PAUSE, (0, 0))
+    if began and (took := time.monotonic_ns() - began) > AWAY_NS:
+        worked = time.thread_time_ns() - spent         # another thread's, if that read
+        sender.number('busy_us', known[_PORT], max(0, min(worked, took)) // 1000)
 
 
 def _say_before(sender: Any, serial: Any) -> None:

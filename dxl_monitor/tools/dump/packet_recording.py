@@ -23,6 +23,7 @@ from dxl_monitor.tools.dump.listing import MISSED
 from dxl_monitor.tools.dump.text_format import FLAWS
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
+from msg_defs.event import BUSY
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
 from msg_defs.event import GAVE_UP
@@ -61,7 +62,7 @@ class PacketRecording:
 
     def change(self, bus: str, change: Change, stamp: int, listing: Listing) -> None:
         """Write what happened besides bytes; what a packet lacks then will not come."""
-        if change.what in (UNREAD, GAVE_UP, AWAY, TRACED):
+        if change.what in (UNREAD, GAVE_UP, AWAY, BUSY, TRACED):
             self._comments[bus].append(PacketWriter.comment(change))
             return
         if change.what in (BAUD, CLOSED, GONE, LOST):
