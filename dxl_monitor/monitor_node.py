@@ -142,6 +142,10 @@ class MonitorNode(Stoppable):
             self._recorders.stop()
             self._tell_recorders()
 
+    def is_working(self) -> bool:
+        """Tell whether reports are made and every port is listened to, or waited for."""
+        return self._timers.is_alive() and all(one.listener.is_alive() for one in self._buses)
+
     def _publisher(self, topic: str) -> Any:
         return self.node.create_publisher(DiagnosticArray, topic, QUEUE_DEPTH)
 

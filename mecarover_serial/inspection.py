@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import threading
 
 from mecarover_serial import preflight
+from mecarover_serial.worker import Worker
 
 EVERY_S = 30.0              # a look takes 20 ms of CPU where 100 processes run
 
@@ -29,15 +30,17 @@ class Inspection:
         self._ours = ours
         self._opening = 0
         self._due_s = 0.0
-        self._thread = threading.Thread()
+        self._worker = Worker('inspection')
+        self._worker.start()
+        self._looked = threading.Event()            # the last look is over
+        self._looked.set()
 
     def look(self, opening: int, now_s: float) -> None:
         """Look if it is time; opening: its number, now_s: monotonic."""
-        if (opening == self._opening and now_s < self._due_s) or self._thread.is_alive():
+        if (opening == self._opening and now_s < self._due_s) or not self._looked.is_set():
             return
         self._opening, self._due_s = opening, now_s + EVERY_S
-        self._thread = threading.Thread(target=self._inspect, name='inspection', daemon=True)
-        self._thread.start()
+        self._looked = self._worker.call(self._inspect)
 
     def _inspect(self) -> None:
         self.complaints = [f'{self._port}: {found.reason}; {found.remedy}'

@@ -15,11 +15,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 import gc
+import math
 import os
 import signal
 import sys
 import threading
 import time
+import traceback
 from typing import Any
 from typing import Protocol
 
@@ -52,13 +54,18 @@ from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import settings_files
 from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
+from mecarover_serial.plain import printable
 from mecarover_serial.port_error import PortError
 from mecarover_serial.settings_file import check
 from mecarover_serial.settings_file import SettingsError
 from mecarover_serial.standard_streams import StandardStreams
 from mecarover_serial.systemd import Systemd
+from mecarover_serial.worker import MORE_TASKS
 
 _OVERRIDES = 'qos_overrides.'
+_MORE_MEMORY = 'raise the limit (ulimit -v, MemoryMax=) or end other programs'
+SAY_AGAIN_S = 60.0              # between lines about what rclpy raises
+USELESS_S = 10.0                # an executor that only raises for so long does nothing any more
 STEP_S = 1.0                    # the system clock was set when it jumps by more
 _LARGEST = 1e9                  # means "no upper limit" in a range, which needs both ends
 
@@ -79,13 +86,22 @@ class Stoppable(Protocol):
         """Go on after a suspension, as if everything heard before it were forgotten."""
         return
 
+    def is_working(self) -> bool:
+        """Tell whether the threads that do the work are well; else systemd's watchdog starves."""
+        return True
+
 
 def run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None = None) -> int:
     """Run a node until a signal ends it; return the exit code (0 signal, 1 failed, 2 usage)."""
     clock = _SystemClock()
     with _Signals() as signals:
-        with StandardStreams(name):
-            code = _run(name, start, args, signals, clock)
+        try:
+            with StandardStreams(name):
+                code = _run(name, start, args, signals, clock)
+        except RuntimeError as error:
+            if 'start new thread' not in str(error):        # of threading
+                raise
+            code = _complain(name, f'{error}; {MORE_TASKS}', COULD_NOT_RUN)
         if clock.went_back:
             os._exit(code)
         return code
@@ -155,23 +171,88 @@ def _spin(app: Stoppable, signals: _Signals, clock: _SystemClock) -> None:
     executor = SingleThreadedExecutor()
     ended = threading.Event()
     systemd = Systemd()
+    mishaps = _Mishaps(app)
     try:
         signals.watch(app, partial(_end, executor, ended))
         executor.add_node(app.node)
         if systemd.watchdog_s is not None:
-            app.node.create_timer(systemd.watchdog_s / 3, systemd.alive,
+            app.node.create_timer(systemd.watchdog_s / 3, partial(_feed, systemd, app),
                                   clock=Clock(clock_type=ClockType.STEADY_TIME))
         systemd.ready()
         gc.freeze()             # imports and set-up stay: no garbage is to be looked for there
         # Not spin_until_future_complete: it keeps a callback for each message that ever came.
         while not ended.is_set() and rclpy.ok():
-            executor.spin_once()
+            mishaps.spin_once(executor)
     finally:
         systemd.stopping()
         app.stop()
         executor.shutdown(timeout_sec=1.0)
         if not clock.went_back:
             app.node.destroy_node()
+
+
+def _feed(systemd: Systemd, app: Stoppable) -> None:
+    """Feed the watchdog: this thread runs, as it does this, and so do those of the app."""
+    if app.is_working():
+        systemd.alive()
+
+
+class _Mishaps:
+    """
+    What rclpy raises while it spins: at what others send, or because no memory is left.
+
+    That ends one call and not the node. A mistake of ours, in a callback of the app, ends it.
+    """
+
+    def __init__(self, app: Stoppable) -> None:
+        self._node = app.node
+        self._package = type(app).__module__.partition('.')[0]
+        self._since, self._said = math.inf, -math.inf
+        self._left_out = 0
+
+    def spin_once(self, executor: SingleThreadedExecutor) -> None:
+        """Make one call; raise what ends the node."""
+        try:
+            executor.spin_once()
+            self._since = math.inf
+        except Exception as error:
+            if not (rclpy.ok() and self._survives(error, time.monotonic())):
+                raise
+
+    def _survives(self, error: Exception, now_s: float) -> bool:
+        """Say it, if it is time, and have rclpy go on; return False for what ends the node."""
+        frames = [(frame.f_globals.get('__name__', ''), frame.f_code.co_name)
+                  for frame, _ in traceback.walk_tb(error.__traceback__)]
+        no_memory = isinstance(error, MemoryError)
+        if not no_memory and any(module.partition('.')[0] == self._package
+                                 for module, _ in frames):
+            return False
+        self._since = min(self._since, now_s)
+        self._unlock()
+        self._left_out += 1
+        if now_s - self._said >= SAY_AGAIN_S:
+            with suppress(MemoryError):
+                self._node.get_logger().warning(
+                    f'no memory is left, so a call was left out; {_MORE_MEMORY}' if no_memory else
+                    self._words(frames, error))
+            self._said, self._left_out = now_s, 0
+        return now_s - self._since < USELESS_S
+
+    def _words(self, frames: Sequence[tuple[str, str]], error: Exception) -> str:
+        place = next((name for module, name in frames if module.startswith('rclpy.')
+                      and module not in ('rclpy.executors', 'rclpy.task')), 'executor')
+        more = f' ({self._left_out} times since the last line)' if self._left_out > 1 else ''
+        return printable(
+            f'rclpy, {place.strip("_")}: {type(error).__name__}: {first_line(error)}{more}; what '
+            'another node sent was thrown away: correct that node')
+
+    def _unlock(self) -> None:
+        """Have rclpy call again what it was to call when it raised: it would wait for its end."""
+        node = self._node
+        for one in (*node.timers, *node.subscriptions, *node.guards, *node.clients,
+                    *node.services, *node.waitables):
+            one._executor_event = False
+            one.callback_group._active_entity = None
 
 
 def _end(executor: SingleThreadedExecutor, ended: threading.Event) -> None:
