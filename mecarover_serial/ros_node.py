@@ -17,6 +17,7 @@ from functools import partial
 import gc
 import math
 import os
+import re
 import signal
 import sys
 import threading
@@ -63,8 +64,8 @@ from mecarover_serial.systemd import Systemd
 from mecarover_serial.worker import MORE_TASKS
 
 _OVERRIDES = 'qos_overrides.'
-_MORE_MEMORY = 'raise the limit (ulimit -v, MemoryMax=) or end other programs'
-SAY_AGAIN_S = 60.0              # between lines about what rclpy raises
+_NO_THREAD = re.compile('start new thread|pthread_create')     # of Python; of ROS
+SAY_AGAIN_S = 60.0              # between lines about what rclpy raises at one place
 USELESS_S = 10.0                # an executor that only raises for so long does nothing any more
 STEP_S = 1.0                    # the system clock was set when it jumps by more
 _LARGEST = 1e9                  # means "no upper limit" in a range, which needs both ends
@@ -99,9 +100,9 @@ def run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None = 
             with StandardStreams(name):
                 code = _run(name, start, args, signals, clock)
         except RuntimeError as error:
-            if 'start new thread' not in str(error):        # of threading
+            if not _NO_THREAD.search(str(error)):
                 raise
-            code = _complain(name, f'{error}; {MORE_TASKS}', COULD_NOT_RUN)
+            code = _complain(name, f'{first_line(error)}; {MORE_TASKS}', COULD_NOT_RUN)
         if clock.went_back:
             os._exit(code)
         return code
@@ -207,8 +208,8 @@ class _Mishaps:
     def __init__(self, app: Stoppable) -> None:
         self._node = app.node
         self._package = type(app).__module__.partition('.')[0]
-        self._since, self._said = math.inf, -math.inf
-        self._left_out = 0
+        self._since = math.inf          # it has only raised
+        self._said: dict[str, float] = {}
 
     def spin_once(self, executor: SingleThreadedExecutor) -> None:
         """Make one call; raise what ends the node."""
@@ -223,28 +224,23 @@ class _Mishaps:
         """Say it, if it is time, and have rclpy go on; return False for what ends the node."""
         frames = [(frame.f_globals.get('__name__', ''), frame.f_code.co_name)
                   for frame, _ in traceback.walk_tb(error.__traceback__)]
-        no_memory = isinstance(error, MemoryError)
-        if not no_memory and any(module.partition('.')[0] == self._package
-                                 for module, _ in frames):
+        if isinstance(error, MemoryError):
+            line = place = 'no memory is left, so a call was left out; raise the limit ' \
+                '(ulimit -v, MemoryMax=) or end other programs'
+        elif any(module.partition('.')[0] == self._package for module, _ in frames):
             return False
+        else:
+            place = next((name for module, name in frames if module.startswith('rclpy.')
+                          and module not in ('rclpy.executors', 'rclpy.task')), 'executor')
+            line = (f'rclpy, {place.strip("_")}: {type(error).__name__}: {first_line(error)}; '
+                    'what another node sent was thrown away: correct that node')
         self._since = min(self._since, now_s)
         self._unlock()
-        self._left_out += 1
-        if now_s - self._said >= SAY_AGAIN_S:
+        if now_s - self._said.get(place, -math.inf) >= SAY_AGAIN_S:
+            self._said[place] = now_s
             with suppress(MemoryError):
-                self._node.get_logger().warning(
-                    f'no memory is left, so a call was left out; {_MORE_MEMORY}' if no_memory else
-                    self._words(frames, error))
-            self._said, self._left_out = now_s, 0
+                self._node.get_logger().warning(printable(line))
         return now_s - self._since < USELESS_S
-
-    def _words(self, frames: Sequence[tuple[str, str]], error: Exception) -> str:
-        place = next((name for module, name in frames if module.startswith('rclpy.')
-                      and module not in ('rclpy.executors', 'rclpy.task')), 'executor')
-        more = f' ({self._left_out} times since the last line)' if self._left_out > 1 else ''
-        return printable(
-            f'rclpy, {place.strip("_")}: {type(error).__name__}: {first_line(error)}{more}; what '
-            'another node sent was thrown away: correct that node')
 
     def _unlock(self) -> None:
         """Have rclpy call again what it was to call when it raised: it would wait for its end."""
@@ -427,8 +423,9 @@ class _Signals:
 
     def watch(self, app: Stoppable, end: Callable[[], None]) -> None:
         """Act on signals from now on; `end` is called when the app has been stopped."""
-        self._thread = threading.Thread(target=self._act, args=(app, end), name='signals')
-        self._thread.start()
+        thread = threading.Thread(target=self._act, args=(app, end), name='signals')
+        thread.start()
+        self._thread = thread
 
     def _act(self, app: Stoppable, end: Callable[[], None]) -> None:
         ending = False

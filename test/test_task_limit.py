@@ -122,6 +122,7 @@ def test_a_driving_bridge(ros, graph, mcu, cmd_vel, watchdog, tmp_path):
             mcu.since(time.monotonic_ns(), 20)          # inspections fall due meanwhile
             for _ in range(CUTS):
                 begin = time.monotonic_ns()
+                graph.statuses.clear()
                 cable.cut()
                 graph.wait_status('vel2d_bridge: link', 'State=closed', level=2)
                 assert watchdog.is_fed()
@@ -142,6 +143,7 @@ def test_a_driving_bridge(ros, graph, mcu, cmd_vel, watchdog, tmp_path):
 @pytest.mark.usefixtures('again')
 def test_a_listening_monitor(ros, graph, watchdog, tmp_path, flights):
     """It hears on, through losses of its cable, and records what went wrong."""
+    graph.statuses.clear()
     with Program('mecarover_fakes.fake_bus', '--link', str(tmp_path / 'bus'),
                  '--devices', '1-3:MX-64') as fake:
         fake.wait_for('2000000 baud')
@@ -150,6 +152,7 @@ def test_a_listening_monitor(ros, graph, watchdog, tmp_path, flights):
             graph.wait_status('dxl_monitor: bus', '3 of 3', level=0)
             with no_tasks(node.pid):
                 for _ in range(CUTS):
+                    graph.statuses.clear()
                     cable.cut()
                     graph.wait_status('dxl_monitor: bus', 'State=closed', level=2)
                     assert watchdog.is_fed()
