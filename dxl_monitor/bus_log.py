@@ -28,11 +28,11 @@ _RECENT_S = 10.0               # an older value says nothing of now
 
 
 class _Kind(NamedTuple):
-    """What may happen to a device. It begins, it is over; in between nobody can tell."""
+    """What may happen to a device; between its beginning and its end it is not known."""
 
     begin: str
     end: str
-    rule: str                  # the finding that it is, '' where the state of the device tells
+    rule: str                  # the finding that it is; '': a state of the device
     is_over: Callable[[DeviceReport], bool]
 
 

@@ -1,6 +1,8 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """What no node should send and any node can: rclpy raises at it, and both nodes live on."""
+from types import SimpleNamespace
+
 from harness import bridge
 from harness import Program
 from harness import wait
@@ -87,3 +89,55 @@ def test_bytes_that_are_no_message(ros, graph, mcu, cmd_vel):
             wait(lambda: mcu.velocity is not None and mcu.velocity.x > 0)
         assert is_well(ros, graph, 'vel2d_bridge')
     assert 'Traceback' not in running.text
+
+
+def test_a_mistake_of_ours_ends_the_node(ros, graph, mcu):
+    """It would do who knows what; a new one is started."""
+    script = """
+import sys
+from vel2d_bridge import main
+from vel2d_bridge.bridge_timing import Timing
+Timing.reset = lambda self: 1 / 0
+sys.exit(main.main())"""
+    with bridge(mcu, script=script) as running:
+        client = graph.node.create_client(ros.Trigger, '/vel2d_bridge/reset_statistics')
+        assert client.wait_for_service(10.0)
+        client.call_async(ros.Trigger.Request())
+        assert running.exit_code() == 1
+        graph.node.destroy_client(client)
+    assert running.said('ZeroDivisionError')
+
+
+@pytest.fixture
+def mishaps(ros):
+    """Return what survives errors, of a node with one timer that rclpy is about to call."""
+    from mecarover_serial.ros_node import _Mishaps
+    timer = SimpleNamespace(_executor_event=True, callback_group=SimpleNamespace(
+        _active_entity='timer'))
+    node = SimpleNamespace(lines=[], timers=[timer], **dict.fromkeys(
+        ('subscriptions', 'guards', 'clients', 'services', 'waitables'), ()))
+    node.get_logger = lambda: SimpleNamespace(warning=node.lines.append)
+    return _Mishaps(SimpleNamespace(node=node))
+
+
+def test_an_executor_that_only_raises_ends_the_node(ros, mishaps):
+    assert all(mishaps._survives(ValueError('1'), now) for now in (100.0, 105.0, 109.9))
+    assert not mishaps._survives(ValueError('1'), 110.0)
+    mishaps.spin_once(SimpleNamespace(spin_once=lambda: None))
+    assert mishaps._survives(ValueError('1'), 111.0)
+
+
+def test_what_rclpy_was_about_to_call_is_called_the_next_time(mishaps):
+    mishaps._survives(ValueError('1'), 100.0)
+    [timer] = mishaps._node.timers
+    assert not timer._executor_event and timer.callback_group._active_entity is None
+
+
+def test_a_line_a_minute_for_each_kind(mishaps):
+    for tenth in range(1210):
+        mishaps._survives(ValueError('1'), tenth / 10)
+    assert len(mishaps._node.lines) == 3
+    mishaps._survives(MemoryError(), 121.0)
+    assert mishaps._node.lines[3:] == [
+        'no memory is left, so a call was left out; raise the limit (ulimit -v, MemoryMax=) or '
+        'end other programs']
