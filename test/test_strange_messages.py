@@ -4,6 +4,7 @@
 from types import SimpleNamespace
 
 from harness import bridge
+from harness import DEADLINE_S
 from harness import Program
 from harness import wait
 import pytest
@@ -34,7 +35,7 @@ def is_well(ros, graph, name):
 def test_a_parameter_of_a_type_that_does_not_exist(ros, graph, node):
     name, running = node
     client = graph.node.create_client(ros.SetParameters, f'/{name}/set_parameters')
-    assert client.wait_for_service(10.0)
+    assert client.wait_for_service(DEADLINE_S)
     request = ros.SetParameters.Request(parameters=[
         ros.ParameterMessage(name='x', value=ros.ParameterValue(type=NO_TYPE))])
     client.call_async(request)
@@ -101,7 +102,7 @@ Timing.reset = lambda self: 1 / 0
 sys.exit(main.main())"""
     with bridge(mcu, script=script) as running:
         client = graph.node.create_client(ros.Trigger, '/vel2d_bridge/reset_statistics')
-        assert client.wait_for_service(10.0)
+        assert client.wait_for_service(DEADLINE_S)
         client.call_async(ros.Trigger.Request())
         assert running.exit_code() == 1
         graph.node.destroy_client(client)
