@@ -20,6 +20,7 @@ from rclpy.qos import qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
 from dxl_monitor.bus.report import BusReport
+from dxl_monitor.bus_log import BusLog
 from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_settings import buses
 from dxl_monitor.monitor_settings import load_models
@@ -104,6 +105,7 @@ class MonitorNode(Stoppable):
         self._surroundings = Surroundings(self.node)
         self._said: set[str] = set()
         self._port_words: dict[str, str] = {}
+        self._bus_logs = [BusLog(one.bus.label) for one in self._buses]
         self._levels: list[int] = []
         self._alarms = 0                # so many were there in the last report
         self._reported = 0              # when that was, monotonic ns
@@ -141,6 +143,10 @@ class MonitorNode(Stoppable):
                 one.listener.stop()
             self._recorders.stop()
             self._tell_recorders()
+
+    def is_working(self) -> bool:
+        """Tell whether reports are made and every port is listened to, or waited for."""
+        return self._timers.is_alive() and all(one.listener.is_alive() for one in self._buses)
 
     def _publisher(self, topic: str) -> Any:
         return self.node.create_publisher(DiagnosticArray, topic, QUEUE_DEPTH)
@@ -237,8 +243,11 @@ class MonitorNode(Stoppable):
         if is_time:
             self._overview_s = now_s
             self._publish_timing([report for _, report, _ in heard])
-        for one, _, port in heard:
+        for log, (one, report, port) in zip(self._bus_logs, heard, strict=True):
             self._tell_port(one.listener.state.text, port)
+            if not port.problem:
+                for line in log.lines(report):
+                    self._log.warning(line)
 
     def _statuses(self, heard: list[Heard], whole: bool) -> list[Status]:
         node = full_name(self.node)

@@ -26,10 +26,12 @@ class Timer:
 
     def turn(self, now: float) -> None:
         """Call."""
-        self.call()
-        self.due += self.period_s
-        if self.due <= now:                    # those that were missed are not made up for
-            self.due = now + self.period_s
+        try:
+            self.call()
+        finally:
+            self.due += self.period_s
+            if self.due <= now:                # those that were missed are not made up for
+                self.due = now + self.period_s
 
 
 class Timers:
@@ -61,8 +63,13 @@ class Timers:
     def check(self) -> None:
         """Raise what a call raised; wait for one that goes on, so that a watchdog sees it hang."""
         with self._turning:
-            if self._mistake is not None:
-                raise self._mistake
+            mistake, self._mistake = self._mistake, None
+        if mistake is not None:
+            raise mistake
+
+    def is_alive(self) -> bool:
+        """Tell whether the thread is there."""
+        return self._thread.is_alive()
 
     def _run(self) -> None:
         wait_s = 0.0
@@ -70,6 +77,8 @@ class Timers:
             with self._turning:
                 try:
                     self.turn(time.monotonic())
+                except MemoryError as mistake:      # the next call may have some again
+                    self._mistake = mistake
                 except Exception as mistake:        # for the one who checks
                     self._mistake = mistake
                     return

@@ -29,6 +29,7 @@ from mecarover_serial.plain import plain_streams
 from mecarover_serial.plain import printable
 from mecarover_serial.port_error import PortError
 from mecarover_serial.version import version_of
+from mecarover_serial.worker import MORE_TASKS
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
 NARROWEST, WIDEST = 30, 99      # columns of a help text
@@ -95,8 +96,7 @@ def few_files(name: str) -> int | None:
 def no_process(name: str, error: OSError) -> int:
     """Say that a process that is needed cannot be started; return the exit code."""
     return _complain(name, OSError(
-        f'cannot start a process: {error.strerror}; raise the limit of processes (ulimit -u, '
-        'TasksMax=) or end some'), COULD_NOT_RUN)
+        f'cannot start a process: {error.strerror}; {MORE_TASKS}'), COULD_NOT_RUN)
 
 
 def _open_streams() -> None:

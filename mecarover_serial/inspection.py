@@ -13,6 +13,7 @@ import threading
 from mecarover_serial import preflight
 from mecarover_serial.port_error import Reason
 from mecarover_serial.port_watch import PortWatch
+from mecarover_serial.worker import Worker
 
 EVERY_S = 30.0              # a look takes 20 ms of CPU where 100 processes run
 APART_S = 1.0               # at least, where a program opens the port again and again
@@ -23,10 +24,9 @@ class Inspection:
     """
     Looks at a port at each opening, when another program opens or closes it, and every EVERY_S.
 
-    `ours` are programs that may have it open.
-
-    complaints: what was found last, 'port: reason; remedy'. It looks at every process of the
-    system, so it does that in a thread, which says nothing: it may outlive ROS.
+    `ours` are programs that may have it open. complaints: what was found last, 'port: reason;
+    remedy'. It looks at every process of the system, so it does that in a thread, which says
+    nothing: it may outlive ROS.
     """
 
     def __init__(self, port: str, ours: Sequence[str]) -> None:
@@ -37,7 +37,10 @@ class Inspection:
         self._looked_s = self._due_s = 0.0
         self._watch = PortWatch()
         self._was_opened = False
-        self._thread = threading.Thread()
+        self._worker = Worker('inspection')
+        self._worker.start()
+        self._looked = threading.Event()            # the last look is over
+        self._looked.set()
 
     def look(self, opening: int, now_s: float) -> None:
         """Look if it is time; opening: its number, now_s: monotonic."""
@@ -45,14 +48,13 @@ class Inspection:
             self._watch.begin(self._port)
         self._watch.read()
         due_s = self._looked_s + APART_S if self._watch.has_changed else self._due_s
-        if (opening == self._opening and now_s < due_s) or self._thread.is_alive():
+        if (opening == self._opening and now_s < due_s) or not self._looked.is_set():
             return
         self._looked_s = now_s
         self._due_s = now_s + (AGAIN_S if self._watch.has_changed else EVERY_S)
         self._opening, self._was_opened = opening, self._watch.was_opened
         self._watch.clear()
-        self._thread = threading.Thread(target=self._inspect, name='inspection', daemon=True)
-        self._thread.start()
+        self._looked = self._worker.call(self._inspect)
 
     def _inspect(self) -> None:
         found = preflight.warnings(self._port, ours=self._ours) or self._of_unknown()

@@ -29,6 +29,7 @@ from mecarover_serial.port_error import PortError
 from mecarover_serial.port_error import Reason
 from mecarover_serial.preflight import why_not
 from mecarover_serial.readable import readable
+from mecarover_serial.worker import MORE_TASKS
 
 _READ_SIZE = 65536
 _POLL_S = 0.005                 # ports without a descriptor (rfc2217://, loop://) are polled
@@ -204,6 +205,8 @@ def _configured(path_or_url: str, baud: int) -> Any:
         device.open()
     except (OSError, serial.SerialException, termios.error) as error:
         raise PortError(path_or_url, why_not(path_or_url, error)) from error
+    except RuntimeError as error:   # rfc2217:// has a thread
+        raise PortError(path_or_url, Reason('other', str(error), MORE_TASKS)) from error
     except Exception as error:      # pyserial: the rate, or a URL that it fails to take apart
         raise PortError(path_or_url, _bad_setting(path_or_url, baud, error)) from error
     return device

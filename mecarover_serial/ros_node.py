@@ -15,11 +15,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 import gc
+import math
 import os
+import re
 import signal
 import sys
 import threading
 import time
+import traceback
 from typing import Any
 from typing import Protocol
 
@@ -52,13 +55,18 @@ from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import settings_files
 from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
+from mecarover_serial.plain import printable
 from mecarover_serial.port_error import PortError
 from mecarover_serial.settings_file import check
 from mecarover_serial.settings_file import SettingsError
 from mecarover_serial.standard_streams import StandardStreams
 from mecarover_serial.systemd import Systemd
+from mecarover_serial.worker import MORE_TASKS
 
 _OVERRIDES = 'qos_overrides.'
+_NO_THREAD = re.compile('start new thread|pthread_create')     # of Python; of ROS
+SAY_AGAIN_S = 60.0              # between lines about what rclpy raises at one place
+USELESS_S = 10.0                # an executor that only raises for so long does nothing any more
 STEP_S = 1.0                    # the system clock was set when it jumps by more
 _LARGEST = 1e9                  # means "no upper limit" in a range, which needs both ends
 
@@ -79,13 +87,22 @@ class Stoppable(Protocol):
         """Go on after a suspension, as if everything heard before it were forgotten."""
         return
 
+    def is_working(self) -> bool:
+        """Tell whether the threads that do the work are well; else systemd's watchdog starves."""
+        return True
+
 
 def run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None = None) -> int:
     """Run a node until a signal ends it; return the exit code (0 signal, 1 failed, 2 usage)."""
     clock = _SystemClock()
     with _Signals() as signals:
-        with StandardStreams(name):
-            code = _run(name, start, args, signals, clock)
+        try:
+            with StandardStreams(name):
+                code = _run(name, start, args, signals, clock)
+        except RuntimeError as error:
+            if not _NO_THREAD.search(str(error)):
+                raise
+            code = _complain(name, f'{first_line(error)}; {MORE_TASKS}', COULD_NOT_RUN)
         if clock.went_back:
             os._exit(code)
         return code
@@ -155,23 +172,83 @@ def _spin(app: Stoppable, signals: _Signals, clock: _SystemClock) -> None:
     executor = SingleThreadedExecutor()
     ended = threading.Event()
     systemd = Systemd()
+    mishaps = _Mishaps(app)
     try:
         signals.watch(app, partial(_end, executor, ended))
         executor.add_node(app.node)
         if systemd.watchdog_s is not None:
-            app.node.create_timer(systemd.watchdog_s / 3, systemd.alive,
+            app.node.create_timer(systemd.watchdog_s / 3, partial(_feed, systemd, app),
                                   clock=Clock(clock_type=ClockType.STEADY_TIME))
         systemd.ready()
         gc.freeze()             # imports and set-up stay: no garbage is to be looked for there
         # Not spin_until_future_complete: it keeps a callback for each message that ever came.
         while not ended.is_set() and rclpy.ok():
-            executor.spin_once()
+            mishaps.spin_once(executor)
     finally:
         systemd.stopping()
         app.stop()
         executor.shutdown(timeout_sec=1.0)
         if not clock.went_back:
             app.node.destroy_node()
+
+
+def _feed(systemd: Systemd, app: Stoppable) -> None:
+    """Feed the watchdog: this thread runs, as it does this, and so do those of the app."""
+    if app.is_working():
+        systemd.alive()
+
+
+class _Mishaps:
+    """
+    What rclpy raises while it spins: at what others send, or because no memory is left.
+
+    That ends one call and not the node. A mistake of ours, in a callback of the app, ends it.
+    """
+
+    def __init__(self, app: Stoppable) -> None:
+        self._node = app.node
+        self._package = type(app).__module__.partition('.')[0]
+        self._since = math.inf          # it has only raised
+        self._said: dict[str, float] = {}
+
+    def spin_once(self, executor: SingleThreadedExecutor) -> None:
+        """Make one call; raise what ends the node."""
+        try:
+            executor.spin_once()
+            self._since = math.inf
+        except Exception as error:
+            if not (rclpy.ok() and self._survives(error, time.monotonic())):
+                raise
+
+    def _survives(self, error: Exception, now_s: float) -> bool:
+        """Say it, if it is time, and have rclpy go on; return False for what ends the node."""
+        frames = [(frame.f_globals.get('__name__', ''), frame.f_code.co_name)
+                  for frame, _ in traceback.walk_tb(error.__traceback__)]
+        if isinstance(error, MemoryError):
+            line = place = 'no memory is left, so a call was left out; raise the limit ' \
+                '(ulimit -v, MemoryMax=) or end other programs'
+        elif any(module.partition('.')[0] == self._package for module, _ in frames):
+            return False
+        else:
+            place = next((name for module, name in frames if module.startswith('rclpy.')
+                          and module not in ('rclpy.executors', 'rclpy.task')), 'executor')
+            line = (f'rclpy, {place.strip("_")}: {type(error).__name__}: {first_line(error)}; '
+                    'what another node sent was thrown away: correct that node')
+        self._since = min(self._since, now_s)
+        self._unlock()
+        if now_s - self._said.get(place, -math.inf) >= SAY_AGAIN_S:
+            self._said[place] = now_s
+            with suppress(MemoryError):
+                self._node.get_logger().warning(printable(line))
+        return now_s - self._since < USELESS_S
+
+    def _unlock(self) -> None:
+        """Have rclpy call again what it was to call when it raised: it would wait for its end."""
+        node = self._node
+        for one in (*node.timers, *node.subscriptions, *node.guards, *node.clients,
+                    *node.services, *node.waitables):
+            one._executor_event = False
+            one.callback_group._active_entity = None
 
 
 def _end(executor: SingleThreadedExecutor, ended: threading.Event) -> None:
@@ -346,8 +423,9 @@ class _Signals:
 
     def watch(self, app: Stoppable, end: Callable[[], None]) -> None:
         """Act on signals from now on; `end` is called when the app has been stopped."""
-        self._thread = threading.Thread(target=self._act, args=(app, end), name='signals')
-        self._thread.start()
+        thread = threading.Thread(target=self._act, args=(app, end), name='signals')
+        thread.start()
+        self._thread = thread
 
     def _act(self, app: Stoppable, end: Callable[[], None]) -> None:
         ending = False

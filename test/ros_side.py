@@ -12,6 +12,8 @@ from geometry_msgs.msg import TwistStamped
 from harness import Background
 from harness import DEADLINE_S
 from harness import wait
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters
 from rcl_interfaces.srv import GetParameters
 from rcl_interfaces.srv import ListParameters
@@ -29,13 +31,15 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
-__all__ = ['DiagnosticArray', 'Duration', 'Float64', 'Graph', 'SetBool', 'String', 'Teleop',
-           'Trigger', 'Twist', 'TwistStamped', 'overrides', 'qos', 'stamped', 'twist']
+__all__ = ['Clock', 'DiagnosticArray', 'Duration', 'Float64', 'Graph', 'ParameterMessage',
+           'ParameterValue', 'SetBool', 'SetParameters', 'String', 'Teleop', 'Trigger', 'Twist',
+           'TwistStamped', 'overrides', 'qos', 'stamped', 'twist']
 
 
 def twist(x=0.0, y=0.0, omega=0.0):

@@ -149,6 +149,26 @@ def test_a_folder_that_cannot_be_used_is_refused(tmp_path):
         FlightRecorder(str(tmp_path / 'file' / 'x'), 1, 1)
 
 
+def test_links_in_the_folder_are_left_alone(tmp_path):
+    """A link to the newest file points to nothing when that is deleted."""
+    folder = tmp_path / 'faults'
+    flight = Flight(folder, size=1)
+    nowhere, newest = folder / 'flight_0.txt', folder / 'flight_newest.txt'
+    nowhere.symlink_to(tmp_path / 'gone')
+    (folder / 'flight_folder.txt').mkdir()
+    for device in range(3):
+        flight.run(40, finding(device=device))
+        flight.run(1)
+        newest.unlink(missing_ok=True)
+        newest.symlink_to(flight.recorder.path)
+        assert newest.exists()
+        assert not flight.recorder.problem
+    assert nowhere.is_symlink()
+    assert [one.name for one in flight.files() if one.is_file() and not one.is_symlink()] == [
+        newest.readlink().name]
+    flight.recorder.stop()
+
+
 @pytest.mark.skipif(not os.path.exists('/dev/full'), reason='skipped: no /dev/full')
 def test_a_full_disk_is_said_and_the_next_fault_is_tried_again(flight, monkeypatch):
     monkeypatch.setattr('dxl_monitor.record.capture_recorder.open_new',

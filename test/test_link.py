@@ -346,6 +346,48 @@ def test_a_mistake_in_what_is_told_ends_nothing(mcu):
         drive(link, mcu)
 
 
+def test_an_error_while_an_error_is_handled_does_not_end_the_thread(mcu, monkeypatch):
+    """As where no memory is left. The port is closed all the same, and opened again."""
+    failures = [MemoryError(), RuntimeError("can't start new thread")]
+
+    def drop_output(port):
+        if failures:
+            raise failures.pop()
+
+    monkeypatch.setattr(Port, 'drop_output', drop_output)
+    with linked(mcu.path) as link:
+        for opening in (1, 2):
+            wait(lambda: link.state().openings == opening)      # noqa: B023
+            drive(link, mcu)
+            unplug(link, mcu)
+            mcu.come_back()
+        wait(lambda: link.state().openings == 3)
+        assert not failures and link.is_working()
+
+
+def test_a_thread_that_hangs_or_has_ended_does_not_work(mcu, monkeypatch):
+    hangs, goes_on, real = threading.Event(), threading.Event(), Port.read
+
+    def read(port):
+        hangs.set()
+        goes_on.wait(PATIENCE_S)
+        return real(port)
+
+    link = Link(mcu.path, 115200, Gate())
+    assert not link.is_working()
+    link.start()
+    wait(lambda: link.state().is_open)
+    assert link.is_working()
+    monkeypatch.setattr(Port, 'read', read)
+    mcu.say(b'hello')
+    assert hangs.wait(PATIENCE_S)
+    wait(lambda: not link.is_working())
+    goes_on.set()
+    wait(link.is_working)
+    link.close()
+    assert not link.is_working()
+
+
 class Sullen(Port):
     """A port that takes nothing, not even after a flush."""
 

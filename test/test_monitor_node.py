@@ -347,3 +347,11 @@ def test_a_fault_is_in_a_file_and_so_is_what_is_asked_for(tmp_path, heard, ros):
     result = subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', path],
                             capture_output=True, text=True, check=False)
     assert re.search('002 before it does not answer|002, no answer', result.stdout)
+
+
+def test_a_lost_servo_is_one_line_in_the_log_and_its_return_another(tmp_path, heard):
+    with fake_bus(tmp_path / 'bus', '--devices', '1-3:MX-64', '--fault', 'silent:3:6:6'), \
+            monitor([tmp_path / 'bus'], devices="['1-3:MX-64']") as node:
+        lost = node.wait_for('WARN', 'bus: 2 of 3 devices connected; lost: 003 (')
+        assert node.wait_for('WARN', 'bus: 3 of 3 devices connected; back: 003')
+        assert node.said('WARN', 'lost: ') == [lost]

@@ -376,7 +376,7 @@ OPENS = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
 def looked(inspection, opening, now_s):
     """Let an inspection look, and return what it complains of."""
     inspection.look(opening, now_s)
-    inspection._thread.join()
+    inspection._looked.wait()
     return inspection.complaints
 
 

@@ -52,6 +52,25 @@ def test_a_mistake_is_raised_where_somebody_checks():
     timers.stop()
 
 
+def test_no_memory_ends_one_call():
+    def call():
+        called.append(None)
+        if len(called) == 1:
+            raise MemoryError
+        again.set()
+
+    called, again = [], Event()
+    timers = Timers()
+    timers.add(0.001, call)
+    timers.start()
+    assert again.wait(20.0)
+    assert timers.is_alive()
+    with pytest.raises(MemoryError):
+        timers.check()
+    timers.check()
+    timers.stop()
+
+
 def test_who_checks_waits_for_a_call_that_goes_on_and_none_comes_after_the_stop():
     entered, leave = Event(), Event()
     called = []

@@ -146,6 +146,10 @@ class Bridge:
         self._known_freezes = -1
         self._link.stop(Stop.FROZEN)
 
+    def is_working(self) -> bool:
+        """Tell whether the port's thread runs: without it no stop would be sent."""
+        return self._link.is_working()
+
     def _make_link(self, deadman: Deadman) -> Link:
         values = self._values
         if not values['deadman']:

@@ -23,6 +23,7 @@ from mecarover_serial.port import open_port
 from mecarover_serial.port import Port
 from mecarover_serial.port_error import PortError
 from mecarover_serial.port_error import Reason
+from mecarover_serial.worker import Worker
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
@@ -49,6 +50,7 @@ _SEARCH_NS = SECOND                # when closing: for a lost port to come back
 _CLOSE_NS = 3 * SECOND // 2        # and for the last burst; the port may be stuck
 _JOIN_S = 1.7
 _POLL_S = 0.005
+_HANGING_NS = SECOND               # without a turn of the thread, which takes BEAT
 _RETRY_S = 0.5                     # at most between attempts: until then the rover may be driving
 _LAST_RETRY_S = 0.1                # while closing
 
@@ -105,12 +107,14 @@ class Link:
                             on_sent=on_sent)
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name='port', daemon=True)
+        self._closer = Worker('closer')
         self._pipe = SelfPipe()
         self._claim = PortClaim()
         self._backoff = Backoff(last_s=_RETRY_S)
         self._port: Port | None = None
         self._failure: PortError | None = None       # raised by a write in a callback's thread
         self._wake_at = 0                            # until when the thread sleeps
+        self._beaten = clock()                       # when it last said that it runs
         self._closing: int | None = None             # since when
         self._owed: int | None = None                # lost while driving: frames sent until then
         self._overslept = False                      # frozen while the port was closed
@@ -120,7 +124,13 @@ class Link:
         self._openings = self._losses = 0
 
     def start(self) -> None:
+        self._closer.start()
         self._thread.start()
+
+    def is_working(self) -> bool:
+        """Tell whether the thread does its work; to open a port may take it any time."""
+        return self._thread.is_alive() and (
+            self._port is None or self._clock() - self._beaten < _HANGING_NS)
 
     def offer(self, velocity: Vel2d, *, waited: int = 0, stamp_age: int | None = None) -> Outcome:
         """Judge a command and write it at once when the rate allows (times in ns)."""
@@ -170,6 +180,7 @@ class Link:
             self._thread.join(_JOIN_S)
         if not self._thread.is_alive():              # else stuck in opening, it needs them
             self._pipe.close()
+            self._closer.stop()
         self._claim.drop()
         if self._deadman is not None:
             self._deadman.leave()
@@ -231,21 +242,32 @@ class Link:
     def _run(self) -> None:
         """Run the thread; no exception ends it: the stops must go on."""
         while not self._is_over():
-            try:
-                port = self._opener(self._name, self._baud)
-            except Exception as error:
-                self._report(as_port_error(self._name, error))
-                self._doze(self._backoff.next())
+            with suppress(Exception):                # after an error another one: no memory
+                self._use_port()
                 continue
-            try:
-                self._begin(port)
-                while not self._is_finished(port):
-                    self._turn(port)
-            except Exception as error:
-                self._end(port, as_port_error(self._name, error))
-                self._doze(self._backoff.next())
-            else:
-                self._end(port, None)
+            time.sleep(_LAST_RETRY_S)
+
+    def _use_port(self) -> None:
+        """Open the port and use it until it is lost or not needed any more."""
+        try:
+            port = self._opener(self._name, self._baud)
+        except Exception as error:
+            self._report(as_port_error(self._name, error))
+            self._doze(self._backoff.next())
+            return
+        mistake: Exception | None = None
+        try:
+            self._begin(port)
+            while not self._is_finished(port):
+                self._turn(port)
+        except Exception as error:
+            mistake = error
+        try:
+            self._end(port, mistake)
+        finally:
+            self._close(port)
+        if mistake is not None:
+            self._doze(self._backoff.next())
 
     def _is_over(self) -> bool:
         """Whether to look for the port no more."""
@@ -281,8 +303,7 @@ class Link:
         with self._lock:
             now = self._clock()
             acted = self._acted()
-            if self._deadman is not None:
-                self._deadman.beat(now)
+            self._beat(now)
             if self._failure is not None:
                 raise self._failure
             self._wake_at = min(self._pacer.turn(now, acted), now + BEAT)
@@ -298,14 +319,21 @@ class Link:
         if chunk:
             self._on_received(chunk, self._clock())
 
-    def _end(self, port: Port, error: PortError | None) -> None:
-        """Close the port, every copy of it, before anybody looks for it again."""
+    def _beat(self, now: int) -> None:
+        """Say that the thread runs."""
+        self._beaten = now
+        if self._deadman is not None:
+            self._deadman.beat(now)
+
+    def _end(self, port: Port, mistake: Exception | None) -> None:
+        """Part from a port: have every copy but ours closed, before anybody looks for it again."""
         with self._lock:
             self._port = None
             self._since = self._clock()
             if self.gate.driving or self.gate.stopping:
                 self._owed = self._pacer.frames
             self._pacer.detach()
+            error = None if mistake is None else as_port_error(self._name, mistake)
             if error is not None:
                 self._losses += 1
                 self._problem, self._last_error = error, str(error)
@@ -316,7 +344,6 @@ class Link:
                 port.drop_output()
         if error is not None:
             self._tell(error)
-        self._close(port)
 
     def _close(self, port: Port) -> None:
         """
@@ -325,13 +352,9 @@ class Link:
         Drivers of USB adapters cannot drop what they have taken: the kernel waits up to 30 s for
         a board that hangs. The name is busy until then.
         """
-        closer = threading.Thread(target=port.close, name='closer', daemon=True)
-        closer.start()
-        closer.join(BEAT / SECOND)
-        while closer.is_alive() and self._closing is None:
-            if self._deadman is not None:
-                self._deadman.beat(self._clock())
-            closer.join(BEAT / SECOND)
+        closed = self._closer.call(port.close)
+        while not closed.wait(BEAT / SECOND) and self._closing is None:
+            self._beat(self._clock())
 
     def _tell(self, problem: PortError | None) -> None:
         with suppress(Exception):                    # a callback's mistake ends no thread
@@ -350,8 +373,7 @@ class Link:
         now = time.monotonic()
         deadline = now + seconds
         while self._closing is None and now < deadline:
-            if self._deadman is not None:
-                self._deadman.beat(time.monotonic_ns())
+            self._beat(time.monotonic_ns())
             before = now
             self._pipe.sleep(min(deadline - now, BEAT / SECOND))
             now = time.monotonic()

@@ -5,7 +5,7 @@ The read-only port thread: opens the port, has it read, hands on stamped chunks.
 
 Never writes, and the kernel holds it to that: the descriptor is O_RDONLY. A lost port is opened
 again for ever, and its path is looked up each time. A small process does the reading (reader.py);
-the thread itself reads only where there is no descriptor to share, or where no process can be
+the thread itself reads only where there is no descriptor to share, or while no process can be
 started. The stamp of a chunk is the time at which it was read (ns, monotonic): its first byte came
 earlier by the wire time.
 """
@@ -14,7 +14,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
+import math
 import os
 import threading
 import time
@@ -43,6 +45,7 @@ from msg_defs.uart import idle_s
 ERRORS_EVERY_NS = 1_000_000_000
 # The process stamps, so its records can wait: many at a time cost a quarter less than a few.
 TAKE_EVERY_S = 0.05
+PROCESS_AGAIN_NS = 30_000_000_000       # until a process is tried again that did not start
 Piece = tuple[bytes, int, str]   # bytes, stamp, side
 STARTING = 'starting'           # the kind of state before the port was tried
 
@@ -142,6 +145,10 @@ class Listener:
         """Begin to listen; the port may be absent."""
         self._thread.start()
 
+    def is_alive(self) -> bool:
+        """Tell whether the thread is there."""
+        return self._thread.is_alive()
+
     def stop(self) -> None:
         """Close the port and end the thread; no callback comes after this returns."""
         self._stopping = True
@@ -155,8 +162,9 @@ class Listener:
             try:
                 self._listen_once()
             except Exception as mistake:            # no mistake ends the listening
-                error = as_port_error(self.port, mistake)
-                self.state = ListenerState(False, error.kind, str(error))
+                with suppress(MemoryError):
+                    error = as_port_error(self.port, mistake)
+                    self.state = ListenerState(False, error.kind, str(error))
             self._pause(self._backoff.next())
         self.state = ListenerState(False, 'stopped', f'{self.port}: closed')
 
@@ -196,17 +204,28 @@ class Listener:
     def _listen(self, port: Port) -> None:
         """Have the port read until it is lost (PortError) or we are stopped."""
         self.listened = time.monotonic_ns()
-        if port.fd is not None and not self._in_thread:
-            words = f'open at {self.baud} baud'
-            problem = self._listen_by_process(words, partial(self._take, port), partial(
-                ReaderProcess, port.fd, self.idle_s, self._gather_s, self._wake_read,
-                byte_ns=byte_ns(self.baud)))
+        if port.fd is None or self._in_thread:
+            self._listen_in_thread(port)
+            return
+        words, problem = f'open at {self.baud} baud', ''
+
+        def take(record: Record) -> None:
+            nonlocal problem
             if problem:
+                problem = ''
+                self._say_open(words)
+            self._take(port, record)
+
+        start = partial(ReaderProcess, port.fd, self.idle_s, self._gather_s, self._wake_read,
+                        byte_ns=byte_ns(self.baud))
+        while not self._stopping:
+            if found := self._listen_by_process(words, take, start):
+                problem = found
                 self._say_open(f'{words}; its reader process did not start ({problem}), so the '
                                'node reads it and may lose bytes under load')
-        self._listen_in_thread(port)
+                self._listen_in_thread(port, PROCESS_AGAIN_NS)
 
-    def _listen_in_thread(self, port: Port) -> None:
+    def _listen_in_thread(self, port: Port, ns: float = math.inf) -> None:
         def wait(seconds: float) -> bool:
             return port.wait(seconds, self._wake_read)
 
@@ -217,7 +236,8 @@ class Listener:
         loop = reader.Loop(wait, port.read, hear, self._idle,
                            idle_s=self.idle_s, gather_s=self._gather_s,
                            byte_ns=byte_ns(self.baud))
-        loop.run(lambda: self._stopping)
+        end = time.monotonic_ns() + ns
+        loop.run(lambda: self._stopping or time.monotonic_ns() > end)
 
     def _listen_by_process(self, words: str, take: Callable[[Record], object],
                            start: Callable[[], ReaderProcess]) -> str:
@@ -227,6 +247,8 @@ class Listener:
                 process = start()
             except OSError as error:
                 return error.strerror or str(error)
+            except MemoryError:
+                return 'no memory is left'
             with process:
                 was_ready = self._follow(process, take)
                 if not was_ready and not self._stopping:

@@ -24,6 +24,7 @@ from dxl_monitor.record.capture import seconds
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
 from mecarover_serial.parameters import ParameterError
+from mecarover_serial.worker import Worker
 
 FLUSH_S = 0.2
 STOP_S = 3.0                        # the end waits no longer for what takes nothing
@@ -64,15 +65,19 @@ class Recorder:
         if not os.path.isfile(path):
             self._size = sys.maxsize            # a pipe has no older files
         self._writer = Writer(self._file, now())
-        self._thread = threading.Thread(target=self._run, name='recorder', daemon=True)
+        self._done = threading.Event()          # nothing is being written
+        self._done.set()
 
     @property
     def words(self) -> str:
         """What it does, or why it does not, for a person."""
         return self.problem or f'recording to {self.path}'
 
-    def start(self) -> None:
-        self._thread.start()
+    def start(self, worker: Worker | None = None) -> None:
+        """Begin to write, in the thread of a worker; None: of a new one."""
+        worker = worker or Worker('recorder')
+        worker.start()
+        self._done = worker.call(self._run)
 
     def remark(self, text: str) -> None:
         """Record a line for people."""
@@ -95,10 +100,10 @@ class Recorder:
         """Write what is left and close the file; give up what is not taken, as a full pipe."""
         self._is_stopping.set()
         size = -1
-        while self._thread.is_alive() and size != self._writer.size:     # it still gets on
+        while not self._done.is_set() and size != self._writer.size:     # it still gets on
             size = self._writer.size
-            self._thread.join(STOP_S)
-        if self._thread.is_alive():
+            self._done.wait(STOP_S)
+        if not self._done.is_set():
             self.problem = (f'capture stopped: {self.path}: no data could be written; what was '
                             'not written yet is lost')
 
@@ -108,10 +113,10 @@ class Recorder:
                 self._write()
             self._write()
             self._writer.remark(f'{ENDED}{seconds(self._now().stamp)}')
-        except (OSError, ParameterError) as error:
+        except (OSError, ParameterError, MemoryError) as error:
             reason = error.strerror if isinstance(error, OSError) else None
-            self.problem = (f'capture stopped: {self.path}: {reason or error}; make room and '
-                            'restart the node')
+            self.problem = (f'capture stopped: {self.path}: {reason or error or "no memory"}; '
+                            'make room and restart the node')
         with suppress(OSError):     # what could not be written before
             self._file.close()
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import datetime
 from datetime import timezone
 import os
 from pathlib import Path
 import re
+import stat
 import sys
 import threading
 
@@ -28,6 +30,7 @@ from dxl_monitor.record.capture_recorder import moment
 from dxl_monitor.record.capture_recorder import Recorder
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.plain import printable
+from mecarover_serial.worker import Worker
 from msg_defs.reports import Level
 
 S = 1_000_000_000
@@ -63,6 +66,7 @@ class FlightRecorder:
         self._chunks: deque[tuple[Wire, Chunk]] = deque()
         self._kept = 0
         self._file: Recorder | None = None
+        self._worker = Worker('flight recorder')    # one file at a time
         self._until = 0
         self._causes: dict[Cause, int] = {}         # when each began last
         self._standing: set[Cause] = set()
@@ -84,7 +88,8 @@ class FlightRecorder:
             if self.path else f'flight recorder: ready, {self._folder}'
 
     def start(self) -> None:
-        """Nothing to do: it writes when something happens."""
+        """Have a thread for the files: when something happens, none may be left."""
+        self._worker.start()
 
     def take(self, wire: Wire, chunk: Chunk) -> None:
         """Keep a chunk; without waiting."""
@@ -140,7 +145,7 @@ class FlightRecorder:
             self.path = str(self._folder / f'{_NAME}{time}_{name}.txt')
             try:
                 file = Recorder(self.path, sys.maxsize, 0, self._now, _WAITING_LIMIT)
-            except ParameterError as error:
+            except (ParameterError, OSError) as error:
                 self.problem = f'flight recorder: {error}'
                 return ''
             with self._lock:
@@ -151,18 +156,24 @@ class FlightRecorder:
             file.remark(f'flight recorder: recording of {why}, with the '
                         f'{(now.stamp - first) / S:.1f} s before it')
             self._until = now.stamp + AFTER_NS
-            file.start()
+            file.start(self._worker)
             return self.path
 
     def _make_room(self) -> None:
         """Delete the oldest files until the others, and as much again, fit in the folder."""
-        files = sorted(self._folder.glob(f'{_NAME}*.txt'), key=lambda one: one.stat().st_mtime)
-        total = sum(one.stat().st_size for one in files)
-        for one in files:
+        files = []
+        for one in self._folder.glob(f'{_NAME}*.txt'):
+            with suppress(OSError):             # somebody has just deleted it
+                status = one.lstat()
+                if stat.S_ISREG(status.st_mode):    # a link to one of them is not ours
+                    files.append((status.st_mtime, status.st_size, one))
+        total = sum(size for _, size, _ in files)
+        for _, size, one in sorted(files):
             if total <= self._size:
                 return
-            total -= one.stat().st_size
-            one.unlink(missing_ok=True)
+            with suppress(OSError):             # that of another user
+                one.unlink()
+                total -= size
 
     def stop(self) -> None:
         """End the file that is being written."""
