@@ -45,6 +45,7 @@ from msg_defs.reports import SEVERITY
 
 FLUSH_S = 5.0
 LIMIT_S = 300.0                 # between two looks at the size
+RESTART_S = 2.0                 # a monitor that was started so much later is another one
 _MOST_WAITING = 24              # batches, two minutes: a disk that hangs longer costs the rest
 NAME = 'history.sqlite'
 MOST_ERRORS = 20                # for one bus in one window; noise would fill the file
@@ -63,8 +64,16 @@ class _LastSeen:
     row: Row = field(default_factory=dict)
     window: Window | None = None
     is_new: bool = False        # the window is not written as it is now
+    started_s: float | None = None      # when the monitor of this bus was started
     errors: int = 0             # in this window
     error_s: float | None = None    # monotonic s of the last one that was noted
+
+    def is_restarted(self, started_s: float | None) -> bool:
+        """Take when the monitor was started; tell whether it is another than before."""
+        if started_s is None:
+            return False
+        before, self.started_s = self.started_s, started_s
+        return before is not None and started_s - before > RESTART_S
 
 
 class HistorySampler:
@@ -81,6 +90,8 @@ class HistorySampler:
         offset_s = unix_s - now_s
         parts = {(part.node, part.bus): part for part in state.parts()}
         own = {report.row_name: report.row for report in state.reports('buses')}
+        restarted = {(row['node'], row['bus']) for name, row in own.items()
+                     if self._last(name).is_restarted(row['started'])}
         for part in parts.values():
             self._judge_part(part, own.get(part.row_name), unix_s)
         away: dict[tuple[str, str], set[str]] = {}
@@ -95,6 +106,8 @@ class HistorySampler:
                 source = Subject(report.row_name, kind, row['robot'], report.values.unit)
                 part = parts[row['node'], row.get('bus')]
                 is_told = (kind == 'devices' and part.hides_devices) or not part.is_known
+                if (row['node'], row.get('bus')) in restarted:
+                    self._forget_findings(last, source, unix_s)
                 if row is not last.row and not is_told:
                     last.row = row
                     if kind == 'devices':
@@ -144,14 +157,14 @@ class HistorySampler:
         """Note what became of a bridge or a bus as a whole; what a finding says is noted there."""
         last, source = self._last(part.row_name), Subject(part.row_name, 'bridge', part.robot)
         now = part.level, part.problem
-        if part.ids or part.text in _texts(row):
+        if not part.of_part or part.of_part in _texts(row):
             now = Level.OK, ''
         if now != (last.state or (Level.OK, '')):
             text = part.text if now == (part.level, part.problem) \
                 else f'{part.live} of {part.total} devices answer'
             if part.bus is not None:
                 source = source._replace(kind='buses')
-            self._events.append(Event(unix_s, source, 'state', now[0], text))
+            self._events.append(Event(unix_s, source, 'state', part.level, text))
         last.state = now
 
     def _judge_device(self, last: _LastSeen, source: Subject, row: Row, unix_s: float) -> None:
@@ -178,6 +191,13 @@ class HistorySampler:
         for rule in last.findings.keys() - found.keys():
             if last.findings.pop(rule):
                 self._events.append(Event(unix_s, source, 'over', Level.OK, _words(rule)))
+
+    def _forget_findings(self, last: _LastSeen, source: Subject, unix_s: float) -> None:
+        """Note that a new monitor, which has read nothing yet, does not clear what was found."""
+        self._events += [Event(unix_s, source, 'finding', Level.STALE,
+                               f'{_words(rule)}: not known since the monitor was started again')
+                         for rule, is_noted in last.findings.items() if is_noted]
+        last.findings.clear()
 
     def _take_errors(self, last: _LastSeen, source: Subject, row: Row, offset_s: float,
                      away: set[str]) -> None:

@@ -321,7 +321,7 @@ class Bridge:
             subscriber.topic, subscriber.subscribed, self._values['cmd_vel_timeout'],
             [*self._around, *subscriber.complaints], self._timing.command_period.summary(now),
             subscriber.zero_stamps, verdict if now - refused_at < REFUSED_NS else None,
-            self._surroundings.clock_stands())
+            self._surroundings.clock_stands(), subscriber.absence)
         return [link_status(name, self._port, state, self._link_warnings(), self._mcu, now),
                 commands_status(name, self._port, state, self._link.gate.counters, commands)]
 
