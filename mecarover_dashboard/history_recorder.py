@@ -45,7 +45,6 @@ from msg_defs.reports import SEVERITY
 
 FLUSH_S = 5.0
 LIMIT_S = 300.0                 # between two looks at the size
-RESTART_S = 2.0                 # a monitor that was started so much later is another one
 _MOST_WAITING = 24              # batches, two minutes: a disk that hangs longer costs the rest
 NAME = 'history.sqlite'
 MOST_ERRORS = 20                # for one bus in one window; noise would fill the file
@@ -64,16 +63,16 @@ class _LastSeen:
     row: Row = field(default_factory=dict)
     window: Window | None = None
     is_new: bool = False        # the window is not written as it is now
-    started_s: float | None = None      # when the monitor of this bus was started
+    ran_s: float = 0.0          # for how long the monitor of this bus had been running
     errors: int = 0             # in this window
     error_s: float | None = None    # monotonic s of the last one that was noted
 
-    def is_restarted(self, started_s: float | None) -> bool:
-        """Take when the monitor was started; tell whether it is another than before."""
-        if started_s is None:
+    def is_restarted(self, bus: RowReport) -> bool:
+        """Tell whether the monitor runs for much less time than before: it is another one."""
+        if bus.row['started'] is None:
             return False
-        before, self.started_s = self.started_s, started_s
-        return before is not None and started_s - before > RESTART_S
+        before, self.ran_s = self.ran_s, bus.arrived - bus.row['started']
+        return self.ran_s < before / 2
 
 
 class HistorySampler:
@@ -89,9 +88,10 @@ class HistorySampler:
         """Take in what was reported since the last look."""
         offset_s = unix_s - now_s
         parts = {(part.node, part.bus): part for part in state.parts()}
-        own = {report.row_name: report.row for report in state.reports('buses')}
-        restarted = {(row['node'], row['bus']) for name, row in own.items()
-                     if self._last(name).is_restarted(row['started'])}
+        buses = list(state.reports('buses'))
+        own = {report.row_name: report.row for report in buses}
+        restarted = {(one.row['node'], one.row['bus']) for one in buses
+                     if self._last(one.row_name).is_restarted(one)}
         for part in parts.values():
             self._judge_part(part, own.get(part.row_name), unix_s)
         away: dict[tuple[str, str], set[str]] = {}
