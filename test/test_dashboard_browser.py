@@ -145,8 +145,8 @@ def test_where_none_answers_the_tile_says_so(open_page):
                 *(device(number, 'MX-64', Level.WARN, 'waiting') for number in (2, 3)),
                 Status('dxl_monitor: bus', Level.WARN, 'none of 3 devices answers', '',
                        [('Port', '/dev/ttyUSB0')])]
-    with Dashboard() as dashboard:
-        dashboard.take([('dxl/diagnostics', serialise(statuses))])
+    robot = SimpleNamespace(messages=lambda time_s: [('dxl/diagnostics', serialise(statuses))])
+    with Dashboard() as dashboard, Feed(dashboard, robot):
         page = open_page(dashboard.address)
         see(page, '.tile', r'^MX-64\s*0\s*of 2 connected\s*2 waiting$')
         see(page, '.tile', r'^MX-106\s*0\s*of 1 connected\s*1 lost$')
