@@ -60,12 +60,19 @@ class _LastSeen:
     state: tuple[int, str] | None = None
     told: str = ''              # the text of its last state that was noted
     findings: dict[str, bool] = field(default_factory=dict)     # rules; whether it was noted
-    was_unknown: bool = False   # since they were looked at: another monitor may know less
     row: Row = field(default_factory=dict)
     window: Window | None = None
     is_new: bool = False        # the window is not written as it is now
+    ran_s: float = 0.0          # for how long the monitor of this bus had been running
     errors: int = 0             # in this window
     error_s: float | None = None    # monotonic s of the last one that was noted
+
+    def is_restarted(self, bus: RowReport) -> bool:
+        """Tell whether the monitor runs for much less time than before: it is another one."""
+        if bus.row['started'] is None:
+            return False
+        before, self.ran_s = self.ran_s, bus.arrived - bus.row['started']
+        return self.ran_s < before / 2
 
 
 class HistorySampler:
@@ -81,7 +88,10 @@ class HistorySampler:
         """Take in what was reported since the last look."""
         offset_s = unix_s - now_s
         parts = {(part.node, part.bus): part for part in state.parts()}
-        own = {report.row_name: report.row for report in state.reports('buses')}
+        buses = list(state.reports('buses'))
+        own = {report.row_name: report.row for report in buses}
+        restarted = {(one.row['node'], one.row['bus']) for one in buses
+                     if self._last(one.row_name).is_restarted(one)}
         for part in parts.values():
             self._judge_part(part, own.get(part.row_name), unix_s)
         away: dict[tuple[str, str], set[str]] = {}
@@ -96,7 +106,8 @@ class HistorySampler:
                 source = Subject(report.row_name, kind, row['robot'], report.values.unit)
                 part = parts[row['node'], row.get('bus')]
                 is_told = (kind == 'devices' and part.hides_devices) or not part.is_known
-                last.was_unknown |= not part.is_known
+                if (row['node'], row.get('bus')) in restarted:
+                    self._forget_findings(last, source, unix_s)
                 if row is not last.row and not is_told:
                     last.row = row
                     if kind == 'devices':
@@ -146,14 +157,14 @@ class HistorySampler:
         """Note what became of a bridge or a bus as a whole; what a finding says is noted there."""
         last, source = self._last(part.row_name), Subject(part.row_name, 'bridge', part.robot)
         now = part.level, part.problem
-        if part.ids or part.text in _texts(row):
+        if not part.of_part or part.of_part in _texts(row):
             now = Level.OK, ''
         if now != (last.state or (Level.OK, '')):
             text = part.text if now == (part.level, part.problem) \
                 else f'{part.live} of {part.total} devices answer'
             if part.bus is not None:
                 source = source._replace(kind='buses')
-            self._events.append(Event(unix_s, source, 'state', now[0], text))
+            self._events.append(Event(unix_s, source, 'state', part.level, text))
         last.state = now
 
     def _judge_device(self, last: _LastSeen, source: Subject, row: Row, bus: Row | None,
@@ -184,10 +195,15 @@ class HistorySampler:
                     self._events.append(
                         Event(unix_s, source, 'finding', level, f'{_words(rule)}: {text}'))
         for rule in last.findings.keys() - found.keys():
-            if last.findings.pop(rule) and not (
-                    last.was_unknown or is_explained or rule in causes):
+            if last.findings.pop(rule) and not (is_explained or rule in causes):
                 self._events.append(Event(unix_s, source, 'over', Level.OK, _words(rule)))
-        last.was_unknown = False
+
+    def _forget_findings(self, last: _LastSeen, source: Subject, unix_s: float) -> None:
+        """Note that a new monitor, which has read nothing yet, does not clear what was found."""
+        self._events += [Event(unix_s, source, 'finding', Level.STALE,
+                               f'{_words(rule)}: not known since the monitor was started again')
+                         for rule, is_noted in last.findings.items() if is_noted]
+        last.findings.clear()
 
     def _take_errors(self, last: _LastSeen, source: Subject, row: Row, offset_s: float,
                      away: set[str]) -> None:

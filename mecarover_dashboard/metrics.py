@@ -66,8 +66,8 @@ class _Scrape:
     def collect(self) -> Iterator[Metric]:
         yield _gauge('problem', 'Level of what is wrong with a bridge or a bus, its devices '
                      'included; no series without a problem', ('robot', 'part', 'problem'), (
-                         ((one.robot[:_LABEL], one.name[:_LABEL], one.problem), float(one.level))
-                         for one in self._state.parts() if one.problem))
+                         ((one.robot[:_LABEL], one.name[:_LABEL], problem), float(one.level))
+                         for one in self._state.parts() for problem in one.problems))
         yield from self._devices()
         yield from self._buses()
         yield from self._bridges()

@@ -8,7 +8,9 @@ reader, the history, /metrics, the alerts and mecarover_status. What is not repo
 """
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
+from collections.abc import Sequence
 import re
 from typing import Any
 from typing import NamedTuple
@@ -25,7 +27,7 @@ Row = dict[str, Any]
 NO_REPORT, PORT_CLOSED, NONE_ANSWERS = 'no report', 'port closed', 'no device answers'
 SILENT, FAULT, LOST, WARNING = 'silent', 'error', 'lost', 'warning'
 UNKNOWN = (NO_REPORT, PORT_CLOSED)
-_OF_ALL = (*UNKNOWN, NONE_ANSWERS)      # nothing else is to be said of its devices
+_OF_ALL = (*UNKNOWN, NONE_ANSWERS)      # the problem of each of its devices
 _AWAY = ('disconnected', 'expected')
 _LEVEL_WORDS = {Level.ERROR: FAULT, Level.STALE: SILENT, Level.WARN: WARNING}
 _NAMED = 4                              # devices in a sentence
@@ -39,10 +41,11 @@ class RobotPart(NamedTuple):
     |---|---|
     | row_name | the status whose history has its events |
     | bus | None: it is the bridge |
-    | problem | one of the words above, '' if there is none |
-    | mark | for the tab: '2 lost' |
-    | text | the sentence about it |
-    | ids | the devices that the problem is about, none where it is about the part |
+    | problems | of the words above, the first one first in the text; none if it is well |
+    | mark | for the tab: '2 lost, 1 error' |
+    | text | the sentence about it: one problem does not hide another |
+    | ids | the devices that are named |
+    | of_part | what is said of the part as a whole, '' where only devices have a problem |
     | since | monotonic s of its last report, None while it reports |
     | live, total | devices that answer now, and all |
     """
@@ -52,10 +55,11 @@ class RobotPart(NamedTuple):
     node: str
     bus: str | None
     level: Level
-    problem: str
+    problems: tuple[str, ...]
     mark: str
     text: str
     ids: tuple[int, ...] = ()
+    of_part: str = ''
     since: float | None = None
     live: int = 0
     total: int = 0
@@ -63,6 +67,10 @@ class RobotPart(NamedTuple):
     @property
     def name(self) -> str:
         return 'bridge' if self.bus is None else f'bus {self.bus}'.strip()
+
+    @property
+    def problem(self) -> str:
+        return self.problems[0] if self.problems else ''
 
     @property
     def is_known(self) -> bool:
@@ -124,42 +132,73 @@ def device_name(row: Row) -> str:
     return f'{row["id"]:03} {row["joint"]}'.rstrip()
 
 
+class _Problem(NamedTuple):
+    """What is wrong with a bus, or with some of its devices."""
+
+    word: str
+    text: str
+    devices: Sequence[Row] = ()
+
+
 def _bus(node: str, bus: str, row: Row | None, devices: list[Row]) -> RobotPart:
     live = sum(bool(one['live']) for one in devices)
-    lost = [one for one in devices if is_lost(one)]
-    level, problem, text, some = _judged(node, row, devices, lost, live)
-    mark = f'{len(some)} {problem}' if some else problem
-    if len(some) > 1 and problem in (FAULT, WARNING):
-        mark += 's'
+    level, found = _judged(node, row, devices, live)
+    message = '' if row is None else str(row['message'])
+    mark = _mark(found)
     return RobotPart(
         status_name(node, f'bus {bus}'.strip()), (row or devices[0])['robot'], node, bus, level,
-        problem, f'{bus}: {mark}' if bus and mark else mark, text,
-        tuple(one['id'] for one in some), _since(row, devices), live, len(devices))
+        tuple(dict.fromkeys(one.word for one in found)),
+        f'{bus}: {mark}' if bus and mark else mark,
+        '; '.join(one.text for one in found) or _well(devices, message),
+        tuple(device['id'] for one in found for device in one.devices),
+        next((one.text for one in found if not one.devices), ''),
+        _since(row, devices), live, len(devices))
 
 
-def _judged(node: str, row: Row | None, devices: list[Row], lost: list[Row],
-            live: int) -> tuple[Level, str, str, list[Row]]:
-    """Return level, problem and text of a bus, and the devices that these are about."""
+def _mark(found: list[_Problem]) -> str:
+    """Return '2 lost, 1 error'; the word alone where it is about the bus."""
+    count: Counter[str] = Counter()
+    for one in found:
+        count[one.word] += max(1, len(one.devices))
+    counted = {one.word for one in found if one.devices}
+    return ', '.join(
+        f'{number} {word}{"s" if number > 1 and word in (FAULT, WARNING) else ""}'
+        if word in counted else word for word, number in count.items())
+
+
+def _judged(node: str, row: Row | None, devices: list[Row],
+            live: int) -> tuple[Level, list[_Problem]]:
+    """Return the level of a bus, and what is wrong: with it as a whole first."""
     of_all = Level.OK if row is None else level_of(row)
     message = '' if row is None else str(row['message'])
     if _since(row, devices) is not None:
-        return Level.STALE, NO_REPORT, _not_reported(node, len(devices)), []
+        return Level.STALE, [_Problem(NO_REPORT, _not_reported(node, len(devices)))]
     if row is not None and not row['live']:
-        return Level.ERROR, PORT_CLOSED, message, []
-    level = worst(map(level_of, devices))
-    if of_all is Level.STALE:
-        return worst((level, of_all)), SILENT, message, []
-    if message and devices and not live and (lost or of_all is Level.ERROR):
-        return Level.ERROR, NONE_ANSWERS, message, []
-    if of_all is not Level.ERROR and lost:
-        return Level.ERROR, LOST, f'Lost: {_names(lost)}', lost
-    some = [one for one in devices if level_of(one) is level]
-    if message and (not live or SEVERITY.index(of_all) >= SEVERITY.index(level)):
-        level, some = worst((level, of_all)), []
+        return Level.ERROR, [_Problem(PORT_CLOSED, message)]
+    worst_device = worst(map(level_of, devices))
+    level = worst((worst_device, of_all))
     if level is Level.OK:
-        return level, '', _well(devices, message), []
-    word = _LEVEL_WORDS[level]
-    return level, word, f'{word.capitalize()}: {_names(some)}' if some else message, some
+        return level, []
+    lost = [one for one in devices if is_lost(one)]
+    sick = [one for one in devices if level_of(one) is Level.ERROR and not is_lost(one)]
+    found = []
+    if of_all is Level.STALE:
+        found, lost = [_Problem(SILENT, message)], []
+    elif message and devices and not live and (lost or of_all is Level.ERROR):
+        found, lost, level = [_Problem(NONE_ANSWERS, message)], [], Level.ERROR
+    elif message and (not live or SEVERITY.index(of_all) >= SEVERITY.index(worst_device)):
+        found = [_Problem(_LEVEL_WORDS[level], message)]
+    if found:
+        # What the bus has explains its devices, but for what was found of a device itself.
+        lost, sick = ([one for one in some if any(severity == 'error' and text not in message
+                                                  for _, text, severity in one['findings'])]
+                      for some in (lost, sick))
+    found += [_Problem(word, f'{word.capitalize()}: {_names(some)}', some)
+              for word, some in ((LOST, lost), (FAULT, sick)) if some]
+    if not found:
+        some, word = [one for one in devices if level_of(one) is level], _LEVEL_WORDS[level]
+        found = [_Problem(word, f'{word.capitalize()}: {_names(some)}' if some else message, some)]
+    return level, found
 
 
 def _well(devices: list[Row], message: str) -> str:
@@ -185,8 +224,9 @@ def _bridge(node: str, rows: dict[str, Row]) -> RobotPart:
         text = f'No report from {node}: nothing is known of the rover; its last state: {did}'
     elif 'link' in rows and not rows['link']['live']:
         problem = LOST if level is Level.ERROR else problem
-    return RobotPart(status_name(node, 'link'), worse['robot'], node, None, level, problem,
-                problem and f'bridge: {problem}', text, since=since)
+    return RobotPart(status_name(node, 'link'), worse['robot'], node, None, level,
+                     (problem,) if problem else (), problem and f'bridge: {problem}', text,
+                     of_part=text, since=since)
 
 
 def _since(row: Row | None, devices: list[Row]) -> float | None:

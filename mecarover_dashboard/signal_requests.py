@@ -6,8 +6,8 @@ Values of chosen registers over HTTP, each as it came: /signals, in binary.
 Query: for each register `of` (name of a device status), `register` (its key), `after` (the
 number of the first point that the page does not have). The answer, all f64, little-endian: now
 (s), what to add to times for Unix time (in a recording: for s since its beginning); for each
-register how it is known (0 not yet, 1 read, 2 written), the number of the first point, how many
-there are; then all points, as (s, value).
+register how it is known (0 not yet, 1 read or sampled, 2 written, and it holds until the next),
+the number of the first point, how many there are; then all points, as (s, value).
 """
 from __future__ import annotations
 
@@ -41,7 +41,12 @@ class SignalSource(Protocol):
 
 
 class ReportedSignals:
-    """Registers as the nodes report them: all that there is over ROS."""
+    """
+    Registers as the nodes report them, which is all that there is over ROS: samples.
+
+    What the master wrote between two reports is not known, so that nothing is held from one to
+    the next; a value that was not written again since is still the goal when it is reported.
+    """
 
     def __init__(self) -> None:
         self._rings: dict[_Chosen, PointRing] = {}
@@ -69,10 +74,12 @@ class ReportedSignals:
             for field in fields:
                 value = rows.finite(field.value)
                 value = rows.finite(field.raw) if value is None else value
-                if field.key == key and value is not None and (field.seen or 0.0) > seen_s:
-                    seen_s = field.seen or 0.0
+                at_s = field.seen or 0.0
+                if field.source == 'w' and at_s - seen_s < rows.JITTER_S:
+                    at_s = arrived_s
+                if field.key == key and value is not None and at_s > seen_s:
+                    seen_s = at_s
                     ring.add(seen_s, value)
-                    ring.is_written = field.source == 'w'
             self._seen[name, key] = arrived_s, seen_s
 
 

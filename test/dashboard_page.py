@@ -68,7 +68,8 @@ class Dashboard:
         from mecarover_dashboard.web_server import Server
         listener = listen('127.0.0.1', self.port)
         self.port = listener.getsockname()[1]
-        about = facts('127.0.0.1', self.port) | {'machine': 'robot'}
+        source = 'tap:arm' if self._signals else ''     # each value is heard, not sampled
+        about = facts('127.0.0.1', self.port) | {'machine': 'robot', 'source': source}
         recording = self._history and HistoryRecorder(self._history)
         self.server = Server(listener, about, self._is_open, recording,
                              signals=self._signals)

@@ -29,6 +29,7 @@ from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
 from mecarover_dashboard.status_lines import screen
 from mecarover_dashboard.status_lines import status_lines
+from vel2d_bridge.graph import Absence
 
 ARM = ('1-6:MX-64',)
 ALERTS = (Path(__file__).parents[1] / 'deploy/alerts.yml').read_text()
@@ -57,7 +58,7 @@ class Robot:
     """What one robot publishes: its buses by name as reports, and its bridge."""
 
     def __init__(self, namespace='', buses=None, port='', bridge=SyntheticRobot, problem='',
-                 silent=()):
+                 silent=(), is_idle=False):
         self.buses = {'': heard()} if buses is None else buses
         self._port = port
         self.silent = silent                   # nodes that do not report any more
@@ -65,6 +66,9 @@ class Robot:
         self._bridge = bridge and bridge({}, namespace)
         if self._bridge:
             self._bridge.bridge_problem = problem
+            if is_idle:
+                self._bridge.velocity = (0.0, 0.0, 0.0)
+                self._bridge.absence = Absence.words('/cmd_vel')
 
     def port_state(self):
         return PortState('/dev/ttyUSB0', self._port, ())
@@ -95,7 +99,7 @@ class Row:
 def _robot(bus=None, port='', **of):
     if bus is not None:
         of['buses'] = {'': unheard(8 * bytes.fromhex(bus['chunk'])) if 'chunk' in bus else heard(
-            *filter(None, [bus.get('faults')]), waits=bus.get('waits', True),
+            *bus.get('faults', '').split(), waits=bus.get('waits', True),
             silence_s=bus.get('silence_s', 0.0))}
     return Robot(port=port and GONE, **of)
 

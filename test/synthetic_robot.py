@@ -74,6 +74,8 @@ class SyntheticRobot:
         self.port_problem = self.bridge_problem = ''
         self.findings = ()
         self.velocity = (0.32, 0.11, 0.6)
+        self.absence = ''                      # that nobody publishes cmd_vel
+        self.started_s = 0.0                   # when its monitor was started
         self._made, self._made_s = [], None
         models = Models()
         self._blank = {bus: Monitor(bus, models, Settings(
@@ -112,7 +114,8 @@ class SyntheticRobot:
                 for i, one in enumerate([*lost * 3, *(
                     one for one in reports if one.id in self.stumbles)]))
             yield bus, blank._replace(
-                stamp=int(time_s * 1e9), started=1, devices=reports, errors=errors,
+                stamp=int(time_s * 1e9), started=1 + int(self.started_s * 1e9),
+                devices=reports, errors=errors,
                 level=Level.WARN if lost else Level.OK, findings=self.findings,
                 message=f'{len(reports) - len(lost)} of {len(reports)} devices connected',
                 counters=blank.counters | {
@@ -194,7 +197,8 @@ class SyntheticRobot:
         counters = Counters()
         counters.received = counters.accepted = int(10 * time_s)
         counters.time_outs = 2
-        commands = Commands('/cmd_vel', Choice('twist', True), 0.5, (), None, 0, None)
+        commands = Commands('/cmd_vel', Choice('twist', True), 0.5, (), None, 0, None,
+                            absence=self.absence)
         return [link_status(self._bridge, '/dev/ttyAMA0', state, (), McuLog(), now),
                 commands_status(self._bridge, '/dev/ttyAMA0', state, counters, commands)]
 

@@ -28,6 +28,7 @@ from vel2d_bridge.bridge_status import refusal
 from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
+from vel2d_bridge.graph import Absence
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.link import LinkState
 from vel2d_bridge.mcu_log import McuLog
@@ -40,6 +41,7 @@ OPEN = LinkState(
 HEARD = Commands('/cmd_vel', Choice('twist', True), 0.5, [], None, 0, None)
 ABSENT = PortError(PORT, Reason('absent', 'is not there', 'plug it in'))
 FIGHT = '/cmd_vel: 2 publishers compete; use twist_mux'
+ALONE = Absence.words('/cmd_vel')
 CONSOLE = f'{PORT}: the kernel writes its console here; remove it'
 
 
@@ -83,6 +85,9 @@ def test_link(state, warnings, level, message):
     (OPEN._replace(enabled=False), HEARD, Level.WARN,
      '/cmd_vel: disabled; ros2 service call /vel2d_bridge/enable std_srvs/srv/SetBool "{data: '),
     (OPEN, HEARD._replace(complaints=[FIGHT]), Level.WARN, FIGHT),
+    (OPEN._replace(driving=False), HEARD._replace(absence=ALONE), Level.OK, f'stopped; {ALONE}'),
+    (OPEN, HEARD._replace(absence=ALONE), Level.WARN, ALONE),
+    (OPEN, HEARD._replace(absence=ALONE, timeout_s=0.0), Level.WARN, 'cmd_vel_timeout: 0 holds'),
     (OPEN, HEARD._replace(refused=Outcome.NOT_FINITE), Level.WARN,
      '/cmd_vel: commands are refused: not finite; correct its publisher'),
     (OPEN, HEARD._replace(timeout_s=0.0), Level.WARN, 'cmd_vel_timeout: 0 holds'),

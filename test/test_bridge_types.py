@@ -43,7 +43,7 @@ def operator(ros, graph, running):
         with ros.Graph(name) as operator:
             yield operator.publisher('/teleop/cmd_vel', kind, profile, heard=False)
 
-    graph.wait_status(COMMANDS, '/teleop/cmd_vel: no node publishes it', level=1)
+    graph.wait_status(COMMANDS, '/teleop/cmd_vel: no node publishes it', level=0)
     return operator
 
 

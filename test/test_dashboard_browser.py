@@ -127,6 +127,66 @@ def test_a_device_lost_and_found(page, robot):
     assert state_of(page, BAR) == 'ok'
 
 
+def test_a_tile_counts_what_is_connected_and_each_problem(page, robot):
+    robot.faulty = {7}
+    see(page, '.tile[data-state=error]', r'^MX-106\s*10\s*of 10 connected\s*1 error$')
+    robot.lost, robot.warned = {8}, {9}
+    see(page, '.tile[data-state=error]',
+        r'^MX-106\s*9\s*of 10 connected\s*1 lost \u00b7 1 error \u00b7 1 warning$')
+    assert page.title().startswith('\u2716 1 lost, 1 error \u00b7 ')
+    see(page, BAR, 'Lost: 008 right_knee.*; Error: 007 left_knee, hardware error')
+
+
+def test_where_none_answers_the_tile_says_so(open_page):
+    def device(number, model, level, state):
+        return Status(f'dxl_monitor: {number:03}', level, state, str(number), [
+            ('Model', model), ('Firmware Version', 'unknown'), ('State', state)])
+    statuses = [device(1, 'MX-106', Level.ERROR, 'disconnected'),
+                *(device(number, 'MX-64', Level.WARN, 'waiting') for number in (2, 3)),
+                Status('dxl_monitor: bus', Level.WARN, 'none of 3 devices answers', '',
+                       [('Port', '/dev/ttyUSB0')])]
+    robot = SimpleNamespace(messages=lambda time_s: [('dxl/diagnostics', serialise(statuses))])
+    with Dashboard() as dashboard, Feed(dashboard, robot):
+        page = open_page(dashboard.address)
+        see(page, '.tile', r'^MX-64\s*0\s*of 2 connected\s*2 waiting$')
+        see(page, '.tile', r'^MX-106\s*0\s*of 1 connected\s*1 lost$')
+        page.context.close()
+
+
+def test_without_reports_no_card_says_what_was(open_page):
+    robot = SyntheticRobot()
+    robot.lost, robot.faulty = {7}, {8}
+    with Dashboard() as dashboard:
+        with Feed(dashboard, robot):
+            page = open_page(dashboard.address)
+            see(page, '.servo', '7 answers missed')
+        see(page, '.servo', r'007\s*left_knee\s*no report since \d+:\d+:\d+$')
+        assert not re.search('missed|overheating', page.locator('.servos').inner_text())
+        page.context.close()
+
+
+@pytest.mark.parametrize('ends', ['nodes', 'server'])
+def test_what_is_not_live_fits_the_touch_display(open_page, ends):
+    with Dashboard() as dashboard:
+        with Feed(dashboard):
+            page = open_page(dashboard.address, 'touch')
+            see(page, '#live', 'live')
+        if ends == 'server':
+            dashboard.stop()
+        see(page, '#live', 'not live' if ends == 'nodes' else 'lost')
+        page.locator('.pip[data-state=stale]').nth(1).wait_for()
+        assert page.evaluate('document.documentElement.scrollWidth') == SIZES['touch'][0]
+        page.complaints.clear()
+        page.context.close()
+
+
+def test_a_rover_that_nobody_drives_is_well(page, robot):
+    robot.velocity, robot.absence = (0.0, 0.0, 0.0), '/cmd_vel: no node publishes it'
+    see(page, '.command', 'stopped[\\s\\S]*no node publishes it')
+    assert page.locator('.bar[data-bridge]').is_hidden()
+    assert not re.search('[\u25b2\u2716]', page.title())
+
+
 def test_a_lost_mcu_has_a_bar_of_its_own(page, robot):
     robot.bridge_problem = '/dev/ttyAMA0: there is no such device; plug it in'
     see(page, '.bar[data-bridge]', 'there is no such device; plug it in')
@@ -403,6 +463,14 @@ def test_signals_at_the_rate_of_the_bus(open_page):
         page.get_by_role('link', name='Signals').last.click()
         see(page, '.legend', 'Present Position')
         page.context.close()
+
+
+def test_signals_over_ros_are_samples(page):
+    show(page, 'signals')
+    see(page, '.signals [role=status]', 'Each dot is a sample')
+    page.get_by_label('Register', exact=True).select_option('Goal Position (rad)')
+    page.get_by_role('button', name='Add').click()
+    see(page, '.legend', 'Goal Position[^/]*rad\\s*[\\d.]+ samples/s')
 
 
 def test_a_plot_has_the_lowest_and_highest_of_each_column(page):

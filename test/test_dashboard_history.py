@@ -156,9 +156,37 @@ def test_a_restart_of_the_monitor_is_two_events_whatever_it_finds():
                    (112.0, robot)) == [
         ('state', 2, '007 left_knee', 'disconnected: 7 answers missed'),
         ('state', 3, 'bus', 'No report from dxl_monitor: nothing is known of its 24 devices'),
-        ('state', 0, 'bus', '23 of 24 devices answer'),
+        ('state', 2, 'bus', '23 of 24 devices answer'),
         ('state', 2, 'bus', '/dev/ttyUSB0: gone'),
-        ('state', 0, 'bus', '23 of 24 devices answer')]
+        ('state', 2, 'bus', '23 of 24 devices answer')]
+
+
+def test_a_finding_is_over_only_where_the_monitor_that_had_it_says_so():
+    """A new monitor has read nothing yet: what it does not report is not cleared."""
+    hot, well, restarted = SyntheticRobot(), SyntheticRobot(), SyntheticRobot()
+    hot.findings = [FINDINGS[1]._replace(rule='too_hot', device=7, message='82 \u00b0C')]
+    old = SyntheticRobot()
+    old.findings = [hot.findings[0]._replace(message='82 \u00b0C, last read at 20:46:30')]
+    old.silent = {7}
+    restarted.started_s = 104.0
+    begun = ('finding', 1, '007 left_knee', 'too hot: 82 \u00b0C')
+    assert written((100.0, hot), (101.0, well)) == [begun, ('over', 0, '007 left_knee', 'too hot')]
+    assert written((100.0, hot), (101.0, old))[1:] == [
+        ('state', 3, '007 left_knee', 'silent: not asked for 9 s')]
+    assert written((100.0, hot), (105.0, restarted), (106.0, restarted)) == [
+        begun, ('finding', 3, '007 left_knee',
+                'too hot: not known since the monitor was started again')]
+
+
+def test_a_bus_that_reports_again_has_the_level_of_what_it_reports():
+    """A green disc next to '0 of 24 devices answer' would say that all is well."""
+    robot = SyntheticRobot()
+    robot.lost, robot.bridge = {device[0] for device in robot.buses['']}, lambda time_s: []
+    robot.findings = [FINDINGS[0]._replace(
+        rule='none_answer', level=Level.ERROR, message='0 of 24 devices connected')]
+    assert written((100.0, robot), (106.0, None), (110.0, robot))[1:] == [
+        ('state', 3, 'bus', 'No report from dxl_monitor: nothing is known of its 24 devices'),
+        ('state', 2, 'bus', '0 of 24 devices answer')]
 
 
 @pytest.mark.parametrize('problem', ['lost', 'port'])

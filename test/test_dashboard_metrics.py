@@ -54,6 +54,14 @@ def key(name, **labels):
     return f'mecarover_{name}', tuple(sorted(labels.items()))
 
 
+def test_each_problem_of_a_bus_has_a_series():
+    robot = SyntheticRobot()
+    robot.lost, robot.faulty = {7}, {8}
+    found = samples(told(robot))
+    for problem in ('lost', 'error'):
+        assert found[key('problem', robot='', part='bus', problem=problem)] == 2
+
+
 def test_values():
     robot = SyntheticRobot()
     robot.warned, robot.findings = {7}, FINDINGS

@@ -401,7 +401,7 @@ def test_over_ros_a_signal_has_a_point_for_each_report(dashboard):
     dashboard.take(robot.messages(101.0))
     wait(lambda: len(signals(dashboard, 3, path)[1][0][2]) == 2)
     (now_s, origin_s), ((kind, first, points), (goal, *_), nothing) = signals(dashboard, 3, path)
-    assert (kind, goal, nothing[0], nothing[2]) == (1, 2, 1, [])
+    assert (kind, goal, nothing[0], nothing[2]) == (1, 1, 1, [])    # samples, none is held
     assert begun_s - 1 < points[1][0] < now_s
     assert abs(now_s + origin_s - time.time()) < 1
     shown = SyntheticRobot().messages(101.0)
@@ -419,6 +419,20 @@ def test_what_was_not_read_again_is_no_new_point():
     signals.look(SimpleNamespace(fields_after=lambda name, after_s: (12.0, rows)))
     assert list(struct.iter_unpack('<dd', signals._rings['servo', POSITION].after(0, 0.0).data)) \
         == [(9.0, 0.5), (11.5, 0.5)]
+
+
+def test_a_goal_is_sampled_and_holds_while_it_is_not_written_again():
+    signals = ReportedSignals()
+    signals.signal('servo', POSITION, 0)
+    for arrived_s, seen_s, value in (
+            (10.0, 9.99, '0.5'), (10.5, 10.49, '0.9'), (11.0, 10.5, '0.9'), (11.5, 10.48, '0.9'),
+            (12.0, 11.9, '0.1')):
+        rows = [FieldRow(POSITION, value, '', seen_s, 'w')]
+        signals.look(SimpleNamespace(fields_after=lambda *_, at=arrived_s, rows=rows: (at, rows)))
+    points = signals._rings['servo', POSITION].after(0, 0.0)
+    assert not points.is_written                # what was written in between is not known
+    assert list(struct.iter_unpack('<dd', points.data)) == [
+        (9.99, 0.5), (10.49, 0.9), (11.0, 0.9), (11.5, 0.9), (11.9, 0.1)]
 
 
 @pytest.mark.parametrize(('path', 'headers', 'status', 'words'), [

@@ -15,6 +15,7 @@ from mecarover_dashboard.state import MOST_OF_STATUS
 from mecarover_dashboard.state import MOST_ROWS
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
+from msg_defs import status_keys as keys
 from msg_defs.reports import Level
 from msg_defs.reports import Status
 
@@ -124,6 +125,35 @@ def test_findings(robot):
     assert changes['buses']['dxl_monitor: bus']['findings'][0][0] == 'missing_termination'
     assert changes['devices']['dxl_monitor: 012 right_ankle_roll']['findings'][0][0] \
         == 'return_delay'
+
+
+def test_a_lost_device_does_not_hide_another_with_an_error(robot):
+    robot.lost, robot.faulty, robot.warned = {7}, {8, 9}, {10}
+    part = told(robot).parts()[0]
+    assert (part.problems, part.mark, part.ids) \
+        == (('lost', 'error'), '1 lost, 2 errors', (7, 8, 9))
+    assert part.text == ('Lost: 007 left_knee, disconnected: 7 answers missed; '
+                         'Error: 008 right_knee, 009 left_ankle_pitch')
+
+
+@pytest.mark.parametrize(('level', 'message', 'problems'), [
+    (Level.STALE, 'silent: the master stopped', ('silent', 'error')),
+    (Level.WARN, 'none of 2 devices answers', ('no device answers', 'error'))])
+def test_a_problem_of_the_bus_does_not_hide_what_was_found_of_a_device(level, message, problems):
+    """What was found of it stays so while nothing is read of it any more."""
+    hot = '82 \u00b0C, last read at 20:46:30'
+    kind = [('Model', 'MX-106'), ('Firmware Version', '44')]
+    state = State()
+    state.take(TABLES, serialise([
+        Status('dxl_monitor: bus', level, message, '', [('Port', '/dev/ttyUSB0')]),
+        Status('dxl_monitor: 003', Level.ERROR, 'disconnected', '3',
+               [*kind, ('State', 'disconnected')]),
+        Status('dxl_monitor: 005', Level.ERROR, hot, '5',
+               [*kind, ('State', 'waiting'), (f'{keys.FINDING}too_hot', hot),
+                (f'{keys.SEVERITY}too_hot', 'error')])]), 1.0)
+    [part] = state.parts()
+    assert (part.level, part.problems, part.text) \
+        == (Level.ERROR, problems, f'{message}; Error: 005, {hot}')
 
 
 def test_table(robot):

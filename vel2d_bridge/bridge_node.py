@@ -329,7 +329,7 @@ class Bridge:
                for line in self._mcu.refused_drives(now, self._other_crc_input)),
              *self._around, *subscriber.complaints], self._timing.command_period.summary(now),
             subscriber.zero_stamps, verdict if now - refused_at < REFUSED_NS else None,
-            self._surroundings.clock_stands())
+            self._surroundings.clock_stands(), subscriber.absence)
         return [link_status(name, self._port, state, self._link_warnings(), self._mcu, now),
                 commands_status(name, self._port, state, self._link.gate.counters, commands)]
 

@@ -62,6 +62,7 @@ class Commands(NamedTuple):
     zero_stamps: int
     refused: Outcome | None     # why the newest command was refused, if that is not long ago
     clock_stands: bool = False  # use_sim_time without /clock
+    absence: str = ''           # that nobody publishes; not a fault while the rover is stopped
 
 
 def refusal(node: str, topic: str, velocity: Vel2d, verdict: Outcome, clock_stands: bool) -> str:
@@ -127,7 +128,8 @@ def commands_status(node: str, port: str, state: LinkState, counters: Counters,
     level = Level.WARN if complaints else Level.OK
     if state.owes_stop:
         level = Level.ERROR
-    message = _first(complaints) if complaints else _state_word(state)
+    message = _first(complaints) if complaints else \
+        '; '.join(filter(None, (_state_word(state), commands.absence)))
     name = status_name(node, 'commands')
     return Status(name, level, message, hardware_id(node, port), pairs({
         keys.TOPIC: commands.topic,
@@ -168,6 +170,8 @@ def _complaints(node: str, state: LinkState, commands: Commands) -> list[str]:
                         ', and best effort may lose the command to stop')
                      + '; set 0.5')
     lines += commands.complaints
+    if state.driving and commands.absence:
+        lines.append(commands.absence)
     period = commands.period
     if period is not None and _stutters(period, commands.timeout_s):
         lines.append(

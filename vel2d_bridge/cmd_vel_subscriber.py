@@ -56,7 +56,7 @@ class CmdVelSubscriber:
         self.topic = node.resolve_topic_name('cmd_vel')
         self.choice = choose(setting, Choice(TWIST, True), [])
         self.complaints: list[str] = []
-        self.warnings: list[str] = []
+        self.absence = ''           # that nobody publishes, '' while somebody does
         self.zero_stamps = 0
         self._node = node
         self._setting = setting
@@ -93,11 +93,14 @@ class CmdVelSubscriber:
         now = time.monotonic_ns()
         if self._absence.observe(bool(publishers), now):
             self._on_left()
-        self.warnings = complaints(self.choice, publishers, self.topic, self._other_bridges())
-        alone = [Absence.words(self.topic)] if self._absence.is_long(now) else []
-        self.complaints = self.warnings + alone
-        if not self._absence.had_one:
-            self.warnings = self.complaints
+        self.complaints = complaints(self.choice, publishers, self.topic, self._other_bridges())
+        self.absence = Absence.words(self.topic) if self._absence.is_long(now) else ''
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the log gets: of a missing publisher only until there was one."""
+        is_news = self.absence and not self._absence.had_one
+        return [*self.complaints, *([self.absence] if is_news else [])]
 
     def _other_bridges(self) -> list[str]:
         """Return the nodes that hear our topic and have the services of a bridge."""

@@ -45,7 +45,7 @@ export class Beside {
     if (!this.load.hidden) this.plot.update(series, store.now(), {low: 0});
     this.errors.element.hidden = !this.errors.update(errorsOf(groups, store), isMany);
     const isSaid = (text, device) => device ? device.message === text
-      : groups.some(({part}) => part.text === text);
+      : groups.some(({part}) => part.of_part === text);
     this.findings.element.hidden = !this.findings.update(groups, store, isSaid);
   }
 }

@@ -7,7 +7,7 @@ import {each, h, icon, say, set, setIcon} from './dom.js';
 import {short, splitUnit} from './format.js';
 import {fillEmpty, metricsHead, metricToPlot, seriesOf, showMetrics} from './parts.js';
 import {Plot} from './plot.js';
-import {isQuiet, stateOf} from './store.js';
+import {messageOf, stateOf} from './store.js';
 
 export class BridgeView {
   constructor() {
@@ -65,19 +65,13 @@ function card(title) {
     const state = stateOf(row);
     set(badge, 'data-state', state);
     setIcon(badge.firstChild, state);
-    say(badge.lastChild, sentence(row, now));
+    say(badge.lastChild, row ? messageOf(row, now) : 'no status yet');
     const shown = (row?.values ?? []).filter(([key]) => !COMMAND_KEYS.has(key));
     each(rows, shown, ([key]) => key, makeFact, (line, [key, value]) => {
       say(line.children[1], short(value, 6));
       set(line, 'data-zero', value === '0' && !/Frames|received|accepted/.test(key));
     });
   }};
-}
-
-function sentence(row, now) {
-  if (!row) return 'no status yet';
-  if (!isQuiet(row)) return row.message;
-  return `no report for ${Math.round(now - row.quiet_since)} s; last: ${row.message}`;
 }
 
 /** A row for one value of a status: name, value, unit. */

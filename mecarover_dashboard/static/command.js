@@ -15,7 +15,7 @@ export class Command {
   constructor() {
     this.dial = new Dial();
     this.driving = h('p', {class: 'driving'});
-    this.why = h('p', {class: 'message', 'data-state': 'error'});
+    this.why = h('p', {class: 'message'});
     this.numbers = AXES.map(([name, , unit]) =>
       h('p', {class: 'axis'}, h('span', {}, name), h('b'), h('small', {}, unit)));
     this.element = h('div', {class: 'command'}, this.dial.element,
@@ -25,7 +25,7 @@ export class Command {
   update({link, commands}) {
     const values = AXES.map(([, key]) => valueOf(link, key) ?? '');
     const numbers = values.map(numberOf);
-    const [state, why] = said(link, commands);
+    const [state, why, note] = said(link, commands);
     this.dial.update(...numbers.map((value) => Number.isFinite(value) ? value : 0));
     this.numbers.forEach((element, at) =>
       say(element.children[1], written(numbers[at], values[at])));
@@ -33,18 +33,26 @@ export class Command {
     set(this.driving, 'data-driving', state === 'driving');
     set(this.driving, 'data-state', why ? 'error' : null);
     set(this.element, 'data-old', why !== '');
-    say(this.why, why);
-    this.why.hidden = !why;
+    say(this.why, why || note);
+    set(this.why, 'data-state', why ? 'error' : null);
+    this.why.hidden = !why && !note;
     set(this.dial.element, 'aria-label', `Last command: x ${values[0]} m/s, y ${values[1]} m/s, `
       + `omega ${values[2]} rad/s; ${state}`);
   }
 }
 
-/** A word for the state of the command, and why it does not reach the rover; '' if it does. */
+/**
+ * A word for the state of the command; why it does not reach the rover, '' if it does; what a
+ * status that is well says besides.
+ */
 function said(link, commands) {
-  if (isQuiet(link)) return ['no report', 'The bridge is not responding: these values are old.'];
-  if (stateOf(link) === 'error') return ['not sent', link.message];
-  return [valueOf(commands, 'State') ?? 'unknown', ''];
+  if (isQuiet(link)) {
+    return ['no report', 'The bridge is not responding: these values are old.', ''];
+  }
+  if (stateOf(link) === 'error') return ['not sent', link.message, ''];
+  const state = valueOf(commands, 'State') ?? 'unknown';
+  const saysMore = commands && stateOf(commands) === 'ok' && commands.message !== state;
+  return [state, '', saysMore ? commands.message : ''];
 }
 
 function written(number, text) {

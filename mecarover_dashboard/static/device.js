@@ -12,7 +12,7 @@ import {path} from './place.js';
 import {Past} from './past.js';
 import {Plot} from './plot.js';
 import {pathOfSignals} from './signals.js';
-import {deviceName, isQuiet, stateOf, wordOf} from './store.js';
+import {deviceName, isQuiet, messageOf, saysMore, stateOf, wordOf} from './store.js';
 
 const LATENCY = 'Reply latency';
 const MOST_SERIES = 4;
@@ -161,12 +161,9 @@ function aboutOf({model, firmware, bus}) {
 
 /** What the badge and the findings do not say yet. */
 function sentence(device, now) {
-  if (isQuiet(device)) {
-    return `no report for ${Math.round(now - device.quiet_since)} s; last: ${device.message}`;
-  }
-  const isSaid = device.message === device.state
-    || device.findings.some(([, text]) => text === device.message);
-  return isSaid ? '' : device.message;
+  const isSaid = !isQuiet(device) && (!saysMore(device)
+    || device.findings.some(([, text]) => text === device.message));
+  return isSaid ? '' : messageOf(device, now);
 }
 
 /** What is plotted at first: position, else latency, else the first number. */

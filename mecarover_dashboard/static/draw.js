@@ -41,7 +41,8 @@ export function drawPlot(canvas, shown, view) {
     colours);
   shown.forEach((one, index) => drawLine(pen, one.points, at,
     {colour: colours.lines[index % 4], dash: DASHES[index % 4],
-      hasDots: one.hasDots && isSparse(one.points, at)}, view));
+      hasDots: one.hasDots && (one.isSampled || isSparse(one.points, at)),
+      isFaint: one.isSampled}, view));
   pen.restore();
   if (view.drag) drawDrag(pen, area, at, view.drag, colours);
   if (view.cursor !== null) drawCursor(pen, area, at, shown, view, colours);
@@ -179,14 +180,16 @@ function drawLimit(pen, area, at, name, value, ticks, colours) {
   pen.fillText(`${name} ${figure(value)}`, area.left + 4, y - 4 < 12 ? y + 12 : y - 4);
 }
 
-function drawLine(pen, points, at, {colour, dash, hasDots}, view) {
+function drawLine(pen, points, at, {colour, dash, hasDots, isFaint}, view) {
   const {now, to, isLive, unix, gap = GAP_S} = view;
   pen.strokeStyle = pen.fillStyle = colour;
   const isDense = points.length > DENSE;
   pen.lineWidth = isDense ? 1 : 1.6;
   pen.lineJoin = isDense ? 'bevel' : 'round';
   pen.setLineDash(isDense ? [] : dash);
+  pen.globalAlpha = isFaint ? 0.4 : 1;         // between samples nothing was measured
   const before = strokeLine(pen, points, at, gap);
+  pen.globalAlpha = 1;
   const isHeld = before && isLive && !unix && now - before[0] > gap;
   if (isHeld) drawHeld(pen, at, before, Math.min(now, to));
   pen.setLineDash([]);

@@ -84,7 +84,8 @@ function updateBus(element, group, store) {
   set(bar, 'data-known', String(isKnown));
   setIcon(bar.children[0], group.state);
   say(bar.children[1], group.text);
-  say(bar.children[2], isKnown ? sums(group) : '');
+  const problems = problemsOf(group.devices);       // of one the headline says all
+  say(bar.children[2], isKnown && problems.length > 1 ? problems.join(' \u00b7 ') : '');
   say(bar.children[3], group.bus ? `bus ${group.bus}` : '');
   say(bar.children[4], `${count}/${total}`);
   set(bar, 'aria-label', `${group.label}: ${isKnown ? count : 'not known how many'} of `
@@ -101,15 +102,16 @@ function updateBus(element, group, store) {
   set(line, 'data-old', !isKnown);
 }
 
-/** '2 lost, 1 silent, 1 warning'; nothing where the headline says it all. */
-function sums({devices, lost}) {
-  const count = (state) => devices.filter((device) => stateOf(device) === state).length;
-  const waiting = devices.filter(({state}) => state === 'waiting').length;
-  const parts = [[lost.length, 'lost'], [count('error') - lost.length, 'error'],
-    [waiting, 'waiting'], [count('stale'), 'silent'],
-    [Math.max(0, count('warn') - waiting), 'warning']].filter(([number]) => number > 0);
-  return parts.length > 1
-    ? parts.map(([number, word]) => `${number} ${word}`).join(' \u00b7 ') : '';
+/** ['2 lost', '1 silent', '1 warning']: how many of some devices have which problem. */
+function problemsOf(devices) {
+  const found = {lost: 0, error: 0, waiting: 0, silent: 0, warning: 0, ok: 0};
+  for (const device of devices) {
+    const word = WORDS[stateOf(device)].toLowerCase();
+    const isWaiting = word === 'warning' && device.state === 'waiting';
+    found[isLost(device) ? 'lost' : isWaiting ? 'waiting' : word]++;
+  }
+  return Object.entries(found).filter(([word, number]) => number > 0 && word !== 'ok')
+    .map(([word, number]) => `${number} ${word}`);
 }
 
 const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
@@ -177,15 +179,14 @@ function makeTile(group, model) {
 
 function updateTile(tile, model) {
   const {devices, part} = model;
-  const lost = devices.filter(isLost).length;
   const state = part.is_known ? model.state : 'stale';
-  const word = state === 'ok' ? 'connected' : WORDS[state].toLowerCase();
   set(tile, 'data-state', state);
   setIcon(tile.children[1], state);
   say(tile.children[2], countOf(devices, part));
-  say(tile.children[3], `of ${devices.length}`);
-  say(tile.children[4], !part.is_known ? 'not known' : !lost ? word
-    : countOf(devices, part) === '0' ? 'none answers' : `${lost} lost`);
+  const problems = problemsOf(devices).join(' \u00b7 ');
+  const isSick = part.is_known && problems !== '';
+  say(tile.children[3], `of ${devices.length}${isSick ? ' connected' : ''}`);
+  say(tile.children[4], !part.is_known ? 'not known' : problems || 'connected');
 }
 
 /** Port and rates; what is not heard now has no rates. */

@@ -69,8 +69,8 @@ export class Plot {
 
   /**
    * Show series [{name, unit, note, points: [[s, value or null] or [s, low, high, last], ...],
-   * hasDots, remove}] up to now (s): a dot for each point where they are far apart, what its
-   * button does.
+   * hasDots, isSampled, remove}] up to now (s): a dot for each point where they are far apart,
+   * wherever they are samples; what its button does.
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
    * point that break the line; `unix(s)`, the Unix time of a time; `zero`, s that are called now;
    * `rest`, s between two moves of the plot.

@@ -4,9 +4,9 @@
 // voltage. A bar needs a scale: what the servo itself says, or else the usual one.
 
 import {each, h, icon, say, set, setIcon} from './dom.js';
-import {figure, id3, numberOf} from './format.js';
+import {clock, figure, id3, numberOf} from './format.js';
 import {path} from './place.js';
-import {saysMore, stateOf, wordOf} from './store.js';
+import {isQuiet, saysMore, stateOf, wordOf} from './store.js';
 
 const FEW = 8;                 // as many as a small display has room for
 const SOME = 30;
@@ -41,7 +41,7 @@ const share = (value, low, high) => Math.min(1, Math.max(0, (value - low) / (hig
 
 export function showServos(grid, devices, store) {
   each(grid, devices, (device) => device.name, makeServo,
-    (item, device) => showServo(item, device, store.values.get(device.name) ?? NONE));
+    (item, device) => showServo(item, device, store));
 }
 
 const makeServo = (device) => h('li', {}, h('a', {class: 'servo',
@@ -50,7 +50,8 @@ h('p', {class: 'servo-head'}, icon('ok'), h('b', {}), h('span')), h('p', {class:
 ...NAMES.map((name) => h('p', {class: `measure ${name}`, title: name},
   h('i', {}, h('i')), h('span')))));
 
-function showServo(item, device, values) {
+function showServo(item, device, store) {
+  const values = store.values.get(device.name) ?? NONE;
   const [head, text, ...lines] = item.firstChild.children;
   const state = stateOf(device);
   set(item.firstChild, 'data-state', state);
@@ -60,7 +61,9 @@ function showServo(item, device, values) {
   sayInParts(head.children[2], device.joint || device.model);
   const isSick = state !== 'ok';
   text.hidden = !isSick;
-  if (isSick) say(text, saysMore(device) ? device.message : wordOf(device));
+  const word = isQuiet(device)
+    ? `${wordOf(device)} since ${clock(store.wall(device.quiet_since))}` : wordOf(device);
+  if (isSick) say(text, saysMore(device) ? device.message : word);
   set(item, 'data-sick', isSick);
   const numbers = values.map(numberOf);
   numbers.push(values[3]);

@@ -124,10 +124,13 @@ export class SignalsView {
     this.#draw();
   }
 
+  get isSampled() { return !this.store.facts.source; }
+
   #advice() {
     const {all} = this.signals;
-    const slow = this.store.facts.source ? '' : 'ROS topics carry registers at publish_rate only; '
-      + 'at the rate of the bus: dxl_dashboard SOURCE, without ROS.';
+    const slow = this.isSampled ? 'Each dot is a sample: ROS topics carry registers at '
+      + 'publish_rate only, and what was on the bus in between is not known. '
+      + 'All values: dxl_dashboard SOURCE, without ROS.' : '';
     if (!all.length) return `Choose up to ${MOST} registers of any servos. ${slow}`;
     return slow;
   }
@@ -151,8 +154,8 @@ export class SignalsView {
       plot.update(some.map((signal) => {
         const points = signal.drawn(from, to, plot.width, now);
         return {name: this.#name(signal), unit: splitUnit(signal.key)[1], points,
-          note: [...rateOf(signal, now), ...extremes(points)].join(', '),
-          hasDots: !signal.isWritten,
+          note: [...rateOf(signal, now, this.isSampled), ...extremes(points)].join(', '),
+          hasDots: !signal.isWritten, isSampled: this.isSampled,
           remove: () => this.#keep(this.signals.all.filter((one) => one !== signal))};
       }), to, {gap: Infinity, rest: 0, zero: now});
     });
@@ -223,8 +226,8 @@ function nameOf({id, joint, bus}, devices) {
   return [id3(id), joint, devices.some((one) => one.bus !== bus) && bus].filter(Boolean).join(' ');
 }
 
-const rateOf = (signal, now) => signal.end > signal.begin
-  ? [`${figure(signal.rate(now), 2)} /s`] : [];
+const rateOf = (signal, now, isSampled) => signal.end > signal.begin
+  ? [`${figure(signal.rate(now), 2)} ${isSampled ? 'samples/s' : '/s'}`] : [];
 
 /** The lowest and highest of what is shown, as a text; nothing where they are one. */
 function extremes(points) {
