@@ -5,7 +5,7 @@ What a packet and a report cost, without a clock: calls, and executed bytecodes,
 
 Both are the same in each run of one version of Python, on any machine: so benchmark/calls.tsv has
 a limit for each, and test_benchmark.py holds them. Calls are those of Python and of C functions,
-within Monitor.feed() or Monitor.report(); whatever can be kept from a run before is kept.
+within Monitor.feed() or Monitor.report(), once all is cached that can be.
 
 usage: python -m benchmark.calls [--write] [--trace FILE]
 """
@@ -47,7 +47,7 @@ PYTHON = (3, 11)                   # the figures are those of this version
 ONE_PYTHON = f'the limits are those of Python {PYTHON[0]}.{PYTHON[1]}'
 LIMITS = Path(__file__).with_name('calls.tsv')
 CHUNKS = (4096, 64)                # bytes
-BURSTS = 600                       # of a stream or a bus: mostly one packet each
+BURSTS = 600                       # of a stream or a bus: each mostly a packet
 LEARNING = 0.4                     # so much of a stream comes before anything is counted
 BYTE_NS = 10_000_000_000
 REPORT_NS = 500_000_000

@@ -130,7 +130,7 @@ def _overrun(case: Case) -> Claims:
 
 
 def _noise(case: Case) -> Claims:
-    packets = case.counted('packets')
+    packets = case.packets
     if case.damage < SOME or case.damage < NOISY * packets or case.damage_s < ONSET_S:
         return
     hit = [device.id for device in case.report.devices if device.window.spoilt]
@@ -281,7 +281,7 @@ def _spoken(device: DeviceReport) -> int:
 
 def _stray_bytes(case: Case) -> Claims:
     stray = case.counted('glitches')
-    packets = case.counted('packets')
+    packets = case.packets
     if stray >= SOME and stray > GLITCHY * packets:
         yield Claim(f'one or two stray bytes before {share(stray, packets)} of the packets: '
                     'driver enable switches late or the line floats; add bias resistors',
