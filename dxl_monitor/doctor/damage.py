@@ -248,7 +248,8 @@ def _turnaround(case: Case) -> Claims:
            and _first_bytes(device) > BY_CHANCE * device.window.spoilt]
     total = sum(_first_bytes(one) for one in touched)
     beheaded = sum(device.window.beheaded for device in touched)
-    if total - beheaded <= BY_CHANCE * case.damage and beheaded <= case.damage:
+    if (total - beheaded <= BY_CHANCE * case.damage and beheaded <= case.damage) \
+            or is_collision(case):
         return
     if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < MOSTLY * total:
         hit = touched
