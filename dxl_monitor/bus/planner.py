@@ -244,9 +244,9 @@ class Planner:
         parts = layout.unpack_from(params, 4)      # all at once: slices of each cost more
         for (device, keep, is_changed), data in zip(targets, parts, strict=True):
             device.counts.writes += 1              # DeviceRegistry.write() costs a call more
-            keep(span, data, stamp, WRITTEN)
             if is_changed or device.is_unresolved:
                 self._registry.follow(device, address, data, stamp)
+            keep(span, data, stamp, WRITTEN)
 
     def _find_targets(self, key: bytes, address: int, size: int,
                       ids: bytes) -> tuple[list[Target], Struct]:

@@ -71,7 +71,6 @@ class DeviceRegistry:
         self.devices: dict[int, Device] = {}
         self.dialect = UNDECIDED           # in the 1.0 family, for devices that speak it
         self.highest = MAX_ID              # the largest ID that a device can have here
-        self._offset = self._place = 0     # raw, before what was written last
         self._renamed: dict[int, int] = {}     # IDs that were changed: the new ones
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.changed: Callable[[], None] = lambda: None
@@ -240,12 +239,9 @@ class DeviceRegistry:
         device.counts.writes += 1
         if device.is_unresolved:
             self.resolve(device)           # its model says how much of the table is kept
-        changes = address < device.followed_end and device.is_changed_by(address, len(data))
-        if changes:
-            self._offset, self._place = _raw(device, OFFSET), _raw(device, PLACE)
-        device.table.keep((address, len(data)), data, stamp, WRITTEN)
-        if changes:
+        if address < device.followed_end and device.is_changed_by(address, len(data)):
             self.follow(device, address, data, stamp, alone)
+        device.table.keep((address, len(data)), data, stamp, WRITTEN)
 
     def renames(self, effect: Effect, number: int) -> bool:
         """
@@ -306,7 +302,11 @@ class DeviceRegistry:
 
     def follow(self, device: Device, address: int, data: bytes, stamp: int,
                alone: bool = True) -> None:
-        """Note what a write to EEPROM or to Status Return Level changes about the device."""
+        """
+        Note what a write to EEPROM or to Status Return Level changes about the device.
+
+        Its table still has what was there before: only what needs that looks it up.
+        """
         self.resolve(device)
         field = device.model.by_address.get(address)
         is_kept = field is not None and field.memory == 'eeprom'
@@ -326,9 +326,10 @@ class DeviceRegistry:
         self._moved(device, baud, f'{baud} Bd' if baud else f'an unknown baud rate (code {value})')
 
     def _follow_offset(self, device: Device, value: int, stamp: int) -> None:
-        if value != self._offset:
+        before = _raw(device, OFFSET)
+        if value != before:
             self._evidence.note(stamp, ev.OFFSET_WRITTEN, device.number,
-                                ev.Offsets(value, self._offset, self._place))
+                                ev.Offsets(value, before, _raw(device, PLACE)))
 
     def _follow_torque(self, device: Device, value: int, stamp: int) -> None:
         if value == MIDDLE:

@@ -151,6 +151,13 @@ class Case:
         """How many frames in the window were damaged."""
         return sum(self.count(kind) for kind in _DAMAGE)
 
+    @cached_property
+    def packets(self) -> int:
+        """How many packets in the window were whole; a recording may have but one report."""
+        if len(self.marks) > 1:
+            return self.counted('packets')
+        return round(self.report.rates.get('packets', 0.0) * min(WINDOW_NS / S, self.heard_s))
+
     @property
     def is_weak(self) -> bool:
         """Whether a damaged answer may pass for a whole one: many are, and sums have one byte."""

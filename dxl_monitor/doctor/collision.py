@@ -10,6 +10,8 @@ is in the noise after the answer that it ran into, without the header that it ha
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from dxl_monitor.bus import evidence as ev
 from dxl_monitor.bus.report import Cycle
 from dxl_monitor.bus.report import PROTOCOL_2
@@ -22,19 +24,23 @@ from msg_defs.dxl_packet import encode
 FEW = 3
 MOSTLY = 0.3                       # among damaged instructions; bits turned over by chance: 0.1
 FLIPPED = 2                        # wrong bits: more is another packet, not noise
+LEFT = 0.4                         # of the ones of a question: in other bytes fewer fit by chance
 TAIL = 6                           # bytes: the CRC is among them, so they are not there by chance
 _GROUPS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 _WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
+_Question = tuple[int, tuple[int, ...], int | None, int]     # instruction, IDs, address, length
 
 
+@lru_cache(maxsize=1)              # several rules ask it of one case
 def is_collision(case: Case) -> bool:
     """
     Tell whether damage is what two talkers at once make.
 
-    Either two loops repeat one instruction, and a question was laid over something; or damaged
-    instructions of Protocol 2.0 have lost bits.
+    Two loops repeat one instruction, and a question was laid over something; or questions are in
+    the noise with bits lost and none added; or damaged instructions of Protocol 2.0 are.
     """
-    if case.clocks and case.damage >= FEW and ran_into_answers(case):
+    if case.damage >= FEW and (
+            (case.clocks and ran_into_answers(case)) or _laid_over_answers(case) >= FEW):
         return True
     if case.report.protocol != PROTOCOL_2:
         return False
@@ -74,7 +80,7 @@ def ran_into_answers(case: Case) -> int:
     noise = case.report.noise
     found = 0
     for cycle in case.report.cycles if case.damage else ():
-        packet = _question(cycle)
+        packet = _packet(cycle.instruction, cycle.ids, cycle.address, cycle.length)
         at = noise.find(packet[-TAIL:]) if packet else -1
         while at >= 0:
             begin = at + TAIL - len(packet)
@@ -83,13 +89,33 @@ def ran_into_answers(case: Case) -> int:
     return found
 
 
-def _question(cycle: Cycle) -> bytes:
+def _laid_over_answers(case: Case) -> int:
+    """Return how many questions were wholly inside something else, as far as the last noise."""
+    return _overlaid(case.report.noise, tuple([
+        (one.instruction, one.ids, one.address, one.length) for one in case.report.cycles]))
+
+
+@lru_cache(maxsize=8)
+def _overlaid(noise: bytes, questions: tuple[_Question, ...]) -> int:
+    """Return how many questions are in the noise with bits lost and none added."""
+    heard, found = int.from_bytes(noise, 'big'), 0
+    for packet in filter(None, (_packet(*question) for question in questions)):
+        sent, size = int.from_bytes(packet, 'big'), 8 * len(packet)
+        ones, whole = sent.bit_count(), (1 << size) - 1
+        for shift in range(0, 8 * len(noise) - size + 1, 8):
+            if not heard >> shift & whole & ~sent:
+                left = (heard >> shift & whole).bit_count()
+                found += LEFT * ones < left < ones - FLIPPED
+    return found
+
+
+def _packet(instruction: int, ids: tuple[int, ...], address: int | None, length: int) -> bytes:
     """Return the packet of a question that is the same each time, b'' for anything else."""
-    if not cycle.ids or cycle.address is None:
+    if not ids or address is None:
         return b''
-    at = cycle.address.to_bytes(2, 'little') + cycle.length.to_bytes(2, 'little')
-    if cycle.instruction == Instruction.READ:
-        return encode(cycle.ids[0], cycle.instruction, at)
-    if cycle.instruction in _GROUPS:
-        return encode(BROADCAST, cycle.instruction, at + bytes(cycle.ids))
+    at = address.to_bytes(2, 'little') + length.to_bytes(2, 'little')
+    if instruction == Instruction.READ:
+        return encode(ids[0], instruction, at)
+    if instruction in _GROUPS:
+        return encode(BROADCAST, instruction, at + bytes(ids))
     return b''

@@ -130,7 +130,7 @@ def _overrun(case: Case) -> Claims:
 
 
 def _noise(case: Case) -> Claims:
-    packets = case.counted('packets')
+    packets = case.packets
     if case.damage < SOME or case.damage < NOISY * packets or case.damage_s < ONSET_S:
         return
     hit = [device.id for device in case.report.devices if device.window.spoilt]
@@ -248,7 +248,8 @@ def _turnaround(case: Case) -> Claims:
            and _first_bytes(device) > BY_CHANCE * device.window.spoilt]
     total = sum(_first_bytes(one) for one in touched)
     beheaded = sum(device.window.beheaded for device in touched)
-    if total - beheaded <= BY_CHANCE * case.damage and beheaded <= case.damage:
+    if (total - beheaded <= BY_CHANCE * case.damage and beheaded <= case.damage) \
+            or is_collision(case):
         return
     if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < MOSTLY * total:
         hit = touched
@@ -281,7 +282,7 @@ def _spoken(device: DeviceReport) -> int:
 
 def _stray_bytes(case: Case) -> Claims:
     stray = case.counted('glitches')
-    packets = case.counted('packets')
+    packets = case.packets
     if stray >= SOME and stray > GLITCHY * packets:
         yield Claim(f'one or two stray bytes before {share(stray, packets)} of the packets: '
                     'driver enable switches late or the line floats; add bias resistors',

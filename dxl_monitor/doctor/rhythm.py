@@ -163,9 +163,11 @@ def is_multiple(slow: Rhythm, fast: Rhythm) -> bool:
 
 
 def is_locked(slow: Rhythm, fast: Rhythm) -> bool:
-    """Tell the same more finely, by the time in which both are known; True where that is short."""
+    """Tell the same more finely, by the time in which both are known, or each alone."""
     since = max(slow.cycle.stamps[0], fast.cycle.stamps[0])
     one, other = slow.turn(since), fast.turn(since)
+    if not (one and other):
+        one, other = slow.turn(0), fast.turn(0)
     return not (one and other) or is_whole(one / other, FINE)
 
 

@@ -339,15 +339,19 @@ def _two_masters(case: Case) -> Claims:
 
 def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
     """Return two instructions that keep time apart from each other."""
-    one = min(case.rhythms, key=lambda rhythm: rhythm.base, default=None)
-    if one is None or not one.is_steady or one.base <= max(BLURRED * case.blur_ms, 1.0) * MS:
-        return None
     collide = is_collision(case)               # as one program's questions never do
-    for other in case.rhythms:
-        if other is not one and other.is_steady and (
-                (collide and not is_locked(other, one))
-                or (not is_multiple(other, one) and is_independent(one, other)
-                    and is_independent(other, one))):
+    fastest = min(case.rhythms, key=lambda rhythm: rhythm.base, default=None)
+    steady = sorted((one for one in case.rhythms if one.is_steady), key=lambda one: one.base)
+    if not steady or not (collide or steady[0] is fastest):
+        return None
+    one, *others = steady
+    if one.base <= max(BLURRED * case.blur_ms, 1.0) * MS:
+        return None
+    for other in others:
+        differs = collide and not is_locked(other, one)
+        if (differs and one is fastest) or (
+                (differs or not is_multiple(other, one))
+                and is_independent(one, other) and is_independent(other, one)):
             return one, other
     return None
 
