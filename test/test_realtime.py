@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+from rigs import planted
+
 CONFTEST = """
 import realtime
 
@@ -90,3 +92,7 @@ def test_what_waited_is_run_again_and_named(tmp_path, options):
     assert all(float(one) > 0.4 for one in waits['test_stopped_always'])
     assert again['test_stopped_once'].startswith('passed in the end')
     assert again['test_starved'].endswith('(it bears 0.05 s)')
+
+
+def test_the_planted_faults_fit_the_code():
+    assert len(planted.faults()) == 12
