@@ -28,7 +28,8 @@ from mecarover_serial.ros_domain import TESTS
 
 # What scripts/test leaves to scripts/test --all, by mark; but the mark smoke is for both.
 NOT_FIRST = {'realtime': 'judges what real processes do in time',
-             'slow': 'takes more than ten seconds'}
+             'slow': 'takes more than ten seconds',
+             'more': 'tries other dialects, sizes and seeds'}
 IN_REST, IN_FIRST = 'scripts/test --all runs it', 'scripts/test runs it'
 
 
