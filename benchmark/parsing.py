@@ -12,8 +12,6 @@ from functools import partial
 from statistics import median
 import time
 
-from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
-
 from benchmark.traffic import BAUD
 from benchmark.traffic import KINDS
 from benchmark.traffic import packets
@@ -109,6 +107,8 @@ def framing_us(chunks):
 
 def sdk_us(statuses):
     """Return the CPU time per status of the official client's parser, in us."""
+    from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
+
     handler = Protocol2PacketHandler()
     port = Memory(b''.join(statuses))
     start = time.process_time_ns()

@@ -9,10 +9,8 @@ protocol, or finds it out (`auto`). CPU time per packet; cases take turns.
 """
 
 from functools import partial
+from pkgutil import resolve_name
 import time
-
-from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
-from scservo_sdk.protocol_packet_handler import protocol_packet_handler
 
 from benchmark.parsing import CHUNKS
 from benchmark.parsing import cut
@@ -29,8 +27,11 @@ from dxl_monitor.model.models import Models
 from rigs.harness import Figure
 from rigs.harness import interleaved
 
-CLIENTS = {'Feetech': ('feetech', 'feetech-servo-sdk', protocol_packet_handler),
-           'Protocol 1.0': ('1', 'dynamixel-sdk', Protocol1PacketHandler)}
+# Their parsers by name: what only compares our own commits does without them.
+CLIENTS = {'Feetech': ('feetech', 'feetech-servo-sdk',
+                       'scservo_sdk.protocol_packet_handler:protocol_packet_handler'),
+           'Protocol 1.0': ('1', 'dynamixel-sdk',
+                            'dynamixel_sdk.protocol1_packet_handler:Protocol1PacketHandler')}
 LAST_ERROR = 0x7F                  # what the clients take for a status
 
 
@@ -52,7 +53,7 @@ def measure(kind, pieces, rounds):
             monitor_us, models, cut(data, size), Settings(baud=BAUD_1, protocol=told))
         for told in (protocol, 'auto') for size in CHUNKS}
     theirs = f'{client} rxPacket'
-    cases[theirs] = partial(client_us, handler, statuses)
+    cases[theirs] = partial(client_us, resolve_name(handler), statuses)
     results = interleaved(cases, rounds)
     section = f'parsing: {kind}, {len(data) / len(pieces):.1f} bytes per packet'
     figures = [Figure(section, name, 'us/packet', values) for name, values in results.items()]

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A ROS graph of its own for each test process, and the fixtures that the ROS tests share."""
 import ast
+from collections import Counter
 from collections import defaultdict
 from contextlib import contextmanager
 from functools import cache
@@ -19,12 +20,17 @@ import tempfile
 
 from harness import Mcu
 import pytest
+from realtime import Rerun
 
 from mecarover_serial.internal_fault import LOG
 from mecarover_serial.ros_domain import Domain
 from mecarover_serial.ros_domain import TESTS
 
-LAUNCH_TESTS = re.compile(r'test_(launch|launch_arguments|launch_included|respawn)\.py\b')
+# What scripts/test leaves to scripts/test --all, by mark; but the mark smoke is for both.
+NOT_FIRST = {'realtime': 'judges what real processes do in time',
+             'slow': 'takes more than ten seconds',
+             'more': 'tries other dialects, sizes and seeds'}
+IN_REST, IN_FIRST = 'scripts/test --all runs it', 'scripts/test runs it'
 
 
 class Raise(logging.Handler):
@@ -35,6 +41,8 @@ class Raise(logging.Handler):
 
 
 def pytest_addoption(parser):
+    parser.addoption('--part', choices=['first', 'rest'],
+                     help='what scripts/test runs, or what it leaves out (default: all)')
     parser.addoption('--times', type=int, default=1, metavar='N',
                      help='how often signals, kills and the like are repeated (default 1)')
     parser.addoption('--fault-times', type=int, default=1, metavar='N',
@@ -58,6 +66,8 @@ def pytest_configure(config):
     })
     os.environ.pop('ROS_LOCALHOST_ONLY', None)
     LOG.addHandler(Raise())
+    config.left_out = Counter()
+    config.pluginmanager.register(Rerun(), 'rerun')
     if os.environ.get('PYTEST_XDIST_WORKER') == 'gw2':
         os.nice(19)
     if config.pluginmanager.hasplugin('launch_testing'):
@@ -73,28 +83,54 @@ def pytest_unconfigure(config):
 
 @cache
 def marks(path):
-    """Return 'ros' or 'alone' by the names of the tests of a file; '': of all in it."""
-    found = {}
+    """Return the marks that tests of a file have, by the name of a test; '': of all in it."""
+    found = defaultdict(set)
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.FunctionDef):
             said = ' '.join(map(ast.unparse, node.decorator_list))
         else:
             said = ast.unparse(node) if isinstance(node, ast.Assign) else ''
-        for mark in re.findall(r'pytest\.mark\.(ros|alone)\b', said):
-            found[getattr(node, 'name', '')] = mark
+        found[getattr(node, 'name', '')].update(re.findall(r'pytest\.mark\.(\w+)', said))
     return found
 
 
 def group(root, nodeid):
-    """Return 'ros' or 'alone' for a test that judges what real processes do in time, else ''."""
+    """Return 'ros' or 'realtime' for a test that needs the machine to itself, else ''."""
     file, _, test = nodeid.partition('::')
     found = marks(root / file)
-    return max(found.get('', ''), found.get(test.partition('[')[0], ''))
+    has = found[''] | found[test.partition('[')[0].rpartition('::')[2]]
+    return 'ros' if 'ros' in has else 'realtime' if 'realtime' in has else ''
+
+
+def left_out(item, part):
+    """Return why a part leaves a test out, '' where it runs it."""
+    why = '' if item.get_closest_marker('smoke') else next(
+        (reason for mark, reason in NOT_FIRST.items() if item.get_closest_marker(mark)), '')
+    if part == 'rest':
+        return '' if why else IN_FIRST
+    return why and f'{why}; {IN_REST}'
 
 
 def pytest_collection_modifyitems(config, items):
     """Begin with the tests that go one by one: they take longest."""
+    if part := config.getoption('--part'):
+        reasons = [left_out(item, part) for item in items]
+        config.left_out.update(filter(None, reasons))
+        config.hook.pytest_deselected(
+            items=[item for item, why in zip(items, reasons, strict=True) if why])
+        items[:] = [item for item, why in zip(items, reasons, strict=True) if not why]
     items.sort(key=lambda item: group(config.rootpath, item.nodeid), reverse=True)
+
+
+def pytest_sessionfinish(session):
+    if hasattr(session.config, 'workeroutput'):
+        session.config.workeroutput['left_out'] = dict(session.config.left_out)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node, error):
+    """Take over what a worker left out: each collects all tests, so all say the same."""
+    node.config.left_out |= Counter(getattr(node, 'workeroutput', {}).get('left_out'))
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -133,27 +169,24 @@ def recovery(request):
     return lambda fault, seconds: RECOVERIES[f'{node}: {fault}'].append(seconds)
 
 
-def pytest_terminal_summary(terminalreporter):
-    tell_launch_tests(terminalreporter)
+def pytest_terminal_summary(terminalreporter, config):
     if RECOVERIES:
         terminalreporter.section('recovery times: median (min to max) of n, in s')
     for fault, seconds in RECOVERIES.items():
         terminalreporter.write_line(f'{fault:58} {median(seconds):6.3f}  ({min(seconds):.3f} to '
                                     f'{max(seconds):.3f}) of {len(seconds)}')
+    show_left_out(terminalreporter, config.left_out)
 
 
-def tell_launch_tests(terminalreporter):
-    """Say how many tests of the launch files ran: left out, they look like all others."""
-    found = {outcome: [report for report in terminalreporter.stats.get(outcome, ())
-                       if LAUNCH_TESTS.search(getattr(report, 'nodeid', ''))]
-             for outcome in ('passed', 'failed', 'error', 'skipped')}
-    skipped = found.pop('skipped')
-    ran = sum(map(len, found.values()))
-    if ran or skipped:
-        why = f': {skipped[0].longrepr[2]}' if skipped else ''
-        terminalreporter.write_line(
-            f'launch tests: {ran} ran, {len(skipped)} left out{why}'
-            + ('; scripts/test --with-launch runs them' if skipped else ''))
+def show_left_out(terminalreporter, deselected):
+    """Print a line for each reason why tests did not run, with their number."""
+    reasons = deselected + Counter(
+        re.sub(r'^([Ss]kipped: ?)+', '', report.longrepr[2])
+        for report in terminalreporter.stats.get('skipped', ()) if len(report.longrepr) == 3)
+    if reasons:
+        terminalreporter.section(f'{sum(reasons.values())} tests left out')
+        for why, count in reasons.most_common():
+            terminalreporter.write_line(f'{count:6}  {why}')
 
 
 class SteppedClock:

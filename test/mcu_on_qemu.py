@@ -25,7 +25,7 @@ from rigs.mcu.uart import HARMLESS
 from rigs.mcu.uart import Uart
 from rigs.mcu.uart import whole
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 BOUND_MS = 300 + 60
 TIMEOUT_S = 0.5                     # cmd_vel_timeout: no older command leaves the bridge
 Y, OMEGA = -0.25, 1.0

@@ -27,7 +27,7 @@ from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.realtime(bears=0.1)]
 TIME_OUT_BOUND = 0.5 + 2 / 20 + 0.05 + 0.3      # cmd_vel_timeout, resends, write_timeout, queue
 LINK, COMMANDS = 'vel2d_bridge: link', 'vel2d_bridge: commands'
 DRIVE = Vel2d(0.5, -0.25, 1.0)      # the vector of the thesis
@@ -105,18 +105,10 @@ def test_the_wrong_crc_input_is_named_while_it_drives(ros, graph, tmp_path, watc
         running.wait_for('WARN', 'the MCU refuses the commands to drive')
 
 
-def freezes_of(graph):
-    """Wait for a new report and return how often the machine has held up the bridge."""
-    reports = len(graph.heard['/diagnostics'])
-    wait(lambda: len(graph.heard['/diagnostics']) > reports + 4)
-    return int(graph.values(LINK)['Freezes'])
-
-
 @pytest.mark.parametrize('max_rate', [30.0, 100.0])
 def test_a_thousand_commands_at_200_hz(ros, graph, standing, cmd_vel, max_rate):
     assert graph.set('/vel2d_bridge', max_rate=max_rate) == ['']
     before, begin = standing.totals(), time.monotonic_ns()
-    freezes = freezes_of(graph)
     count = iter(range(1, 10_000))
     with ros.Teleop(cmd_vel, lambda: ros.twist(next(count) / 1000), rate=200) as teleop:
         wait(lambda: teleop.sent >= 1000)
@@ -124,7 +116,7 @@ def test_a_thousand_commands_at_200_hz(ros, graph, standing, cmd_vel, max_rate):
     frames = standing.since(begin)
     assert all(frame.size == 28 and frame.velocity is not None for frame in frames)
     driving = [frame for frame in frames if frame.velocity != STOP]
-    assert driving[-1].velocity.x == teleop.sent / 1000 or freezes_of(graph) > freezes
+    assert driving[-1].velocity.x == teleop.sent / 1000
     assert [frame.velocity.x for frame in driving] == sorted(
         frame.velocity.x for frame in driving)
     seconds = (driving[-1].stamp - driving[0].stamp) / 1e9
@@ -138,6 +130,7 @@ def test_a_thousand_commands_at_200_hz(ros, graph, standing, cmd_vel, max_rate):
     assert graph.set('/vel2d_bridge', max_rate=30.0) == ['']
 
 
+@pytest.mark.smoke
 def test_silence_stops_the_rover(ros, standing, cmd_vel):
     with ros.Teleop(cmd_vel, lambda: ros.twist(0.3), rate=50) as teleop:
         wait(lambda: not standing.receiver.wheels.is_stop)

@@ -14,7 +14,7 @@ from test_dashboard_browser import see
 from test_dashboard_server import signals
 from test_dashboard_server import Stream
 
-pytestmark = [pytest.mark.ros,
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1),
               pytest.mark.skipif(util.find_spec('aiohttp') is None, reason='skipped: no aiohttp')]
 
 # Device 2 falls silent for 4 of 10 s, again and again: a late start sees it all the same.

@@ -32,7 +32,7 @@ from vel2d_bridge.board import PortRecord
 from vel2d_bridge.board import SharedBoard
 from vel2d_bridge.watch import Watch
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime(bears=0.05)
 PATIENCE_S = 20
 BRIDGE = """
 import json, select, sys, time
@@ -100,10 +100,10 @@ def stopping_time(mcu, signal_number):
         return mcu.receiver.wheels.stamp / 1e9 - begin
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize('number', [signal.SIGKILL, signal.SIGSTOP])
 def test_killed_or_frozen_the_rover_stops_within_300_ms(mcu, number):
-    # The machine of a test may stall: all must stop, and the fastest shows what is built in.
-    assert min(stopping_time(mcu, number) for _ in range(5)) <= 0.3
+    assert stopping_time(mcu, number) <= 0.3
     assert mcu.totals()['insufficient'] == mcu.totals()['crc_err'] == 0
 
 

@@ -25,7 +25,7 @@ import pytest
 
 from rigs.harness import state
 
-pytestmark = [pytest.mark.alone, pytest.mark.usefixtures('again')]
+pytestmark = [pytest.mark.realtime(bears=0.1), pytest.mark.usefixtures('again')]
 BOUND_S = 0.3 + LATE_S
 KILL, STOP, CONT = signal.SIGKILL, signal.SIGSTOP, signal.SIGCONT
 

@@ -395,6 +395,7 @@ def test_device_units_are_named_as_systemd_names_them(robot):
 
 
 @pytest.mark.ros
+@pytest.mark.realtime(bears=0.1)
 @pytest.mark.slow
 @pytest.mark.skipif(bool(why_no_systemd()), reason=f'skipped: {why_no_systemd()}')
 def test_the_dead_man_outlives_a_kill_of_the_service(robot, tmp_path):

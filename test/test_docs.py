@@ -252,6 +252,7 @@ def running(graph, node, complete):
 
 
 @pytest.mark.ros
+@pytest.mark.realtime(bears=0.5)
 @pytest.mark.parametrize('node, link, fake', [
     ('vel2d_bridge', 'port', ('mecarover_fakes.fake_mcu',)),
     ('dxl_monitor', 'ports', ('mecarover_fakes.fake_bus',))])
@@ -271,6 +272,7 @@ def test_policy_allows_what_a_running_node_uses_and_little_more(
 
 
 @pytest.mark.ros
+@pytest.mark.realtime(bears=0.5)
 @pytest.mark.parametrize('node, program', [
     ('dxl_dashboard', ('mecarover_dashboard.serve', '--port', '0')),
     ('mecarover_status', ('mecarover_dashboard.terminal',))])

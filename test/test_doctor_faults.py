@@ -59,6 +59,13 @@ FAMILIES = (Family('Protocol 2.0', '2', CASES), Family('Feetech', 'feetech', FEE
 PLAYED = [(family, case) for family in FAMILIES for case in family.cases]
 
 
+def later(parameters, first):
+    """Leave all but the first parameters of a test to scripts/test --all."""
+    return [*parameters[:first], *(
+        pytest.param(*(one if type(one) is tuple else (one,)), marks=pytest.mark.more)
+        for one in parameters[first:])]
+
+
 @cache
 def result_of(case, sided):
     return examine(case, sided)
@@ -68,7 +75,7 @@ def name_of(part):
     return part.name if isinstance(part, Family) else label(part)
 
 
-@pytest.mark.parametrize(('family', 'case'), PLAYED, ids=name_of)
+@pytest.mark.parametrize(('family', 'case'), later(PLAYED, len(CASES)), ids=name_of)
 def test_a_fault_is_named_and_nothing_else(family, case):
     result = result_of(case, family.sided)
     assert set(result.told) == set(case.told)
@@ -79,7 +86,7 @@ def test_a_fault_is_named_and_nothing_else(family, case):
         assert all(name and value for name, value in finding.evidence)
 
 
-@pytest.mark.parametrize('family', FAMILIES, ids=name_of)
+@pytest.mark.parametrize('family', later(FAMILIES, 1), ids=name_of)
 def test_it_is_as_in_the_baseline(family):
     assert {label(case): fault_cells(case, result_of(case, family.sided))
             for case in family.cases} == saved_of(family.name), \
@@ -118,7 +125,7 @@ def scene_name(one):
         else f'{one:g} s'
 
 
-@pytest.mark.parametrize(('scene', 'seconds'), HEALTHY, ids=scene_name)
+@pytest.mark.parametrize(('scene', 'seconds'), later(HEALTHY, 2), ids=scene_name)
 def test_good_traffic_is_no_finding(scene, seconds):
     """At OK there is advice, only of one broadcast Ping after the other."""
     assert {key for report in reports([], scene, seconds) for key in told(report)} \
@@ -130,6 +137,7 @@ BLURRED = ('silent:3', 'duplicate:3', 'baud:3', 'latched:3', 'reboot:3', 'echo',
            'no_ack:3', 'noise', 'hot:3', 'protocol1', 'header', 'latency')
 
 
+@pytest.mark.more
 @pytest.mark.parametrize('name', BLURRED)
 def test_found_through_an_adapter_that_gathers_bytes(name):
     case = next(one for one in CASES if one.fault.replace(':{at}', '').rstrip(':') == name)
@@ -140,6 +148,7 @@ def test_found_through_an_adapter_that_gathers_bytes(name):
 PAIRS = rows_of(Path(__file__).with_name('fault_pairs.tsv'))
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(('scene', 'one', 'other', 'said'), PAIRS)
 def test_two_faults_at_once_are_both_named(scene, one, other, said):
     faults = [f'{fault}:2' if ':' in fault else f'{fault}::2' for fault in (one, other)]

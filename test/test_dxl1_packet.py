@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packets of the 1.0 family: published vectors and both SDKs both ways, any damage, any split."""
 
+from importlib.util import find_spec
+from pkgutil import resolve_name
 
-from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
 from packets import fed
 from packets import packets_1_in
 import pytest
-import scservo_sdk
 
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl1_packet import Dxl1Framer
@@ -89,11 +89,15 @@ class Line:
         pass
 
 
-SDKS = [Protocol1PacketHandler(), scservo_sdk.PacketHandler(0)]
+SDKS = [pytest.param(module, protocol, id=name, marks=pytest.mark.skipif(
+            find_spec(module) is None, reason=f'skipped: {name} is not installed'))
+        for name, module, protocol in (('dynamixel-sdk', 'dynamixel_sdk', 1.0),
+                                       ('feetech-servo-sdk', 'scservo_sdk', 0))]
 
 
-@pytest.mark.parametrize('sdk', SDKS, ids=['dynamixel-sdk', 'feetech-servo-sdk'])
-def test_what_the_sdks_write_and_read_is_what_we_mean(sdk):
+@pytest.mark.parametrize(('module', 'protocol'), SDKS)
+def test_what_the_sdks_write_and_read_is_what_we_mean(module, protocol):
+    sdk = resolve_name(f'{module}:PacketHandler')(protocol)
     line = Line()
     sdk.writeTxOnly(line, 7, 42, 3, [1, 2, 3])
     line.is_using = False

@@ -281,7 +281,8 @@ print('done')
 """
 
 
-@pytest.mark.alone
+@pytest.mark.smoke
+@pytest.mark.realtime(bears=0.02)
 def test_a_program_is_run_and_its_dead_servo_named(meeting_place, tmp_path):
     flights = tmp_path / 'faults'
     done = doctor('--flight-recorder', flights, 'run', '--', sys.executable, '-c', DIALOGUE,
@@ -318,7 +319,7 @@ finally:
 """
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 @pytest.mark.parametrize(('error', 'code', 'rules'), [
     ("ConnectionError('motor check failed on port x: Missing motor IDs:')", ERROR, ['no_answer']),
     ('SystemExit(1)', ERROR, ['no_answer']),
@@ -346,7 +347,7 @@ input()
 """
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 def test_it_answers_in_time_while_the_program_goes_on(meeting_place, tmp_path):
     with Pty(str(tmp_path / 'bus')) as pty, subprocess.Popen(
             [sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', '--json', '--seconds', '3',
@@ -362,7 +363,7 @@ def test_it_answers_in_time_while_the_program_goes_on(meeting_place, tmp_path):
     assert 'uses its port too' not in str(answer)
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 @pytest.mark.parametrize('name', ['SEGV', 'KILL'])
 def test_a_program_that_a_signal_ended_is_not_called_well(meeting_place, tmp_path, name):
     with Pty(str(tmp_path / 'bus')) as pty:
@@ -380,7 +381,7 @@ SHARES = """import serial; serial.Serial({!r}).write(bytes((255, 255, 1, 2, 1, 2
 raise serial.SerialException('returned no data (disconnected or multiple access on port?)')"""
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 def test_another_program_on_its_port_is_named(meeting_place, tmp_path):
     with Pty(str(tmp_path / 'bus')) as pty, open(pty.path) as near, \
             subprocess.Popen(('sleep', '60'), stdin=near) as other:
@@ -390,7 +391,7 @@ def test_another_program_on_its_port_is_named(meeting_place, tmp_path):
     assert f'sleep (pid {other.pid}) uses its port too' in ' '.join(done.stdout.split())
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 @pytest.mark.parametrize(('options', 'script', 'words'), [
     (('no_such.py',), '', 'ended with exit code 2: there is no file no_such.py in this folder'),
     ((), 'raise SystemExit(7)', 'ended with exit code 7. - The output of the program says why'),

@@ -211,6 +211,7 @@ def test_all_field_problems_are_played():
                for kind in KINDS.values())
 
 
+@pytest.mark.more
 @pytest.mark.parametrize('name', KINDS_OF_2)
 def test_fault_begins_and_ends(name):
     clean = [(burst.start, burst.data) for burst in play(make_master(), 0.5)

@@ -125,7 +125,7 @@ def recorded(program, device, count):
     return values[:int(numbers[4])], values[int(numbers[4]):]
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 def test_a_program_is_shown_while_it_runs_and_judged_at_its_end(tmp_path):
     link = str(tmp_path / 'bus')
     with Program('mecarover_fakes.fake_bus', '--link', link, *BUS, '--pattern', 'none',
@@ -149,7 +149,7 @@ def test_a_program_is_shown_while_it_runs_and_judged_at_its_end(tmp_path):
     assert re.search(r'dxl_dashboard: .*003, STS3215: no answer', program.text)
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 def test_a_port_may_go_and_come_again(tmp_path):
     link = tmp_path / 'bus'
     with ExitStack() as stack:
@@ -206,7 +206,7 @@ def test_what_is_handed_over_is_what_is_published():
         assert told.table(one.row_name) == handed.table(one.row_name)
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 def test_the_same_rows_in_a_terminal(tmp_path):
     """Of a port, in place and by key; of a recording, whole and once."""
     link, capture = str(tmp_path / 'bus'), str(tmp_path / 'bus.txt')
@@ -270,7 +270,7 @@ def test_a_recording_whose_name_is_not_utf_8(tmp_path):
 WHY_NOT = dashboard_page.why_not()
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 @pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT or 'runs')
 def test_a_recording_is_played_stopped_and_moved(tmp_path):
     """In a browser: to a finding and back; what was found is what dxl_doctor finds."""

@@ -24,12 +24,14 @@ CASE = os.environ.get('LAUNCH_CASE')        # set for launch_test: play this one
 
 if WHY:
     @pytest.mark.ros
+    @pytest.mark.realtime(bears=0.1)
     @pytest.mark.skip(reason=WHY)
     @pytest.mark.parametrize('name', CASTS)
     def test_launch(name):
         """Stand in for the launch test."""
 elif not CASE and not os.environ.get('LAUNCH_TESTING_PLUGIN'):
     @pytest.mark.ros
+    @pytest.mark.realtime(bears=0.1)
     @pytest.mark.slow
     @pytest.mark.parametrize('name', CASTS)
     def test_launch(name):

@@ -16,7 +16,8 @@ import pytest
 
 from mecarover_serial.pty import Pty
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.skipif(bool(WHY), reason=WHY)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.5), pytest.mark.slow,
+              pytest.mark.skipif(bool(WHY), reason=WHY)]
 
 
 @pytest.mark.parametrize(('name', 'argument', 'words'), [
@@ -53,6 +54,7 @@ def test_lists_win_over_scalars_of_the_file(tmp_path):
     assert not launch.said('/dev/ttyUSB0')
 
 
+@pytest.mark.smoke
 def test_the_node_gets_name_topic_and_namespace(tmp_path):
     with launched('bridge', 'name:=drive', 'cmd_vel:=/joy/cmd_vel', 'namespace:=rover1',
                   f'port:={tmp_path}/mcu') as launch:

@@ -17,7 +17,8 @@ import pytest
 
 from mecarover_serial.pty import Pty
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.skipif(bool(WHY), reason=WHY)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.5), pytest.mark.slow,
+              pytest.mark.skipif(bool(WHY), reason=WHY)]
 PARENT = """
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument

@@ -10,7 +10,7 @@ from scenarios import CASTS
 from scenarios import CONFIG
 from scenarios import play
 
-pytestmark = [pytest.mark.ros, pytest.mark.alone, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.slow]
 
 
 def start(part, folder):

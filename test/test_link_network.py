@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 INSIDE = ['unshare', '--net', '--map-root-user']
 CAN_UNSHARE = shutil.which('unshare') is not None and subprocess.run(
     [*INSIDE, 'true'], capture_output=True).returncode == 0
-pytestmark = [pytest.mark.alone, pytest.mark.skipif(
+pytestmark = [pytest.mark.realtime(bears=0.1), pytest.mark.skipif(
     not CAN_UNSHARE, reason='skipped: not allowed to make a network namespace')]
 BOUND_S = 0.5 + 2 / 20 + 0.05           # cmd_vel_timeout, resends, write_timeout
 SCRIPT = """

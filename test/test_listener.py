@@ -21,7 +21,7 @@ from dxl_monitor.port.driver import set_low_latency
 from dxl_monitor.port.listener import Listener
 from mecarover_serial.pty import Pty
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime(bears=0.02)
 
 
 def _wait_longer(found, than):
@@ -167,13 +167,12 @@ def test_stops_at_once_whatever_it_is_doing(tmp_path):
         collector.listener.stop()
         return time.monotonic() - begin
 
-    # The best of three: a busy machine may hold one up.
-    assert min(stopping_s(Collector(str(tmp_path / 'absent'))) for _ in range(3)) < 0.5
+    assert stopping_s(Collector(str(tmp_path / 'absent'))) < 0.5
     with Pty() as one, Pty() as two, Pty() as three:
         collectors = [Collector(cable.path) for cable in (one, two, three)]
         for collector in collectors:
             collector.wait_open()
-        assert min(map(stopping_s, collectors)) < 0.5
+        assert max(map(stopping_s, collectors)) < 0.5
     assert not [one for one in threading.enumerate() if one.name.startswith('listener')]
 
 

@@ -28,7 +28,7 @@ from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.05), pytest.mark.realtime(bears=0.05)]
 S = 1_000_000_000
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
@@ -72,6 +72,7 @@ def values(status):
     return {pair.key: pair.value for pair in status.values}
 
 
+@pytest.mark.smoke
 def test_the_robot_on_the_topics(tmp_path, heard):
     with fake_bus(tmp_path / 'bus', '--devices', '1-3:MX-106,4:BitFoot', '--fault',
                   'silent:3:8:5'), \

@@ -230,7 +230,7 @@ class Collector:
         return self.monitor.report(time.monotonic_ns())
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.05)
 @pytest.mark.parametrize('family', ['ftdi', 'cp210x'])
 def test_bus_is_heard_through_usb(meeting_place, family):
     path = os.path.join(meeting_place, 'usb')
@@ -254,7 +254,7 @@ def test_bus_is_heard_through_usb(meeting_place, family):
     assert set(collector.monitor.decoder.framers) == {'', OUT, IN}
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.05)
 def test_adapter_that_is_unplugged_is_looked_for(meeting_place):
     path = os.path.join(meeting_place, 'usb')
     adapter = FakeAdapter('cdc-acm')
@@ -277,7 +277,7 @@ def test_adapter_that_is_unplugged_is_looked_for(meeting_place):
     assert [change.what for change in collector.changes].count('unplugged') == 2
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.05)
 def test_tap_hears_the_port_that_is_named(meeting_place, monkeypatch):
     monkeypatch.setenv('XDG_RUNTIME_DIR', meeting_place)
     script = 'import serial, sys, time\n' \
@@ -306,7 +306,7 @@ def test_tap_hears_the_port_that_is_named(meeting_place, monkeypatch):
                 listener.stop()
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.05)
 def test_dump_of_a_tapped_program(meeting_place):
     environ = {**os.environ, 'XDG_RUNTIME_DIR': meeting_place}
     ping = "bytes.fromhex('fffffd0001030001194e')"

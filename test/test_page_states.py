@@ -23,7 +23,8 @@ import pytest
 from msg_defs.reports import Level
 
 WHY_NOT = dashboard_page.why_not()
-pytestmark = [pytest.mark.alone, pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT or 'runs')]
+pytestmark = [pytest.mark.realtime(bears=0.5),
+              pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT or 'runs')]
 MARKS = {Level.OK: '', Level.WARN: '\u25b2 ', Level.ERROR: '\u2716 ', Level.STALE: '\\? '}
 WORDS = {Level.OK: 'ok', Level.WARN: 'WARN', Level.ERROR: 'ERROR', Level.STALE: 'silent'}
 WELL = """() => {

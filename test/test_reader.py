@@ -23,7 +23,7 @@ from dxl_monitor.port.listener import Listener
 from mecarover_serial.pty import Pty
 from rigs.harness import is_alive
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime(bears=0.01)
 
 MS = 1_000_000
 

@@ -26,7 +26,7 @@ from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime(bears=0.01)
 
 REPLAY = 'dxl_monitor.tools.replay'
 MODELS = Models()

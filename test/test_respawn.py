@@ -10,7 +10,8 @@ from launched import pids
 from launched import WHY
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.skipif(bool(WHY), reason=WHY)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.slow,
+              pytest.mark.skipif(bool(WHY), reason=WHY)]
 @pytest.mark.parametrize(('name', 'arguments'), [
     ('bridge', ['baud:=1']),
     ('monitor', ['bauds:=1', 'respawn:=true']),

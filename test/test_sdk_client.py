@@ -7,11 +7,8 @@ dynamixel-sdk is an oracle from outside: what the client is told is right for th
 what the monitor then knows is what the client was told, for every register touched.
 """
 
-import time
-
 from harness import wait
 from listened_bus import BAUD
-from listened_bus import DEADLINE_S
 from listened_bus import ListenedBus
 from listened_bus import MODELS
 from listened_bus import PATIENCE_MS
@@ -26,7 +23,7 @@ except ImportError:
     sdk = None
 
 pytestmark = [
-    pytest.mark.alone,
+    pytest.mark.realtime(bears=0.2),
     pytest.mark.skipif(sdk is None, reason='skipped: dynamixel-sdk is not installed')]
 
 ENTRIES = ['1-3:XL430-W250', '4-5:XM540-W270', '6:MX-106', '101:BitFoot']
@@ -49,23 +46,13 @@ class Bench(ListenedBus):
         self.port.closePort()
         super().close()
 
-    def retry(self, ask):
-        """Ask again as long as the client times out: this machine may be slow."""
-        deadline = time.monotonic() + DEADLINE_S
-        while True:
-            answer = ask()
-            if answer[-2] == sdk.COMM_SUCCESS or time.monotonic() > deadline:
-                return answer
-
     def read(self, number, address, size):
-        data, result, error = self.retry(
-            lambda: self.client.readTxRx(self.port, number, address, size))
+        data, result, error = self.client.readTxRx(self.port, number, address, size)
         assert result == sdk.COMM_SUCCESS
         return bytes(data), error
 
     def write(self, number, address, data):
-        result, error = self.retry(
-            lambda: self.client.writeTxRx(self.port, number, address, len(data), list(data)))
+        result, error = self.client.writeTxRx(self.port, number, address, len(data), list(data))
         assert result == sdk.COMM_SUCCESS
         return int(error)
 
@@ -97,8 +84,7 @@ def bench(monkeypatch):
 
 def test_ping(bench):
     for number, model in ((1, 1060), (4, 1120), (6, 321), (101, 0xAFFE)):
-        answer = bench.retry(lambda one=number: bench.client.ping(bench.port, one))
-        assert answer == (model, sdk.COMM_SUCCESS, 0)
+        assert bench.client.ping(bench.port, number) == (model, sdk.COMM_SUCCESS, 0)
         device = bench.device(number)
         assert (device.model_number, device.state) == (model, 'connected')
     assert bench.client.ping(bench.port, 77)[1] == sdk.COMM_RX_TIMEOUT
@@ -148,7 +134,7 @@ def test_refused_write_is_not_known(bench):
 
 def test_registered_write_waits_for_action(bench):
     assert bench.read(1, LED, 1) == (b'\x00', 0)
-    assert bench.retry(lambda: bench.client.regWriteTxRx(bench.port, 1, LED, 1, [1])) == (0, 0)
+    assert bench.client.regWriteTxRx(bench.port, 1, LED, 1, [1]) == (0, 0)
     assert bench.known(1, LED, 1) == b'\x00'
     assert bench.client.action(bench.port, 1) == sdk.COMM_SUCCESS
     wait(lambda: bench.known(1, LED, 1) == b'\x01')
@@ -167,12 +153,6 @@ def _group(bench, kind, *arguments):
     return getattr(sdk, kind)(bench.port, bench.client, *arguments)
 
 
-def _succeed(ask):
-    deadline = time.monotonic() + DEADLINE_S
-    while ask() != sdk.COMM_SUCCESS:
-        assert time.monotonic() < deadline
-
-
 @pytest.mark.parametrize(('method', 'ids'), [('txRxPacket', SERVOS), ('fastSyncRead', FAST)])
 def test_sync_write_and_sync_read(bench, method, ids):
     for number in ids:
@@ -184,7 +164,7 @@ def test_sync_write_and_sync_read(bench, method, ids):
     reader = _group(bench, 'GroupSyncRead', POSITION, 4)
     for number in ids:
         assert reader.addParam(number)
-    _succeed(getattr(reader, method))
+    assert getattr(reader, method)() == sdk.COMM_SUCCESS
     for number in ids:
         assert reader.getData(number, POSITION, 4) == 2000 + number
         assert bench.known(number, GOAL, 4) == (2000 + number).to_bytes(4, 'little')
@@ -201,7 +181,7 @@ def test_bulk_write_and_bulk_read(bench, method, ids):
     reader = _group(bench, 'GroupBulkRead')
     for number, place in places.items():
         assert reader.addParam(number, *place)
-    _succeed(getattr(reader, method))
+    assert getattr(reader, method)() == sdk.COMM_SUCCESS
     for number, (address, size) in places.items():
         told = reader.getData(number, address, size)
         assert told == (1 if address == LED else 120)

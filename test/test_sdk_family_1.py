@@ -29,7 +29,7 @@ except ImportError:
     rustypot = None
 
 pytestmark = [
-    pytest.mark.alone,
+    pytest.mark.realtime(bears=0.2),
     pytest.mark.skipif(scservo_sdk is None or dynamixel_sdk is None,
                        reason='skipped: dynamixel-sdk or feetech-servo-sdk is not installed')]
 needs_rustypot = pytest.mark.skipif(rustypot is None,

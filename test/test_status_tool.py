@@ -139,7 +139,7 @@ def test_on_a_terminal_it_draws_in_place_and_cuts_no_line():
 
 
 @pytest.mark.ros
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.1)
 def test_once_for_scripts(ros, tmp_path):
     """Exit codes, with a real monitor: 1 nothing heard, 0 well, 4 a device is lost."""
     with Program('mecarover_dashboard.terminal', '--once', '--wait', '1') as status:

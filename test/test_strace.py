@@ -177,7 +177,7 @@ SHELL = """
 
 @needs_strace
 @needs_cc
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 @pytest.mark.parametrize('kind', ['C', 'shell', 'Python'])
 def test_every_byte_of_a_program(kind, request):
     with peers(lambda data: data) as (far,), TapReader('robot') as reader:
@@ -204,7 +204,7 @@ def test_every_byte_of_a_program(kind, request):
 
 
 @needs_strace
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 @pytest.mark.parametrize('has_strace', [True, False])
 def test_a_library_that_opens_ports_by_itself_is_heard(has_strace, tmp_path):
     """Strace joins at its import; pyserial is not heard twice then, and as before without."""
@@ -226,7 +226,7 @@ def test_a_library_that_opens_ports_by_itself_is_heard(has_strace, tmp_path):
 
 
 @needs_strace
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 def test_the_doctor_hears_a_program_to_its_end():
     with peers(lambda data: data) as (far,):
         done = subprocess.run(
@@ -255,7 +255,7 @@ while True: reader.wait(1.0)"""
 
 
 @needs_strace
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 @pytest.mark.parametrize('victim', ['strace', 'relay', 'reader', 'stopped reader'])
 def test_the_program_goes_on_when_others_are_killed(victim, again):
     with peers(lambda data: b'') as (far,), subprocess.Popen(
@@ -289,7 +289,7 @@ def test_the_program_goes_on_when_others_are_killed(victim, again):
 
 
 @needs_strace
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 def test_a_port_that_pyserial_did_not_open_is_named():
     code = textwrap.dedent(LASTING)
     with peers(lambda data: data) as (far,), subprocess.Popen(
@@ -315,7 +315,7 @@ def test_what_keeps_strace_away_is_said_before_the_start(tmp_path, script, words
     assert words in done.stderr
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 @pytest.mark.parametrize('chosen', ['user', 'tool'])
 def test_python_is_that_of_the_user_unless_the_tool_shares_it(tmp_path, chosen):
     for name in ('tool', 'user'):

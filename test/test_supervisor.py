@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[1]
 INSIDE = ['unshare', '--pid', '--fork', '--mount-proc', '--kill-child']
 CAN_UNSHARE = shutil.which('unshare') is not None and subprocess.run(
     [*INSIDE, 'true'], capture_output=True).returncode == 0
-pytestmark = [pytest.mark.alone, pytest.mark.skipif(
+pytestmark = [pytest.mark.realtime(bears=0.1), pytest.mark.skipif(
     not CAN_UNSHARE, reason='skipped: not allowed to make a PID namespace')]
 BRIDGE = """
 from mecarover_serial.cli import hold_signals

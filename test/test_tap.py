@@ -47,7 +47,7 @@ from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import UNREAD
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.realtime(bears=0.02)
 ROOT = Path(__file__).parents[1]
 DEADLINE_S = 20.0
 SCRIPT_S = 60.0

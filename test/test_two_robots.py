@@ -15,7 +15,7 @@ from test_dashboard_server import Stream
 
 from mecarover_serial.namesakes import DISCOVERED_NS
 
-pytestmark = [pytest.mark.ros, pytest.mark.alone, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.slow]
 LOST = 2
 WATCH_S = 3.0                   # three reports of each robot
 

@@ -22,7 +22,7 @@ from test_packaging import ROOT
 
 from dxl_monitor.tools.doctor.issue_report import CAPTURE
 
-pytestmark = [pytest.mark.slow, pytest.mark.alone]
+pytestmark = [pytest.mark.slow, pytest.mark.realtime(bears=0.1)]
 DECLARED = {NAME, 'dxl-doctor', 'crcmod-plus', 'pyserial', 'PyYAML', 'setuptools', 'pip'}
 SERVOS = ('1:XL430-W250', '2:XL430-W250', '3:XL430-W250')
 # A first program of somebody's own: it asks three servos for their position, and prints it.

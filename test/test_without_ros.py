@@ -69,7 +69,7 @@ def test_files_are_judged_and_listed(recording, refused):
     assert (done.returncode, done.stdout.count('Status')) == (0, 50)
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.5)
 @pytest.mark.parametrize('refused', [NEEDS_ROS, UNIX], ids=['no ROS', 'no fcntl'])
 def test_programs_are_run(refused, meeting_place):
     done = run(refused, 'dxl_monitor.tools.dxl_doctor', 'run', '--', sys.executable, '-c',
