@@ -160,7 +160,7 @@ def servos(tmp_path):
         bus.terminate()
 
 
-@pytest.mark.alone
+@pytest.mark.realtime(bears=0.02)
 @pytest.mark.parametrize('name', THEIRS)
 def test_the_cycle_of_a_real_program_is_that_of_its_log(name, servos, tmp_path, meeting_place):
     script = tmp_path / 'program.py'

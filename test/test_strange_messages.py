@@ -9,7 +9,7 @@ from harness import Program
 from harness import wait
 import pytest
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 NO_TYPE = 99                    # a ParameterValue has types up to 9
 FLOOD = 3000
 

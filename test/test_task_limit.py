@@ -25,7 +25,7 @@ import pytest
 from rigs.cable import Cable
 from rigs.harness import children
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 AS_A_USER = () if os.geteuid() else (
     'setpriv', '--reuid=12345', '--inh-caps=+dac_override,+kill', '--bounding-set=+all',
     '--ambient-caps=+dac_override,+kill')
