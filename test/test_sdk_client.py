@@ -56,6 +56,10 @@ class Bench(ListenedBus):
         assert result == sdk.COMM_SUCCESS
         return int(error)
 
+    def wait_started(self, number):
+        """Wait until a device that starts again answers: until then it hears nothing."""
+        wait(lambda: self.client.ping(self.port, number)[1] == sdk.COMM_SUCCESS)
+
     def device(self, number):
         """Return what the monitor says once it has heard all that was on the bus."""
         tap = self.bus.tap
@@ -194,6 +198,7 @@ def test_reboot(bench):
     assert bench.known(2, TORQUE, 1) == b'\x01'
     assert bench.client.reboot(bench.port, 2)[0] == sdk.COMM_SUCCESS
     assert bench.known(2, TORQUE, 1) in (b'', b'\x00')
+    bench.wait_started(2)
     assert bench.known(2, 20, 4) == bytes(4)         # EEPROM stays known
     assert bench.read(2, TORQUE, 1) == (b'\x00', 0)
     assert bench.known(2, TORQUE, 1) == b'\x00'
@@ -205,6 +210,7 @@ def test_factory_reset(bench):
     result, error = bench.client.factoryReset(bench.port, 3, keep_id_and_baud)
     assert (result, error) == (sdk.COMM_SUCCESS, 0)
     assert bench.known(3, 9, 1) == b''
+    bench.wait_started(3)
     assert bench.read(3, 9, 1) == (b'\xfa', 0)       # Return Delay Time of the factory
     assert bench.known(3, 9, 1) == b'\xfa'
 
