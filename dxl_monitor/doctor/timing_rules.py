@@ -23,6 +23,7 @@ from dxl_monitor.bus.report import ROBBER
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import key_of
 from dxl_monitor.doctor.collision import is_collision
+from dxl_monitor.doctor.collision import laid_over_answers
 from dxl_monitor.doctor.collision import ran_into_answers
 from dxl_monitor.doctor.cycle_rule import cycle_time
 from dxl_monitor.doctor.last_question import read_late
@@ -336,17 +337,16 @@ def _two_masters(case: Case) -> Claims:
 
 def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
     """Return two instructions that keep time apart from each other."""
-    collide = is_collision(case)               # as one program's questions never do
-    fastest = min(case.rhythms, key=lambda rhythm: rhythm.base, default=None)
-    steady = sorted((one for one in case.rhythms if one.is_steady), key=lambda one: one.base)
-    if not steady or not (collide or steady[0] is fastest):
+    ordered = sorted(case.rhythms, key=attrgetter('base'))
+    steady = [one for one in ordered if one.is_steady]
+    if not steady or steady[0].base <= max(BLURRED * case.blur_ms, 1.0) * MS \
+            or not (steady[0] is ordered[0] or laid_over_answers(case)):
         return None
     one, *others = steady
-    if one.base <= max(BLURRED * case.blur_ms, 1.0) * MS:
-        return None
+    collide = is_collision(case)               # as one program's questions never do
     for other in others:
         differs = collide and not is_locked(other, one)
-        if (differs and one is fastest) or (
+        if (differs and one is ordered[0]) or (
                 (differs or not is_multiple(other, one))
                 and is_independent(one, other) and is_independent(other, one)):
             return one, other
