@@ -338,11 +338,13 @@ def _two_masters(case: Case) -> Claims:
 def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
     """Return two instructions that keep time apart from each other."""
     ordered = sorted(case.rhythms, key=attrgetter('base'))
-    steady = [one for one in ordered if one.is_steady]
-    if not steady or steady[0].base <= max(BLURRED * case.blur_ms, 1.0) * MS \
-            or not (steady[0] is ordered[0] or laid_over_answers(case)):
+    least = max(BLURRED * case.blur_ms, 1.0) * MS
+    if not ordered or (not laid_over_answers(case) and (
+            ordered[0].base <= least or not ordered[0].is_steady)):
         return None
-    one, *others = steady
+    one, *others = [one for one in ordered if one.is_steady] or ordered[:1]
+    if one.base <= least or not one.is_steady:
+        return None
     collide = is_collision(case)               # as one program's questions never do
     for other in others:
         differs = collide and not is_locked(other, one)
