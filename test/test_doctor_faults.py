@@ -34,6 +34,7 @@ from benchmark.confusion_cases import SCENES
 from dxl_monitor.doctor import feetech
 from dxl_monitor.doctor import RULES
 from dxl_monitor.doctor import setting_up
+from mecarover_fakes.fake_bus import DEFAULT_DEVICES
 from mecarover_fakes.faults import KINDS
 from mecarover_fakes.traffic import FAMILY_1
 from mecarover_fakes.traffic import PATTERNS
@@ -169,3 +170,9 @@ def test_a_dead_device_at_the_end_of_the_chain_is_no_broken_cable():
 def test_no_fast_reads_at_all():
     *_, last = reports(['old_firmware::2'], FAST, 7.0)
     assert {rule for rule, _ in told(last)} == {'fast_read_unsupported'}
+
+
+def test_two_masters_are_named_in_chunks_as_a_pty_has_them():
+    scene = Scene(devices=DEFAULT_DEVICES, rate=100.0, gather=2 * MS)
+    *_, last = reports(['two_masters::2'], scene, 8)
+    assert told(last) == (('two_masters', None),)

@@ -265,6 +265,23 @@ def test_the_end_of_a_question_behind_an_answer(noise, count):
     assert ran_into_answers(case(cycles=cycles, noise=noise)) == 0
 
 
+ANDED = bytes(one & two for one, two in zip(
+    READ_OF_3, b'\xff\xff\xfd\0\xff\xff\xff\xff\x0f\0\x0f\0\x2f\x17', strict=True))
+
+
+@pytest.mark.parametrize(('noise', 'is_one'), [
+    (ANDED * 3, True),
+    ((b'\x3f\x00' + ANDED) * 3, True),
+    (ANDED * 2, False),
+    (ANDED[:-1] + b'\xff' + ANDED * 2, False),         # bits were added, too
+    (READ_OF_3 * 3, False),
+    (bytes(99), False),                                # anything is in nothing
+])
+def test_questions_that_lost_bits_and_gained_none_are_a_collision(noise, is_one):
+    found = case(cycles=(asks(I.READ, 3),), noise=noise, protocol='Feetech', notes=damaged(3))
+    assert is_collision(found) == is_one
+
+
 FRONTS = {
     'Ping': (asks(I.PING, 3), ev.Front(I.PING, 2)),
     'Read': (asks(I.READ, 3), ev.Front(0, 7)),

@@ -24,6 +24,7 @@ from packets import packets_in
 from packets import packets_left
 import pytest
 
+from benchmark import traffic
 from dxl_monitor.model.models import Models
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
@@ -378,6 +379,18 @@ def test_stats_of_a_file(recorded):
     assert 'mean load' in text
     assert re.search(r'^002 MX-106 +\w+ +\d+ ', text, re.M)
     assert 'refused' in text
+
+
+def test_stats_of_a_file_say_how_much_of_it_is_damaged(tmp_path):
+    data = b''.join(traffic.packets('moving robot', 15_000))
+    file = tmp_path / 'bus.bin'
+    for damaged, said in ((6, None), (700, 'about 5 % of the packets damaged')):
+        wrong = bytearray(data)
+        for at in range(500, len(data), len(data) // damaged):
+            wrong[at] ^= 0x10
+        file.write_bytes(wrong)
+        found = re.search('about [0-9.]+ % of the packets damaged', dump(file, '--stats'))
+        assert (found and found[0]) == said
 
 
 # --- a live bus -----------------------------------------------------------------------------

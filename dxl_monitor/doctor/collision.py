@@ -39,8 +39,8 @@ def is_collision(case: Case) -> bool:
     Two loops repeat one instruction, and a question was laid over something; or questions are in
     the noise with bits lost and none added; or damaged instructions of Protocol 2.0 are.
     """
-    if case.damage >= FEW and (
-            (case.clocks and ran_into_answers(case)) or _laid_over_answers(case) >= FEW):
+    if laid_over_answers(case) or (
+            case.clocks and case.damage >= FEW and ran_into_answers(case)):
         return True
     if case.report.protocol != PROTOCOL_2:
         return False
@@ -89,10 +89,10 @@ def ran_into_answers(case: Case) -> int:
     return found
 
 
-def _laid_over_answers(case: Case) -> int:
-    """Return how many questions were wholly inside something else, as far as the last noise."""
-    return _overlaid(case.report.noise, tuple([
-        (one.instruction, one.ids, one.address, one.length) for one in case.report.cycles]))
+def laid_over_answers(case: Case) -> bool:
+    """Tell whether questions were wholly inside something else, as far as the last noise."""
+    return case.damage >= FEW and _overlaid(case.report.noise, tuple([
+        (one.instruction, one.ids, one.address, one.length) for one in case.report.cycles])) >= FEW
 
 
 @lru_cache(maxsize=8)

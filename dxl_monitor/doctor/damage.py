@@ -11,6 +11,7 @@ from dxl_monitor.bus import report as words
 from dxl_monitor.bus.report import DeviceReport
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.collision import is_collision
+from dxl_monitor.doctor.collision import laid_over_answers
 from dxl_monitor.doctor.collision import ran_into_answers
 from dxl_monitor.doctor.rate import likely_rate
 from dxl_monitor.doctor.rule import about
@@ -249,7 +250,7 @@ def _turnaround(case: Case) -> Claims:
     total = sum(_first_bytes(one) for one in touched)
     beheaded = sum(device.window.beheaded for device in touched)
     if (total - beheaded <= BY_CHANCE * case.damage and beheaded <= case.damage) \
-            or is_collision(case):
+            or laid_over_answers(case):
         return
     if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < MOSTLY * total:
         hit = touched

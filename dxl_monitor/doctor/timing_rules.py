@@ -24,6 +24,7 @@ from dxl_monitor.bus.report import ROBBER
 from dxl_monitor.doctor.case import Case
 from dxl_monitor.doctor.case import key_of
 from dxl_monitor.doctor.collision import is_collision
+from dxl_monitor.doctor.collision import laid_over_answers
 from dxl_monitor.doctor.collision import ran_into_answers
 from dxl_monitor.doctor.last_question import read_late
 from dxl_monitor.doctor.rhythm import answer_ns
@@ -339,17 +340,18 @@ def _two_masters(case: Case) -> Claims:
 
 def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
     """Return two instructions that keep time apart from each other."""
+    ordered = sorted(case.rhythms, key=attrgetter('base'))
+    least = max(BLURRED * case.blur_ms, 1.0) * MS
+    if not ordered or (not laid_over_answers(case) and (
+            ordered[0].base <= least or not ordered[0].is_steady)):
+        return None
+    one, *others = [one for one in ordered if one.is_steady] or ordered[:1]
+    if one.base <= least or not one.is_steady:
+        return None
     collide = is_collision(case)               # as one program's questions never do
-    fastest = min(case.rhythms, key=lambda rhythm: rhythm.base, default=None)
-    steady = sorted((one for one in case.rhythms if one.is_steady), key=lambda one: one.base)
-    if not steady or not (collide or steady[0] is fastest):
-        return None
-    one, *others = steady
-    if one.base <= max(BLURRED * case.blur_ms, 1.0) * MS:
-        return None
     for other in others:
         differs = collide and not is_locked(other, one)
-        if (differs and one is fastest) or (
+        if (differs and one is ordered[0]) or (
                 (differs or not is_multiple(other, one))
                 and is_independent(one, other) and is_independent(other, one)):
             return one, other
