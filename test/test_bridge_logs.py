@@ -24,7 +24,7 @@ import pytest
 
 from msg_defs.vel2d import STOP
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.realtime(bears=0.1)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 
 
 def full_pipe():

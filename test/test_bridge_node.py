@@ -27,7 +27,7 @@ from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.realtime(bears=0.1)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 TIME_OUT_BOUND = 0.5 + 2 / 20 + 0.05 + 0.3      # cmd_vel_timeout, resends, write_timeout, queue
 LINK, COMMANDS = 'vel2d_bridge: link', 'vel2d_bridge: commands'
 DRIVE = Vel2d(0.5, -0.25, 1.0)      # the vector of the thesis

@@ -25,7 +25,7 @@ from mecarover_serial.pty import Pty
 from msg_defs.vel2d import STOP
 from vel2d_bridge.bridge_settings import PARAMETERS
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.realtime(bears=0.1)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 NODE = '/vel2d_bridge'
 CONFIG = ROOT / 'config' / 'bridge.yaml'
 # Root may open any file; without this capability it has to obey as everybody else.

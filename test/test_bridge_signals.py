@@ -25,7 +25,7 @@ from msg_defs.vel2d import Vel2d
 from rigs.harness import family
 from rigs.harness import is_alive
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.realtime(bears=0.1)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 ENDINGS = {
     'SIGINT': [signal.SIGINT],
     'SIGTERM': [signal.SIGTERM],

@@ -9,7 +9,7 @@ from harness import bridge
 from harness import wait
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.realtime(bears=0.1)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 NODE = '/vel2d_bridge'
 COMMANDS = 'vel2d_bridge: commands'
 ROOT = Path(__file__).parents[1]

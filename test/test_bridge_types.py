@@ -19,7 +19,7 @@ from mecarover_serial.pty import Pty
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.realtime(bears=0.1)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 COMMANDS = 'rover/vel2d_bridge: commands'
 
 

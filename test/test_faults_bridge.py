@@ -36,7 +36,7 @@ import pytest
 from msg_defs.vel2d import STOP
 from rigs.cable import Cable
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.realtime(bears=0.1)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 RETRY_S = 2.0                   # between attempts to open a port, at most
 COUNTED = {'drop': 'insufficient', 'flip': 'crc_err'}       # by the MCU
 NONSENSE = math.nan, math.inf, -math.inf

@@ -36,7 +36,7 @@ import pytest
 
 from dxl_monitor.record.capture import Reader
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.05), pytest.mark.realtime(bears=0.05)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.05)]
 
 
 @pytest.fixture(scope='module')

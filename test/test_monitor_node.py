@@ -28,7 +28,7 @@ from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.05), pytest.mark.realtime(bears=0.05)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.05)]
 S = 1_000_000_000
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 

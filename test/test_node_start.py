@@ -6,7 +6,7 @@ from harness import Program
 from harness import wait
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.5), pytest.mark.realtime(bears=0.5)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.5)]
 
 
 @pytest.mark.parametrize('name', ['vel2d_bridge', 'dxl_monitor'])

@@ -11,7 +11,7 @@ import pytest
 
 from dxl_monitor.record.capture import Reader
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.05), pytest.mark.realtime(bears=0.05)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.05)]
 DEVICES = "['1-3:MX-106']"
 TICK = 0.0015339807879             # rad: the resolution of the encoder
 STALL_S = 0.1

@@ -16,7 +16,7 @@ from rigs.harness import family
 from rigs.harness import Figure
 from rigs.harness import own_mb
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1), pytest.mark.realtime(bears=0.1)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 COMMAND = [sys.executable, '-m', 'benchmark', '--soak', '0.5']
 ROOT = Path(__file__).parents[1]
 BEGIN, S = 1_000_000_000_000, 1_000_000_000
