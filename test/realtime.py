@@ -34,7 +34,7 @@ class Rerun:
 
     def __init__(self):
         self._machine = Machine()
-        self._reruns = []               # of all workers, in the process that prints the summary
+        self._reruns = []               # from all workers, where the summary is printed
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item, nextitem):

@@ -361,6 +361,7 @@ def test_where_it_is(monkeypatch, tmp_path):
     assert default_path() == Path('/var/lib/mecarover_dashboard/history.sqlite')
 
 
+@pytest.mark.slow
 def test_kill_9(path):
     """Twenty times in a row, in the middle of the work: it opens, and at most 10 s are missing."""
     begin, program = NIGHT, Path(__file__).with_name('recorded_night.py')
@@ -382,6 +383,7 @@ def ask(dashboard, what, **query):
         return answer.read().decode()
 
 
+@pytest.mark.slow
 def test_a_robot_that_failed_at_night(path):
     """Eight hours in simulated time: when, which device, how warm and at what voltage before."""
     writer = HistoryWriter(path)

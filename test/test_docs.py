@@ -284,6 +284,7 @@ def test_policy_allows_what_a_running_listener_uses(graph, node, program):
             map(set.issuperset, used, allowed))) == allowed
 
 
+@pytest.mark.slow
 def test_pages_are_read_without_a_warning(tmp_path):
     """Every module can be described without ROS. The nightly job builds the pages."""
     try:

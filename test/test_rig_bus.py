@@ -179,6 +179,7 @@ def test_there_are_enough_scenes_and_each_has_a_name_of_its_own():
     assert len({scene.name for scene in SCENES}) == len(SCENES)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize('name', SAMPLE)
 def test_it_is_as_in_the_baseline(name):
     scene = next(scene for scene in SCENES if scene.name == name)
