@@ -47,7 +47,7 @@ PYTHON = (3, 11)                   # the figures are those of this version
 ONE_PYTHON = f'the limits are those of Python {PYTHON[0]}.{PYTHON[1]}'
 LIMITS = Path(__file__).with_name('calls.tsv')
 CHUNKS = (4096, 64)                # bytes
-BURSTS = 600                       # of a stream or a bus: each mostly a packet
+BURSTS = 600                       # in a stream or on a bus: most are one packet
 LEARNING = 0.4                     # so much of a stream comes before anything is counted
 BYTE_NS = 10_000_000_000
 REPORT_NS = 500_000_000
@@ -228,10 +228,12 @@ def main():
     found = {name: math.ceil(10 * figure) / 10
              for name, figure in (of_packets() | of_reports()).items()}
     known = found if options.write else limits()
-    for (name, what), figure in found.items():
-        print(f'{name:42}{what:20}{figure:10.1f}, at most {known.get((name, what), 0):10.1f}')
+    over = {key for key, figure in found.items() if figure > known.get(key, 0)}
+    for key, figure in found.items():
+        print(f'{key[0]:42}{key[1]:20}{figure:10.1f}, at most {known.get(key, 0):10.1f}'
+              f'{" OVER" * (key in over)}')
     if not options.write:
-        return int(any(figure > known.get(key, 0) for key, figure in found.items()))
+        return bool(over)
     LIMITS.write_text('stream or bus\twhat\tlimit\n' + ''.join(
         f'{name}\t{what}\t{figure:.1f}\n' for (name, what), figure in found.items()), 'utf-8')
     return 0

@@ -27,7 +27,7 @@ LINE_AGAIN_NS = 10 * S
 _RECENT_S = 10.0               # an older value says nothing of now
 
 
-class _Kind(NamedTuple):
+class _LogKind(NamedTuple):
     """What may happen to a device; between its beginning and its end it is not known."""
 
     begin: str
@@ -49,9 +49,9 @@ def _is_well(device: DeviceReport) -> bool:
 
 
 _KINDS = (
-    _Kind('lost', 'back', '', lambda device: device.state == CONNECTED),
-    _Kind('too hot', 'not too hot any more', 'too_hot', _is_cool),
-    _Kind('hardware error', 'no hardware error any more', 'hardware_error', _is_well))
+    _LogKind('lost', 'back', '', lambda device: device.state == CONNECTED),
+    _LogKind('too hot', 'not too hot any more', 'too_hot', _is_cool),
+    _LogKind('hardware error', 'no hardware error any more', 'hardware_error', _is_well))
 
 
 class BusLog:
@@ -75,7 +75,7 @@ class BusLog:
 class _Changes:
     """Which devices were logged to be in some trouble, and since when others are or they not."""
 
-    def __init__(self, kind: _Kind) -> None:
+    def __init__(self, kind: _LogKind) -> None:
         self._kind = kind
         self._logged: set[int] = set()
         self._new: tuple[set[int], set[int]] = set(), set()     # begun, over
@@ -90,7 +90,7 @@ class _Changes:
         self._now = now
         here = self._in_trouble(report)
         devices = {one.id: one for one in report.devices}
-        self._logged &= set(devices)       # the statistics were reset: all begins anew
+        self._logged &= set(devices)       # the statistics were reset: all begins again
         over = {one for one in self._logged - set(here) if self._kind.is_over(devices[one])}
         before, self._new = self._new, (set(here) - self._logged, over)
         if not any(self._new):

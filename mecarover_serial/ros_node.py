@@ -64,7 +64,7 @@ from mecarover_serial.systemd import Systemd
 from mecarover_serial.worker import MORE_TASKS
 
 _OVERRIDES = 'qos_overrides.'
-_NO_THREAD = re.compile('start new thread|pthread_create')     # of Python; of ROS
+_NO_THREAD = re.compile('start new thread|pthread_create')     # in Python's words; in those of ROS
 SAY_AGAIN_S = 60.0              # between lines about what rclpy raises at one place
 USELESS_S = 10.0                # an executor that only raises for so long does nothing any more
 STEP_S = 1.0                    # the system clock was set when it jumps by more

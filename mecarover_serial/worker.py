@@ -42,7 +42,7 @@ class Worker:
     def _run(self) -> None:
         while (call := self._calls.get()) is not None:
             function, done = call
-            with suppress(Exception):       # of interest to the call alone
+            with suppress(Exception):       # the caller looks for its result
                 function()
             done.set()
             del call, function, done        # a port that was closed is not kept

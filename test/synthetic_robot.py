@@ -74,7 +74,7 @@ class SyntheticRobot:
         self.port_problem = self.bridge_problem = ''
         self.findings = ()
         self.velocity = (0.32, 0.11, 0.6)
-        self.absence = ''                      # that nobody publishes cmd_vel
+        self.absence = ''                      # no node publishes cmd_vel
         self.started_s = 0.0                   # when its monitor was started
         self._made, self._made_s = [], None
         models = Models()

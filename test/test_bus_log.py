@@ -101,7 +101,7 @@ def test_heat_begins_and_ends_where_the_temperature_is_read():
     assert bus.lines(_1=cool) == [f'bus: 2 of 2 devices connected; too hot: 001 ({HOT})']
     bus.findings = []
     old = device(1, registers={'Present Temperature': 71}, age_s=11.0)
-    assert bus.lines(20, _1=old) == []              # nobody reads it: it may be as hot as before
+    assert bus.lines(20, _1=old) == []              # it is not read: it may be as hot as before
     assert bus.lines(20, _1=device(1)) == []
     assert bus.lines(_1=cool) == [
         'bus: 2 of 2 devices connected; not too hot any more: 001']

@@ -1,6 +1,8 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """A packet and a report cost no more than they did, counted without a clock (benchmark.calls)."""
+from pathlib import Path
+import subprocess
 import sys
 
 import pytest
@@ -11,16 +13,17 @@ from dxl_monitor.doctor import Doctor
 
 pytestmark = pytest.mark.skipif(sys.version_info[:2] != calls.PYTHON, reason=calls.ONE_PYTHON)
 
+ROOT = Path(__file__).parents[1]
 PING = f'ping, chunks of {calls.CHUNKS[0]}'
 BUS = next(iter(calls.BUSES))
 
 
-@pytest.mark.parametrize('measure', [calls.of_packets, calls.of_reports])
-def test_nothing_costs_more_than_its_limit(measure):
-    figures, limits = measure(), calls.limits()
-    assert figures.keys() <= limits.keys()
-    assert {name: (cost, limits[name]) for name, cost in figures.items()
-            if cost > limits[name]} == {}
+def test_nothing_costs_more_than_its_limit():
+    """In a process of its own: what other tests left in caches would be counted, too."""
+    done = subprocess.run([sys.executable, '-m', 'benchmark.calls'], cwd=ROOT, text=True,
+                          capture_output=True)
+    over = [line for line in done.stdout.splitlines() if line.endswith('OVER')]
+    assert (done.returncode, over) == (0, []), done.stderr
 
 
 def cost_of_a_ping(count):

@@ -67,7 +67,7 @@ def test_a_process_that_is_refused_is_one_line():
         assert bridge.exit_code() == 1
     assert bridge.lines == [
         'vel2d_bridge: cannot start a process: Resource temporarily unavailable; raise the limit '
-        'of processes (ulimit -u, TasksMax=) or end some']
+        'of tasks (ulimit -u, TasksMax=) or end some']
 
 
 @pytest.mark.parametrize('tool', ['dxl_dump', 'dxl_monitor'])

@@ -81,7 +81,7 @@ def test_a_storm(ros, graph, mcu, cmd_vel, tmp_path):
 
 
 def test_bytes_that_are_no_message(ros, graph, mcu, cmd_vel):
-    """Whatever the middleware makes of them: the next command is heard."""
+    """The middleware may do anything with them: the next command is heard."""
     with bridge(mcu) as running:
         wait(cmd_vel.get_subscription_count)
         for size in (0, 3, 8, 20):

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Findings that rest on a value: while it is read, when nobody reads it any more, when it is well.
+Findings that rest on a value: while it is read, when it is not read any more, when it is well.
 
 value_findings.yaml has all findings. Each that rests on a value goes through the three phases on
 simulated time, and is looked at where a user meets it: report, log of dxl_doctor, status, history.
@@ -149,7 +149,7 @@ class Watched:
         evidence, as_told = self.logged()
         assert as_told['stands'] and 'not since' not in evidence
         ended = {event.text for event in self.events if event.kind == 'over'}
-        assert ended <= {'eeprom wear'}        # of the writes that some cases are made of
+        assert ended <= {'eeprom wear'}        # some cases are made of writes
         return found
 
     def is_over(self):

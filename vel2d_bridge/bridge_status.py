@@ -62,7 +62,7 @@ class Commands(NamedTuple):
     zero_stamps: int
     refused: Outcome | None     # why the newest command was refused, if that is not long ago
     clock_stands: bool = False  # use_sim_time without /clock
-    absence: str = ''           # that nobody publishes; not a fault while the rover is stopped
+    absence: str = ''           # no node publishes: not a fault while the rover is stopped
 
 
 def refusal(node: str, topic: str, velocity: Vel2d, verdict: Outcome, clock_stands: bool) -> str:

@@ -56,7 +56,7 @@ class CmdVelSubscriber:
         self.topic = node.resolve_topic_name('cmd_vel')
         self.choice = choose(setting, Choice(TWIST, True), [])
         self.complaints: list[str] = []
-        self.absence = ''           # that nobody publishes, '' while somebody does
+        self.absence = ''           # 'no node publishes', '' while one does
         self.zero_stamps = 0
         self._node = node
         self._setting = setting

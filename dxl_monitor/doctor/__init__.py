@@ -148,10 +148,12 @@ def found_by(rule: Rule, case: Case) -> list[Found]:
 
 def _whom(rule: Rule, case: Case) -> Iterator[DeviceReport]:
     """Yield the devices that a rule is asked of."""
-    numbers = {one.device for kind in rule.noted for one in case.incidents(kind)}
-    for device in case.report.devices:
-        if (device.id in numbers or not rule.noted) \
-                and (device.model.protocol in rule.protocols or not rule.protocols) \
+    devices = case.report.devices
+    if rule.noted:
+        numbers = {one.device for kind in rule.noted for one in case.incidents(kind)}
+        devices = tuple([device for device in devices if device.id in numbers])
+    for device in devices:
+        if (device.model.protocol in rule.protocols or not rule.protocols) \
                 and not (rule.needs_model and device.model.number is None):
             yield device
 

@@ -123,7 +123,7 @@ class Case:
     clocks: Sequence[TwoClocks] = ()   # instructions that two loops repeat
     highest: dict[int, float] = field(default_factory=dict)    # V of each device, since the start
 
-    @property
+    @cached_property
     def now(self) -> int:
         return self.report.stamp
 

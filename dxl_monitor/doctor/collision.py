@@ -24,7 +24,7 @@ from msg_defs.dxl_packet import encode
 FEW = 3
 MOSTLY = 0.3                       # among damaged instructions; bits turned over by chance: 0.1
 FLIPPED = 2                        # wrong bits: more is another packet, not noise
-LEFT = 0.4                         # of the ones of a question: in other bytes fewer fit by chance
+LEFT = 0.4                         # share of a question's ones: in other bytes fewer fit by chance
 TAIL = 6                           # bytes: the CRC is among them, so they are not there by chance
 _GROUPS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 _WRITES = (Instruction.WRITE, Instruction.REG_WRITE)

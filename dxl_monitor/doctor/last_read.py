@@ -3,7 +3,7 @@
 """
 Standing claims, and how old the values are that they rest on.
 
-A register that nobody reads any more says neither that a claim is still true nor that it is over:
+A register that is not read any more says neither that a claim is still true nor that it is over:
 the claim stands, and its message says of when the value is.
 """
 

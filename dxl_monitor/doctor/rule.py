@@ -23,7 +23,7 @@ RECENT_S = 10.0                    # a value that is older says nothing of now
 # What follows from many causes, for `explains`.
 SILENCE = ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter')
 DAMAGE = ('noise', 'damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')
-ANSWER = 'answer'                  # for `rests_on`: the last answer, whatever it was about
+ANSWER = 'answer'                  # for `rests_on`: the last answer to any instruction
 FAMILY_1 = ('1', 'feetech')        # as model files call the protocols of the 1.0 family
 
 

@@ -164,7 +164,7 @@ def through_node(case, folder):
         changed.enter_context(patch.object(timers, 'time', stopped))
         changed.enter_context(patch.object(timers.Timers, 'start', lambda _: None))
         changed.enter_context(patch(
-            'dxl_monitor.record.capture_recorder.Recorder.start', lambda _: None))
+            'dxl_monitor.record.capture_recorder.Recorder.start', lambda *_: None))
         node = dxl_node.MonitorNode()
         fed = [0] * len(case.names)
         written = []

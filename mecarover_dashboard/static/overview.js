@@ -84,7 +84,7 @@ function updateBus(element, group, store) {
   set(bar, 'data-known', String(isKnown));
   setIcon(bar.children[0], group.state);
   say(bar.children[1], group.text);
-  const problems = problemsOf(group.devices);       // of one the headline says all
+  const problems = problemsOf(group.devices);       // the headline says all about one
   say(bar.children[2], isKnown && problems.length > 1 ? problems.join(' \u00b7 ') : '');
   say(bar.children[3], group.bus ? `bus ${group.bus}` : '');
   say(bar.children[4], `${count}/${total}`);
