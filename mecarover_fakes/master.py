@@ -15,8 +15,8 @@ from random import Random
 
 from mecarover_fakes.fault import Fault
 from mecarover_fakes.fault import FaultScope
-from mecarover_fakes.fault import Tempo
 from mecarover_fakes.fault import S
+from mecarover_fakes.fault import Tempo
 from mecarover_fakes.faults import Faults
 from mecarover_fakes.ground_truth import GroundTruth
 from mecarover_fakes.line import Burst
