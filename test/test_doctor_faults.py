@@ -91,7 +91,7 @@ def test_a_fault_is_named_and_nothing_else(family, case):
 def test_it_is_as_in_the_baseline(family):
     assert {label(case): fault_cells(case, result_of(case, family.sided))
             for case in family.cases} == saved_of(family.name), \
-        'run: python -m benchmark.baseline --write'
+        'run: scripts/python -m benchmark.baseline --write'
 
 
 @pytest.mark.parametrize('family', FAMILIES[:3], ids=name_of)

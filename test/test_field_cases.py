@@ -44,4 +44,4 @@ def test_a_case_is_told_as_its_thread_found(case, cause):
 def test_texts_are_as_in_the_baseline(name):
     """The meaning of each register, and of each error text that --explain knows."""
     assert baseline.TEXTS[name]() == (baseline.FOLDER / name).read_text(encoding='utf-8'), \
-        'run: python -m benchmark.baseline --write'
+        'run: scripts/python -m benchmark.baseline --write'

@@ -109,7 +109,7 @@ def test_an_instruction(copy):
                 ('    Instruction.REBOOT: ', '    Instruction.HOME: FakeDevice._on_home,\n'))
     code.change('test/whole_truth.py', (
         '    Instruction.REBOOT: ', '    Instruction.HOME: WholeTruth._learn_restart,\n'))
-    code.change('fuzz/instruction.py', ('OPTIONS = {', 'ACKNOWLEDGED += (0x21,)\n'))
+    code.change('test/fuzz/instruction.py', ('OPTIONS = {', 'ACKNOWLEDGED += (0x21,)\n'))
     code.change('msg_defs/dxl1_instruction.py', (
         '             Instruction.BULK_READ: ',
         '             Instruction.HOME: DialectInstruction(_nothing, Answers.ACK),\n'))

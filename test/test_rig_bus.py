@@ -186,4 +186,4 @@ def test_it_is_as_in_the_baseline(name):
     assert baseline.scene_cells(scene) == {
         **baseline.saved_of('other programs'),
         **baseline.saved_of('other programs, healthy')}[name], \
-        'run: python -m benchmark.baseline --write'
+        'run: scripts/python -m benchmark.baseline --write'

@@ -7,7 +7,7 @@ The rows of benchmark.parsing (Protocol 2.0) and of benchmark.parsing_1 (the 1.0
 
 Each of them runs in a process of its own that lives as long as the comparison, on the same bytes;
 the older commit runs twice, so that its ratio to itself tells what the machine can resolve.
-usage: python -m benchmark.against COMMIT [--pairs N] [--trace FILE] [--only TEXT]
+usage: scripts/python -m benchmark.against COMMIT [--pairs N] [--trace FILE] [--only TEXT]
 """
 
 import argparse
@@ -181,7 +181,7 @@ def _cases(folder, only, trace):
 
 
 def _parser():
-    parser = argparse.ArgumentParser(prog='python -m benchmark.against', description=(
+    parser = argparse.ArgumentParser(prog='scripts/python -m benchmark.against', description=(
         'Compare the CPU time of parsing with that of an older commit (docs/benchmarks.md).'))
     parser.add_argument('commit', help='what git calls it, e.g. 7820283')
     parser.add_argument('--pairs', type=int, default=PAIRS, help='rounds (%(default)s)')

@@ -3,8 +3,8 @@
 """
 A machine that stutters, for a command: what it runs must end as on a quiet machine.
 
-    python -m rigs.stutter stop --seed 1 --rate 0.2 -- scripts/test
-    python -m rigs.stutter load --seed 1 -- scripts/test
+    scripts/python -m rigs.stutter stop --seed 1 --rate 0.2 -- scripts/test
+    scripts/python -m rigs.stutter load --seed 1 -- scripts/test
 
 stop: all processes of the command are stopped together (SIGSTOP) for 20 to 500 ms, RATE times a
 second at the mean, at random times; what a test has stopped itself stays so. load: three busy

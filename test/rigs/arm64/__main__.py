@@ -3,7 +3,7 @@
 """
 Build the root where there is none, then run the tests without ROS in it.
 
-usage: python -m rigs.arm64 [PYTEST OPTION ...]
+usage: scripts/python -m rigs.arm64 [PYTEST OPTION ...]
 """
 import os
 from pathlib import Path

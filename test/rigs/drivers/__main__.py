@@ -3,7 +3,7 @@
 """
 Build the guest where there is none, then run the checks; what is missing is one line.
 
-usage: python -m rigs.drivers [PYTEST OPTION ...]
+usage: scripts/python -m rigs.drivers [PYTEST OPTION ...]
 """
 import os
 from pathlib import Path

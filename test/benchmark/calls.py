@@ -7,7 +7,7 @@ Both are the same in each run of one version of Python, on any machine: so bench
 a limit for each, and test_benchmark.py holds them. Calls are those of Python and of C functions,
 within Monitor.feed() or Monitor.report(), once all is cached that can be.
 
-usage: python -m benchmark.calls [--write] [--trace FILE]
+usage: scripts/python -m benchmark.calls [--write] [--trace FILE]
 """
 
 import argparse
@@ -215,7 +215,7 @@ def _cut(data, size, baud):
 
 
 def main():
-    parser = argparse.ArgumentParser(prog='python -m benchmark.calls', description=(
+    parser = argparse.ArgumentParser(prog='scripts/python -m benchmark.calls', description=(
         'Count calls and bytecodes of a packet and a report, and compare them with their limits.'))
     parser.add_argument('--write', action='store_true', help='make them the limits')
     parser.add_argument('--trace', type=Path, metavar='FILE', help='raw bytes of a real bus, too')

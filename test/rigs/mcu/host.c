@@ -1,7 +1,7 @@
 /* Copyright 2026 The mecarover_serial authors */
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * receiver BYTES SEED: what firmware/vel2d_receiver.c says of damaged traffic, for fuzz/firmware.py.
+ * receiver BYTES SEED: what firmware/vel2d_receiver.c says of damaged traffic, for test/fuzz/firmware.py.
  *
  * Two receivers get the same: one each piece whole, the other byte by byte; they must not differ.
  * Records on stdout: a letter, a number, the size of what follows, and that.

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-python -m fuzz.volume --bytes N: N bytes of hostile input on a bus with `protocols` auto.
+scripts/python -m fuzz.volume --bytes N: N bytes of hostile input on a bus with `protocols` auto.
 
 Random bytes, bytes that look like headers and lengths, and the traffic of robots with bytes lost,
 turned, doubled and torn apart. Exit code 1 when an exception comes, a byte is counted twice or not
@@ -99,7 +99,7 @@ def run(make, size, chance):
 
 
 def _parser():
-    parser = argparse.ArgumentParser(prog='python -m fuzz.volume', description=(
+    parser = argparse.ArgumentParser(prog='scripts/python -m fuzz.volume', description=(
         'Feed hostile bytes through framer, tracker and report, and count what comes out.'))
     parser.add_argument('--bytes', type=int, default=7_000_000, help='(default %(default)s)')
     parser.add_argument('--seed', type=int, default=1, help='(default %(default)s)')

@@ -5,7 +5,7 @@ The doctor and the faults of `fake_bus`, in simulated time: Protocol 2.0, Feetec
 
 The monitor gets each burst by itself, which is finer than most adapters deliver; or it gets what
 the master's own port has, with the sides known. The seed is fixed: each machine gets the same
-results. `python -m benchmark.baseline` plays all cases.
+results. `scripts/python -m benchmark.baseline` plays all cases.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-python -m fuzz.firmware --bytes N: the receiver of firmware/ and its reader in Python, on one line.
+scripts/python -m fuzz.firmware --bytes N: the receiver of firmware/ and its reader in Python, on one line.
 
 The C source runs with sanitizers (rigs/mcu/host.c); the other is GuardedReceiver. They hear
 frames that are good, damaged, cut, joined, of another CRC, or not allowed, and noise, with pauses.
@@ -54,7 +54,7 @@ def verdicts(reader, what, ms, data):
 
 def main():
     parser = argparse.ArgumentParser(
-        prog='python -m fuzz.firmware',
+        prog='scripts/python -m fuzz.firmware',
         description='Compare the receiver of firmware/ with its reader in Python.')
     parser.add_argument('--bytes', type=int, default=1_000_000, help='(default %(default)s)')
     parser.add_argument('--seed', type=int, default=1, help='(default %(default)s)')

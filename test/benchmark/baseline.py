@@ -3,9 +3,9 @@
 """
 What the doctor says of every simulated case: test/baseline/doctor.tsv, which tests compare.
 
-    python -m benchmark.baseline [WORD ...]   play all, or the cases with a WORD in their name;
+    scripts/python -m benchmark.baseline [WORD ...]   play all, or the cases with a WORD in their name;
                                               exit code 1 where the file says something else
-    python -m benchmark.baseline --write      bring it up to date, and the other files there
+    scripts/python -m benchmark.baseline --write      bring it up to date, and the other files there
 
 A row has the family, the case, the expected findings, the findings, the seconds until the expected
 one came first, and the verdict (rigs/bus/score.py). docs/doctor_results.md explains the families.

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-python -m fuzz.whole --seconds N: bytes of any source through the whole program, with its time.
+scripts/python -m fuzz.whole --seconds N: bytes of any source through the whole program, with its time.
 
 A case goes through the node (listener, monitor, doctor, recorder, its timers, all that it
 publishes), through the dashboard that hears the node, and, as a file, through two of the tools;
@@ -100,7 +100,7 @@ def main():
             if where and where not in found:
                 found.add(where)
                 print(f'{time.process_time():.0f} s, case {count}: {where}: {str(error)[:200]}; '
-                      f'again: python -m fuzz.whole --case {seed}', flush=True)
+                      f'again: scripts/python -m fuzz.whole --case {seed}', flush=True)
                 if options.small:
                     print(*smaller(case, seed, where).heard, sep='\n', flush=True)
             if not count % CASES_AT_ONCE:
@@ -113,7 +113,7 @@ def main():
 
 
 def _parser():
-    parser = argparse.ArgumentParser(prog='python -m fuzz.whole', description=(
+    parser = argparse.ArgumentParser(prog='scripts/python -m fuzz.whole', description=(
         'Feed bytes of any source through node, dashboard and tools in one process.'))
     add = parser.add_argument
     add('--seconds', type=float, default=60, help='how long, CPU time (default %(default)g)')
