@@ -21,8 +21,8 @@ COMMANDS = {
     'dxl_doctor': 'dxl_monitor.tools.dxl_doctor',
     'dxl_replay': 'dxl_monitor.tools.replay',
     'dxl_tap': 'dxl_monitor.tools.tap',
-    'dxl_dashboard': 'mecarover_feed.dxl_dashboard',
-    'mecarover_status': 'mecarover_feed.mecarover_status',
+    'dxl_dashboard': 'mecarover_dashboard.dxl_dashboard',
+    'mecarover_status': 'mecarover_dashboard.mecarover_status',
 }
 
 

@@ -52,7 +52,7 @@ DEVICES = [*(f'{at + 1}:{"MX-106" if at < 10 else "MX-64"}:{JOINTS[at]}' for at 
 DASHBOARD = """
 import socket, sys
 socket.gethostname = lambda: 'wolfgang'
-from mecarover_feed.dxl_dashboard import main
+from mecarover_dashboard.dxl_dashboard import main
 sys.exit(main())
 """
 

@@ -33,12 +33,12 @@ from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.capture import Writer
 from dxl_monitor.record.opening import open_file
+from mecarover_dashboard.feed import Feed
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import parse
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
-from mecarover_feed.feed import Feed
 
 ARM = '1-6:STS3215'
 BUS = ('--dialect', 'feetech', '--devices', ARM)

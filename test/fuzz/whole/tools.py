@@ -31,9 +31,9 @@ from fuzz.whole.traffic import BOOT
 from fuzz.whole.traffic import damaged
 from fuzz.whole.traffic import FAR
 from fuzz.whole.traffic import PROTOCOLS
+from mecarover_dashboard import mecarover_status as status
 from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
-from mecarover_feed import mecarover_status as status
 from msg_defs.event import OUT
 from rigs.usb_pcap import LINUX
 from rigs.usb_pcap import MMAPPED

@@ -13,11 +13,11 @@ from dxl_monitor.tools.run import add_bus_options
 from dxl_monitor.tools.run import parse_run
 from dxl_monitor.tools.run import RUN
 from mecarover_dashboard import serve
-from mecarover_feed.command_line import is_of_ros
-from mecarover_feed.command_line import make_run
-from mecarover_feed.feed import conclusion
-from mecarover_feed.feed import Feed
-from mecarover_feed.recording_run import RecordingRun
+from mecarover_dashboard.command_line import is_of_ros
+from mecarover_dashboard.command_line import make_run
+from mecarover_dashboard.feed import conclusion
+from mecarover_dashboard.feed import Feed
+from mecarover_dashboard.recording_run import RecordingRun
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool

@@ -11,11 +11,11 @@ import time
 from dxl_monitor.tools.run import add_bus_options
 from dxl_monitor.tools.run import refuse_run
 from mecarover_dashboard import terminal
+from mecarover_dashboard.command_line import is_of_ros
+from mecarover_dashboard.command_line import make_run
+from mecarover_dashboard.feed import conclusion
+from mecarover_dashboard.feed import Feed
 from mecarover_dashboard.state import State
-from mecarover_feed.command_line import is_of_ros
-from mecarover_feed.command_line import make_run
-from mecarover_feed.feed import conclusion
-from mecarover_feed.feed import Feed
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
 

@@ -23,10 +23,10 @@ from dxl_monitor.tools.doctor.examination import LONGEST_PAUSE_NS
 from dxl_monitor.tools.doctor.examination import REPORT_NS
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
-from mecarover_feed.feed import Feed
-from mecarover_feed.source_run import S
-from mecarover_feed.source_run import SourceRun
-from mecarover_feed.source_run import TURN_S
+from mecarover_dashboard.feed import Feed
+from mecarover_dashboard.source_run import S
+from mecarover_dashboard.source_run import SourceRun
+from mecarover_dashboard.source_run import TURN_S
 from msg_defs.reports import Level
 
 END = 1 << 64                       # a stamp after all others

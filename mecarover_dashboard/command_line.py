@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 
 from dxl_monitor.record.opening import is_port
-from mecarover_feed.feed import Feed
-from mecarover_feed.recording_run import RecordingRun
-from mecarover_feed.source_run import PortsRun
-from mecarover_feed.source_run import ProgramRun
-from mecarover_feed.source_run import SourceRun
+from mecarover_dashboard.feed import Feed
+from mecarover_dashboard.recording_run import RecordingRun
+from mecarover_dashboard.source_run import PortsRun
+from mecarover_dashboard.source_run import ProgramRun
+from mecarover_dashboard.source_run import SourceRun
 from mecarover_serial.cli import UsageError
 
 

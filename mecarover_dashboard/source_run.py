@@ -34,7 +34,7 @@ from dxl_monitor.tools.doctor.program import Program
 from dxl_monitor.tools.doctor.verdict import Verdict
 from dxl_monitor.tools.doctor.verdict import verdict
 from dxl_monitor.tools.run import models_of
-from mecarover_feed.feed import Feed
+from mecarover_dashboard.feed import Feed
 from mecarover_serial.plain import printable
 
 TURN_S = 0.1
