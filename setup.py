@@ -45,7 +45,7 @@ setup(
     python_requires='>=3.10',
     packages=find_packages(include=[
         'msg_defs', NAME, 'vel2d_bridge*', 'dxl_monitor*', 'mecarover_dashboard',
-        'mecarover_demo', 'mecarover_fakes', 'mecarover_feed']),
+        'mecarover_fakes.demo', 'mecarover_fakes', 'mecarover_feed']),
     package_data={'dxl_monitor.model': ['files/*.yaml'],
                   'mecarover_fakes': ['factory.yaml'],
                   'dxl_monitor.tools.doctor': ['errors.yaml'],

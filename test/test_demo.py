@@ -4,7 +4,7 @@
 
 import pytest
 
-from mecarover_demo.scenes import judge_books
+from mecarover_fakes.demo.scenes import judge_books
 
 
 @pytest.mark.parametrize('missed, overrun, passed, text', [

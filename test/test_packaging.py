@@ -92,7 +92,7 @@ def test_package_xml_names_what_is_imported():
 
 
 @pytest.mark.parametrize('package', ['msg_defs', NAME, 'vel2d_bridge', 'dxl_monitor',
-                                     'mecarover_dashboard', 'mecarover_demo',
+                                     'mecarover_dashboard', 'mecarover_fakes.demo',
                                      'mecarover_fakes', 'mecarover_feed', 'launch'])
 def test_no_text_for_a_user_points_to_what_is_not_installed(package):
     """The documents and deploy/ stay in the repository; docstrings and comments may name them."""

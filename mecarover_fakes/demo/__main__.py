@@ -17,16 +17,16 @@ import time
 from typing import Any
 import urllib.request
 
-from mecarover_demo.device_lines import DeviceLines
-from mecarover_demo.scenes import BOOKS
-from mecarover_demo.scenes import judge
-from mecarover_demo.scenes import judge_books
-from mecarover_demo.scenes import Scene
-from mecarover_demo.scenes import SceneResult
-from mecarover_demo.scenes import SCENES
-from mecarover_demo.scenes import TakenSetPoint
-from mecarover_demo.scenes import TIME_OUT_BOUND_S
-from mecarover_demo.stage import Stage
+from mecarover_fakes.demo.device_lines import DeviceLines
+from mecarover_fakes.demo.scenes import BOOKS
+from mecarover_fakes.demo.scenes import judge
+from mecarover_fakes.demo.scenes import judge_books
+from mecarover_fakes.demo.scenes import Scene
+from mecarover_fakes.demo.scenes import SceneResult
+from mecarover_fakes.demo.scenes import SCENES
+from mecarover_fakes.demo.scenes import TakenSetPoint
+from mecarover_fakes.demo.scenes import TIME_OUT_BOUND_S
+from mecarover_fakes.demo.stage import Stage
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import no_ros
 from mecarover_serial.cli import run_tool
@@ -53,7 +53,7 @@ def _main(arguments: list[str]) -> int:
     domain = own.number
     os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(domain))
     try:
-        from mecarover_demo.demo_node import Operator
+        from mecarover_fakes.demo.demo_node import Operator
     except ImportError as error:
         return no_ros('demo', error)
     operator = Operator()

@@ -6,7 +6,7 @@ from __future__ import annotations
 from mecarover_dashboard.rows import Row
 from mecarover_dashboard.state import State
 from mecarover_dashboard.status_lines import table
-from mecarover_demo.scenes import SceneResult
+from mecarover_fakes.demo.scenes import SceneResult
 from msg_defs.status_keys import MISSED_ANSWERS
 
 _PERIOD_S = 5.0
