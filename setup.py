@@ -46,7 +46,7 @@ setup(
     packages=find_packages(include=[
         'msg_defs', NAME, 'vel2d_bridge*', 'dxl_monitor*', 'mecarover_dashboard',
         'mecarover_fakes.demo', 'mecarover_fakes', 'mecarover_feed']),
-    package_data={'dxl_monitor.model': ['files/*.yaml'],
+    package_data={'servobus.model': ['files/*.yaml'],
                   'mecarover_fakes': ['factory.yaml'],
                   'dxl_monitor.tools.doctor': ['errors.yaml'],
                   'mecarover_dashboard': ['static/*']},

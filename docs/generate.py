@@ -14,15 +14,7 @@ from pathlib import Path
 import sys
 
 from docs.wireshark_tables import wireshark_tables
-from dxl_monitor.bus import report as words
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_settings import PARAMETERS as MONITOR
-from dxl_monitor.monitor_status import bus_status
-from dxl_monitor.monitor_status import device_metrics
-from dxl_monitor.monitor_status import device_status
-from dxl_monitor.monitor_status import PortState
 from mecarover_serial.parameters import Parameter
 from msg_defs.dxl_packet import encode
 from msg_defs.event import IN
@@ -30,6 +22,14 @@ from msg_defs.event import OUT
 from msg_defs.mcu_report import McuReport
 from msg_defs.reports import Metric
 from msg_defs.reports import unit_name
+from servobus.bus import report as words
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.status import bus_status
+from servobus.status import device_metrics
+from servobus.status import device_status
+from servobus.status import PortState
 from vel2d_bridge.bridge_settings import PARAMETERS as BRIDGE
 from vel2d_bridge.bridge_status import Commands
 from vel2d_bridge.bridge_status import commands_status

@@ -12,13 +12,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 import struct
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import device_status
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.line import Line
 from msg_defs.dxl_instruction import Instruction
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.status import device_status
 
 FAMILIES = ('1:MX-106', '2:XM430-W350', '3:XL330-M288', '4:XL-320', '5:PH54-200-S500',
             '6:H54-200-S500-R(A)', '7:RH-P12-RN(A)', '8:YM070-210-M001', '9:Rhoban DXL Board',

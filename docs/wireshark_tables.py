@@ -1,9 +1,9 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """wireshark/servobus_tables.lua: names, errors and control tables, from those of the code."""
-from dxl_monitor.model.models import Models
 from msg_defs import dxl1_instruction
 from msg_defs import dxl_instruction
+from servobus.model.models import Models
 
 HEAD = """-- Copyright 2026 The mecarover_serial authors
 -- SPDX-License-Identifier: Apache-2.0

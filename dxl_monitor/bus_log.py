@@ -12,12 +12,12 @@ from collections.abc import Callable
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.bus.report import CONNECTED
-from dxl_monitor.bus.report import DeviceReport
-from dxl_monitor.bus.report import DISCONNECTED
-from dxl_monitor.doctor.rule import listed
 from msg_defs.reports import Level
+from servobus.bus.report import BusReport
+from servobus.bus.report import CONNECTED
+from servobus.bus.report import DeviceReport
+from servobus.bus.report import DISCONNECTED
+from servobus.doctor.rule import listed
 
 S = 1_000_000_000
 TOGETHER_NS = S                # without another device: all have come to which it happens

@@ -19,16 +19,11 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.bus_log import BusLog
-from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_settings import buses
 from dxl_monitor.monitor_settings import load_models
 from dxl_monitor.monitor_settings import make_recorders
 from dxl_monitor.monitor_settings import PARAMETERS
-from dxl_monitor.monitor_status import device_metrics
-from dxl_monitor.monitor_status import PortState
-from dxl_monitor.monitor_status import statuses_of
 from dxl_monitor.monitored_bus import MonitoredBus
 from dxl_monitor.port.listener import STARTING
 from dxl_monitor.timers import Timers
@@ -51,6 +46,11 @@ from msg_defs.ros import slices
 from msg_defs.ros import TimingPublisher
 from msg_defs.ros import to_ros_time
 from msg_defs.ros import to_time
+from servobus.bus.report import BusReport
+from servobus.monitor import Monitor
+from servobus.status import device_metrics
+from servobus.status import PortState
+from servobus.status import statuses_of
 
 OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
 CHECK_S = 1.0               # whether the timers are well

@@ -10,13 +10,6 @@ import os
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.bus.decoder import PROTOCOLS
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import Expected
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.bus.expected import split_bus
-from dxl_monitor.model.checked_yaml import ModelError
-from dxl_monitor.model.models import Models
 from dxl_monitor.port.source_name import bus_name
 from dxl_monitor.port.source_name import has_sides
 from dxl_monitor.record.capture import Wire
@@ -27,6 +20,13 @@ from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import refuse_twice
 from mecarover_serial.parameters import TIMING_PARAMETER
+from servobus.bus.decoder import PROTOCOLS
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import Expected
+from servobus.bus.expected import parse_all
+from servobus.bus.expected import split_bus
+from servobus.model.checked_yaml import ModelError
+from servobus.model.models import Models
 
 PARAMETERS = (
     Parameter('ports', ['/dev/ttyUSB0'], 'one source per bus: a path (a stable one is in '

@@ -7,13 +7,7 @@ from collections.abc import Sequence
 from functools import cached_property
 import time
 
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.doctor.case import Names
-from dxl_monitor.doctor.case import PARAMETERS
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_settings import Bus
-from dxl_monitor.monitor_status import PortState
 from dxl_monitor.port.driver import adapter
 from dxl_monitor.port.listener import TAKE_EVERY_S
 from dxl_monitor.port.listeners import listener_on
@@ -26,6 +20,12 @@ from msg_defs.event import Change
 from msg_defs.event import UNKNOWN
 from msg_defs.reports import Pairs
 from msg_defs.reports import pairs
+from servobus.bus.report import BusReport
+from servobus.doctor.case import Names
+from servobus.doctor.case import PARAMETERS
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.status import PortState
 
 BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s late at most
 PATIENCE_NS = 2_500_000_000     # longer is not a freeze: its reader hangs; a dashboard waits 4 s

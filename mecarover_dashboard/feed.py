@@ -13,12 +13,6 @@ import math
 import time
 from typing import Protocol
 
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import device_metrics
-from dxl_monitor.monitor_status import PortState
-from dxl_monitor.monitor_status import statuses_of
-from dxl_monitor.signals import BusSignals
 from dxl_monitor.tools.doctor.examination import REPORT_NS
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.verdict import BusSummary
@@ -30,6 +24,12 @@ from msg_defs.reports import Status
 from msg_defs.reports import status_name
 from msg_defs.signal import Points
 from msg_defs.signal import SPAN_S
+from servobus.bus.report import BusReport
+from servobus.monitor import Monitor
+from servobus.signals import BusSignals
+from servobus.status import device_metrics
+from servobus.status import PortState
+from servobus.status import statuses_of
 
 NODE = 'dxl_monitor'                # in the names of statuses
 TABLES, TIMING = 'dxl/diagnostics', 'dxl/timing'

@@ -3,7 +3,7 @@
 """
 Statuses to the rows that the page shows.
 
-Pure. Knows the keys of dxl_monitor/monitor_status.py and vel2d_bridge/bridge_status.py; the
+Pure. Knows the keys of servobus/status.py and vel2d_bridge/bridge_status.py; the
 nodes may have any name, and their namespace is the name of the robot. Values stay the text they
 arrived as: a page that shows text cannot stumble over NaN.
 """

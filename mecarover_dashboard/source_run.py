@@ -15,14 +15,9 @@ import shlex
 import sys
 import time
 
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.doctor.case import OPTIONS
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_settings import buses
 from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.monitor_settings import settings_of
-from dxl_monitor.monitor_status import PortState
 from dxl_monitor.monitored_bus import MonitoredBus
 from dxl_monitor.port.source_name import rate_of
 from dxl_monitor.port.tap_reader import HOLD_S
@@ -36,6 +31,11 @@ from dxl_monitor.tools.doctor.verdict import verdict
 from dxl_monitor.tools.run import models_of
 from mecarover_dashboard.feed import Feed
 from mecarover_serial.plain import printable
+from servobus.bus.report import BusReport
+from servobus.doctor.case import OPTIONS
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.status import PortState
 
 TURN_S = 0.1
 S = 1_000_000_000

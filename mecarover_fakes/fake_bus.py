@@ -14,8 +14,6 @@ import json
 import sys
 import time
 
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.model.models import Models
 from dxl_monitor.monitor_settings import check_models
 from dxl_monitor.monitor_settings import load_models
 from mecarover_fakes.dxl1_servo import Servo1
@@ -40,6 +38,8 @@ from mecarover_serial.pty import outlive
 from mecarover_serial.pty import parse_away
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import FEETECH
+from servobus.bus.expected import parse_all
+from servobus.model.models import Models
 
 WAIT_S = 0.1
 DEFAULT_DEVICES = ('1-10:MX-106', '11-18:MX-64', '100:Rhoban DXL Board', '101:BitFoot',

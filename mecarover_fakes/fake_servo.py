@@ -14,8 +14,6 @@ from collections.abc import Callable
 import sys
 from typing import NamedTuple
 
-from dxl_monitor.model.control_table import Field
-from dxl_monitor.model.control_table import Model
 from mecarover_fakes.registers import ACCESS
 from mecarover_fakes.registers import INSTRUCTION
 from mecarover_fakes.registers import LENGTH
@@ -34,6 +32,8 @@ from msg_defs.dxl_instruction import BACKUP_OPTIONS
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import RESTORE
 from msg_defs.dxl_instruction import STORE
+from servobus.model.control_table import Field
+from servobus.model.control_table import Model
 
 BOOT_NS = 200_000_000            # deaf after a start
 WATCHDOG_UNIT_NS = 20_000_000

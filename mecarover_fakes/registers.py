@@ -8,11 +8,11 @@ Error numbers are those of a status (e-Manual, Protocol 2.0): access, range, len
 
 from __future__ import annotations
 
-from dxl_monitor.model.control_table import Field
-from dxl_monitor.model.control_table import Model
 from mecarover_fakes.values import FACTORY
 from mecarover_fakes.values import initial_image
 from mecarover_fakes.values import pack_raw
+from servobus.model.control_table import Field
+from servobus.model.control_table import Model
 
 OK, RESULT_FAIL, INSTRUCTION, RANGE, LENGTH, ACCESS = 0, 1, 2, 4, 5, 7
 WATCHDOG_TRIPPED = 0xFF

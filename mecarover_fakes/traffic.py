@@ -14,13 +14,13 @@ from collections.abc import Callable
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from dxl_monitor.model.control_table import Field
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.line import BLOCK
 from mecarover_fakes.line import Line
 from mecarover_fakes.values import pack
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import BROADCAST
+from servobus.model.control_table import Field
 
 LOOK_AHEAD_S = 0.02              # a goal is where the joint shall be a little later
 SLOW = 25                        # cycles between two looks at voltage and temperature

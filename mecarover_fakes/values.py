@@ -14,10 +14,10 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from dxl_monitor.model.checked_yaml import read_yaml
-from dxl_monitor.model.control_table import Field
-from dxl_monitor.model.control_table import Model
-from dxl_monitor.model.control_table import STRUCTS
+from servobus.model.checked_yaml import read_yaml
+from servobus.model.control_table import Field
+from servobus.model.control_table import Model
+from servobus.model.control_table import STRUCTS
 
 FACTORY = read_yaml(Path(__file__).with_name('factory.yaml'))
 VOLTAGE = 12.0

@@ -7,29 +7,29 @@ from pathlib import Path
 
 import yaml
 
-from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus import report as words
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.bus.report import Counts
-from dxl_monitor.bus.report import Cycle
-from dxl_monitor.bus.report import DeviceReport
-from dxl_monitor.bus.report import Incident
-from dxl_monitor.bus.report import ReplyLatency
-from dxl_monitor.bus.report import Wait
-from dxl_monitor.bus.table import Observed
-from dxl_monitor.doctor import found_by
-from dxl_monitor.doctor import RULES
-from dxl_monitor.doctor.case import Case
-from dxl_monitor.doctor.case import Mark
-from dxl_monitor.doctor.case import mark_of
-from dxl_monitor.doctor.case import Sample
-from dxl_monitor.doctor.rule import Claim
-from dxl_monitor.model.control_table import UNKNOWN
-from dxl_monitor.model.models import Models
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.timing import Summary
+from servobus.bus import evidence as ev
+from servobus.bus import report as words
+from servobus.bus.report import BusReport
+from servobus.bus.report import Counts
+from servobus.bus.report import Cycle
+from servobus.bus.report import DeviceReport
+from servobus.bus.report import Incident
+from servobus.bus.report import ReplyLatency
+from servobus.bus.report import Wait
+from servobus.bus.table import Observed
+from servobus.doctor import found_by
+from servobus.doctor import RULES
+from servobus.doctor.case import Case
+from servobus.doctor.case import Mark
+from servobus.doctor.case import mark_of
+from servobus.doctor.case import Sample
+from servobus.doctor.rule import Claim
+from servobus.model.control_table import UNKNOWN
+from servobus.model.models import Models
 
 MODELS = Models()
 S = 1_000_000_000

@@ -3,12 +3,12 @@
 """A monitor in simulated time, and the usual packets of Protocol 2.0 with device 1, an MX-64."""
 import struct
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 MODELS = Models()
 MS = 1_000_000

@@ -6,14 +6,14 @@ import time
 
 from harness import wait
 
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.listener import Listener
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import none
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 BAUD = 1_000_000
 MODELS = Models()

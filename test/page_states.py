@@ -19,16 +19,16 @@ import yaml
 
 from benchmark import confusion
 from benchmark.confusion_cases import Scene
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import PortState
-from dxl_monitor.monitor_status import statuses_of
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
 from mecarover_dashboard.status_lines import screen
 from mecarover_dashboard.status_lines import status_lines
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import parse_all
+from servobus.monitor import Monitor
+from servobus.status import PortState
+from servobus.status import statuses_of
 from vel2d_bridge.graph import Absence
 
 ARM = ('1-6:MX-64',)

@@ -8,25 +8,25 @@ what a subscription gets, so that the dashboard can be tested without ROS.
 """
 import math
 
-from dxl_monitor.bus import report as words
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import Expected
-from dxl_monitor.bus.report import Counts
-from dxl_monitor.bus.report import Error
-from dxl_monitor.bus.report import Finding
-from dxl_monitor.bus.report import ReplyLatency
-from dxl_monitor.bus.table import Observed
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import device_metrics
-from dxl_monitor.monitor_status import PortState
-from dxl_monitor.monitor_status import statuses_of
 from fuzz.dashboard import cdr
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
 from msg_defs.timing import Summary
 from msg_defs.vel2d import Vel2d
+from servobus.bus import report as words
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import Expected
+from servobus.bus.report import Counts
+from servobus.bus.report import Error
+from servobus.bus.report import Finding
+from servobus.bus.report import ReplyLatency
+from servobus.bus.table import Observed
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.status import device_metrics
+from servobus.status import PortState
+from servobus.status import statuses_of
 from vel2d_bridge.bridge_status import Commands
 from vel2d_bridge.bridge_status import commands_status
 from vel2d_bridge.bridge_status import link_status

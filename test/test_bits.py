@@ -9,16 +9,16 @@ from doctor_case import case
 import pytest
 
 from benchmark import baseline
-from dxl_monitor.doctor import bits
-from dxl_monitor.doctor.bits import Shape
-from dxl_monitor.doctor.bits import Wreck
-from dxl_monitor.doctor.bits import WrongBit
 from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_instruction import Instruction as I
 from rigs.bus import frames
 from rigs.bus import uart
 from rigs.bus.uart import Line
 from rigs.bus.uart import Pulse
+from servobus.doctor import bits
+from servobus.doctor.bits import Shape
+from servobus.doctor.bits import Wreck
+from servobus.doctor.bits import WrongBit
 
 POSITION = 2048
 ANSWERS = [frames.status(3, 0, (POSITION + turn % 700).to_bytes(4, 'little'))

@@ -8,31 +8,6 @@ from doctor_case import notes_of
 import pytest
 import yaml
 
-from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus.decoder import BusDecoder
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.device import Device
-from dxl_monitor.bus.dialect import DYNAMIXEL_AT
-from dxl_monitor.bus.dialect import FEETECH_AT
-from dxl_monitor.bus.evidence import Evidence
-from dxl_monitor.bus.evidence import text_of
-from dxl_monitor.bus.expected import Expected
-from dxl_monitor.bus.id_confirmation import IdConfirmation
-from dxl_monitor.bus.plan import Due
-from dxl_monitor.bus.plan import Plan
-from dxl_monitor.bus.plan import Slot
-from dxl_monitor.bus.plan import take_nothing
-from dxl_monitor.bus.planner import Planner
-from dxl_monitor.bus.registry import DeviceRegistry
-from dxl_monitor.bus.reply_policy import OpenQuestion
-from dxl_monitor.bus.reply_policy import ReplyPolicy
-from dxl_monitor.bus.report import Counts
-from dxl_monitor.bus.report import Wait
-from dxl_monitor.bus.table import NO_SPAN
-from dxl_monitor.bus.table import READ
-from dxl_monitor.bus.table import Table
-from dxl_monitor.bus.tracker import Tracker
-from dxl_monitor.model.models import Models
 from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
@@ -47,6 +22,31 @@ from msg_defs.frame import EITHER_1
 from msg_defs.frame import Flaw
 from msg_defs.frame import INSTRUCTION_2
 from msg_defs.frame import IS_STATUS
+from servobus.bus import evidence as ev
+from servobus.bus.decoder import BusDecoder
+from servobus.bus.decoder import Settings
+from servobus.bus.device import Device
+from servobus.bus.dialect import DYNAMIXEL_AT
+from servobus.bus.dialect import FEETECH_AT
+from servobus.bus.evidence import Evidence
+from servobus.bus.evidence import text_of
+from servobus.bus.expected import Expected
+from servobus.bus.id_confirmation import IdConfirmation
+from servobus.bus.plan import Due
+from servobus.bus.plan import Plan
+from servobus.bus.plan import Slot
+from servobus.bus.plan import take_nothing
+from servobus.bus.planner import Planner
+from servobus.bus.registry import DeviceRegistry
+from servobus.bus.reply_policy import OpenQuestion
+from servobus.bus.reply_policy import ReplyPolicy
+from servobus.bus.report import Counts
+from servobus.bus.report import Wait
+from servobus.bus.table import NO_SPAN
+from servobus.bus.table import READ
+from servobus.bus.table import Table
+from servobus.bus.tracker import Tracker
+from servobus.model.models import Models
 
 MODELS = Models()
 S = 1_000_000_000

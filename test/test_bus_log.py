@@ -5,10 +5,10 @@ from doctor_case import case
 from doctor_case import device
 from doctor_case import S
 
-from dxl_monitor.bus import report as words
-from dxl_monitor.bus.report import Finding
 from dxl_monitor.bus_log import BusLog
 from msg_defs.reports import Level
+from servobus.bus import report as words
+from servobus.bus.report import Finding
 
 HOT = 'near its shutdown limit of 72 °C: reduce load or holding torque, let it cool'
 

@@ -12,18 +12,18 @@ from tracked_bus import read
 from tracked_bus import reply
 from tracked_bus import words
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import Expected
-from dxl_monitor.bus.report import Counts
-from dxl_monitor.bus.report import Error
-from dxl_monitor.bus.report import Finding
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import bus_status
-from dxl_monitor.monitor_status import device_status
-from dxl_monitor.monitor_status import PortState
 from msg_defs import status_keys as keys
 from msg_defs.reports import Level
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import Expected
+from servobus.bus.report import Counts
+from servobus.bus.report import Error
+from servobus.bus.report import Finding
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.status import bus_status
+from servobus.status import device_status
+from servobus.status import PortState
 
 ROOT = Path(__file__).parents[1]
 REPORT = Monitor('arm', Models()).report(0)

@@ -8,8 +8,8 @@ import sys
 import pytest
 
 from benchmark import calls
-from dxl_monitor.bus.tracker import Tracker
-from dxl_monitor.doctor import Doctor
+from servobus.bus.tracker import Tracker
+from servobus.doctor import Doctor
 
 pytestmark = pytest.mark.skipif(sys.version_info[:2] != calls.PYTHON, reason=calls.ONE_PYTHON)
 

@@ -14,9 +14,9 @@ from control_loops import PROGRAMS
 from harness import wait
 import pytest
 
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.monitor import Settings
 
 MODELS = Models()
 S, MS = 1_000_000_000, 1_000_000

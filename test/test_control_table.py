@@ -8,16 +8,16 @@ import random
 
 import pytest
 
-from dxl_monitor.bus.table import READ
-from dxl_monitor.bus.table import size_of
-from dxl_monitor.bus.table import Table
-from dxl_monitor.model.control_table import Bits
-from dxl_monitor.model.control_table import Field
-from dxl_monitor.model.control_table import number_text
-from dxl_monitor.model.control_table import Span
-from dxl_monitor.model.control_table import STRUCTS
-from dxl_monitor.model.models import Models
 from rigs.tables import rows_of
+from servobus.bus.table import READ
+from servobus.bus.table import size_of
+from servobus.bus.table import Table
+from servobus.model.control_table import Bits
+from servobus.model.control_table import Field
+from servobus.model.control_table import number_text
+from servobus.model.control_table import Span
+from servobus.model.control_table import STRUCTS
+from servobus.model.models import Models
 
 MODELS = Models()
 

@@ -8,14 +8,6 @@ import pytest
 from tracked_bus import reply
 from tracked_bus import words
 
-from dxl_monitor.bus.cycle_time import NO_RATE
-from dxl_monitor.bus.cycle_time import NO_SIDES
-from dxl_monitor.doctor.case import History
-from dxl_monitor.doctor.case import PARAMETERS
-from dxl_monitor.doctor.timing_rules import RULES
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
 from dxl_monitor.tools.doctor.answer_screen import screen
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.verdict import as_json
@@ -32,6 +24,14 @@ from msg_defs.event import OUT
 from msg_defs.event import TRACED
 from msg_defs.event import UNKNOWN
 from msg_defs.reports import Level
+from servobus.bus.cycle_time import NO_RATE
+from servobus.bus.cycle_time import NO_SIDES
+from servobus.doctor.case import History
+from servobus.doctor.case import PARAMETERS
+from servobus.doctor.timing_rules import RULES
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.monitor import Settings
 
 cycle_time = next(rule.check for rule in RULES if rule.name == 'cycle_time')
 MODELS = Models()

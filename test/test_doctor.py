@@ -13,22 +13,22 @@ from heard_bus import READ
 from heard_bus import REPLY
 import pytest
 
-from dxl_monitor import doctor as doctor_module
-from dxl_monitor.doctor import Doctor
-from dxl_monitor.doctor import RULES
-from dxl_monitor.doctor.case import OPTIONS
-from dxl_monitor.doctor.case import PARAMETERS
-from dxl_monitor.doctor.rule import Claim
-from dxl_monitor.doctor.rule import Doubt
-from dxl_monitor.doctor.rule import Rule
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import bus_status
-from dxl_monitor.monitor_status import device_status
-from dxl_monitor.monitor_status import PortState
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.reports import Level
+from servobus import doctor as doctor_module
+from servobus.doctor import Doctor
+from servobus.doctor import RULES
+from servobus.doctor.case import OPTIONS
+from servobus.doctor.case import PARAMETERS
+from servobus.doctor.rule import Claim
+from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import Rule
+from servobus.monitor import Monitor
+from servobus.status import bus_status
+from servobus.status import device_status
+from servobus.status import PortState
 
 DOCS = Path(__file__).parents[1] / 'docs'
 TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'

@@ -16,12 +16,12 @@ from doctor_case import note
 from doctor_case import speaks_from_its_edge_on
 import pytest
 
-from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus.report import Counts
-from dxl_monitor.doctor.health import FACTORY
-from dxl_monitor.model.control_table import Model
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.reports import Level
+from servobus.bus import evidence as ev
+from servobus.bus.report import Counts
+from servobus.doctor.health import FACTORY
+from servobus.model.control_table import Model
 
 # --- what is just enough ---------------------------------------------------------------------
 

@@ -13,12 +13,12 @@ from tracked_bus import reply
 from tracked_bus import write
 import yaml
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 MODELS = Models()
 MS = 1_000_000

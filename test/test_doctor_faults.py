@@ -31,14 +31,14 @@ from benchmark.confusion_cases import FEETECH_CASES
 from benchmark.confusion_cases import keys_of
 from benchmark.confusion_cases import Scene
 from benchmark.confusion_cases import SCENES
-from dxl_monitor.doctor import feetech
-from dxl_monitor.doctor import RULES
-from dxl_monitor.doctor import setting_up
 from mecarover_fakes.fake_bus import DEFAULT_DEVICES
 from mecarover_fakes.faults import KINDS
 from mecarover_fakes.traffic import FAMILY_1
 from mecarover_fakes.traffic import PATTERNS
 from rigs.tables import rows_of
+from servobus.doctor import feetech
+from servobus.doctor import RULES
+from servobus.doctor import setting_up
 
 LONG = 140                         # characters of a line that one reads at a glance
 ENOUGH = 25                        # faults of each protocol

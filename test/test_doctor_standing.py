@@ -11,20 +11,20 @@ from doctor_case import NOW
 from doctor_case import S
 import pytest
 
-from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus import report as words
-from dxl_monitor.doctor import configuration
-from dxl_monitor.doctor import damage
-from dxl_monitor.doctor import Doctor
-from dxl_monitor.doctor import feetech
-from dxl_monitor.doctor import health
-from dxl_monitor.doctor import presence
-from dxl_monitor.doctor import setting_up
-from dxl_monitor.doctor import timing_rules
-from dxl_monitor.doctor.case import History
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
+from servobus.bus import evidence as ev
+from servobus.bus import report as words
+from servobus.doctor import configuration
+from servobus.doctor import damage
+from servobus.doctor import Doctor
+from servobus.doctor import feetech
+from servobus.doctor import health
+from servobus.doctor import presence
+from servobus.doctor import setting_up
+from servobus.doctor import timing_rules
+from servobus.doctor.case import History
 
 LOST = tuple(note(ev.SOURCE_LOST, ev.Much(3), 1))
 MANY_LOST = '3 USB events or bytes were lost'

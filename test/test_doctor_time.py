@@ -20,34 +20,34 @@ from doctor_case import told
 import pytest
 import yaml
 
-from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus import report as words
-from dxl_monitor.bus.report import Counts
-from dxl_monitor.bus.report import Wait
-from dxl_monitor.doctor.case import History
-from dxl_monitor.doctor.case import is_waiting
-from dxl_monitor.doctor.case import key_of
-from dxl_monitor.doctor.case import Sample
-from dxl_monitor.doctor.case import TwoClocks
-from dxl_monitor.doctor.collision import is_collision
-from dxl_monitor.doctor.collision import ran_into_answers
-from dxl_monitor.doctor.rate import likely_rate
-from dxl_monitor.doctor.rhythm import answer_ns
-from dxl_monitor.doctor.rhythm import is_independent
-from dxl_monitor.doctor.rhythm import is_locked
-from dxl_monitor.doctor.rhythm import rhythms
-from dxl_monitor.doctor.rule import about
-from dxl_monitor.doctor.rule import Claim
-from dxl_monitor.doctor.rule import Doubt
-from dxl_monitor.doctor.rule import listed
-from dxl_monitor.doctor.rule import longer_than
-from dxl_monitor.doctor.rule import share
-from dxl_monitor.doctor.two_timers import PeriodicTimer
 from dxl_monitor.port.driver import LineErrors
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.uart import heard_at
 from rigs.tables import rows_of
+from servobus.bus import evidence as ev
+from servobus.bus import report as words
+from servobus.bus.report import Counts
+from servobus.bus.report import Wait
+from servobus.doctor.case import History
+from servobus.doctor.case import is_waiting
+from servobus.doctor.case import key_of
+from servobus.doctor.case import Sample
+from servobus.doctor.case import TwoClocks
+from servobus.doctor.collision import is_collision
+from servobus.doctor.collision import ran_into_answers
+from servobus.doctor.rate import likely_rate
+from servobus.doctor.rhythm import answer_ns
+from servobus.doctor.rhythm import is_independent
+from servobus.doctor.rhythm import is_locked
+from servobus.doctor.rhythm import rhythms
+from servobus.doctor.rule import about
+from servobus.doctor.rule import Claim
+from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import listed
+from servobus.doctor.rule import longer_than
+from servobus.doctor.rule import share
+from servobus.doctor.two_timers import PeriodicTimer
 
 
 def waits(count, us, ago_s=0.0, spoilt=False):

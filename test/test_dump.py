@@ -25,7 +25,6 @@ from packets import packets_left
 import pytest
 
 from benchmark import traffic
-from dxl_monitor.model.models import Models
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Reader
@@ -44,6 +43,7 @@ from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
+from servobus.model.models import Models
 
 DUMP, FAKE_BUS = 'dxl_monitor.tools.dxl_dump', 'mecarover_fakes.fake_bus'
 ROOT = Path(__file__).parents[1]

@@ -11,12 +11,6 @@ from hypothesis import strategies as st
 import pytest
 import yaml
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.dxl1_classifier import MEANINGS_KEPT
-from dxl_monitor.bus.expected import Expected
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl1_packet import encode
 from msg_defs.dxl_mixed import MixedFramer
@@ -27,6 +21,12 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.frame import EITHER_1
 from msg_defs.frame import is_good
+from servobus.bus.decoder import Settings
+from servobus.bus.dxl1_classifier import MEANINGS_KEPT
+from servobus.bus.expected import Expected
+from servobus.bus.expected import parse_all
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 MODELS = Models()
 BAUD = 1_000_000

@@ -25,8 +25,6 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.doctor import RULES
-from dxl_monitor.model.models import Models
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Reader
@@ -53,6 +51,8 @@ from mecarover_serial.pty import Pty
 from msg_defs import dxl1_packet
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
+from servobus.doctor import RULES
+from servobus.model.models import Models
 
 ROOT = Path(__file__).parents[1]
 DOCTOR = 'dxl_monitor.tools.dxl_doctor'

@@ -4,11 +4,11 @@
 
 import pytest
 
-from dxl_monitor.bus.expected import Expected
-from dxl_monitor.bus.expected import parse
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.bus.expected import split_bus
 from mecarover_serial.parameters import ParameterError
+from servobus.bus.expected import Expected
+from servobus.bus.expected import parse
+from servobus.bus.expected import parse_all
+from servobus.bus.expected import split_bus
 
 
 @pytest.mark.parametrize(('text', 'devices'), [

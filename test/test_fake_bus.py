@@ -17,10 +17,6 @@ import pytest
 from whole_truth import LEARNING
 from whole_truth import WholeTruth
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.control_table import STRUCTS
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from mecarover_fakes.fake_bus import DEFAULT_DEVICES
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_port import FakeBus
@@ -39,6 +35,10 @@ from mecarover_serial.pty import Away
 from msg_defs.dxl_instruction import KINDS as INSTRUCTIONS
 from msg_defs.dxl_packet import Framer
 from msg_defs.uart import heard_at
+from servobus.bus.decoder import Settings
+from servobus.model.control_table import STRUCTS
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 MODELS = Models()
 BAUD = 2_000_000

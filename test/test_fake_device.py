@@ -4,8 +4,6 @@
 
 import pytest
 
-from dxl_monitor.model.control_table import UNKNOWN
-from dxl_monitor.model.models import Models
 from mecarover_fakes.fake_servo import BOOT_NS
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.line import Line
@@ -22,6 +20,8 @@ from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_instruction import split_combined
 from msg_defs.dxl_packet import BROADCAST
+from servobus.model.control_table import UNKNOWN
+from servobus.model.models import Models
 
 MODELS = Models()
 BAUD = 1_000_000

@@ -26,7 +26,6 @@ import pytest
 
 from benchmark import confusion
 from benchmark.confusion_cases import Scene
-from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_settings import settings_of
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
@@ -39,6 +38,7 @@ from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import parse
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
+from servobus.monitor import Monitor
 
 ARM = '1-6:STS3215'
 BUS = ('--dialect', 'feetech', '--devices', ARM)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from benchmark import baseline
-from dxl_monitor.doctor import RULES
 from rigs.bus.scenes import NOT_PLAYED
 from rigs.bus.scenes import PLAYED
+from servobus.doctor import RULES
 
 PAGE = Path(__file__).parents[1] / 'docs' / 'doctor_results.md'
 

@@ -7,8 +7,6 @@ from types import SimpleNamespace
 from harness import wait
 import pytest
 
-from dxl_monitor.bus.report import DISCONNECTED
-from dxl_monitor.model.models import Models
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
@@ -23,6 +21,8 @@ from rigs.bus.scene import SECONDS
 from rigs.bus.scenes import BROKEN
 from rigs.bus.score import BOOT
 from rigs.bus.score import SEED
+from servobus.bus.report import DISCONNECTED
+from servobus.model.models import Models
 
 S = 1_000_000_000
 MODELS = Models()

@@ -15,8 +15,6 @@ from heard_bus import Bus
 import pytest
 import yaml
 
-from dxl_monitor.bus.report import FAILED
-from dxl_monitor.bus.report import RAISED
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.verdict import BusSummary
 from dxl_monitor.tools.doctor.verdict import verdict
@@ -32,6 +30,8 @@ from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import UNREAD
 from msg_defs.reports import Level
+from servobus.bus.report import FAILED
+from servobus.bus.report import RAISED
 
 RATE, EMPTY = Change(BAUD, 1_000_000), Change(UNREAD, 0)
 

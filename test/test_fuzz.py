@@ -22,8 +22,6 @@ from hypothesis.stateful import RuleBasedStateMachine
 import pytest
 from tracked_bus import words
 
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from fuzz.framer import feed
 from fuzz.reference import Stream
 from fuzz.script import fast_reply
@@ -31,6 +29,8 @@ from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 EXAMPLES = {'capture': 150, 'dashboard': 70, 'dxl1_classifier': 40, 'fast_reply': 120,
             'framer': 250, 'instruction': 250, 'mcu': 150, 'model_file': 80, 'tracker': 50,

@@ -77,10 +77,10 @@ def test_each_list_is_short(kind):
 
 def test_a_model(copy):
     code = copy('a model')
-    code.change('dxl_monitor/model/files/gripper.yaml', ('', GRIPPER),
-                named='dxl_monitor/model/files/NAME.yaml')
+    code.change('servobus/model/files/gripper.yaml', ('', GRIPPER),
+                named='servobus/model/files/NAME.yaml')
     assert code.run('-c', """
-from dxl_monitor.model.models import Models
+from servobus.model.models import Models
 model = Models().get(4660)
 print(model.name, [field.name for field in model.fields])
 """) == "Gripper ['Model Number', 'Present Position']"
@@ -91,13 +91,13 @@ def test_an_instruction(copy):
     code.change('msg_defs/dxl_instruction.py',
                 ('    STATUS = 0x55\n', '    HOME = 0x21\n'),
                 ('    Instruction.SYNC_READ: Kind', '    Instruction.HOME: Kind(_command),\n'))
-    code.change('dxl_monitor/bus/registry.py', ('    def reboot(', """\
+    code.change('servobus/bus/registry.py', ('    def reboot(', """\
     def home(self, device: Device, stamp: int) -> None:
         self.resolve(device)
         device.table.forget('ram', device.model)
 
 """))
-    code.change('dxl_monitor/bus/planner.py', (
+    code.change('servobus/bus/planner.py', (
         '            Instruction.REBOOT: ', '            Instruction.HOME: registry.home,\n'))
     code.change('mecarover_fakes/fake_servo.py',
                 ('    def _on_reboot(', """\
@@ -114,9 +114,9 @@ def test_an_instruction(copy):
         '             Instruction.BULK_READ: ',
         '             Instruction.HOME: DialectInstruction(_nothing, Answers.ACK),\n'))
     assert code.run('-c', """
-from dxl_monitor.bus.decoder import BusDecoder
+from servobus.bus.decoder import BusDecoder
 from mecarover_fakes.fake_servo import FakeDevice
-from dxl_monitor.model.models import Models
+from servobus.model.models import Models
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import encode
 models = Models()
@@ -133,11 +133,11 @@ known = bus.registry.devices[1].table.bytes(132, 4) is not None
 print(name_of(0x21), ask(0x21).error, known, bus.registry.devices[1].table.bytes(132, 4))
 """) == 'Home 0 True None'
     assert code.run('-c', """
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import Expected
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import Expected
 from mecarover_fakes.dxl1_servo import Servo1
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 from msg_defs.dxl1_instruction import DYNAMIXEL_1, UNDECIDED
 from msg_defs.dxl1_packet import encode
 models = Models()
@@ -167,7 +167,7 @@ for _ in range(3000):
 
 def test_a_finding(copy):
     code = copy('a finding')
-    code.change('dxl_monitor/doctor/health.py',
+    code.change('servobus/doctor/health.py',
                 ('RULES = (', """\
 def _nameless(case: Case, device: DeviceReport) -> Found | None:
     return None if device.joint else Claim('it has no joint name; give it one')
@@ -176,7 +176,7 @@ def _nameless(case: Case, device: DeviceReport) -> Found | None:
 """),
                 ("    Rule('watchdog',", """\
     Rule('nameless', _nameless, each=True),
-"""), named='dxl_monitor/doctor/FAMILY.py')
+"""), named='servobus/doctor/FAMILY.py')
     code.change('docs/doctor.md', (
         '| `watchdog` ', '| `nameless` WARN | no joint name | name it in `devices` |\n'))
     code.change('test/doctor_edges.yaml', ('- rule: baud_moved', """\
@@ -194,11 +194,11 @@ def _nameless(case: Case, device: DeviceReport) -> Found | None:
     code.passes('test_doctor_faults.py', 'every_rule')
     code.passes('test_doctor.py', 'every_rule or rules_explain', 2)
     assert code.run('-c', """
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import Expected
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import device_status
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import Expected
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.status import device_status
 report = Monitor('', Models(), Settings(devices=(Expected(1), Expected(2, '', 'hip')))).report(0)
 for device in report.devices:
     print(dict(device_status('dxl_monitor', '', device, report.findings, False).values).get(
@@ -208,7 +208,7 @@ for device in report.devices:
 
 def test_a_value_in_a_status(copy):
     code = copy('a value in a status')
-    code.change('dxl_monitor/monitor_status.py', (
+    code.change('servobus/status.py', (
         "        'Missed in a Row':", '        keys.ERRORS: len(device.errors),\n'))
     code.change('docs/generate.py', (
         "    'Missed in a Row': ", "    'Kinds of Errors': 'refused so far',\n"))
@@ -219,11 +219,11 @@ def test_a_value_in_a_status(copy):
     code.passes('test_bus_status.py', 'documented')
     code.passes('test_docs.py', 'generated')
     assert code.run('-c', """
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import Expected
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import device_status
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import Expected
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.status import device_status
 from mecarover_dashboard.web_server import _files
 from mecarover_dashboard.state import State, TABLES
 import sys
@@ -268,7 +268,7 @@ class Xr21(Adapter):
 
 def test_a_topic(copy):
     code = copy('a topic')
-    code.change('dxl_monitor/monitor.py', (
+    code.change('servobus/monitor.py', (
         "                  ('error_rate', 'Hz'", "                  ('look_rate', 'Hz', 3.0),\n"))
     code.change('docs/generate.py', ("    'packet_rate': ", "    'look_rate': 'heard so far',\n"))
     code.change('config/sros2_policy.xml', (
@@ -277,8 +277,8 @@ def test_a_topic(copy):
     assert 'diagnostics.md' in code.run('-m', 'docs.generate')
     assert 'heard so far' in (code.folder / 'docs' / 'diagnostics.md').read_text()
     assert code.run('-c', """
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 from msg_defs.reports import metric_status
 [metric] = [one for one in Monitor('', Models()).report(0).metrics if one.name == 'look_rate']
 print(metric_status('dxl_monitor', metric).name, metric.value)

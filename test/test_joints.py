@@ -8,9 +8,6 @@ from heard_bus import MODELS
 from heard_bus import SECOND
 import pytest
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import Expected
-from dxl_monitor.monitor import Monitor
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.faults import parse
 from mecarover_fakes.line import Line
@@ -21,6 +18,9 @@ from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.reports import Joint
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import Expected
+from servobus.monitor import Monitor
 
 BAUD = 2_000_000
 TICK = 0.0015339807879             # rad: the resolution of an encoder of 4096 steps

@@ -9,12 +9,12 @@ from heard_bus import Bus
 from heard_bus import PONG
 import pytest
 
-from dxl_monitor.model import layout
-from dxl_monitor.model.models import Models
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from rigs.tables import rows_of
+from servobus.model import layout
+from servobus.model.models import Models
 
 ALL = layout.Layouts(Models())
 SERVOS = ALL.servos()

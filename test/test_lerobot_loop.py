@@ -10,9 +10,6 @@ instructions.
 
 import pytest
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.line import MASTER
@@ -22,6 +19,9 @@ from mecarover_fakes.traffic import none
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 MODELS = Models()
 BAUD = 1_000_000

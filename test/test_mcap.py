@@ -12,13 +12,13 @@ from test_dump import capture
 from test_dump import dump
 from test_dump import MODELS
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.doctor.case import OPTIONS
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import bus_status
-from dxl_monitor.monitor_status import device_status
-from dxl_monitor.monitor_status import PortState
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import parse_all
+from servobus.doctor.case import OPTIONS
+from servobus.monitor import Monitor
+from servobus.status import bus_status
+from servobus.status import device_status
+from servobus.status import PortState
 
 pytestmark = pytest.mark.skipif(not (find_spec('mcap') and find_spec('rosbags')),
                                 reason='skipped: mcap and rosbags are not installed')

@@ -14,17 +14,17 @@ import sys
 import pytest
 import yaml
 
-from dxl_monitor.bus.table import READ
-from dxl_monitor.bus.table import Table
-from dxl_monitor.model.checked_yaml import ModelError
-from dxl_monitor.model.checked_yaml import read_yaml
-from dxl_monitor.model.file import FIELD_KEYS
-from dxl_monitor.model.layers import FILE_KEYS
-from dxl_monitor.model.layers import model_key
-from dxl_monitor.model.models import BUILT_IN
-from dxl_monitor.model.models import check_models
-from dxl_monitor.model.models import Models
 from rigs.tables import rows_of
+from servobus.bus.table import READ
+from servobus.bus.table import Table
+from servobus.model.checked_yaml import ModelError
+from servobus.model.checked_yaml import read_yaml
+from servobus.model.file import FIELD_KEYS
+from servobus.model.layers import FILE_KEYS
+from servobus.model.layers import model_key
+from servobus.model.models import BUILT_IN
+from servobus.model.models import check_models
+from servobus.model.models import Models
 
 SOURCE = Path(__file__).parents[2] / 'shared' / 'data' / 'dxl_models'
 DOCS = Path(__file__).parents[1] / 'docs' / 'models.md'
@@ -330,7 +330,7 @@ def test_a_model_of_the_users_may_include_a_built_in_one(tmp_path):
 COST = """
 import time
 start = time.process_time()
-from dxl_monitor.model.models import Models
+from servobus.model.models import Models
 models = Models()
 print(time.process_time() - start)
 """
@@ -346,7 +346,7 @@ def test_loading_reads_no_file_before_it_is_asked_for(copies, tmp_path, monkeypa
         parsed.append(path)
         return read_yaml(path)
 
-    monkeypatch.setattr('dxl_monitor.model.layers.read_yaml', read)
+    monkeypatch.setattr('servobus.model.layers.read_yaml', read)
     models = Models([tmp_path] if copies else [])
     assert not [path for path in parsed if path.parent == BUILT_IN]
     assert models.get(1020) is not None

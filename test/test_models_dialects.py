@@ -8,13 +8,13 @@ import struct
 
 import pytest
 
-from dxl_monitor.model.checked_yaml import ModelError
-from dxl_monitor.model.checked_yaml import read_yaml
-from dxl_monitor.model.layers import model_key
-from dxl_monitor.model.models import BUILT_IN
-from dxl_monitor.model.models import check_models
-from dxl_monitor.model.models import Models
 from rigs.tables import rows_of
+from servobus.model.checked_yaml import ModelError
+from servobus.model.checked_yaml import read_yaml
+from servobus.model.layers import model_key
+from servobus.model.models import BUILT_IN
+from servobus.model.models import check_models
+from servobus.model.models import Models
 
 MODELS = Models()
 FAMILIES = {'1': ('AX-12A', 'RX-64', 'EX-106+', 'MX-12W', 'MX-28(1.0)', 'MX-64(1.0)'),

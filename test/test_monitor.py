@@ -19,12 +19,6 @@ from tracked_bus import damaged
 from tracked_bus import packets
 import yaml
 
-from dxl_monitor import doctor
-from dxl_monitor.bus.decoder import BusDecoder
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.bus.tracker import Tracker
-from dxl_monitor.monitor import Monitor
 from mecarover_serial import internal_fault
 from msg_defs import dxl1_packet
 from msg_defs.dxl_instruction import Instruction as I
@@ -36,6 +30,12 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.reports import Level
+from servobus import doctor
+from servobus.bus.decoder import BusDecoder
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import parse_all
+from servobus.bus.tracker import Tracker
+from servobus.monitor import Monitor
 
 POSITIONS = encode(BROADCAST, I.SYNC_READ, struct.pack('<HH', 132, 4) + b'\x01\x02\x03')
 

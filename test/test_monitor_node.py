@@ -18,8 +18,6 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
 from dxl_monitor.monitor_settings import Bus
 from dxl_monitor.port.listener import ListenerState
 from dxl_monitor.record.recorders import Recorders
@@ -27,6 +25,8 @@ from mecarover_serial.inspection import EVERY_S
 from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.05)]
 S = 1_000_000_000

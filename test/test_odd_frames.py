@@ -8,10 +8,6 @@ import sys
 
 import pytest
 
-from dxl_monitor.bus.decoder import PROTOCOLS
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from msg_defs.crc import crc16
 from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_packet import encode
@@ -19,6 +15,10 @@ from msg_defs.dxl_packet import HEADER
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
+from servobus.bus.decoder import PROTOCOLS
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 MODELS = Models()
 BAUD = 1_000_000

@@ -21,10 +21,6 @@ from usb_files import log
 from usb_files import ports_in
 from usb_files import REAL
 
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
 from dxl_monitor.port import usb_listener
 from dxl_monitor.port import usb_ring
 from dxl_monitor.port.listeners import listener_on
@@ -57,6 +53,10 @@ from msg_defs.event import OUT
 from rigs.usb_pcap import cut
 from rigs.usb_pcap import MMAPPED
 from rigs.usb_pcap import pcap
+from servobus.bus.expected import parse_all
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.monitor import Settings
 
 MODELS = Models()
 ROOT = Path(__file__).parents[1]

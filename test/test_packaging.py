@@ -63,7 +63,7 @@ def test_ros2_run_finds_and_starts(prefix, tool):
 def test_models_are_installed(prefix):
     [models] = prefix.glob('lib/python*/site-packages/dxl_monitor/model/files')
     assert {path.name for path in models.glob('*.yaml')} \
-        == {path.name for path in (ROOT / 'dxl_monitor/model/files').glob('*.yaml')} != set()
+        == {path.name for path in (ROOT / 'servobus/model/files').glob('*.yaml')} != set()
 
 
 def test_wrappers_are_the_commands():

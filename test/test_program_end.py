@@ -9,11 +9,6 @@ writes and reads, and of what it leaves unread.
 
 import pytest
 
-from dxl_monitor.bus.report import FAILED
-from dxl_monitor.bus.report import OWN
-from dxl_monitor.bus.report import RAISED
-from dxl_monitor.bus.report import ROBBER
-from dxl_monitor.model.models import Models
 from dxl_monitor.port import tap_sender as sent
 from dxl_monitor.port.tap_reader import TapRecord
 from dxl_monitor.record.capture import Chunk
@@ -30,6 +25,11 @@ from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import UNREAD
 from msg_defs.reports import Level
+from servobus.bus.report import FAILED
+from servobus.bus.report import OWN
+from servobus.bus.report import RAISED
+from servobus.bus.report import ROBBER
+from servobus.model.models import Models
 
 MS = 1_000_000
 MODELS = Models()

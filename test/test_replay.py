@@ -11,9 +11,6 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.listener import Listener
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
@@ -25,6 +22,9 @@ from mecarover_fakes.faults import parse
 from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 pytestmark = pytest.mark.realtime(bears=0.01)
 

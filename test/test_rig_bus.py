@@ -7,9 +7,6 @@ from pathlib import Path
 import pytest
 
 from benchmark import baseline
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from rigs.bus import adapter
 from rigs.bus import frames
 from rigs.bus import masters
@@ -23,6 +20,9 @@ from rigs.bus.wire import render
 from rigs.bus.wire import S
 from rigs.bus.wire import Talk
 from rigs.bus.wire import Wire
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 BYTE_NS = 10_000.0
 KINDS = (adapter.FINE, adapter.FULL_SPEED, adapter.COARSE, adapter.LUMPS, adapter.BUSY,

@@ -14,8 +14,8 @@ from listened_bus import MODELS
 from listened_bus import PATIENCE_MS
 import pytest
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import parse_all
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import parse_all
 
 try:
     import dynamixel_sdk as sdk

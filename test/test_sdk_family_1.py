@@ -16,7 +16,7 @@ from listened_bus import ListenedBus
 from listened_bus import PATIENCE_MS
 import pytest
 
-from dxl_monitor.bus.decoder import Settings
+from servobus.bus.decoder import Settings
 
 try:
     import dynamixel_sdk

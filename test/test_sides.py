@@ -7,10 +7,6 @@ from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
 
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor import Settings
 from mecarover_fakes.fake_bus import default_devices
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.line import Line
@@ -27,6 +23,10 @@ from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
 from msg_defs.event import OVERRUN
 from msg_defs.event import UNKNOWN
+from servobus.bus.expected import parse_all
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.monitor import Settings
 
 MODELS = Models()
 RATE = 1_000_000

@@ -14,14 +14,14 @@ from tracked_bus import read
 from tracked_bus import reply
 from tracked_bus import words
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import Expected
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.signal import KEPT
 from msg_defs.signal import PointRing
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import Expected
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 MODELS = Models()
 FIELD = {field.key: field for field in MODELS.by_name('XM430-W350').fields}

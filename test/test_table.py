@@ -6,10 +6,10 @@ import struct
 
 import pytest
 
-from dxl_monitor.bus.table import READ
-from dxl_monitor.bus.table import Table
-from dxl_monitor.bus.table import WRITTEN
-from dxl_monitor.model.models import Models
+from servobus.bus.table import READ
+from servobus.bus.table import Table
+from servobus.bus.table import WRITTEN
+from servobus.model.models import Models
 
 SECOND = 10**9
 

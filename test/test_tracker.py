@@ -18,11 +18,11 @@ from tracked_bus import SENSELESS
 from tracked_bus import words
 from tracked_bus import write
 
-from dxl_monitor.bus import evidence as ev
-from dxl_monitor.model.models import Models
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
+from servobus.bus import evidence as ev
+from servobus.model.models import Models
 
 TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
 GRIPPER = 4660                     # a model of the user

@@ -13,14 +13,6 @@ import struct
 import pytest
 import yaml
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.doctor import RULES
-from dxl_monitor.doctor.case import PARAMETERS
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import PortState
-from dxl_monitor.monitor_status import statuses_of
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.verdict import as_json
 from dxl_monitor.tools.doctor.verdict import BusSummary
@@ -33,6 +25,14 @@ from msg_defs import dxl_packet
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.reports import Level
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import parse_all
+from servobus.doctor import RULES
+from servobus.doctor.case import PARAMETERS
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.status import PortState
+from servobus.status import statuses_of
 
 MODELS = Models()
 S, MS = 1_000_000_000, 1_000_000

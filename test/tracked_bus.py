@@ -4,16 +4,16 @@
 
 import struct
 
-from dxl_monitor.bus.evidence import Evidence
-from dxl_monitor.bus.registry import DeviceRegistry
-from dxl_monitor.bus.tracker import Tracker
-from dxl_monitor.model.models import Models
 from fuzz.script import fast_reply as combined
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
+from servobus.bus.evidence import Evidence
+from servobus.bus.registry import DeviceRegistry
+from servobus.bus.tracker import Tracker
+from servobus.model.models import Models
 
 MODELS = Models()
 MX_64, MX_106 = 311, 321

@@ -20,8 +20,6 @@ import stat
 import sys
 import threading
 
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.bus.report import DISCONNECTED
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import seconds
@@ -32,6 +30,8 @@ from mecarover_serial.parameters import ParameterError
 from mecarover_serial.plain import printable
 from mecarover_serial.worker import Worker
 from msg_defs.reports import Level
+from servobus.bus.report import BusReport
+from servobus.bus.report import DISCONNECTED
 
 S = 1_000_000_000
 BEFORE_NS, AFTER_NS = 60 * S, 30 * S

@@ -15,9 +15,6 @@ import sys
 import time
 from typing import Any
 
-from dxl_monitor.bus.decoder import DEFAULTS
-from dxl_monitor.bus.decoder import PROTOCOLS
-from dxl_monitor.model.models import Models
 from dxl_monitor.port.source_name import DEFAULT_BAUD
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.flight_recorder import FlightRecorder
@@ -60,6 +57,9 @@ from mecarover_serial.parameters import ParameterError
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import plain
 from mecarover_serial.plain import printable
+from servobus.bus.decoder import DEFAULTS
+from servobus.bus.decoder import PROTOCOLS
+from servobus.model.models import Models
 
 PROGRESS_S = 1.0
 FLIGHT_SIZE = 1_000_000_000        # bytes of the folder

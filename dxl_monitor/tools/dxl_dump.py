@@ -10,8 +10,6 @@ import os
 from pathlib import Path
 import sys
 
-from dxl_monitor.model.models import check_models
-from dxl_monitor.model.models import model_files
 from dxl_monitor.tools.dump.packet_lines import TIMES
 from dxl_monitor.tools.dump.screen import has_colours
 from dxl_monitor.tools.dump.session import CAPTURE
@@ -29,6 +27,8 @@ from mecarover_serial.command_line import number
 from mecarover_serial.command_line import Parser
 from mecarover_serial.plain import printable
 from msg_defs.dxl_instruction import NAMES
+from servobus.model.models import check_models
+from servobus.model.models import model_files
 
 HIGHEST_ID = 255                   # damage may make any byte of an ID
 EXAMPLES = """examples:

@@ -14,11 +14,6 @@ import os
 import shlex
 import shutil
 
-from dxl_monitor.bus.decoder import DEFAULTS
-from dxl_monitor.bus.decoder import PROTOCOLS
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.bus.expected import split_bus
-from dxl_monitor.model.models import Models
 from dxl_monitor.monitor_settings import check_models
 from dxl_monitor.monitor_settings import load_models
 from dxl_monitor.record.capture import BAUD_LIMIT
@@ -28,6 +23,11 @@ from dxl_monitor.tools.start_program import WAYS
 from dxl_monitor.tools.start_program import with_python
 from mecarover_serial.cli import UsageError
 from mecarover_serial.command_line import number
+from servobus.bus.decoder import DEFAULTS
+from servobus.bus.decoder import PROTOCOLS
+from servobus.bus.expected import parse_all
+from servobus.bus.expected import split_bus
+from servobus.model.models import Models
 
 RUN = 'run'
 BAUD = number(int, 1, BAUD_LIMIT, 'Bd')

@@ -26,10 +26,6 @@ from benchmark.traffic import BAUD_1
 from benchmark.traffic import FAST_ROBOT
 from benchmark.traffic import KINDS_1
 from benchmark.traffic import ROBOT
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import parse
@@ -42,6 +38,10 @@ from mecarover_fakes.traffic import sync_write
 from mecarover_fakes.traffic import write
 from mecarover_fakes.traffic import write_register
 from msg_defs.event import UNKNOWN
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import parse_all
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 PYTHON = (3, 11)                   # the figures are those of this version
 ONE_PYTHON = f'the limits are those of Python {PYTHON[0]}.{PYTHON[1]}'

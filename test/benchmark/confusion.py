@@ -15,11 +15,6 @@ from typing import NamedTuple
 
 from benchmark.confusion_cases import CASES
 from benchmark.confusion_cases import Key
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.bus.report import Finding
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import parse
@@ -29,6 +24,11 @@ from mecarover_fakes.traffic import PATTERNS
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import parse_all
+from servobus.bus.report import Finding
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 S = 1_000_000_000
 SEED = 1

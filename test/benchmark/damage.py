@@ -13,16 +13,16 @@ from __future__ import annotations
 from collections import Counter
 from itertools import product
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.doctor import bits
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from rigs.bus import wrecked
 from rigs.bus.adapter import FULL_SPEED
 from rigs.bus.wire import S
 from rigs.bus.wrecked import KINDS
 from rigs.bus.wrecked import PROGRAMS
 from rigs.bus.wrecked import scene_of
+from servobus.bus.decoder import Settings
+from servobus.doctor import bits
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 KNOWN = (1, 2, 3)                  # the limits were set with these seeds
 BLIND = (2301, 2302, 2303, 2304)   # and not with these

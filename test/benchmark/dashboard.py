@@ -17,7 +17,6 @@ from tempfile import TemporaryDirectory
 import time
 from urllib.request import urlopen
 
-from dxl_monitor.model.models import Models
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.line import Line
@@ -28,6 +27,7 @@ from rigs.harness import Child
 from rigs.harness import Figure
 from rigs.harness import ros_environment
 from rigs.harness import say
+from servobus.model.models import Models
 
 SECTION = 'dashboard: silent on the bus to red on the page'
 SERVOS = 20

@@ -11,10 +11,6 @@ from functools import partial
 import time
 
 from benchmark.confusion import chunks
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.doctor import Doctor
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.faults import parse
 from mecarover_fakes.line import Line
@@ -22,6 +18,10 @@ from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from rigs.harness import Figure
 from rigs.harness import interleaved
+from servobus.bus.decoder import Settings
+from servobus.doctor import Doctor
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 S = 1_000_000_000
 BAUD = 2_000_000

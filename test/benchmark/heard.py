@@ -5,11 +5,11 @@
 import sys
 import time
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from dxl_monitor.port.listeners import listener_on
 from rigs.harness import say
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 QUIET_S = 0.5
 

@@ -17,13 +17,13 @@ from benchmark.traffic import KINDS
 from benchmark.traffic import packets
 from benchmark.traffic import TRACE
 from benchmark.traffic import trace_packets
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from msg_defs.dxl_packet import Framer
 from msg_defs.frame import IS_STATUS
 from rigs.harness import Figure
 from rigs.harness import interleaved
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 CHUNKS = (4096, 64)
 QUICK_PACKETS = 5_000

@@ -22,10 +22,10 @@ from benchmark.parsing import SDK_PACKETS
 from benchmark.traffic import BAUD_1
 from benchmark.traffic import KINDS_1
 from benchmark.traffic import packets_1
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
 from rigs.harness import Figure
 from rigs.harness import interleaved
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
 
 # Their parsers by name: what only compares our own commits does without them.
 CLIENTS = {'Feetech': ('feetech', 'feetech-servo-sdk',

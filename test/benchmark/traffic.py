@@ -10,13 +10,13 @@ nearly every packet is different, as with a robot that moves.
 
 from itertools import islice
 
-from dxl_monitor.model.models import Models
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from msg_defs.dxl_packet import HEADER
+from servobus.model.models import Models
 
 BAUD = 2_000_000
 PACKETS = 25_000                # for each kind: more than 400 KiB, as in the thesis

@@ -18,7 +18,6 @@ import time
 from typing import NamedTuple
 
 from benchmark.traffic import ROBOT
-from dxl_monitor.model.models import Models
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.line import Line
 from mecarover_fakes.line import MASTER
@@ -30,6 +29,7 @@ from rigs.harness import Child
 from rigs.harness import Figure
 from rigs.harness import interleaved
 from rigs.harness import usage
+from servobus.model.models import Models
 
 S = 1_000_000_000
 BAUD = 4_500_000

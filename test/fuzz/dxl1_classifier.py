@@ -2,10 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The classifier of the 1.0 family: instruction or status, where both look alike."""
 
-from dxl_monitor.bus.decoder import BusDecoder
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from fuzz.framer import pieces
 from fuzz.reference import Said
 from fuzz.script import Script
@@ -13,6 +9,10 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.frame import IS_STATUS
+from servobus.bus.decoder import BusDecoder
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 MODELS = Models()
 BAUD, BYTE_NS = 1_000_000, 10_000

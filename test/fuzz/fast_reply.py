@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fast replies: one status of many devices, whole, cut, damaged, or not one at all."""
 
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from fuzz.script import fast_reply
 from fuzz.script import Script
 from fuzz.script import TRICKY
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import split_combined
 from msg_defs.dxl_packet import encode
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 MODELS = Models()
 FAST_BULK_READ = 0x9A

@@ -11,12 +11,12 @@ from tempfile import TemporaryDirectory
 
 import yaml
 
-from dxl_monitor.bus.table import READ
-from dxl_monitor.bus.table import Table
-from dxl_monitor.model.checked_yaml import ModelError
-from dxl_monitor.model.models import check_models
-from dxl_monitor.model.models import Models
 from fuzz.script import Script
+from servobus.bus.table import READ
+from servobus.bus.table import Table
+from servobus.model.checked_yaml import ModelError
+from servobus.model.models import check_models
+from servobus.model.models import Models
 
 SAMPLE = b"""model_numbers: {7: Own, 9: Other}
 source: a page

@@ -5,18 +5,18 @@
 from functools import lru_cache
 import json
 
-from dxl_monitor.bus.decoder import BusDecoder
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import bus_status
-from dxl_monitor.monitor_status import device_metrics
-from dxl_monitor.monitor_status import device_status
-from dxl_monitor.monitor_status import PortState
 from fuzz.framer import pieces
 from fuzz.framer import Watched
 from fuzz.script import Script
 from fuzz.script import traffic
 from msg_defs.dxl_packet import encode
+from servobus.bus.decoder import BusDecoder
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.status import bus_status
+from servobus.status import device_metrics
+from servobus.status import device_status
+from servobus.status import PortState
 
 MODELS = Models()
 PAUSES_NS = (0, 0, 0, 1_000, 1_000_000, 30_000_000, 1_500_000_000, 12_000_000_000)

@@ -16,13 +16,13 @@ import time
 
 from benchmark.traffic import packets
 from benchmark.traffic import packets_1
-from dxl_monitor.bus.decoder import BusDecoder
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from fuzz.script import TRICKY_1
 from mecarover_serial.process import resident_memory_mb
 from msg_defs.dxl1_packet import HEADER
+from servobus.bus.decoder import BusDecoder
+from servobus.bus.decoder import Settings
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 BLOCK = 1 << 18
 GROWTH_MB = 30.0                    # more resident memory, from the first block on

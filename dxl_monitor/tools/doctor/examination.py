@@ -11,10 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from collections.abc import Sequence
 
-from dxl_monitor.bus.decoder import DEFAULTS
-from dxl_monitor.doctor.case import OPTIONS
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_settings import settings_of
 from dxl_monitor.record.capture import Chunk
 from dxl_monitor.record.capture import Wire
@@ -23,6 +19,10 @@ from dxl_monitor.tools.doctor.error_window import ErrorWindow
 from dxl_monitor.tools.doctor.finding_log import FindingLog
 from dxl_monitor.tools.doctor.verdict import BusSummary
 from msg_defs.reports import Level
+from servobus.bus.decoder import DEFAULTS
+from servobus.doctor.case import OPTIONS
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 S = 1_000_000_000
 REPORT_NS = S // 2

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.bus.report import Finding
-from dxl_monitor.doctor import RULES
+from servobus.bus.report import BusReport
+from servobus.bus.report import Finding
+from servobus.doctor import RULES
 
 _RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
 _EXPLAINS = {rule.name: rule.explains for rule in RULES}

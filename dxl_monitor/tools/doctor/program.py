@@ -21,10 +21,6 @@ import time
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.bus.report import FAILED
-from dxl_monitor.bus.report import OWN
-from dxl_monitor.bus.report import RAISED
-from dxl_monitor.bus.report import ROBBER
 from dxl_monitor.port.tap_reader import TapReader
 from dxl_monitor.port.tap_reader import TapRecord
 from dxl_monitor.port.tap_sender import ENDED
@@ -42,6 +38,10 @@ from mecarover_serial.port_users import is_running
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.reports import Level
+from servobus.bus.report import FAILED
+from servobus.bus.report import OWN
+from servobus.bus.report import RAISED
+from servobus.bus.report import ROBBER
 
 TICK_S = 0.1
 REST_S = 1.0                       # for what the program said last

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 import json
 from typing import Any
 
-from dxl_monitor.bus.evidence import text_of
-from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.tools.dump.decode import Part
 from dxl_monitor.tools.dump.decode import PingAnswer
 from dxl_monitor.tools.dump.listing import Entry
@@ -16,6 +14,8 @@ from dxl_monitor.tools.dump.text_format import error_words
 from dxl_monitor.tools.dump.text_format import packet_name
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import Packet
+from servobus.bus.evidence import text_of
+from servobus.model.control_table import UNKNOWN
 
 DECIMALS = 9                       # finer than any register
 

@@ -13,15 +13,6 @@ from collections.abc import Iterator
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.bus import evidence as ev
-from dxl_monitor.bus.decoder import BusDecoder
-from dxl_monitor.bus.decoder import DEFAULTS
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.device import Device
-from dxl_monitor.bus.plan import Plan
-from dxl_monitor.bus.planner import NO_PLAN
-from dxl_monitor.bus.report import Incident
-from dxl_monitor.model.models import Models
 from msg_defs.dxl_instruction import Block
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_instruction import split_combined
@@ -38,6 +29,15 @@ from msg_defs.frame import Frames
 from msg_defs.frame import GLITCH
 from msg_defs.frame import IS_STATUS
 from msg_defs.uart import BITS_PER_BYTE
+from servobus.bus import evidence as ev
+from servobus.bus.decoder import BusDecoder
+from servobus.bus.decoder import DEFAULTS
+from servobus.bus.decoder import Settings
+from servobus.bus.device import Device
+from servobus.bus.plan import Plan
+from servobus.bus.planner import NO_PLAN
+from servobus.bus.report import Incident
+from servobus.model.models import Models
 
 PACKET = 'packet'
 DAMAGED = 'damaged'

@@ -17,11 +17,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.monitor import Monitor
-from dxl_monitor.monitor_status import device_metrics
-from dxl_monitor.monitor_status import PortState
-from dxl_monitor.monitor_status import statuses_of
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
 from mecarover_serial.cli import UsageError
@@ -29,6 +24,11 @@ from msg_defs.reports import Joint
 from msg_defs.reports import metric_status
 from msg_defs.reports import Status
 from msg_defs.reports import topic_names
+from servobus.bus.report import BusReport
+from servobus.monitor import Monitor
+from servobus.status import device_metrics
+from servobus.status import PortState
+from servobus.status import statuses_of
 
 NODE = 'dxl_monitor'
 REPORT_NS, TIMING_NS = 500_000_000, 1_000_000_000      # as the node does

@@ -12,8 +12,6 @@ is cut.
 from collections.abc import Sequence
 import time
 
-from dxl_monitor.bus.device import Device
-from dxl_monitor.model.control_table import UNKNOWN
 from dxl_monitor.tools.dump.decode import Part
 from dxl_monitor.tools.dump.decode import PingAnswer
 from dxl_monitor.tools.dump.listing import DAMAGED
@@ -28,6 +26,8 @@ from dxl_monitor.tools.dump.text_format import request_words
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.frame import OPEN
+from servobus.bus.device import Device
+from servobus.model.control_table import UNKNOWN
 
 WIDE = 110                         # columns, from which on there is room for bus and joint
 RED, GREEN, YELLOW, CYAN, DIM, BOLD = '31', '32', '33', '36', '2', '1'

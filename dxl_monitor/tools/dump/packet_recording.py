@@ -12,7 +12,6 @@ from collections.abc import Callable
 from collections.abc import Mapping
 from typing import BinaryIO
 
-from dxl_monitor.bus.report import BusReport
 from dxl_monitor.record.capture import Moment
 from dxl_monitor.record.capture import Wire
 from dxl_monitor.record.packet_file import PacketWriter
@@ -33,6 +32,7 @@ from msg_defs.event import TRACED
 from msg_defs.event import UNREAD
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
+from servobus.bus.report import BusReport
 
 NOISE = 'not a packet: noise, or part of a packet'
 

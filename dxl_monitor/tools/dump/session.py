@@ -19,9 +19,6 @@ import sys
 import time
 from typing import BinaryIO
 
-from dxl_monitor.bus.report import BusReport
-from dxl_monitor.doctor.case import OPTIONS
-from dxl_monitor.monitor import Monitor
 from dxl_monitor.monitor_settings import settings_of
 from dxl_monitor.record.capture import check_new
 from dxl_monitor.record.capture import Chunk
@@ -46,6 +43,9 @@ from dxl_monitor.tools.run import models_of
 from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import printable
+from servobus.bus.report import BusReport
+from servobus.doctor.case import OPTIONS
+from servobus.monitor import Monitor
 
 CAPTURE, PCAPNG, MCAP = FORMATS = ('capture', 'pcapng', 'mcap')
 PAINT_S = 1.0

@@ -13,10 +13,8 @@ from types import SimpleNamespace
 from unittest.mock import MagicMock
 from unittest.mock import patch
 
-from dxl_monitor import monitor
 from dxl_monitor import monitored_bus
 from dxl_monitor import timers
-from dxl_monitor.model.models import Models
 from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.port.listener import Listener
 from dxl_monitor.port.listener import ListenerState
@@ -34,6 +32,8 @@ from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.metrics import exposition
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
+from servobus import monitor
+from servobus.model.models import Models
 
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'      # messages look for it when they are imported
 dxl_node = import_module('dxl_monitor.monitor_node')

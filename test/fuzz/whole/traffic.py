@@ -8,7 +8,6 @@ import random
 import re
 from typing import NamedTuple
 
-from dxl_monitor.model.models import Models
 from fuzz.script import TRICKY
 from msg_defs import dxl1_packet
 from msg_defs.dxl_packet import BROADCAST
@@ -21,6 +20,7 @@ from msg_defs.event import UNKNOWN
 from rigs.bus.scenes import BROKEN
 from rigs.bus.scenes import HEALTHY
 from rigs.bus.scenes import PLAYED
+from servobus.model.models import Models
 
 S = 1_000_000_000
 BOOT = 1000 * S

@@ -12,16 +12,16 @@ from itertools import groupby
 from operator import itemgetter
 from typing import NamedTuple
 
-from dxl_monitor.bus.decoder import Settings
-from dxl_monitor.bus.expected import parse_all
-from dxl_monitor.model.models import Models
-from dxl_monitor.monitor import Monitor
 from msg_defs.reports import Level
 from rigs.bus.scene import Key
 from rigs.bus.scene import SECONDS
 from rigs.bus.scenes import BROKEN
 from rigs.bus.scenes import HEALTHY as WELL
 from rigs.bus.wire import S
+from servobus.bus.decoder import Settings
+from servobus.bus.expected import parse_all
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 RIGHT, VAGUE, SILENT, WRONG = 'right', 'vague', 'silent', 'wrong'
 REPORT_NS = S // 2

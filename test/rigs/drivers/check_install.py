@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import pytest
 
-from dxl_monitor.model.models import Models
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.line import Line
@@ -23,6 +22,7 @@ from rigs.drivers.guest import WITHOUT_ROS
 from rigs.drivers.image import VENV
 from rigs.drivers.lead import Lead
 from rigs.drivers.lead import Mcu
+from servobus.model.models import Models
 
 TTY = 'ttyS1'
 GETTY = f'serial-getty@{TTY}'

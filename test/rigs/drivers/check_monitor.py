@@ -10,7 +10,6 @@ import time
 
 import pytest
 
-from dxl_monitor.model.models import Models
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.line import Line
@@ -18,6 +17,7 @@ from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from rigs.drivers.adapters import Acm
 from rigs.drivers.adapters import Ftdi
+from servobus.model.models import Models
 
 BAUD = 2_000_000
 SECONDS = 10.0

@@ -7,7 +7,6 @@ import json
 
 import pytest
 
-from dxl_monitor.model.models import Models
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.line import Line
@@ -18,6 +17,7 @@ from rigs.drivers.adapters import Ftdi
 from rigs.drivers.adapters import KINDS
 from rigs.drivers.guest import SOURCE
 from rigs.drivers.image import VENV
+from servobus.model.models import Models
 
 BAUD = 1_000_000
 TAP = 'arm'

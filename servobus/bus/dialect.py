@@ -1,0 +1,88 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Dynamixel 1.0 or Feetech: the frame is the same, so what is said decides.
+
+Each sign speaks for one of the two, a strong one as much as several weak ones. Without enough of
+them it stays undecided, and that is shown. Signs: instructions that only one of them has; the
+addresses that a master uses all the time; a model number that only one of them has.
+"""
+
+from collections.abc import Iterable
+
+from msg_defs.dxl1_instruction import Dialect
+from msg_defs.dxl1_instruction import DYNAMIXEL_1
+from msg_defs.dxl1_instruction import FEETECH
+from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl_instruction import Request
+from servobus.model.layers import model_key
+from servobus.model.models import Models
+
+STRONG = 4                         # as much decides, if the other has no more than a quarter of it
+WEAK = 1
+# Of Dynamixel: Torque Enable to Moving Speed, Present Position. Of Feetech: Torque Enable,
+# Acceleration and Goal Position, Present Position and more. The other has something else there.
+DYNAMIXEL_AT = {(24, 1), (25, 1), (30, 2), (30, 4), (32, 2), (36, 2), (36, 4), (36, 6), (36, 8)}
+FEETECH_AT = {(41, 7), (42, 2), (42, 6), (55, 1), (56, 2), (56, 4), (56, 6), (56, 8), (56, 15),
+              (58, 2), (60, 2), (62, 1), (63, 1)}
+_READ = 0x02
+_LOCKS = 0x03, (55, 1)             # a write of Lock: no Dynamixel 1.0 has a register there
+_BY_NAME = {'1': DYNAMIXEL_1, 'feetech': FEETECH}
+
+
+class DialectChoice:
+    """Which dialect of the family this bus speaks. protocol: as the parameter `protocols`."""
+
+    def __init__(self, models: Models, protocol: str = 'auto') -> None:
+        self._models = models
+        self._is_fixed = protocol in _BY_NAME
+        self.dialect: Dialect = _BY_NAME.get(protocol, UNDECIDED)
+        self._votes = {DYNAMIXEL_1.name: 0, FEETECH.name: 0}
+
+    def expect(self, dialects: Iterable[Dialect | None]) -> None:
+        """Take the devices that the user listed as a sign."""
+        for dialect in {one.name: one for one in dialects if one is not None}.values():
+            self._vote(dialect, STRONG)
+
+    def asked(self, request: Request) -> bool:
+        """Take an instruction as a sign; return whether that decided."""
+        if self._is_fixed:
+            return False
+        code = request.instruction
+        where = (request.accesses[0].address, request.accesses[0].length) if request.accesses \
+            else None
+        if code in DYNAMIXEL_1.entries and code not in FEETECH.entries:
+            return self._vote(DYNAMIXEL_1, STRONG)
+        if where in DYNAMIXEL_AT:          # a Sync Read too, which it has not
+            return self._vote(DYNAMIXEL_1, WEAK)
+        if code in FEETECH.entries and code not in DYNAMIXEL_1.entries:
+            return self._vote(FEETECH, STRONG)
+        if where in FEETECH_AT:
+            return self._vote(FEETECH, STRONG if (code, where) == _LOCKS else WEAK)
+        return False
+
+    def decides(self, request: Request, data: bytes) -> bool:
+        """Take a model number that was read as a sign; return whether that decided."""
+        if self._is_fixed or request.instruction != _READ or not request.accesses:
+            return False
+        access = request.accesses[0]
+        for dialect, protocol in ((DYNAMIXEL_1, '1'), (FEETECH, 'feetech')):
+            at = dialect.identity_at - access.address
+            if 0 <= at <= len(data) - 2:
+                model = self._models.get(model_key(data[at] | data[at + 1] << 8, protocol))
+                if model is not None and model.protocol == protocol:
+                    return self._vote(dialect, STRONG)
+        return False
+
+    def _vote(self, dialect: Dialect, weight: int) -> bool:
+        if self._is_fixed:
+            return False
+        votes = self._votes
+        if votes[dialect.name] < 4 * STRONG:
+            votes[dialect.name] += weight
+        for one, other in ((DYNAMIXEL_1, FEETECH), (FEETECH, DYNAMIXEL_1)):
+            if votes[one.name] >= STRONG and votes[one.name] >= 4 * votes[other.name]:
+                changed = self.dialect is not one
+                self.dialect = one
+                return changed
+        return False

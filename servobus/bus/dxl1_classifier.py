@@ -1,0 +1,347 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Dxl1Classifier, the classifier of the 1.0 family: what its packets mean, from what was said before.
+
+Two things are decided here that a packet itself does not say. Whether it is an instruction or a
+status, which have the same form: FF FF 01 02 01 FB is a Ping of 1, and the answer of 1 with "input
+voltage error". And which dialect the bus speaks (dialect.py). With the side of a packet known, the
+first is certain. What stays open is counted and changes nothing.
+
+A packet that names an ID for the first time waits for what comes after it (id_confirmation.py).
+"""
+
+from collections import Counter
+from typing import Any
+from typing import NamedTuple
+
+from msg_defs import dxl1_packet
+from msg_defs.dxl1_detector import Detector
+from msg_defs.dxl1_instruction import common_error
+from msg_defs.dxl1_instruction import fits
+from msg_defs.dxl1_instruction import in_common
+from msg_defs.dxl1_instruction import parse
+from msg_defs.dxl1_instruction import STATUS_BITS
+from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl1_packet import BROADCAST
+from msg_defs.dxl1_packet import MIN_LENGTH
+from msg_defs.dxl_instruction import Answers
+from msg_defs.dxl_instruction import Request
+from msg_defs.dxl_mixed import MixedFramer
+from msg_defs.dxl_packet import Framer
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.frame import EITHER_1
+from msg_defs.frame import Flaw
+from msg_defs.frame import Frame
+from msg_defs.frame import Frames
+from msg_defs.frame import GLITCH
+from msg_defs.frame import INSTRUCTION_1
+from msg_defs.frame import IS_STATUS
+from msg_defs.frame import OPEN
+from servobus.bus import evidence as ev
+from servobus.bus.dialect import DialectChoice
+from servobus.bus.evidence import Evidence
+from servobus.bus.id_confirmation import IdConfirmation
+from servobus.bus.registry import DeviceRegistry
+
+# A device answers within 0.5 ms (Return Delay Time), a master gives up after 10 ms or more.
+QUICK_NS = 3_000_000
+SLOW_NS = 9_000_000
+MEANINGS_KEPT = 1024
+
+AnyFramer = Framer | MixedFramer | dxl1_packet.Dxl1Framer
+# What BusDecoder.take() takes: frames, the stamp of their chunk, the offset after it, its side.
+Part = tuple[Frames, int, int, str]
+Parts = list[Part | None]
+Said = tuple[int, int, bytes]              # ID, code and parameters of a packet
+# What an instruction is: its kind and parameters in common form; who answers with how much.
+Meaning = tuple[int, bytes, Request, dict[int, int]]
+_IS_OPEN = Flaw(OPEN)
+_NOTHING = Request(0, 0xFF, Answers.NONE)
+_SYNC_WRITE = 0x83
+# Who answers these, and how much, their bytes alone tell; a write depends on its device as well.
+_SEEN_BY_PARAMETERS = (Answers.DATA, Answers.LISTED, Answers.PING)
+
+
+class _Waiting(NamedTuple):
+    """A packet that names an ID for the first time, and was the last."""
+
+    framer: Any                            # a MixedFramer, or one of the 1.0 family alone
+    frame: Frame
+    stamp: int
+    received: int
+    side: str
+
+
+class Dxl1Classifier:
+    """
+    Reads the packets of one bus in order.
+
+    detector: says whether the 1.0 family is spoken here; None where that is known.
+    """
+
+    def __init__(self, registry: DeviceRegistry, evidence: Evidence, choice: DialectChoice,
+                 detector: Detector | None, byte_ns: float) -> None:
+        self._evidence = evidence
+        self._registry = registry
+        self._choice = choice
+        self._detector = detector
+        self.byte_ns = byte_ns
+        self.slow_ns = SLOW_NS             # and the adapter may keep bytes back for longer
+        self.packets = 0                   # those of the 1.0 family
+        self.damaged: Counter[str] = Counter()     # those under `auto`
+        self._unconfirmed: _Waiting | None = None
+        self._confirmation = IdConfirmation(registry)
+        self._request = _NOTHING
+        self._asked: Said = (-1, -1, b'')  # the last instruction
+        self._asked_ns = 0.0               # when it ended
+        self._has_decided = False          # the last packet decided the dialect
+        self._awaited: dict[int, int] = {} # statuses to come: parameters, by ID
+        self._errors: dict[int, int] = {}  # error byte of the last status, by ID
+        self._meanings: dict[Said, Meaning] = {}
+        self._noise_seen: Counter[AnyFramer] = Counter()       # bytes of it, by framer
+
+    def read(self, framer: AnyFramer, frames: Frames, stamp: int,
+             side: str) -> Parts:
+        """
+        Return the frames of a chunk with their meaning, as BusDecoder.take() takes them.
+
+        None among them: the dialect is known from here on.
+        """
+        parts: Parts = []
+        found: Frames = []
+        received = framer.bytes
+        detector = self._detector
+        devices = self._registry.devices
+        is_noisy = False
+        proving = self._proof(detector, parts) if detector is not None and detector.proof else None
+        for frame in frames:
+            kind, number, flaw = frame[2], frame[3], frame[6]
+            if flaw is not None and flaw.noise_length > GLITCH:
+                is_noisy = True
+            if self._unconfirmed is not None:
+                self._resolve(framer, flaw, parts, found)
+            if kind < EITHER_1:
+                found.append(frame)
+            elif flaw is not None and flaw.reason:
+                if kind == EITHER_1 or number in self._awaited:
+                    found.append(self._damaged(frame, flaw, side))
+            elif kind == EITHER_1:
+                if detector is not None:
+                    self._note_family(framer, frame, stamp)
+                if (number not in devices and side != OUT and frame is not proving
+                        and number not in self._awaited
+                        and self._confirmation.new_id(*frame[3:6]) is not None):
+                    self._unconfirmed = _Waiting(framer, frame, stamp, received, side)
+                    continue
+                found.append(self._meaning(frame, stamp, received, side))
+                if self._has_decided:
+                    found = self._cut(parts, found, stamp, received, side)
+        if is_noisy:
+            self._look_at_noise(framer)
+        parts.append((found, stamp, received, side))
+        return parts
+
+    def _proof(self, detector: Detector, parts: Parts) -> Frame | None:
+        """Add the packets of earlier chunks that this one proved; return the frame that did so."""
+        for one in detector.proof:
+            self._note_family(one.framer, one.frame, one.stamp)
+            self._add(parts, self._meaning(*one[1:]), *one[2:])
+        return detector.proving
+
+    def _cut(self, parts: Parts, found: Frames, stamp: int, received: int,
+             side: str) -> Frames:
+        """Say that the dialect is known: before the question that decided it, after the answer."""
+        self._has_decided = False
+        kept = [] if found[-1][2] == IS_STATUS else [found.pop()]
+        parts += [(found, stamp, received, side), None]
+        return kept
+
+    def _add(self, parts: Parts, frame: Frame, stamp: int, received: int,
+             side: str) -> None:
+        """Add a packet of an earlier chunk."""
+        found = [frame]
+        if self._has_decided:
+            found = self._cut(parts, found, stamp, received, side)
+        parts.append((found, stamp, received, side))
+
+    def _note_family(self, framer: AnyFramer, frame: Frame, stamp: int) -> None:
+        """Note a packet of the 1.0 family on a bus that speaks 2.0 as well."""
+        if isinstance(framer, MixedFramer) and framer.has_first:
+            self._evidence.note_often(stamp, ev.PROTOCOL_1, frame[3], ev.Code(frame[4]))
+
+    def _look_at_noise(self, framer: AnyFramer) -> None:
+        """Count the answers in the noise that lack only the first byte of their header."""
+        fresh = framer.noise_bytes - self._noise_seen.get(framer, 0)
+        self._noise_seen[framer] += fresh
+        noise = framer.noise[-fresh:] if fresh else b''
+        at = noise.find(0xFF)
+        while 0 <= at < len(noise) - 4:
+            end = at + 3 + noise[at + 2]
+            device = self._registry.devices.get(noise[at + 1])
+            if device is not None and device.heard and noise[at + 2] >= MIN_LENGTH \
+                    and end <= len(noise) and sum(noise[at + 1:end]) & 0xFF == 0xFF:
+                device.counts.beheaded += 1
+                at = end - 1
+            at = noise.find(0xFF, at + 1)
+
+    # --- does this ID exist? --------------------------------------------------------------------
+
+    def _resolve(self, framer: AnyFramer, flaw: Flaw | None, parts: Parts,
+                 found: Frames) -> None:
+        """Decide on the packet that waits, for another frame has come."""
+        held = self._unconfirmed
+        if held is None:
+            return
+        is_same = framer is held.framer
+        is_next = not is_same or flaw is None or not (flaw.reason or flaw.noise_length)
+        frame = self._met(held, is_next)
+        if not is_same or held.received != framer.bytes:       # from an earlier chunk
+            self._add(parts, frame, *held[2:])
+            return
+        found.append(frame)
+        if self._has_decided:
+            found[:] = self._cut(parts, found.copy(), *held[2:])
+
+    def settle(self) -> Parts:
+        """Return the packet that waits, if the line is idle after it."""
+        parts: Parts = []
+        held = self._unconfirmed
+        if held is not None and not held.framer.pending:
+            self._add(parts, self._met(held, not held.framer.noise_length), *held[2:])
+        return parts
+
+    def _met(self, held: _Waiting, is_next: bool) -> Frame:
+        """Return what the packet that waits means; is_next: there is no noise after it."""
+        self._unconfirmed = None
+        if held.frame[3] in self._awaited \
+                or self._confirmation.exists(held.frame, held.stamp, is_next):
+            return self._meaning(*held[1:])
+        self.packets += 1
+        return _open(held.frame)
+
+    # --- instruction or status? -----------------------------------------------------------------
+
+    def _meaning(self, frame: Frame, stamp: int, received: int, side: str) -> Frame:
+        begin, end, kind, number, code, params, flaw = frame
+        self.packets += 1
+        awaited = self._awaited.get(number)
+        if side == IN:
+            if self._is_echo((number, code, params), awaited):
+                kind, params = in_common(code, number, params)
+                return begin, end, kind, number, code, params, flaw
+        elif side == OUT or awaited is None or code:
+            ended = stamp - (received - end) * self.byte_ns
+            is_status = side != OUT and self._is_status((number, code, params), ended, awaited)
+            if is_status is None:
+                return _open(frame)
+            if not is_status:
+                kind, params = self._instruction((number, code, params), ended)
+                return begin, end, kind, number, code, params, flaw
+        if awaited is not None:
+            del self._awaited[number]
+        if params and self._request.id == number and self._choice.dialect is UNDECIDED \
+                and self._choice.decides(self._request, params):
+            self._decide()
+        if code or self._errors.get(number, -1):
+            code = self._error(number, code, stamp)
+        return begin, end, IS_STATUS, number, code, params, flaw
+
+    def _is_echo(self, said: Said, awaited: int | None) -> bool:
+        """Return whether what came to the master is an instruction, mostly its own."""
+        number, code, params = said
+        if number == BROADCAST or code > STATUS_BITS:
+            return True
+        if said != self._asked or (len(params) == awaited and not self._evidence.counts[ev.ECHO]):
+            return False
+        self._asked = (-1, -1, b'')        # it comes back once
+        return True
+
+    def _is_status(self, said: Said, ended: float, awaited: int | None) -> bool | None:
+        """Return whether a packet is a status, None where that stays open."""
+        number, code, params = said
+        size = len(params)
+        if number == BROADCAST or code > STATUS_BITS:
+            return False
+        if not fits(code, number, params, self._choice.dialect) \
+                and not fits(code, number, params):
+            return True
+        if awaited is None:
+            return False
+        if self._errors.get(number) == code and size == awaited:
+            return True                    # it says so all the time
+        waited = ended - (size + 6) * self.byte_ns - self._asked_ns
+        if waited >= self.slow_ns or size not in (awaited, 0):
+            return False
+        if waited <= QUICK_NS and (said != self._asked or number in self._errors):
+            return True
+        return None
+
+    def _instruction(self, said: Said, ended: float) -> tuple[int, bytes]:
+        """Return the kind of an instruction and its parameters in common form."""
+        self._asked, self._asked_ns = said, ended
+        number, code, params = said
+        if code == _SYNC_WRITE and self._choice.dialect is not UNDECIDED:
+            self._request, self._awaited = _NOTHING, {}        # what a robot says most
+            return in_common(code, number, params)
+        known = self._meanings.get(said)
+        if known is None:
+            known = self._parsed(said)
+        elif self._choice.dialect is UNDECIDED and self._choice.asked(known[2]):
+            self._decide()
+        kind, params, self._request, awaited = known
+        self._awaited = awaited.copy()
+        return kind, params
+
+    def _parsed(self, said: Said) -> Meaning:
+        choice = self._choice
+        number, code, params = said
+        dialect = choice.dialect if code in choice.dialect.entries else UNDECIDED
+        request = parse(code, number, params, dialect)
+        if choice.asked(request):
+            self._decide()
+        known = *in_common(code, number, params), request, self._due(request)
+        if request.answers in _SEEN_BY_PARAMETERS:
+            if len(self._meanings) >= MEANINGS_KEPT:
+                self._meanings.clear()
+            self._meanings[said] = known
+        return known
+
+    def _due(self, request: Request) -> dict[int, int]:
+        """Return how many parameters each status to this has, by ID."""
+        if request.answers in (Answers.DATA, Answers.LISTED):
+            return {access.id: access.length for access in request.accesses}
+        if request.answers is Answers.PING:
+            return {request.id: 0}
+        device = self._registry.devices.get(request.id)
+        if request.answers is Answers.ACK and (device is None or device.acks is not False):
+            return {request.id: 0}
+        return {}
+
+    def _error(self, number: int, error: int, stamp: int) -> int:
+        """Keep the error byte of a status where it changes; return it as 2.0 would say it."""
+        dialect = self._choice.dialect
+        if error != self._errors.get(number, 0):
+            self._registry.told_error(number, dialect.error_at, error, stamp)
+        self._errors[number] = error
+        return common_error(error, dialect) if error else 0
+
+    def _damaged(self, frame: Frame, flaw: Flaw, side: str) -> Frame:
+        """Return a damaged frame as what it most likely was."""
+        begin, end, _, number, code, data, _ = frame
+        if self._detector is not None:
+            self.damaged[flaw.reason] += 1
+        is_status = side == IN or (side != OUT and number in self._awaited)
+        return begin, end, IS_STATUS if is_status else INSTRUCTION_1, number, code, data, flaw
+
+    def _decide(self) -> None:
+        """Read what comes as the dialect has it that is known now."""
+        self._meanings.clear()
+        self._has_decided = True
+
+
+def _open(frame: Frame) -> Frame:
+    """Return a packet that may be an instruction or a status, or nothing."""
+    begin, end, kind, number, code, params, _ = frame
+    return begin, end, kind, number, code, dxl1_packet.content(number, code, params), _IS_OPEN

@@ -1,0 +1,292 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Rare things seen on a bus, kept for the error log and for the doctor; bounded in every way.
+
+The tracker notes what happened, never why: causes are the doctor's.
+What happens with each packet is a counter of the device, not an incident.
+"""
+
+from collections import Counter
+from collections import deque
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Any
+from typing import NamedTuple
+
+from msg_defs.dxl_instruction import error_text
+from msg_defs.dxl_instruction import name_of
+from msg_defs.dxl_packet import STATUS
+from msg_defs.event import OUT
+from msg_defs.frame import Flaw
+from msg_defs.frame import Frame
+from msg_defs.frame import IS_STATUS
+from msg_defs.frame import OPEN as OPEN_FRAME
+from servobus.bus.report import D
+from servobus.bus.report import Error
+from servobus.bus.report import Incident
+from servobus.bus.report import IncidentKind
+from servobus.bus.report import Wait
+
+NO_DEVICE = -1
+Register = Callable[[int, int], str]        # what a device calls the register at an address
+
+
+# --- what is known of an incident besides its device -------------------------------------------
+
+class Nothing(NamedTuple):
+    """That it happened is all."""
+
+
+class Code(NamedTuple):
+    """The instruction byte: of the packet itself, or of the instruction that was pending."""
+
+    instruction: int
+
+
+class Front(NamedTuple):
+    """The instruction byte and the Length of a packet, as they were read."""
+
+    instruction: int
+    length: int
+
+
+class Length(NamedTuple):
+    """The Length of a packet, which none can have."""
+
+    length: int
+
+
+class Unanswered(NamedTuple):
+    """What was asked; address -1: of none."""
+
+    instruction: int
+    address: int
+
+
+class Refusal(NamedTuple):
+    """What was refused, and the error number of the answer."""
+
+    instruction: int
+    address: int
+    error: int
+
+
+class Again(NamedTuple):
+    """An instruction, so many us after the first one (an echo: 0)."""
+
+    instruction: int
+    us: int
+
+
+class SilentFor(NamedTuple):
+    """ms of silence; torque: Torque Enable before it, -1 unknown; answers missed in a row."""
+
+    ms: int
+    torque: int
+    missed: int
+
+
+class Lateness(NamedTuple):
+    """us after the end of the pending instruction."""
+
+    us: int
+
+
+class Sizes(NamedTuple):
+    """How much came and how much was asked for: bytes, or the parts of a fast reply."""
+
+    got: int
+    wanted: int
+
+
+class Much(NamedTuple):
+    """How many: answers missed in a row, writes without an answer, events or bytes lost."""
+
+    number: int
+
+
+class Offsets(NamedTuple):
+    """Homing Offset of Feetech, raw: now, and before; Present Position before it, 0 unknown."""
+
+    now: int
+    before: int
+    place: int
+
+
+class Written(NamedTuple):
+    """What was written, or an ID that none can have."""
+
+    value: int
+
+
+NOTHING = Nothing()
+
+# --- kinds of incidents, each with what is known of it -----------------------------------------
+
+DAMAGED_STATUS = IncidentKind[Front]('damaged status')
+DAMAGED_INSTRUCTION = IncidentKind[Front]('damaged instruction')
+BAD_LENGTH = IncidentKind[Length]('bad length')
+CUT = IncidentKind[Front]('cut')                              # it ends too early
+GLITCH = IncidentKind[Nothing]('glitch')                      # counted only: a byte or two ahead
+MISSED = IncidentKind[Unanswered]('missed')                     # the first of a row
+DISCONNECTED = IncidentKind[Much]('disconnected')
+RETURNED = IncidentKind[SilentFor]('returned')
+REFUSED = IncidentKind[Refusal]('refused')
+ALERT = IncidentKind[Nothing]('alert')                        # it began
+SECOND_ANSWER = IncidentKind[Code]('second answer')           # already answered by this ID
+ANSWERED_AGAIN = IncidentKind[Code]('answered again')         # after damage that hid another
+UNASKED = IncidentKind[Nothing]('unasked answer')
+LATE = IncidentKind[Lateness]('late answer')
+TOO_LONG = IncidentKind[Sizes]('noise too long')              # for all answers that were due
+WRONG_SIZE = IncidentKind[Sizes]('wrong size')
+FAST_CUT = IncidentKind[Sizes]('fast reply cut')
+REPEATED = IncidentKind[Again]('repeated')
+UNSTUFFED = IncidentKind[Code]('unstuffed')                   # FF FF FD without its FD
+BAUD_WRITTEN = IncidentKind[Written]('Baud Rate written')     # the code
+LOCKED = IncidentKind[Written]('locked')                      # EEPROM; the address
+OPEN = IncidentKind[Code]('undecided packet')                 # an instruction or a status (1.0)
+CALIBRATED = IncidentKind[Nothing]('calibrated')              # the position became the middle
+OFFSET_WRITTEN = IncidentKind[Offsets]('offset written')       # Homing Offset of Feetech
+REBOOTED = IncidentKind[Nothing]('rebooted')
+ACKS_STOPPED = IncidentKind[Much]('acks stopped')
+UNKNOWN_INSTRUCTION = IncidentKind[Code]('unknown instruction')
+MALFORMED = IncidentKind[Front]('malformed')                  # length: parameter bytes
+BAD_ID = IncidentKind[Written]('bad id')                      # in a status, or in an instruction
+PROTOCOL_1 = IncidentKind[Code]('protocol 1.0')
+ECHO = IncidentKind[Nothing]('echo')                          # counted only: the master's
+FOREIGN = IncidentKind[Code]('foreign instruction')           # it came to the master
+NOT_SENT = IncidentKind[Code]('not sent')
+THROWN_AWAY = IncidentKind[Code]('answers thrown away')       # unread
+WRONG_PACKET = IncidentKind[Code]('wrong packet')             # the master's: none takes it
+HUNG = IncidentKind[Lateness]('question never given up')
+STALE = IncidentKind[Nothing]('stale answers')                # it reads those, not the new ones
+SOURCE_LOST = IncidentKind[Much]('source lost')
+LEFT_OPEN = IncidentKind[Lateness]('last question open')      # it ended too soon to know
+
+_KEPT = 1000
+_APART_NS = 100_000_000             # between two that are kept, where each packet may be one
+_ERRORS_KEPT = 50
+_WAITS_KEPT = 256
+
+# The lines of the error log; what is not listed here is not an error. {place}: at which
+# register, nothing where the instruction names none.
+_TEXTS: dict[str, str] = {
+    DAMAGED_STATUS: 'status with a wrong CRC',
+    DAMAGED_INSTRUCTION: '{instruction} with a wrong CRC',
+    BAD_LENGTH: 'packet with Length {length}',
+    CUT: '{instruction} that ends before its Length of {length}',
+    MISSED: 'no answer to {instruction}{place}',
+    DISCONNECTED: 'disconnected: {number} answers missed',
+    REFUSED: '{instruction}{place} refused: {error}',
+    ALERT: 'alert',
+    SECOND_ANSWER: 'second answer to one {instruction}',
+    UNASKED: 'answer that was not asked for',
+    LATE: 'answer {us} us too late',
+    WRONG_SIZE: 'answer of {got} bytes to a read of {wanted}',
+    FAST_CUT: 'fast reply ends after {got} of {wanted} devices',
+    UNKNOWN_INSTRUCTION: 'unknown {instruction}',
+    MALFORMED: '{instruction} that makes no sense ({length} bytes)',
+    BAD_ID: 'packet with ID {value}',
+    WRONG_PACKET: '{instruction} with a wrong CRC, checksum or Length',
+    FOREIGN: '{instruction} of another master',
+    NOT_SENT: '{instruction} that did not leave the adapter',
+    SOURCE_LOST: '{number} events or bytes that were not heard',
+}
+
+
+class Evidence:
+    """What was noted on one bus."""
+
+    def __init__(self) -> None:
+        self.incidents: deque[Incident[Any]] = deque(maxlen=_KEPT)
+        self._errors: deque[Incident[Any]] = deque(maxlen=_ERRORS_KEPT)
+        self.waits: deque[Wait] = deque(maxlen=_WAITS_KEPT)
+        self.counts: Counter[str] = Counter()          # by kind, since start
+        self._kept: dict[str, int] = {}                # stamp of the last that note_often() kept
+        self.noted = 0                                 # incidents so far
+
+    def note(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
+        incident = Incident(stamp, kind, device, detail)
+        self.incidents.append(incident)
+        self.counts[kind] += 1
+        self.noted += 1
+        if kind in _TEXTS:
+            self._errors.append(incident)
+
+    def note_often(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
+        """Note what may come with each packet: counted each time, kept once in a while."""
+        if stamp - self._kept.get(kind, -_APART_NS) >= _APART_NS:
+            self._kept[kind] = stamp
+            self.note(stamp, kind, device, detail)
+        else:
+            self.counts[kind] += 1
+
+    def note_damage(self, stamp: int, frame: Frame, flaw: Flaw, side: str) -> None:
+        """Note a damaged frame, or one of which it is open what it is; what goes out is whole."""
+        _, _, kind, number, code, _, _ = frame
+        code = STATUS if kind == IS_STATUS else code
+        if flaw.reason == OPEN_FRAME:
+            self.note(stamp, OPEN, number, Code(code))
+        elif side == OUT:
+            # One FF more in front is ID 255 of the 1.0 family, taken for a header.
+            self.note(stamp, WRONG_PACKET, 0xFF if flaw.noise_length == 1 else number, Code(code))
+        elif flaw.reason == 'length':
+            self.note(stamp, BAD_LENGTH, NO_DEVICE, Length(flaw.length))
+        elif flaw.reason == 'cut':
+            self.note(stamp, CUT, NO_DEVICE, Front(code, flaw.length))
+        else:
+            self.note(stamp, DAMAGED_STATUS if kind == IS_STATUS else DAMAGED_INSTRUCTION, number,
+                      Front(code, flaw.length))
+
+    def look_at_noise(self, noise: bytes, fresh: int, stamp: int) -> None:
+        """Look for packets of Protocol 1.0 that end in the last `fresh` bytes of noise."""
+        for at, end in _protocol_1(noise):
+            if end > len(noise) - fresh:
+                self.note(stamp, PROTOCOL_1, noise[at + 2], Code(noise[at + 4]))
+
+    def newest(self, count: int) -> tuple[Incident[Any], ...]:
+        """Return the last incidents, oldest first."""
+        count = min(count, len(self.incidents))
+        return tuple(self.incidents[index] for index in range(-count, 0))
+
+    def errors(self, register: Register) -> tuple[Error, ...]:
+        """Return the error log, the oldest line first: what is noted later may be older."""
+        return tuple(Error(incident.stamp, _line(incident, register))
+                     for incident in sorted(self._errors, key=attrgetter('stamp')))
+
+
+def text_of(incident: Incident[Any],
+            register: Register = lambda device, address: str(address)) -> str:
+    """Return what happened in words, without the device; '' for what is not an error."""
+    words = incident.detail._asdict()
+    if 'instruction' in words:
+        words['instruction'] = name_of(words['instruction'])
+    if 'error' in words:
+        words['error'] = error_text(words['error'])
+    address = words.get('address', -1)
+    place = f' at {register(incident.device, address)}' if address >= 0 else ''
+    return _TEXTS.get(incident.kind, '').format(**words, place=place)
+
+
+def _line(incident: Incident[Any], register: Register) -> str:
+    text = text_of(incident, register)
+    return text if incident.device < 0 else f'{incident.device:03}: {text}'
+
+
+def _protocol_1(data: bytes) -> list[tuple[int, int]]:
+    """
+    Return where packets of Protocol 1.0 begin and end.
+
+    They are FF FF, ID, length, instruction, parameters, checksum.
+    """
+    found = []
+    at = data.find(b'\xff\xff')
+    while 0 <= at < len(data) - 5:
+        end = at + 4 + data[at + 3]
+        if (data[at + 2] < 0xFD and 2 <= data[at + 3] <= 0x40 and end <= len(data)
+                and sum(data[at + 2:end]) & 0xFF == 0xFF):
+            found.append((at, end))
+            at = end - 1
+        at = data.find(b'\xff\xff', at + 1)
+    return found

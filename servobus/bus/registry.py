@@ -1,0 +1,381 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+DeviceRegistry: the devices of a bus, and what happens to them when an instruction is carried out.
+
+It does not ask whether an answer belongs to an instruction: that is the tracker's. At most 253
+devices; an ID is a key here and may change, a Device is the thing that answers to it.
+"""
+
+from collections.abc import Callable
+from collections.abc import Iterable
+
+from msg_defs.dxl1_instruction import Dialect
+from msg_defs.dxl1_instruction import DIALECTS
+from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl_instruction import ALERT
+from msg_defs.dxl_instruction import ERROR
+from msg_defs.dxl_instruction import MULTI_TURN
+from msg_defs.dxl_instruction import RESTORE
+from msg_defs.dxl_packet import BROADCAST
+from servobus.bus import evidence as ev
+from servobus.bus.device import Device
+from servobus.bus.device import OFFSET
+from servobus.bus.device import RETURN_LEVEL
+from servobus.bus.device import TORQUE
+from servobus.bus.evidence import Evidence
+from servobus.bus.expected import Expected
+from servobus.bus.expected import MAX_ID
+from servobus.bus.plan import Effect
+from servobus.bus.report import NEW_ID
+from servobus.bus.table import IDENTITY
+from servobus.bus.table import NO_SPAN
+from servobus.bus.table import READ
+from servobus.bus.table import Span
+from servobus.bus.table import WRITTEN
+from servobus.model.control_table import Model
+from servobus.model.control_table import UNKNOWN
+from servobus.model.layers import model_key
+from servobus.model.models import Models
+
+NO_ID = 255
+MOVED_ANSWERS = 3                  # under an ID that it lost: there is another one
+ABSENCE_MS = 50                    # missed for so long: it was away, which is worth a note
+FACTORY_ID = 1
+FACTORY_BAUD, FACTORY_BAUD_1 = 57_600, 1_000_000      # Protocol 2.0, the 1.0 family
+MIDDLE = 128                       # as Torque Enable of Feetech: this position is the middle
+_RESET_KEEPS: dict[str, tuple[str, ...]] = {
+    'all': (), 'all except ID': ('ID',), 'all except ID and Baud Rate': ('ID', 'Baud Rate'),
+    '': ('ID', 'Baud Rate'),
+}
+PLACE = 'Present Position'
+_CALIBRATED = (PLACE, OFFSET)
+_DIALECTS = {dialect.protocol: dialect for dialect in DIALECTS}
+_CLEARS = {MULTI_TURN: PLACE, ERROR: 'Hardware Error Status'}
+
+
+class DeviceRegistry:
+    """
+    The devices, by the ID they answer to. baud: the rate of this bus.
+
+    changed: called when a device has another ID or model, so that plans made before do not hold.
+    made: called with a device that is new.
+    """
+
+    def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
+                 evidence: Evidence) -> None:
+        self._models = models
+        self.baud = baud
+        self.tried = {baud}                # rates, one after the other
+        self._evidence = evidence
+        self.devices: dict[int, Device] = {}
+        self.dialect = UNDECIDED           # in the 1.0 family, for devices that speak it
+        self.highest = MAX_ID              # the largest ID that a device can have here
+        self._renamed: dict[int, int] = {}     # IDs that were changed: the new ones
+        self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
+        self.changed: Callable[[], None] = lambda: None
+        self.made: Callable[[Device], object] = lambda device: None
+        self._followers = {'ID': self.renumber, 'Baud Rate': self._follow_baud,
+                           RETURN_LEVEL: lambda device, level, _: device.set_return_level(level),
+                           OFFSET: self._follow_offset, TORQUE: self._follow_torque}
+        for entry in expected:
+            device = self.devices[entry.id] = Device(entry.id, entry.joint, expected=True)
+            model = models.by_name(entry.model) if entry.model else None
+            if model is not None:
+                device.dialect = _DIALECTS.get(model.protocol)
+                device.model_number = model.number
+                device.identity = (model.number or 0).to_bytes(2, 'little')
+                device.become(model)
+
+    def device(self, number: int) -> Device:
+        """Return the device with this ID, new at first sight; a dummy where no device can be."""
+        device = self.devices.get(number)
+        if device is None:
+            if number > self.highest:
+                return self._dummy
+            device = self.devices[number] = Device(number)
+            self.made(device)
+            if number in self._renamed:
+                device.moved_to = f'{NEW_ID}{self._renamed[number]:03}'
+        return device
+
+    def register_name(self, number: int, address: int) -> str:
+        """Return what a device calls the register at an address; the address if not known."""
+        device = self.devices.get(number)
+        field = device.model.by_address.get(address) if device is not None else None
+        if device is None or field is None:
+            return str(address)
+        return device.table.in_force(field, device.model).name
+
+    def heard(self, device: Device, error: int, stamp: int) -> None:
+        """Take any status as a sign of life; error is its error byte, alert bit included."""
+        if device.missed_in_a_row:
+            silence_ms = (stamp - device.heard) // 1_000_000
+            if device.heard and silence_ms >= ABSENCE_MS:
+                self._evidence.note(stamp, ev.RETURNED, device.number,
+                                    ev.SilentFor(silence_ms, self._torque(device),
+                                                 device.missed_in_a_row))
+            device.missed_in_a_row = 0
+        alert = error >= ALERT
+        if alert:
+            if not device.alert:
+                self._evidence.note(stamp, ev.ALERT, device.number, ev.NOTHING)
+            device.counts.alerts += 1
+        device.alert = alert
+        device.heard = stamp
+        device.waiting_behind = None
+        if device.counts.answers >= MOVED_ANSWERS or not device.moved_to.startswith(NEW_ID):
+            device.moved_to = ''           # else what it said before the write was read late
+        device.is_unusual = error != 0        # the next good answer clears its last error
+
+    def pong(self, device: Device, data: bytes, stamp: int, is_doubtful: bool) -> None:
+        """Take an answer to a Ping to all; is_doubtful: it may be one to something else."""
+        device.counts.answers += 1
+        if not data:
+            self.speaks(device)
+        elif not is_doubtful:
+            device.pinged(NO_SPAN, data, stamp, READ)
+
+    def read_special(self, device: Device, span: Span, data: bytes, stamp: int,
+                     source: int) -> None:
+        """Keep what a device said of itself, where that may change what it is or does."""
+        address = span[0]
+        at = device.identity_at - address
+        if 0 <= at <= len(data) - 2:
+            self._read_identity(device, address, data, stamp)
+        device.table.keep(span, data, stamp, source)
+        self.resolve(device)
+        for name, value in device.special_values(address, data):
+            if name == RETURN_LEVEL:
+                device.set_return_level(value)
+
+    def resolve(self, device: Device) -> None:
+        """Give a device the model that it said it is, before anything depends on that."""
+        if not device.is_unresolved:
+            return
+        device.is_unresolved = False
+        number = device.identity[0] | device.identity[1] << 8
+        key = model_key(number, device.protocol)
+        firmware = device.identity[2] if len(device.identity) > 2 else None
+        stamp = device.identity_stamp
+        if device.model_number not in (None, number):
+            device.forget_return_level()
+        device.model_number = number
+        device.firmware = firmware
+        device.become(self._models.get(key, firmware) or UNKNOWN)
+        self.changed()
+        device.table.store(device.identity_at, device.identity[:2], stamp, READ)
+        field = device.model.by_name.get('Firmware Version')
+        if firmware is not None and field is not None and field.size == 1:
+            device.table.store(field.at, device.identity[2:], stamp, READ)
+
+    def lay_out(self, device: Device, layout: Model) -> None:
+        """Give a device of an unknown model the registers that what is used of it speaks for."""
+        if device.model_number is None and device.model is not layout:
+            if layout is UNKNOWN:
+                device.forget_return_level()
+            device.become(layout)          # plans hold: what they counted is worth more
+
+    def _read_identity(self, device: Device, address: int, data: bytes, stamp: int) -> None:
+        at = device.identity_at - address
+        number = data[at:at + 2]
+        if number == device.identity[:2]:
+            return
+        model = self._models.get(
+            model_key(number[0] | number[1] << 8, device.protocol)) or UNKNOWN
+        field = model.by_name.get('Firmware Version')
+        firmware = b''
+        if field is not None and field.size == 1 and field.at >= address:
+            firmware = data[field.at - address:field.end - address]
+        device.identify(number + firmware, stamp)
+
+    def is_impossible(self, number: int) -> bool:
+        """Tell whether no device can have this ID, and it is not everybody's either."""
+        return number > self.highest and number != BROADCAST
+
+    def speak(self, dialect: Dialect) -> None:
+        """Say which dialect of the 1.0 family is spoken here; devices are then known by it."""
+        self.dialect = dialect
+        for device in self.devices.values():
+            if device.dialect is not None:
+                self.speaks(device)
+        self.changed()
+
+    def speaks(self, device: Device) -> None:
+        """Say that a device speaks the dialect of this bus, and look who it is."""
+        device.dialect = self.dialect
+        at = self.dialect.identity_at
+        number = device.table.bytes(at, 2) if at >= 0 else None
+        if number is None or number == device.identity[:2]:
+            return
+        self._read_identity(device, at, number, device.heard)
+        self.resolve(device)
+        field = device.model.by_name.get('Firmware Version')
+        if field is not None and device.firmware is None:
+            device.firmware = device.table.byte(field.at)
+
+    def told_error(self, number: int, at: int, error: int, stamp: int) -> None:
+        """Keep the error byte of a status of the 1.0 family where its table has it."""
+        if number <= self.highest:
+            device = self.device(number)
+            device.error_bits = error
+            device.table.store(at, bytes([error]), stamp, READ)
+
+    def calibrate(self, device: Device, stamp: int) -> None:
+        """Forget what a Calibrate of Feetech changes."""
+        self._evidence.note(stamp, ev.CALIBRATED, device.number, ev.NOTHING)
+        self.resolve(device)
+        device.table.forget('all', device.model, [
+            field.name for field in device.model.fields if field.name not in _CALIBRATED])
+
+    def write(self, device: Device, address: int, data: bytes, stamp: int,
+              alone: bool = True) -> None:
+        """
+        Keep what the master wrote, and follow what it changes about the device.
+
+        alone: False for a write to everybody where there are several: an ID that all of them
+        take at once is the same for all, so each stays who it was.
+        """
+        device.counts.writes += 1
+        if device.is_unresolved:
+            self.resolve(device)           # its model says how much of the table is kept
+        if address < device.followed_end and device.is_changed_by(address, len(data)):
+            self.follow(device, address, data, stamp, alone)
+        device.table.keep((address, len(data)), data, stamp, WRITTEN)
+
+    def renames(self, effect: Effect, number: int) -> bool:
+        """
+        Return whether a write gives a device this ID: some acknowledge it with the new one.
+
+        Where its registers are not known, this is seen: the byte written, a number never heard.
+        """
+        action, (device, *written, _) = effect
+        if action != self.write:
+            return False
+        self.resolve(device)
+        other = self.devices.get(number)
+        return ('ID', number) in device.special_values(*written) or (
+            written[1] == bytes((number,)) and 'ID' not in device.model.by_name
+            and (other is None or not other.heard))
+
+    def register(self, device: Device, address: int, data: bytes, stamp: int,
+                 alone: bool = True) -> None:
+        """Keep a Reg Write until its Action."""
+        device.registered = address, data, alone
+
+    def act(self, device: Device, stamp: int) -> None:
+        """Carry out the registered write, at an Action."""
+        if device.registered is not None:
+            address, data, alone = device.registered
+            self.write(device, address, data, stamp, alone)
+            device.registered = None
+
+    def reboot(self, device: Device, stamp: int) -> None:
+        """Forget what a device loses when it restarts."""
+        self._evidence.note(stamp, ev.REBOOTED, device.number, ev.NOTHING)
+        self.resolve(device)
+        device.table.forget('ram', device.model)
+        device.registered = None
+
+    def factory_reset(self, device: Device, option: str, stamp: int) -> None:
+        """Forget what a Factory Reset changes; with 'all' the ID becomes 1."""
+        self.reboot(device, stamp)
+        device.table.forget('all', device.model, (*IDENTITY, *_RESET_KEEPS[option]))
+        if 'Baud Rate' not in _RESET_KEEPS[option]:
+            baud = FACTORY_BAUD if device.dialect is None else FACTORY_BAUD_1
+            self._moved(device, baud, f'{baud} Bd')
+        if 'ID' not in _RESET_KEEPS[option]:
+            self.renumber(device, FACTORY_ID, stamp)
+
+    def clear(self, device: Device, option: str, stamp: int) -> None:
+        """Forget the one register that a Clear changes."""
+        gone = _CLEARS.get(option)
+        self.resolve(device)
+        device.table.forget('all', device.model, [
+            field.name for field in device.model.fields if field.name != gone])
+
+    def restore(self, device: Device, option: str, stamp: int) -> None:
+        """Forget everything when a Control Table Backup is restored, nothing if it is stored."""
+        if option == RESTORE:
+            self.reboot(device, stamp)
+            device.table.forget('all', device.model, (*IDENTITY, 'ID', 'Baud Rate'))
+
+    def follow(self, device: Device, address: int, data: bytes, stamp: int,
+               alone: bool = True) -> None:
+        """
+        Note what a write to EEPROM or to Status Return Level changes about the device.
+
+        Its table still has what was there before: only what needs that looks it up.
+        """
+        self.resolve(device)
+        field = device.model.by_address.get(address)
+        is_kept = field is not None and field.memory == 'eeprom'
+        device.counts.eeprom_writes += is_kept
+        lock = device.model.by_name.get('Lock')
+        is_locked = is_kept and lock is not None and device.table.byte(lock.at) == 1
+        for name, value in device.special_values(address, data):
+            if alone or name != 'ID':
+                self._followers[name](device, value, stamp)
+        if is_locked:
+            self._evidence.note(stamp, ev.LOCKED, device.number, ev.Written(address))
+
+    def _follow_baud(self, device: Device, value: int, stamp: int) -> None:
+        self._evidence.note(stamp, ev.BAUD_WRITTEN, device.number, ev.Written(value))
+        field = device.model.by_name['Baud Rate']
+        baud = int(field.decode(field.bytes_of(value)).number or 0)
+        self._moved(device, baud, f'{baud} Bd' if baud else f'an unknown baud rate (code {value})')
+
+    def _follow_offset(self, device: Device, value: int, stamp: int) -> None:
+        before = _raw(device, OFFSET)
+        if value != before:
+            self._evidence.note(stamp, ev.OFFSET_WRITTEN, device.number,
+                                ev.Offsets(value, before, _raw(device, PLACE)))
+
+    def _follow_torque(self, device: Device, value: int, stamp: int) -> None:
+        if value == MIDDLE:
+            self.calibrate(device, stamp)
+
+    def set_baud(self, baud: int) -> None:
+        """Follow the master to another rate, as devices do whose rate it has changed."""
+        self.baud = baud
+        self.tried.add(baud)
+        for device in self.devices.values():
+            if not device.heard:               # it may not have been meant at all
+                device.missed_in_a_row = 0
+            if device.moved_to == f'{baud} Bd':
+                device.moved_to = ''
+
+    def _moved(self, device: Device, baud: int, in_words: str) -> None:
+        if baud != self.baud:
+            device.moved_to = in_words
+            device.is_unusual = True
+
+    def renumber(self, device: Device, number: int, stamp: int) -> None:
+        """Give a device another ID, if that is free."""
+        if number > self.highest or self.devices.get(device.number) is not device:
+            return
+        other = self.devices.get(number)
+        if other is device or (
+                other is not None and other.heard and not other.missed_in_a_row):
+            return             # itself, or one that is there and answers
+        if other is not None and other.expected:
+            device.joint, device.expected = other.joint, True
+        del self.devices[device.number]
+        self._renamed[device.number] = number
+        device.number = number
+        self.devices[number] = device
+        self.changed()
+
+    def _torque(self, device: Device) -> int:
+        """Return the last known Torque Enable, -1 if there is none."""
+        self.resolve(device)
+        field = device.model.by_name.get('Torque Enable')
+        torque = device.table.byte(field.at) if field is not None else None
+        return -1 if torque is None else torque
+
+
+def _raw(device: Device, name: str) -> int:
+    """Return what is known of a register, 0 where nothing is."""
+    field = device.model.by_name.get(name)
+    data = device.table.bytes(field.at, field.size) if field is not None else None
+    return 0 if field is None or data is None else field.code_of(data)

@@ -1,0 +1,269 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What damage looks like bit by bit: which bits of a packet turned over, and what does that. Pure.
+
+A damaged packet is compared with what must have been sent: header, ID, length and code are known
+from what the master repeats; in the rest a single wrong bit is found by the checksum. What this
+says is evidence of a finding, worded as "looks like", and nothing where it is not clear.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+from msg_defs.crc import crc16
+from msg_defs.dxl1_packet import HEADER as FAMILY_HEADER
+from msg_defs.dxl1_packet import MAX_LENGTH as MAX_LENGTH_1
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_packet import HEADER
+from msg_defs.dxl_packet import MAX_LENGTH
+from msg_defs.dxl_packet import STATUS
+from servobus.bus.report import BusReport
+from servobus.bus.report import PROTOCOL_2
+
+ALIKE = 1 / 8                      # fewer of the known bits are wrong: by chance half are
+ENOUGH = 8                         # wrecks, and flips, that make a picture
+NEARLY_ALL = 0.9
+NEARLY_NONE = 0.1
+MOSTLY = 0.7
+OFTEN = 1 / 4                      # packets of a kind that are wrong in the same way: no chance
+SEVERAL = 16                       # distances between wrong bits that can show a period
+GAPS_KEPT = 100
+ON_TIME = 3 / 4                    # are multiples of it: by chance 1 in 5
+SAME = 1.5                         # bits: distances so near are the same one
+BOTH_WAYS = 1 / 4                  # packets with a first wrong bit that went the rarer way
+FAR = 15                           # bits: nearer ones are one pulse, not two
+LINE_BITS = 10                     # a byte on the line, start and stop bit with it
+
+CLOCK = 'a wrong clock rate: the last bits of bytes are wrong'
+SPEAKERS = 'two senders at once'
+LEVEL = 'a wrong level or edge'
+INTERFERENCE = 'interference: single wrong bits, 0 as 1 and 1 as 0'
+PWM = 'the PWM of a motor'
+
+
+class Shape(NamedTuple):
+    """What is known of a packet that is due again and again. known: its first bytes."""
+
+    known: bytes
+    size: int                      # bytes in all
+    device: int                    # who says it, -1 for the master
+
+
+class WrongBit(NamedTuple):
+    """One wrong bit. at: bits of the line from the first start bit, -1 unknown."""
+
+    at: int
+    bit: int                       # 0 to 7 in its byte
+    is_up: bool                    # 0 became 1
+    is_late: bool | None           # it is as the bit before it was, None unknown
+
+
+class Wreck(NamedTuple):
+    """A damaged packet that was recognised; flips: none where too many bits of data are wrong."""
+
+    device: int
+    size: int                      # bytes of the packet
+    flips: tuple[WrongBit, ...]
+
+
+# --- what is due -------------------------------------------------------------------------------
+
+def shapes(report: BusReport) -> tuple[Shape, ...]:
+    """Return what the master repeats and what is answered, in the form of this bus."""
+    is_2 = report.protocol.startswith(PROTOCOL_2)
+    longest = MAX_LENGTH - 4 if is_2 else MAX_LENGTH_1 - 2     # bytes of data in a status
+    found: dict[Shape, None] = {}
+    for cycle in report.cycles:
+        code = cycle.instruction
+        if code in (Instruction.READ, Instruction.SYNC_READ) and cycle.length <= longest:
+            found.update((_status(number, cycle.length, is_2), None) for number in cycle.ids)
+        elif code == Instruction.WRITE:
+            found[_status(cycle.ids[0], 0, is_2)] = None
+        elif code == Instruction.PING and len(cycle.ids) == 1:
+            found[_status(cycle.ids[0], 3 if is_2 else 0, is_2)] = None
+    return tuple(found)
+
+
+def _status(number: int, size: int, is_2: bool) -> Shape:
+    if is_2:
+        length = (size + 4).to_bytes(2, 'little')
+        return Shape(HEADER + bytes((number, *length, STATUS)), size + 11, number)
+    return Shape(FAMILY_HEADER + bytes((number, size + 2, 0)), size + 6, number)
+
+
+# --- what is wrong with it ---------------------------------------------------------------------
+
+def wrecks(noise: bytes, due: Sequence[Shape]) -> list[Wreck]:
+    """Return the damaged packets that are recognised in bytes that were no packets."""
+    found = []
+    at = 0
+    while at < len(noise):
+        shape = _nearest(noise, at, due)
+        if shape is None:
+            at += 1
+            continue
+        got = noise[at:at + shape.size]
+        wreck = _wreck(got, shape)
+        if wreck is not None:
+            found.append(wreck)
+        at += shape.size if wreck is not None and not wreck.flips else len(shape.known)
+    return found
+
+
+def _nearest(noise: bytes, at: int, due: Sequence[Shape]) -> Shape | None:
+    best, least = None, ALIKE
+    for shape in due:
+        known = shape.known
+        got = noise[at:at + len(known)]
+        if len(got) < len(known):
+            continue
+        share = wrong_bits(got, known) / (8 * len(known))
+        if share < least:
+            best, least = shape, share
+    return best
+
+
+def wrong_bits(got: bytes, sent: bytes) -> int:
+    """Return in how many bits two texts of one length differ."""
+    return (int.from_bytes(got, 'big') ^ int.from_bytes(sent, 'big')).bit_count()
+
+
+def _wreck(got: bytes, shape: Shape) -> Wreck | None:
+    """Return what is wrong with a packet, None where nothing is, or it breaks off."""
+    flips = tuple(_flips(got, shape.known))
+    if flips:
+        return Wreck(shape.device, shape.size, flips)
+    rest = got[len(shape.known):]
+    if len(got) < shape.size or FAMILY_HEADER in rest or rest.endswith(FAMILY_HEADER[:1]):
+        return None                                    # another packet begins in there
+    is_2 = shape.known.startswith(HEADER)
+    if not _syndrome(got, is_2):
+        return None
+    one = _one_flip_2(got) if is_2 else _one_flip_1(got)
+    return Wreck(shape.device, shape.size, () if one is None else (one,))
+
+
+def _flips(got: bytes, known: bytes) -> Iterable[WrongBit]:
+    for place, (heard, sent) in enumerate(zip(got, known, strict=False)):
+        for bit in range(8):
+            if (heard ^ sent) >> bit & 1:
+                yield _flip(place, bit, heard, sent)
+
+
+def _flip(place: int, bit: int, heard: int, sent: int) -> WrongBit:
+    value = heard >> bit & 1
+    before = sent >> bit - 1 & 1 if bit else 0         # the start bit is low
+    return WrongBit(LINE_BITS * place + bit + 1, bit, value == 1, value == before)
+
+
+def _syndrome(got: bytes, is_2: bool) -> int:
+    """Return what the checksum is off by, 0 if it is right."""
+    if is_2:
+        return crc16(got[:-2]) ^ (got[-2] | got[-1] << 8)
+    return sum(got[2:]) + 1 & 0xFF
+
+
+def _one_flip_2(got: bytes) -> WrongBit | None:
+    """Return the only bit that can have turned over: each has a syndrome of its own."""
+    place = _places(len(got)).get(_syndrome(got, True))
+    if place is None:
+        return None
+    byte, bit = place
+    return _flip(byte, bit, got[byte], got[byte])          # the bit before it is as it was sent
+
+
+@lru_cache(maxsize=64)
+def _places(size: int) -> dict[int, tuple[int, int]]:
+    found = {}
+    for byte in range(size):
+        for bit in range(8):
+            wrong = bytearray(size)
+            wrong[byte] = 1 << bit
+            found[_syndrome(bytes(wrong), True)] = byte, bit
+    return found
+
+
+def _one_flip_1(got: bytes) -> WrongBit | None:
+    """Return the bit that turned over, if it was one: a sum of 8 bits does not tell the byte."""
+    off = _syndrome(got, False)
+    for bit in range(7):                               # the highest goes either way alike
+        if off in (1 << bit, 256 - (1 << bit)):
+            return WrongBit(-1, bit, off == 1 << bit, None)
+    return None
+
+
+# --- what it looks like ------------------------------------------------------------------------
+
+def look(found: Sequence[Wreck]) -> str:
+    """Return what these wrecks look like, '' where that is not clear."""
+    if len(found) < ENOUGH:
+        return ''
+    known = [wreck for wreck in found if wreck.flips]
+    if len(known) < NEARLY_NONE * len(found):
+        return f'{SPEAKERS}: the headers are whole, data and checksums are not'
+    flips = [flip for wreck in known for flip in wreck.flips]
+    if len(flips) < ENOUGH:
+        return ''
+    if sum(flip.bit == 7 for flip in flips) >= NEARLY_ALL * len(flips):
+        return CLOCK
+    if _are_same(known):
+        return ''
+    period = _period(known)
+    if period:
+        return f'{PWM}: wrong bits about {period} bits apart, or a multiple'
+    return _by_direction(known, flips)
+
+
+def _by_direction(known: Sequence[Wreck], flips: Sequence[WrongBit]) -> str:
+    """Return what makes zeros of ones, ones of zeros, or both."""
+    first = [_first_byte(wreck) for wreck in known]
+    is_single = sum(len(some) <= 2 for some in first) >= MOSTLY * len(first)
+    ups = sum(some[0].is_up for some in first)
+    rarer = min(ups, len(first) - ups)
+    if rarer > BOTH_WAYS * len(first):
+        return INTERFERENCE if is_single else ''
+    if rarer >= NEARLY_NONE * len(first):
+        return ''
+    was, became = ('0', '1') if 2 * ups > len(first) else ('1', '0')
+    late = [flip.is_late for flip in flips if flip.is_late is not None]
+    if is_single or (late and sum(late) >= NEARLY_ALL * len(late)):
+        return f'{LEVEL}: {was} read as {became} each time'
+    return ''
+
+
+def _first_byte(wreck: Wreck) -> list[WrongBit]:
+    """Return the wrong bits of the first wrong byte: a lost start bit spoils the next ones."""
+    place = wreck.flips[0].at // LINE_BITS
+    return [flip for flip in wreck.flips if flip.at // LINE_BITS == place]
+
+
+def _are_same(known: Sequence[Wreck]) -> bool:
+    """Tell whether it is always the same bits: chance does not hit them again and again."""
+    kinds = Counter((wreck.device, wreck.size) for wreck in known)
+    same = sum(count for wreck, count in Counter(known).items()
+               if count >= OFTEN * kinds[wreck.device, wreck.size] and count > 1)
+    return same >= NEARLY_ALL * len(known)
+
+
+def _period(known: Sequence[Wreck]) -> int:
+    """Return the distance (bits) of which the gaps between wrong bits are multiples, or 0."""
+    gaps = [later.at - one.at for wreck in known for one, later in zip(
+        wreck.flips, wreck.flips[1:], strict=False)
+        if one.at >= 0 and later.at - one.at >= FAR][-GAPS_KEPT:]
+    if len(gaps) < SEVERAL or _on_grid(gaps, LINE_BITS) >= MOSTLY:    # it goes with the bytes
+        return 0
+    fit, half_bits = max((_on_grid(gaps, halves / 2), halves) for halves in range(
+        2 * FAR, 2 * max(gaps) + 1))
+    return half_bits // 2 if fit >= ON_TIME else 0
+
+
+def _on_grid(gaps: Sequence[int], period: float) -> float:
+    """Return the share of distances that are near a multiple of a period."""
+    return sum(abs(gap - round(gap / period) * period) <= SAME and gap > period / 2
+               for gap in gaps) / len(gaps)

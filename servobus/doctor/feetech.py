@@ -1,0 +1,116 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rules about Feetech servos: what is peculiar to EEPROM, baud codes and calibration there."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections import defaultdict
+
+from servobus.bus import evidence as ev
+from servobus.bus.report import DeviceReport
+from servobus.doctor.case import Case
+from servobus.doctor.rule import Claim
+from servobus.doctor.rule import Claims
+from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import FAMILY_1
+from servobus.doctor.rule import Found
+from servobus.doctor.rule import listed
+from servobus.doctor.rule import RECENT_S
+from servobus.doctor.rule import Rule
+from servobus.doctor.rule import SILENCE
+
+FEETECH = 'feetech'
+# What LeRobot takes these codes for (its tables of Feetech motors, commit 7427f31).
+LEROBOT_BAUDS = {5: 57_600, 6: 38_400, 7: 19_200}
+TWICE = 2
+MIDDLE, STEPS = 2047, 1           # where LeRobot puts the middle; as near as a goal is met
+SIGN = 0x800                       # in Homing Offset (Feetech, STS memory table)
+# What Lock does to a write of EEPROM (e-Manual, Protocol 1.0; Feetech, STS memory table).
+_OF_LOCK = {'1': ('ignores it', 'switch its power off and on to unlock it'),
+            FEETECH: ('forgets it at power-off', 'write 0 to Lock before it, and 1 after it')}
+
+
+def _baud_code(case: Case, device: DeviceReport) -> Found | None:
+    code = case.incidents(ev.BAUD_WRITTEN, device)[-1].detail.value
+    taken_for = LEROBOT_BAUDS.get(code)
+    field = device.model.by_name.get('Baud Rate')      # the servo may prove to be another one
+    if taken_for is None or field is None:
+        return None
+    meant = field.decode(field.bytes_of(code)).text
+    return Claim(f'Baud Rate {code} was written: that is {meant} for Feetech and '
+                 f'{taken_for} in LeRobot; look for the servo at {meant} Bd',
+                 {'code': code})
+
+
+def _locked(case: Case, device: DeviceReport) -> Found | None:
+    values = case.values[device.id]
+    lock = values.get('Lock')
+    written = [device.model.by_address[one.detail.value].name for one in
+               case.incidents(ev.LOCKED, device) if one.detail.value in device.model.by_address]
+    if lock is None or lock.value.raw == 1:
+        written += [one.field.name for one in device.observed if one.source == 'w'
+                    and one.field.memory == 'eeprom' and (
+                        lock is None or one.age_s < min(lock.age_s, RECENT_S))]
+    if not written:
+        return None
+    if lock is None:
+        return Doubt(f'{written[0]} written, and Lock never read: while Lock is 1 the '
+                     'servo ignores that, or forgets it at power-off')
+    effect, remedy = _OF_LOCK[device.model.protocol]
+    return Claim(f'{written[0]} written while Lock is 1: the servo {effect}; {remedy}',
+                 {'written': ', '.join(dict.fromkeys(written))})
+
+
+def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
+    times = case.count(ev.CALIBRATED, device)
+    if times >= TWICE:
+        return Claim(f'calibrated {times} times within 10 s: each time its present '
+                     'position becomes the middle; do it once, with the joint in the middle',
+                     {'times': times})
+    offsets = case.incidents(ev.OFFSET_WRITTEN, device)
+    for now, before, place in (one.detail for one in offsets):
+        if now and before and abs(_signed(now) - (place - MIDDLE)) <= STEPS:
+            return Claim(f'Homing Offset {_signed(now)} written: its position less '
+                         f'{MIDDLE}, as it was with the offset {_signed(before)}, so the new one '
+                         'is wrong by that; write 0, measure again')
+    last = offsets[-1] if len(offsets) >= TWICE else None
+    if last is None or not (last.detail.now and last.detail.before):
+        return None
+    return Claim(f'Homing Offset written {len(offsets)} times within 10 s, {TWICE} '
+                 'without 0 between: the new offset includes the old one; write 0, measure '
+                 'again', {'now, before': f'{last.detail.now}, {last.detail.before}'})
+
+
+def _signed(offset: int) -> int:
+    return offset if offset < SIGN else SIGN - offset
+
+
+def _mixed_firmware(case: Case) -> Claims:
+    by_model: defaultdict[str, dict[int, str]] = defaultdict(dict)
+    for device in case.report.devices:
+        if device.model.protocol == FEETECH:
+            seen = case.values[device.id]
+            parts = [seen[name].value.text for name in (
+                'Firmware Version', 'Firmware Version Minor') if name in seen]
+            if len(parts) == 2:
+                by_model[device.model_name][device.id] = '.'.join(parts)
+    for name, versions in by_model.items():
+        count = Counter(versions.values())
+        if len(count) > 1:
+            least = ', '.join(
+                f'{version} in {listed([one for one in versions if versions[one] == version])}'
+                for version in sorted(count) if count[version] == min(count.values()))
+            yield Claim(f'{name} with different firmware, {least}: LeRobot refuses that; '
+                        "update them to one version with Feetech's debugger",
+                        {'versions': ', '.join(sorted(count))})
+
+
+RULES = (
+    Rule('baud_code', _baud_code,
+         (*SILENCE, 'baud_moved'),
+         noted=(ev.BAUD_WRITTEN,), protocols=(FEETECH,)),
+    Rule('lock', _locked, each=True, protocols=FAMILY_1),
+    Rule('calibrated_twice', _calibrated_twice, noted=(ev.CALIBRATED, ev.OFFSET_WRITTEN)),
+    Rule('mixed_firmware', _mixed_firmware),
+)

@@ -1,0 +1,198 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Rhythm: how regularly a master repeats an instruction, from the stamps of its last repetitions.
+
+Stamps are those of chunks: an adapter that gathers bytes blurs them by as much, which is why every
+judgement here is relative to the period and none is finer than a fifth of it.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from itertools import pairwise
+from operator import le
+from operator import sub
+from typing import NamedTuple
+
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.uart import byte_ns
+from servobus.bus.report import Cycle
+
+S = 1_000_000_000
+WRITES = (Instruction.WRITE, Instruction.REG_WRITE, Instruction.SYNC_WRITE,
+          Instruction.BULK_WRITE)
+ENOUGH = 12                        # repetitions
+MOST = 8                           # instructions looked at
+FRESH_NS = 2 * S
+SHORT = 0.35                       # share of the period: asked again before its time
+MANY = 8                           # periods
+AGREE = 0.15                       # share of the period: the same
+EVEN = 0.25                        # spread of a loop that a clock paces
+MOSTLY = 0.8                       # share of the periods
+RARELY = 0.3                       # more often, and it is part of the cycle
+AT_ONCE_NS = 1_500_000             # after the answers; chunks of 2 ms blur it
+STATUS_SIZE = 11                   # bytes, without parameters
+INSIDE = 8                         # repetitions of one rhythm while the other went on
+BINS = 16
+ALTERNATE = 0.9                    # share of the periods with just one of the other in it
+UNEVEN = 0.05                      # relative: from the next whole number
+FINE = 0.02                        # the same, of means of many periods, of those of a clock
+
+
+class Rhythm(NamedTuple):
+    """An instruction and the times between its repetitions (ns)."""
+
+    cycle: Cycle
+    periods: tuple[int, ...]
+    period: float                  # median
+    spread: float                  # from the 10th to the 90th percentile, relative to the median
+    base: int                      # the shortest usual period; others may be multiples
+    answer_ns: float               # within so long the answers are on the wire, or just over
+
+    @property
+    def repeats(self) -> list[tuple[int, int]]:
+        """
+        When it was asked again at once, and when before, without the next one being late for it.
+
+        Only where it is regular otherwise: short + rest = period, and all others the period.
+        """
+        low, tolerance = min(SHORT * self.period, self.answer_ns), AGREE * self.period
+        if min(self.periods) >= low or self.cycle.instruction in WRITES:
+            return []                          # writes with other data or IDs count as one kind
+        found, whole = [], [abs(one - self.period) < tolerance for one in self.periods]
+        for at, (one, two) in enumerate(pairwise(self.periods)):
+            if one < low and abs(one + two - self.period) < tolerance and whole[max(0, at - 1)]:
+                found.append((self.cycle.stamps[at], self.cycle.stamps[at + 1]))
+        regular = 2 * len(found) + sum(whole) >= MOSTLY * len(whole)
+        return found if regular and len(found) <= RARELY * len(whole) else []
+
+    def turn(self, since: int) -> float:
+        """
+        Return the mean (ns) of its usual periods since a stamp, 0 where they are too few.
+
+        It is finer than the time between two chunks.
+        """
+        usual = [period for stamp, period in zip(self.cycle.stamps, self.periods, strict=False)
+                 if stamp >= since and abs(period - self.base) < AGREE * self.base]
+        return sum(usual) / len(usual) if len(usual) >= INSIDE else 0.0
+
+    @property
+    def is_even(self) -> bool:
+        """Whether its periods hardly differ: a clock makes them, not the work between them."""
+        return self.spread < EVEN
+
+    @property
+    def is_paced(self) -> bool:
+        """Whether a clock makes most of its periods, and the others are longer."""
+        alike = sum(abs(one - self.base) < FINE * self.base for one in self.periods)
+        return 2 * alike > len(self.periods)
+
+    @property
+    def may_sleep(self) -> bool:
+        """
+        Whether a program may sleep in it, which is late at times, rather than work.
+
+        A sleep ends late, never early: few periods are much shorter than most. One until the
+        next whole period makes up for a late one: several together vary no more than one.
+        """
+        least = sorted(self.periods)[len(self.periods) // 10]
+        together = spread_of([*map(sub, self.cycle.stamps[MANY:], self.cycle.stamps)])
+        return least > (1 - EVEN) * self.period or together < self.spread * 2 / MANY
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether it keeps time, repetitions that were lost left aside."""
+        if self.spread < AGREE:
+            return True
+        turns = [period / max(1, self.base) for period in self.periods]
+        return sum(turn > 0.5 and abs(turn - round(turn)) < AGREE for turn in turns) \
+            >= MOSTLY * len(turns)
+
+    @property
+    def jitter(self) -> float:
+        """
+        Return its spread, 0 where that has an order: few different periods, a change of pace.
+
+        A program with several paces has few different periods; one that is held up has any.
+        """
+        if self.spread < AGREE:
+            return self.spread
+        low, high = min(self.periods), max(self.periods)
+        width = (high - low) / BINS or 1.0
+        if len({int((period - low) / width) for period in self.periods}) < BINS // 2:
+            return 0.0
+        half = len(self.periods) // 2
+        return min(spread_of(self.periods[:half]), spread_of(self.periods[half:]))
+
+
+def rhythms(cycles: tuple[Cycle, ...], now: int, baud: int) -> list[Rhythm]:
+    """Return the rhythms of the most frequent instructions that are still going on."""
+    going_on = [cycle for cycle in cycles
+                if len(cycle.stamps) > ENOUGH and now - cycle.stamps[-1] < FRESH_NS
+                and all(map(le, cycle.stamps, cycle.stamps[1:]))]      # the clock was not set
+    return [_rhythm(cycle, baud) for cycle in going_on[:MOST]]
+
+
+def answer_ns(cycle: Cycle, baud: int) -> float:
+    """Return how long the answers to an instruction take on the wire."""
+    if cycle.instruction in WRITES[2:]:
+        return 0.0
+    return len(cycle.ids) * (STATUS_SIZE + cycle.length) * byte_ns(baud)
+
+
+def _rhythm(cycle: Cycle, baud: int) -> Rhythm:
+    periods = tuple(map(sub, cycle.stamps[1:], cycle.stamps))
+    ordered = sorted(periods)
+    return Rhythm(cycle, periods, ordered[len(ordered) // 2], spread_of(ordered),
+                  ordered[len(ordered) // 4], 1.2 * answer_ns(cycle, baud) + AT_ONCE_NS)
+
+
+def spread_of(periods: Sequence[int]) -> float:
+    """Return the distance from the 10th to the 90th percentile, relative to the median."""
+    ordered = sorted(periods)
+    middle = ordered[len(ordered) // 2]
+    edge = len(ordered) // 10
+    return (ordered[-1 - edge] - ordered[edge]) / middle if middle > 0 else 0.0
+
+
+def is_multiple(slow: Rhythm, fast: Rhythm) -> bool:
+    """Tell whether one period fits the other a whole number of times: one program's, as a rule."""
+    return is_whole(slow.base / max(1, fast.base), UNEVEN)
+
+
+def is_locked(slow: Rhythm, fast: Rhythm) -> bool:
+    """Tell the same more finely, by the time in which both are known, or each alone."""
+    since = max(slow.cycle.stamps[0], fast.cycle.stamps[0])
+    one, other = slow.turn(since), fast.turn(since)
+    if not (one and other):
+        one, other = slow.turn(0), fast.turn(0)
+    return not (one and other) or is_whole(one / other, FINE)
+
+
+def is_whole(ratio: float, uneven: float) -> bool:
+    """Tell whether a ratio is a whole number, but for a share of itself."""
+    return abs(ratio - round(ratio)) < uneven * ratio
+
+
+def is_independent(one: Rhythm, other: Rhythm) -> bool:
+    """
+    Tell whether one rhythm knows nothing of another.
+
+    What one program asks has few places in its cycle; another's falls anywhere in it. Where
+    the two alternate strictly, one program asks both.
+    """
+    stamps = one.cycle.stamps
+    between = [bisect_right(stamps, end) - bisect_right(stamps, begin)
+               for begin, end in pairwise(other.cycle.stamps) if begin >= stamps[0]]
+    if between and between.count(1) >= ALTERNATE * len(between):
+        return False
+    bins = set()
+    inside = 0
+    for stamp in other.cycle.stamps:
+        at = bisect_right(stamps, stamp) - 1
+        if 0 <= at < len(stamps) - 1:
+            inside += 1
+            bins.add(int(BINS * (stamp - stamps[at]) / (stamps[at + 1] - stamps[at] or 1)))
+    return inside >= INSIDE and len(bins) >= min(BINS // 2, inside // 2)

@@ -1,0 +1,122 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a rule of the doctor is: data and a pure function from a Case to claims.
+
+A claim names a cause; a doubt says that the evidence is there and does not decide. Neither knows
+of time before the case: how long a claim lasts is the Doctor's.
+"""
+
+from collections.abc import Callable
+from collections.abc import Iterable
+from collections.abc import Iterator
+from collections.abc import Mapping
+from math import log
+from typing import Any
+from typing import NamedTuple
+
+from msg_defs.reports import Level
+from servobus.bus.report import IncidentKind
+
+RECENT_S = 10.0                    # a value that is older says nothing of now
+
+# What follows from many causes, for `explains`.
+SILENCE = ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter')
+DAMAGE = ('noise', 'damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')
+ANSWER = 'answer'                  # for `rests_on`: the last answer to any instruction
+FAMILY_1 = ('1', 'feetech')        # as model files call the protocols of the 1.0 family
+
+
+class Claim(NamedTuple):
+    """
+    A cause found; device None = the bus. covers: devices with trouble of this cause.
+
+    rests_on: the register of these devices whose value it is about, or ANSWER; then registers that
+    decide what the value means. It does not end while the first is not seen again (last_read.py).
+    """
+
+    message: str
+    figures: Mapping[str, object] = {}
+    level: Level | None = None     # where it is not the rule's
+    covers: tuple[int, ...] = ()
+    is_certain: bool = False       # it needs no onset
+    stands_alone: bool = False     # it explains no other claim
+    device: int | None = None
+    rests_on: tuple[str, ...] = ()
+
+    @property
+    def evidence(self) -> tuple[tuple[str, str], ...]:
+        """The figures as a finding has them."""
+        return tuple((name, str(figure)) for name, figure in self.figures.items())
+
+
+class Doubt(NamedTuple):
+    """Something is wrong or unknown, and the evidence does not say what."""
+
+    reason: str
+    device: int | None = None
+
+
+_PERCENT = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
+_SECONDS = (1, 5, 10, 30, 60, 300, 600, 1800, 3600)
+
+Found = Claim | Doubt
+Claims = Iterator[Found]
+
+
+class Rule(NamedTuple):
+    """
+    One cause. name: as in the key finding.<name> and in docs/doctor.md.
+
+    check: from a case to what is found; with `each` or `noted` from a case and a device to what
+    is found of it, or None. explains: rules with claims that follow from this one, on its device
+    and those it covers, and of the bus; a claim about the bus explains those of all devices.
+    """
+
+    name: str
+    check: Callable[..., Any]
+    explains: tuple[str, ...] = ()
+    level: Level = Level.WARN
+    onset_s: float = 0.0           # claimed without a break for so long, before it is reported
+    holds: bool = True             # lasts some seconds longer than its evidence; a state does not
+    each: bool = False
+    # What it is asked of: all, or where there are such incidents, models of these protocols, a
+    # model that was named: the registers alone may be known by what the program uses.
+    noted: tuple[IncidentKind[Any], ...] = ()
+    protocols: tuple[str, ...] = ()
+    needs_model: bool = False
+
+
+def share(part: float, whole: float) -> str:
+    """Spell a share: '12 %'."""
+    percent = 100 * part / whole if whole else 0.0
+    return f'{percent:.0f} %' if percent >= 9.95 else f'{percent:.1f} %'
+
+
+def about(part: float, whole: float) -> str:
+    """Spell a share in steps, so that the words stand still: 'about 5 %'."""
+    percent = 100 * part / whole if whole else 0.0
+    nearest = min(_PERCENT, key=lambda step: abs(log(step / max(percent, 0.05))))
+    return f'about {nearest:g} %' if percent > _PERCENT[0] else f'less than {_PERCENT[0]:g} %'
+
+
+def longer_than(seconds: float) -> str:
+    """Spell a time in steps, so that the words stand still: 'more than 10 s'."""
+    step = max((one for one in _SECONDS if one <= seconds), default=1)
+    return f'more than {step} s' if step < 60 else f'more than {step // 60} min'
+
+
+def in_full(numbers: Iterable[int]) -> str:
+    """Spell all IDs, for a figure: '003, 004'."""
+    return ', '.join(_ids(numbers))
+
+
+def listed(numbers: Iterable[int], most: int = 6) -> str:
+    """Spell IDs: '003, 004 and 9 more'."""
+    ids = _ids(numbers)
+    more = f' and {len(ids) - most} more' if len(ids) > most else ''
+    return ', '.join(ids[:most]) + more
+
+
+def _ids(numbers: Iterable[int]) -> list[str]:
+    return [f'{number:03}' for number in numbers]

@@ -1,0 +1,154 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rules about servos that were not set up for this robot: ID, supply, table of another series."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import name_of
+from msg_defs.reports import Level
+from servobus.bus import evidence as ev
+from servobus.bus.report import DeviceReport
+from servobus.doctor.case import Case
+from servobus.doctor.health import ALIVE_VOLTS
+from servobus.doctor.health import last_read
+from servobus.doctor.health import limit_of
+from servobus.doctor.health import SUPPLY
+from servobus.doctor.rule import Claim
+from servobus.doctor.rule import Claims
+from servobus.doctor.rule import DAMAGE
+from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import FAMILY_1
+from servobus.doctor.rule import Found
+from servobus.doctor.rule import in_full
+from servobus.doctor.rule import listed
+from servobus.doctor.rule import Rule
+from servobus.doctor.rule import SILENCE
+from servobus.model.control_table import Model
+
+S = 1_000_000_000
+FEW = 3
+FACTORY_ID = 1
+CLASHES = 0.5                      # share of its answers: a bad cable spoils fewer
+BEYOND = 1.25                      # times the limit: made for another supply, not just near it
+FOR_12_V = 12.0                    # a limit from here on: the servo is made for 12 V
+WEAK = 8.6                         # V: two cells; an empty battery of three has more
+ONSET_S = 3.0                      # a supply that sags for a moment is none
+ALL = 3                            # as many: it is the supply, not one servo
+TABLE_END = 256                    # no address above it exists there
+RECENT_NS = 10 * S
+DUMP = 4                           # bytes: who reads more at once, looks at all there is
+# The registers there in other series (e-Manual; Feetech, memory tables of STS and SCS).
+_ELSEWHERE = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX and MX',
+              48: 'Lock of SCS', 55: 'Lock of STS', 64: 'Torque Enable of X',
+              116: 'Goal Position of X', 132: 'Present Position of X'}
+
+
+def _factory_id(case: Case) -> Claims:
+    first = case.devices.get(FACTORY_ID)
+    absent = [device.id for device in case.report.devices if device is not first
+              and device.last_heard_s is None
+              and max(device.missed_in_a_row, device.acks_missing) >= FEW
+              and 2 * device.window.garbled <= device.window.missed]
+    if first is None or not absent or not _clashes(case, first):
+        return
+    yield Claim(f'several servos answer as 001, and {listed(absent, 3)} never did: '
+                'new ones still have ID 1; connect one at a time and give each its own ID',
+                {'never heard': in_full(absent),
+                 'spoilt': f'{first.window.spoilt} of {first.window.asked}'},
+                covers=tuple(absent), device=FACTORY_ID)
+
+
+def _clashes(case: Case, device: DeviceReport) -> bool:
+    """Tell whether more than one device answers: twice, or over each other most of the time."""
+    window = device.window
+    return case.count(ev.SECOND_ANSWER, device) >= FEW or (
+        window.spoilt >= FEW and window.spoilt >= CLASHES * window.asked)
+
+
+def _wrong_supply(case: Case) -> Claims:
+    high, low, unknown = [], [], []
+    for device in case.report.devices:
+        volts = last_read(case, device, SUPPLY[0])
+        if device.model.protocol not in FAMILY_1 or volts is None or volts < ALIVE_VOLTS:
+            continue
+        limit, is_of_model = limit_of(case, device, 'Max Voltage Limit', 'high')
+        if limit is None or (is_of_model and device.model.protocol != '1'):
+            unknown += [device.id] * (device.model.number is not None)
+        elif volts > BEYOND * limit:
+            high.append((device, volts, limit))
+        # What was higher before, or is below the lowest, is a supply that sags.
+        elif limit >= FOR_12_V and max(volts, case.highest.get(device.id, 0.0)) < WEAK \
+                and volts >= (limit_of(case, device, 'Min Voltage Limit', 'low')[0] or 0.0):
+            low.append((device, volts, limit))
+    yield from _supply_claims(high, 'far above its limit of {limit:.1f} V: a servo for a lower '
+                              'voltage{others}; switch off, and check which servos these are',
+                              Level.ERROR)
+    yield from _supply_claims(low, 'while its limit is {limit:.1f} V: a servo for 12 V on a lower '
+                              'supply{others}, slow and weak; supply 12 V', Level.WARN)
+    if unknown:
+        yield Doubt(f'{listed(unknown, 3)}: Max Voltage Limit never read, so it is unknown '
+                    'whether they fit the supply')
+
+
+def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
+                   level: Level) -> Iterator[Claim]:
+    """Claim each, or the first for all where it is many: then it is the supply."""
+    ids = tuple(device.id for device, _, _ in found)
+    many = len(found) >= ALL
+    for device, volts, limit in found[:1] if many else found:
+        others = f', {len(ids) - 1} others too' if many else ''
+        yield Claim(f'at {volts:.0f} V, ' + words.format(limit=limit, others=others),
+                    {'voltage (V)': f'{volts:.1f}',
+                     'limit (V)': f'{limit:.1f}',
+                     'devices': in_full(ids)}, level, covers=ids, device=device.id,
+                    rests_on=SUPPLY)
+
+
+def _layout(case: Case, device: DeviceReport) -> Found | None:
+    order = case.values[device.id].get('Byte Order')
+    place = device.model.by_name.get('Present Position')
+    if order is not None and place is not None \
+            and (order.value.raw == 1) != (place.byte_order == 'big'):
+        return Claim(f'reports that its numbers are {order.value.text}, but those of '
+                     f'{device.model_name} are not: set its real model in {case.names.devices}')
+    refused = {one.detail.address for one in case.incidents(ev.REFUSED, device)}
+    for cycle in case.report.cycles:
+        if cycle.address is None or device.id not in cycle.ids or cycle.asked < FEW \
+                or cycle.address in refused or cycle.stamps[-1] < case.now - RECENT_NS:
+            continue
+        first = device.model.by_address.get(cycle.address)
+        is_low_byte = first is not None and first.at == cycle.address not in _ELSEWHERE \
+            and cycle.length == 1 and cycle.instruction == Instruction.WRITE
+        unfit = _unfit(device.model, cycle.address, cycle.length)
+        if unfit and not is_low_byte:      # which is enough for a small number
+            return Claim(f'{name_of(cycle.instruction)} of {cycle.length} at '
+                         f'{cycle.address}, {unfit}: use the table of {device.model_name}',
+                         {'address': cycle.address, 'times': cycle.asked})
+    return None
+
+
+def _unfit(model: Model, begin: int, length: int) -> str:
+    """Return why an access does not fit the registers of a model, '' where it does."""
+    end = begin + length
+    fields = [field for field in model.fields if field.at < TABLE_END]
+    elsewhere = f' ({_ELSEWHERE[begin]})' if begin in _ELSEWHERE else ''
+    for field in fields:
+        if any(field.at < edge < field.end for edge in (begin, end)):
+            return f'which cuts {field.name} ({field.at}, {field.size} bytes){elsewhere}'
+    if length <= DUMP and begin < TABLE_END \
+            and not any(field.at < end and field.end > begin for field in fields):
+        return f'where {model.name} has no register{elsewhere}'
+    return ''
+
+
+RULES = (
+    Rule('factory_id', _factory_id,
+         (*SILENCE, *DAMAGE, 'duplicate_id', 'all_silent', 'turnaround', 'foreign_answers',
+          'wrong_length', 'late_answers', 'cycle_time'), level=Level.ERROR),
+    Rule('wrong_supply', _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
+         onset_s=ONSET_S, level=Level.ERROR),
+    Rule('layout', _layout, each=True, protocols=FAMILY_1, needs_model=True),
+)

@@ -1,0 +1,448 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Rules about time: who is too early, too late, too slow, out of step.
+
+What is finer than the adapter resolves is not judged: latencies come with their share resolved,
+periods are judged in parts of themselves (rhythm.py).
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Iterator
+from itertools import pairwise
+from operator import attrgetter
+from statistics import median
+
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import name_of
+from msg_defs.reports import Level
+from msg_defs.uart import byte_ns
+from servobus.bus import evidence as ev
+from servobus.bus.report import Cycle
+from servobus.bus.report import DeviceReport
+from servobus.bus.report import Incident
+from servobus.bus.report import ROBBER
+from servobus.doctor.case import Case
+from servobus.doctor.case import key_of
+from servobus.doctor.collision import is_collision
+from servobus.doctor.collision import laid_over_answers
+from servobus.doctor.collision import ran_into_answers
+from servobus.doctor.last_question import read_late
+from servobus.doctor.rhythm import answer_ns
+from servobus.doctor.rhythm import AT_ONCE_NS
+from servobus.doctor.rhythm import is_independent
+from servobus.doctor.rhythm import is_locked
+from servobus.doctor.rhythm import is_multiple
+from servobus.doctor.rhythm import Rhythm
+from servobus.doctor.rhythm import WRITES
+from servobus.doctor.rule import Claim
+from servobus.doctor.rule import Claims
+from servobus.doctor.rule import DAMAGE
+from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import Found
+from servobus.doctor.rule import in_full
+from servobus.doctor.rule import listed
+from servobus.doctor.rule import Rule
+from servobus.doctor.rule import SILENCE
+
+S = 1_000_000_000
+MS = 1_000_000
+FEW = 3
+TOGETHER_NS = 3 * MS               # late answers closer than this belong to one
+FOREIGN_ENOUGH = 3               # instructions of another master that came to this one
+LOADED = 75.0                      # % of the wire time: the rest leaves no room for a retry
+LOAD_S = 3.0
+BLURRED = 3                        # times the resolution: what is narrower is not a finding
+DELAY_MS = (0.4, 0.7)              # a Return Delay Time of 500 us, as measured
+BLUR_MS = 0.15
+SAMPLES = 5
+JITTERY = 0.5                      # spread of the cycle
+JITTER_ONSET_S = 3.0               # a computer that is busy for a moment is not a finding
+LATENCY_MS = (15.0, 18.5)          # a latency timer of 16 ms, and what its host adds
+SLOW_PER_S = 70                    # answers; with 16 ms each there cannot be more
+RESOLVED_MS = 4.0                  # between chunks; else all gaps count, not those after answers
+GRID_NS = 16 * MS                  # exactly that is made by the adapter that we hear through
+HZ_60_NS = S // 60
+LATENT = 0.6                       # share of the gaps
+WAITED_S = 3.0
+LATE_S = 10.0
+NO_WAIT_US = 50                   # less than any answer takes on the wire
+MOSTLY = 0.7
+SHARE = 0.02                      # share of the answers; a busy computer delays less
+RARELY = 0.1                      # questions after a write: noise would hit as few of them
+BEHIND_NS = 2 * MS               # as far as chunks tell time
+MANY = 10                          # vain waits
+SOON_US = 500                      # Return Delay Time as from the factory (e-Manual)
+MOST = 0.5                         # share of the cycle
+SEVERAL = 3                        # Reads that one Sync Read replaces
+SLOW_MS = 0.4                      # reply latency: Return Delay Time from the factory is 0.5 ms
+
+
+def _impatient(case: Case) -> Claims:
+    spoilt = [wait.stamp for wait in case.report.waits if wait.is_spoilt]      # asked once more
+    again = Counter(code for stamp, code in case.repeats.items()
+                    if not any(0 <= stamp - one < TOGETHER_NS for one in spoilt))
+    again.update(one.detail.instruction for one in _hidden_repeats(case))
+    again.update(one.detail.instruction for one in _repeats_into_answers(case))
+    if again.total() >= FEW + case.counted('glitches'):        # after which it asks once more
+        worst = again.most_common(1)[0][0]
+        words = f'the master repeats {name_of(worst)} at once, {again.total()} times in 10 s'
+        yield Doubt(f'{words}, though it got whole answers: its parser may reject them') \
+            if case.report.has_sides and not case.waits(LATE_S) else \
+            Claim(f'{words}: its time-out is shorter than the answers take; raise it',
+                  {'repeated': again.total()})
+        return
+    hasty = [one.us for one in case.waits(WAITED_S) if not one.is_spoilt]
+    least = MOSTLY * len(case.waits(WAITED_S)) if case.report.has_sides else 0.0
+    if len(hasty) >= max(MANY, least) and median(hasty) < SOON_US and case.damage >= FEW \
+            and any(case.lately(device, WAITED_S).answers for device in case.report.devices):
+        yield Claim('the master does not wait for answers and sends during them: it gives '
+                    f'up within {SOON_US} us, before a servo with factory settings answers; '
+                    'raise its time-out', {'given up at once': len(hasty)})
+        return
+    thrown = sum(one.detail.instruction not in WRITES for one in case.incidents(ev.THROWN_AWAY))
+    if thrown >= MANY:
+        yield Claim(f'the program asks, and throws the answers away unread, {thrown} times '
+                    'in 10 s: let it wait for each answer and read it, or not ask',
+                    {'answers thrown away': thrown})
+        return
+    times = _questions_into_acks(case)
+    if times:
+        yield Claim('the master does not wait for the acknowledgement of a write: its next '
+                    f'instruction ran into it {times} times in 10 s; let it wait, or use '
+                    'Sync Write',
+                    {'instructions into an acknowledgement': times})
+
+
+def _questions_into_acks(case: Case) -> int:
+    """
+    Return how many answers were spoilt right after a write that nothing acknowledged, else 0.
+
+    Noise would spoil the answers to other questions too; where many questions follow a
+    write, the cause is unknown.
+    """
+    spoilt = [wait.stamp - 1000 * wait.us for wait in case.waits(LATE_S) if wait.is_spoilt]
+    if len(spoilt) < FEW:
+        return 0
+    writes = sorted(stamp for cycle in case.report.cycles for stamp in cycle.stamps
+                    if cycle.instruction == Instruction.WRITE and not _acknowledges(case, cycle))
+    asked = [stamp for cycle in case.report.cycles if cycle.instruction not in WRITES
+             for stamp in cycle.stamps]
+    times = sum(_is_after(writes, stamp) for stamp in spoilt)
+    usual = sum(_is_after(writes, stamp) for stamp in asked)
+    return times if times >= max(FEW, MOSTLY * len(spoilt)) \
+        and usual <= RARELY * len(asked) else 0
+
+
+def _acknowledges(case: Case, cycle: Cycle) -> bool:
+    return any(number not in case.devices or case.devices[number].acks is not None
+               for number in cycle.ids)
+
+
+def _is_after(writes: list[int], stamp: int) -> bool:
+    """Tell whether a write came so shortly before that its answer was still due."""
+    at = bisect_right(writes, stamp + BEHIND_NS)
+    return at > 0 and writes[at - 1] >= stamp - BEHIND_NS
+
+
+def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
+    """
+    Return the questions asked again while their answers were due, where they ran into them.
+
+    A master that repeats what came back damaged does not.
+    """
+    if not case.count(ev.TOO_LONG) or not ran_into_answers(case):
+        return []
+    longest: dict[int, float] = {}
+    for cycle in case.report.cycles:
+        within = 1.2 * answer_ns(cycle, case.report.baud) + AT_ONCE_NS
+        longest[cycle.instruction] = max(within, longest.get(cycle.instruction, 0.0))
+    return [one for one in case.incidents(ev.REPEATED)
+            if 1000 * one.detail.us < longest.get(one.detail.instruction, 0.0)]
+
+
+def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
+    """
+    Return the first of each group of answers that came again after damage in an answer.
+
+    Behind a damaged instruction they would be its own answers.
+    """
+    again = case.incidents(ev.ANSWERED_AGAIN)
+    first = again[:1] + [one for before, one in pairwise(again)
+                         if one.stamp - before.stamp > TOGETHER_NS]
+    if len({one.device for one in again}) < 2 \
+            or len(first) < 2 * case.count(ev.DAMAGED_INSTRUCTION):
+        return []
+    return first
+
+
+def _late_answers(case: Case) -> Claims:
+    late, fatal = case.incidents(ev.LATE), read_late(case)
+    first: Counter[int] = Counter()
+    before = 0
+    for one in late:
+        if one.stamp - before > TOGETHER_NS:
+            first[one.device] += 1
+        before = one.stamp
+    for number, count in [(fatal.device, 1)] if fatal else first.most_common(1):
+        device = case.devices.get(number)
+        if not fatal and (count < FEW or (device is not None and (
+                device.window.not_served >= count or count < SHARE * device.window.asked))):
+            return
+        if _is_cut_short(case):
+            yield Doubt('the next instruction comes during its answers: two programs, one '
+                        'that does not wait, or two devices with this ID', device=number)
+        else:
+            known = [one.us for one in case.report.waits]
+            also = sorted(one for one, times in first.items() if times >= FEW and one != number)
+            yield Claim('answers after the master gave up, during the next instruction'
+                        f'{f", as {listed(also, 2)} do" if also else ""}: raise the time-out, or '
+                        'lower its Return Delay Time',
+                        {'late answers': count, 'waits': f'{median(known) / 1000:.1f} ms'
+                            if known else 'unknown', **({'also': in_full(also)} if also else {})},
+                        covers=tuple(case.devices), device=number)
+
+
+def _is_cut_short(case: Case) -> bool:
+    """Tell whether questions came as no wait for an answer ends, so that none was given up."""
+    waits = [one.us for one in case.waits(LATE_S) if not one.is_spoilt]
+    return bool(waits) and median(waits) < (SOON_US if case.report.has_sides else NO_WAIT_US)
+
+
+def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
+    wrong = case.incidents(ev.WRONG_SIZE, device)
+    if len(wrong) < FEW or 4 * case.count(ev.LATE, device) > len(wrong):
+        return None
+    size, asked = wrong[-1].detail.got, wrong[-1].detail.wanted
+    return Claim(f'answers {size} bytes to a read of {asked}: its firmware is at '
+                 'fault, or a second device has its ID; update it, then unplug it and ping its ID',
+                 {'answers': len(wrong)})
+
+
+def _latency_timer(case: Case) -> Claims:
+    answers = [answer_ns(cycle, case.report.baud) for cycle in case.report.cycles]
+    answered = sum(len(cycle.stamps) - bisect_right(cycle.stamps, case.now - S)
+                   for cycle, answer in zip(case.report.cycles, answers, strict=True) if answer)
+    if answered > SLOW_PER_S + 1:              # before all is sorted: it is so on a fast bus
+        return
+    if case.report.cycle is not None and case.report.cycle.asleep > case.report.cycle.device:
+        return                                 # when the answers came is unknown
+    # In one chunk a write comes first: a question would have had to wait for its answer.
+    stamps = sorted((stamp, answers[number], number)
+                    for number, cycle in enumerate(case.report.cycles)
+                    for stamp in cycle.stamps if stamp > case.now - S)
+    is_coarse = case.blur_ms > RESOLVED_MS
+    gaps = [((number, following), two - one, answer)
+            for (one, answer, number), (two, _, following) in pairwise(stamps)
+            if answer or is_coarse]
+    if len(gaps) > SLOW_PER_S:
+        return
+    latent = [(kinds, gap) for kinds, gap, answer in gaps if any(
+        LATENCY_MS[0] <= rest / MS <= LATENCY_MS[1] for rest in (gap, gap - answer))]
+    if is_coarse and all(abs(gap - GRID_NS) < GRID_NS // 1000 for _, gap in latent):
+        return
+    if case.report.has_sides and not any(
+            known is not None and known.p50 > LATENCY_MS[0] / 2
+            for one in case.report.devices for known in [one.latency.window]):
+        return                                 # the answers were there long before
+    if latent and sum(abs(gap - HZ_60_NS) < HZ_60_NS // 100 for _, gap in latent) \
+            >= MOSTLY * len(latent):
+        yield Doubt('instructions come every 16.7 ms: a loop at 60 Hz, or a latency timer '
+                    'of 16 ms in the adapter of the master')
+        return
+    slow = [kinds for kinds, _ in latent]
+    other = any(number != following for number, following in slow)
+    if len(slow) >= 10 and len(slow) >= LATENT * len(gaps) and other:
+        yield Claim('most instructions come 16 ms after the previous answer: the latency '
+                    "timer of the master's adapter; set it to 1 ms",
+                    {'16 ms later': f'{len(slow)} of {len(gaps)}'})
+
+
+def _return_delay(case: Case) -> Claims:
+    for device in case.report.devices:
+        register = case.values[device.id].get('Return Delay Time')
+        delay_ms = register.value.number * 1000 if register and register.value.number is not None \
+            else None
+        measured = _measured_ms(device)
+        if (delay_ms or 0.0) >= DELAY_MS[0] or (delay_ms is None and measured is not None
+                                                and DELAY_MS[0] <= measured <= DELAY_MS[1]):
+            yield _delay_claim(case, device, delay_ms, measured)
+
+
+def _measured_ms(device: DeviceReport) -> float | None:
+    summary = device.latency.window or device.latency.total
+    if summary is None or summary.count < SAMPLES or summary.p95 - summary.p50 > BLUR_MS:
+        return None
+    return summary.p50
+
+
+def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
+                 measured: float | None) -> Claim:
+    known = delay_ms if delay_ms is not None else measured or 0.0
+    how = 'Return Delay Time' if delay_ms is not None else 'reply latency'
+    rate = device.totals.reads / case.heard_s if case.heard_s > 0 else 0.0
+    return Claim(f'waits {known:.1f} ms before each answer ({how}): write 0 to Return '
+                 f'Delay Time, which saves {known * rate:.0f} ms of bus time per second',
+                 {'delay (ms)': f'{known:.2f}', 'read': 'yes' if delay_ms else 'measured'},
+                 device=device.id)
+
+
+def _bus_too_slow(case: Case) -> Claims:
+    seconds = (case.now - case.mark(LOAD_S).stamp) / S
+    got = case.counted('bytes', LOAD_S)
+    if seconds < 1.0:
+        return
+    load = 100 * got * byte_ns(case.report.baud) / S / seconds
+    if load > LOADED:
+        steady = next(iter(case.rhythms), None)
+        per_cycle = f', {got / seconds * steady.period / S:.0f} bytes per cycle' if steady else ''
+        harm = case.damage or any(device.window.missed and not device.missed_in_a_row
+                                  for device in case.report.devices)      # one is not just dead
+        yield Claim(f'the line is busy for more than {LOADED:.0f} % of the time{per_cycle}: '
+                    'no room for a retry; raise the baud rate, or read less',
+                    {'load (%)': f'{load:.0f}', 'bytes per second': f'{got / seconds:.0f}'},
+                    Level.WARN if harm else Level.OK)
+
+
+def _two_masters(case: Case) -> Claims:
+    foreign = case.count(ev.FOREIGN)
+    if foreign >= FOREIGN_ENOUGH:
+        yield Claim(f'the master received {foreign} instructions that it did not send: '
+                    'another program uses this bus; stop '
+                    'one', {'instructions': foreign})
+        return
+    lost = sum(one.window.missed for one in case.report.devices if one.id not in case.gone)
+    harm = lost + case.damage + case.count(ev.LATE) + FEW * case.count(ev.UNASKED)
+    if ROBBER in case.report.users or (case.report.users and harm >= FEW):
+        yield Claim(f'{", ".join(case.report.users)} uses this port too, and answers get '
+                    'lost or damaged: let only one use it',
+                    {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
+        return
+    if case.report.has_sides and harm < FEW:
+        return                                 # one program with two timers, or with a lock
+    pair = _apart(case)
+    if pair is None:
+        for clocks in case.clocks:
+            fast, slow = sorted(timer.period / MS for timer in clocks.timers)
+            words = f'{_words(clocks.cycle, fast * MS)} and every {slow:.0f} ms'
+            if is_collision(case):
+                yield _two(case, words)
+            else:
+                yield Doubt(f'{words}: two programs, or one with two timers')
+            return
+    else:
+        one, other = pair
+        yield _two(case, f'{_words(one.cycle, one.base)} and {_words(other.cycle, other.base)}')
+
+
+def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
+    """Return two instructions that keep time apart from each other."""
+    ordered = sorted(case.rhythms, key=attrgetter('base'))
+    least = max(BLURRED * case.blur_ms, 1.0) * MS
+    if not ordered or (not laid_over_answers(case) and (
+            ordered[0].base <= least or not ordered[0].is_steady)):
+        return None
+    one, *others = [one for one in ordered if one.is_steady] or ordered[:1]
+    if one.base <= least or not one.is_steady:
+        return None
+    collide = is_collision(case)               # as one program's questions never do
+    for other in others:
+        differs = collide and not is_locked(other, one)
+        if (differs and one is ordered[0]) or (
+                (differs or not is_multiple(other, one))
+                and is_independent(one, other) and is_independent(other, one)):
+            return one, other
+    return None
+
+
+def _two(case: Case, words: str) -> Claim:
+    return Claim(f'{words}: two programs, or two threads without a lock; let only one ask',
+                 {'damaged packets': case.damage})
+
+
+def _words(cycle: Cycle, period: float) -> str:
+    whom = f'{cycle.ids[0]:03}' if len(cycle.ids) == 1 else f'{len(cycle.ids)} IDs'
+    at = f' at {cycle.address}' if cycle.address is not None else ''
+    return f'{name_of(cycle.instruction)} of {whom}{at} every {period / MS:.0f} ms'
+
+
+def _jitter(case: Case) -> Claims:
+    rhythms = case.rhythms
+    if not rhythms or case.waits(WAITED_S):
+        return
+    fastest = min(one.base for one in rhythms)
+    often = [one for one in rhythms if one.base <= 2 * fastest]
+    if min(one.spread for one in often) <= JITTERY:
+        return
+    best = min(often, key=attrgetter('jitter'))
+    ordered = sorted(best.periods)
+    edge = len(ordered) // 10
+    low, high = ordered[edge] / MS, ordered[-1 - edge] / MS
+    if best.jitter > JITTERY and high - low > BLURRED * case.blur_ms \
+            and (key_of(best.cycle) in case.steady or best.is_paced):
+        yield Claim("the master's cycle is no longer regular: its computer is busy, or its "
+                    'loop does too much; give it a higher priority',
+                    {'spread': f'{best.spread:.2f}',
+                     'cycle (ms)': f'{low:.1f} to {high:.1f}, usually {best.period / MS:.1f}'})
+
+
+def _cycle_time(case: Case) -> Claims:
+    """Name what takes most of each cycle; not the pause of a program that sleeps."""
+    times = case.report.cycle
+    if times is None or times.unknown:
+        return
+    most = MOST * times.cycle
+    of_loop = [one for one in case.rhythms if one.period < 2 * MS * times.cycle]
+    if times.asleep > most:
+        yield Claim(f'{times.asleep:.0f} of {times.cycle:.0f} ms of each cycle the program lets '
+                    'answers wait: let it read at once as many bytes as come, with a time-out; '
+                    'not sleep before it reads, nor ask for more bytes than an answer has')
+    elif times.program > most:
+        works = times.busy is None or 2 * times.busy > times.program
+        if of_loop and works and not any(one.may_sleep for one in of_loop):
+            yield Claim('most of each cycle is the program itself, between an answer and '
+                        'the next instruction: do less there, or in another thread')
+    elif times.waiting and times.waiting[0][1] > most and times.waiting[0][0] in case.gone:
+        yield Claim('most of each cycle is a time-out for its answer: leave '
+                    'it out, or shorten the time-out', device=times.waiting[0][0])
+    elif times.wire + times.device > most:
+        yield from (Claim(todo) for todo in _faster(case, 2 * MS * times.cycle))
+
+
+def _faster(case: Case, within_ns: float) -> Iterator[str]:
+    """Yield what makes the exchanges of a cycle faster; what is asked less often is none."""
+    alike = Counter((one.address, one.length) for one in case.report.cycles
+                    if one.instruction == Instruction.READ and 2 * one.missed < one.asked
+                    and one.stamps[-1] - one.stamps[0] < within_ns * len(one.stamps))
+    reads = max(alike.values(), default=0)
+    slow = max((one.latency.window.p50 for one in case.report.devices if one.latency.window),
+               default=0.0)
+    if reads >= SEVERAL and '1.0' not in case.report.protocol:     # it has no Sync Read
+        yield (f'{reads} servos are read one by one, which is most of each cycle: use one Sync '
+               'Read for all')
+    elif slow > SLOW_MS:
+        yield ('most of each cycle is waiting for answers that do come: set the latency timer of '
+               'the adapter to 1 ms and Return Delay Time to 0')
+
+
+RULES = (
+    Rule('two_masters', _two_masters,
+         (*DAMAGE, 'impatient_master', 'late_answers', 'duplicate_id', 'foreign_answers',
+          'turnaround', 'brown_out'),
+         onset_s=1.0, level=Level.ERROR),
+    Rule('impatient_master', _impatient,
+         (*SILENCE, *DAMAGE, 'late_answers', 'duplicate_id', 'factory_id', 'all_silent',
+          'no_acks')),
+    Rule('late_answers', _late_answers,
+         (*DAMAGE, 'duplicate_id', 'foreign_answers', 'turnaround', 'cycle_time')),
+    Rule('wrong_length', _wrong_length, noted=(ev.WRONG_SIZE,)),
+    Rule('latency_timer', _latency_timer, ('jitter', 'cycle_time')),
+    Rule('bus_too_slow', _bus_too_slow,
+         ('jitter', 'two_masters', 'impatient_master', 'cycle_time')),
+    Rule('jitter', _jitter, ('cycle_time',), onset_s=JITTER_ONSET_S),
+    Rule('return_delay', _return_delay, ('cycle_time',), level=Level.OK),
+    Rule('cycle_time', _cycle_time, onset_s=1.0, level=Level.OK),
+)

@@ -1,0 +1,193 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Layout: the registers of a device of unknown model, by what the program uses.
+
+A program shows what it believes: it writes 1 byte at 64 and 4 at 116, it reads 4 at 132. What all
+tables of servos agree on that have these registers has a meaning. A use that no table has, or
+a value that cannot be, and nothing has a meaning any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from collections.abc import Iterable
+from collections.abc import Mapping
+from dataclasses import replace
+from math import pi
+import re
+
+from servobus.model.control_table import Field
+from servobus.model.control_table import Model
+from servobus.model.control_table import UNKNOWN
+from servobus.model.control_table import Value
+from servobus.model.models import Models
+
+Use = tuple[int, int]              # address and size of what a program reads or writes
+
+ENOUGH = 3        # different registers, Torque Enable or a goal among them; or both positions
+LONGEST = 16                       # bytes: a longer read takes all there is, gaps too
+NOWHERE = (-1, 1)                  # a use that no table has
+LITTLE, BIG = (-2, 1), (-2, 2)     # uses only of numbers that make sense in this order of bytes
+_KEPT = 256
+_X_SERIES = re.compile(r'2?X[A-Z]\d|2X|MX-\d+$')       # MX(2.0) has the same table
+# Where several series are left, only these have a meaning: what else is at one address in all
+# series that are known may well be something different in one that is not.
+_COMMON = ('Torque Enable', 'Goal Position', 'Goal Velocity', 'Present Position',
+           'Present Velocity', 'Present Load', 'Present Input Voltage', 'Present Temperature',
+           'Hardware Error Status', 'Lock', 'ID', 'Baud Rate')
+_BASIC = ('ID', 'Baud Rate', 'Lock')
+# STS and SCS of Feetech differ in the order of bytes: one of these says which.
+_TELLS_ORDER = ('Lock', 'Acceleration')
+POSITIONS = ('Goal Position', 'Present Position')      # signed in some tables
+POSITIONS_AT = (42, 56)            # there with Feetech
+# What a register can hold, in its unit. Of positions: by size, in rad and in steps.
+_RANGES = {'Torque Enable': 1, 'Present Temperature': 120, 'Present Input Voltage': 400}
+_FARTHEST = {2: (2 * pi, 4095), 4: (512 * pi, 1 << 22)}
+_REFUSALS = 3
+_WRONG_TABLE = (5, 7)              # error numbers: data length, access
+
+
+class Layouts:
+    """The layouts of all servos that are known; their files are read when first asked."""
+
+    def __init__(self, models: Models) -> None:
+        self._models = models
+        self._servos: list[Model] = []
+        self._known: dict[tuple[str, frozenset[Use]], Model] = {}
+
+    def of(self, protocol: str, used: frozenset[Use]) -> Model:
+        """Return the registers of a device with which a program does that; or UNKNOWN."""
+        found = self._known.get((protocol, used))
+        if found is None:
+            if len(self._known) >= _KEPT:
+                self._known.clear()
+            found = self._known[protocol, used] = agreed(
+                (one for one in self.servos() if one.protocol == protocol), used)
+        return found
+
+    def servos(self) -> list[Model]:
+        """Return all models that are servos: boards have no torque."""
+        self._servos = self._servos or [
+            model for key in self._models.names() if (model := self._models.get(key)) is not None
+            and {'Torque Enable', 'Goal Position'} <= model.by_name.keys()]
+        return self._servos
+
+
+def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
+    """Return the registers on which all tables agree that have what is used; or UNKNOWN."""
+    orders = [name for name, use in (('little', LITTLE), ('big', BIG)) if use in used]
+    order = orders[0] if len(orders) == 1 else ''      # both: neither is certain
+    uses = [use for use in used if use not in (LITTLE, BIG)]
+    fits = {table: registers for table in tables if (registers := _registers(table, uses))
+            and order in ('', table.by_name['Goal Position'].byte_order)}
+    if not fits:
+        return UNKNOWN
+    first, *others = fits
+    is_enough = all(map(_is_enough, fits.values()))
+    names = {table.name for table in fits}
+    series = {_series(name) for name in names}
+    knows_units = len({table.file for table in fits}) > 1
+    knows_order = bool(order) or first.protocol != 'feetech' or all(
+        not registers.isdisjoint(_TELLS_ORDER) for registers in fits.values())
+    named = _COMMON if is_enough else _BASIC
+    found = [_agreed([field, *(table.by_address.get(field.at) for table in others)], knows_units)
+             for field in first.fields if (field.size == 1 or knows_order)
+             and (field.name in named or (is_enough and len(series) == 1))
+             and (is_enough or (field.at, field.size) in uses)]
+    fields = [field for field in found if field]
+    fields += [Field(at + n, f'Address {at + n}', 'u8', access='rw', memory='eeprom')
+               for at, size in uses if all(_is_eeprom(table, at, size) for table in fits)
+               and not any(field.at == at for field in fields) for n in range(size)]
+    if not fields:
+        return UNKNOWN
+    name = 'several series' if len(series) > 1 or not is_enough else \
+        names.pop() if len(names) == 1 else f'the {series.pop()} series'
+    return Model(None, name, tuple(fields), protocol=first.protocol)
+
+
+def _is_eeprom(table: Model, at: int, size: int) -> bool:
+    field = table.by_address.get(at)
+    return field is not None and field.size == size and field.memory == 'eeprom' \
+        and 'w' in field.access
+
+
+def _is_enough(registers: set[str]) -> bool:
+    return registers.issuperset(POSITIONS) or (len(registers) >= ENOUGH and any(
+        name == 'Torque Enable' or name.startswith('Goal') for name in registers))
+
+
+def orders_of(positions: Iterable[bytes | bytearray | None]) -> set[Use]:
+    """Return the orders of bytes in which positions of Feetech make sense, each in one only."""
+    found = set()
+    for low, high in filter(None, positions):
+        if high < 16 <= low:           # 16 and more: beyond one turn
+            found.add(LITTLE)
+        elif low < 4 and high >= 16:   # SCS: 1023 at most
+            found.add(BIG)
+    return found
+
+
+def _registers(table: Model, used: Iterable[Use]) -> set[str]:
+    """Return the registers that are used; nothing where the table has not all of them."""
+    names = set()
+    for at, size in used:
+        end = at + size
+        while at < end:
+            field = table.by_address.get(at)
+            if field is None or field.end > end:
+                return set()
+            names.add(field.name)
+            at = field.end
+    return names
+
+
+def _agreed(fields: list[Field | None], knows_units: bool) -> Field | None:
+    """Return what all say of a register, None if they do not even agree on what it is."""
+    first = fields[0]
+    assert first is not None
+    same = [field for field in fields if field is not None and _kind(field) == _kind(first)]
+    if len(same) < len(fields):
+        return None
+    found = replace(first, cases=None)
+    if any(one.type != first.type for one in same):    # a negative position speaks against it
+        found = replace(found, type=f'u{8 * first.size}')
+    if not knows_units or any(_unit(one) != _unit(first) for one in same) or first.cases:
+        found = replace(found, unit='', scale=None, offset=0.0)
+    if any((one.enum, one.spans, one.flags) != (first.enum, first.spans, first.flags)
+           for one in same):
+        found = replace(found, enum=None, spans=(), flags=())
+    return found
+
+
+def _kind(field: Field) -> tuple[object, ...]:
+    return (field.name, field.size if field.name in POSITIONS else field.type, field.sign_bit,
+            field.size == 1 or field.byte_order, field.access, field.memory)
+
+
+def _unit(field: Field) -> tuple[object, ...]:
+    return field.unit, field.scale, field.offset
+
+
+def _series(name: str) -> str:
+    return 'X' if _X_SERIES.match(name) else (re.match('[A-Z]+', name) or (name,))[0]
+
+
+def is_contradicted(layout: Model, values: Iterable[tuple[Field, Value]],
+                    refused: Mapping[tuple[int, int, int], int]) -> bool:
+    """Return whether values or refusals (instruction, address, error) speak against a layout."""
+    if any(_cannot_be(field, value) for field, value in values):
+        return True
+    return any(count >= _REFUSALS and error in _WRONG_TABLE and field is not None
+               and not (field.memory == 'eeprom' and 'w' in field.access)
+               for (_, address, error), count in refused.items()
+               for field in [layout.by_address.get(address)])
+
+
+def _cannot_be(field: Field, value: Value) -> bool:
+    if field.in_words:                 # flags may be new ones
+        return value.text.startswith('unknown (')
+    number = abs(value.number or 0)
+    if field.name in POSITIONS:
+        return number > _FARTHEST.get(field.size, (0, 0))[not field.unit]
+    return number > _RANGES.get(field.name, number)

@@ -1,0 +1,397 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Monitor: one bus, from chunks of bytes to a report. No IO, no ROS; one lock, held per chunk.
+
+A port thread feeds, any other thread asks for reports. Stamps and now are monotonic ns; the only
+clock here measures how long a chunk takes.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from collections.abc import Sequence
+from operator import attrgetter
+from threading import Lock
+from time import monotonic_ns
+from typing import Any
+from typing import NamedTuple
+
+from dxl_monitor.port.driver import LineErrors
+from dxl_monitor.record.capture import Chunk
+from mecarover_serial.internal_fault import survive
+from msg_defs.event import BREAK
+from msg_defs.event import Change
+from msg_defs.event import CLOSED
+from msg_defs.event import FRAMING
+from msg_defs.event import OUT
+from msg_defs.event import OVERRUN
+from msg_defs.event import PARITY
+from msg_defs.event import UNKNOWN
+from msg_defs.reports import Level
+from msg_defs.reports import Metric
+from msg_defs.timing import Series
+from servobus.bus import evidence as ev
+from servobus.bus.decoder import BusDecoder
+from servobus.bus.decoder import DEFAULTS
+from servobus.bus.decoder import Settings
+from servobus.bus.device import Device
+from servobus.bus.device import facts
+from servobus.bus.plan import Plan
+from servobus.bus.report import BusReport
+from servobus.bus.report import Cycle
+from servobus.bus.report import DeviceReport
+from servobus.doctor import Doctor
+from servobus.doctor.case import Names
+from servobus.doctor.case import PARAMETERS
+from servobus.joints import fresh
+from servobus.joints import Joints
+from servobus.model import control_table
+from servobus.model.layers import model_key
+from servobus.model.layout import is_contradicted
+from servobus.model.layout import Layouts
+from servobus.model.layout import NOWHERE
+from servobus.model.models import Models
+from servobus.signals import BusSignals
+
+_LINE_ERRORS = {OVERRUN: 'overrun', PARITY: 'parity', FRAMING: 'frame', BREAK: 'breaks'}
+WINDOW_S = 10
+_SERIES = ('time_per_buffer', 'ms'), ('time_between_buffers', 'ms'), ('bytes_per_buffer', 'B')
+TICK_NS = 1_000_000_000
+CYCLES_REPORTED = 32
+LAG_NS = 200_000_000               # bytes that were read may wait for so long to be fed
+SCAN = 8                           # IDs that do not answer a Ping: fewer may be lost devices
+DEAF_NS = 2_000_000_000            # a tap that listens says something far more often
+
+
+class Activity(NamedTuple):
+    """What a rate is worked out from: totals since start."""
+
+    bytes: int
+    packets: int
+    errors: int
+
+
+class Monitor:
+    """
+    One bus under observation.
+
+    idle_is_told: by flush_if_idle(), again and again while nothing comes. Then time counts only
+    while the port is open; else the stamps alone say when the line was idle. decoder: where
+    a tool needs more of each packet than a report shows. names: what the doctor's remedies name.
+
+    All is written under the lock, but for doctor, which report() uses under _examining.
+
+    | attributes | who writes them |
+    |---|---|
+    | _fed, _last, _series | feed() |
+    | _listened, _resumed | feed(), flush_if_idle(), report() where idle is not reported |
+    | _line_errors, _deaf, _failed, _users | change(), report(), end() |
+    | _ticks, _next_tick, _noise_seen | feed() or report(), once a second |
+    | _started, _base, doctor | reset_statistics() |
+    | all others | set once |
+    """
+
+    def __init__(self, name: str, models: Models, settings: Settings = DEFAULTS,
+                 clock: Callable[[], int] = monotonic_ns, *, idle_is_told: bool = False,
+                 decoder: BusDecoder | None = None, names: Names = PARAMETERS) -> None:
+        self.name = name
+        self.settings = settings
+        self._clock = clock
+        self._models = models
+        self._layouts = Layouts(models)
+        self._lock = Lock()
+        self._names = names
+        self.doctor = Doctor(settings, names)
+        self._examining = Lock()               # the doctor remembers from report to report
+        self.decoder = said = decoder or BusDecoder(models, settings)
+        self._tracker, self._registry, self._evidence = said.tracker, said.registry, said.evidence
+        self.signals = BusSignals(self._registry, self._lock)
+        self._line_errors: LineErrors | None = None    # reported by the source
+        self._idle_is_told = idle_is_told
+        self._fed = 0                          # bytes
+        self._last = 0                         # stamp of the last chunk
+        self._listened = 0                     # up to when all that came was fed, if known
+        self._resumed = 0                      # when somebody listened again
+        self._deaf = 0                         # until then no port was open
+        self._failed: str | None = None        # how the program that asks ended
+        self._users = tuple[str, ...]()        # who else had its port
+        self._noise_seen = 0
+        self._start_statistics(0)
+
+    def feed(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
+        """
+        Take the bytes that were read at stamp, when the last of them had just come in.
+
+        side: who put them on the wire, where the source can tell; then OUT is stamped as written.
+        """
+        self.feed_pieces(((chunk, stamp, side),))
+
+    def feed_pieces(self, pieces: Sequence[tuple[bytes, int, str]]) -> None:
+        """Take what one read brought, in pieces with a stamp and a side each, as feed() does."""
+        said, clock, stamp = self.decoder, self._clock, 0
+        with self._lock:
+            began = clock()
+            before, fed = self._last, self._fed
+            spent, between, sizes = self._series
+            for chunk, stamp, side in pieces:
+                if self._idle_is_told:
+                    self._listen_until(stamp)
+                else:
+                    on_wire_ns = 0 if side == OUT else int(len(chunk) * said.byte_ns)
+                    self._flush_if_idle(stamp - on_wire_ns)
+                try:
+                    said.hear(chunk, stamp, side)
+                except Exception as mistake:
+                    self._go_on(mistake)
+                self._fed += len(chunk)
+                if stamp >= self._next_tick:
+                    self._tick(stamp)
+                self._last = stamp
+            if before:
+                between.add((stamp - before) / 1e6, stamp)
+            sizes.add(float(self._fed - fed), stamp)       # sorted in faster than an int
+            spent.add((clock() - began) / 1e6, stamp)
+
+    def change(self, change: Change, stamp: int) -> None:
+        """Take what the source reported besides bytes (msg_defs/event.py)."""
+        with self._lock:
+            field = _LINE_ERRORS.get(change.what)
+            if field is None:
+                self._try(self.decoder.change, change, stamp)
+            else:
+                before = self._line_errors or LineErrors()
+                self._line_errors = before._replace(
+                    **{field: getattr(before, field) + change.value})
+
+    def take(self, chunk: Chunk) -> None:
+        """Take what a source gives, bytes or a change."""
+        if chunk.change is None:
+            self.feed(chunk.data, chunk.stamp, chunk.side)
+        else:
+            self.change(chunk.change, chunk.stamp)
+
+    def end(self, now: int, failed: str = '', users: Sequence[str] = ()) -> None:
+        """
+        Take note that nothing more will come; of a program that failed the last question counts.
+
+        failed: how it ended by itself (report.py). users: who else had its port open.
+        """
+        self.change(Change(CLOSED, 1), now)
+        with self._lock:
+            self._failed, self._users = failed, tuple(users)
+            self._tracker.unread.end(now, bool(failed), self.decoder.byte_ns)
+
+    def alarms(self) -> int:
+        """Return how often so far a device was lost, came back or had an alert."""
+        counts = self._evidence.counts
+        return counts[ev.DISCONNECTED] + counts[ev.RETURNED] + counts[ev.ALERT]
+
+    def flush_if_idle(self, now: int) -> None:
+        """Decide what is pending, if the line was idle too long for more to belong to it."""
+        with self._lock:
+            self._listen_until(now)
+            self._flush_if_idle(now)
+
+    def reset_statistics(self, now: int) -> None:
+        """Start all counts and statistics at 0; what is known of the devices stays."""
+        with self._lock:
+            self._start_statistics(now)
+            for device in self._registry.devices.values():
+                device.reset_statistics()
+        with self._examining:
+            self.doctor = Doctor(self.settings, self._names)   # the old one remembers old counts
+
+    def report(self, now: int, line_errors: LineErrors | None = None,
+               is_listening: bool = True) -> BusReport:
+        """
+        Return what is known and what it means; the lock is held for less than 1 ms at a time.
+
+        line_errors: what the serial driver counted, where it does. is_listening: False while there
+        is no port to tell when the line is idle.
+        """
+        self._load_models()
+        with self._lock:
+            if not self._idle_is_told:
+                self._flush_if_idle(now - LAG_NS)
+            if not (self._idle_is_told and is_listening):
+                self._listened = now
+            self._deaf = self._deaf if is_listening else now
+            while now >= self._next_tick:
+                self._tick(now)
+            cycles = _cycles(self._tracker.planner.plans())
+            bus = self._bus_report(now, cycles)
+        devices = tuple(self._device_report(device, now) for device in self._by_id()
+                        if device.number not in bus.scanned)
+        with self._examining:
+            return self.doctor.examine(bus._replace(
+                devices=devices, line_errors=line_errors or self._line_errors,
+                cycle=self.decoder.cycle(now), metrics=self._metrics(now, bus.rates)))
+
+    def _device_report(self, device: Device, now: int) -> DeviceReport:
+        with self._lock:
+            self._registry.resolve(device)
+            quiet_ns = self._listened - max(device.heard, device.asked_stamp, self._resumed)
+            report, table = facts(device, now, quiet_ns / 1e9)
+        observed = tuple(table.observed(report.model, now))
+        if report.model.number is None and is_contradicted(
+                report.model, ((one.field, one.value) for one in observed), report.errors):
+            with self._lock:
+                device.used.add(NOWHERE)
+                self._registry.lay_out(device, control_table.UNKNOWN)
+            return self._device_report(device, now)
+        return report._replace(observed=observed,
+                               unobserved=len(report.model.fields) - len(observed))
+
+    def joints(self, since: int) -> Joints:
+        """Return what was read of joints after the stamp `since`, without a whole report."""
+        found = []
+        for device in self._by_id():
+            with self._lock:
+                found += [one for one in [fresh(device, since)] if one is not None]
+        return Joints(tuple(joint for joint, _ in found), max((at for _, at in found), default=0))
+
+    def _by_id(self) -> list[Device]:
+        """Return the devices known now; the lock is free while somebody goes through them."""
+        with self._lock:
+            return sorted(self._registry.devices.values(), key=attrgetter('number'))
+
+    def _load_models(self) -> None:
+        """Read the files of newly seen models: not under the lock, as that takes a while."""
+        with self._lock:
+            devices = list(self._registry.devices.values())
+            said = {model_key(device.identity[0] | device.identity[1] << 8, device.protocol)
+                    for device in devices if device.is_unresolved}
+            nameless = [(device, device.protocol, device.all_uses()) for device in devices
+                        if device.used and device.heard and device.model_number is None]
+        for key in said:
+            self._models.get(key)
+        layouts = [(device, self._layouts.of(speaks, used)) for device, speaks, used in nameless]
+        with self._lock:
+            for device, layout in layouts:
+                self._registry.lay_out(device, layout)
+
+    def _start_statistics(self, now: int) -> None:
+        self._started = now
+        self._next_tick = 0
+        self._tracker.planner.plans()          # brings counts up to date that shall end here
+        self._evidence.counts.clear()
+        self._base: dict[str, int] = {}
+        self._base = self._counters()
+        self._base['Bytes'] -= self._base.pop('Pending Bytes')     # these are counted again
+        self._ticks: deque[tuple[int, Activity]] = deque(maxlen=WINDOW_S)
+        self._series = [Series(WINDOW_S) for _ in _SERIES]
+        self.decoder.clock.reset()
+
+    def _listen_until(self, now: int) -> None:
+        if self._listened and now - self._listened > DEAF_NS:
+            self._resumed = now
+        self._listened = now
+
+    def _flush_if_idle(self, now: int) -> None:
+        said = self.decoder
+        if self._last and now - self._last > said.idle_ns:
+            self._try(said.pause, self._last, now)
+
+    def _try(self, call: Callable[..., None], *arguments: Any) -> None:
+        try:
+            call(*arguments)
+        except Exception as mistake:
+            self._go_on(mistake)
+
+    def _go_on(self, mistake: Exception) -> None:
+        """Hear what comes next after a mistake of ours; a tool that cannot write ends."""
+        if isinstance(mistake, OSError):
+            raise mistake
+        survive('the monitor', mistake)
+        self._tracker.lose_track(self._last, 0)
+
+    def _tick(self, now: int) -> None:
+        """Once a second: snapshots for the last 10 s, and a look at what was no packet."""
+        if not self._next_tick or now - self._next_tick > WINDOW_S * TICK_NS:
+            self._next_tick = now
+        self._next_tick += TICK_NS
+        self._started = self._started or now
+        for device in self._registry.devices.values():
+            device.tick()
+        said = self.decoder
+        noise_bytes = said.total('noise_bytes')
+        if self._ticks and noise_bytes != self._noise_seen:
+            self._evidence.look_at_noise(said.noise, noise_bytes - self._noise_seen, now)
+        self._noise_seen = noise_bytes
+        said.clock.choose(self._tracker.planner.known.values(), now)
+        self._ticks.append((now, self._activity()))
+
+    def _activity(self) -> Activity:
+        total = self.decoder.total
+        errors = sum(map(total, ('crc_errors', 'truncated', 'bad_length')))
+        return Activity(total('bytes'), total('packets'), errors)
+
+    def _counters(self) -> dict[str, int]:
+        total = self.decoder.total
+        counts = self._evidence.counts
+        left_out = self._fed - total('bytes')      # where a mistake of ours was
+        now = {
+            'Bytes': self._fed,
+            'Packet Bytes': total('packet_bytes'),
+            'Noise Bytes': total('noise_bytes') + left_out,
+            'Pending Bytes': total('pending'),
+            'Packets': total('packets'),
+            'Instructions': self._tracker.planner.instructions(),
+            'Repaired Packets': total('repaired'),
+            'CRC Errors': total('crc_errors'),
+            'Truncated Packets': total('truncated'),
+            'Bad Lengths': total('bad_length'),
+            'Unasked Answers': counts[ev.UNASKED] + counts[ev.SECOND_ANSWER] + counts[ev.LATE],
+            'Unknown Instructions': counts[ev.UNKNOWN_INSTRUCTION],
+        }
+        return {name: n - self._base.get(name, 0) for name, n in now.items()}
+
+    def _rates(self, now: int) -> dict[str, float]:
+        since, before = self._ticks[0] if self._ticks else (now, Activity(0, 0, 0))
+        if now <= since:
+            return dict.fromkeys(Activity._fields, 0.0)
+        rates = zip(Activity._fields, self._activity(), before, strict=True)
+        return {name: (n - then) / (now - since) * 1e9 for name, n, then in rates}
+
+    def _bus_report(self, now: int, cycles: tuple[Cycle, ...]) -> BusReport:
+        evidence = self._evidence
+        rates = self._rates(now)
+        return BusReport(
+            name=self.name, stamp=now, started=self._started, baud=self.decoder.settings.baud,
+            level=Level.OK, message='', devices=(), counters=self._counters(), rates=rates,
+            errors=evidence.errors(self._registry.register_name),
+            incidents=tuple(evidence.incidents), waits=tuple(evidence.waits),
+            cycles=cycles, metrics=(), noise=self.decoder.noise, asked=self._tracker.asked,
+            last_byte_s=(now - self._last) / 1e9 if self._last else None, deaf=self._deaf,
+            kinds=dict(evidence.counts), protocol=self.decoder.protocol(), scanned=self._scanned(),
+            is_answered=self.decoder.is_answered, has_sides=OUT in self.decoder.framers,
+            is_over=self._failed is not None, failed=self._failed or '', users=self._users,
+            chain=tuple(expected.id for expected in self.settings.devices),
+            tried=frozenset(self._registry.tried))
+
+    def _scanned(self) -> tuple[int, ...]:
+        """Return the IDs that were only pinged and never heard: many are a scan, no devices."""
+        found = tuple(device.number for device in self._registry.devices.values()
+                      if not (device.heard or device.expected or device.counts.reads
+                              or device.counts.writes or device.acks_missing))
+        return found if len(found) >= SCAN else ()
+
+    def _metrics(self, now: int, rates: dict[str, float]) -> tuple[Metric, ...]:
+        values = [('byte_rate', 'B/s', rates['bytes']), ('packet_rate', 'Hz', rates['packets']),
+                  ('error_rate', 'Hz', rates['errors'])]
+        if self.decoder.byte_ns:          # the rate is known
+            values.append(('bus_load', '%', rates['bytes'] * self.decoder.byte_ns / 1e7))
+        return (*(Metric(name, unit, one.summary(now), one.total(), bus=self.name)
+                  for (name, unit), one in zip(_SERIES, self._series, strict=True)),
+                *self.decoder.clock.metrics(now, self.name),
+                *(Metric(name, unit, value=value, bus=self.name) for name, unit, value in values))
+
+
+def _cycles(plans: list[Plan]) -> tuple[Cycle, ...]:
+    often = sorted(plans, key=attrgetter('asked'), reverse=True)[:CYCLES_REPORTED]
+    return tuple(
+        Cycle(plan.request.instruction, tuple(access.id for access in plan.request.accesses)
+              or (plan.request.id,), plan.address if plan.address >= 0 else None,
+              plan.request.accesses[0].length if plan.request.accesses else 0,
+              plan.asked, plan.missed, tuple(plan.stamps))
+        for plan in often)
