@@ -25,7 +25,6 @@ from dxl_monitor.monitor_settings import load_models
 from dxl_monitor.monitor_settings import make_recorders
 from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.monitored_bus import MonitoredBus
-from dxl_monitor.port.listener import STARTING
 from dxl_monitor.timers import Timers
 from mecarover_serial.process import resident_memory_mb
 from mecarover_serial.ros_node import declare
@@ -48,6 +47,7 @@ from msg_defs.ros import to_ros_time
 from msg_defs.ros import to_time
 from servobus.bus.report import BusReport
 from servobus.monitor import Monitor
+from servobus.sources.listener import STARTING
 from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of

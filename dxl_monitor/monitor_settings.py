@@ -10,12 +10,6 @@ import os
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.port.source_name import bus_name
-from dxl_monitor.port.source_name import has_sides
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture_recorder import Recorder
-from dxl_monitor.record.flight_recorder import FlightRecorder
-from dxl_monitor.record.recorders import Recorders
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import refuse_twice
@@ -27,6 +21,12 @@ from servobus.bus.expected import parse_all
 from servobus.bus.expected import split_bus
 from servobus.model.checked_yaml import ModelError
 from servobus.model.models import Models
+from servobus.sources.capture import Wire
+from servobus.sources.capture_recorder import Recorder
+from servobus.sources.flight_recorder import FlightRecorder
+from servobus.sources.recorders import Recorders
+from servobus.sources.source_name import bus_name
+from servobus.sources.source_name import has_sides
 
 PARAMETERS = (
     Parameter('ports', ['/dev/ttyUSB0'], 'one source per bus: a path (a stable one is in '

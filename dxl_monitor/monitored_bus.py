@@ -8,13 +8,6 @@ from functools import cached_property
 import time
 
 from dxl_monitor.monitor_settings import Bus
-from dxl_monitor.port.driver import adapter
-from dxl_monitor.port.listener import TAKE_EVERY_S
-from dxl_monitor.port.listeners import listener_on
-from dxl_monitor.port.source_name import is_live
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.recorders import Recorders
 from mecarover_serial.inspection import Inspection
 from msg_defs.event import Change
 from msg_defs.event import UNKNOWN
@@ -25,6 +18,13 @@ from servobus.doctor.case import Names
 from servobus.doctor.case import PARAMETERS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Wire
+from servobus.sources.driver import adapter
+from servobus.sources.listener import TAKE_EVERY_S
+from servobus.sources.listeners import listener_on
+from servobus.sources.recorders import Recorders
+from servobus.sources.source_name import is_live
 from servobus.status import PortState
 
 BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s late at most

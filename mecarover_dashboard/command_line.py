@@ -7,13 +7,13 @@ import argparse
 from collections.abc import Sequence
 from importlib.util import find_spec
 
-from dxl_monitor.record.opening import is_port
 from mecarover_dashboard.feed import Feed
 from mecarover_dashboard.recording_run import RecordingRun
 from mecarover_dashboard.source_run import PortsRun
 from mecarover_dashboard.source_run import ProgramRun
 from mecarover_dashboard.source_run import SourceRun
 from mecarover_serial.cli import UsageError
+from servobus.sources.opening import is_port
 
 
 def is_of_ros(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> bool:

@@ -15,8 +15,6 @@ import threading
 import time
 from typing import Any
 
-from dxl_monitor.record.opening import open_file
-from dxl_monitor.record.source import File
 from dxl_monitor.tools.doctor import no_data
 from dxl_monitor.tools.doctor.examination import Examination
 from dxl_monitor.tools.doctor.examination import LONGEST_PAUSE_NS
@@ -28,6 +26,8 @@ from mecarover_dashboard.source_run import S
 from mecarover_dashboard.source_run import SourceRun
 from mecarover_dashboard.source_run import TURN_S
 from msg_defs.reports import Level
+from servobus.sources.opening import open_file
+from servobus.sources.source import File
 
 END = 1 << 64                       # a stamp after all others
 _MOST_EVENTS = 200

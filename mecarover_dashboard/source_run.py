@@ -19,11 +19,6 @@ from dxl_monitor.monitor_settings import buses
 from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.monitor_settings import settings_of
 from dxl_monitor.monitored_bus import MonitoredBus
-from dxl_monitor.port.source_name import rate_of
-from dxl_monitor.port.tap_reader import HOLD_S
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.recorders import Recorders
 from dxl_monitor.tools.doctor import no_data
 from dxl_monitor.tools.doctor.program import Program
 from dxl_monitor.tools.doctor.verdict import Verdict
@@ -35,6 +30,11 @@ from servobus.bus.report import BusReport
 from servobus.doctor.case import OPTIONS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Wire
+from servobus.sources.recorders import Recorders
+from servobus.sources.source_name import rate_of
+from servobus.sources.tap_reader import HOLD_S
 from servobus.status import PortState
 
 TURN_S = 0.1

@@ -3,7 +3,7 @@
 """
 Fake USB serial adapters: what usbmon would show of one while its port is used. Pure.
 
-The inverse of dxl_monitor.port: bytes with a side become events of /dev/usbmonN, one after the
+The inverse of servobus.sources: bytes with a side become events of /dev/usbmonN, one after the
 other. Each method returns such events; stamps are ns since 1970.
 """
 

@@ -16,8 +16,6 @@ from time import monotonic_ns
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.port.driver import LineErrors
-from dxl_monitor.record.capture import Chunk
 from mecarover_serial.internal_fault import survive
 from msg_defs.event import BREAK
 from msg_defs.event import Change
@@ -52,6 +50,8 @@ from servobus.model.layout import Layouts
 from servobus.model.layout import NOWHERE
 from servobus.model.models import Models
 from servobus.signals import BusSignals
+from servobus.sources.capture import Chunk
+from servobus.sources.driver import LineErrors
 
 _LINE_ERRORS = {OVERRUN: 'overrun', PARITY: 'parity', FRAMING: 'frame', BREAK: 'breaks'}
 WINDOW_S = 10

@@ -6,7 +6,6 @@ import time
 
 from harness import wait
 
-from dxl_monitor.port.listener import Listener
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.fake_port import FakeBus
@@ -14,6 +13,7 @@ from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import none
 from servobus.model.models import Models
 from servobus.monitor import Monitor
+from servobus.sources.listener import Listener
 
 BAUD = 1_000_000
 MODELS = Models()

@@ -11,21 +11,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
-from dxl_monitor.record.capture import BUSES_LIMIT
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import chunk_line
-from dxl_monitor.record.capture import LINE_LIMIT
-from dxl_monitor.record.capture import lines
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import open_new
-from dxl_monitor.record.capture import Reader
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture import Writer
-from dxl_monitor.record.capture_recorder import Recorder
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.plain import printable
 from mecarover_serial.pty import Pty
 from msg_defs.event import Change
+from servobus.sources.capture import BUSES_LIMIT
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import chunk_line
+from servobus.sources.capture import LINE_LIMIT
+from servobus.sources.capture import lines
+from servobus.sources.capture import Moment
+from servobus.sources.capture import open_new
+from servobus.sources.capture import Reader
+from servobus.sources.capture import Wire
+from servobus.sources.capture import Writer
+from servobus.sources.capture_recorder import Recorder
 
 NOW = Moment(1_790_000_000_123_456_000, 12_345_678_901_234)
 WIRE = Wire('ttyUSB0', 2_000_000, 1, '/dev/ttyUSB0')
@@ -208,7 +208,7 @@ def test_a_file_that_may_not_grow_ends_the_capture(tmp_path):
 
 
 def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr('dxl_monitor.record.capture_recorder.WAITING_LIMIT', 100)
+    monkeypatch.setattr('servobus.sources.capture_recorder.WAITING_LIMIT', 100)
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 10**6, 2, lambda: NOW)
     for number in range(20):
@@ -251,7 +251,7 @@ def test_a_pipe_is_not_rotated(tmp_path, pipe):
 
 
 def test_a_pipe_whose_reader_sleeps_does_not_hold_up_the_end(pipe, monkeypatch):
-    monkeypatch.setattr('dxl_monitor.record.capture_recorder.STOP_S', 0.2)
+    monkeypatch.setattr('servobus.sources.capture_recorder.STOP_S', 0.2)
     path, _ = pipe
     recorder = Recorder(str(path), 10**6, 2)
     recorder.take(WIRE, Chunk(1, WIRE.name, bytes(200_000)))

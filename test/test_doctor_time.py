@@ -20,7 +20,6 @@ from doctor_case import told
 import pytest
 import yaml
 
-from dxl_monitor.port.driver import LineErrors
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.uart import heard_at
@@ -48,6 +47,7 @@ from servobus.doctor.rule import listed
 from servobus.doctor.rule import longer_than
 from servobus.doctor.rule import share
 from servobus.doctor.two_timers import PeriodicTimer
+from servobus.sources.driver import LineErrors
 
 
 def waits(count, us, ago_s=0.0, spoilt=False):

@@ -25,11 +25,6 @@ from packets import packets_left
 import pytest
 
 from benchmark import traffic
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Reader
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture import Writer
 from dxl_monitor.tools.dump.packet_lines import delta_text
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.faults import parse
@@ -44,6 +39,11 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
 from servobus.model.models import Models
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Reader
+from servobus.sources.capture import Wire
+from servobus.sources.capture import Writer
 
 DUMP, FAKE_BUS = 'dxl_monitor.tools.dxl_dump', 'mecarover_fakes.fake_bus'
 ROOT = Path(__file__).parents[1]

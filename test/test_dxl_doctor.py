@@ -25,11 +25,6 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Reader
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture import Writer
 from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor import issue_report
 from dxl_monitor.tools.doctor import no_data
@@ -53,6 +48,11 @@ from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
 from servobus.doctor import RULES
 from servobus.model.models import Models
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Reader
+from servobus.sources.capture import Wire
+from servobus.sources.capture import Writer
 
 ROOT = Path(__file__).parents[1]
 DOCTOR = 'dxl_monitor.tools.dxl_doctor'

@@ -34,7 +34,7 @@ from monitored_bus import STALE
 from monitored_bus import WARN
 import pytest
 
-from dxl_monitor.record.capture import Reader
+from servobus.sources.capture import Reader
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.05)]
 

@@ -27,11 +27,6 @@ import pytest
 from benchmark import confusion
 from benchmark.confusion_cases import Scene
 from dxl_monitor.monitor_settings import settings_of
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture import Writer
-from dxl_monitor.record.opening import open_file
 from mecarover_dashboard.feed import Feed
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
@@ -39,6 +34,11 @@ from mecarover_fakes.faults import parse
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from servobus.monitor import Monitor
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Wire
+from servobus.sources.capture import Writer
+from servobus.sources.opening import open_file
 
 ARM = '1-6:STS3215'
 BUS = ('--dialect', 'feetech', '--devices', ARM)

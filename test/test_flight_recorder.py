@@ -7,12 +7,6 @@ from types import SimpleNamespace
 from harness import wait
 import pytest
 
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.flight_recorder import FlightRecorder
-from dxl_monitor.record.opening import open_file
-from dxl_monitor.record.recorders import Recorders
 from dxl_monitor.tools.doctor.examination import Examination
 from mecarover_serial.parameters import ParameterError
 from msg_defs.event import Change
@@ -23,6 +17,12 @@ from rigs.bus.score import BOOT
 from rigs.bus.score import SEED
 from servobus.bus.report import DISCONNECTED
 from servobus.model.models import Models
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Wire
+from servobus.sources.flight_recorder import FlightRecorder
+from servobus.sources.opening import open_file
+from servobus.sources.recorders import Recorders
 
 S = 1_000_000_000
 MODELS = Models()
@@ -171,7 +171,7 @@ def test_links_in_the_folder_are_left_alone(tmp_path):
 
 @pytest.mark.skipif(not os.path.exists('/dev/full'), reason='skipped: no /dev/full')
 def test_a_full_disk_is_said_and_the_next_fault_is_tried_again(flight, monkeypatch):
-    monkeypatch.setattr('dxl_monitor.record.capture_recorder.open_new',
+    monkeypatch.setattr('servobus.sources.capture_recorder.open_new',
                         lambda path, waits: open('/dev/full', 'wb'))     # noqa: SIM115
     flight.run(1)
     flight.run(1, finding())

@@ -239,7 +239,7 @@ print(row['errors'], b'"Kinds of errors"' in _files()['figures.js'])
 
 def test_a_usb_adapter_family(copy):
     code = copy('a USB adapter family')
-    code.change('dxl_monitor/port/adapters.py', ('# All that is understood.', """\
+    code.change('servobus/sources/adapters.py', ('# All that is understood.', """\
 class Xr21(Adapter):
     name = 'XR21'
 
@@ -287,7 +287,7 @@ print(metric_status('dxl_monitor', metric).name, metric.value)
 
 def test_a_source(copy):
     code = copy('a source of bytes')
-    code.change('dxl_monitor/record/source.py', ('class File(', """\
+    code.change('servobus/sources/source.py', ('class File(', """\
 class Hex(Source):
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -298,9 +298,9 @@ class Hex(Source):
 
 
 """))
-    code.change('dxl_monitor/record/opening.py', ("    if name == '-':\n", """\
+    code.change('servobus/sources/opening.py', ("    if name == '-':\n", """\
     if name.startswith('hex:'):
-        from dxl_monitor.record.source import Hex
+        from servobus.sources.source import Hex
 
         return Hex(name.removeprefix('hex:'))
 """))
@@ -310,10 +310,10 @@ class Hex(Source):
 
 def test_a_live_source(copy):
     code = copy('a live source, for node and tools')
-    code.change('dxl_monitor/port/hex_listener.py', ('', """\
+    code.change('servobus/sources/hex_listener.py', ('', """\
 import time
 
-from dxl_monitor.port.listener import Listener
+from servobus.sources.listener import Listener
 
 
 class HexListener(Listener):
@@ -322,12 +322,12 @@ class HexListener(Listener):
         self._hear(bytes.fromhex(self.port.removeprefix('hex:')), time.monotonic_ns())
         while not self._stopping:
             self._pause(1.0)
-"""), named='dxl_monitor/port/')
-    code.change('dxl_monitor/port/source_name.py',
+"""), named='servobus/sources/')
+    code.change('servobus/sources/source_name.py',
                 ("TAP, USB = 'tap:'", "HEX = 'hex:'\n"), ('TAP, USB)              #', 'HEX, '))
-    code.change('dxl_monitor/port/listeners.py',
-                ('from dxl_monitor.port.listener import',
-                 'from dxl_monitor.port.hex_listener import HexListener\n'),
+    code.change('servobus/sources/listeners.py',
+                ('from servobus.sources.listener import',
+                 'from servobus.sources.hex_listener import HexListener\n'),
                 ('TAP: TapListener', "'hex:': HexListener, "))
     said = code.run('-m', 'dxl_monitor.tools.dxl_dump', '--count', '1',
                     'hex:fffffd0001030001194e')

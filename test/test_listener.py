@@ -13,13 +13,13 @@ from harness import wait
 import pytest
 from terminal_server import TerminalServer
 
-from dxl_monitor.port.driver import adapter
-from dxl_monitor.port.driver import latency_timer_ms
-from dxl_monitor.port.driver import line_errors
-from dxl_monitor.port.driver import LineErrors
-from dxl_monitor.port.driver import set_low_latency
-from dxl_monitor.port.listener import Listener
 from mecarover_serial.pty import Pty
+from servobus.sources.driver import adapter
+from servobus.sources.driver import latency_timer_ms
+from servobus.sources.driver import line_errors
+from servobus.sources.driver import LineErrors
+from servobus.sources.driver import set_low_latency
+from servobus.sources.listener import Listener
 
 pytestmark = pytest.mark.realtime(bears=0.02)
 

@@ -19,14 +19,14 @@ from harness import wait
 import pytest
 
 from dxl_monitor.monitor_settings import Bus
-from dxl_monitor.port.listener import ListenerState
-from dxl_monitor.record.recorders import Recorders
 from mecarover_serial.inspection import EVERY_S
 from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
+from servobus.sources.listener import ListenerState
+from servobus.sources.recorders import Recorders
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.05)]
 S = 1_000_000_000

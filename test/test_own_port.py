@@ -21,16 +21,6 @@ from usb_files import log
 from usb_files import ports_in
 from usb_files import REAL
 
-from dxl_monitor.port import usb_listener
-from dxl_monitor.port import usb_ring
-from dxl_monitor.port.listeners import listener_on
-from dxl_monitor.port.source_name import bus_name
-from dxl_monitor.port.usb_find import find
-from dxl_monitor.port.usb_port import Place
-from dxl_monitor.port.usb_port import UsbPort
-from dxl_monitor.port.usb_ring import HEADER_SIZE
-from dxl_monitor.port.usb_ring import kept_of
-from dxl_monitor.record.opening import open_source
 from dxl_monitor.tools.start_program import environment
 from mecarover_fakes.fake_bus import default_devices
 from mecarover_fakes.fake_bus import make_devices
@@ -57,6 +47,16 @@ from servobus.bus.expected import parse_all
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.monitor import Settings
+from servobus.sources import usb_listener
+from servobus.sources import usb_ring
+from servobus.sources.listeners import listener_on
+from servobus.sources.opening import open_source
+from servobus.sources.source_name import bus_name
+from servobus.sources.usb_find import find
+from servobus.sources.usb_port import Place
+from servobus.sources.usb_port import UsbPort
+from servobus.sources.usb_ring import HEADER_SIZE
+from servobus.sources.usb_ring import kept_of
 
 MODELS = Models()
 ROOT = Path(__file__).parents[1]

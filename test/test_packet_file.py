@@ -13,13 +13,6 @@ from test_dump import dump
 from test_dump import SECOND
 from usb_files import tshark
 
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture import Writer
-from dxl_monitor.record.opening import open_file
-from dxl_monitor.record.packet_file import PacketFile
-from dxl_monitor.record.packet_file import PacketWriter
 from msg_defs.dxl_packet import Framer
 from msg_defs.event import Change
 from msg_defs.event import IN
@@ -28,6 +21,13 @@ from msg_defs.frame import IS_STATUS
 from msg_defs.uart import byte_ns
 from rigs.usb_pcap import MMAPPED
 from rigs.usb_pcap import pcapng
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Wire
+from servobus.sources.capture import Writer
+from servobus.sources.opening import open_file
+from servobus.sources.packet_file import PacketFile
+from servobus.sources.packet_file import PacketWriter
 
 BAUD = 1_000_000
 FAULTS = ('silent:2:0.2', 'noise::0.4:0.3')

@@ -19,8 +19,6 @@ import pytest
 import serial
 from terminal_server import TerminalServer
 
-from dxl_monitor.port import strace
-from dxl_monitor.port.source_name import ways_to_hear
 from mecarover_serial import port as port_module
 from mecarover_serial import port_watch
 from mecarover_serial import preflight
@@ -30,6 +28,8 @@ from mecarover_serial.port import open_port
 from mecarover_serial.port_error import PortError
 from mecarover_serial.port_users import holders
 from mecarover_serial.pty import Pty
+from servobus.sources import strace
+from servobus.sources.source_name import ways_to_hear
 
 LINE = re.compile(r'[^\n]+: [^\n]+; [^\n]+')
 

@@ -9,10 +9,6 @@ writes and reads, and of what it leaves unread.
 
 import pytest
 
-from dxl_monitor.port import tap_sender as sent
-from dxl_monitor.port.tap_reader import TapRecord
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Wire
 from dxl_monitor.tools.doctor.examination import Examination
 from dxl_monitor.tools.doctor.program import Openings
 from dxl_monitor.tools.doctor.verdict import verdict
@@ -30,6 +26,10 @@ from servobus.bus.report import OWN
 from servobus.bus.report import RAISED
 from servobus.bus.report import ROBBER
 from servobus.model.models import Models
+from servobus.sources import tap_sender as sent
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Wire
+from servobus.sources.tap_reader import TapRecord
 
 MS = 1_000_000
 MODELS = Models()

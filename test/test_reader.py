@@ -17,11 +17,11 @@ from harness import wait
 import pytest
 from test_listener import Collector
 
-from dxl_monitor.port import reader
-from dxl_monitor.port import reader_process
-from dxl_monitor.port.listener import Listener
 from mecarover_serial.pty import Pty
 from rigs.harness import is_alive
+from servobus.sources import reader
+from servobus.sources import reader_process
+from servobus.sources.listener import Listener
 
 pytestmark = pytest.mark.realtime(bears=0.01)
 
@@ -147,7 +147,7 @@ def _kill_reader(collector):
 
 
 def test_none_is_left_when_the_node_is_killed(cable):
-    program = ('import sys, time; from dxl_monitor.port.listener import Listener\n'
+    program = ('import sys, time; from servobus.sources.listener import Listener\n'
                f'listener = Listener({cable.path!r}, 2000000, lambda *_: None); listener.start()\n'
                'while not listener.reader_pid: time.sleep(0.01)\n'
                'print(listener.reader_pid, flush=True); time.sleep(100)')

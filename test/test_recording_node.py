@@ -9,7 +9,7 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.record.capture import Reader
+from servobus.sources.capture import Reader
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.05)]
 DEVICES = "['1-3:MX-106']"

@@ -11,12 +11,6 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.port.listener import Listener
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Reader
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture import Writer
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.faults import parse
 from mecarover_fakes.line import Line
@@ -25,6 +19,12 @@ from mecarover_fakes.traffic import PATTERNS
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
 from servobus.monitor import Monitor
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Reader
+from servobus.sources.capture import Wire
+from servobus.sources.capture import Writer
+from servobus.sources.listener import Listener
 
 pytestmark = pytest.mark.realtime(bears=0.01)
 

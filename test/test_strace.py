@@ -32,10 +32,6 @@ from test_tap import ROOT
 from test_tap import tap
 import yaml
 
-from dxl_monitor.port import strace
-from dxl_monitor.port.strace_parser import OPENED
-from dxl_monitor.port.strace_parser import StraceParser
-from dxl_monitor.port.tap_reader import TapReader
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import CLOSED
@@ -44,6 +40,10 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import TRACED
+from servobus.sources import strace
+from servobus.sources.strace_parser import OPENED
+from servobus.sources.strace_parser import StraceParser
+from servobus.sources.tap_reader import TapReader
 
 RECORDED = Path(__file__).with_name('strace_6.1.txt').read_bytes()
 FIRST = 1795438179_000000000              # the second in which it was recorded
@@ -246,7 +246,7 @@ LASTING = """
         os.write(port, b'x')
     sys.exit(5)"""
 READING = """
-from dxl_monitor.port.tap_reader import TapReader
+from servobus.sources.tap_reader import TapReader
 reader = TapReader('robot')
 print('ready', flush=True)
 while not reader.wait(1.0): pass

@@ -23,13 +23,6 @@ import time
 from packets import packets_in
 import pytest
 
-from dxl_monitor.port.tap_listener import TapListener
-from dxl_monitor.port.tap_reader import PORTS_LIMIT
-from dxl_monitor.port.tap_reader import TapReader
-from dxl_monitor.port.tap_reader import TapRecord
-from dxl_monitor.port.tap_sender import folder
-from dxl_monitor.port.tap_sender import OPENED
-from dxl_monitor.port.tap_sender import record
 from dxl_monitor.tools.start_program import environment
 from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
@@ -46,6 +39,13 @@ from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import UNREAD
+from servobus.sources.tap_listener import TapListener
+from servobus.sources.tap_reader import PORTS_LIMIT
+from servobus.sources.tap_reader import TapReader
+from servobus.sources.tap_reader import TapRecord
+from servobus.sources.tap_sender import folder
+from servobus.sources.tap_sender import OPENED
+from servobus.sources.tap_sender import record
 
 pytestmark = pytest.mark.realtime(bears=0.02)
 ROOT = Path(__file__).parents[1]
@@ -378,7 +378,7 @@ def test_reader_that_comes_later_hears_the_rest_and_knows_the_port():
 
 def test_master_does_not_notice_that_its_reader_is_killed_or_stopped():
     listening = """
-        from dxl_monitor.port.tap_reader import TapReader
+        from servobus.sources.tap_reader import TapReader
         reader = TapReader('robot')
         print('ready', flush=True)
         while True:
@@ -697,7 +697,7 @@ def test_runs_where_only_the_standard_library_of_windows_is(tmp_path):
     work = "import serial; port = serial.Serial('COM7', 1000000); port.write(b'hello'); " \
            'port.read(3); port.close()'
     reading = without + textwrap.dedent("""
-        from dxl_monitor.port.tap_reader import TapReader
+        from servobus.sources.tap_reader import TapReader
         import dxl_monitor.tools.tap
         with TapReader('robot') as reader:
             print('ready', flush=True)

@@ -33,7 +33,7 @@ AS_A_USER = () if os.geteuid() else (
 HASTY = """
 import sys
 from mecarover_serial import inspection
-from dxl_monitor.port import listener
+from servobus.sources import listener
 from {module} import main
 inspection.EVERY_S = 0.1
 listener.PROCESS_AGAIN_NS = 300_000_000
@@ -180,7 +180,7 @@ def monitor(port, patch='', **parameters):
 
 @pytest.mark.parametrize(('module', 'patch'), [
     ('vel2d_bridge.main', 'from vel2d_bridge.link import Link as Worker'),
-    ('dxl_monitor.start', 'from dxl_monitor.port.listener import Listener as Worker'),
+    ('dxl_monitor.start', 'from servobus.sources.listener import Listener as Worker'),
     ('dxl_monitor.start', 'from dxl_monitor.timers import Timers as Worker'),
 ])
 def test_a_watchdog_starves_without_the_thread_that_does_the_work(

@@ -19,12 +19,6 @@ from harness import Program
 import pytest
 from synthetic_robot import serialise
 
-from dxl_monitor.port import tap_sender
-from dxl_monitor.port.tap_reader import _Connection
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture import Writer
 from dxl_monitor.tools.doctor import issue_report
 from dxl_monitor.tools.doctor.error_window import packed
 from mecarover_dashboard.history import Event
@@ -41,6 +35,12 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.reports import Level
 from msg_defs.reports import Status
+from servobus.sources import tap_sender
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Wire
+from servobus.sources.capture import Writer
+from servobus.sources.tap_reader import _Connection
 
 ROOT = Path(__file__).parents[1]
 # Colour, title, clear screen, C1, bidi override, line separators, a bell: and a line of our own.

@@ -28,19 +28,6 @@ from usb_files import REAL
 from usb_files import side
 from usb_files import tshark
 
-from dxl_monitor.port import adapters
-from dxl_monitor.port.adapters import adapter_of
-from dxl_monitor.port.adapters import CdcAcm
-from dxl_monitor.port.adapters import Ch341
-from dxl_monitor.port.adapters import Cp210x
-from dxl_monitor.port.adapters import Ftdi
-from dxl_monitor.port.adapters import Setup
-from dxl_monitor.port.adapters import UsbIdentity
-from dxl_monitor.port.usb_port import UsbPort
-from dxl_monitor.port.usbmon import Records
-from dxl_monitor.record.pcap import PcapReader
-from dxl_monitor.record.usb_events import is_usb
-from dxl_monitor.record.usb_events import UsbEvents
 from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
 from msg_defs.event import IN
@@ -52,6 +39,19 @@ from rigs.usb_pcap import MMAPPED
 from rigs.usb_pcap import pcap
 from rigs.usb_pcap import pcapng
 from rigs.usb_pcap import USBPCAP
+from servobus.sources import adapters
+from servobus.sources.adapters import adapter_of
+from servobus.sources.adapters import CdcAcm
+from servobus.sources.adapters import Ch341
+from servobus.sources.adapters import Cp210x
+from servobus.sources.adapters import Ftdi
+from servobus.sources.adapters import Setup
+from servobus.sources.adapters import UsbIdentity
+from servobus.sources.pcap import PcapReader
+from servobus.sources.usb_events import is_usb
+from servobus.sources.usb_events import UsbEvents
+from servobus.sources.usb_port import UsbPort
+from servobus.sources.usbmon import Records
 
 SESSIONS = ('healthy', 'missing', 'acm')
 STEADY = settings(derandomize=True, deadline=None, database=None, max_examples=60)

@@ -5,9 +5,9 @@
 from pathlib import Path
 import subprocess
 
-from dxl_monitor.port.usb_port import UsbPort
-from dxl_monitor.port.usb_survey import Survey
-from dxl_monitor.port.usbmon import Records
+from servobus.sources.usb_port import UsbPort
+from servobus.sources.usb_survey import Survey
+from servobus.sources.usbmon import Records
 
 REAL = Path(__file__).parent / 'usbmon'                # real ones; README.md there
 

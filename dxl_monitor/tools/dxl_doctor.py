@@ -15,11 +15,6 @@ import sys
 import time
 from typing import Any
 
-from dxl_monitor.port.source_name import DEFAULT_BAUD
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.flight_recorder import FlightRecorder
-from dxl_monitor.record.opening import open_source
-from dxl_monitor.record.source import Source
 from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor import machine
 from dxl_monitor.tools.doctor import no_data
@@ -60,6 +55,11 @@ from mecarover_serial.plain import printable
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import PROTOCOLS
 from servobus.model.models import Models
+from servobus.sources.capture import Wire
+from servobus.sources.flight_recorder import FlightRecorder
+from servobus.sources.opening import open_source
+from servobus.sources.source import Source
+from servobus.sources.source_name import DEFAULT_BAUD
 
 PROGRESS_S = 1.0
 FLIGHT_SIZE = 1_000_000_000        # bytes of the folder

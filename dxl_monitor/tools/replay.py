@@ -19,14 +19,6 @@ import time
 from typing import NamedTuple
 from urllib.parse import quote
 
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import is_capture
-from dxl_monitor.record.capture import lines
-from dxl_monitor.record.capture import Reader
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.opening import open_file
-from dxl_monitor.record.source import File
-from dxl_monitor.record.source import RawFile
 from dxl_monitor.tools.run import BAUD
 from dxl_monitor.tools.run import refuse_run
 from mecarover_serial.cli import DONE
@@ -39,6 +31,14 @@ from mecarover_serial.pty import Pty
 from mecarover_serial.readable import is_writable
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import is_capture
+from servobus.sources.capture import lines
+from servobus.sources.capture import Reader
+from servobus.sources.capture import Wire
+from servobus.sources.opening import open_file
+from servobus.sources.source import File
+from servobus.sources.source import RawFile
 
 SLOWEST = 1e-6                     # times the original speed
 SETTLE_S = 0.5                     # a reader has opened the port, and sets it up

@@ -16,8 +16,6 @@ import shutil
 
 from dxl_monitor.monitor_settings import check_models
 from dxl_monitor.monitor_settings import load_models
-from dxl_monitor.record.capture import BAUD_LIMIT
-from dxl_monitor.record.opening import how_to_hear
 from dxl_monitor.tools.start_program import BY
 from dxl_monitor.tools.start_program import WAYS
 from dxl_monitor.tools.start_program import with_python
@@ -28,6 +26,8 @@ from servobus.bus.decoder import PROTOCOLS
 from servobus.bus.expected import parse_all
 from servobus.bus.expected import split_bus
 from servobus.model.models import Models
+from servobus.sources.capture import BAUD_LIMIT
+from servobus.sources.opening import how_to_hear
 
 RUN = 'run'
 BAUD = number(int, 1, BAUD_LIMIT, 'Bd')

@@ -27,11 +27,11 @@ import time
 from types import FrameType
 from types import ModuleType
 
-from dxl_monitor.port.site import __file__ as SITE
-from dxl_monitor.port.tap_sender import TAP_MARK
-from dxl_monitor.port.tap_sender import TAP_NAME
-from dxl_monitor.port.tap_sender import TRACE
-from dxl_monitor.port.tap_sender import USED
+from servobus.sources.site import __file__ as SITE
+from servobus.sources.tap_sender import TAP_MARK
+from servobus.sources.tap_sender import TAP_NAME
+from servobus.sources.tap_sender import TRACE
+from servobus.sources.tap_sender import USED
 
 TAP, STRACE = 'tap', 'strace'
 WAYS = (TAP, STRACE)
@@ -80,7 +80,7 @@ class StartedProgram:
             raise
         hand_signals_on(self.child)
         with suppress(ImportError):            # Windows: nothing to see
-            from dxl_monitor.port import strace
+            from servobus.sources import strace
 
             threading.Thread(target=self._watch, args=(strace,), daemon=True).start()
 
@@ -88,7 +88,7 @@ class StartedProgram:
                       stdout: int | None) -> None:
         if sys.platform != 'linux':
             raise OSError(0, 'strace is for Linux; leave out --by', self._command)
-        from dxl_monitor.port import strace  # needs fcntl and termios
+        from servobus.sources import strace  # needs fcntl and termios
 
         problem = strace.why_not()
         if problem:

@@ -19,7 +19,6 @@ from typing import Generic
 from typing import NamedTuple
 from typing import TypeVar
 
-from dxl_monitor.port.driver import LineErrors
 from msg_defs import reports
 from msg_defs import status_keys as keys
 from msg_defs.reports import Level
@@ -27,6 +26,7 @@ from msg_defs.reports import Metric
 from msg_defs.timing import Summary
 from servobus.bus.table import Observed
 from servobus.model.control_table import Model
+from servobus.sources.driver import LineErrors
 
 PROTOCOL_2 = 'Dynamixel 2.0'       # besides the names of the dialects of the 1.0 family
 

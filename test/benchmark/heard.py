@@ -5,11 +5,11 @@
 import sys
 import time
 
-from dxl_monitor.port.listeners import listener_on
 from rigs.harness import say
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
 from servobus.monitor import Monitor
+from servobus.sources.listeners import listener_on
 
 QUIET_S = 0.5
 

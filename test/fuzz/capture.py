@@ -6,12 +6,12 @@ from collections import Counter
 import io
 import re
 
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Reader
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture import Writer
 from fuzz.script import Script
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Reader
+from servobus.sources.capture import Wire
+from servobus.sources.capture import Writer
 
 SECOND = 1_000_000_000
 MAGIC = b'# dxl_capture 2 '

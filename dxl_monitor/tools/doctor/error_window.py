@@ -16,10 +16,10 @@ import io
 import textwrap
 import zlib
 
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture import Writer
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Wire
+from servobus.sources.capture import Writer
 
 SECONDS = 30
 SIZE_LIMIT = 1_500_000             # bytes of the bus; as text in a report about half of that

@@ -21,13 +21,6 @@ import time
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.port.tap_reader import TapReader
-from dxl_monitor.port.tap_reader import TapRecord
-from dxl_monitor.port.tap_sender import ENDED
-from dxl_monitor.port.tap_sender import OPENED
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.source import Source
 from dxl_monitor.tools.doctor import explain
 from dxl_monitor.tools.doctor.verdict import Trouble
 from dxl_monitor.tools.start_program import StartedProgram
@@ -42,6 +35,13 @@ from servobus.bus.report import FAILED
 from servobus.bus.report import OWN
 from servobus.bus.report import RAISED
 from servobus.bus.report import ROBBER
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Wire
+from servobus.sources.source import Source
+from servobus.sources.tap_reader import TapReader
+from servobus.sources.tap_reader import TapRecord
+from servobus.sources.tap_sender import ENDED
+from servobus.sources.tap_sender import OPENED
 
 TICK_S = 0.1
 REST_S = 1.0                       # for what the program said last

@@ -17,8 +17,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Wire
 from mecarover_serial.cli import UsageError
 from msg_defs.reports import Joint
 from msg_defs.reports import metric_status
@@ -26,6 +24,8 @@ from msg_defs.reports import Status
 from msg_defs.reports import topic_names
 from servobus.bus.report import BusReport
 from servobus.monitor import Monitor
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Wire
 from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of

@@ -12,9 +12,6 @@ from collections.abc import Callable
 from collections.abc import Mapping
 from typing import BinaryIO
 
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.packet_file import PacketWriter
 from dxl_monitor.tools.dump.listing import DAMAGED
 from dxl_monitor.tools.dump.listing import Entry
 from dxl_monitor.tools.dump.listing import Listing
@@ -33,6 +30,9 @@ from msg_defs.event import UNREAD
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 from servobus.bus.report import BusReport
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Wire
+from servobus.sources.packet_file import PacketWriter
 
 NOISE = 'not a packet: noise, or part of a packet'
 

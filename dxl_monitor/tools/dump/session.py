@@ -20,12 +20,6 @@ import time
 from typing import BinaryIO
 
 from dxl_monitor.monitor_settings import settings_of
-from dxl_monitor.record.capture import check_new
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import open_new
-from dxl_monitor.record.capture import Writer
-from dxl_monitor.record.opening import open_source
-from dxl_monitor.record.packet_file import is_packet_file
 from dxl_monitor.tools.doctor.no_data import reasons
 from dxl_monitor.tools.dump.decode import Interpreter
 from dxl_monitor.tools.dump.filter import is_wanted
@@ -46,6 +40,12 @@ from mecarover_serial.plain import printable
 from servobus.bus.report import BusReport
 from servobus.doctor.case import OPTIONS
 from servobus.monitor import Monitor
+from servobus.sources.capture import check_new
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import open_new
+from servobus.sources.capture import Writer
+from servobus.sources.opening import open_source
+from servobus.sources.packet_file import is_packet_file
 
 CAPTURE, PCAPNG, MCAP = FORMATS = ('capture', 'pcapng', 'mcap')
 PAINT_S = 1.0

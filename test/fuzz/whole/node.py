@@ -16,10 +16,6 @@ from unittest.mock import patch
 from dxl_monitor import monitored_bus
 from dxl_monitor import timers
 from dxl_monitor.monitor_settings import PARAMETERS
-from dxl_monitor.port.listener import Listener
-from dxl_monitor.port.listener import ListenerState
-from dxl_monitor.record.capture import Reader
-from dxl_monitor.record.capture import STAMP_END
 from fuzz.dashboard import cdr
 from fuzz.whole.traffic import BOOT
 from fuzz.whole.traffic import S
@@ -34,6 +30,10 @@ from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
 from servobus import monitor
 from servobus.model.models import Models
+from servobus.sources.capture import Reader
+from servobus.sources.capture import STAMP_END
+from servobus.sources.listener import Listener
+from servobus.sources.listener import ListenerState
 
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'      # messages look for it when they are imported
 dxl_node = import_module('dxl_monitor.monitor_node')
@@ -164,7 +164,7 @@ def through_node(case, folder):
         changed.enter_context(patch.object(timers, 'time', stopped))
         changed.enter_context(patch.object(timers.Timers, 'start', lambda _: None))
         changed.enter_context(patch(
-            'dxl_monitor.record.capture_recorder.Recorder.start', lambda *_: None))
+            'servobus.sources.capture_recorder.Recorder.start', lambda *_: None))
         node = dxl_node.MonitorNode()
         fed = [0] * len(case.names)
         written = []

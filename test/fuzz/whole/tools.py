@@ -16,7 +16,6 @@ import sys
 from types import SimpleNamespace
 from unittest.mock import patch
 
-from dxl_monitor.record import live
 from dxl_monitor.tools import dxl_doctor as doctor
 from dxl_monitor.tools import dxl_dump as dump
 from dxl_monitor.tools import replay
@@ -40,6 +39,7 @@ from rigs.usb_pcap import MMAPPED
 from rigs.usb_pcap import pcap
 from rigs.usb_pcap import pcapng
 from rigs.usb_pcap import USBPCAP
+from servobus.sources import live
 
 RUNS = Counter()
 DUMP = (['--json'], ['--summary'], ['--stats'], ['--errors'], ['--full'],

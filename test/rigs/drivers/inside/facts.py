@@ -12,10 +12,10 @@ import sys
 import termios
 import time
 
-from dxl_monitor.port.driver import line_errors
-from dxl_monitor.port.driver import set_low_latency
 from mecarover_serial.port import open_port
 from mecarover_serial.port_error import PortError
+from servobus.sources.driver import line_errors
+from servobus.sources.driver import set_low_latency
 
 BAUD = 115_200
 WRITTEN = 2000

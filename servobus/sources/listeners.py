@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from dxl_monitor.port.listener import Listener
-from dxl_monitor.port.source_name import TAP
-from dxl_monitor.port.source_name import USB
-from dxl_monitor.port.tap_listener import TapListener
-from dxl_monitor.port.usb_listener import UsbListener
+from servobus.sources.listener import Listener
+from servobus.sources.source_name import TAP
+from servobus.sources.source_name import USB
+from servobus.sources.tap_listener import TapListener
+from servobus.sources.usb_listener import UsbListener
 
 _LISTENERS = {TAP: TapListener, USB: UsbListener}
 

@@ -11,18 +11,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dxl_monitor.port.adapters import Adapter
-from dxl_monitor.port.adapters import adapter_of
-from dxl_monitor.port.adapters import CdcAcm
-from dxl_monitor.port.adapters import family_by_request
-from dxl_monitor.port.adapters import Ftdi
-from dxl_monitor.port.adapters import Setup
-from dxl_monitor.port.adapters import UsbIdentity
-from dxl_monitor.port.usb_port import Place
-from dxl_monitor.port.usbmon import BULK
-from dxl_monitor.port.usbmon import CONTROL
-from dxl_monitor.port.usbmon import INPUT
-from dxl_monitor.port.usbmon import UsbEvent
+from servobus.sources.adapters import Adapter
+from servobus.sources.adapters import adapter_of
+from servobus.sources.adapters import CdcAcm
+from servobus.sources.adapters import family_by_request
+from servobus.sources.adapters import Ftdi
+from servobus.sources.adapters import Setup
+from servobus.sources.adapters import UsbIdentity
+from servobus.sources.usb_port import Place
+from servobus.sources.usbmon import BULK
+from servobus.sources.usbmon import CONTROL
+from servobus.sources.usbmon import INPUT
+from servobus.sources.usbmon import UsbEvent
 
 _GET_DESCRIPTOR = (0x80, 6)
 _DEVICE, _CONFIGURATION, _INTERFACE, _ENDPOINT = 1, 2, 4, 5

@@ -16,18 +16,6 @@ from pathlib import Path
 import socket
 import time
 
-from dxl_monitor.port import reader
-from dxl_monitor.port.listener import Listener
-from dxl_monitor.port.reader_process import ReaderProcess
-from dxl_monitor.port.reader_process import Record
-from dxl_monitor.port.source_name import USB
-from dxl_monitor.port.usb_find import find
-from dxl_monitor.port.usb_port import Place
-from dxl_monitor.port.usb_port import UsbPort
-from dxl_monitor.port.usb_survey import Survey
-from dxl_monitor.port.usbmon import INPUT
-from dxl_monitor.port.usbmon import Records
-from dxl_monitor.port.usbmon import UsbEvent
 from mecarover_serial.port_error import PortError
 from mecarover_serial.port_error import Reason
 from msg_defs.event import BAUD
@@ -35,6 +23,18 @@ from msg_defs.event import Change
 from msg_defs.event import GONE
 from msg_defs.event import LATENCY_TIMER
 from msg_defs.event import LOST
+from servobus.sources import reader
+from servobus.sources.listener import Listener
+from servobus.sources.reader_process import ReaderProcess
+from servobus.sources.reader_process import Record
+from servobus.sources.source_name import USB
+from servobus.sources.usb_find import find
+from servobus.sources.usb_port import Place
+from servobus.sources.usb_port import UsbPort
+from servobus.sources.usb_survey import Survey
+from servobus.sources.usbmon import INPUT
+from servobus.sources.usbmon import Records
+from servobus.sources.usbmon import UsbEvent
 
 _MONITOR = '/dev/usbmon{}'
 _AT_ONCE_NS = 100_000               # two clocks were read without a pause between

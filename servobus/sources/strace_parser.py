@@ -19,7 +19,6 @@ import re
 import termios
 from typing import NamedTuple
 
-from dxl_monitor.port.tap_sender import OPENED
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import CLOSED
@@ -31,6 +30,7 @@ from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import RTS
 from msg_defs.event import TRACED
+from servobus.sources.tap_sender import OPENED
 
 PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
 AT_ONCE_NS = 200_000               # between two calls: strace, not the program

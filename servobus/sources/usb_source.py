@@ -10,17 +10,17 @@ import shutil
 from tempfile import TemporaryFile
 from typing import cast
 
-from dxl_monitor.port.usb_port import UsbPort
-from dxl_monitor.port.usb_survey import Found
-from dxl_monitor.port.usb_survey import Survey
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import STAMP_END
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.source import File
-from dxl_monitor.record.usb_events import UsbEvents
 from mecarover_serial.cli import UsageError
 from msg_defs.event import BAUD
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Moment
+from servobus.sources.capture import STAMP_END
+from servobus.sources.capture import Wire
+from servobus.sources.source import File
+from servobus.sources.usb_events import UsbEvents
+from servobus.sources.usb_port import UsbPort
+from servobus.sources.usb_survey import Found
+from servobus.sources.usb_survey import Survey
 
 
 class UsbFile(File):

@@ -15,16 +15,16 @@ import sys
 import threading
 import time
 
-from dxl_monitor.record.capture import check_new
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import ENDED
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import open_new
-from dxl_monitor.record.capture import seconds
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture import Writer
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.worker import Worker
+from servobus.sources.capture import check_new
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import ENDED
+from servobus.sources.capture import Moment
+from servobus.sources.capture import open_new
+from servobus.sources.capture import seconds
+from servobus.sources.capture import Wire
+from servobus.sources.capture import Writer
 
 FLUSH_S = 0.2
 STOP_S = 3.0                        # the end waits no longer for what takes nothing

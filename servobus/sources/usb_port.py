@@ -11,20 +11,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dxl_monitor.port.adapters import Adapter
-from dxl_monitor.port.adapters import Setup
-from dxl_monitor.port.usbmon import BULK
-from dxl_monitor.port.usbmon import CONTROL
-from dxl_monitor.port.usbmon import DONE
-from dxl_monitor.port.usbmon import FRONT
-from dxl_monitor.port.usbmon import HEADER_SIZE
-from dxl_monitor.port.usbmon import INPUT
-from dxl_monitor.port.usbmon import INTERRUPT
-from dxl_monitor.port.usbmon import KILLED
-from dxl_monitor.port.usbmon import SUBMITTED
-from dxl_monitor.port.usbmon import UNPLUGGED
-from dxl_monitor.port.usbmon import UsbEvent
-from dxl_monitor.port.usbmon import what_key
 from msg_defs.event import Change
 from msg_defs.event import Changes
 from msg_defs.event import CLOSED
@@ -34,6 +20,20 @@ from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
+from servobus.sources.adapters import Adapter
+from servobus.sources.adapters import Setup
+from servobus.sources.usbmon import BULK
+from servobus.sources.usbmon import CONTROL
+from servobus.sources.usbmon import DONE
+from servobus.sources.usbmon import FRONT
+from servobus.sources.usbmon import HEADER_SIZE
+from servobus.sources.usbmon import INPUT
+from servobus.sources.usbmon import INTERRUPT
+from servobus.sources.usbmon import KILLED
+from servobus.sources.usbmon import SUBMITTED
+from servobus.sources.usbmon import UNPLUGGED
+from servobus.sources.usbmon import UsbEvent
+from servobus.sources.usbmon import what_key
 
 PENDING_LIMIT = 256                # transfers under way; a driver has 16 at most
 

@@ -22,14 +22,6 @@ import threading
 import time
 from typing import NamedTuple
 
-from dxl_monitor.port import reader
-from dxl_monitor.port.driver import latency_timer_ms
-from dxl_monitor.port.driver import line_errors
-from dxl_monitor.port.driver import LineErrors
-from dxl_monitor.port.driver import set_low_latency
-from dxl_monitor.port.reader_process import ReaderProcess
-from dxl_monitor.port.reader_process import Record
-from dxl_monitor.port.source_name import ways_to_hear
 from mecarover_serial.port import as_port_error
 from mecarover_serial.port import Backoff
 from mecarover_serial.port import open_port
@@ -41,6 +33,14 @@ from msg_defs.event import Change
 from msg_defs.event import UNKNOWN
 from msg_defs.uart import byte_ns
 from msg_defs.uart import idle_s
+from servobus.sources import reader
+from servobus.sources.driver import latency_timer_ms
+from servobus.sources.driver import line_errors
+from servobus.sources.driver import LineErrors
+from servobus.sources.driver import set_low_latency
+from servobus.sources.reader_process import ReaderProcess
+from servobus.sources.reader_process import Record
+from servobus.sources.source_name import ways_to_hear
 
 ERRORS_EVERY_NS = 1_000_000_000
 # The process stamps, so its records can wait: many at a time cost a quarter less than a few.

@@ -7,16 +7,16 @@ from __future__ import annotations
 import os
 import time
 
-from dxl_monitor.port import tap_sender as sent
-from dxl_monitor.port.listener import Listener
-from dxl_monitor.port.reader import SILENT_S
-from dxl_monitor.port.source_name import TAP
-from dxl_monitor.port.tap_reader import HOLD_S
-from dxl_monitor.port.tap_reader import TapReader
-from dxl_monitor.port.tap_reader import TapRecord
-from dxl_monitor.port.tap_reader import why_no_name
 from mecarover_serial.port_error import PortError
 from mecarover_serial.port_error import Reason
+from servobus.sources import tap_sender as sent
+from servobus.sources.listener import Listener
+from servobus.sources.reader import SILENT_S
+from servobus.sources.source_name import TAP
+from servobus.sources.tap_reader import HOLD_S
+from servobus.sources.tap_reader import TapReader
+from servobus.sources.tap_reader import TapRecord
+from servobus.sources.tap_reader import why_no_name
 
 _NAMED = 3                  # ports that are not heard, at most
 

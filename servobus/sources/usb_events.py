@@ -13,20 +13,20 @@ from collections.abc import Iterator
 import os
 from typing import BinaryIO
 
-from dxl_monitor.port.usbmon import decode
-from dxl_monitor.port.usbmon import decode_usbpcap
-from dxl_monitor.port.usbmon import HEADER_SIZE
-from dxl_monitor.port.usbmon import is_record
-from dxl_monitor.port.usbmon import OLD_HEADER_SIZE
-from dxl_monitor.port.usbmon import Records
-from dxl_monitor.port.usbmon import UsbEvent
-from dxl_monitor.record.pcap import CapturedPacket
-from dxl_monitor.record.pcap import is_pcap
-from dxl_monitor.record.pcap import LINK_USB_LINUX
-from dxl_monitor.record.pcap import LINK_USB_LINUX_MMAPPED
-from dxl_monitor.record.pcap import LINK_USBPCAP
-from dxl_monitor.record.pcap import MAGIC_SIZE
-from dxl_monitor.record.pcap import PcapReader
+from servobus.sources.pcap import CapturedPacket
+from servobus.sources.pcap import is_pcap
+from servobus.sources.pcap import LINK_USB_LINUX
+from servobus.sources.pcap import LINK_USB_LINUX_MMAPPED
+from servobus.sources.pcap import LINK_USBPCAP
+from servobus.sources.pcap import MAGIC_SIZE
+from servobus.sources.pcap import PcapReader
+from servobus.sources.usbmon import decode
+from servobus.sources.usbmon import decode_usbpcap
+from servobus.sources.usbmon import HEADER_SIZE
+from servobus.sources.usbmon import is_record
+from servobus.sources.usbmon import OLD_HEADER_SIZE
+from servobus.sources.usbmon import Records
+from servobus.sources.usbmon import UsbEvent
 
 READ_SIZE = 1 << 16
 

@@ -16,33 +16,33 @@ from pathlib import Path
 import struct
 from typing import BinaryIO
 
-from dxl_monitor.port.source_name import DEFAULT_BAUD
-from dxl_monitor.record.capture import BAUD_LIMIT
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import DIGITS_LIMIT
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.pcap import ABOUT
-from dxl_monitor.record.pcap import CapturedPacket
-from dxl_monitor.record.pcap import COMMENT
-from dxl_monitor.record.pcap import ENHANCED
-from dxl_monitor.record.pcap import FLAGS
-from dxl_monitor.record.pcap import INTERFACE
-from dxl_monitor.record.pcap import is_pcap
-from dxl_monitor.record.pcap import LINK_USER0
-from dxl_monitor.record.pcap import NAME
-from dxl_monitor.record.pcap import PcapReader
-from dxl_monitor.record.pcap import RESOLUTION
-from dxl_monitor.record.pcap import SECTION
-from dxl_monitor.record.pcap import SECTION_MAGIC
-from dxl_monitor.record.pcap import SPEED
-from dxl_monitor.record.source import File
 from msg_defs.event import Change
 from msg_defs.event import CHANGES
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.uart import byte_ns
+from servobus.sources.capture import BAUD_LIMIT
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import DIGITS_LIMIT
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Wire
+from servobus.sources.pcap import ABOUT
+from servobus.sources.pcap import CapturedPacket
+from servobus.sources.pcap import COMMENT
+from servobus.sources.pcap import ENHANCED
+from servobus.sources.pcap import FLAGS
+from servobus.sources.pcap import INTERFACE
+from servobus.sources.pcap import is_pcap
+from servobus.sources.pcap import LINK_USER0
+from servobus.sources.pcap import NAME
+from servobus.sources.pcap import PcapReader
+from servobus.sources.pcap import RESOLUTION
+from servobus.sources.pcap import SECTION
+from servobus.sources.pcap import SECTION_MAGIC
+from servobus.sources.pcap import SPEED
+from servobus.sources.source import File
+from servobus.sources.source_name import DEFAULT_BAUD
 
 _FLAG = {UNKNOWN: 0, IN: 1, OUT: 2}
 _SIDE = {flag: side for side, flag in _FLAG.items()}

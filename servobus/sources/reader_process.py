@@ -20,7 +20,7 @@ import subprocess
 import sys
 from typing import NamedTuple
 
-from dxl_monitor.port import reader
+from servobus.sources import reader
 
 PIPE_SIZE = 1 << 20              # two seconds at 4.5 MBd; what root's limit allows everybody
 READ_SIZE = 65_536

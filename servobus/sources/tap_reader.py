@@ -20,7 +20,6 @@ import socket
 import time
 from typing import NamedTuple
 
-from dxl_monitor.port import tap_sender as sent
 from mecarover_serial.plain import printable
 from mecarover_serial.readable import readable
 from msg_defs.event import Change
@@ -28,6 +27,7 @@ from msg_defs.event import CHANGES
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from servobus.sources import tap_sender as sent
 
 HOLD_S = 0.06                              # three times what a sender lets gather
 SIZE_LIMIT = 1 << 24                       # bytes of a record: more is none of ours

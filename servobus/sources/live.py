@@ -9,18 +9,18 @@ import queue
 import sys
 import time
 
-from dxl_monitor.port.listener import STARTING
-from dxl_monitor.port.listeners import listener_on
-from dxl_monitor.port.source_name import bus_name
-from dxl_monitor.port.source_name import has_sides
-from dxl_monitor.port.source_name import rate_of
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture_recorder import moment
-from dxl_monitor.record.source import Source
 from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import UNKNOWN
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Wire
+from servobus.sources.capture_recorder import moment
+from servobus.sources.listener import STARTING
+from servobus.sources.listeners import listener_on
+from servobus.sources.source import Source
+from servobus.sources.source_name import bus_name
+from servobus.sources.source_name import has_sides
+from servobus.sources.source_name import rate_of
 
 TICK_S = 0.1
 QUEUED_LIMIT = 100_000             # chunks that wait because our output is not taken

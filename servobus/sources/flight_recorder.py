@@ -20,18 +20,18 @@ import stat
 import sys
 import threading
 
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import seconds
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture_recorder import moment
-from dxl_monitor.record.capture_recorder import Recorder
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.plain import printable
 from mecarover_serial.worker import Worker
 from msg_defs.reports import Level
 from servobus.bus.report import BusReport
 from servobus.bus.report import DISCONNECTED
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Moment
+from servobus.sources.capture import seconds
+from servobus.sources.capture import Wire
+from servobus.sources.capture_recorder import moment
+from servobus.sources.capture_recorder import Recorder
 
 S = 1_000_000_000
 BEFORE_NS, AFTER_NS = 60 * S, 30 * S

@@ -13,17 +13,17 @@ from pathlib import Path
 import re
 from typing import NamedTuple
 
-from dxl_monitor.port.adapters import Adapter
-from dxl_monitor.port.adapters import adapter_of
-from dxl_monitor.port.adapters import FAMILIES
-from dxl_monitor.port.adapters import UsbIdentity
-from dxl_monitor.port.driver import SYS
-from dxl_monitor.port.usb_port import Place
 from mecarover_serial.port_error import PortError
 from mecarover_serial.port_error import Reason
 from mecarover_serial.port_users import tty_of
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from servobus.sources.adapters import Adapter
+from servobus.sources.adapters import adapter_of
+from servobus.sources.adapters import FAMILIES
+from servobus.sources.adapters import UsbIdentity
+from servobus.sources.driver import SYS
+from servobus.sources.usb_port import Place
 
 _SOCKET = re.compile(r'\d+-\d+(\.\d+)*')               # bus and the numbers of sockets: 1-1.2
 _NUMBER = re.compile(r'(\d+)\.(\d+)')                  # bus and device: 1.7

@@ -16,13 +16,13 @@ import subprocess
 import sys
 import time
 
-from dxl_monitor.port.reader_process import PIPE_SIZE
-from dxl_monitor.port.strace_parser import OPTIONS
-from dxl_monitor.port.strace_parser import PORT
 from mecarover_serial.port_users import file_text
 from mecarover_serial.port_users import is_controlled_by
 from mecarover_serial.port_users import PTYS
 from mecarover_serial.port_users import terminal_id
+from servobus.sources.reader_process import PIPE_SIZE
+from servobus.sources.strace_parser import OPTIONS
+from servobus.sources.strace_parser import PORT
 
 START_S = 5.0                      # within which strace opens the pipe
 _ABSENT = [f'/dev/tty{kind}{number}' for kind in ('USB', 'ACM') for number in range(16)]
@@ -40,7 +40,7 @@ _MISSED = ('{} is open, but not through pyserial, and is not heard; write --by s
 _Pair = tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]
 _ROOT = Path(__file__).parents[2]
 _RELAY = ('import sys; sys.path.insert(0, {!r}); '
-          'from dxl_monitor.port.strace_relay import main; main()')
+          'from servobus.sources.strace_relay import main; main()')
 
 
 def ports() -> set[str]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import Wire
-from dxl_monitor.record.capture_recorder import Recorder
-from dxl_monitor.record.flight_recorder import FlightRecorder
 from msg_defs.reports import Pairs
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import Wire
+from servobus.sources.capture_recorder import Recorder
+from servobus.sources.flight_recorder import FlightRecorder
 
 
 class Recorders:

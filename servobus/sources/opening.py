@@ -18,20 +18,20 @@ import stat
 import sys
 from typing import Any
 
-from dxl_monitor.port.source_name import is_live
-from dxl_monitor.record.capture import MAGIC
-from dxl_monitor.record.packet_file import holds_packets
-from dxl_monitor.record.packet_file import PacketFile
-from dxl_monitor.record.source import CaptureFile
-from dxl_monitor.record.source import File
-from dxl_monitor.record.source import RawFile
-from dxl_monitor.record.source import Source
-from dxl_monitor.record.usb_events import is_usb
-from dxl_monitor.record.usb_events import may_be_usb
-from dxl_monitor.record.usb_source import UsbFile
 from mecarover_serial.cli import UsageError
 from mecarover_serial.port_error import PortError
 from mecarover_serial.preflight import why_not
+from servobus.sources.capture import MAGIC
+from servobus.sources.packet_file import holds_packets
+from servobus.sources.packet_file import PacketFile
+from servobus.sources.source import CaptureFile
+from servobus.sources.source import File
+from servobus.sources.source import RawFile
+from servobus.sources.source import Source
+from servobus.sources.source_name import is_live
+from servobus.sources.usb_events import is_usb
+from servobus.sources.usb_events import may_be_usb
+from servobus.sources.usb_source import UsbFile
 
 HEAD_SIZE = 64
 REPORT = '# dxl_doctor report'         # how a report of dxl_doctor begins
@@ -60,7 +60,7 @@ def open_source(tool: str, name: str, baud: int | None, adapter: str | None = No
             raise UsageError('-: stdin is a terminal; pipe bytes or a capture into it')
         return _file(name, open(sys.stdin.fileno(), 'rb', closefd=False), baud, adapter, tool)
     if is_port(name):
-        from dxl_monitor.record.live import LivePort  # needs fcntl, and files do not
+        from servobus.sources.live import LivePort  # needs fcntl, and files do not
 
         return LivePort(name, baud, tool)
     return open_file(name, baud, adapter, tool=tool)

@@ -141,7 +141,7 @@ class _Process:
             if usb:
                 device, idle, *endpoints = map(int, usb)
                 sys.path.append(os.path.join(os.path.dirname(__file__), '../..'))
-                from dxl_monitor.port.usb_ring import Ring  # python -I does not find it
+                from servobus.sources.usb_ring import Ring  # python -I does not find it
                 self._ring = Ring(self._port, device, frozenset(endpoints), idle)
             self._loop.run()
         except BrokenPipeError:         # the node has gone

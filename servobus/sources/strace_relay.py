@@ -15,11 +15,11 @@ from pathlib import Path
 import sys
 import time
 
-from dxl_monitor.port.strace_parser import PortEvent
-from dxl_monitor.port.strace_parser import StraceParser
-from dxl_monitor.port.tap_sender import OPENED
-from dxl_monitor.port.tap_sender import Sender
 from msg_defs import event
+from servobus.sources.strace_parser import PortEvent
+from servobus.sources.strace_parser import StraceParser
+from servobus.sources.tap_sender import OPENED
+from servobus.sources.tap_sender import Sender
 
 _READ_SIZE = 1 << 16
 

@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from io import BufferedReader
 import os
 
-from dxl_monitor.port.source_name import DEFAULT_BAUD
-from dxl_monitor.record.capture import Chunk
-from dxl_monitor.record.capture import lines
-from dxl_monitor.record.capture import Moment
-from dxl_monitor.record.capture import Reader
-from dxl_monitor.record.capture import Wire
+from servobus.sources.capture import Chunk
+from servobus.sources.capture import lines
+from servobus.sources.capture import Moment
+from servobus.sources.capture import Reader
+from servobus.sources.capture import Wire
+from servobus.sources.source_name import DEFAULT_BAUD
 
 READ_SIZE = 65_536
 _BYTE_NS = 10_000_000_000          # over the baud rate
