@@ -48,7 +48,7 @@ setup(
         'mecarover_fakes.demo', 'mecarover_fakes', 'mecarover_feed']),
     package_data={'servobus.model': ['files/*.yaml'],
                   'mecarover_fakes': ['factory.yaml'],
-                  'dxl_monitor.tools.doctor': ['errors.yaml'],
+                  'servobus.tools.doctor': ['errors.yaml'],
                   'mecarover_dashboard': ['static/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + NAME]),

@@ -9,9 +9,6 @@ import sys
 import threading
 import webbrowser
 
-from dxl_monitor.tools.run import add_bus_options
-from dxl_monitor.tools.run import parse_run
-from dxl_monitor.tools.run import RUN
 from mecarover_dashboard import serve
 from mecarover_dashboard.command_line import is_of_ros
 from mecarover_dashboard.command_line import make_run
@@ -22,6 +19,9 @@ from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from servobus.tools.run import add_bus_options
+from servobus.tools.run import parse_run
+from servobus.tools.run import RUN
 
 NAME = serve.NAME
 EXAMPLES = """examples:

@@ -13,10 +13,6 @@ import math
 import time
 from typing import Protocol
 
-from dxl_monitor.tools.doctor.examination import REPORT_NS
-from dxl_monitor.tools.doctor.finding_log import FindingLog
-from dxl_monitor.tools.doctor.verdict import BusSummary
-from dxl_monitor.tools.doctor.verdict import Verdict
 from mecarover_serial.process import resident_memory_mb
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
@@ -30,6 +26,10 @@ from servobus.signals import BusSignals
 from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of
+from servobus.tools.doctor.examination import REPORT_NS
+from servobus.tools.doctor.finding_log import FindingLog
+from servobus.tools.doctor.verdict import BusSummary
+from servobus.tools.doctor.verdict import Verdict
 
 NODE = 'dxl_monitor'                # in the names of statuses
 TABLES, TIMING = 'dxl/diagnostics', 'dxl/timing'

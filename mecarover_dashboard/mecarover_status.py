@@ -8,8 +8,6 @@ import os
 import sys
 import time
 
-from dxl_monitor.tools.run import add_bus_options
-from dxl_monitor.tools.run import refuse_run
 from mecarover_dashboard import terminal
 from mecarover_dashboard.command_line import is_of_ros
 from mecarover_dashboard.command_line import make_run
@@ -18,6 +16,8 @@ from mecarover_dashboard.feed import Feed
 from mecarover_dashboard.state import State
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
+from servobus.tools.run import add_bus_options
+from servobus.tools.run import refuse_run
 
 NAME = terminal.NAME
 

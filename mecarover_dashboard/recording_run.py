@@ -15,12 +15,6 @@ import threading
 import time
 from typing import Any
 
-from dxl_monitor.tools.doctor import no_data
-from dxl_monitor.tools.doctor.examination import Examination
-from dxl_monitor.tools.doctor.examination import LONGEST_PAUSE_NS
-from dxl_monitor.tools.doctor.examination import REPORT_NS
-from dxl_monitor.tools.doctor.verdict import Verdict
-from dxl_monitor.tools.doctor.verdict import verdict
 from mecarover_dashboard.feed import Feed
 from mecarover_dashboard.source_run import S
 from mecarover_dashboard.source_run import SourceRun
@@ -28,6 +22,12 @@ from mecarover_dashboard.source_run import TURN_S
 from msg_defs.reports import Level
 from servobus.sources.opening import open_file
 from servobus.sources.source import File
+from servobus.tools.doctor import no_data
+from servobus.tools.doctor.examination import Examination
+from servobus.tools.doctor.examination import LONGEST_PAUSE_NS
+from servobus.tools.doctor.examination import REPORT_NS
+from servobus.tools.doctor.verdict import Verdict
+from servobus.tools.doctor.verdict import verdict
 
 END = 1 << 64                       # a stamp after all others
 _MOST_EVENTS = 200

@@ -19,11 +19,6 @@ from dxl_monitor.monitor_settings import buses
 from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.monitor_settings import settings_of
 from dxl_monitor.monitored_bus import MonitoredBus
-from dxl_monitor.tools.doctor import no_data
-from dxl_monitor.tools.doctor.program import Program
-from dxl_monitor.tools.doctor.verdict import Verdict
-from dxl_monitor.tools.doctor.verdict import verdict
-from dxl_monitor.tools.run import models_of
 from mecarover_dashboard.feed import Feed
 from mecarover_serial.plain import printable
 from servobus.bus.report import BusReport
@@ -36,6 +31,11 @@ from servobus.sources.recorders import Recorders
 from servobus.sources.source_name import rate_of
 from servobus.sources.tap_reader import HOLD_S
 from servobus.status import PortState
+from servobus.tools.doctor import no_data
+from servobus.tools.doctor.program import Program
+from servobus.tools.doctor.verdict import Verdict
+from servobus.tools.doctor.verdict import verdict
+from servobus.tools.run import models_of
 
 TURN_S = 0.1
 S = 1_000_000_000

@@ -172,7 +172,7 @@ def test_the_cycle_of_a_real_program_is_that_of_its_log(name, servos, tmp_path, 
         json.dump(log, open(sys.argv[2], 'w'))
     """))
     done = subprocess.run(
-        [sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', '--json', 'run', '--',
+        [sys.executable, '-m', 'servobus.tools.dxl_doctor', '--json', 'run', '--',
          sys.executable, str(script), servos, str(tmp_path / 'log')], capture_output=True,
         text=True, check=False, cwd=ROOT, timeout=60,
         env=os.environ | {'XDG_RUNTIME_DIR': str(meeting_place), 'PYTHONPATH': str(ROOT)})

@@ -8,11 +8,6 @@ import pytest
 from tracked_bus import reply
 from tracked_bus import words
 
-from dxl_monitor.tools.doctor.answer_screen import screen
-from dxl_monitor.tools.doctor.finding_log import FindingLog
-from dxl_monitor.tools.doctor.verdict import as_json
-from dxl_monitor.tools.doctor.verdict import BusSummary
-from dxl_monitor.tools.doctor.verdict import verdict
 from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_packet import encode
 from msg_defs.event import AWAY
@@ -32,6 +27,11 @@ from servobus.doctor.timing_rules import RULES
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.monitor import Settings
+from servobus.tools.doctor.answer_screen import screen
+from servobus.tools.doctor.finding_log import FindingLog
+from servobus.tools.doctor.verdict import as_json
+from servobus.tools.doctor.verdict import BusSummary
+from servobus.tools.doctor.verdict import verdict
 
 cycle_time = next(rule.check for rule in RULES if rule.name == 'cycle_time')
 MODELS = Models()

@@ -25,7 +25,6 @@ from packets import packets_left
 import pytest
 
 from benchmark import traffic
-from dxl_monitor.tools.dump.packet_lines import delta_text
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.faults import parse
 from mecarover_fakes.line import Line
@@ -44,8 +43,9 @@ from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
+from servobus.tools.dump.packet_lines import delta_text
 
-DUMP, FAKE_BUS = 'dxl_monitor.tools.dxl_dump', 'mecarover_fakes.fake_bus'
+DUMP, FAKE_BUS = 'servobus.tools.dxl_dump', 'mecarover_fakes.fake_bus'
 ROOT = Path(__file__).parents[1]
 MODELS = Models()
 BAUD = 2_000_000

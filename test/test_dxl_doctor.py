@@ -25,18 +25,6 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.tools.doctor import explain
-from dxl_monitor.tools.doctor import issue_report
-from dxl_monitor.tools.doctor import no_data
-from dxl_monitor.tools.doctor import report_file
-from dxl_monitor.tools.doctor.answer_screen import screen
-from dxl_monitor.tools.doctor.error_window import ErrorWindow
-from dxl_monitor.tools.doctor.examination import Examination
-from dxl_monitor.tools.doctor.verdict import ERROR
-from dxl_monitor.tools.doctor.verdict import NOTHING_HEARD
-from dxl_monitor.tools.doctor.verdict import verdict
-from dxl_monitor.tools.doctor.verdict import WARNING
-from dxl_monitor.tools.doctor.verdict import WELL
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.faults import parse
 from mecarover_fakes.line import Line
@@ -53,9 +41,21 @@ from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
+from servobus.tools.doctor import explain
+from servobus.tools.doctor import issue_report
+from servobus.tools.doctor import no_data
+from servobus.tools.doctor import report_file
+from servobus.tools.doctor.answer_screen import screen
+from servobus.tools.doctor.error_window import ErrorWindow
+from servobus.tools.doctor.examination import Examination
+from servobus.tools.doctor.verdict import ERROR
+from servobus.tools.doctor.verdict import NOTHING_HEARD
+from servobus.tools.doctor.verdict import verdict
+from servobus.tools.doctor.verdict import WARNING
+from servobus.tools.doctor.verdict import WELL
 
 ROOT = Path(__file__).parents[1]
-DOCTOR = 'dxl_monitor.tools.dxl_doctor'
+DOCTOR = 'servobus.tools.dxl_doctor'
 MODELS = Models()
 BAUD = 2_000_000
 SECOND = 1_000_000_000
@@ -350,7 +350,7 @@ input()
 @pytest.mark.realtime(bears=0.02)
 def test_it_answers_in_time_while_the_program_goes_on(meeting_place, tmp_path):
     with Pty(str(tmp_path / 'bus')) as pty, subprocess.Popen(
-            [sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', '--json', '--seconds', '3',
+            [sys.executable, '-m', 'servobus.tools.dxl_doctor', '--json', '--seconds', '3',
              'run', '--', sys.executable, '-c', LASTS.format(pty.path)],
             env={**os.environ, 'XDG_RUNTIME_DIR': meeting_place}, cwd=ROOT, text=True,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as tool:

@@ -229,7 +229,7 @@ def test_the_same_rows_in_a_terminal(tmp_path):
             read_until(ours, 'mecarover_status: 003, STS3215: ')
         os.close(ours)
         assert shown.returncode == 0
-        with Program('dxl_monitor.tools.dxl_dump', link, '-b', '1000000', '-w', capture,
+        with Program('servobus.tools.dxl_dump', link, '-b', '1000000', '-w', capture,
                      '--seconds', '4') as dump:
             assert dump.exit_code() == 0
     with Program('', capture, '--once', '--all', '--devices', ARM, script=status) as once:
@@ -315,7 +315,7 @@ def test_a_recording_is_played_stopped_and_moved(tmp_path):
             found = json.loads(answer.read())
         with pytest.raises(HTTPError, match='403'):                 # no other program moves it
             urlopen(f'{address}/player?at=0')
-    said = subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', '--json',
+    said = subprocess.run([sys.executable, '-m', 'servobus.tools.dxl_doctor', '--json',
                            '--devices', ARM, capture], cwd=ROOT, capture_output=True, text=True)
     logged = json.loads(said.stdout)['buses'][0]['findings']
     assert {text.partition(': ')[2] for _, _, text in found} == {

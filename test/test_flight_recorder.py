@@ -7,7 +7,6 @@ from types import SimpleNamespace
 from harness import wait
 import pytest
 
-from dxl_monitor.tools.doctor.examination import Examination
 from mecarover_serial.parameters import ParameterError
 from msg_defs.event import Change
 from msg_defs.reports import Level
@@ -23,6 +22,7 @@ from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.opening import open_file
 from servobus.sources.recorders import Recorders
+from servobus.tools.doctor.examination import Examination
 
 S = 1_000_000_000
 MODELS = Models()

@@ -15,9 +15,6 @@ from heard_bus import Bus
 import pytest
 import yaml
 
-from dxl_monitor.tools.doctor.finding_log import FindingLog
-from dxl_monitor.tools.doctor.verdict import BusSummary
-from dxl_monitor.tools.doctor.verdict import verdict
 from msg_defs.dxl_packet import body_crc
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import HEADER
@@ -32,6 +29,9 @@ from msg_defs.event import UNREAD
 from msg_defs.reports import Level
 from servobus.bus.report import FAILED
 from servobus.bus.report import RAISED
+from servobus.tools.doctor.finding_log import FindingLog
+from servobus.tools.doctor.verdict import BusSummary
+from servobus.tools.doctor.verdict import verdict
 
 RATE, EMPTY = Change(BAUD, 1_000_000), Change(UNREAD, 0)
 

@@ -304,7 +304,7 @@ class Hex(Source):
 
         return Hex(name.removeprefix('hex:'))
 """))
-    said = code.run('-m', 'dxl_monitor.tools.dxl_dump', 'hex:fffffd0001030001194e')
+    said = code.run('-m', 'servobus.tools.dxl_dump', 'hex:fffffd0001030001194e')
     assert 'Ping' in said
 
 
@@ -329,6 +329,6 @@ class HexListener(Listener):
                 ('from servobus.sources.listener import',
                  'from servobus.sources.hex_listener import HexListener\n'),
                 ('TAP: TapListener', "'hex:': HexListener, "))
-    said = code.run('-m', 'dxl_monitor.tools.dxl_dump', '--count', '1',
+    said = code.run('-m', 'servobus.tools.dxl_dump', '--count', '1',
                     'hex:fffffd0001030001194e')
     assert 'Ping' in said

@@ -15,8 +15,8 @@ import pytest
 from rigs.tables import rows_of
 
 MODULES = {
-    'dxl_dump': 'dxl_monitor.tools.dxl_dump', 'dxl_doctor': 'dxl_monitor.tools.dxl_doctor',
-    'dxl_replay': 'dxl_monitor.tools.replay', 'dxl_dashboard': 'mecarover_dashboard.serve',
+    'dxl_dump': 'servobus.tools.dxl_dump', 'dxl_doctor': 'servobus.tools.dxl_doctor',
+    'dxl_replay': 'servobus.tools.replay', 'dxl_dashboard': 'mecarover_dashboard.serve',
     'mecarover_status': 'mecarover_dashboard.terminal', 'fake_bus': 'mecarover_fakes.fake_bus',
     'fake_mcu': 'mecarover_fakes.fake_mcu',
 }

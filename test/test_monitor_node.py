@@ -235,7 +235,7 @@ def test_a_bus_is_heard_inside_a_python_program(tmp_path, heard, monkeypatch, me
             monitor(['tap:robot'], bauds='[0]') as node:
         fake.wait_for('1000000 baud')
         node.wait_for('tap:robot: listening; start the program with dxl_tap robot -- COMMAND')
-        with Program('dxl_monitor.tools.tap', 'robot', '--', sys.executable, '-c',
+        with Program('servobus.tools.tap', 'robot', '--', sys.executable, '-c',
                      textwrap.dedent(script), str(bus)):
             node.wait_for(f'tap:robot: listening to {bus}')
             heard.wait_status('dxl_monitor: bus', '1 of 1 devices connected', level=0)
@@ -345,7 +345,7 @@ def test_a_fault_is_in_a_file_and_so_is_what_is_asked_for(tmp_path, heard, ros):
         response = heard.call(ros.Trigger, '/dxl_monitor/save_recording')
     assert response.success and Path(response.message).parent == folder
     [path] = folder.glob('flight_*_002.txt')
-    result = subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', path],
+    result = subprocess.run([sys.executable, '-m', 'servobus.tools.dxl_doctor', path],
                             capture_output=True, text=True, check=False)
     assert re.search('002 before it does not answer|002, no answer', result.stdout)
 

@@ -67,7 +67,7 @@ def test_odd_packets_are_shown(options, tmp_path):
     file = tmp_path / 'odd.bin'
     file.write_bytes(b''.join(START[family] + odd for family, odd in ODD.values()))
     done = subprocess.run(
-        [sys.executable, '-m', 'dxl_monitor.tools.dxl_dump', str(file), '--baud', str(BAUD),
+        [sys.executable, '-m', 'servobus.tools.dxl_dump', str(file), '--baud', str(BAUD),
          *options], capture_output=True, text=True, cwd=Path(__file__).parents[1])
     assert (done.returncode, 'Traceback' in done.stderr) == (0, False)
     assert done.stdout

@@ -21,7 +21,6 @@ from usb_files import log
 from usb_files import ports_in
 from usb_files import REAL
 
-from dxl_monitor.tools.start_program import environment
 from mecarover_fakes.fake_bus import default_devices
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
@@ -57,6 +56,7 @@ from servobus.sources.usb_port import Place
 from servobus.sources.usb_port import UsbPort
 from servobus.sources.usb_ring import HEADER_SIZE
 from servobus.sources.usb_ring import kept_of
+from servobus.tools.start_program import environment
 
 MODELS = Models()
 ROOT = Path(__file__).parents[1]
@@ -67,7 +67,7 @@ BEGAN = 1_795_329_340_000_000_000
 
 
 def dump(*arguments, **more):
-    return subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.dxl_dump',
+    return subprocess.run([sys.executable, '-m', 'servobus.tools.dxl_dump',
                            *map(str, arguments)], capture_output=True, text=True, cwd=ROOT,
                           check=False, timeout=60, **more)
 
@@ -312,12 +312,12 @@ def test_dump_of_a_tapped_program(meeting_place):
     ping = "bytes.fromhex('fffffd0001030001194e')"
     script = f'import serial, sys; port = serial.Serial(sys.argv[1], 57600); port.write({ping})'
     with Pty() as pty, subprocess.Popen(
-            [sys.executable, '-m', 'dxl_monitor.tools.dxl_dump', 'tap:arm', '--json', '--count',
+            [sys.executable, '-m', 'servobus.tools.dxl_dump', 'tap:arm', '--json', '--count',
              '1'], cwd=ROOT, env=environ, stdout=subprocess.PIPE, text=True) as child:
         try:
             wait(lambda: Path(meeting_place, 'mecarover_serial').is_dir() and any(
                 Path(meeting_place, 'mecarover_serial').iterdir()))
-            subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.tap', 'arm', '--',
+            subprocess.run([sys.executable, '-m', 'servobus.tools.tap', 'arm', '--',
                             sys.executable, '-c', script, pty.path], env=environ, cwd=ROOT,
                            check=True, timeout=60)
             packet = json.loads(child.communicate(timeout=60)[0])

@@ -437,12 +437,12 @@ def test_without_a_watch_it_looks_every_30_s(monkeypatch):
 def test_who_listens_with_a_reader_is_named_not_its_reader(tmp_path):
     """A command started the reader, and that is what to stop."""
     with Pty(str(tmp_path / 'bus')) as pty, \
-            Program('dxl_monitor.tools.dxl_dump', pty.link) as tool:
+            Program('servobus.tools.dxl_dump', pty.link) as tool:
         wait(lambda: [child for child in tool.children() if 'dxl_reader' in name_of(child)])
         [user] = [one for one in holders(pty.path) if not one.is_maker]
         assert user.name == f'{name_of(tool.pid)} (pid {tool.pid})'
         assert f'in use by {user.name}; stop that program' in str(refusal(pty.path))
-        with Program('dxl_monitor.tools.dxl_dump', pty.link) as second:
+        with Program('servobus.tools.dxl_dump', pty.link) as second:
             second.wait_for(f'{pty.link}: in use by {user.name}; stop that program, or hear what '
                             'it does with tap:NAME (dxl_tap NAME -- COMMAND starts it)')
     assert ways_to_hear('/dev/ttyUSB0').startswith('usb:/dev/ttyUSB0 or tap:NAME (')

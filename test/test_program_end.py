@@ -9,9 +9,6 @@ writes and reads, and of what it leaves unread.
 
 import pytest
 
-from dxl_monitor.tools.doctor.examination import Examination
-from dxl_monitor.tools.doctor.program import Openings
-from dxl_monitor.tools.doctor.verdict import verdict
 from msg_defs.dxl1_packet import encode
 from msg_defs.event import BAUD
 from msg_defs.event import Change
@@ -30,6 +27,9 @@ from servobus.sources import tap_sender as sent
 from servobus.sources.capture import Chunk
 from servobus.sources.capture import Wire
 from servobus.sources.tap_reader import TapRecord
+from servobus.tools.doctor.examination import Examination
+from servobus.tools.doctor.program import Openings
+from servobus.tools.doctor.verdict import verdict
 
 MS = 1_000_000
 MODELS = Models()

@@ -48,7 +48,7 @@ def test_a_capture_of_the_node_replayed_to_the_node(tmp_path, heard):
     assert size > 1000
     heard.statuses.clear()
     link = tmp_path / 'replayed'
-    with Program('dxl_monitor.tools.replay', str(path), '--link', str(link), '--stay') as replay, \
+    with Program('servobus.tools.replay', str(path), '--link', str(link), '--stay') as replay, \
             monitor(link, devices=DEVICES):
         replay.wait_for('played')
         heard.wait_status('dxl_monitor: bus', f'Bytes={size}')

@@ -28,7 +28,7 @@ from servobus.sources.listener import Listener
 
 pytestmark = pytest.mark.realtime(bears=0.01)
 
-REPLAY = 'dxl_monitor.tools.replay'
+REPLAY = 'servobus.tools.replay'
 MODELS = Models()
 SECOND = 1_000_000_000
 BAUD = 1_000_000

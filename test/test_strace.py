@@ -230,7 +230,7 @@ def test_a_library_that_opens_ports_by_itself_is_heard(has_strace, tmp_path):
 def test_the_doctor_hears_a_program_to_its_end():
     with peers(lambda data: data) as (far,):
         done = subprocess.run(
-            [sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', '--json', 'run', '--by',
+            [sys.executable, '-m', 'servobus.tools.dxl_doctor', '--json', 'run', '--by',
              'strace', '--', sys.executable, '-c',
              textwrap.dedent(PLAIN.format(path=far.pty.path, times=20))],
             cwd=ROOT, capture_output=True, text=True, timeout=60)
@@ -261,7 +261,7 @@ def test_the_program_goes_on_when_others_are_killed(victim, again):
     with peers(lambda data: b'') as (far,), subprocess.Popen(
             [sys.executable, '-c', READING], cwd=ROOT, stdout=subprocess.PIPE, text=True
     ) as reader, subprocess.Popen(
-            [sys.executable, '-m', 'dxl_monitor.tools.tap', 'robot', '--by', 'strace', '--',
+            [sys.executable, '-m', 'servobus.tools.tap', 'robot', '--by', 'strace', '--',
              sys.executable, '-c', textwrap.dedent(LASTING.format(path=far.pty.path))], cwd=ROOT,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             text=True) as tool:
@@ -293,7 +293,7 @@ def test_the_program_goes_on_when_others_are_killed(victim, again):
 def test_a_port_that_pyserial_did_not_open_is_named():
     code = textwrap.dedent(LASTING)
     with peers(lambda data: data) as (far,), subprocess.Popen(
-            [sys.executable, '-m', 'dxl_monitor.tools.tap', 'robot', '--', sys.executable, '-c',
+            [sys.executable, '-m', 'servobus.tools.tap', 'robot', '--', sys.executable, '-c',
              code.format(path=far.pty.path)], cwd=ROOT, stdin=subprocess.PIPE, text=True,
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as tool:
         assert 'through pyserial' in tool.stderr.readline()
@@ -327,7 +327,7 @@ def test_python_is_that_of_the_user_unless_the_tool_shares_it(tmp_path, chosen):
     (place / 'only_here.dist-info/METADATA').write_text('Name: only_here')
     path = os.pathsep.join((str(tmp_path / 'tool/bin'), str(tmp_path / 'user/bin')))
     done = subprocess.run(
-        [tmp_path / 'tool/bin/python', '-m', 'dxl_monitor.tools.tap', 'robot', '--', 'python',
+        [tmp_path / 'tool/bin/python', '-m', 'servobus.tools.tap', 'robot', '--', 'python',
          '-c', 'import only_here; print("found")'], cwd=ROOT, capture_output=True, text=True,
         env={**os.environ, 'PATH': path, 'VIRTUAL_ENV': str(tmp_path / 'tool')})
     assert done.stdout == 'found\n', done.stderr

@@ -23,7 +23,6 @@ import time
 from packets import packets_in
 import pytest
 
-from dxl_monitor.tools.start_program import environment
 from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
@@ -46,6 +45,7 @@ from servobus.sources.tap_reader import TapRecord
 from servobus.sources.tap_sender import folder
 from servobus.sources.tap_sender import OPENED
 from servobus.sources.tap_sender import record
+from servobus.tools.start_program import environment
 
 pytestmark = pytest.mark.realtime(bears=0.02)
 ROOT = Path(__file__).parents[1]
@@ -344,7 +344,7 @@ def test_doctor_says_what_it_no_longer_hears(script, words):
     with peers(lambda data: data) as (far,):
         whole = textwrap.dedent(begin.format(path=far.pty.path)) + textwrap.dedent(script)
         done = subprocess.run(
-            [sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', 'run', '--',
+            [sys.executable, '-m', 'servobus.tools.dxl_doctor', 'run', '--',
              sys.executable, '-c', whole], cwd=ROOT, capture_output=True, text=True,
             timeout=SCRIPT_S, env={**os.environ, 'COLUMNS': '300'})
     assert re.search(words, ' '.join(done.stdout.split())), done
@@ -468,7 +468,7 @@ def test_folder_that_others_can_write_to_is_refused():
 def test_a_place_for_no_socket_is_told_with_its_remedy(tmp_path, place, words, command):
     (tmp_path / 'file').touch()
     done = subprocess.run(
-        [sys.executable, '-m', f'dxl_monitor.tools.{command[0]}', *command[1:]], cwd=ROOT,
+        [sys.executable, '-m', f'servobus.tools.{command[0]}', *command[1:]], cwd=ROOT,
         env={**os.environ, 'XDG_RUNTIME_DIR': str(tmp_path / place)},
         stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (1, '')
@@ -629,7 +629,7 @@ def test_the_other_sitecustomize_is_run(tmp_path):
 
 
 def tap(*arguments, **more):
-    return subprocess.run([sys.executable, '-m', 'dxl_monitor.tools.tap', *arguments],
+    return subprocess.run([sys.executable, '-m', 'servobus.tools.tap', *arguments],
                           capture_output=True, text=True, cwd=ROOT, check=False,
                           timeout=SCRIPT_S, env={**os.environ, **more})
 
@@ -659,7 +659,7 @@ def test_command_line():
 def test_signal_reaches_the_program():
     script = "import signal, time; signal.signal(signal.SIGTERM, lambda *_: exit(5)); " \
              "print('ready', flush=True)\nwhile True: time.sleep(0.1)"
-    with subprocess.Popen([sys.executable, '-m', 'dxl_monitor.tools.tap', 'arm', '--',
+    with subprocess.Popen([sys.executable, '-m', 'servobus.tools.tap', 'arm', '--',
                            sys.executable, '-c', script], cwd=ROOT, stdout=subprocess.PIPE,
                           stderr=subprocess.DEVNULL, text=True) as child:
         assert child.stdout.readline() == 'ready\n'
@@ -698,7 +698,7 @@ def test_runs_where_only_the_standard_library_of_windows_is(tmp_path):
            'port.read(3); port.close()'
     reading = without + textwrap.dedent("""
         from servobus.sources.tap_reader import TapReader
-        import dxl_monitor.tools.tap
+        import servobus.tools.tap
         with TapReader('robot') as reader:
             print('ready', flush=True)
             told = []

@@ -19,8 +19,6 @@ from harness import Program
 import pytest
 from synthetic_robot import serialise
 
-from dxl_monitor.tools.doctor import issue_report
-from dxl_monitor.tools.doctor.error_window import packed
 from mecarover_dashboard.history import Event
 from mecarover_dashboard.history import HistoryWriter
 from mecarover_dashboard.history import Subject
@@ -41,13 +39,15 @@ from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 from servobus.sources.tap_reader import _Connection
+from servobus.tools.doctor import issue_report
+from servobus.tools.doctor.error_window import packed
 
 ROOT = Path(__file__).parents[1]
 # Colour, title, clear screen, C1, bidi override, line separators, a bell: and a line of our own.
 EVIL = '=evil\x1b[31m\x1b]0;t\x07\x1b[2J\x9b31m\u202e\u2028\r\nall is well\x00\x7f'
 LONE = '\udc9b'                 # a byte that is no UTF-8, as Python has it in a name of a file
-TOOLS = {'dxl_dump': 'dxl_monitor.tools.dxl_dump', 'dxl_doctor': 'dxl_monitor.tools.dxl_doctor',
-         'dxl_replay': 'dxl_monitor.tools.replay', 'dxl_dashboard': 'mecarover_dashboard.serve'}
+TOOLS = {'dxl_dump': 'servobus.tools.dxl_dump', 'dxl_doctor': 'servobus.tools.dxl_doctor',
+         'dxl_replay': 'servobus.tools.replay', 'dxl_dashboard': 'mecarover_dashboard.serve'}
 SECOND = 1_000_000_000
 
 

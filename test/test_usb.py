@@ -404,7 +404,7 @@ def test_a_time_far_out_is_passed_over(tmp_path):
     (tmp_path / 'far.bin').write_bytes(
         adapter.plug(far) + adapter.sent(b'\1', far) + adapter.sent(b'\2', BEGAN))
     done = subprocess.run(
-        [sys.executable, '-m', 'dxl_monitor.tools.dxl_dump', 'far.bin', '-w', 'bus.txt'],
+        [sys.executable, '-m', 'servobus.tools.dxl_dump', 'far.bin', '-w', 'bus.txt'],
         cwd=tmp_path, env=os.environ | {'PYTHONPATH': str(Path(__file__).parents[1])},
         capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -13,10 +13,6 @@ import struct
 import pytest
 import yaml
 
-from dxl_monitor.tools.doctor.finding_log import FindingLog
-from dxl_monitor.tools.doctor.verdict import as_json
-from dxl_monitor.tools.doctor.verdict import BusSummary
-from dxl_monitor.tools.doctor.verdict import verdict
 from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
@@ -33,6 +29,10 @@ from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.status import PortState
 from servobus.status import statuses_of
+from servobus.tools.doctor.finding_log import FindingLog
+from servobus.tools.doctor.verdict import as_json
+from servobus.tools.doctor.verdict import BusSummary
+from servobus.tools.doctor.verdict import verdict
 
 MODELS = Models()
 S, MS = 1_000_000_000, 1_000_000

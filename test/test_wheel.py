@@ -20,7 +20,7 @@ from test_packaging import copy_tree
 from test_packaging import NAME
 from test_packaging import ROOT
 
-from dxl_monitor.tools.doctor.issue_report import CAPTURE
+from servobus.tools.doctor.issue_report import CAPTURE
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime(bears=0.1)]
 DECLARED = {NAME, 'dxl-doctor', 'crcmod-plus', 'pyserial', 'PyYAML', 'setuptools', 'pip'}
@@ -103,8 +103,8 @@ def test_the_name_to_type_has_the_version_of_the_package(home):
     assert (home / f'dxl_doctor-{metadata.version(NAME)}-py3-none-any.whl').exists()
 
 
-@pytest.mark.parametrize('module', ['dxl_monitor.tools.dxl_doctor', 'dxl_monitor.tools.dxl_dump',
-                                    'dxl_monitor.tools.tap', 'dxl_monitor.tools.replay'])
+@pytest.mark.parametrize('module', ['servobus.tools.dxl_doctor', 'servobus.tools.dxl_dump',
+                                    'servobus.tools.tap', 'servobus.tools.replay'])
 def test_it_imports_no_ros_no_web_and_no_database(home, module):
     (home / 'imported.py').write_text(IMPORTED)
     done = run(home, 'python', 'imported.py', module, '--help')
@@ -141,7 +141,7 @@ def test_a_person_runs_a_script_and_the_dead_servo_is_named(home, bus, meeting_p
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert done.returncode == 4
     elsewhere = subprocess.run(                        # this tree, another user's home
-        [sys.executable, '-m', 'dxl_monitor.tools.dxl_doctor', home / 'report.txt'], cwd=ROOT,
+        [sys.executable, '-m', 'servobus.tools.dxl_doctor', home / 'report.txt'], cwd=ROOT,
         capture_output=True, text=True, timeout=60)
     assert (elsewhere.returncode, elsewhere.stderr) == (4, '')
     assert findings(elsewhere.stdout) == findings(done.stdout) != []

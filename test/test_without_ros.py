@@ -62,23 +62,23 @@ def run(refused, module, *arguments, meeting_place=''):
 
 @pytest.mark.parametrize('refused', [NEEDS_ROS, UNIX], ids=['no ROS', 'no fcntl'])
 def test_files_are_judged_and_listed(recording, refused):
-    done = run(refused, 'dxl_monitor.tools.dxl_doctor', recording)
+    done = run(refused, 'servobus.tools.dxl_doctor', recording)
     assert done.returncode == 0
     assert '001  model unknown: answers' in done.stdout
-    done = run(refused, 'dxl_monitor.tools.dxl_dump', recording)
+    done = run(refused, 'servobus.tools.dxl_dump', recording)
     assert (done.returncode, done.stdout.count('Status')) == (0, 50)
 
 
 @pytest.mark.realtime(bears=0.5)
 @pytest.mark.parametrize('refused', [NEEDS_ROS, UNIX], ids=['no ROS', 'no fcntl'])
 def test_programs_are_run(refused, meeting_place):
-    done = run(refused, 'dxl_monitor.tools.dxl_doctor', 'run', '--', sys.executable, '-c',
+    done = run(refused, 'servobus.tools.dxl_doctor', 'run', '--', sys.executable, '-c',
                'print("hello")', meeting_place=meeting_place)
     assert (done.returncode, done.stdout.splitlines()[0]) == (1, 'hello')
-    done = run(refused, 'dxl_monitor.tools.tap', 'arm', '--', sys.executable, '-c', 'pass',
+    done = run(refused, 'servobus.tools.tap', 'arm', '--', sys.executable, '-c', 'pass',
                meeting_place=meeting_place)
     assert done.returncode == 0
 
 
 def test_a_recording_is_played_without_ros():
-    assert run(NEEDS_ROS, 'dxl_monitor.tools.replay', '--help').returncode == 0
+    assert run(NEEDS_ROS, 'servobus.tools.replay', '--help').returncode == 0

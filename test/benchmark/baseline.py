@@ -27,14 +27,14 @@ from benchmark.confusion_cases import CASES
 from benchmark.confusion_cases import DXL1_CASES
 from benchmark.confusion_cases import FEETECH_CASES
 from docs.sample import sample
-from dxl_monitor.tools.doctor import explain
-from dxl_monitor.tools.doctor.examination import TRAFFIC_S
-from dxl_monitor.tools.doctor.finding_log import FindingLog
 from rigs.bus import score
 from rigs.bus.scenes import PLAYED
 from rigs.bus.score import SCENES
 from rigs.bus.score import spell
 from rigs.bus.wrecked import KINDS
+from servobus.tools.doctor import explain
+from servobus.tools.doctor.examination import TRAFFIC_S
+from servobus.tools.doctor.finding_log import FindingLog
 
 FOLDER = Path(__file__).resolve().parents[1] / 'test' / 'baseline'
 DOCTOR = FOLDER / 'doctor.tsv'

@@ -19,11 +19,11 @@ import tempfile
 from unittest.mock import patch
 
 from benchmark.tap_master import PACKET
-from dxl_monitor.tools.start_program import environment
 from mecarover_serial.pty import Pty
 from rigs.harness import Child
 from rigs.harness import Figure
 from rigs.harness import interleaved
+from servobus.tools.start_program import environment
 
 CALLS = 200                        # in a turn, each kind: less than a pty has room for
 ROUNDS = 50
@@ -43,7 +43,7 @@ def run(options):
             (PLAIN, None), (ALONE, environment('alone')), (HEARD, environment('heard')))}
         if shutil.which('strace'):
             cases[TRACED] = partial(_turn, *_master(
-                stack, None, 'dxl_monitor.tools.tap', 'traced', '--by', 'strace', '--',
+                stack, None, 'servobus.tools.tap', 'traced', '--by', 'strace', '--',
                 sys.executable, '-m'))
         for turn in cases.values():            # the first calls are slower
             turn()

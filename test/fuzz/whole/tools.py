@@ -16,11 +16,6 @@ import sys
 from types import SimpleNamespace
 from unittest.mock import patch
 
-from dxl_monitor.tools import dxl_doctor as doctor
-from dxl_monitor.tools import dxl_dump as dump
-from dxl_monitor.tools import replay
-from dxl_monitor.tools import run as common
-from dxl_monitor.tools.doctor import error_window
 from fuzz.whole.node import FedListener
 from fuzz.whole.node import MODELS
 from fuzz.whole.node import print_nothing
@@ -40,6 +35,11 @@ from rigs.usb_pcap import pcap
 from rigs.usb_pcap import pcapng
 from rigs.usb_pcap import USBPCAP
 from servobus.sources import live
+from servobus.tools import dxl_doctor as doctor
+from servobus.tools import dxl_dump as dump
+from servobus.tools import replay
+from servobus.tools import run as common
+from servobus.tools.doctor import error_window
 
 RUNS = Counter()
 DUMP = (['--json'], ['--summary'], ['--stats'], ['--errors'], ['--full'],

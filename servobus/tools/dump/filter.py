@@ -4,10 +4,10 @@
 
 import argparse
 
-from dxl_monitor.tools.dump.listing import DAMAGED
-from dxl_monitor.tools.dump.listing import Entry
-from dxl_monitor.tools.dump.listing import MISSED
-from dxl_monitor.tools.dump.listing import PACKET
+from servobus.tools.dump.listing import DAMAGED
+from servobus.tools.dump.listing import Entry
+from servobus.tools.dump.listing import MISSED
+from servobus.tools.dump.listing import PACKET
 
 
 def is_wanted(entry: Entry, options: argparse.Namespace) -> bool:

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 import json
 from typing import Any
 
-from dxl_monitor.tools.dump.decode import Part
-from dxl_monitor.tools.dump.decode import PingAnswer
-from dxl_monitor.tools.dump.listing import Entry
-from dxl_monitor.tools.dump.listing import NO_REQUEST
-from dxl_monitor.tools.dump.text_format import error_words
-from dxl_monitor.tools.dump.text_format import packet_name
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import Packet
 from servobus.bus.evidence import text_of
 from servobus.model.control_table import UNKNOWN
+from servobus.tools.dump.decode import Part
+from servobus.tools.dump.decode import PingAnswer
+from servobus.tools.dump.listing import Entry
+from servobus.tools.dump.listing import NO_REQUEST
+from servobus.tools.dump.text_format import error_words
+from servobus.tools.dump.text_format import packet_name
 
 DECIMALS = 9                       # finer than any register
 

@@ -10,8 +10,6 @@ come from the models, indirect data from where they point; without a model there
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from dxl_monitor.tools.dump.listing import Entry
-from dxl_monitor.tools.dump.listing import Listing
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_packet import Packet
 from servobus.bus.table import Table
@@ -19,6 +17,8 @@ from servobus.model.control_table import Field
 from servobus.model.control_table import Model
 from servobus.model.control_table import UNKNOWN
 from servobus.model.control_table import Value
+from servobus.tools.dump.listing import Entry
+from servobus.tools.dump.listing import Listing
 
 LAYOUTS_KEPT = 1024
 LONGEST = 1024                     # bytes of data: more do not fit into a packet

@@ -11,16 +11,16 @@ from collections.abc import Sequence
 import textwrap
 from typing import Any
 
-from dxl_monitor.tools.dump.packet_lines import fit
-from dxl_monitor.tools.dump.packet_lines import paint
-from dxl_monitor.tools.dump.screen import COLOURS
-from dxl_monitor.tools.dump.screen import headline
-from dxl_monitor.tools.dump.text_format import error_words
 from msg_defs.dxl_instruction import name_of
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport
+from servobus.tools.dump.packet_lines import fit
+from servobus.tools.dump.packet_lines import paint
+from servobus.tools.dump.screen import COLOURS
+from servobus.tools.dump.screen import headline
+from servobus.tools.dump.text_format import error_words
 
 WINDOW_S = 10.0
 UNTIMED = 'these bytes have no times: rates assume that they were sent without a pause'

@@ -15,34 +15,6 @@ import sys
 import time
 from typing import Any
 
-from dxl_monitor.tools.doctor import explain
-from dxl_monitor.tools.doctor import machine
-from dxl_monitor.tools.doctor import no_data
-from dxl_monitor.tools.doctor import report_file
-from dxl_monitor.tools.doctor.answer_screen import HEIGHT
-from dxl_monitor.tools.doctor.answer_screen import screen
-from dxl_monitor.tools.doctor.answer_screen import WIDTH
-from dxl_monitor.tools.doctor.examination import ARRIVAL_NS
-from dxl_monitor.tools.doctor.examination import Examination
-from dxl_monitor.tools.doctor.examination import SILENCE_S
-from dxl_monitor.tools.doctor.examination import TRAFFIC_S
-from dxl_monitor.tools.doctor.issue_report import anonymous
-from dxl_monitor.tools.doctor.issue_report import check_report
-from dxl_monitor.tools.doctor.issue_report import Maker
-from dxl_monitor.tools.doctor.issue_report import new_names
-from dxl_monitor.tools.doctor.issue_report import NOTHING
-from dxl_monitor.tools.doctor.issue_report import report
-from dxl_monitor.tools.doctor.program import Program
-from dxl_monitor.tools.doctor.report_file import SavedReport
-from dxl_monitor.tools.doctor.verdict import as_json
-from dxl_monitor.tools.doctor.verdict import BusSummary
-from dxl_monitor.tools.doctor.verdict import Verdict
-from dxl_monitor.tools.doctor.verdict import verdict
-from dxl_monitor.tools.dump.screen import has_colours
-from dxl_monitor.tools.run import add_bus_options
-from dxl_monitor.tools.run import models_of
-from dxl_monitor.tools.run import parse_run
-from dxl_monitor.tools.run import RUN
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
@@ -60,6 +32,34 @@ from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.opening import open_source
 from servobus.sources.source import Source
 from servobus.sources.source_name import DEFAULT_BAUD
+from servobus.tools.doctor import explain
+from servobus.tools.doctor import machine
+from servobus.tools.doctor import no_data
+from servobus.tools.doctor import report_file
+from servobus.tools.doctor.answer_screen import HEIGHT
+from servobus.tools.doctor.answer_screen import screen
+from servobus.tools.doctor.answer_screen import WIDTH
+from servobus.tools.doctor.examination import ARRIVAL_NS
+from servobus.tools.doctor.examination import Examination
+from servobus.tools.doctor.examination import SILENCE_S
+from servobus.tools.doctor.examination import TRAFFIC_S
+from servobus.tools.doctor.issue_report import anonymous
+from servobus.tools.doctor.issue_report import check_report
+from servobus.tools.doctor.issue_report import Maker
+from servobus.tools.doctor.issue_report import new_names
+from servobus.tools.doctor.issue_report import NOTHING
+from servobus.tools.doctor.issue_report import report
+from servobus.tools.doctor.program import Program
+from servobus.tools.doctor.report_file import SavedReport
+from servobus.tools.doctor.verdict import as_json
+from servobus.tools.doctor.verdict import BusSummary
+from servobus.tools.doctor.verdict import Verdict
+from servobus.tools.doctor.verdict import verdict
+from servobus.tools.dump.screen import has_colours
+from servobus.tools.run import add_bus_options
+from servobus.tools.run import models_of
+from servobus.tools.run import parse_run
+from servobus.tools.run import RUN
 
 PROGRESS_S = 1.0
 FLIGHT_SIZE = 1_000_000_000        # bytes of the folder

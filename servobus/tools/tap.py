@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import sys
 
-from dxl_monitor.tools.start_program import BY
-from dxl_monitor.tools.start_program import StartedProgram
-from dxl_monitor.tools.start_program import WAYS
 from mecarover_serial.cli import run_tool
 from mecarover_serial.command_line import Parser
 from servobus.sources.tap_reader import why_no_name
+from servobus.tools.start_program import BY
+from servobus.tools.start_program import StartedProgram
+from servobus.tools.start_program import WAYS
 
 EXAMPLES = """examples:
   dxl_tap arm -- python my_script.py            dynamixel-sdk, pypot, all programs with pyserial

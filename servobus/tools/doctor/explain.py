@@ -38,7 +38,7 @@ class Explanation(NamedTuple):
 @cache
 def explanations() -> tuple[Explanation, ...]:
     """Return all texts, in the order of the file."""
-    file = resources.files('dxl_monitor.tools.doctor') / _FILE
+    file = resources.files('servobus.tools.doctor') / _FILE
     return tuple(Explanation(one['text'], tuple(one['says']), tuple(one.get('also', ())),
                              one['means'], tuple(one['findings']), one.get('do', ''))
                  for one in yaml.safe_load(file.read_text(encoding='utf-8')))

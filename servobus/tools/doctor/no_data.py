@@ -10,10 +10,10 @@ from os.path import isfile
 import re
 import shlex
 
-from dxl_monitor.tools.doctor.program import Ending
 from mecarover_serial.preflight import ports_here
 from mecarover_serial.preflight import warnings
 from mecarover_serial.preflight import why_not
+from servobus.tools.doctor.program import Ending
 
 _IMPORT_ERRORS = ('ModuleNotFoundError', 'ImportError')
 _OURS = ('dxl_doctor', 'dxl_dump')

@@ -12,9 +12,6 @@ from collections.abc import Mapping
 from collections.abc import Sequence
 
 from dxl_monitor.monitor_settings import settings_of
-from dxl_monitor.tools.doctor.error_window import ErrorWindow
-from dxl_monitor.tools.doctor.finding_log import FindingLog
-from dxl_monitor.tools.doctor.verdict import BusSummary
 from msg_defs.reports import Level
 from servobus.bus.decoder import DEFAULTS
 from servobus.doctor.case import OPTIONS
@@ -23,6 +20,9 @@ from servobus.monitor import Monitor
 from servobus.sources.capture import Chunk
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
+from servobus.tools.doctor.error_window import ErrorWindow
+from servobus.tools.doctor.finding_log import FindingLog
+from servobus.tools.doctor.verdict import BusSummary
 
 S = 1_000_000_000
 REPORT_NS = S // 2

@@ -14,14 +14,14 @@ import os
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.tools.doctor.answer_screen import screen
-from dxl_monitor.tools.doctor.error_window import packed
-from dxl_monitor.tools.doctor.verdict import as_json
-from dxl_monitor.tools.doctor.verdict import BusSummary
-from dxl_monitor.tools.doctor.verdict import Verdict
 from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import printable
 from servobus.sources.opening import REPORT
+from servobus.tools.doctor.answer_screen import screen
+from servobus.tools.doctor.error_window import packed
+from servobus.tools.doctor.verdict import as_json
+from servobus.tools.doctor.verdict import BusSummary
+from servobus.tools.doctor.verdict import Verdict
 
 VERSION = 1
 VERDICT, CAPTURE, END = '# verdict', '# capture', '# end'

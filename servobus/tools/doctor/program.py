@@ -21,10 +21,6 @@ import time
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.tools.doctor import explain
-from dxl_monitor.tools.doctor.verdict import Trouble
-from dxl_monitor.tools.start_program import StartedProgram
-from dxl_monitor.tools.start_program import STRACE
 from mecarover_serial.plain import printable
 from mecarover_serial.port_users import holders
 from mecarover_serial.port_users import is_running
@@ -42,6 +38,10 @@ from servobus.sources.tap_reader import TapReader
 from servobus.sources.tap_reader import TapRecord
 from servobus.sources.tap_sender import ENDED
 from servobus.sources.tap_sender import OPENED
+from servobus.tools.doctor import explain
+from servobus.tools.doctor.verdict import Trouble
+from servobus.tools.start_program import StartedProgram
+from servobus.tools.start_program import STRACE
 
 TICK_S = 0.1
 REST_S = 1.0                       # for what the program said last

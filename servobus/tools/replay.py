@@ -19,8 +19,6 @@ import time
 from typing import NamedTuple
 from urllib.parse import quote
 
-from dxl_monitor.tools.run import BAUD
-from dxl_monitor.tools.run import refuse_run
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool
 from mecarover_serial.cli import UsageError
@@ -39,6 +37,8 @@ from servobus.sources.capture import Wire
 from servobus.sources.opening import open_file
 from servobus.sources.source import File
 from servobus.sources.source import RawFile
+from servobus.tools.run import BAUD
+from servobus.tools.run import refuse_run
 
 SLOWEST = 1e-6                     # times the original speed
 SETTLE_S = 0.5                     # a reader has opened the port, and sets it up

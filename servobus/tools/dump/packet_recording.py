@@ -12,11 +12,6 @@ from collections.abc import Callable
 from collections.abc import Mapping
 from typing import BinaryIO
 
-from dxl_monitor.tools.dump.listing import DAMAGED
-from dxl_monitor.tools.dump.listing import Entry
-from dxl_monitor.tools.dump.listing import Listing
-from dxl_monitor.tools.dump.listing import MISSED
-from dxl_monitor.tools.dump.text_format import FLAWS
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import BUSY
@@ -33,6 +28,11 @@ from servobus.bus.report import BusReport
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.packet_file import PacketWriter
+from servobus.tools.dump.listing import DAMAGED
+from servobus.tools.dump.listing import Entry
+from servobus.tools.dump.listing import Listing
+from servobus.tools.dump.listing import MISSED
+from servobus.tools.dump.text_format import FLAWS
 
 NOISE = 'not a packet: noise, or part of a packet'
 

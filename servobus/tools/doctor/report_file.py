@@ -22,10 +22,6 @@ from typing import NamedTuple
 import zipfile
 import zlib
 
-from dxl_monitor.tools.doctor import issue_report
-from dxl_monitor.tools.doctor.verdict import DeviceGroup
-from dxl_monitor.tools.doctor.verdict import Trouble
-from dxl_monitor.tools.doctor.verdict import Verdict
 from mecarover_serial.plain import printable
 from msg_defs.reports import Level
 from servobus.sources.capture import Chunk
@@ -33,6 +29,10 @@ from servobus.sources.capture import lines
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.opening import REPORT
+from servobus.tools.doctor import issue_report
+from servobus.tools.doctor.verdict import DeviceGroup
+from servobus.tools.doctor.verdict import Trouble
+from servobus.tools.doctor.verdict import Verdict
 
 SIZE_LIMIT = 16_000_000            # bytes that are read of a file, and of what is packed in it
 _BLOCK_LIMIT = 4_000_000           # bytes of one block of the capture, unpacked

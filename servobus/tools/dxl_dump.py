@@ -10,15 +10,6 @@ import os
 from pathlib import Path
 import sys
 
-from dxl_monitor.tools.dump.packet_lines import TIMES
-from dxl_monitor.tools.dump.screen import has_colours
-from dxl_monitor.tools.dump.session import CAPTURE
-from dxl_monitor.tools.dump.session import FORMATS
-from dxl_monitor.tools.dump.session import MCAP
-from dxl_monitor.tools.dump.session import PCAPNG
-from dxl_monitor.tools.dump.session import Session
-from dxl_monitor.tools.run import add_bus_options
-from dxl_monitor.tools.run import refuse_run
 from mecarover_serial.cli import COULD_NOT_RUN
 from mecarover_serial.cli import DONE
 from mecarover_serial.cli import run_tool
@@ -29,6 +20,15 @@ from mecarover_serial.plain import printable
 from msg_defs.dxl_instruction import NAMES
 from servobus.model.models import check_models
 from servobus.model.models import model_files
+from servobus.tools.dump.packet_lines import TIMES
+from servobus.tools.dump.screen import has_colours
+from servobus.tools.dump.session import CAPTURE
+from servobus.tools.dump.session import FORMATS
+from servobus.tools.dump.session import MCAP
+from servobus.tools.dump.session import PCAPNG
+from servobus.tools.dump.session import Session
+from servobus.tools.run import add_bus_options
+from servobus.tools.run import refuse_run
 
 HIGHEST_ID = 255                   # damage may make any byte of an ID
 EXAMPLES = """examples:

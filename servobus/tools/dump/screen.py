@@ -8,14 +8,14 @@ import shutil
 import sys
 from typing import TextIO
 
-from dxl_monitor.tools.dump.packet_lines import DIM
-from dxl_monitor.tools.dump.packet_lines import RED
-from dxl_monitor.tools.dump.packet_lines import YELLOW
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import plain
 from msg_defs.reports import Level
 from servobus.bus.report import BusReport
 from servobus.bus.report import PROTOCOL_2
+from servobus.tools.dump.packet_lines import DIM
+from servobus.tools.dump.packet_lines import RED
+from servobus.tools.dump.packet_lines import YELLOW
 
 PLAIN_WIDTH = 160                  # where there is no terminal
 COLOURS = {Level.WARN: YELLOW, Level.ERROR: RED, Level.STALE: DIM}

@@ -10,9 +10,6 @@ from collections.abc import Iterable
 from collections.abc import Sequence
 from itertools import groupby
 
-from dxl_monitor.tools.dump.decode import Part
-from dxl_monitor.tools.dump.decode import PingAnswer
-from dxl_monitor.tools.dump.listing import Entry
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import error_text
@@ -22,6 +19,9 @@ from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import STATUS
 from msg_defs.frame import OPEN
 from servobus.bus.evidence import text_of
+from servobus.tools.dump.decode import Part
+from servobus.tools.dump.decode import PingAnswer
+from servobus.tools.dump.listing import Entry
 
 # What a device means by its error number (e-Manual, Protocol 2.0, status packet).
 _REASONS = {

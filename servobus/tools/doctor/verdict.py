@@ -15,9 +15,6 @@ import os
 from typing import Any
 from typing import NamedTuple
 
-from dxl_monitor.tools.doctor.finding_log import FindingLog
-from dxl_monitor.tools.doctor.finding_log import Logged
-from dxl_monitor.tools.dump.text_format import spans
 from mecarover_serial.plain import printable
 from msg_defs.reports import Level
 from servobus.bus.report import BusReport
@@ -26,6 +23,9 @@ from servobus.bus.report import DeviceReport
 from servobus.doctor import timing_rules
 from servobus.doctor.states import LISTED_AS
 from servobus.doctor.states import RATES
+from servobus.tools.doctor.finding_log import FindingLog
+from servobus.tools.doctor.finding_log import Logged
+from servobus.tools.dump.text_format import spans
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
 PORTS_NAMED = 2

@@ -20,20 +20,6 @@ import time
 from typing import BinaryIO
 
 from dxl_monitor.monitor_settings import settings_of
-from dxl_monitor.tools.doctor.no_data import reasons
-from dxl_monitor.tools.dump.decode import Interpreter
-from dxl_monitor.tools.dump.filter import is_wanted
-from dxl_monitor.tools.dump.json import json_line
-from dxl_monitor.tools.dump.listing import Entry
-from dxl_monitor.tools.dump.listing import Listing
-from dxl_monitor.tools.dump.mcap_recording import is_mcap
-from dxl_monitor.tools.dump.mcap_recording import McapRecording
-from dxl_monitor.tools.dump.packet_lines import Lines
-from dxl_monitor.tools.dump.packet_recording import PacketRecording
-from dxl_monitor.tools.dump.screen import Screen
-from dxl_monitor.tools.dump.stats import stats
-from dxl_monitor.tools.dump.stats import summary
-from dxl_monitor.tools.run import models_of
 from mecarover_serial.cli import UsageError
 from mecarover_serial.plain import on_screen
 from mecarover_serial.plain import printable
@@ -46,6 +32,20 @@ from servobus.sources.capture import open_new
 from servobus.sources.capture import Writer
 from servobus.sources.opening import open_source
 from servobus.sources.packet_file import is_packet_file
+from servobus.tools.doctor.no_data import reasons
+from servobus.tools.dump.decode import Interpreter
+from servobus.tools.dump.filter import is_wanted
+from servobus.tools.dump.json import json_line
+from servobus.tools.dump.listing import Entry
+from servobus.tools.dump.listing import Listing
+from servobus.tools.dump.mcap_recording import is_mcap
+from servobus.tools.dump.mcap_recording import McapRecording
+from servobus.tools.dump.packet_lines import Lines
+from servobus.tools.dump.packet_recording import PacketRecording
+from servobus.tools.dump.screen import Screen
+from servobus.tools.dump.stats import stats
+from servobus.tools.dump.stats import summary
+from servobus.tools.run import models_of
 
 CAPTURE, PCAPNG, MCAP = FORMATS = ('capture', 'pcapng', 'mcap')
 PAINT_S = 1.0

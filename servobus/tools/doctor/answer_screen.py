@@ -12,15 +12,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 import textwrap
 
-from dxl_monitor.tools.doctor.verdict import Trouble
-from dxl_monitor.tools.doctor.verdict import Verdict
-from dxl_monitor.tools.dump.packet_lines import BOLD
-from dxl_monitor.tools.dump.packet_lines import fit
-from dxl_monitor.tools.dump.packet_lines import GREEN
-from dxl_monitor.tools.dump.packet_lines import paint
-from dxl_monitor.tools.dump.screen import COLOURS
 from mecarover_serial.cli import WIDEST
 from msg_defs.reports import Level
+from servobus.tools.doctor.verdict import Trouble
+from servobus.tools.doctor.verdict import Verdict
+from servobus.tools.dump.packet_lines import BOLD
+from servobus.tools.dump.packet_lines import fit
+from servobus.tools.dump.packet_lines import GREEN
+from servobus.tools.dump.packet_lines import paint
+from servobus.tools.dump.screen import COLOURS
 
 WIDTH, HEIGHT = 80, 23             # the shell takes one of the 24 lines
 NARROWEST = 40

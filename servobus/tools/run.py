@@ -16,9 +16,6 @@ import shutil
 
 from dxl_monitor.monitor_settings import check_models
 from dxl_monitor.monitor_settings import load_models
-from dxl_monitor.tools.start_program import BY
-from dxl_monitor.tools.start_program import WAYS
-from dxl_monitor.tools.start_program import with_python
 from mecarover_serial.cli import UsageError
 from mecarover_serial.command_line import number
 from servobus.bus.decoder import DEFAULTS
@@ -28,6 +25,9 @@ from servobus.bus.expected import split_bus
 from servobus.model.models import Models
 from servobus.sources.capture import BAUD_LIMIT
 from servobus.sources.opening import how_to_hear
+from servobus.tools.start_program import BY
+from servobus.tools.start_program import WAYS
+from servobus.tools.start_program import with_python
 
 RUN = 'run'
 BAUD = number(int, 1, BAUD_LIMIT, 'Bd')

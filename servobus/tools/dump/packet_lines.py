@@ -12,22 +12,22 @@ is cut.
 from collections.abc import Sequence
 import time
 
-from dxl_monitor.tools.dump.decode import Part
-from dxl_monitor.tools.dump.decode import PingAnswer
-from dxl_monitor.tools.dump.listing import DAMAGED
-from dxl_monitor.tools.dump.listing import Entry
-from dxl_monitor.tools.dump.listing import MISSED
-from dxl_monitor.tools.dump.text_format import answer_words
-from dxl_monitor.tools.dump.text_format import damaged_words
-from dxl_monitor.tools.dump.text_format import missed_words
-from dxl_monitor.tools.dump.text_format import noise_words
-from dxl_monitor.tools.dump.text_format import packet_name
-from dxl_monitor.tools.dump.text_format import request_words
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.frame import OPEN
 from servobus.bus.device import Device
 from servobus.model.control_table import UNKNOWN
+from servobus.tools.dump.decode import Part
+from servobus.tools.dump.decode import PingAnswer
+from servobus.tools.dump.listing import DAMAGED
+from servobus.tools.dump.listing import Entry
+from servobus.tools.dump.listing import MISSED
+from servobus.tools.dump.text_format import answer_words
+from servobus.tools.dump.text_format import damaged_words
+from servobus.tools.dump.text_format import missed_words
+from servobus.tools.dump.text_format import noise_words
+from servobus.tools.dump.text_format import packet_name
+from servobus.tools.dump.text_format import request_words
 
 WIDE = 110                         # columns, from which on there is room for bus and joint
 RED, GREEN, YELLOW, CYAN, DIM, BOLD = '31', '32', '33', '36', '2', '1'
