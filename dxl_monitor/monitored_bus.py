@@ -8,7 +8,6 @@ from functools import cached_property
 import time
 
 from dxl_monitor.monitor_settings import Bus
-from mecarover_serial.inspection import Inspection
 from msg_defs.event import Change
 from msg_defs.event import UNKNOWN
 from msg_defs.reports import Pairs
@@ -18,6 +17,7 @@ from servobus.doctor.case import Names
 from servobus.doctor.case import PARAMETERS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
+from servobus.port.inspection import Inspection
 from servobus.sources.capture import Chunk
 from servobus.sources.capture import Wire
 from servobus.sources.driver import adapter

@@ -9,7 +9,7 @@ import re
 import sys
 import termios
 
-from mecarover_serial.readable import readable
+from servobus.port.readable import readable
 
 _NAMES = {'\033[A': 'UP', '\033[B': 'DOWN', '\033OA': 'UP', '\033OB': 'DOWN',
           '\033[5~': 'PAGE_UP', '\033[6~': 'PAGE_DOWN'}

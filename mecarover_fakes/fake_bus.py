@@ -34,12 +34,12 @@ from mecarover_serial.cli import UsageError
 from mecarover_serial.command_line import number
 from mecarover_serial.command_line import Parser
 from mecarover_serial.parameters import ParameterError
-from mecarover_serial.pty import outlive
-from mecarover_serial.pty import parse_away
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import FEETECH
 from servobus.bus.expected import parse_all
 from servobus.model.models import Models
+from servobus.port.pty import outlive
+from servobus.port.pty import parse_away
 
 WAIT_S = 0.1
 DEFAULT_DEVICES = ('1-10:MX-106', '11-18:MX-64', '100:Rhoban DXL Board', '101:BitFoot',

@@ -25,15 +25,15 @@ from mecarover_fakes.receiver import SetPoint
 from mecarover_serial.cli import run_tool
 from mecarover_serial.command_line import number
 from mecarover_serial.command_line import Parser
-from mecarover_serial.pty import Away
-from mecarover_serial.pty import outlive
-from mecarover_serial.pty import parse_away
-from mecarover_serial.pty import Pty
-from mecarover_serial.readable import readable
 from msg_defs.crc import Checksum
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.vel2d import FRAME_SIZE
+from servobus.port.pty import Away
+from servobus.port.pty import outlive
+from servobus.port.pty import parse_away
+from servobus.port.pty import Pty
+from servobus.port.readable import readable
 
 _READ_SIZE = 146 * FRAME_SIZE      # whole frames; a pty gives at most 4095 bytes
 _GAP_CHARACTERS = 2

@@ -24,9 +24,9 @@ from mecarover_fakes.traffic import Ask
 from mecarover_fakes.traffic import none
 from mecarover_fakes.virtual_uart import VirtualUart
 from mecarover_fakes.virtual_usb import VirtualUsb
-from mecarover_serial.pty import Away
-from mecarover_serial.readable import readable
 from msg_defs.frame import is_good
+from servobus.port.pty import Away
+from servobus.port.readable import readable
 
 S = 1_000_000_000
 TICK_NS = 200_000                # shortest time between two writes, longest is

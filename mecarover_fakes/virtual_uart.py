@@ -14,7 +14,7 @@ import fcntl
 import os
 import termios
 
-from mecarover_serial.pty import Pty
+from servobus.port.pty import Pty
 
 CAPACITY = 4096
 COUNTERS = 'sent', 'taken', 'overrun', 'unheard', 'received'

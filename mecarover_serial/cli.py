@@ -27,9 +27,9 @@ from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import split_ros_args
 from mecarover_serial.plain import plain_streams
 from mecarover_serial.plain import printable
-from mecarover_serial.port_error import PortError
 from mecarover_serial.version import version_of
 from mecarover_serial.worker import MORE_TASKS
+from servobus.port.port_error import PortError
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
 NARROWEST, WIDEST = 30, 99      # columns of a help text

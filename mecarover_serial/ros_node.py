@@ -56,12 +56,12 @@ from mecarover_serial.parameters import settings_files
 from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
 from mecarover_serial.plain import printable
-from mecarover_serial.port_error import PortError
 from mecarover_serial.settings_file import check
 from mecarover_serial.settings_file import SettingsError
 from mecarover_serial.standard_streams import StandardStreams
 from mecarover_serial.systemd import Systemd
 from mecarover_serial.worker import MORE_TASKS
+from servobus.port.port_error import PortError
 
 _OVERRIDES = 'qos_overrides.'
 _NO_THREAD = re.compile('start new thread|pthread_create')     # in Python's words; in those of ROS

@@ -21,7 +21,7 @@ import sys
 import threading
 import time
 
-from mecarover_serial.readable import readable
+from servobus.port.readable import readable
 
 _KEPT = 256 * 1024              # bytes that wait for their reader
 _PIPE = 1024 * 1024             # and those on their way here

@@ -21,11 +21,11 @@ from harness import Program
 from harness import wait
 import pytest
 
-from mecarover_serial.inspection import EVERY_S
 from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
+from servobus.port.inspection import EVERY_S
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 TIME_OUT_BOUND = 0.5 + 2 / 20 + 0.05 + 0.3      # cmd_vel_timeout, resends, write_timeout, queue

@@ -21,8 +21,8 @@ from harness import ROOT
 import pytest
 import yaml
 
-from mecarover_serial.pty import Pty
 from msg_defs.vel2d import STOP
+from servobus.port.pty import Pty
 from vel2d_bridge.bridge_settings import PARAMETERS
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
@@ -278,7 +278,7 @@ def test_mistakes_that_end_it(mcu, options, code, line):
 
 def test_a_baud_that_the_port_refuses(ros):
     """As an adapter does that has a ceiling; a pty takes every rate, so the driver is patched."""
-    script = ('import sys; from mecarover_serial import port; from vel2d_bridge import main\n'
+    script = ('import sys; from servobus.port import serial_port as port; from vel2d_bridge import main\n'
               'port._BAUD_TOLERANCE = -1\nsys.exit(main.main())')
     with Pty() as pty, bridge(pty, script=script, baud=4_000_000) as running:
         assert running.exit_code() == 1
@@ -311,7 +311,7 @@ def test_mistyped_names_are_said(mcu):
 
 def test_a_console_on_the_port_is_said(ros, graph, tmp_path):
     """Preflight runs off the executor, and what it finds is on /diagnostics while driving."""
-    script = ('import sys; from mecarover_serial import preflight; from vel2d_bridge import main\n'
+    script = ('import sys; from servobus.port import preflight; from vel2d_bridge import main\n'
               f'preflight.warnings.__defaults__ = (__import__("pathlib").Path({str(tmp_path)!r}),'
               ' ())\nsys.exit(main.main())')
     with Mcu(str(tmp_path / 'mcu')).running() as mcu:

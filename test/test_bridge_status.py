@@ -9,8 +9,6 @@ import pytest
 
 from mecarover_fakes.guarded_receiver import GuardedReceiver
 from mecarover_fakes.receiver import Receiver
-from mecarover_serial.port_error import PortError
-from mecarover_serial.port_error import Reason
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.reports import Level
@@ -18,6 +16,8 @@ from msg_defs.timing import Series
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
+from servobus.port.port_error import PortError
+from servobus.port.port_error import Reason
 from vel2d_bridge.bridge_settings import doubts
 from vel2d_bridge.bridge_settings import PARAMETERS
 from vel2d_bridge.bridge_settings import taken_away

@@ -15,9 +15,9 @@ from harness import Mcu
 from harness import wait
 import pytest
 
-from mecarover_serial.pty import Pty
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
+from servobus.port.pty import Pty
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 COMMANDS = 'rover/vel2d_bridge: commands'

@@ -13,8 +13,8 @@ import pytest
 
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.plain import printable
-from mecarover_serial.pty import Pty
 from msg_defs.event import Change
+from servobus.port.pty import Pty
 from servobus.sources.capture import BUSES_LIMIT
 from servobus.sources.capture import Chunk
 from servobus.sources.capture import chunk_line

@@ -22,10 +22,10 @@ from harness import LATE_S
 import pytest
 
 from mecarover_fakes.fake_mcu import FakeMcu
-from mecarover_serial.port import open_port
 from msg_defs.vel2d import STOP
 from rigs.harness import family
 from rigs.harness import is_alive
+from servobus.port.serial_port import open_port
 from vel2d_bridge import watch as watching
 from vel2d_bridge.board import BEATEN
 from vel2d_bridge.board import PortRecord

@@ -31,7 +31,6 @@ from mecarover_fakes.traffic import PATTERNS
 from mecarover_fakes.virtual_uart import CAPACITY
 from mecarover_fakes.virtual_uart import VirtualUart
 from mecarover_serial.parameters import ParameterError
-from mecarover_serial.pty import Away
 from msg_defs.dxl_instruction import KINDS as INSTRUCTIONS
 from msg_defs.dxl_packet import Framer
 from msg_defs.uart import heard_at
@@ -39,6 +38,7 @@ from servobus.bus.decoder import Settings
 from servobus.model.control_table import STRUCTS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
+from servobus.port.pty import Away
 
 MODELS = Models()
 BAUD = 2_000_000

@@ -15,7 +15,7 @@ from launched import SHARE
 from launched import WHY
 import pytest
 
-from mecarover_serial.pty import Pty
+from servobus.port.pty import Pty
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.5), pytest.mark.slow,
               pytest.mark.skipif(bool(WHY), reason=WHY)]

@@ -11,14 +11,14 @@ import time
 import pytest
 from terminal_server import TerminalServer
 
-from mecarover_serial.port import open_port
-from mecarover_serial.port import Port
 from msg_defs.reports import Level
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from rigs.running_mcu import RunningMcu
+from servobus.port.serial_port import open_port
+from servobus.port.serial_port import Port
 from vel2d_bridge.bridge_status import link_status
 from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate

@@ -13,7 +13,7 @@ from harness import wait
 import pytest
 from terminal_server import TerminalServer
 
-from mecarover_serial.pty import Pty
+from servobus.port.pty import Pty
 from servobus.sources.driver import adapter
 from servobus.sources.driver import latency_timer_ms
 from servobus.sources.driver import line_errors

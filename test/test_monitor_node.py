@@ -19,12 +19,12 @@ from harness import wait
 import pytest
 
 from dxl_monitor.monitor_settings import Bus
-from mecarover_serial.inspection import EVERY_S
-from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
+from servobus.port.inspection import EVERY_S
+from servobus.port.pty import Pty
 from servobus.sources.listener import ListenerState
 from servobus.sources.recorders import Recorders
 
@@ -249,7 +249,7 @@ def test_a_login_that_begins_while_it_listens_is_told(tmp_path, heard):
     script = f"""
         import pathlib, sys
         from dxl_monitor import start
-        from mecarover_serial import inspection, preflight
+        from servobus.port import inspection, preflight
         preflight.warnings.__defaults__ = (pathlib.Path({str(tmp_path)!r}), ())
         inspection.EVERY_S = 0.2
         sys.exit(start.main())"""

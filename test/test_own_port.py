@@ -35,8 +35,6 @@ from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
 from mecarover_fakes.virtual_usb import VirtualUsb
 from mecarover_serial.cli import UsageError
-from mecarover_serial.port_error import PortError
-from mecarover_serial.pty import Pty
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from rigs.usb_pcap import cut
@@ -46,6 +44,8 @@ from servobus.bus.expected import parse_all
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.monitor import Settings
+from servobus.port.port_error import PortError
+from servobus.port.pty import Pty
 from servobus.sources import usb_listener
 from servobus.sources import usb_ring
 from servobus.sources.listeners import listener_on

@@ -19,15 +19,15 @@ import pytest
 import serial
 from terminal_server import TerminalServer
 
-from mecarover_serial import port as port_module
-from mecarover_serial import port_watch
-from mecarover_serial import preflight
-from mecarover_serial.inspection import Inspection
-from mecarover_serial.port import Backoff
-from mecarover_serial.port import open_port
-from mecarover_serial.port_error import PortError
-from mecarover_serial.port_users import holders
-from mecarover_serial.pty import Pty
+from servobus.port import port_watch
+from servobus.port import preflight
+from servobus.port import serial_port as port_module
+from servobus.port.inspection import Inspection
+from servobus.port.port_error import PortError
+from servobus.port.port_users import holders
+from servobus.port.pty import Pty
+from servobus.port.serial_port import Backoff
+from servobus.port.serial_port import open_port
 from servobus.sources import strace
 from servobus.sources.source_name import ways_to_hear
 

@@ -3,8 +3,8 @@
 """The news of the port: bounded, in order, and what is left out is counted."""
 from threading import Thread
 
-from mecarover_serial.port_error import PortError
-from mecarover_serial.port_error import Reason
+from servobus.port.port_error import PortError
+from servobus.port.port_error import Reason
 from vel2d_bridge.port_log import KEPT
 from vel2d_bridge.port_log import PortLog
 

@@ -17,8 +17,8 @@ from harness import wait
 import pytest
 from test_listener import Collector
 
-from mecarover_serial.pty import Pty
 from rigs.harness import is_alive
+from servobus.port.pty import Pty
 from servobus.sources import reader
 from servobus.sources import reader_process
 from servobus.sources.listener import Listener

@@ -23,7 +23,6 @@ import time
 from packets import packets_in
 import pytest
 
-from mecarover_serial.pty import Pty
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
@@ -38,6 +37,7 @@ from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import UNREAD
+from servobus.port.pty import Pty
 from servobus.sources.tap_listener import TapListener
 from servobus.sources.tap_reader import PORTS_LIMIT
 from servobus.sources.tap_reader import TapReader

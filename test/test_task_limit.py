@@ -32,7 +32,7 @@ AS_A_USER = () if os.geteuid() else (
 # Looks for other users of the port and retries come often, so that many fall into the limit.
 HASTY = """
 import sys
-from mecarover_serial import inspection
+from servobus.port import inspection
 from servobus.sources import listener
 from {module} import main
 inspection.EVERY_S = 0.1

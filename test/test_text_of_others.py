@@ -26,13 +26,13 @@ from mecarover_dashboard.history import Window
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_serial.plain import plain
 from mecarover_serial.plain import printable
-from mecarover_serial.port_error import PortError
-from mecarover_serial.port_error import Reason
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.reports import Level
 from msg_defs.reports import Status
+from servobus.port.port_error import PortError
+from servobus.port.port_error import Reason
 from servobus.sources import tap_sender
 from servobus.sources.capture import Chunk
 from servobus.sources.capture import Moment

@@ -22,8 +22,6 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
-from mecarover_serial.inspection import Inspection
-from mecarover_serial.port_error import PortError
 from mecarover_serial.ros_node import declare
 from mecarover_serial.ros_node import Surroundings
 from mecarover_serial.ros_node import warn_of_overrides
@@ -40,6 +38,8 @@ from msg_defs.ros import to_time
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
+from servobus.port.inspection import Inspection
+from servobus.port.port_error import PortError
 from vel2d_bridge.bridge_settings import doubts
 from vel2d_bridge.bridge_settings import gate_settings
 from vel2d_bridge.bridge_settings import PARAMETERS

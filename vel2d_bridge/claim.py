@@ -17,8 +17,8 @@ import socket
 import stat
 from zlib import crc32
 
-from mecarover_serial.port_users import file_text
-from mecarover_serial.port_users import terminal_id
+from servobus.port.port_users import file_text
+from servobus.port.port_users import terminal_id
 
 _LIST = Path('/proc/net/unix')
 _SYSFS = Path('/sys/dev/char')

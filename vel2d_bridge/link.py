@@ -17,17 +17,17 @@ import threading
 import time
 from typing import NamedTuple
 
-from mecarover_serial.port import as_port_error
-from mecarover_serial.port import Backoff
-from mecarover_serial.port import open_port
-from mecarover_serial.port import Port
-from mecarover_serial.port_error import PortError
-from mecarover_serial.port_error import Reason
 from mecarover_serial.worker import Worker
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
+from servobus.port.port_error import PortError
+from servobus.port.port_error import Reason
+from servobus.port.serial_port import as_port_error
+from servobus.port.serial_port import Backoff
+from servobus.port.serial_port import open_port
+from servobus.port.serial_port import Port
 from vel2d_bridge.claim import PortClaim
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.deadman import READY

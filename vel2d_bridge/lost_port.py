@@ -14,7 +14,7 @@ import os
 import struct
 import termios
 
-from mecarover_serial.port_users import terminal_id
+from servobus.port.port_users import terminal_id
 from vel2d_bridge.claim import identity
 from vel2d_bridge.claim import is_claimed
 

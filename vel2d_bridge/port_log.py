@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 
-from mecarover_serial.port_error import PortError
+from servobus.port.port_error import PortError
 
 KEPT = 100                      # a port that comes and goes at once fills it in 10 s
 

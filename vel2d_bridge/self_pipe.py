@@ -6,7 +6,7 @@ from __future__ import annotations
 from contextlib import suppress
 import os
 
-from mecarover_serial.readable import readable
+from servobus.port.readable import readable
 
 
 class SelfPipe:

@@ -22,7 +22,7 @@ import struct
 import termios
 import time
 
-from mecarover_serial.readable import readable
+from servobus.port.readable import readable
 from vel2d_bridge import lost_port
 from vel2d_bridge.board import ACTED
 from vel2d_bridge.board import ALIVE

@@ -15,8 +15,8 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-from mecarover_serial.port_users import tty_of
 from msg_defs.reports import Pairs
+from servobus.port.port_users import tty_of
 
 TIOCGSERIAL = 0x541E
 TIOCSSERIAL = 0x541F

@@ -22,17 +22,17 @@ import threading
 import time
 from typing import NamedTuple
 
-from mecarover_serial.port import as_port_error
-from mecarover_serial.port import Backoff
-from mecarover_serial.port import open_port
-from mecarover_serial.port import Port
-from mecarover_serial.port_error import PortError
-from mecarover_serial.port_error import Reason
-from mecarover_serial.readable import readable
 from msg_defs.event import Change
 from msg_defs.event import UNKNOWN
 from msg_defs.uart import byte_ns
 from msg_defs.uart import idle_s
+from servobus.port.port_error import PortError
+from servobus.port.port_error import Reason
+from servobus.port.readable import readable
+from servobus.port.serial_port import as_port_error
+from servobus.port.serial_port import Backoff
+from servobus.port.serial_port import open_port
+from servobus.port.serial_port import Port
 from servobus.sources import reader
 from servobus.sources.driver import latency_timer_ms
 from servobus.sources.driver import line_errors

@@ -19,8 +19,8 @@ import sys
 from typing import Any
 
 from mecarover_serial.cli import UsageError
-from mecarover_serial.port_error import PortError
-from mecarover_serial.preflight import why_not
+from servobus.port.port_error import PortError
+from servobus.port.preflight import why_not
 from servobus.sources.capture import MAGIC
 from servobus.sources.packet_file import holds_packets
 from servobus.sources.packet_file import PacketFile

@@ -16,10 +16,10 @@ import subprocess
 import sys
 import time
 
-from mecarover_serial.port_users import file_text
-from mecarover_serial.port_users import is_controlled_by
-from mecarover_serial.port_users import PTYS
-from mecarover_serial.port_users import terminal_id
+from servobus.port.port_users import file_text
+from servobus.port.port_users import is_controlled_by
+from servobus.port.port_users import PTYS
+from servobus.port.port_users import terminal_id
 from servobus.sources.reader_process import PIPE_SIZE
 from servobus.sources.strace_parser import OPTIONS
 from servobus.sources.strace_parser import PORT

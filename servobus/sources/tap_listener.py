@@ -7,8 +7,8 @@ from __future__ import annotations
 import os
 import time
 
-from mecarover_serial.port_error import PortError
-from mecarover_serial.port_error import Reason
+from servobus.port.port_error import PortError
+from servobus.port.port_error import Reason
 from servobus.sources import tap_sender as sent
 from servobus.sources.listener import Listener
 from servobus.sources.reader import SILENT_S

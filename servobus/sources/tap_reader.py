@@ -21,12 +21,12 @@ import time
 from typing import NamedTuple
 
 from mecarover_serial.plain import printable
-from mecarover_serial.readable import readable
 from msg_defs.event import Change
 from msg_defs.event import CHANGES
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from servobus.port.readable import readable
 from servobus.sources import tap_sender as sent
 
 HOLD_S = 0.06                              # three times what a sender lets gather

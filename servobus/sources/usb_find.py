@@ -13,11 +13,11 @@ from pathlib import Path
 import re
 from typing import NamedTuple
 
-from mecarover_serial.port_error import PortError
-from mecarover_serial.port_error import Reason
-from mecarover_serial.port_users import tty_of
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from servobus.port.port_error import PortError
+from servobus.port.port_error import Reason
+from servobus.port.port_users import tty_of
 from servobus.sources.adapters import Adapter
 from servobus.sources.adapters import adapter_of
 from servobus.sources.adapters import FAMILIES

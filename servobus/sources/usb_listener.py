@@ -16,13 +16,13 @@ from pathlib import Path
 import socket
 import time
 
-from mecarover_serial.port_error import PortError
-from mecarover_serial.port_error import Reason
 from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import GONE
 from msg_defs.event import LATENCY_TIMER
 from msg_defs.event import LOST
+from servobus.port.port_error import PortError
+from servobus.port.port_error import Reason
 from servobus.sources import reader
 from servobus.sources.listener import Listener
 from servobus.sources.reader_process import ReaderProcess

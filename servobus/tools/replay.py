@@ -25,10 +25,10 @@ from mecarover_serial.cli import UsageError
 from mecarover_serial.command_line import number
 from mecarover_serial.command_line import Parser
 from mecarover_serial.plain import printable
-from mecarover_serial.pty import Pty
-from mecarover_serial.readable import is_writable
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from servobus.port.pty import Pty
+from servobus.port.readable import is_writable
 from servobus.sources.capture import Chunk
 from servobus.sources.capture import is_capture
 from servobus.sources.capture import lines

@@ -21,7 +21,6 @@ from geometry_msgs.msg import Twist
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from mecarover_serial.pty import Pty
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
@@ -31,6 +30,7 @@ from rigs.harness import Figure
 from rigs.harness import quantile
 from rigs.harness import ros_environment
 from rigs.harness import usage
+from servobus.port.pty import Pty
 
 SECTION = 'bridge: Twist published to frame received'
 RATIO, MORE = 'bridge / floor, p50', 'bridge - floor, p95'

@@ -19,11 +19,11 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 
 from benchmark.minimal_node import TOPIC
-from mecarover_serial.pty import Pty
 from rigs.harness import Child
 from rigs.harness import Figure
 from rigs.harness import interleaved
 from rigs.harness import ros_environment
+from servobus.port.pty import Pty
 
 SECTION = 'from the start of a process'
 LIMIT_S = 30.0

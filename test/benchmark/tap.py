@@ -19,10 +19,10 @@ import tempfile
 from unittest.mock import patch
 
 from benchmark.tap_master import PACKET
-from mecarover_serial.pty import Pty
 from rigs.harness import Child
 from rigs.harness import Figure
 from rigs.harness import interleaved
+from servobus.port.pty import Pty
 from servobus.tools.start_program import environment
 
 CALLS = 200                        # in a turn, each kind: less than a pty has room for

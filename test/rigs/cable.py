@@ -17,7 +17,7 @@ import time
 import tty
 from typing import NamedTuple
 
-from mecarover_serial.pty import Pty
+from servobus.port.pty import Pty
 
 TICK_S = 0.002
 PAUSE_TURNS = 2

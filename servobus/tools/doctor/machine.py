@@ -23,7 +23,7 @@ import socket
 
 from serial.tools import list_ports
 
-from mecarover_serial.port_users import tty_of
+from servobus.port.port_users import tty_of
 
 _PACKAGES = ('mecarover_serial', 'pyserial', 'crcmod-plus', 'dynamixel-sdk', 'feetech-servo-sdk',
              'lerobot', 'pypot')

@@ -10,9 +10,9 @@ from os.path import isfile
 import re
 import shlex
 
-from mecarover_serial.preflight import ports_here
-from mecarover_serial.preflight import warnings
-from mecarover_serial.preflight import why_not
+from servobus.port.preflight import ports_here
+from servobus.port.preflight import warnings
+from servobus.port.preflight import why_not
 from servobus.tools.doctor.program import Ending
 
 _IMPORT_ERRORS = ('ModuleNotFoundError', 'ImportError')

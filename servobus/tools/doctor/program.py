@@ -22,8 +22,6 @@ from typing import Any
 from typing import NamedTuple
 
 from mecarover_serial.plain import printable
-from mecarover_serial.port_users import holders
-from mecarover_serial.port_users import is_running
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.reports import Level
@@ -31,6 +29,8 @@ from servobus.bus.report import FAILED
 from servobus.bus.report import OWN
 from servobus.bus.report import RAISED
 from servobus.bus.report import ROBBER
+from servobus.port.port_users import holders
+from servobus.port.port_users import is_running
 from servobus.sources.capture import Chunk
 from servobus.sources.capture import Wire
 from servobus.sources.source import Source

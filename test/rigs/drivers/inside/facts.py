@@ -12,8 +12,8 @@ import sys
 import termios
 import time
 
-from mecarover_serial.port import open_port
-from mecarover_serial.port_error import PortError
+from servobus.port.port_error import PortError
+from servobus.port.serial_port import open_port
 from servobus.sources.driver import line_errors
 from servobus.sources.driver import set_low_latency
 

@@ -7,9 +7,9 @@ usage: look.py PORT [BAUD] [--closed]      --closed: only what preflight warns o
 """
 import sys
 
-from mecarover_serial.port import open_port
-from mecarover_serial.port_error import PortError
-from mecarover_serial.preflight import warnings
+from servobus.port.port_error import PortError
+from servobus.port.preflight import warnings
+from servobus.port.serial_port import open_port
 
 
 def main(port, baud='115200', mode=''):

@@ -19,7 +19,7 @@ import tty
 from typing import NamedTuple
 
 from mecarover_serial.cli import UsageError
-from mecarover_serial.port_users import holders
+from servobus.port.port_users import holders
 
 _OUTLIVE_S = 4.0                # launch kills what has not ended after 5 s
 _LOOK_S = 0.05

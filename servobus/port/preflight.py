@@ -18,12 +18,12 @@ import stat
 
 from serial.tools import list_ports
 
-from mecarover_serial.port_error import Reason
-from mecarover_serial.port_users import file_text
-from mecarover_serial.port_users import holders
-from mecarover_serial.port_users import PTYS
-from mecarover_serial.port_users import ROOT
-from mecarover_serial.port_users import tty_of
+from servobus.port.port_error import Reason
+from servobus.port.port_users import file_text
+from servobus.port.port_users import holders
+from servobus.port.port_users import PTYS
+from servobus.port.port_users import ROOT
+from servobus.port.port_users import tty_of
 
 _FOREIGN = {stat.S_IFDIR: 'a directory', stat.S_IFREG: 'a file', stat.S_IFBLK: 'a disk',
             stat.S_IFIFO: 'a pipe', stat.S_IFSOCK: 'a socket'}
