@@ -16,8 +16,8 @@ from struct import error as StructError
 from struct import Struct
 from typing import NamedTuple
 
-from mecarover_serial.plain import printable
 from msg_defs.reports import Pairs
+from servobus.plain import printable
 
 TEXT_LIMIT = 500            # characters of one text that reach the page
 PAIRS_LIMIT = 4096          # in a status: the longest control table has a few hundred

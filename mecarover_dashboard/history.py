@@ -17,7 +17,7 @@ from pathlib import Path
 import sqlite3
 from typing import NamedTuple
 
-from mecarover_serial.plain import printable
+from servobus.plain import printable
 
 VERSION = 1
 WINDOW_S = 10

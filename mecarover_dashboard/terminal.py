@@ -21,12 +21,12 @@ from mecarover_dashboard.status_lines import screen
 from mecarover_dashboard.status_lines import SORTS
 from mecarover_dashboard.status_lines import status_lines
 from mecarover_dashboard.status_lines import table
-from mecarover_serial.cli import no_ros
-from mecarover_serial.cli import options_of_node
-from mecarover_serial.command_line import number
-from mecarover_serial.command_line import Parser
-from mecarover_serial.plain import on_screen
-from mecarover_serial.plain import plain_streams
+from servobus.plain import on_screen
+from servobus.plain import plain_streams
+from servobus.tools.cli import no_ros
+from servobus.tools.cli import options_of_node
+from servobus.tools.command_line import number
+from servobus.tools.command_line import Parser
 
 NAME = 'mecarover_status'
 SETTLED_S = 1.5             # without a new name: all have come, as reports come once a second

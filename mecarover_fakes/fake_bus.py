@@ -29,10 +29,6 @@ from mecarover_fakes.traffic import PATTERNS
 from mecarover_fakes.usb_adapter import FAMILIES
 from mecarover_fakes.values import Sine
 from mecarover_fakes.virtual_usb import VirtualUsb
-from mecarover_serial.cli import run_tool
-from mecarover_serial.cli import UsageError
-from mecarover_serial.command_line import number
-from mecarover_serial.command_line import Parser
 from mecarover_serial.parameters import ParameterError
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import FEETECH
@@ -40,6 +36,10 @@ from servobus.bus.expected import parse_all
 from servobus.model.models import Models
 from servobus.port.pty import outlive
 from servobus.port.pty import parse_away
+from servobus.tools.cli import run_tool
+from servobus.tools.cli import UsageError
+from servobus.tools.command_line import number
+from servobus.tools.command_line import Parser
 
 WAIT_S = 0.1
 DEFAULT_DEVICES = ('1-10:MX-106', '11-18:MX-64', '100:Rhoban DXL Board', '101:BitFoot',

@@ -22,9 +22,6 @@ from mecarover_fakes.guarded_receiver import GuardedReceiver
 from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import Receiver
 from mecarover_fakes.receiver import SetPoint
-from mecarover_serial.cli import run_tool
-from mecarover_serial.command_line import number
-from mecarover_serial.command_line import Parser
 from msg_defs.crc import Checksum
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import CRC_INPUTS
@@ -34,6 +31,9 @@ from servobus.port.pty import outlive
 from servobus.port.pty import parse_away
 from servobus.port.pty import Pty
 from servobus.port.readable import readable
+from servobus.tools.cli import run_tool
+from servobus.tools.command_line import number
+from servobus.tools.command_line import Parser
 
 _READ_SIZE = 146 * FRAME_SIZE      # whole frames; a pty gives at most 4095 bytes
 _GAP_CHARACTERS = 2

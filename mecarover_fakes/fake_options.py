@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from mecarover_serial.command_line import number
-from mecarover_serial.command_line import Parser
+from servobus.tools.command_line import number
+from servobus.tools.command_line import Parser
 
 
 def add_options(parser: Parser) -> None:

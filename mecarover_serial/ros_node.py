@@ -41,10 +41,6 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 
-from mecarover_serial.cli import COULD_NOT_RUN
-from mecarover_serial.cli import DONE
-from mecarover_serial.cli import ENDING
-from mecarover_serial.cli import WRONG_USAGE
 from mecarover_serial.fast_dds import spare_shared_memory
 from mecarover_serial.fast_dds import wrong_domain
 from mecarover_serial.namesakes import DISCOVERED_NS
@@ -55,13 +51,17 @@ from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import settings_files
 from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
-from mecarover_serial.plain import printable
 from mecarover_serial.settings_file import check
 from mecarover_serial.settings_file import SettingsError
 from mecarover_serial.standard_streams import StandardStreams
 from mecarover_serial.systemd import Systemd
-from mecarover_serial.worker import MORE_TASKS
+from servobus.plain import printable
 from servobus.port.port_error import PortError
+from servobus.tools.cli import COULD_NOT_RUN
+from servobus.tools.cli import DONE
+from servobus.tools.cli import ENDING
+from servobus.tools.cli import WRONG_USAGE
+from servobus.worker import MORE_TASKS
 
 _OVERRIDES = 'qos_overrides.'
 _NO_THREAD = re.compile('start new thread|pthread_create')     # in Python's words; in those of ROS

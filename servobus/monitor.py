@@ -16,7 +16,6 @@ from time import monotonic_ns
 from typing import Any
 from typing import NamedTuple
 
-from mecarover_serial.internal_fault import survive
 from msg_defs.event import BREAK
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
@@ -41,6 +40,7 @@ from servobus.bus.report import DeviceReport
 from servobus.doctor import Doctor
 from servobus.doctor.case import Names
 from servobus.doctor.case import PARAMETERS
+from servobus.internal_fault import survive
 from servobus.joints import fresh
 from servobus.joints import Joints
 from servobus.model import control_table

@@ -22,9 +22,9 @@ from harness import Mcu
 import pytest
 from realtime import Rerun
 
-from mecarover_serial.internal_fault import LOG
 from mecarover_serial.ros_domain import Domain
 from mecarover_serial.ros_domain import TESTS
+from servobus.internal_fault import LOG
 
 # What scripts/test leaves to scripts/test --all, by mark; but the mark smoke is for both.
 NOT_FIRST = {'realtime': 'judges what real processes do in time',

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 import pytest
 
 from mecarover_serial.parameters import ParameterError
-from mecarover_serial.plain import printable
 from msg_defs.event import Change
+from servobus.plain import printable
 from servobus.port.pty import Pty
 from servobus.sources.capture import BUSES_LIMIT
 from servobus.sources.capture import Chunk

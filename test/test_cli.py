@@ -11,8 +11,8 @@ import sys
 from harness import Program
 import pytest
 
-from mecarover_serial.command import COMMANDS
 from mecarover_serial.parameters import split_ros_args
+from servobus.tools.command import COMMANDS
 
 EXECUTABLES = Path(__file__).parents[1] / 'resource/executables'
 
@@ -80,7 +80,7 @@ def test_version_with_the_commit(tool):
 def test_a_library_that_went_is_one_line():
     done = subprocess.run(
         [sys.executable, '-c', 'import sys; sys.modules["crcmod.crcmod"] = None\n'
-         'from mecarover_serial.command import dxl_dump'], capture_output=True, text=True)
+         'from servobus.tools.command import dxl_dump'], capture_output=True, text=True)
     [line] = done.stderr.splitlines()
     assert line.startswith('dxl_dump: ')
     assert '; pip install --force-reinstall crcmod-plus ' in line
@@ -90,7 +90,7 @@ def test_a_library_that_went_is_one_line():
 @pytest.mark.parametrize('tool', COMMANDS)
 def test_help_on_a_terminal_of_one_column(tool):
     done = subprocess.run(
-        [sys.executable, '-c', f'from mecarover_serial.command import {tool}; {tool}()', '--help'],
+        [sys.executable, '-c', f'from servobus.tools.command import {tool}; {tool}()', '--help'],
         env={**os.environ, 'COLUMNS': '1'}, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, '')
     assert f'usage: {tool}' in done.stdout or f'run mecarover_serial {tool}' in ' '.join(
@@ -105,7 +105,7 @@ def test_ctrl_c_while_modules_are_imported_shows_no_traceback(tmp_path, tool, mo
         'import sys, time\n'
         'class Wait:\n'
         '    def find_spec(self, name, path, target=None):\n'
-        f'        if name == {module!r} and "mecarover_serial.command" in sys.modules:\n'
+        f'        if name == {module!r} and "servobus.tools.command" in sys.modules:\n'
         '            print("waits", flush=True)\n'
         '            for _ in range(600): time.sleep(0.1)   # a signal just before one is late\n'
         f'sys.modules.pop({module!r}, None)\n'

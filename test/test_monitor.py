@@ -19,7 +19,6 @@ from tracked_bus import damaged
 from tracked_bus import packets
 import yaml
 
-from mecarover_serial import internal_fault
 from msg_defs import dxl1_packet
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
@@ -31,6 +30,7 @@ from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.reports import Level
 from servobus import doctor
+from servobus import internal_fault
 from servobus.bus.decoder import BusDecoder
 from servobus.bus.decoder import Settings
 from servobus.bus.expected import parse_all

@@ -34,7 +34,6 @@ from mecarover_fakes.traffic import PATTERNS
 from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
 from mecarover_fakes.virtual_usb import VirtualUsb
-from mecarover_serial.cli import UsageError
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from rigs.usb_pcap import cut
@@ -56,6 +55,7 @@ from servobus.sources.usb_port import Place
 from servobus.sources.usb_port import UsbPort
 from servobus.sources.usb_ring import HEADER_SIZE
 from servobus.sources.usb_ring import kept_of
+from servobus.tools.cli import UsageError
 from servobus.tools.start_program import environment
 
 MODELS = Models()

@@ -24,13 +24,13 @@ from mecarover_dashboard.history import HistoryWriter
 from mecarover_dashboard.history import Subject
 from mecarover_dashboard.history import Window
 from mecarover_dashboard.state import OVERVIEW
-from mecarover_serial.plain import plain
-from mecarover_serial.plain import printable
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.reports import Level
 from msg_defs.reports import Status
+from servobus.plain import plain
+from servobus.plain import printable
 from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
 from servobus.sources import tap_sender

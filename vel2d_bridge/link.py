@@ -17,7 +17,6 @@ import threading
 import time
 from typing import NamedTuple
 
-from mecarover_serial.worker import Worker
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
@@ -28,6 +27,7 @@ from servobus.port.serial_port import as_port_error
 from servobus.port.serial_port import Backoff
 from servobus.port.serial_port import open_port
 from servobus.port.serial_port import Port
+from servobus.worker import Worker
 from vel2d_bridge.claim import PortClaim
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.deadman import READY

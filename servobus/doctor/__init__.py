@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mecarover_serial.internal_fault import survive
 from msg_defs.reports import Level
 from msg_defs.reports import worst
 from servobus.bus.decoder import DEFAULTS
@@ -41,6 +40,7 @@ from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import Rule
 from servobus.doctor.states import judged
+from servobus.internal_fault import survive
 
 S = 1_000_000_000
 HUSH_S = 0.5                       # no byte for so long: there is nothing to judge

@@ -20,7 +20,7 @@ from typing import Any
 
 import yaml
 
-from mecarover_serial.plain import printable
+from servobus.plain import printable
 
 BUILT_IN = Path(__file__).with_name('files')
 NUMBER_LIMIT = 0xFFFF

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 import threading
 
-from mecarover_serial.worker import Worker
 from servobus.port import preflight
 from servobus.port.port_error import Reason
 from servobus.port.port_watch import PortWatch
+from servobus.worker import Worker
 
 EVERY_S = 30.0              # a look takes 20 ms of CPU where 100 processes run
 APART_S = 1.0               # at least, where a program opens the port again and again

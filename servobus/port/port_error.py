@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from mecarover_serial.plain import printable
+from servobus.plain import printable
 
 
 class Reason(NamedTuple):

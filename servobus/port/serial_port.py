@@ -25,11 +25,11 @@ from urllib.parse import urlsplit
 
 import serial
 
-from mecarover_serial.worker import MORE_TASKS
 from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
 from servobus.port.preflight import why_not
 from servobus.port.readable import readable
+from servobus.worker import MORE_TASKS
 
 _READ_SIZE = 65536
 _POLL_S = 0.005                 # ports without a descriptor (rfc2217://, loop://) are polled

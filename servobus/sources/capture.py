@@ -30,12 +30,12 @@ from urllib.parse import quote
 from urllib.parse import unquote
 
 from mecarover_serial.parameters import ParameterError
-from mecarover_serial.plain import printable
 from msg_defs.event import Change
 from msg_defs.event import CHANGES
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
+from servobus.plain import printable
 
 MAGIC = b'# dxl_capture '            # a number follows: 1 is 2 without sides and changes
 ENDED = 'ended at '                # begins the remark at the end of a recording

@@ -16,7 +16,6 @@ import threading
 import time
 
 from mecarover_serial.parameters import ParameterError
-from mecarover_serial.worker import Worker
 from servobus.sources.capture import check_new
 from servobus.sources.capture import Chunk
 from servobus.sources.capture import ENDED
@@ -25,6 +24,7 @@ from servobus.sources.capture import open_new
 from servobus.sources.capture import seconds
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
+from servobus.worker import Worker
 
 FLUSH_S = 0.2
 STOP_S = 3.0                        # the end waits no longer for what takes nothing

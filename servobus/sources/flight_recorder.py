@@ -21,17 +21,17 @@ import sys
 import threading
 
 from mecarover_serial.parameters import ParameterError
-from mecarover_serial.plain import printable
-from mecarover_serial.worker import Worker
 from msg_defs.reports import Level
 from servobus.bus.report import BusReport
 from servobus.bus.report import DISCONNECTED
+from servobus.plain import printable
 from servobus.sources.capture import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import seconds
 from servobus.sources.capture import Wire
 from servobus.sources.capture_recorder import moment
 from servobus.sources.capture_recorder import Recorder
+from servobus.worker import Worker
 
 S = 1_000_000_000
 BEFORE_NS, AFTER_NS = 60 * S, 30 * S

@@ -18,7 +18,6 @@ import stat
 import sys
 from typing import Any
 
-from mecarover_serial.cli import UsageError
 from servobus.port.port_error import PortError
 from servobus.port.preflight import why_not
 from servobus.sources.capture import MAGIC
@@ -32,6 +31,7 @@ from servobus.sources.source_name import is_live
 from servobus.sources.usb_events import is_usb
 from servobus.sources.usb_events import may_be_usb
 from servobus.sources.usb_source import UsbFile
+from servobus.tools.cli import UsageError
 
 HEAD_SIZE = 64
 REPORT = '# dxl_doctor report'         # how a report of dxl_doctor begins

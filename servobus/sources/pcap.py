@@ -15,7 +15,7 @@ from typing import Any
 from typing import NamedTuple
 from typing import Protocol
 
-from mecarover_serial.plain import printable
+from servobus.plain import printable
 
 LINK_USB_LINUX, LINK_USB_LINUX_MMAPPED, LINK_USBPCAP = 189, 220, 249
 LINK_USER0 = 147                   # ours: record/packet_file.py

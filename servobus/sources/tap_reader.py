@@ -20,12 +20,12 @@ import socket
 import time
 from typing import NamedTuple
 
-from mecarover_serial.plain import printable
 from msg_defs.event import Change
 from msg_defs.event import CHANGES
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from servobus.plain import printable
 from servobus.port.readable import readable
 from servobus.sources import tap_sender as sent
 

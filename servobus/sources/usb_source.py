@@ -10,7 +10,6 @@ import shutil
 from tempfile import TemporaryFile
 from typing import cast
 
-from mecarover_serial.cli import UsageError
 from msg_defs.event import BAUD
 from servobus.sources.capture import Chunk
 from servobus.sources.capture import Moment
@@ -21,6 +20,7 @@ from servobus.sources.usb_events import UsbEvents
 from servobus.sources.usb_port import UsbPort
 from servobus.sources.usb_survey import Found
 from servobus.sources.usb_survey import Survey
+from servobus.tools.cli import UsageError
 
 
 class UsbFile(File):

@@ -15,23 +15,23 @@ import sys
 import time
 from typing import Any
 
-from mecarover_serial.cli import DONE
-from mecarover_serial.cli import run_tool
-from mecarover_serial.cli import UsageError
-from mecarover_serial.command_line import number
-from mecarover_serial.command_line import Parser
 from mecarover_serial.parameters import ParameterError
-from mecarover_serial.plain import on_screen
-from mecarover_serial.plain import plain
-from mecarover_serial.plain import printable
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import PROTOCOLS
 from servobus.model.models import Models
+from servobus.plain import on_screen
+from servobus.plain import plain
+from servobus.plain import printable
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.opening import open_source
 from servobus.sources.source import Source
 from servobus.sources.source_name import DEFAULT_BAUD
+from servobus.tools.cli import DONE
+from servobus.tools.cli import run_tool
+from servobus.tools.cli import UsageError
+from servobus.tools.command_line import number
+from servobus.tools.command_line import Parser
 from servobus.tools.doctor import explain
 from servobus.tools.doctor import machine
 from servobus.tools.doctor import no_data

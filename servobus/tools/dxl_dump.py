@@ -10,16 +10,16 @@ import os
 from pathlib import Path
 import sys
 
-from mecarover_serial.cli import COULD_NOT_RUN
-from mecarover_serial.cli import DONE
-from mecarover_serial.cli import run_tool
-from mecarover_serial.cli import UsageError
-from mecarover_serial.command_line import number
-from mecarover_serial.command_line import Parser
-from mecarover_serial.plain import printable
 from msg_defs.dxl_instruction import NAMES
 from servobus.model.models import check_models
 from servobus.model.models import model_files
+from servobus.plain import printable
+from servobus.tools.cli import COULD_NOT_RUN
+from servobus.tools.cli import DONE
+from servobus.tools.cli import run_tool
+from servobus.tools.cli import UsageError
+from servobus.tools.command_line import number
+from servobus.tools.command_line import Parser
 from servobus.tools.dump.packet_lines import TIMES
 from servobus.tools.dump.screen import has_colours
 from servobus.tools.dump.session import CAPTURE

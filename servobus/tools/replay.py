@@ -19,14 +19,9 @@ import time
 from typing import NamedTuple
 from urllib.parse import quote
 
-from mecarover_serial.cli import DONE
-from mecarover_serial.cli import run_tool
-from mecarover_serial.cli import UsageError
-from mecarover_serial.command_line import number
-from mecarover_serial.command_line import Parser
-from mecarover_serial.plain import printable
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from servobus.plain import printable
 from servobus.port.pty import Pty
 from servobus.port.readable import is_writable
 from servobus.sources.capture import Chunk
@@ -37,6 +32,11 @@ from servobus.sources.capture import Wire
 from servobus.sources.opening import open_file
 from servobus.sources.source import File
 from servobus.sources.source import RawFile
+from servobus.tools.cli import DONE
+from servobus.tools.cli import run_tool
+from servobus.tools.cli import UsageError
+from servobus.tools.command_line import number
+from servobus.tools.command_line import Parser
 from servobus.tools.run import BAUD
 from servobus.tools.run import refuse_run
 

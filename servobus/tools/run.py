@@ -16,8 +16,6 @@ import shutil
 
 from dxl_monitor.monitor_settings import check_models
 from dxl_monitor.monitor_settings import load_models
-from mecarover_serial.cli import UsageError
-from mecarover_serial.command_line import number
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import PROTOCOLS
 from servobus.bus.expected import parse_all
@@ -25,6 +23,8 @@ from servobus.bus.expected import split_bus
 from servobus.model.models import Models
 from servobus.sources.capture import BAUD_LIMIT
 from servobus.sources.opening import how_to_hear
+from servobus.tools.cli import UsageError
+from servobus.tools.command_line import number
 from servobus.tools.start_program import BY
 from servobus.tools.start_program import WAYS
 from servobus.tools.start_program import with_python

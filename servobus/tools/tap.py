@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import sys
 
-from mecarover_serial.cli import run_tool
-from mecarover_serial.command_line import Parser
 from servobus.sources.tap_reader import why_no_name
+from servobus.tools.cli import run_tool
+from servobus.tools.command_line import Parser
 from servobus.tools.start_program import BY
 from servobus.tools.start_program import StartedProgram
 from servobus.tools.start_program import WAYS

@@ -34,10 +34,10 @@ from benchmark.traffic import KINDS_1
 from benchmark.traffic import packets
 from benchmark.traffic import packets_1
 from benchmark.traffic import TRACE
-from mecarover_serial.cli import run_tool
-from mecarover_serial.cli import UsageError
 from rigs.harness import machine
 from rigs.harness import REPOSITORY
+from servobus.tools.cli import run_tool
+from servobus.tools.cli import UsageError
 
 SIZE = 150_000                     # bytes: a measurement takes 10 to 40 ms
 PAIRS = 100

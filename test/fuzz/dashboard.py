@@ -14,7 +14,7 @@ from mecarover_dashboard.cdr import statuses
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
 from mecarover_dashboard.web_server import is_ours
-from mecarover_serial.plain import printable
+from servobus.plain import printable
 
 MOST_ROWS = 3000
 HISTORY = 300

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 import textwrap
 
-from mecarover_serial.cli import WIDEST
 from msg_defs.reports import Level
+from servobus.tools.cli import WIDEST
 from servobus.tools.doctor.verdict import Trouble
 from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.dump.packet_lines import BOLD

@@ -21,7 +21,6 @@ import time
 from typing import Any
 from typing import NamedTuple
 
-from mecarover_serial.plain import printable
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.reports import Level
@@ -29,6 +28,7 @@ from servobus.bus.report import FAILED
 from servobus.bus.report import OWN
 from servobus.bus.report import RAISED
 from servobus.bus.report import ROBBER
+from servobus.plain import printable
 from servobus.port.port_users import holders
 from servobus.port.port_users import is_running
 from servobus.sources.capture import Chunk

@@ -22,8 +22,8 @@ from typing import NamedTuple
 import zipfile
 import zlib
 
-from mecarover_serial.plain import printable
 from msg_defs.reports import Level
+from servobus.plain import printable
 from servobus.sources.capture import Chunk
 from servobus.sources.capture import lines
 from servobus.sources.capture import Reader

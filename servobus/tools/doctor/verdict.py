@@ -15,7 +15,6 @@ import os
 from typing import Any
 from typing import NamedTuple
 
-from mecarover_serial.plain import printable
 from msg_defs.reports import Level
 from servobus.bus.report import BusReport
 from servobus.bus.report import CONNECTED
@@ -23,6 +22,7 @@ from servobus.bus.report import DeviceReport
 from servobus.doctor import timing_rules
 from servobus.doctor.states import LISTED_AS
 from servobus.doctor.states import RATES
+from servobus.plain import printable
 from servobus.tools.doctor.finding_log import FindingLog
 from servobus.tools.doctor.finding_log import Logged
 from servobus.tools.dump.text_format import spans

@@ -17,7 +17,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from mecarover_serial.cli import UsageError
 from msg_defs.reports import Joint
 from msg_defs.reports import metric_status
 from msg_defs.reports import Status
@@ -29,6 +28,7 @@ from servobus.sources.capture import Wire
 from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of
+from servobus.tools.cli import UsageError
 
 NODE = 'dxl_monitor'
 REPORT_NS, TIMING_NS = 500_000_000, 1_000_000_000      # as the node does

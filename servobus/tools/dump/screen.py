@@ -8,11 +8,11 @@ import shutil
 import sys
 from typing import TextIO
 
-from mecarover_serial.plain import on_screen
-from mecarover_serial.plain import plain
 from msg_defs.reports import Level
 from servobus.bus.report import BusReport
 from servobus.bus.report import PROTOCOL_2
+from servobus.plain import on_screen
+from servobus.plain import plain
 from servobus.tools.dump.packet_lines import DIM
 from servobus.tools.dump.packet_lines import RED
 from servobus.tools.dump.packet_lines import YELLOW

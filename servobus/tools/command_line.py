@@ -9,10 +9,10 @@ import math
 from typing import Any
 from typing import NoReturn
 
-from mecarover_serial.cli import UsageError
-from mecarover_serial.cli import wrapped
-from mecarover_serial.plain import printable
-from mecarover_serial.version import version_of
+from servobus.plain import printable
+from servobus.tools.cli import UsageError
+from servobus.tools.cli import wrapped
+from servobus.tools.version import version_of
 
 
 class Parser(argparse.ArgumentParser):

@@ -21,15 +21,15 @@ import textwrap
 from types import FrameType
 from typing import TextIO
 
-from mecarover_serial.command import take_over
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import split_ros_args
-from mecarover_serial.plain import plain_streams
-from mecarover_serial.plain import printable
-from mecarover_serial.version import version_of
-from mecarover_serial.worker import MORE_TASKS
+from servobus.plain import plain_streams
+from servobus.plain import printable
 from servobus.port.port_error import PortError
+from servobus.tools.command import take_over
+from servobus.tools.version import version_of
+from servobus.worker import MORE_TASKS
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
 NARROWEST, WIDEST = 30, 99      # columns of a help text

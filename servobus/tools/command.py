@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Where every command begins: `from mecarover_serial.command import dxl_dump`.
+Where every command begins: `from servobus.tools.command import dxl_dump`.
 
 From then on Ctrl-C ends it without a traceback: while modules are imported nothing is open yet,
 and the process just leaves. `cli` takes the signal over when there is something to close.
